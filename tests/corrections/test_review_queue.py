@@ -76,8 +76,8 @@ def test_a_turned_cell_comes_first_with_its_reasons(turned: tuple[Labels, ItemKe
 def test_networks_alone_do_not_ask_the_linter(turned: tuple[Labels, ItemKey]) -> None:
     labels, _ = turned
     train = TrainConfig(vocabulary="all", epochs=1, batch=256)
-    config = QueueConfig(DoubtConfig(folds=2, train=train), linter=False, margins=False, undecided=False, limit=40)
-    queue = review_queue(labels, config)
+    config = QueueConfig(DoubtConfig(folds=2, train=train), linter=False, margins=False, undecided=False)
+    queue = review_queue(labels, config).slice(0, 40)
     assert queue.num_rows == 40
     assert set(queue.column("kind").to_pylist()) == {"relation"}
     assert {len(reasons) for reasons in queue.column("reasons").to_pylist()} == {1}
@@ -171,7 +171,7 @@ def test_what_is_no_key_is_refused(text: str) -> None:
 
 @pytest.mark.slow
 def test_a_review_goes_on_until_all_is_settled(turned: tuple[Labels, ItemKey]) -> None:
-    queue = review_queue(turned[0], QueueConfig(doubts=None, limit=30))
+    queue = review_queue(turned[0], QueueConfig(doubts=None)).slice(0, 30)
     keys = item_keys(queue)
     states = {keys[0]: "corrected", keys[3]: "unsure", keys[5]: "rejected", keys[8]: "accepted"}
     gone = ItemKey("no frame", "relation", 0, 1, "left")

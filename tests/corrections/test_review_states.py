@@ -37,9 +37,10 @@ from pipeline.corrections import (
     undo,
 )
 from pipeline.corrections.journal import edits as actions
+from pipeline.corrections.review.evidence import QueueItems
 from pipeline.corrections.review.items import NOBODY, item_of, judgements_of
 from pipeline.corrections.review.out_of_fold import doubt_labels
-from pipeline.corrections.review.reviewed import settled_relations, trusted_of_data, wrong_left
+from pipeline.corrections.review.reviewed import trusted_of_data, wrong_left
 from pipeline.labels import Labels
 from pipeline.relations import F, T
 from pipeline.system import InputError
@@ -274,7 +275,7 @@ def test_settled_labels_are_never_doubted(demo_labels: Labels) -> None:
     cells = read_relation_labels(demo_labels)
     rows = np.flatnonzero(cells.states[:, 0] != 0)[::3]
     keys = [ItemKey(str(cells.frame[r]), "relation", int(cells.a[r]), int(cells.b[r]), "left") for r in rows]
-    settled = settled_relations(cells, dict.fromkeys(keys, "accepted"))
+    settled = QueueItems(cells, dict.fromkeys(keys, "accepted")).settled_cells.reshape(cells.states.shape)
     assert settled.sum() == len(keys)
     data = read_label_data(demo_labels, "rel14", demo_labels.relation_names)
     trusted = trusted_of_data(cells, settled, data)

@@ -7,14 +7,15 @@ weights here are judgements, ordered by what a finding proves.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import reduce
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.corrections.review.items import ItemKey
+from pipeline.corrections.review.items import SETTLED, ItemKey, State
 from pipeline.corrections.review.out_of_fold import Doubts
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.check.view import Finding
@@ -39,113 +40,114 @@ MARGIN_SIGMA_M = 0.01
 SAME_BOX_IOU = 0.5
 
 
-@dataclass(frozen=True, eq=False)
-class RelationEvidence:
-    """One kind of evidence against some cells.
+Reason = tuple[ItemKey, float, str]
+"""What speaks against one item: its key, the weight, the words."""
 
-    Attributes
-    ----------
-    rows, columns : (E,) int64
-        Places of the cells.
-    weight : (E,) float64
-    reason : (E,) str
-    """
 
-    rows: np.ndarray
-    columns: np.ndarray
+class Evidence(NamedTuple):
+    """Rows of evidence against the items of a `QueueItems`."""
+
+    item: np.ndarray
+    """(E,) int64"""
     weight: np.ndarray
+    """(E,) float64"""
     reason: np.ndarray
+    """(E,) str"""
 
 
-@dataclass(frozen=True)
-class ItemEvidence:
-    """Evidence against an object or an expression.
+class QueueItems:
+    """Numbers of all that can be doubted: first each cell of the relation labels, row by row, then other items.
 
-    Attributes
-    ----------
-    key : ItemKey
-    weight : float
-    reason : str
+    What people have settled is not doubted.
     """
 
-    key: ItemKey
-    weight: float
-    reason: str
+    def __init__(self, cells: RelationLabels, states: Mapping[ItemKey, State]) -> None:
+        self.cells, self.others = cells, dict[ItemKey, int]()
+        self.settled = [key for key, state in states.items() if state in SETTLED]
+        self.settled_cells = np.zeros(cells.states.size, np.bool_)
+        self.settled_cells[cells.cells_of(self.settled)[0]] = True
+
+    def rows(self, reasons: Iterable[Reason], settled: bool = False) -> Evidence:
+        """Reasons as rows of evidence; those against labels that are settled, or not there, are left out."""
+        hidden = set() if settled else set(self.settled)
+        found = [reason for reason in reasons if reason[0].plain not in hidden]
+        cell = dict(zip(*reversed(self.cells.cells_of([key for key, *_ in found])), strict=True))
+        first = self.cells.states.size
+        known = [(cell[key], *rest) if key in cell
+                 else (first + self.others.setdefault(key.plain, len(self.others)), *rest)
+                 for key, *rest in found if key in cell or key.kind != "relation"]  # fmt: skip
+        item, weight, reason = zip(*known, strict=True) if known else ((), (), ())
+        return Evidence(np.array(item, np.int64), np.array(weight, np.float64), np.array(reason, object))
+
+    def cell_rows(self, item: np.ndarray, weight: np.ndarray, reason: np.ndarray) -> Evidence:
+        """Evidence against cells, without those that are settled."""
+        kept = ~self.settled_cells[item]
+        return Evidence(item[kept], weight[kept], reason[kept].astype(object))
 
 
-def network_evidence(
-    cells: RelationLabels, probability: np.ndarray, wrong: np.ndarray, least: float
-) -> RelationEvidence:
+def network_evidence(items: QueueItems, probability: np.ndarray, wrong: np.ndarray, least: float) -> Evidence:
     """Labels that networks which have not learnt from them find wrong with at least this probability."""
-    rows, columns = np.nonzero(wrong >= least)
-    states, p = cells.states[rows, columns], probability[rows, columns]
+    item = np.flatnonzero(wrong >= least)
+    states, p = items.cells.states.ravel()[item], probability.ravel()[item]
     reason = _joined(
         "the label is ", letters(states), ", and networks that have not learnt from it give it a probability of ",
         np.char.mod("%.2f", np.where(states == T, p, 1 - p)),
     )  # fmt: skip
-    return RelationEvidence(rows, columns, wrong[rows, columns], reason)
+    return items.cell_rows(item, wrong.ravel()[item], reason)
 
 
-def undecided_evidence(cells: RelationLabels, probability: np.ndarray) -> RelationEvidence:
+def undecided_evidence(items: QueueItems, probability: np.ndarray) -> Evidence:
     """Cells that the rule finds too close to call (U); the surer the networks are, the more is to be gained."""
-    rows, columns = np.nonzero(cells.states == U)
-    p = np.nan_to_num(probability[rows, columns], nan=0.5)
+    item = np.flatnonzero(items.cells.states == U)
+    p = np.nan_to_num(probability.ravel()[item], nan=0.5)
     reason = _joined(
         "too close to call by the rule (U); networks that have not learnt from it say ", np.where(p > 0.5, "T", "F"),
         " with ", np.char.mod("%.2f", np.maximum(p, 1 - p)),
     )  # fmt: skip
-    return RelationEvidence(rows, columns, UNDECIDED * np.abs(2 * p - 1), reason)
+    return items.cell_rows(item, UNDECIDED * np.abs(2 * p - 1), reason)
 
 
-def margin_evidence(cells: RelationLabels, least: float) -> RelationEvidence:
+def margin_evidence(items: QueueItems, least: float) -> Evidence:
     """Labels near a threshold of the rule: half the chance that an error of MARGIN_SIGMA_M crosses it, for it leads to
     U and not to the opposite."""
     from scipy.special import ndtr
 
-    near = np.abs(cells.margins)
+    near, states = np.abs(items.cells.margins.ravel()), items.cells.states.ravel()
     weight = np.where(np.isnan(near), 0.0, 0.5 * ndtr(-np.nan_to_num(near) / MARGIN_SIGMA_M))
-    rows, columns = np.nonzero(((cells.states == T) | (cells.states == F)) & (weight >= least))
-    mm = 1000 * near[rows, columns]
+    item = np.flatnonzero(((states == T) | (states == F)) & (weight >= least))
+    mm = 1000 * near[item]
     told = np.where(mm < 0.05, "less than 0.1", np.char.add("only ", np.char.mod("%.1f", mm)))
-    return RelationEvidence(
-        rows, columns, weight[rows, columns], _joined(told, " mm from where the rule would be undecided")
-    )
+    return items.cell_rows(item, weight[item], _joined(told, " mm from where the rule would be undecided"))
 
 
-def linter_evidence(
-    cells: RelationLabels, findings: Iterable[Finding]
-) -> tuple[RelationEvidence, tuple[ItemEvidence, ...], int]:
-    """The findings of `check_labels` by the labels that they are about.
-
-    Returns
-    -------
-    cells : RelationEvidence
-    items : tuple of ItemEvidence
-        Objects and expressions.
-    elsewhere : int
-        Findings of files, frames and missing rows: nothing that a person settles label by label.
-    """
-    blamed: list[tuple[tuple[str, int, int], int, float, str]] = []
-    items: list[ItemEvidence] = []
+def linter_evidence(items: QueueItems, findings: Iterable[Finding]) -> tuple[Evidence, int]:
+    """Evidence of `check_labels`, and how many findings are of no single label: of files, frames and missing rows."""
+    reasons: list[Reason] = []
     elsewhere = 0
     for found in findings:
-        group = found.rule.split("/")[0]
-        known = [c for c in _blamed_cells(found) if c[2] in cells.relations] if group == "relation" else []
-        if found.frame is not None and known:
-            most, reason = 1.0 if found.severity == "error" else WARNED, f"{found.rule}: {found.message}"
-            blamed += [((found.frame, a, b), cells.relations.index(r), min(w, most), reason) for a, b, r, w in known]
-        elif found.frame is not None and group in ("object", "expression") and found.objects:
-            items += _blamed_items(found)
-        else:
-            elsewhere += 1
-    keys, columns, weights, reasons = zip(*blamed, strict=True) if blamed else ((), (), (), ())
-    rows = cells.rows_of(keys)
-    there = rows >= 0
-    evidence = RelationEvidence(
-        rows[there], np.array(columns, np.int64)[there], np.array(weights, np.float64)[there],
-        np.array(reasons, object)[there],
-    )  # fmt: skip
-    return evidence, tuple(items), elsewhere + int((~there).sum())
+        blamed = _blamed(found, items.cells.relations)
+        elsewhere += not blamed
+        reasons += [(key, weight, f"{found.rule}: {found.message}") for key, weight in blamed]
+    relations = [key for key, *_ in reasons if key.kind == "relation"]
+    return items.rows(reasons), elsewhere + len(relations) - len(items.cells.cells_of(relations)[1])
+
+
+def _blamed(found: Finding, relations: Collection[str]) -> list[tuple[ItemKey, float]]:
+    """Labels of which one is wrong, and the weight for each."""
+    frame, group = found.frame, found.rule.split("/")[0]
+    if frame is None:
+        return []
+    if group == "relation":
+        most = 1.0 if found.severity == "error" else WARNED
+        return [(ItemKey(frame, group, a, b, r), min(weight, most))
+                for a, b, r, weight in _blamed_cells(found) if r in relations]  # fmt: skip
+    weight = CONTRADICTED if found.severity == "error" else WARNED
+    if group == "object":
+        weight = ONE_OF_TWO if len(found.objects) > 1 and found.severity == "error" else weight
+        return [(ItemKey(frame, group, n, None, ""), weight) for n in found.objects]
+    if group != "expression" or not found.objects:
+        return []
+    return [(ItemKey(frame, group, found.objects[0], None, str(found.figures.get("id", ""))), weight)]
 
 
 def _blamed_cells(found: Finding) -> list[tuple[int, int, str, float]]:
@@ -168,79 +170,48 @@ def _blamed_cells(found: Finding) -> list[tuple[int, int, str, float]]:
     return [] if other is None else [(a, b, relation, ONE_OF_TWO), (*other, ONE_OF_TWO)]
 
 
-def _blamed_items(found: Finding) -> list[ItemEvidence]:
-    assert found.frame is not None
-    weight = CONTRADICTED if found.severity == "error" else WARNED
-    reason = f"{found.rule}: {found.message}"
-    if found.rule.startswith("object/"):
-        if len(found.objects) > 1 and found.severity == "error":
-            weight = ONE_OF_TWO
-        return [ItemEvidence(ItemKey(found.frame, "object", n, None, ""), weight, reason) for n in found.objects]
-    a, b = (*found.objects, None)[:2]
-    assert a is not None
-    return [ItemEvidence(ItemKey(found.frame, "expression", a, b, str(found.figures.get("id", ""))), weight, reason)]
-
-
-def disputed_evidence(
-    labels: Labels, cells: RelationLabels, other: Labels
-) -> tuple[RelationEvidence, tuple[ItemEvidence, ...]]:
-    """What labels of the same dataset by another detector or run say otherwise.
+def disputed_evidence(items: QueueItems, labels: Labels, other: Labels) -> tuple[Evidence, Evidence]:
+    """Differences from labels of the same dataset by another detector or run: of relations, of objects.
 
     Objects are the same where their 2D boxes overlap best, either way, with an
     IoU of at least SAME_BOX_IOU. Relations count where one says T and the other F.
-
-    Parameters
-    ----------
-    labels : Labels
-    cells : RelationLabels
-        Of these.
-    other : Labels
     """
-    theirs = read_relation_labels(other)
+    cells, theirs = items.cells, read_relation_labels(other)
     shared = [r for r in cells.relations if r in theirs.relations]
     own_columns, their_columns = ([c.relations.index(r) for r in shared] for c in (cells, theirs))
     objects = [column_arrays(x.objects.select(["frame", "frame_index", "object", "label", "bbox"]))
                for x in (labels, other)]  # fmt: skip
     frames = [dict(zip(x.frames.column("frame").to_pylist(), x.frames.column("frame_index").to_pylist(), strict=True))
               for x in (labels, other)]  # fmt: skip
-    rows, columns, items = [], [], []
+    found, reasons = [np.zeros(0, np.int64)], list[Reason]()
     for frame, index in frames[0].items():
         if frame not in frames[1]:
             continue
         mine = rows_of_frame(objects[0]["frame_index"], index)
         others = rows_of_frame(objects[1]["frame_index"], frames[1][frame])
         match = matched_boxes(objects[0]["bbox"][mine], objects[1]["bbox"][others])
-        numbers = objects[0]["object"][mine], objects[1]["object"][others]
-        items += _disputed_objects(
-            str(frame), numbers[0], objects[0]["label"][mine], objects[1]["label"][others], match
-        )
-        if not shared or not len(numbers[0]):
+        numbers, names = objects[0]["object"][mine], objects[1]["label"][others]
+        for number, name, at in zip(numbers.tolist(), objects[0]["label"][mine], match.tolist(), strict=True):
+            key = ItemKey(str(frame), "object", number, None, "")
+            if at < 0:
+                reasons.append((key, UNMATCHED, "the other labels have no object here"))
+            elif names[at] != name:
+                reasons.append((key, DISPUTED, f"the other labels call it {names[at]!r}"))
+        if not shared or not len(numbers):
             continue
         own, foreign = rows_of_frame(cells.frame_index, index), rows_of_frame(theirs.frame_index, frames[1][frame])
-        at = np.full((len(numbers[1]),) * 2, -1, np.int64)
-        i, j = (np.searchsorted(numbers[1], x[foreign]) for x in (theirs.a, theirs.b))
+        at = np.full((len(names),) * 2, -1, np.int64)
+        i, j = (np.searchsorted(objects[1]["object"][others], x[foreign]) for x in (theirs.a, theirs.b))
         at[i, j] = np.arange(foreign.start, foreign.stop)
-        i, j = (match[np.searchsorted(numbers[0], x[own])] for x in (cells.a, cells.b))
+        i, j = (match[np.searchsorted(numbers, x[own])] for x in (cells.a, cells.b))
         row = np.where((i >= 0) & (j >= 0), at[i, j] if at.size else -1, -1)
         there = np.flatnonzero(row >= 0)
         turned = cells.states[own][there][:, own_columns] * theirs.states[row[there]][:, their_columns].astype(np.int64)
         r, c = np.nonzero(turned == -1)
-        rows.append(own.start + there[r])
-        columns.append(np.array(own_columns, np.int64)[c])
-    r, c = (np.concatenate([np.zeros(0, np.int64), *found]) for found in (rows, columns))
-    reason = _joined("the other labels of this frame say ", letters(-cells.states[r, c]))
-    return RelationEvidence(r, c, np.full(len(r), DISPUTED), reason), tuple(items)
-
-
-def _disputed_objects(
-    frame: str, numbers: np.ndarray, names: np.ndarray, others: np.ndarray, match: np.ndarray
-) -> Iterable[ItemEvidence]:
-    for number, name, at in zip(numbers.tolist(), names, match.tolist(), strict=True):
-        key = ItemKey(frame, "object", int(number), None, "")
-        if at < 0:
-            yield ItemEvidence(key, UNMATCHED, "the other labels have no object here")
-        elif others[at] != name:
-            yield ItemEvidence(key, DISPUTED, f"the other labels call it {others[at]!r}")
+        found.append((own.start + there[r]) * len(cells.relations) + np.array(own_columns, np.int64)[c])
+    item = np.concatenate(found)
+    told = _joined("the other labels of this frame say ", letters(-cells.states.ravel()[item]))
+    return items.cell_rows(item, np.full(len(item), DISPUTED), told), items.rows(reasons)
 
 
 def matched_boxes(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -262,14 +233,6 @@ def letters(states: np.ndarray) -> np.ndarray:
 def _joined(*parts: str | np.ndarray) -> np.ndarray:
     """Texts joined element by element."""
     return reduce(np.char.add, parts, np.array(""))
-
-
-def combined(parts: Sequence[RelationEvidence], shape: tuple[int, int]) -> np.ndarray:
-    """`shape` float64: one less the product of (1 - weight) of all evidence against each cell."""
-    right = np.zeros(shape)
-    for part in parts:
-        np.add.at(right, (part.rows, part.columns), np.log1p(-np.minimum(part.weight, 1 - 1e-12)))
-    return -np.expm1(right)
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,9 +262,21 @@ class RelationLabels:
     def __len__(self) -> int:
         return len(self.a)
 
-    def rows_of(self, keys: Iterable[tuple[str, int, int]]) -> np.ndarray:
+    def cells_of(self, keys: Iterable[ItemKey]) -> tuple[np.ndarray, list[ItemKey]]:
+        """Numbers (K,) int64 of the cells (row by row) of those keys that are relations of these labels, and the keys.
+
+        Keys that the labels lack are left out.
+        """
+        wanted = [k for k in keys if k.kind == "relation" and k.what in self.relations]
+        rows = self.rows_of([(k.frame, k.a, -1 if k.b is None else k.b) for k in wanted])
+        columns = np.array([self.relations.index(k.what) for k in wanted], np.int64)
+        there = rows >= 0
+        return (rows * len(self.relations) + columns)[there], [
+            k for k, known in zip(wanted, there, strict=True) if known
+        ]
+
+    def rows_of(self, keys: Collection[tuple[str, int, int]]) -> np.ndarray:
         """(K,) int64: the row of each (frame id, a, b); -1 where there is none."""
-        keys = list(keys)
         of_them = np.flatnonzero(np.isin(self.frame, list({key[0] for key in keys})))
         rows = zip(self.frame[of_them], self.a[of_them].tolist(), self.b[of_them].tolist(), strict=True)
         index = dict(zip(rows, of_them.tolist(), strict=True))

@@ -23,7 +23,7 @@ import xxhash
 
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.materialise import materialise
-from pipeline.corrections.review.evidence import ItemEvidence, RelationEvidence, RelationLabels, read_relation_labels
+from pipeline.corrections.review.evidence import Reason, RelationLabels, read_relation_labels
 from pipeline.corrections.review.items import (
     DISAGREED,
     KINDS,
@@ -99,20 +99,9 @@ def reviewed_labels(labels: Labels, journal: Journal, folder: Path, dataset: Dat
 
 def relation_states(cells: RelationLabels, keys: set[ItemKey]) -> dict[ItemKey, int]:
     """T, U or F of those of the items that are relations of the labels and have a state."""
-    wanted, rows, columns = _cell_indices(cells, keys)
-    return {
-        key: state
-        for key, state in zip(wanted, cells.states[rows, columns].tolist(), strict=True)
-        if state in (T, U, F)
-    }
-
-
-def _cell_indices(cells: RelationLabels, keys: set[ItemKey]) -> tuple[list[ItemKey], np.ndarray, np.ndarray]:
-    wanted = [k for k in keys if k.kind == "relation" and k.what in cells.relations]
-    rows = cells.rows_of([(k.frame, k.a, -1 if k.b is None else k.b) for k in wanted])
-    columns = np.array([cells.relations.index(k.what) for k in wanted], np.int64)
-    there = rows >= 0
-    return [k for k, known in zip(wanted, there.tolist(), strict=True) if known], rows[there], columns[there]
+    numbers, known = cells.cells_of(keys)
+    states = cells.states.ravel()[numbers].tolist()
+    return {key: state for key, state in zip(known, states, strict=True) if state in (T, U, F)}
 
 
 def states_on_labels(judgements: Judgements, cells: RelationLabels) -> dict[ItemKey, State]:
@@ -134,7 +123,7 @@ def without_gone(queue: pa.Table, labels: Labels, states: Mapping[ItemKey, State
         As of `states_on_labels`.
     """
     keys = item_keys(queue)
-    pairs = set(_cell_indices(read_relation_labels(labels), {k for k in keys if k.kind == "relation"})[0])
+    pairs = set(read_relation_labels(labels).cells_of(keys)[1])
     frames = set(labels.frames.column("frame").to_pylist())
     objects, expressions = (
         set(zip(*(table.column(name).to_pylist() for name in ("frame", number)), strict=True))
@@ -142,14 +131,6 @@ def without_gone(queue: pa.Table, labels: Labels, states: Mapping[ItemKey, State
     )
 
     return queue.filter([key_stands(key, states, frames, pairs, objects, expressions) for key in keys])
-
-
-def settled_relations(cells: RelationLabels, states: Mapping[ItemKey, State]) -> np.ndarray:
-    """(P, R) bool: the relation labels that are settled."""
-    found = np.zeros(cells.states.shape, np.bool_)
-    _, rows, columns = _cell_indices(cells, {k for k, state in states.items() if state in SETTLED})
-    found[rows, columns] = True
-    return found
 
 
 def trusted_of_data(cells: RelationLabels, settled: np.ndarray, data: LabelData) -> tuple[np.ndarray, ...]:
@@ -166,28 +147,16 @@ def trusted_of_data(cells: RelationLabels, settled: np.ndarray, data: LabelData)
     return unstacked(found, sizes)
 
 
-def without_settled(evidence: RelationEvidence, settled: np.ndarray) -> RelationEvidence:
-    """The evidence against labels that are open."""
-    kept = ~settled[evidence.rows, evidence.columns]
-    return RelationEvidence(evidence.rows[kept], evidence.columns[kept], evidence.weight[kept], evidence.reason[kept])
-
-
-def disagreement_evidence(
-    cells: RelationLabels, judgements: Judgements
-) -> tuple[RelationEvidence, tuple[ItemEvidence, ...]]:
+def disagreements(judgements: Judgements) -> list[Reason]:
     """Items on which reviewers say different things, and what each says."""
     words = {
         key: sorted((w for w in opinions.values() if w.status in SETTLED), key=lambda w: w.at)
         for key, opinions in judgements.words.items() if judgements.differ(key)
     }  # fmt: skip
-    differ = {
-        k: f"{DISAGREE}: " + ", ".join(f"{w.author} says {w.verdict}" for w in opinions)
-        for k, opinions in words.items()
-    }
-    keys, rows, columns = _cell_indices(cells, set(differ))
-    reason = np.array([differ[key] for key in keys], object)
-    items = tuple(ItemEvidence(k, DISAGREED, why) for k, why in differ.items() if k.kind != "relation")
-    return RelationEvidence(rows, columns, np.full(len(rows), DISAGREED), reason), items
+    return [
+        (key, DISAGREED, f"{DISAGREE}: " + ", ".join(f"{w.author} says {w.verdict}" for w in opinions))
+        for key, opinions in words.items()
+    ]
 
 
 def automatic_version(manifest: Manifest) -> str:

@@ -26,6 +26,7 @@ from pipeline.corrections.review.items import (
     judgements_of,
     key_stands,
 )
+from pipeline.corrections.review.queue import QUEUE_COLUMNS
 from pipeline.labels.reading import write_table
 from pipeline.system.arrow import pa
 from pipeline.system.errors import as_input_error, first_line, needed, require
@@ -271,13 +272,8 @@ def read_queue(path: str | Path, version: str | None = None) -> pa.Table:
 
 
 def _check_columns(queue: pa.Table, path: Path) -> None:
-    text, number, real = pa.string(), pa.int32(), pa.float64()
-    wanted = {
-        "frame": text, "frame_index": number, "kind": text, "a": number, "b": number, "relation": text,
-        "expression": text, "place": text, "label": text, "probability": real, "wrong": real, "score": real,
-        "reasons": pa.list_(text),
-    }  # fmt: skip
-    for name, kind in wanted.items():
+    text = pa.string()
+    for name, kind in {**QUEUE_COLUMNS, "reasons": pa.list_(text)}.items():
         require(len(queue.schema.get_all_field_indices(name)) == 1, f"the queue lacks the column {name!r}", path=path)
         have = queue.schema.field(name).type
         same = pa.types.is_list(have) and have.value_type == text if name == "reasons" else have == kind
