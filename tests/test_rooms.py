@@ -92,7 +92,6 @@ HEAVY = frozenset(
         "pyarrow",
         "scipy",
         "matplotlib",
-        "plotly",
         "duckdb",
         "h5py",
         "pycocotools",

@@ -20,7 +20,7 @@ from spatialviz.options import INTERRUPTED, UNREAD
 
 PROGRAM = (str(Path(sysconfig.get_path("scripts")) / "spatialviz"),)
 MODULE = (sys.executable, "-m", "spatialviz")
-HEAVY = {"torch", "open3d", "viser", "onnxruntime", "scipy", "cv2", "pyarrow", "pydantic", "matplotlib", "plotly"}
+HEAVY = {"torch", "open3d", "viser", "onnxruntime", "scipy", "cv2", "pyarrow", "pydantic", "matplotlib"}
 AT_THE_END = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
 """As in a shell, where short output to a pipe is written at the end."""
 AT_ONCE = {**AT_THE_END, "PYTHONUNBUFFERED": "1"}

@@ -17,7 +17,7 @@ from spatialviz.cli import main
 def test_tables_and_plots_of_a_run_from_the_command_line(
     label_sets: dict[str, Labels], networks: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    pytest.importorskip("plotly", reason="the extra report is not installed")
+    pytest.importorskip("matplotlib", reason="the extra report is not installed")
     start = ["eval", "demo", "--labels", str(label_sets["demo"].root), "--workers", "1"]
     told = [*start, "--tables", "relations", "--relation-frames", "2", "--out", str(tmp_path / "run")]
     words = ["--vectors", str(networks["flat"].parent / "words.npz")]

@@ -29,7 +29,7 @@ from pipeline.evaluation.grounding_tables import (
     systems_table,
 )
 from pipeline.evaluation.loss_plots import draw_diagnosis
-from pipeline.evaluation.plots import draw, draw_relations, need_plots
+from pipeline.evaluation.plots import draw, draw_relations
 from pipeline.evaluation.records import is_calibrated, raw_records, read_records, records_schema
 from pipeline.evaluation.relation_cases import RelationSpec, labelled_detector
 from pipeline.evaluation.relation_job import measure_relations, relation_sink
@@ -54,6 +54,7 @@ from pipeline.labels.plan import files_hash
 from pipeline.labels.profiles import canonical_hash
 from pipeline.labels.provenance import Makers, makers_of
 from pipeline.labels.reading import Labels, labelled_up, open_labels
+from pipeline.labels.report import need_matplotlib
 from pipeline.metrics.intervals import BootstrapConfig
 from pipeline.metrics.tables import NOTHING_SHARED, Table, as_csv, caveats_html, latex, markdown
 from pipeline.system.arrow import pa, pq
@@ -145,7 +146,7 @@ def evaluate_dataset(
         require(count_of is None or count_of >= 1, f"{name_of} is a count", got=count_of, expected="at least 1")
     before = None if against is None else read_records(against)
     left_out: tuple[str, ...] = ()
-    if plots and (why := MissingExtra.missing(need_plots)):
+    if plots and (why := MissingExtra.missing(need_matplotlib)):
         plots, left_out = False, (f"the plots are left out, as with --no-plots: {why}",)
     require(
         spec.grounding or (against is None and not others and spec.relations is not None),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -13,27 +12,32 @@ from pipeline.diagnosis.oracles import shown_oracle
 from pipeline.diagnosis.verdict import VERDICTS, shown_verdicts
 from pipeline.evaluation.confusion import Confusion
 from pipeline.evaluation.costs import Deltas
-from pipeline.evaluation.plots import (
-    ADDS_UP,
-    LOSS_COLORS,
-    VERDICT_COLORS,
-    interval,
-    moving_figure,
-    plain,
-    shares_of_rows,
-    waterfall,
-    write_figures,
-)
+from pipeline.evaluation.plots import Page, interval, tip
 from pipeline.evaluation.slices import Slices
 from pipeline.evaluation.summary import RunSummary, Share, residual_words, untold_words
-from pipeline.labels.report.style import FULL, INK, QUIET, house_style, new_figure, save_figure, short
+from pipeline.labels.report.style import FULL, INK, QUIET, short
 from pipeline.language.relation_names import PHRASE
 from pipeline.metrics.intervals import Estimate
 
-_STYLE = "<style>body{font-family:Arial,sans-serif;max-width:1100px;margin:auto}p{color:#5b6470;font-size:13px}</style>"
-
 SHOWN = ("relation", "class", "distance", "size", "occlusion", "same_class", "label_margin")
 MOST_SHOWN = 12
+VERDICT_COLORS = {
+    "CORRECT": "#009988", "PARSE": "#aa3377", "LABEL": "#b4bdca", "OPM-TARGET": "#cc3311", "OPM-REF": "#ee7733",
+    "LIFT": "#0077bb", "ATTRIBUTE": "#999933", "SRM": "#33bbee", "OPM-CONF": "#ddaa33", "PRM": "#ee3377",
+    "COMPOUND": "#46536a", "UNEXPLAINED": "#8a8f98",
+}  # fmt: skip
+LOSS_COLORS = {
+    "accuracy": VERDICT_COLORS["CORRECT"], "PARSE": VERDICT_COLORS["PARSE"], "RECALL": VERDICT_COLORS["OPM-TARGET"],
+    "LIFT": VERDICT_COLORS["LIFT"], "SRM": VERDICT_COLORS["SRM"], "CONF": VERDICT_COLORS["OPM-CONF"],
+    "ATTRIBUTE": VERDICT_COLORS["ATTRIBUTE"], "residual": VERDICT_COLORS["COMPOUND"],
+    "unknown": VERDICT_COLORS["UNEXPLAINED"],
+}  # fmt: skip
+ADDS_UP = (
+    "Full bars add up from the accuracy to 100: what the gold parse gains (PARSE), the Shapley value of each oracle, "
+    "its fair share over all orders of replacing, and the residual. Hollow bars are one oracle alone: they do not add "
+    "up, and one below 0 says that the module made up for an error of another."
+)
+_NONE = Share(0, Estimate(0.0, 0.0, 0.0, 0, 0))
 
 
 def draw_diagnosis(
@@ -46,7 +50,8 @@ def draw_diagnosis(
 ) -> None:
     """Write `verdicts.png`, `oracles.png`, `slices.png`, `confusion….png` and `diagnosis.html`.
 
-    Without verdicts, only confusions are drawn.
+    Pictures are of the first system; the page has those of all, and every slice. Without verdicts, only confusions are
+    drawn.
 
     Parameters
     ----------
@@ -61,232 +66,123 @@ def draw_diagnosis(
         What the figures are where truth and systems have a maker in common: before what stands below each title.
     """
     out.mkdir(parents=True, exist_ok=True)
-    above = f"{caveat[0].upper()}{caveat[1:]}. " if caveat else ""
-    with house_style():
-        if summaries:
-            first = next(iter(summaries))
-            _verdicts(summaries, above, out / "verdicts.png")
-            if (costs := summaries[first].deltas) is not None:
-                _oracles(first, summaries[first], costs, above, out / "oracles.png")
-            _slices(first, slices, above, out / "slices.png")
-        for found in confusions:
-            _confusion(found, above, out / f"{found.key}.png")
-    write_page(summaries, slices, confusions, out / "diagnosis.html", caveats)
-
-
-_NONE = Share(0, Estimate(0.0, 0.0, 0.0, 0, 0))
-
-
-def _verdicts(summaries: Mapping[str, RunSummary], above: str, path: Path) -> None:
-    kinds = shown_verdicts({v for s in summaries.values() for v in s.verdicts})
-    figure = new_figure(
-        FULL, 90 + 34 * len(kinds) * len(summaries),
-        "Verdicts on every expression",
-        f"{above}Share of expressions, which sums to 100 %, with 95 % intervals. CORRECT is the labelled target; "
-        "LABEL is mostly another right answer.",
-    )  # fmt: skip
-    axes = figure.add_subplot()
-    height = 0.8 / len(summaries)
-    y = np.arange(len(kinds))
+    page = Page(out, caveat)
+    if summaries:
+        _verdicts(page, summaries)
     for k, (name, summary) in enumerate(summaries.items()):
-        shares = [summary.verdicts.get(v, _NONE) for v in kinds]
-        value = np.array([100 * s.estimate.value for s in shares])
-        at = y + (k - (len(summaries) - 1) / 2) * height
-        axes.barh(at, value, height * 0.9, color=[VERDICT_COLORS[v] for v in kinds], alpha=1 - 0.5 * (k > 0))
-        axes.errorbar(
-            value, at, xerr=np.array([interval(s.estimate) for s in shares]).T, fmt="none", ecolor=INK, elinewidth=0.8
-        )
-        for index, share in zip(at, shares, strict=True):
-            text = f"{short(name)}: {share.count}" if len(summaries) > 1 else f"{share.count}"
-            end = 100 * share.estimate.value + interval(share.estimate)[1]
-            axes.text(end + 0.8, index, text, va="center", fontsize=8.5, color=QUIET)
-    axes.set_yticks(y, kinds)
-    axes.invert_yaxis()
-    axes.set(xlim=(0, 105), xlabel="share of expressions (%)")
-    axes.grid(axis="x")
-    save_figure(figure, path)
+        if (costs := summary.deltas) is not None:
+            _oracles(page, "" if k else "oracles", name, summary, costs)
+        _slices(page, "" if k else "slices", name, [s for s in slices if s.dimension.name in SHOWN])
+        _slices(page, "", name, [s for s in slices if s.dimension.name not in SHOWN])
+    for found in confusions:
+        _confusion(page, found)
+    page.write("diagnosis.html", "Diagnosis", caveats)
 
 
-def _oracles(name: str, summary: RunSummary, costs: Deltas, caveat: str, path: Path) -> None:
-    figure = new_figure(FULL, 380, f"What each module costs: {name}", caveat + ADDS_UP)
-    axes = figure.add_subplot()
-    bars = waterfall(summary)
-    for x, (key, start, estimate) in enumerate(bars):
-        axes.bar(x - 0.18, 100 * estimate.value, 0.36, 100 * start, color=LOSS_COLORS[key])
-        below, above = interval(estimate)
-        end = 100 * (start + estimate.value)
-        axes.errorbar(x - 0.18, end, [[below], [above]], ecolor=INK, elinewidth=0.8, fmt="none")
-        sign = key not in ("accuracy", "residual", "unknown")
-        axes.text(
-            x - 0.18, max(end, 100 * start) + above + 0.4, estimate.formatted(signed=sign).split(" [")[0],
-            ha="center", va="bottom", fontsize=9,
-        )  # fmt: skip
-        single = costs.single.get(key)
-        if single is not None:
-            base = 100 * float(costs.value[0])
-            axes.bar(x + 0.2, 100 * single.value, 0.3, base, fill=False, edgecolor=LOSS_COLORS[key], linewidth=1.4)
-            low, high = interval(single)
-            axes.errorbar(x + 0.2, base + 100 * single.value, [[low], [high]], ecolor=QUIET, elinewidth=0.8, fmt="none")
-            axes.text(
-                x + 0.2, base + 100 * max(single.value, 0) + high + 0.4,
-                f"alone {single.formatted(signed=True).split(' [')[0]}", ha="center", va="bottom", fontsize=8,
-                color=QUIET,
-            )  # fmt: skip
-    least = min(100 * min(s, s + e.value) for _, s, e in bars[1:])
-    alone = min((100 * (costs.value[0] + e.value) for e in costs.single.values()), default=least)
-    start = max(0.0, min(least, alone) - 10)
-    axes.set_xticks(range(len(bars)), ["as answered", *(_named(k).replace(", ", "\n") for k, _, _ in bars[1:])])
-    axes.set(ylim=(start, 104), ylabel=f"set-valued accuracy (%){f', from {start:.0f} on' if start else ''}")
-    axes.grid(axis="y")
-    save_figure(figure, path)
+def _verdicts(page: Page, summaries: Mapping[str, RunSummary]) -> None:
+    kinds = shown_verdicts({v for s in summaries.values() for v in s.verdicts})
+    note = (
+        "Share of expressions, which sums to 100 %, with 95 % intervals. CORRECT is the labelled target; LABEL is "
+        "mostly another right answer."
+    )
+    size = (FULL, 90 + 34 * len(kinds) * len(summaries))
+    with page.picture("verdicts", size, "Verdicts on every expression", note) as figure:
+        axes = figure.add_subplot()
+        height = 0.8 / len(summaries)
+        y = np.arange(len(kinds))
+        for k, (name, summary) in enumerate(summaries.items()):
+            at = y + (k - (len(summaries) - 1) / 2) * height
+            for where, verdict in zip(at, kinds, strict=True):
+                share = summary.verdicts.get(verdict, _NONE)
+                value, reach = 100 * share.estimate.value, interval(share.estimate)
+                told = tip(name, f"{verdict}: {value:.1f} %", f"{share.count} expressions", f"search verdict:{verdict}")
+                color, alpha = VERDICT_COLORS[verdict], 1 - 0.5 * (k > 0)
+                axes.barh(where, value, height * 0.9, color=color, alpha=alpha, gid=told)
+                axes.errorbar(value, where, xerr=[[r] for r in reach], fmt="none", ecolor=INK, elinewidth=0.8)
+                text = f"{short(name)}: {share.count}" if len(summaries) > 1 else f"{share.count}"
+                axes.text(value + reach[1] + 0.8, where, text, va="center", fontsize=8.5, color=QUIET)
+        axes.set_yticks(y, kinds)
+        axes.invert_yaxis()
+        axes.set(xlim=(0, 105), xlabel="share of expressions (%)")
+        axes.grid(axis="x")
+
+
+def _oracles(page: Page, file: str, name: str, summary: RunSummary, costs: Deltas) -> None:
+    left = residual_words(summary)
+    note = f"{ADDS_UP} {left[0].upper()}{left[1:]}. {untold_words(summary)}".strip()
+    with page.picture(file, (FULL, 380), f"What each module costs: {name}", note) as figure:
+        axes = figure.add_subplot()
+        base, begin, least, ticks = 100 * float(costs.value[0]), 0.0, 100.0, list[str]()
+        for x, (key, estimate) in enumerate(summary.loss.items()):
+            ticks.append("as answered" if key == "accuracy" else _named(key).replace(", ", "\n"))
+            sign = key not in ("accuracy", "residual", "unknown")
+            _cost(axes, x - 0.18, 0.36, begin, estimate, key, estimate.formatted(signed=sign), color=LOSS_COLORS[key])
+            end = begin + 100 * estimate.value
+            if (single := costs.single.get(key)) is not None:
+                hollow = {"fill": False, "edgecolor": LOSS_COLORS[key], "linewidth": 1.4}
+                _cost(axes, x + 0.2, 0.3, base, single, key, f"alone {single.formatted(signed=True)}", **hollow)
+                least = min(least, base + 100 * single.value)
+            least, begin = min(least, end, begin if x else end), end
+        start = max(0.0, least - 10)
+        axes.set_xticks(range(len(ticks)), ticks)
+        axes.set(ylim=(start, 104), ylabel=f"set-valued accuracy (%){f', from {start:.0f} on' if start else ''}")
+        axes.grid(axis="y")
+
+
+def _cost(axes: Any, x: float, width: float, base: float, e: Estimate, key: str, said: str, **look: Any) -> None:
+    """One bar of the costs, with its interval and its figure."""
+    below, above = interval(e)
+    axes.bar(x, 100 * e.value, width, base, gid=tip(f"{_named(key)}: {said}"), **look)
+    axes.errorbar(x, base + 100 * e.value, [[below], [above]], ecolor=INK, elinewidth=0.8, fmt="none")
+    top = base + 100 * max(e.value, 0) + above + 0.4
+    axes.text(x, top, said.split(" [")[0], ha="center", va="bottom", fontsize=8.5, color=QUIET)
 
 
 def _named(key: str) -> str:
-    """What a bar of the costs is called."""
-    return "not worked out" if key == "unknown" else shown_oracle(key)
+    """Name of a bar of the costs."""
+    return {"unknown": "not worked out", "accuracy": "accuracy"}.get(key) or shown_oracle(key)
 
 
-def _slices(system: str, slices: Sequence[Slices], above: str, path: Path) -> None:
-    chosen = [s for s in slices if s.dimension.name in SHOWN]
-    figure = new_figure(
-        FULL, 300 * ((len(chosen) + 1) // 2),
-        f"Verdicts by part of the run: {system}",
-        f"{above}Shares of each part sum to 100 %. The number of expressions stands beside its bar; LABEL is mostly "
-        "another right answer.",
-    )  # fmt: skip
-    seen: dict[str, Any] = {}
-    for index, cut in enumerate(chosen):
-        axes = figure.add_subplot((len(chosen) + 1) // 2, 2, index + 1)
-        rows = [s for s in cut.slices if s.system == system][:MOST_SHOWN]
-        left = np.zeros(len(rows))
-        for verdict in VERDICTS:
-            share = np.array([100 * s.verdicts[verdict].value if verdict in s.verdicts else 0.0 for s in rows])
-            if share.any():
-                seen[verdict] = axes.barh(range(len(rows)), share, 0.78, left, color=VERDICT_COLORS[verdict])
-            left += share
-        for k, row in enumerate(rows):
-            axes.text(101, k, str(row.n), va="center", fontsize=8, color=QUIET)
-        axes.set_yticks(range(len(rows)), [short(s.name, 18) for s in rows])
-        axes.invert_yaxis()
-        axes.set(xticks=[0, 25, 50, 75, 100], xlim=(0, 110), title=cut.dimension.title)
-    ordered = [v for v in VERDICTS if v in seen]
-    figure.legend([seen[v] for v in ordered], ordered, loc="outside lower center", ncols=len(ordered))
-    save_figure(figure, path)
-
-
-def _confusion(found: Confusion, above: str, path: Path) -> None:
-    figure = new_figure(FULL, 90 + 36 * len(found.rows), found.title, above + found.note)
-    axes = figure.add_subplot()
-    shares = shares_of_rows(found)
-    axes.imshow(shares, cmap="Blues", vmin=0, vmax=1, aspect="auto")
-    for i, j in zip(*np.nonzero(found.counts), strict=True):
-        axes.text(
-            j, i, str(found.counts[i, j]), ha="center", va="center", fontsize=8.5,
-            color="white" if shares[i, j] > 0.5 else INK,
-        )  # fmt: skip
-    axes.set_xticks(range(len(found.columns)), [PHRASE.get(c, c) for c in found.columns], rotation=30, ha="right")
-    axes.set_yticks(range(len(found.rows)), [PHRASE.get(r, r) for r in found.rows])
-    axes.spines[:].set_visible(False)
-    save_figure(figure, path)
-
-
-def write_page(
-    summaries: Mapping[str, RunSummary],
-    slices: Sequence[Slices],
-    confusions: Sequence[Confusion],
-    path: Path,
-    caveats: str = "",
-) -> None:
-    """Write `diagnosis.html`, the `caveats` at its top; every bar says the search that finds its expressions."""
-    parts: list[Any] = []
-    if summaries:
-        parts.append(_verdicts_figure(summaries))
-        for name, summary in summaries.items():
-            if (costs := summary.deltas) is not None:
-                words = f"{ADDS_UP} {name}: {residual_words(summary)}. {untold_words(summary)}"
-                parts += [_oracles_figure(name, summary, costs), _paragraph(words)]
-    for cut in slices:
-        parts += [_slices_figure(system, cut) for system in dict.fromkeys(s.system for s in cut.slices if s.verdicts)]
-    for found in confusions:
-        parts += [_confusion_figure(found), _paragraph(found.note)]
-    write_figures(parts, "Diagnosis", path, caveats, _STYLE)
-
-
-def _paragraph(text: str) -> str:
-    return f"<p>{escape(text)}</p>"
-
-
-def _errors(estimates: Sequence[Estimate]) -> dict[str, Any]:
-    reach = [interval(e) for e in estimates]
-    return {"type": "data", "array": [above for _, above in reach], "arrayminus": [below for below, _ in reach]}
-
-
-def _verdicts_figure(summaries: Mapping[str, RunSummary]) -> Any:
-    figure = moving_figure()
-    for name, summary in summaries.items():
-        kinds, shares = list(summary.verdicts), list(summary.verdicts.values())
-        figure.add_bar(
-            x=kinds, y=[100 * s.estimate.value for s in shares], name=plain(name),
-            marker_color=[VERDICT_COLORS[v] for v in kinds], error_y=_errors([s.estimate for s in shares]),
-            customdata=[[s.count, f"verdict:{v}"] for v, s in zip(kinds, shares, strict=True)],
-            hovertemplate="%{x}: %{y:.1f} %<br>%{customdata[0]} expressions<br>search: %{customdata[1]}",
-        )  # fmt: skip
-    return figure.update_layout(
-        title="Verdicts", yaxis_title="share of expressions (%)", barmode="group", showlegend=False
+def _slices(page: Page, file: str, system: str, chosen: Sequence[Slices]) -> None:
+    lines = (len(chosen) + 1) // 2
+    note = (
+        "Shares of each part sum to 100 %. The number of expressions stands beside its bar; LABEL is mostly another "
+        "right answer."
     )
+    with page.picture(file, (FULL, 300 * lines), f"Verdicts by part of the run: {system}", note) as figure:
+        seen: dict[str, Any] = {}
+        for index, cut in enumerate(chosen):
+            axes = figure.add_subplot(lines, 2, index + 1)
+            rows = [s for s in cut.slices if s.system == system][:MOST_SHOWN]
+            for k, row in enumerate(rows):
+                left = 0.0
+                for verdict in (v for v in VERDICTS if v in row.verdicts):
+                    share = 100 * row.verdicts[verdict].value
+                    search = "–" if row.query is None else f"{row.query} verdict:{verdict}".strip()
+                    told = tip(f"{row.name}: {share:.1f} % {verdict}", f"{row.counts[verdict]} of {row.n} expressions",
+                               f"set-valued accuracy {row.set_correct.formatted()}", f"search {search}")  # fmt: skip
+                    if share:
+                        seen[verdict] = axes.barh(k, share, 0.78, left, color=VERDICT_COLORS[verdict], gid=told)
+                    left += share
+                axes.text(101, k, str(row.n), va="center", fontsize=8, color=QUIET)
+            axes.set_yticks(range(len(rows)), [short(s.name, 18) for s in rows])
+            axes.invert_yaxis()
+            axes.set(xticks=[0, 25, 50, 75, 100], xlim=(0, 110), title=cut.dimension.title)
+        ordered = [v for v in VERDICTS if v in seen]
+        figure.legend([seen[v] for v in ordered], ordered, loc="outside lower center", ncols=len(ordered))
 
 
-def _oracles_figure(name: str, summary: RunSummary, costs: Deltas) -> Any:
-    bars = waterfall(summary)
-    figure = moving_figure()
-    figure.add_bar(
-        x=[_named(k) for k, _, _ in bars], y=[100 * e.value for _, _, e in bars], base=[100 * s for _, s, _ in bars],
-        marker_color=[LOSS_COLORS[k] for k, _, _ in bars], error_y=_errors([e for _, _, e in bars]),
-        name="Shapley: adds up", offsetgroup="0", customdata=[e.formatted() for _, _, e in bars],
-        hovertemplate="%{x}: %{customdata}",
-    )  # fmt: skip
-    single = costs.single
-    figure.add_bar(
-        x=[_named(k) for k in single], y=[100 * e.value for e in single.values()], base=100 * float(costs.value[0]),
-        marker={"color": "rgba(0,0,0,0)", "line": {"color": [LOSS_COLORS[k] for k in single], "width": 2}},
-        error_y=_errors(list(single.values())), name="alone: does not add up", offsetgroup="1",
-        customdata=[e.formatted(signed=True) for e in single.values()], hovertemplate="%{x} alone: %{customdata}",
-    )  # fmt: skip
-    return figure.update_layout(
-        title=f"What each module costs: {plain(name)}", yaxis_title="set-valued accuracy (%)", barmode="group"
-    )
-
-
-def _slices_figure(system: str, cut: Slices) -> Any:
-    rows = [s for s in cut.slices if s.system == system]
-    figure = moving_figure()
-    for verdict in VERDICTS:
-        if not any(s.counts.get(verdict) for s in rows):
-            continue
-        search = [
-            "–" if s.query is None else " ".join([*([s.query] if s.query else []), f"verdict:{verdict}"]) for s in rows
-        ]
-        figure.add_bar(
-            x=[plain(s.name) for s in rows], y=[100 * s.verdicts[verdict].value for s in rows], name=verdict,
-            marker_color=VERDICT_COLORS[verdict],
-            customdata=[
-                [s.counts[verdict], s.n, plain(q), s.set_correct.formatted()]
-                for s, q in zip(rows, search, strict=True)
-            ],
-            hovertemplate="%{x}: %{y:.1f} % " + verdict + "<br>%{customdata[0]} of %{customdata[1]} expressions"
-            "<br>set-valued accuracy %{customdata[3]}<br>search: %{customdata[2]}",
-        )  # fmt: skip
-    return figure.update_layout(
-        title=f"Verdicts by {cut.dimension.title}: {plain(system)}", yaxis_title="share (%)", barmode="stack",
-        xaxis={"type": "category"},
-    )  # fmt: skip
-
-
-def _confusion_figure(found: Confusion) -> Any:
-    figure = moving_figure()
-    figure.add_heatmap(
-        z=100 * shares_of_rows(found), x=[PHRASE.get(c, c) for c in found.columns],
-        y=[PHRASE.get(r, r) for r in found.rows], text=found.counts, texttemplate="%{text}", colorscale="Blues",
-        zmin=0, zmax=100, hovertemplate="%{y} → %{x}: %{text} (%{z:.1f} %)<extra></extra>",
-    )  # fmt: skip
-    return figure.update_layout(title=plain(found.title), yaxis={"autorange": "reversed"})
+def _confusion(page: Page, found: Confusion) -> None:
+    total = found.counts.sum(axis=1, keepdims=True)
+    shares = np.divide(found.counts, total, out=np.zeros(found.counts.shape), where=total > 0)
+    rows, columns = ([PHRASE.get(name, name) for name in names] for names in (found.rows, found.columns))
+    with page.picture(found.key, (FULL, 90 + 36 * len(rows)), found.title, found.note) as figure:
+        axes = figure.add_subplot()
+        axes.imshow(shares, cmap="Blues", vmin=0, vmax=1, aspect="auto")
+        for i, j in zip(*np.nonzero(found.counts), strict=True):
+            told = tip(f"{rows[i]} → {columns[j]}: {found.counts[i, j]}", f"{shares[i, j]:.1%}")
+            look = {"ha": "center", "va": "center", "fontsize": 8.5, "color": "white" if shares[i, j] > 0.5 else INK}
+            axes.text(j, i, str(found.counts[i, j]), gid=told, **look)
+        axes.set_xticks(range(len(columns)), columns, rotation=30, ha="right")
+        axes.set_yticks(range(len(rows)), rows)
+        axes.spines[:].set_visible(False)

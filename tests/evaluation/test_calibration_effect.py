@@ -137,7 +137,7 @@ def test_records_of_earlier_releases_have_no_second_answer(plain: pa.Table) -> N
 
 @pytest.mark.slow
 def test_a_run_with_a_calibration_of_its_own_frames_says_so(labels: Path, tmp_path: Path) -> None:
-    pytest.importorskip("plotly", reason="the extra report is not installed")
+    pytest.importorskip("matplotlib", reason="the extra report is not installed")
     source = open_pipeline("demo", detector="simulated", srm="rule")
     calibration, report = calibrate_scores(source, source.dataset.frame_ids[2:8])
     save_calibration(calibration, tmp_path / "c.json", report)

@@ -193,7 +193,7 @@ def test_a_sentence_that_cannot_be_read_is_a_wrong_answer(labels: Path) -> None:
 def test_without_its_extra_a_run_has_no_plots_and_says_so(
     labels: Path, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(sys.modules, "plotly", None)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
     report = evaluate_dataset(spec_of(labels, recording), tmp_path / "run", bootstrap=QUICK, plots=True)
     assert (tmp_path / "run" / "tables.md").exists()
     assert not (tmp_path / "run" / "plots").exists()
@@ -201,7 +201,7 @@ def test_without_its_extra_a_run_has_no_plots_and_says_so(
 
 
 def test_a_run_folder_and_its_comparison(labels: Path, recording: Path, tmp_path: Path) -> None:
-    pytest.importorskip("plotly", reason="the extra report is not installed")
+    pytest.importorskip("matplotlib", reason="the extra report is not installed")
     first = evaluate_dataset(
         spec_of(labels, recording), tmp_path / "rule", bootstrap=QUICK, name="poor | odd_name & co", plots=True
     )

@@ -61,7 +61,7 @@ def evaluated(
 
 @pytest.mark.slow
 def test_every_detector_has_its_rows(folder: Path) -> None:
-    pytest.importorskip("plotly", reason="the extra report is not installed")
+    pytest.importorskip("matplotlib", reason="the extra report is not installed")
     others = ("annotations", "simulated", "whole", "vlm")
     report = evaluated(folder, "recorded", others, plots=True, detector="recorded", model=folder / "found.json")
     tables = {table.key: table for table in report.tables}

@@ -74,16 +74,13 @@ def house_style() -> Iterator[None]:
         "figure.dpi": DPI,
         "figure.facecolor": "white",
         "savefig.dpi": 2 * DPI,
+        "svg.fonttype": "none",
+        "svg.hashsalt": "spatialviz",
     }
     with mpl.rc_context(settings), warnings.catch_warnings():
         # A script that no font here knows shows as boxes, in the picture alone.
         warnings.filterwarnings("ignore", message="Glyph .* missing from", category=UserWarning)
         yield
-
-
-def with_caveat(title: str, caveat: str) -> str:
-    """A title of axes, and on lines of its own what the figures cannot show; empty is nothing."""
-    return f"{title}\n{textwrap.fill(caveat[0].upper() + caveat[1:], 72)}" if caveat else title
 
 
 def new_figure(width: int, height: int, title: str, subtitle: str) -> Figure:
