@@ -15,7 +15,7 @@ from pipeline.answering.predictions import read_predictions
 from pipeline.datasets.saved_case import MANIFEST
 from pipeline.diagnosis.answer import Answer, answer_record
 from pipeline.diagnosis.asking import answer, edited_verdicts, known_truth
-from pipeline.diagnosis.cases.manifest import Expected
+from pipeline.diagnosis.cases.manifest import ExpectedRecord
 from pipeline.diagnosis.cases.replay import Result, find_cases, replay_all
 from pipeline.diagnosis.cases.saving import open_case, save_case
 from pipeline.diagnosis.whatif import Baseline, Edits, Outcome, edits_record, load_edits, rerun, what_changed
@@ -279,7 +279,7 @@ def print_replay(result: Result) -> None:
         say(f"         warning: {warning}", style="yellow")
 
 
-def in_words(state: Expected) -> str:
+def in_words(state: ExpectedRecord) -> str:
     """An answer and its verdict on one line."""
     verdict = "" if state.judgement is None else f"   {state.judgement.verdict}: {state.judgement.said}"
     if state.answer is None:

@@ -32,9 +32,9 @@ from spatialviz.cli_labels import (
     ConfirmCommand,
     CorrectCommand,
     EffectiveCommand,
+    JournalCommand,
     OfPerson,
     ShowCommand,
-    JournalCommand,
 )
 from spatialviz.options import FINE, NO, Output, numbers, one_frame, warn
 from spatialviz.printing import figure, print_rows, say

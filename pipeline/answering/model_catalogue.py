@@ -12,7 +12,7 @@ from pipeline.datasets.depth.contract import known_contract, network_names, reco
 from pipeline.proposals.box_config import find_box_model
 from pipeline.proposals.captions import find_tokenizer
 from pipeline.proposals.class_names import metadata_names
-from pipeline.proposals.contracts import Contract, TensorSpec, declared
+from pipeline.proposals.contracts import DetectorContract, TensorSpec, declared
 from pipeline.proposals.detic import find_names
 from pipeline.proposals.grounding_dino import TOKENIZERS
 from pipeline.proposals.mismatch import BOXES, DETECTORS, SEGMENTERS, FileKind, recognise
@@ -29,7 +29,7 @@ from pipeline.system.model_files import (
 )
 from pipeline.system.onnx_session import open_session
 
-BOXES_CONTRACT = Contract(
+BOXES_CONTRACT = DetectorContract(
     BOXES,
     "any detector of boxes with one picture as its input, described in a TOML file",
     (TensorSpec("one input", "float32", (1, 3, "H", "W")),),
@@ -37,12 +37,12 @@ BOXES_CONTRACT = Contract(
 )
 
 
-def depth_contracts() -> tuple[Contract, ...]:
+def depth_contracts() -> tuple[DetectorContract, ...]:
     """Those of the networks that estimate depth, as their TOML files say them."""
     return tuple(_depth_contract(name) for name in network_names())
 
 
-def _depth_contract(name: str) -> Contract:
+def _depth_contract(name: str) -> DetectorContract:
     given, output = (known := known_contract(name)).input, known.output
     named = ((output.depth, ("H", "W")), (output.points, ("H", "W", 3)), (output.mask, ("H", "W")))
     maps = tuple(TensorSpec(n, "float32", (1, *shape)) for n, shape in (*named, (output.sky, ("H", "W"))) if n)
@@ -50,7 +50,7 @@ def _depth_contract(name: str) -> Contract:
     picture = TensorSpec(given.name or "", "float32", (1, 3, *(given.size or ("H", "W"))))
     inputs = (picture, *(TensorSpec(n, "int64", ()) for n in given.constants))
     focal = "gives the focal length too" if known.gives_focal else "is told the focal length"
-    return Contract(f"{DEPTH_OPTION} {name}", f"depth estimated of colour; {focal}", inputs, (*maps, *numbers))
+    return DetectorContract(f"{DEPTH_OPTION} {name}", f"depth estimated of colour; {focal}", inputs, (*maps, *numbers))
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Adapter:
     ----------
     option : str
         "--detector grounding-dino".
-    contracts : tuple of Contract
+    contracts : tuple of DetectorContract
         Any of them, or an encoder and a decoder of them.
     known : tuple of KnownModel
     needs : str or None
@@ -69,7 +69,7 @@ class Adapter:
     """
 
     option: str
-    contracts: tuple[Contract, ...]
+    contracts: tuple[DetectorContract, ...]
     known: tuple[KnownModel, ...]
     needs: str | None
 

@@ -124,7 +124,7 @@ def rank(
         Gives what attributes and choices say of the objects; without it they say nothing.
     """
     config = config or RankConfig()
-    scene = _Scene(candidates, lookup, same, config, evidence)
+    scene = _Solver(candidates, lookup, same, config, evidence)
     solved = [scene.solve(r.root, config.target_weight) for r in readings]
     best_of = tuple(float(s.side.log.max(initial=-np.inf)) for s in solved)
     chosen = int(
@@ -185,7 +185,7 @@ class _Branch:
 
 
 @dataclass(frozen=True)
-class _Scene:
+class _Solver:
     """What all nodes of an expression are solved with."""
 
     candidates: Mapping[str, Candidates]
@@ -311,7 +311,7 @@ def solve(
     evidence: SceneEvidence | None = None,
 ) -> SolvedReading:
     """All pairs of one reading; arguments as for `rank`."""
-    solved = _Scene(candidates, lookup, same, config, evidence).solve(root, config.target_weight)
+    solved = _Solver(candidates, lookup, same, config, evidence).solve(root, config.target_weight)
     return SolvedReading(solved, _table(solved, mask_sizes, config))
 
 

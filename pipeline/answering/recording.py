@@ -49,7 +49,7 @@ class RecordingReport:
 
 
 @dataclass(frozen=True)
-class Finding:
+class RecordedDetection:
     """One detection as it is written; a thing that was found under several labels has one id."""
 
     id: int
@@ -121,10 +121,10 @@ def record_detections(
 
 def findings(
     frame: Frame, detector: Detector, class_names: Sequence[str] | None, k: int, unknown: dict[str, int] | None = None
-) -> list[Finding]:
+) -> list[RecordedDetection]:
     """What a detector finds in a frame: for each name the K best; `unknown` counts the names that it refuses."""
     queries: list[list[str] | None] = [None] if class_names is None else [[name] for name in class_names]
-    best: dict[tuple[int, str], Finding] = {}
+    best: dict[tuple[int, str], RecordedDetection] = {}
     codes: dict[int, str | None] = {}
     nameless = 0
     for query in queries:
@@ -150,14 +150,16 @@ def findings(
     return list(best.values())
 
 
-def finding_of(found: Proposals, i: int) -> Finding:
+def finding_of(found: Proposals, i: int) -> RecordedDetection:
     """A detection of a detector's run."""
     masked = found.masks is not None and (found.has_mask is None or found.has_mask[i])
     code = encode_run_length(found.masks[i]) if found.masks is not None and masked else None
-    return Finding(int(found.ids[i]), found.label(i), float(found.scores[i]), tuple(map(float, found.boxes[i])), code)
+    return RecordedDetection(
+        int(found.ids[i]), found.label(i), float(found.scores[i]), tuple(map(float, found.boxes[i])), code
+    )
 
 
-def detection_record(frame: Frame, finding: Finding, segmented: bool = False) -> dict[str, Any]:
+def detection_record(frame: Frame, finding: RecordedDetection, segmented: bool = False) -> dict[str, Any]:
     """A detection as JSON; `segmented` says that a segmenter made its mask, where it has one."""
     record: dict[str, Any] = {"label": finding.label, "score": finding.score, "bbox": finding.bbox}
     if finding.counts is not None:
@@ -169,14 +171,14 @@ def detection_record(frame: Frame, finding: Finding, segmented: bool = False) ->
 
 
 @contextmanager
-def _json_file(out: Path, made_by: str) -> Iterator[Callable[[Frame, list[Finding]], None]]:
+def _json_file(out: Path, made_by: str) -> Iterator[Callable[[Frame, list[RecordedDetection]], None]]:
     """A JSON file that is written frame by frame and appears when all are."""
     require(not out.is_dir(), "the recording would replace a folder", expected="the name of a file", path=out)
     with whole_file(out, "the recording") as temporary, text_file(temporary) as file:
         file.write(f'{{"{MADE_BY}": {json.dumps(made_by)}, "frames": {{')
         lines = 0
 
-        def write(frame: Frame, found: list[Finding]) -> None:
+        def write(frame: Frame, found: list[RecordedDetection]) -> None:
             nonlocal lines
             entries = json.dumps([detection_record(frame, f) for f in found], allow_nan=False)
             file.write(f"{',' if lines else ''}\n{json.dumps(frame.id)}: {entries}")
@@ -187,7 +189,7 @@ def _json_file(out: Path, made_by: str) -> Iterator[Callable[[Frame, list[Findin
 
 
 @contextmanager
-def _npz_folder(out: Path, made_by: str) -> Iterator[Callable[[Frame, list[Finding]], None]]:
+def _npz_folder(out: Path, made_by: str) -> Iterator[Callable[[Frame, list[RecordedDetection]], None]]:
     """A folder of NPZ files that appears when all are written."""
     require(
         not (out.exists() and not (out.is_dir() and not any(out.iterdir()))),
@@ -202,7 +204,7 @@ def _npz_folder(out: Path, made_by: str) -> Iterator[Callable[[Frame, list[Findi
         os.replace(partial, out)
 
 
-def _write_arrays(folder: Path, frame: Frame, found: list[Finding]) -> None:
+def _write_arrays(folder: Path, frame: Frame, found: list[RecordedDetection]) -> None:
     path = folder / (frame.id.replace("/", "__") + ".npz")
     require(not path.exists(), "two frames would have one file", got=frame.id, path=path)
     arrays: dict[str, Any] = {

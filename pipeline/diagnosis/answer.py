@@ -24,7 +24,7 @@ Edited = Mapping[str, Any]
 """Edits as JSON; see `pipeline.diagnosis.whatif`."""
 
 
-class Origin(Protocol):
+class AnswerSource(Protocol):
     """What answered: it can answer under edits, and may have a screen."""
 
     def what_if(self, answer: Answer, edits: Edited) -> Answer: ...
@@ -48,7 +48,7 @@ class Answer(InNotebook):
         None where there is no verdict.
     unjudged : str or None
         Why there is a truth and no verdict on this answer; None also where no truth is known at all.
-    origin : Origin or None
+    origin : AnswerSource or None
         What answered it, where one is asked from Python: edits and the page need it.
     edits : mapping or None
         What it was answered under, as JSON; None for none.
@@ -59,7 +59,7 @@ class Answer(InNotebook):
     problem: str | None = None
     diagnosis: Diagnosis | None = None
     unjudged: str | None = None
-    origin: Origin | None = None
+    origin: AnswerSource | None = None
     edits: Edited | None = None
 
     def __repr__(self) -> str:
@@ -150,7 +150,7 @@ class Answer(InNotebook):
         """Open this answer in the page; `options` as for `spatialviz.show`."""
         return self._origin().view(self, **options)
 
-    def _origin(self) -> Origin:
+    def _origin(self) -> AnswerSource:
         if self.origin is None:
             raise InputError("this answer does not know what answered it", expected="one that `ask` of `open` gave")
         return self.origin

@@ -19,7 +19,7 @@ import numpy as np
 import xxhash
 
 from pipeline.language.naming import normal_form
-from pipeline.language.vectors import LanguageContract, TextVectors, open_vectors
+from pipeline.language.vectors import LanguageContract, VectorFile, open_vectors
 from pipeline.system.errors import InputError, as_input_error, require
 from pipeline.system.safe_files import opened_arrays
 
@@ -98,7 +98,7 @@ class ClassLookup:
 
     def __init__(self, network: Path, language: LanguageContract, expected: str, vectors: Path | None = None) -> None:
         self.language = language
-        self._file: TextVectors | None = None
+        self._file: VectorFile | None = None
         if vectors is not None:
             self._file = open_vectors(vectors)
             language.check(self._file)

@@ -25,7 +25,7 @@ Output = Literal["sigmoid", "softmax"]
 
 
 @dataclass(frozen=True)
-class Contract:
+class NetworkContract:
     """What a relation network declares about itself.
 
     Attributes
@@ -98,7 +98,7 @@ class Contract:
         return stored if self.language is None else {**stored, **self.language.to_metadata()}
 
     @classmethod
-    def read(cls, metadata: Mapping[str, str], path: Path | None = None) -> Contract:
+    def read(cls, metadata: Mapping[str, str], path: Path | None = None) -> NetworkContract:
         """From the properties of an ONNX file.
 
         Raises

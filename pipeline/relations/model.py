@@ -19,13 +19,13 @@ from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.metrics.calibration_metrics import antisymmetric, antisymmetric_log_softmax, sigmoid, softmax
 from pipeline.relations.class_vectors import ClassLookup
-from pipeline.relations.contract import Contract
+from pipeline.relations.contract import NetworkContract
 from pipeline.relations.features import Appearance
 from pipeline.relations.scorer import RelationScores, RuleScorer
 from pipeline.system.errors import InputError, require
 from pipeline.system.onnx_session import metadata, open_session, run_limited, signature
 
-__all__ = ["Contract", "OnnxScorer"]
+__all__ = ["NetworkContract", "OnnxScorer"]
 
 
 class OnnxScorer:
@@ -43,7 +43,7 @@ class OnnxScorer:
         That of its feature contract.
     path : Path
         Its file.
-    contract : Contract
+    contract : NetworkContract
 
     Raises
     ------
@@ -55,7 +55,7 @@ class OnnxScorer:
         path = Path(path)
         require(path.is_file(), "there is no relation network", path=path, cause="--srm takes trained, rule or a file")
         session = open_session(path, threads=1)
-        self.contract = Contract.read(metadata(session), path)
+        self.contract = NetworkContract.read(metadata(session), path)
         self.name = self.contract.features
         self.path = path
         self.features = self.contract.feature_set

@@ -110,7 +110,7 @@ _BEYOND_EXTENTS = 0.1
 
 
 @dataclass(frozen=True)
-class Measured:
+class AllMeasures:
     """All that is measured of every ordered pair, of points only what is asked for.
 
     Attributes
@@ -141,7 +141,7 @@ class Measured:
         return enclosed_shares(self.pairs, self.clouds, self.profile) if self.given is None else self.given[1]
 
 
-def on_measures(measured: Measured) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def on_measures(measured: AllMeasures) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What decides "a on b".
 
     Returns
@@ -162,7 +162,7 @@ def _on_surfaces(pairs: PairMeasures, surface: np.ndarray) -> tuple[np.ndarray, 
     return covered, area[..., :, None] / area[..., None, :], np.abs(pairs.lo[..., :, None, 1] - surface)
 
 
-def on_states(measured: Measured) -> np.ndarray:
+def on_states(measured: AllMeasures) -> np.ndarray:
     """(..., N, N) states of "a on b"."""
     pairs, profile = measured.pairs, measured.profile
     covered, area_ratio, gap = on_measures(measured)
@@ -219,7 +219,7 @@ def surface_heights(
     return heights
 
 
-def in_measures(measured: Measured) -> tuple[np.ndarray, np.ndarray]:
+def in_measures(measured: AllMeasures) -> tuple[np.ndarray, np.ndarray]:
     """What decides "a in b".
 
     Returns
@@ -272,7 +272,7 @@ def enclosed_share(
     return (np.clip(shared, 0, None) / np.maximum(hi_a - lo_a, profile.min_extent)).clip(0, 1).prod(axis=1)
 
 
-def in_states(measured: Measured) -> np.ndarray:
+def in_states(measured: AllMeasures) -> np.ndarray:
     """(..., N, N) states of "a in b"."""
     profile, (share, below_rim) = measured.profile, in_measures(measured)
     sunk = below_rim >= profile.in_below_rim

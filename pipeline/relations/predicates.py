@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.relations.pair_measures import F, Measured, PairMeasures, Profile, T, U
+from pipeline.relations.pair_measures import AllMeasures, F, PairMeasures, Profile, T, U
 from pipeline.system.errors import InputError
 
-Judge = Callable[[Measured], Sequence[np.ndarray]]
+Judge = Callable[[AllMeasures], Sequence[np.ndarray]]
 Slacks = Callable[[PairMeasures, Profile], tuple[np.ndarray, np.ndarray]]
 
 
@@ -57,11 +57,11 @@ def predicate(relation: str) -> Callable[[Slacks], Slacks]:
     """
 
     def registered(slacks: Slacks) -> Slacks:
-        def states(measured: Measured) -> tuple[np.ndarray]:
+        def states(measured: AllMeasures) -> tuple[np.ndarray]:
             holds, allows = slacks(measured.pairs, measured.profile)
             return (np.where(holds >= 0, T, np.where(allows >= 0, U, F)),)
 
-        def margins(measured: Measured) -> tuple[np.ndarray]:
+        def margins(measured: AllMeasures) -> tuple[np.ndarray]:
             return (margin_of(*slacks(measured.pairs, measured.profile)),)
 
         register(Predicate((relation,), states, margins))
@@ -96,7 +96,7 @@ def _stacked(relations: Sequence[str], of: Callable[[Predicate], Sequence[np.nda
     return np.stack([found[name] for name in relations], axis=-1)
 
 
-def pair_states(measured: Measured, known: np.ndarray, relations: Sequence[str]) -> np.ndarray:
+def pair_states(measured: AllMeasures, known: np.ndarray, relations: Sequence[str]) -> np.ndarray:
     """(..., N, N, R) int8 states of the relations in their order.
 
     U where the extents of either are not known (`known` is (..., N) bool), F of an object to itself.
@@ -107,7 +107,7 @@ def pair_states(measured: Measured, known: np.ndarray, relations: Sequence[str])
     return result
 
 
-def pair_margins(measured: Measured, states: np.ndarray, relations: Sequence[str]) -> np.ndarray:
+def pair_margins(measured: AllMeasures, states: np.ndarray, relations: Sequence[str]) -> np.ndarray:
     """(N, N, R) float64 margins of the relations, metres, given their states; never beyond the state.
 
     Rounding at a threshold may part the two by a hair.

@@ -25,8 +25,8 @@ import numpy as np
 
 from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
 from pipeline.relations.pair_measures import (
+    AllMeasures,
     F,
-    Measured,
     PairMeasures,
     Profile,
     T,
@@ -72,7 +72,7 @@ def directional_states(lo: np.ndarray, hi: np.ndarray, profile: Profile | None =
     return pairwise_states(lo, hi, profile=profile, relations=DIRECTIONAL)
 
 
-def _horizontal_states(measured: Measured) -> tuple[np.ndarray, ...]:
+def _horizontal_states(measured: AllMeasures) -> tuple[np.ndarray, ...]:
     """(..., N, N) states of left, right, front and behind."""
     pairs, profile = measured.pairs, measured.profile
     widest_gap = np.abs(pairs.gap[..., [0, 2]]).max(axis=-1)
@@ -120,7 +120,7 @@ def _sign_gate(state: np.ndarray, signed: np.ndarray, dead_zone: np.ndarray | fl
     return np.where(signed <= 0, F, np.where(signed < dead_zone, np.minimum(state, U), state))
 
 
-def _vertical_states(measured: Measured) -> tuple[np.ndarray, np.ndarray]:
+def _vertical_states(measured: AllMeasures) -> tuple[np.ndarray, np.ndarray]:
     """(..., N, N) states of above and of below."""
     pairs, profile = measured.pairs, measured.profile
     area = pairs.extent[..., 0] * pairs.extent[..., 2]
@@ -169,7 +169,7 @@ def pairwise_states(
     lo, hi = np.asarray(lo, np.float64).reshape(-1, 3), np.asarray(hi, np.float64).reshape(-1, 3)
     known = known_extents(lo, hi)
     pairs = measure_pairs(np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0), profile)
-    return pair_states(Measured(pairs, profile, clouds), known, judged_relations(relations))
+    return pair_states(AllMeasures(pairs, profile, clouds), known, judged_relations(relations))
 
 
 def judged_relations(relations: Collection[str]) -> tuple[str, ...]:
@@ -177,7 +177,7 @@ def judged_relations(relations: Collection[str]) -> tuple[str, ...]:
     return tuple(name for name in PAIRWISE if name in DIRECTIONAL or name in relations)
 
 
-def horizontal_margins(measured: Measured) -> tuple[np.ndarray, ...]:
+def horizontal_margins(measured: AllMeasures) -> tuple[np.ndarray, ...]:
     """(N, N) float64 margins of left, right, front and behind, metres; see the module."""
     pairs, profile = measured.pairs, measured.profile
     holds, allows = _horizontal_slacks(pairs, profile)
@@ -196,7 +196,7 @@ def horizontal_margins(measured: Measured) -> tuple[np.ndarray, ...]:
     return tuple(np.moveaxis(own, -1, 0))
 
 
-def vertical_margins(measured: Measured) -> tuple[np.ndarray, np.ndarray]:
+def vertical_margins(measured: AllMeasures) -> tuple[np.ndarray, np.ndarray]:
     """(N, N) float64 margins of above and of below, metres."""
     above = margin_of(*_above_slacks(measured.pairs, measured.profile))
     return above, above.T
@@ -257,7 +257,7 @@ def _above_slacks(pairs: PairMeasures, profile: Profile) -> tuple[np.ndarray, np
     return slacks[0], slacks[1]
 
 
-def on_margins(measured: Measured) -> np.ndarray:
+def on_margins(measured: AllMeasures) -> np.ndarray:
     """(N, N) float64 margins of on, metres."""
     pairs, profile = measured.pairs, measured.profile
     side = np.sqrt(pairs.extent[:, 0] * pairs.extent[:, 2])
@@ -273,7 +273,7 @@ def on_margins(measured: Measured) -> np.ndarray:
     )
 
 
-def in_margins(measured: Measured) -> np.ndarray:
+def in_margins(measured: AllMeasures) -> np.ndarray:
     """(N, N) float64 margins of in, metres."""
     pairs, profile = measured.pairs, measured.profile
     share, below_rim = in_measures(measured)

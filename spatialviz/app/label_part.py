@@ -13,7 +13,7 @@ from pipeline.corrections.label_editor import LabelEditor, Outcome
 from pipeline.corrections.label_view import ANYTHING, LabelView, Target
 from pipeline.corrections.scene import labelled_objects
 from pipeline.corrections.wording import consequences, outcome_text
-from pipeline.diagnosis.whatif.shown import Shown
+from pipeline.diagnosis.whatif.shown import ShownObjects
 from pipeline.system.errors import needed, require
 from spatialviz.app.context import Part
 from spatialviz.app.state import State
@@ -131,7 +131,7 @@ def _looking_at(state: State, view: LabelView, pair: Sequence[int], selected: in
     return replace(
         state,
         labels=view,
-        found=Shown(objects, tuple(f"{o.label}·{o.id}" for o in objects), {}),
+        found=ShownObjects(objects, tuple(f"{o.label}·{o.id}" for o in objects), {}),
         pair=view.places(*pair) if len(pair) > 1 else None,
         selected=None if selected is None else view.place(selected),
     )

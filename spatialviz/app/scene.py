@@ -16,7 +16,7 @@ import viser
 import viser.transforms as vtf
 
 from pipeline.diagnosis.whatif.answer_view import Ghost
-from pipeline.diagnosis.whatif.shown import Shown
+from pipeline.diagnosis.whatif.shown import ShownObjects
 from pipeline.diagnosis.whatif.state import CameraView
 from pipeline.geometry.boxes import CUBE, CUBE_FACES, Box3D, boxes_on_ray, edge_lines
 from pipeline.geometry.camera import Camera
@@ -182,7 +182,12 @@ class SceneView:
         return tags
 
     def _draw_tags(
-        self, shown: Shown, role_of: Mapping[int, Role], selected: int | None, every: bool, colors: Mapping[Role, RGB]
+        self,
+        shown: ShownObjects,
+        role_of: Mapping[int, Role],
+        selected: int | None,
+        every: bool,
+        colors: Mapping[Role, RGB],
     ) -> list[Tag]:
         tags = []
         for i, box in self._boxed.items():

@@ -26,11 +26,11 @@ from pipeline.relations.given import GivenRelations
 from pipeline.system.errors import require
 
 
-class _Strict(BaseModel):
+class _StrictModel(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
-class ShownRankingRecord(_Strict):
+class ShownRankingRecord(_StrictModel):
     """`ShownRanking` as JSON."""
 
     weights: tuple[FiniteFloat, ...]
@@ -38,7 +38,7 @@ class ShownRankingRecord(_Strict):
     scale: Scale = "values"
 
 
-class ShownRecord(_Strict):
+class ShownRecord(_StrictModel):
     """What a whole file of predictions showed.
 
     Attributes

@@ -111,7 +111,7 @@ class ExpectedDiagnosis(BaseModel):
     said: str
 
 
-class Expected(BaseModel):
+class ExpectedRecord(BaseModel):
     """The kept record of `answer_record`, as far as it is compared."""
 
     answer: ExpectedAnswer | None
@@ -119,7 +119,7 @@ class Expected(BaseModel):
     reason: str | None = None
 
 
-class Manifest(_Strict):
+class CaseManifest(_Strict):
     """`spatialviz-case.json`."""
 
     format: Literal["spatialviz-case-1"] = CASE_FORMAT
@@ -145,7 +145,7 @@ class Manifest(_Strict):
     expected: dict[str, Any]
 
 
-def checked_manifest(root: Path, table: dict[str, Any]) -> tuple[Manifest, Expected]:
+def checked_manifest(root: Path, table: dict[str, Any]) -> tuple[CaseManifest, ExpectedRecord]:
     """The manifest, validated.
 
     Raises
@@ -154,13 +154,13 @@ def checked_manifest(root: Path, table: dict[str, Any]) -> tuple[Manifest, Expec
         It is damaged; the message names the field.
     """
     path = root / MANIFEST
-    manifest = validated(Manifest, table, path)
+    manifest = validated(CaseManifest, table, path)
     return manifest, checked_expected(manifest.expected, path)
 
 
-def checked_expected(record: Any, path: Path) -> Expected:
+def checked_expected(record: Any, path: Path) -> ExpectedRecord:
     """What is compared of an answer's record; InputError where it is none."""
-    return validated(Expected, record, path, "expected")
+    return validated(ExpectedRecord, record, path, "expected")
 
 
 def validated(model: type[_Model], record: Any, path: Path, *inside: str) -> _Model:

@@ -21,7 +21,7 @@ from pipeline.answering.pair_rules import RunRules
 from pipeline.answering.predictions import Predictions
 from pipeline.datasets.saved_case import MANIFEST
 from pipeline.diagnosis.answer import Answer, answer_record
-from pipeline.diagnosis.cases.manifest import Expected, ExpectedObject, checked_expected
+from pipeline.diagnosis.cases.manifest import ExpectedObject, ExpectedRecord, checked_expected
 from pipeline.diagnosis.cases.saving import OpenedCase, open_case
 from pipeline.geometry.boxes import iou_2d
 from pipeline.relations import make_scorer
@@ -39,7 +39,7 @@ SAME_BOX_PIXELS = 0.05
 
 
 @dataclass(frozen=True)
-class Replay:
+class ReplayedCase:
     """A case that was run again.
 
     Attributes
@@ -62,8 +62,8 @@ class Replay:
 
     path: Path
     name: str
-    before: Expected
-    after: Expected
+    before: ExpectedRecord
+    after: ExpectedRecord
     changes: tuple[str, ...]
     warnings: tuple[str, ...]
     record: dict[str, Any]
@@ -95,7 +95,7 @@ def find_cases(path: str | Path) -> tuple[Path, ...]:
     return tuple(found)
 
 
-def replay_case(opened: OpenedCase, tolerance: float = TOLERANCE, *, live: bool = False) -> Replay:
+def replay_case(opened: OpenedCase, tolerance: float = TOLERANCE, *, live: bool = False) -> ReplayedCase:
     """Answer a case again and compare.
 
     Parameters
@@ -116,7 +116,7 @@ def replay_case(opened: OpenedCase, tolerance: float = TOLERANCE, *, live: bool 
     record = answer_record(now)
     after = checked_expected(record, opened.root)
     changes, warnings = _compare(opened.expected, after, tolerance, live)
-    return Replay(
+    return ReplayedCase(
         opened.root, opened.manifest.name, opened.expected, after, tuple(changes), (*opened.notes, *warnings), record,
         now, _first_moved(opened.manifest.expected, record, tolerance),
     )  # fmt: skip
@@ -151,7 +151,9 @@ def _alike(a: Any, b: Any, tolerance: float) -> bool:
     return a == b
 
 
-def _compare(before: Expected, after: Expected, tolerance: float, live: bool) -> tuple[list[str], list[str]]:
+def _compare(
+    before: ExpectedRecord, after: ExpectedRecord, tolerance: float, live: bool
+) -> tuple[list[str], list[str]]:
     changes: list[str] = []
     warnings: list[str] = []
     a, b = before.answer, after.answer
@@ -217,7 +219,7 @@ class Result:
     path : Path
     status : str
         same, changed, updated (changed, and taken over) or damaged (could not be run).
-    replay : Replay or None
+    replay : ReplayedCase or None
         None where it could not be run.
     problem : str or None
         Why not.
@@ -225,7 +227,7 @@ class Result:
 
     path: Path
     status: Status
-    replay: Replay | None
+    replay: ReplayedCase | None
     problem: str | None = None
 
 

@@ -37,8 +37,8 @@ from pipeline.diagnosis.cases.manifest import (
     NETWORK,
     PREDICTIONS,
     PROPOSALS,
-    Expected,
-    Manifest,
+    CaseManifest,
+    ExpectedRecord,
     ScorerRecord,
     checked_expected,
     checked_manifest,
@@ -250,10 +250,10 @@ class OpenedCase:
     Attributes
     ----------
     root : Path
-    manifest : Manifest
+    manifest : CaseManifest
     table : dict
         The manifest as it stands in the file.
-    expected : Expected
+    expected : ExpectedRecord
     source : Pipeline
     truth : FrameCases or None
     case : Case or None
@@ -264,9 +264,9 @@ class OpenedCase:
     """
 
     root: Path
-    manifest: Manifest
+    manifest: CaseManifest
     table: dict[str, Any]
-    expected: Expected
+    expected: ExpectedRecord
     source: Pipeline
     truth: FrameCases | None
     case: Case | None
@@ -365,14 +365,14 @@ def open_case(
 
 
 def _imported_source(
-    root: Path, table: dict[str, Any], manifest: Manifest, scorer: RelationScorer | None
+    root: Path, table: dict[str, Any], manifest: CaseManifest, scorer: RelationScorer | None
 ) -> ImportedPipeline:
     assert manifest.shown is not None
     file, dataset = checked_file(root, table, PREDICTIONS), SavedCaseDataset(root, Settings())
     return kept_source(file, manifest.shown, dataset, scorer, manifest.config, manifest.synonyms)
 
 
-def _own_source(root: Path, table: dict[str, Any], manifest: Manifest, scorer: RelationScorer | None) -> Pipeline:
+def _own_source(root: Path, table: dict[str, Any], manifest: CaseManifest, scorer: RelationScorer | None) -> Pipeline:
     proposals = checked_file(root, table, PROPOSALS)
     kept, mark_of_file = read_proposals(proposals)
     d = manifest.detector
@@ -391,7 +391,7 @@ def _own_source(root: Path, table: dict[str, Any], manifest: Manifest, scorer: R
 
 
 def _scorer(
-    root: Path, manifest: Manifest, srm: str | Path | None, vectors: Path | None
+    root: Path, manifest: CaseManifest, srm: str | Path | None, vectors: Path | None
 ) -> tuple[RelationScorer, tuple[str, ...]]:
     record = manifest.scorer
     if srm is not None:

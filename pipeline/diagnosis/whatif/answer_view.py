@@ -18,7 +18,7 @@ from pipeline.diagnosis.whatif.changes import PairKeys, pair_keys, ranked_pairs
 from pipeline.diagnosis.whatif.edits import Edits
 from pipeline.diagnosis.whatif.pair_tables import detection_keys
 from pipeline.diagnosis.whatif.rerun import Outcome
-from pipeline.diagnosis.whatif.shown import NOTHING, Shown, shown_objects
+from pipeline.diagnosis.whatif.shown import NOTHING, ShownObjects, shown_objects
 from pipeline.geometry.boxes import Box3D, iou_2d
 from pipeline.geometry.palette import Role
 from pipeline.proposals.base import Detector
@@ -123,7 +123,7 @@ class AnswerView:
     loaded : LoadedFrame or None
         None where the frame is broken.
     trace : Trace or None
-    found : Shown
+    found : ShownObjects
         What `shown` is made of.
     pair : tuple of int or None
         The chosen pair (with "between", all three), as places in `shown.objects`; kept by objects, not by rank.
@@ -141,7 +141,7 @@ class AnswerView:
 
     loaded: LoadedFrame | None = None
     trace: Trace | None = None
-    found: Shown = NOTHING
+    found: ShownObjects = NOTHING
     pair: tuple[int, ...] | None = None
     selected: int | None = None
     judged: Diagnosis | str | None = None
@@ -150,7 +150,7 @@ class AnswerView:
     edited: BothAnswers | None = None
 
     @cached_property
-    def shown(self) -> Shown:
+    def shown(self) -> ShownObjects:
         """All objects, each of the chosen pair under the name and with the score of its role there."""
         chosen = self.chosen
         return self.found if self.trace is None or chosen is None else self.found.in_roles(self.trace, chosen)

@@ -157,7 +157,7 @@ def _moved(before: Outcome, after: Outcome, most: int) -> list[Record]:
 
 
 @dataclass(frozen=True)
-class Edit:
+class EditDescription:
     """One edit.
 
     Attributes
@@ -175,25 +175,25 @@ class Edit:
     key: str | None = None
 
 
-def each_edit(edits: Edits, named: Callable[[str], str] = str) -> tuple[Edit, ...]:
+def each_edit(edits: Edits, named: Callable[[str], str] = str) -> tuple[EditDescription, ...]:
     """Every edit in a fixed order; `named` gives the word for an object's key."""
-    found = [Edit(_id("boxes", k), f"{named(k)}: its box", k) for k in edits.boxes]
-    found += [Edit(_id("masks", k), f"{named(k)}: its mask", k) for k in edits.masks]
-    found += [Edit(_id("hidden", k), f"{named(k)}: hidden", k) for k in sorted(edits.hidden)]
+    found = [EditDescription(_id("boxes", k), f"{named(k)}: its box", k) for k in edits.boxes]
+    found += [EditDescription(_id("masks", k), f"{named(k)}: its mask", k) for k in edits.masks]
+    found += [EditDescription(_id("hidden", k), f"{named(k)}: hidden", k) for k in sorted(edits.hidden)]
     found += [
-        Edit(_id("confidences", name, k), f"P({named(k)} | {name}) = {p:.2f}", k)
+        EditDescription(_id("confidences", name, k), f"P({named(k)} | {name}) = {p:.2f}", k)
         for (name, k), p in edits.confidences.items()
     ]
     found += [
-        Edit(_id("relations", r, a, b), f"P({named(a)} {PHRASE.get(r, r)} {named(b)}) = {p:.2f}", a)
+        EditDescription(_id("relations", r, a, b), f"P({named(a)} {PHRASE.get(r, r)} {named(b)}) = {p:.2f}", a)
         for (r, a, b), p in edits.relations.items()
     ]
     found += [
-        Edit(_id(name), f"{_WORDS[name]}: {value}")
+        EditDescription(_id(name), f"{_WORDS[name]}: {value}")
         for name, value in present(k=edits.k, min_score=edits.min_score, scorer=edits.scorer).items()
     ]
     found += [
-        Edit(_id(group, name), f"{_WORDS.get(name, name)}: {value}")
+        EditDescription(_id(group, name), f"{_WORDS.get(name, name)}: {value}")
         for group in CHECKS
         for name, value in getattr(edits, group).items()
     ]

@@ -24,7 +24,7 @@ from pipeline.geometry.palette import instance_colors
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import Node
 from pipeline.relations.model import OnnxScorer
-from pipeline.relations.pair_measures import Measured, enclosed_share, surface_heights
+from pipeline.relations.pair_measures import AllMeasures, enclosed_share, surface_heights
 from pipeline.relations.predicates import pair_states, predicates_of
 from pipeline.relations.relations import Profile, measure_pairs
 from pipeline.relations.scorer import RuleScorer, stacked_extents
@@ -206,7 +206,7 @@ def _pair_probabilities(
             np.stack([e[moved] + shift, np.broadcast_to(o, (count, 3))], axis=1)
             for e, o in ((lo, other_lo), (hi, other_hi))
         )
-        measured = Measured(measure_pairs(both_lo, both_hi, profile), profile, given=(surface, share))
+        measured = AllMeasures(measure_pairs(both_lo, both_hi, profile), profile, given=(surface, share))
         states = pair_states(measured, np.broadcast_to([True, known], (count, 2)), PAIRWISE)
         network = None
         if isinstance(scorer, OnnxScorer):

@@ -19,7 +19,7 @@ from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.proposals.base import Proposals
 from pipeline.relations.model import OnnxScorer
-from pipeline.relations.pair_measures import Measured, enclosed_share, points_decide, surface_heights
+from pipeline.relations.pair_measures import AllMeasures, enclosed_share, points_decide, surface_heights
 from pipeline.relations.predicates import pair_states
 from pipeline.relations.relations import Profile, known_extents, measure_pairs, pairwise_states
 from pipeline.relations.scorer import RelationScorer, RelationScores, RuleScorer, rule_probabilities, stacked_extents
@@ -219,7 +219,7 @@ def of_pairs(
             surface[at, side, 1 - side] = heights
         for one, at in _grouped(a, held[:, side, 1 - side]):
             share[at, side, 1 - side] = enclosed_share(lo[one], hi[one], clouds[one], lo[b[at]], hi[b[at]], profile)
-    states = pair_states(Measured(measures, profile, given=(surface, share)), known[pair], PAIRWISE)
+    states = pair_states(AllMeasures(measures, profile, given=(surface, share)), known[pair], PAIRWISE)
     return combined(states, scorer.probabilities(rows[pair]) if isinstance(scorer, OnnxScorer) else None, scorer)
 
 

@@ -14,7 +14,7 @@ from pipeline.geometry.masks import decode_run_length
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.cases import FrameCases
 from pipeline.language.relation_names import HORIZONTAL, PAIRWISE
-from pipeline.relations.pair_measures import Measured, in_measures, near_measures, on_measures
+from pipeline.relations.pair_measures import AllMeasures, in_measures, near_measures, on_measures
 from pipeline.relations.predicates import pair_margins, pair_states
 from pipeline.relations.relations import Profile, known_extents, letter, measure_pairs
 from pipeline.relations.scorer import stacked_extents
@@ -66,7 +66,7 @@ def place_in_region(
     if not known_extents(lo, hi).all():
         return Placement(relation, 0, "One of the two has no place in space: U", {})
     axes = viewer.matrix.T.astype(np.float32)
-    measured = Measured(measure_pairs(lo, hi, profile), profile, [o.points @ axes for o in (target, reference)])
+    measured = AllMeasures(measure_pairs(lo, hi, profile), profile, [o.points @ axes for o in (target, reference)])
     state = int(pair_states(measured, np.ones(2, np.bool_), (relation,))[0, 1, 0])
     why = _horizontal if relation in HORIZONTAL else _REASONS.get(relation, _by_margin)
     measures, reason = why(measured, relation, state)
@@ -78,7 +78,7 @@ def _first(*reasons: tuple[bool, str]) -> str:
     return next(text for given, text in reasons if given)
 
 
-def _horizontal(measured: Measured, relation: str, state: int) -> tuple[Measures, str]:
+def _horizontal(measured: AllMeasures, relation: str, state: int) -> tuple[Measures, str]:
     pairs, profile = measured.pairs, measured.profile
     axis, side = HORIZONTAL[relation]
     gap, delta = pairs.gap[0, 1], pairs.delta[0, 1]
@@ -121,7 +121,7 @@ def _off_axis(displacement: np.ndarray, axis: int) -> float:
     return angle if axis == 0 else 90 - angle
 
 
-def _vertical(measured: Measured, relation: str, state: int) -> tuple[Measures, str]:
+def _vertical(measured: AllMeasures, relation: str, state: int) -> tuple[Measures, str]:
     pairs, profile = measured.pairs, measured.profile
     upper, lower, end = (0, 1, "The target's") if relation == "above" else (1, 0, "The reference's")
     area = pairs.extent[:, 0] * pairs.extent[:, 2]
@@ -157,7 +157,7 @@ def _vertical(measured: Measured, relation: str, state: int) -> tuple[Measures, 
     )
 
 
-def _on(measured: Measured, _relation: str, state: int) -> tuple[Measures, str]:
+def _on(measured: AllMeasures, _relation: str, state: int) -> tuple[Measures, str]:
     profile = measured.profile
     covered, ratio, gap = (float(m[0, 1]) for m in on_measures(measured))
     touching = max(profile.on_gap, profile.on_gap_relative * float(measured.pairs.extent[0, 1]))
@@ -179,7 +179,7 @@ def _on(measured: Measured, _relation: str, state: int) -> tuple[Measures, str]:
     )
 
 
-def _in(measured: Measured, _relation: str, state: int) -> tuple[Measures, str]:
+def _in(measured: AllMeasures, _relation: str, state: int) -> tuple[Measures, str]:
     profile = measured.profile
     share, below_rim = (float(m[0, 1]) for m in in_measures(measured))
     return {"share": share, "below_rim": below_rim}, _first(
@@ -193,7 +193,7 @@ def _in(measured: Measured, _relation: str, state: int) -> tuple[Measures, str]:
     )
 
 
-def _near(measured: Measured, _relation: str, state: int) -> tuple[Measures, str]:
+def _near(measured: AllMeasures, _relation: str, state: int) -> tuple[Measures, str]:
     profile = measured.profile
     gap, mean = (float(m[0, 1]) for m in near_measures(measured.pairs))
     close, undecided = profile.near_diagonals * mean, profile.near_diagonals_doubtful * mean
@@ -205,7 +205,7 @@ def _near(measured: Measured, _relation: str, state: int) -> tuple[Measures, str
     )
 
 
-def _by_margin(measured: Measured, relation: str, state: int) -> tuple[Measures, str]:
+def _by_margin(measured: AllMeasures, relation: str, state: int) -> tuple[Measures, str]:
     """For a relation of which only its rule is known."""
     states = pair_states(measured, np.ones(2, np.bool_), (relation,))
     margin = float(pair_margins(measured, states, (relation,))[0, 1, 0])

@@ -19,7 +19,7 @@ import numpy as np
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.relation_names import HORIZONTAL, PAIRWISE, RELATIONS
-from pipeline.relations.pair_measures import Measured
+from pipeline.relations.pair_measures import AllMeasures
 from pipeline.relations.predicates import pair_states
 from pipeline.relations.relations import Profile, known_extents, letter, measure_pairs
 from pipeline.system.errors import require
@@ -38,7 +38,7 @@ REACH = 1.5
 
 
 @dataclass(frozen=True)
-class Patch:
+class RegionPart:
     """One part of a region.
 
     Attributes
@@ -63,7 +63,7 @@ class Region:
     Attributes
     ----------
     relation : str
-    patches : tuple of Patch
+    patches : tuple of RegionPart
     axes : (3, 2, 3) float64
         Segments from the reference's middle along the viewer's right, up and forward, camera frame, metres.
     dead_zone : float
@@ -74,7 +74,7 @@ class Region:
     """
 
     relation: str
-    patches: tuple[Patch, ...]
+    patches: tuple[RegionPart, ...]
     axes: np.ndarray
     dead_zone: float
     exact: bool
@@ -136,7 +136,7 @@ def region_of(
     axis, _ = RELATIONS[relation].axis or (None, 1)
     return Region(
         relation,
-        tuple(Patch(name, tri @ viewer.matrix, lines @ viewer.matrix) for name, tri, lines in found),
+        tuple(RegionPart(name, tri @ viewer.matrix, lines @ viewer.matrix) for name, tri, lines in found),
         axes @ viewer.matrix,
         0.0 if axis is None else depth if axis == 2 else profile.dead_zone,
         relation in HORIZONTAL,
@@ -153,7 +153,7 @@ def plane_states(
         for sign, own in ((-1, lo), (1, hi))
     ]
     pairs = measure_pairs(both[0], both[1], profile)
-    return pair_states(Measured(pairs, profile), np.ones((count, 2), np.bool_), (relation,))[:, 0, 1, 0]
+    return pair_states(AllMeasures(pairs, profile), np.ones((count, 2), np.bool_), (relation,))[:, 0, 1, 0]
 
 
 def _plane(

@@ -12,7 +12,7 @@ from pipeline.answering.pair_table import ScoredPair
 
 
 @dataclass(frozen=True)
-class Shown:
+class ShownObjects:
     """The objects that somebody looks at: all of the frame, and those only the question found.
 
     Attributes
@@ -28,7 +28,7 @@ class Shown:
     names: tuple[str, ...]
     place: Mapping[int, int]
 
-    def in_roles(self, trace: Trace, pair: ScoredPair) -> Shown:
+    def in_roles(self, trace: Trace, pair: ScoredPair) -> ShownObjects:
         """The same, with each object of a pair under the name that it is asked for there, and with that name's score.
 
         A detector may take one thing for a mug and, less surely, for a laptop; its number stays.
@@ -39,15 +39,15 @@ class Shown:
         return replace(self, objects=tuple(objects), names=_named(objects, trace.exact))
 
 
-NOTHING = Shown((), (), {})
+NOTHING = ShownObjects((), (), {})
 """Of a broken frame."""
 
 
-def shown_objects(loaded: LoadedFrame, trace: Trace | None, exact: bool, before: Trace | None = None) -> Shown:
+def shown_objects(loaded: LoadedFrame, trace: Trace | None, exact: bool, before: Trace | None = None) -> ShownObjects:
     """All objects of a frame, then those that only the question's own detector runs found.
 
     One that was found under several names of the question goes by the one that it is most surely, until it is looked at
-    as a part of a pair (`Shown.in_roles`). What an edit took out of the question keeps the name that the answer
+    as a part of a pair (`ShownObjects.in_roles`). What an edit took out of the question keeps the name that the answer
     `before` gave it.
     """
     objects = list(loaded.objects)
@@ -59,7 +59,7 @@ def shown_objects(loaded: LoadedFrame, trace: Trace | None, exact: bool, before:
     for i, entry in () if trace is None else _most_surely(trace):
         at = place[i] = by_id.get(entry.id, len(objects))
         objects[at : at + 1] = [entry]
-    return Shown(tuple(objects), _named(objects, exact), place)
+    return ShownObjects(tuple(objects), _named(objects, exact), place)
 
 
 def _most_surely(trace: Trace) -> Iterator[tuple[int, SceneObject]]:

@@ -38,7 +38,7 @@ import numpy as np
 from pipeline.labels.check.view import Finding, FrameView, state_letter
 from pipeline.labels.profiles import GIVEN, Judged, semantic_abstraction_directions
 from pipeline.language.relation_names import HORIZONTAL, INVERSE, MIRRORED, OPPOSITES, PAIRWISE, PHRASE
-from pipeline.relations.pair_measures import NOT_JUDGED, Measured
+from pipeline.relations.pair_measures import NOT_JUDGED, AllMeasures
 from pipeline.relations.predicates import PREDICATES, pair_margins, pair_states
 from pipeline.relations.relations import F, PairMeasures, Profile, T, U, known_extents, letter, measure_pairs
 
@@ -219,7 +219,7 @@ def expected_viewer_cone(view: FrameView) -> Expected:
     known, pairs, contact = _measured(view)
     both = known[:, None] & known[None, :]
     exact = [relation for relation in PAIRWISE if not PREDICATES[relation].reads_points]
-    measured = Measured(pairs, Profile())
+    measured = AllMeasures(pairs, Profile())
     states = pair_states(measured, known, exact)
     slack = np.where(both[..., None], pair_margins(measured, states, exact), 0.0)
     for k, relation in enumerate(exact):
