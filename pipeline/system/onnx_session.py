@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 import xxhash
 
-from pipeline.system.errors import InputError, MissingExtra, require
+from pipeline.system.errors import InputError, require
 from pipeline.system.limits import LIMITS_OPTION, current_limits
 from pipeline.system.onnx_contents import check_network, weight_files
 from pipeline.system.safe_files import opened
@@ -58,7 +58,7 @@ def open_session(path: Path, threads: int | None = None) -> Any:
         options.add_session_config_entry("session.use_env_allocators", "1")
     # Threads that wait in a circle take from whatever else runs a fifth of its time, and more than they save.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    create = create_session if threads is None else cpu_session
+    accelerator = wanted_accelerator(ort.get_available_providers()) if threads is None else None
     failure: Exception | None = None
     seconds = current_limits().seconds
     # Half of loading is computing what is constant.
@@ -66,7 +66,7 @@ def open_session(path: Path, threads: int | None = None) -> Any:
         for level in (ort.GraphOptimizationLevel.ORT_ENABLE_ALL, ort.GraphOptimizationLevel.ORT_DISABLE_ALL):
             options.graph_optimization_level = level
             try:
-                return _legible(create(str(path), options), path)
+                return _legible(_create(str(path), options, accelerator), path)
             except InputError:
                 raise
             except Exception as error:  # ONNX Runtime raises its own classes, which differ between releases.
@@ -180,9 +180,8 @@ def run_session(session: Any, outputs: Sequence[str], feed: Mapping[str, np.ndar
         raise
     except Exception as error:  # As above.
         text = str(error)
-        wrong_text = "out of data bounds" in text or "out of bounds" in text
         cause = None
-        if wrong_text:
+        if "out of data bounds" in text or "out of bounds" in text:
             cause = "a token is not in the model's vocabulary: is the tokenizer that of another model?"
         if "smaller than requested bytes" in text:
             cause = f"it asks for more memory than networks may hold: {LIMITS_OPTION} memory=16G"
@@ -263,15 +262,6 @@ def model_hash(path: Path) -> str:
     return "+".join(file_hash(p) for p in (path, *companions) if p.is_file())
 
 
-def require_onnx() -> Any:
-    """The package onnx; MissingExtra where it is not installed."""
-    try:
-        import onnx
-    except ImportError as error:
-        raise MissingExtra("writing ONNX files", "train") from error
-    return onnx
-
-
 Provider = Literal["auto", "cpu", "cuda", "coreml", "directml"]
 PROVIDER_VARIABLE = "SPATIALVIZ_PROVIDER"
 VERBOSE_VARIABLE = "SPATIALVIZ_VERBOSE"
@@ -347,32 +337,22 @@ def warn_once(message: str) -> None:
     warnings.warn(message, ProviderWarning, stacklevel=3)
 
 
-def create_session(path: str, options: Any) -> Any:
-    """A session on the wanted provider, or on the CPU with one warning; raises what ONNX Runtime raises."""
+def _create(path: str, options: Any, accelerator: str | None) -> Any:
+    """Session on an accelerator, or on the CPU with one warning; raises what ONNX Runtime raises."""
     import onnxruntime as ort
 
-    accelerator = wanted_accelerator(ort.get_available_providers())
-    if accelerator is None:
-        return cpu_session(path, options)
     if accelerator == ACCELERATORS["directml"]:
         # DirectML refuses memory patterns and parallel execution.
         options.enable_mem_pattern = False
         options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
-    try:
-        # ONNX Runtime's own fallback prints four lines to standard output.
-        session = ort.InferenceSession(path, sess_options=options, providers=[accelerator, CPU], enable_fallback=0)
-    except Exception as error:  # ONNX Runtime raises its own classes, which differ between releases.
-        session = cpu_session(path, options)
-        reason = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
-        warn_once(f"{accelerator} cannot be used, the CPU computes: {reason}")
-        return session
-    if accelerator not in session.get_providers():
-        warn_once(f"{accelerator} cannot be used, the CPU computes: its libraries are missing or do not fit")
-    return session
-
-
-def cpu_session(path: str, options: Any) -> Any:
-    """The same on the CPU, whatever is wanted."""
-    import onnxruntime as ort
-
+    if accelerator is not None:
+        try:
+            # ONNX Runtime's own fallback prints four lines to standard output.
+            session = ort.InferenceSession(path, sess_options=options, providers=[accelerator, CPU], enable_fallback=0)
+        except Exception as error:  # ONNX Runtime raises its own classes, which differ between releases.
+            warn_once(f"{accelerator} cannot be used, the CPU computes: {first_line(error)[:160]}")
+        else:
+            if accelerator not in session.get_providers():
+                warn_once(f"{accelerator} cannot be used, the CPU computes: its libraries are missing or do not fit")
+            return session
     return ort.InferenceSession(path, sess_options=options, providers=[CPU])

@@ -337,8 +337,7 @@ def open_zip(path: Path) -> ZipFile:
     """An archive whose members are read in place; raises as `opened` (of its size `unpacked`) and `check_members`."""
     with opened(path, "unpacked") as file:
         check_members(open_archive(file, path), path)
-    archive = ZipFile(path)
-    return archive
+    return ZipFile(path)
 
 
 def open_parquet(source: Any, path: Any = None, **options: Any) -> Any:

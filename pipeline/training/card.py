@@ -32,8 +32,8 @@ from pipeline.relations.features import cli_features
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import measure_pairs
 from pipeline.relations.scorer import rule_probabilities
-from pipeline.system.errors import require
-from pipeline.system.onnx_session import file_hash, require_onnx
+from pipeline.system.errors import extra_module, require
+from pipeline.system.onnx_session import file_hash
 from pipeline.system.plugins import versions_of
 from pipeline.system.whole_files import clear_abandoned, take_places, temporary_folder
 from pipeline.system.worker_pool import one_thread
@@ -222,7 +222,7 @@ def write_onnx(
     MissingExtra
         The package onnx is not installed.
     """
-    onnx = require_onnx()
+    onnx = extra_module("onnx", "writing ONNX files", "train")
     from onnx import TensorProto, helper, numpy_helper
 
     nodes, constants = [], []

@@ -25,8 +25,7 @@ from pipeline.relations.class_vectors import ClassVectors
 from pipeline.relations.contract import Contract, Output
 from pipeline.relations.features import LANGUAGE, feature_set
 from pipeline.relations.relations import T
-from pipeline.system.errors import MissingExtra, require
-from pipeline.system.onnx_session import require_onnx
+from pipeline.system.errors import MissingExtra, extra_module, require
 from pipeline.training.label_data import PairSet, class_shares
 from pipeline.training.training_data import FrameSamples, iterate_pairs
 
@@ -401,7 +400,7 @@ def need_torch() -> Any:
 def require_training() -> None:
     """Raise MissingExtra now, and not after the rooms are made, where torch or onnx is missing."""
     need_torch()
-    require_onnx()
+    extra_module("onnx", "writing ONNX files", "train")
 
 
 @contextmanager
