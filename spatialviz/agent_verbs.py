@@ -47,17 +47,10 @@ Picture = Annotated[bool, Field(description="With a small picture of the answer.
 
 @dataclass(frozen=True)
 class OpenRun:
-    """A run that stays open.
-
-    Attributes
-    ----------
-    run : Run
-    keep : ExitStack
-        Closes its database when the server ends.
-    """
+    """A run that stays open."""
 
     run: Run
-    keep: ExitStack
+    keep: ExitStack  # Closes its database when the server ends
 
     @cached_property
     def opened(self) -> Opened:
@@ -103,21 +96,12 @@ class Correcting:
 
 @dataclass(frozen=True)
 class Session:
-    """What was named when the server was started; all of it stays open, and nothing else is opened.
-
-    Attributes
-    ----------
-    datasets : mapping of str to Opened
-    runs : mapping of str to OpenRun
-    cases : mapping of str to Path
-    correcting : Correcting or None
-        None where nothing may be written.
-    """
+    """What was named when the server was started; all of it stays open, and nothing else is opened."""
 
     datasets: Mapping[str, Opened]
     runs: Mapping[str, OpenRun]
     cases: Mapping[str, Path]
-    correcting: Correcting | None = None
+    correcting: Correcting | None = None  # None where nothing may be written
 
     def source(self, name: str | None) -> Opened:
         """What answers under a name; InputError where nothing has it."""

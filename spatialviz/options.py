@@ -158,13 +158,7 @@ def task_of(text: str | None) -> tuple[int, int] | None:
 
 
 def one_frame(ids: Sequence[str], text: str, root: Path) -> str:
-    """The id of the one frame that FRAME means, its id or its index, among all ids in order.
-
-    Raises
-    ------
-    InputError
-        No such frame, with the nearest ids; or "all" where one is needed.
-    """
+    """The id of the one frame that FRAME means, its id or its index, among all ids in order."""
     from pipeline.datasets.base import named_frame
 
     require(

@@ -35,10 +35,7 @@ def one_line(text: str) -> str:
 class PlainStream:
     """A text stream that everything is written to plainly; all else is the stream's own.
 
-    Attributes
-    ----------
-    rich_proxied_file
-        The stream itself, under the name by which rich finds it.
+    `rich_proxied_file`: the stream itself, under the name by which rich finds it.
     """
 
     def __init__(self, stream: Any) -> None:

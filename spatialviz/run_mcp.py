@@ -26,13 +26,7 @@ def run_mcp(command: McpCommand) -> None:
 
 
 def open_session(command: McpCommand, keep: ExitStack) -> Session:
-    """What the command names, opened; `keep` closes it.
-
-    Raises
-    ------
-    InputError
-        A path that is neither a dataset nor a run nor a case, or options that do not go together.
-    """
+    """What the command names, opened; `keep` closes it."""
     require(command.paths, "nothing was named to be served", expected="spatialviz mcp demo, or the paths of your own")
     require(
         command.allow_corrections == (command.author is not None),

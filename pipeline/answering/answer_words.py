@@ -26,28 +26,16 @@ TIED = 5e-4
 
 @dataclass(frozen=True)
 class ToldAnswer:
-    """The best pair in words.
+    """The best pair in words."""
 
-    Attributes
-    ----------
-    holds : bool or None
-        Every relation of the answer has a probability of at least a half; None where that is so of a question that was
-        asked in part.
-    lead : str
-        What stands before the pair: nothing, that there is no such pair, or that a pair of less confidence is one.
-    numbers : str
-        The relation's probability (of several the weakest's) and the product of all factors.
-    below : str
-        The posterior over the candidate pairs, and its margin to the next one.
-    fails : tuple of str
-        Each relation that does not hold, where the expression has several.
-    """
-
+    # holds: Every relation of the answer has a probability of at least a half; None where that is so of a question that
+    # was asked in part
     holds: bool | None
+    # lead: What stands before the pair: nothing, that there is no such pair, or that a pair of less confidence is one
     lead: str
-    numbers: str
-    below: str
-    fails: tuple[str, ...]
+    numbers: str  # The relation's probability (of several the weakest's) and the product of all factors
+    below: str  # The posterior over the candidate pairs, and its margin to the next one
+    fails: tuple[str, ...]  # Each relation that does not hold, where the expression has several
 
     def sentence(self, pair: str) -> str:
         """All of it on one line, around the pair in words."""

@@ -28,8 +28,6 @@ class FrameAnswers:
 
     Parameters
     ----------
-    source : Pipeline
-    context : PreparedFrame
     names : sequence of str
         All class names that will be asked for.
     relations : collection of str
@@ -39,7 +37,6 @@ class FrameAnswers:
 
     Attributes
     ----------
-    objects : tuple of SceneObject
     candidates : dict of str to Candidates
         A name that the detector does not know has none.
     unknown : dict of str to str
@@ -127,12 +124,7 @@ class FrameAnswers:
 
 
 class StageClock:
-    """Processor seconds of this process by stage; time within an inner stage does not count for the outer one.
-
-    Attributes
-    ----------
-    seconds : dict of str to float
-    """
+    """Processor seconds of this process by stage; time within an inner stage does not count for the outer one."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}

@@ -35,24 +35,14 @@ from pipeline.system.errors import Unsupported, require
 
 @dataclass(frozen=True)
 class AskConfig:
-    """How a question is answered.
+    """How a question is answered."""
 
-    Attributes
-    ----------
-    k : int
-        Proposals that go on for each name; a detector whose detections are the truth is not cut.
-    lift : LiftConfig
-    rank : RankConfig
-    relations : tuple of str or None
-        What the expression may use; None for everything the scorer knows.
-    score_calibration : ScoreCalibration or None
-        Makes P(x | name) of the scores of a detector that is not exact; the objects keep their raw scores.
-    """
-
-    k: int = 10
+    k: int = 10  # Proposals that go on for each name; a detector whose detections are the truth is not cut
     lift: LiftConfig = field(default_factory=LiftConfig)
     rank: RankConfig = field(default_factory=RankConfig)
-    relations: tuple[str, ...] | None = None
+    relations: tuple[str, ...] | None = None  # What the expression may use; None for everything the scorer knows
+    # score_calibration: Makes P(x | name) of the scores of a detector that is not exact; the objects keep their raw
+    # scores
     score_calibration: ScoreCalibration | None = None
 
     def __post_init__(self) -> None:
@@ -61,54 +51,29 @@ class AskConfig:
 
 @dataclass(frozen=True)
 class Trace:
-    """Every stage's input and output for one question.
+    """Every stage's input and output for one question."""
 
-    Attributes
-    ----------
-    frame : Frame
-        With the up vector that was used.
-    viewer : ViewerAxes
-    query : Query
-        The parsed expression with all its readings.
-    objects : tuple of SceneObject
-        All proposals of all names, lifted; each thing once.
-    candidates : dict of str to Candidates
-        Class name as asked -> places in `objects` and scores.
-    scores : RelationScores
-    timings : dict of str to float
-        Seconds by stage: parse, frame (up vector and depth edges, once for a frame), opm, lift, srm, prm; and masks,
-        what a segmenter took where it was run.
-    detector, scorer : str
-    exact : bool
-        The objects are the dataset's own.
-    numbers : mapping of int to int
-        By identity the place of a thing among all that the detector finds in the frame, by which it is called; empty
-        where that is not known without looking.
-    score_calibration : ScoreCalibration or None
-        What made the candidates' scores of the detector's; None where they are its own.
-    ranking : Ranking or None
-        None where a class was not found.
-    answered : str or None
-        The answer in words where it was given elsewhere without what ranked it: then the first pair is it, if it is
-        one of the objects, and numbers of the pairs are no part of it.
-    own_scores : bool
-        An imported ranking that is not the product of the factors.
-    """
-
-    frame: Frame
+    frame: Frame  # With the up vector that was used
     viewer: ViewerAxes
-    query: Query
-    objects: tuple[SceneObject, ...]
-    candidates: dict[str, Candidates]
+    query: Query  # The parsed expression with all its readings
+    objects: tuple[SceneObject, ...]  # All proposals of all names, lifted; each thing once
+    candidates: dict[str, Candidates]  # Class name as asked -> places in `objects` and scores
     scores: RelationScores
+    # timings: Seconds by stage: parse, frame (up vector and depth edges, once for a frame), opm, lift, srm, prm; and
+    # masks, what a segmenter took where it was run
     timings: dict[str, float]
     detector: str
     scorer: str
-    exact: bool
+    exact: bool  # The objects are the dataset's own
+    # score_calibration: What made the candidates' scores of the detector's; None where they are its own
     score_calibration: ScoreCalibration | None = None
-    ranking: Ranking | None = None
+    ranking: Ranking | None = None  # None where a class was not found
+    # answered: The answer in words where it was given elsewhere without what ranked it: then the first pair is it, if
+    # it is one of the objects, and numbers of the pairs are no part of it
     answered: str | None = None
-    own_scores: bool = False
+    own_scores: bool = False  # An imported ranking that is not the product of the factors
+    # numbers: by identity the place of a thing among all that the detector finds in the frame,
+    # by which it is called; empty where that is not known without looking
     numbers: Mapping[int, int] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -203,23 +168,9 @@ def ask(
 ) -> Trace:
     """Answer an expression such as "mug left of the laptop".
 
-    Parameters
-    ----------
-    frame : Frame or FrameContext
-        A context keeps what does not depend on the question between calls.
-    text : str
-    detector : Detector
-    scorer : RelationScorer, optional
-        The geometric rule where none is given.
-    class_names : sequence of str
-        Names the parser should keep whole ("front door").
-    reader : Reader, optional
-        What reads the expression; the grammar where none is given.
-
-    Raises
-    ------
-    InputError
-        For an expression that cannot be read, or a name the detector cannot know.
+    `frame`: A context keeps what does not depend on the question between calls; `scorer`: the geometric rule where none
+    is given; `class_names`: names the parser should keep whole ("front door"); `reader`: what reads the expression; the
+    grammar where none is given.
     """
     config = config or AskConfig()
     scorer = scorer or RuleScorer()
@@ -270,14 +221,8 @@ def ranked(
 ) -> Trace:
     """A trace with its ranking; as it is where a class was not found.
 
-    Parameters
-    ----------
-    trace : Trace
-    config : RankConfig
-    same : callable
-        Gives (N, N) bool, which of the objects are one and the same thing.
-    edited : callable
-        Changes the relation probabilities that the ranking asks for.
+    `same`: gives (N, N) bool, which of the objects are one and the same thing; `edited`: changes the relation
+    probabilities that the ranking asks for.
     """
     rule = config.rule
     if rule is not None:

@@ -45,11 +45,6 @@ def detections(
 
     A reference that the detector cannot know is left out together with its relation where the rest still says which
     thing is meant: where there are other relations, choices or attributes, or only one thing of the name.
-
-    Raises
-    ------
-    UnknownClass
-        A name that the detector cannot know, and without it the thing meant is not told.
     """
     query = whole_names(query, detector, synonyms)
     query = replace(query, asked=tuple((n.label, name_for(n, detector, synonyms)) for n in query.nodes))
@@ -186,11 +181,7 @@ def unused_words(query: Query) -> tuple[tuple[str, str], ...]:
 def taken_as(query: Query, found: Mapping[str, Sequence[str]]) -> tuple[tuple[str, Meaning], ...]:
     """The names of a question that stand for things which the detector calls something else.
 
-    Parameters
-    ----------
-    query : Query
-    found : mapping of str to sequence of str
-        What the detector calls what it found, by label of the question.
+    `found`: what the detector calls what it found, by label of the question.
     """
     told = []
     for node in query.nodes:

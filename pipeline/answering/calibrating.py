@@ -51,30 +51,10 @@ def collect_hits(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Detections as `ask` gets them, and which of them are hits.
 
-    Parameters
-    ----------
-    source : Pipeline
-        A dataset with annotations, and a detector.
-    frame_ids : sequence of str
-        Broken frames are left out, with their reason to `skipped`.
-    class_names : callable
-        The names to be asked for in a frame, each by itself; names that the detector does not know are left out.
-    progress : callable, optional
-        Called with (frames done, frames in all).
-    used : callable, optional
-        Called with each frame that was not left out.
-
-    Returns
-    -------
-    scores : (N,) float64
-    hits : (N,) bool
-    frames : (N,) int64
-        Which of `frame_ids` each is of.
-
-    Raises
-    ------
-    InputError
-        There is no detector, it is the truth itself, or the dataset has no annotations.
+    `source`: A dataset with annotations, and a detector; `frame_ids`: broken frames are left out, with their reason to
+    `skipped`; `class_names`: the names to be asked for in a frame, each by itself; names that the detector does not
+    know are left out; `progress`: called with (frames done, frames in all); `used`: called with each frame that was not
+    left out. Returns `scores` (N,) float64; `hits` (N,) bool; `frames` (N,) int64: which of `frame_ids` each is of.
     """
     detector = source.needed_detector()
     require(not detector.exact, f"the detections of {detector.name!r} are the truth: there is nothing to calibrate")
@@ -128,7 +108,6 @@ def calibrate_scores(
 
     Returns
     -------
-    calibration : ScoreCalibration
     report : dict
         `frames`, `detections`, `hits`, `fitted` (False for the identity), `before` and `after`: each with `brier`,
         `ece` (15 bins), `log_loss` and `reliability`, a list of {low, high, count, score, hits} by bin of score.

@@ -37,24 +37,12 @@ _VIEWER_CHOICES = {
 
 @dataclass(frozen=True)
 class Factor:
-    """One thing that a noun phrase says of an object alone.
-
-    Attributes
-    ----------
-    kind : {"attribute", "choice", "negation", "viewer"}
-    text : str
-        The words that said it.
-    mention : int
-        The number of the noun.
-    object : int
-        Place in the list of objects.
-    probability : float
-    """
+    """One thing that a noun phrase says of an object alone."""
 
     kind: Kind
-    text: str
-    mention: int
-    object: int
+    text: str  # The words that said it
+    mention: int  # The number of the noun
+    object: int  # Place in the list of objects
     probability: float
 
     @property
@@ -64,14 +52,7 @@ class Factor:
 
 
 class SceneEvidence:
-    """The objects of a question, as their attributes and choices see them; computed where it is asked.
-
-    Parameters
-    ----------
-    objects : sequence of SceneObject
-    frame : Frame
-    viewer : ViewerAxes
-    """
+    """The objects of a question, as their attributes and choices see them; computed where it is asked."""
 
     def __init__(self, objects: Sequence[SceneObject], frame: Frame, viewer: ViewerAxes) -> None:
         self.objects, self.frame, self.viewer = objects, frame, viewer
@@ -130,11 +111,7 @@ class SceneEvidence:
     def choice(self, choice: Choice, index: np.ndarray, belief: np.ndarray) -> np.ndarray:
         """(K,) float64: P(x is the one chosen), given how surely each fits all the rest.
 
-        Parameters
-        ----------
-        choice : Choice
-        index : (K,) int64
-        belief : (K,) float64
+        `index`: (K,) int64; `belief`: (K,) float64.
         """
         keys = self.order(choice.order, index, belief)
         if choice.rank is not None:
@@ -158,14 +135,8 @@ class SceneEvidence:
 def ranked_probability(keys: np.ndarray, belief: np.ndarray, rank: int) -> np.ndarray:
     """(K,) float64: P(exactly rank - 1 of the fitting things come before x) of each x.
 
-    Parameters
-    ----------
-    keys : (K,) float64
-        The smallest is first; NaN is in no order and never chosen.
-    belief : (K,) float64
-        How surely each fits, independently of the others (a Poisson-binomial count).
-    rank : int
-        From 1.
+    `keys`: (K,) float64: the smallest is first; NaN is in no order and never chosen; `belief`: (K,) float64: how surely
+    each fits, independently of the others (a Poisson-binomial count); `rank`: from 1.
     """
     found = np.zeros(len(keys))
     count = np.zeros(rank)

@@ -17,16 +17,9 @@ def frame_colors(
 ) -> np.ndarray:
     """(H, W, 3) uint8 colours of a frame's pixels.
 
-    Parameters
-    ----------
-    mode : str
-        "rgb", "objects" (masks in colours, the larger below), "depth" or "evidence" (what was cleaned away, and why).
-    frame : Frame
-    objects : sequence of SceneObject
-        Without any, "objects" and "evidence" are the picture itself.
-    roles : mapping of int to Role
-        Places in `objects` that have the colour of a role.
-    dark : bool
+    `mode`: "rgb", "objects" (masks in colours, the larger below), "depth" or "evidence" (what was cleaned away, and
+    why); `objects`: without any, "objects" and "evidence" are the picture itself; `roles`: mapping of int to Role:
+    places in `objects` that have the colour of a role.
     """
     if mode == "depth":
         return depth_colors(frame.depth)

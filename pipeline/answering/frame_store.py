@@ -60,26 +60,13 @@ class ToldUp:
 
 @dataclass(frozen=True)
 class LoadedFrame:
-    """A frame with all its objects.
-
-    Attributes
-    ----------
-    context : PreparedFrame
-    objects : tuple of SceneObject
-        Everything the detector finds in it; empty without a detector.
-    problem : str
-        Why a detector could not be asked about this frame.
-    told : ToldUp or None
-        What was said of up since the program began.
-    doubt : str
-        What speaks against its depth, with the command that looks into it; empty where nothing does.
-    """
+    """A frame with all its objects."""
 
     context: PreparedFrame
-    objects: tuple[SceneObject, ...]
-    problem: str = ""
-    told: ToldUp | None = None
-    doubt: str = ""
+    objects: tuple[SceneObject, ...]  # Everything the detector finds in it; empty without a detector
+    problem: str = ""  # Why a detector could not be asked about this frame
+    told: ToldUp | None = None  # What was said of up since the program began
+    doubt: str = ""  # What speaks against its depth, with the command that looks into it; empty where nothing does
     _thumbs: dict[bytes, bytes] = field(default_factory=dict, repr=False, compare=False)
     _painted: WeakValueDictionary[Hashable, np.ndarray] = field(
         default_factory=WeakValueDictionary, repr=False, compare=False
@@ -131,7 +118,6 @@ class FrameStore:
 
     Parameters
     ----------
-    sources : dict of str to Pipeline
     busy : callable
         Whether somebody is being answered: nothing is made ahead meanwhile.
     """
@@ -272,12 +258,7 @@ KEPT_PICTURES, KEPT_PLANS = 600, 16
 
 
 class PicturesBehind:
-    """Small pictures of frames, and plans of cameras, of several sources: made on threads of their own, a few kept.
-
-    Parameters
-    ----------
-    sources : mapping of str to Pipeline
-    """
+    """Small pictures of frames, and plans of cameras, of several sources: made on threads of their own, a few kept."""
 
     def __init__(self, sources: Mapping[str, Pipeline]) -> None:
         self._sources = sources

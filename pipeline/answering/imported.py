@@ -54,19 +54,8 @@ def label_of(predictions: Predictions) -> str:
 class GivenDetector:
     """Gives the proposals of a line; without a line those of all lines of the frame.
 
-    Parameters
-    ----------
-    predictions : Predictions
-    line : Prediction, optional
-    below : bool
-        `detect_with_dropped` holds also what was below the minimum score.
-
-    Attributes
-    ----------
-    final : bool
-        What is given goes on as it is: nothing is suppressed, cut off or calibrated.
-    told_by_ids : bool
-        Only one id is one thing.
+    `below`: `detect_with_dropped` holds also what was below the minimum score; `final`: what is given goes on as it is:
+    nothing is suppressed, cut off or calibrated; `told_by_ids`: only one id is one thing.
     """
 
     final = True
@@ -185,20 +174,11 @@ def line_of(source: Pipeline) -> Prediction:
 
 @dataclass(frozen=True)
 class ImportedPipeline(Pipeline):
-    """A dataset with the predictions of another pipeline, of the whole file or of one `line`.
-
-    Attributes
-    ----------
-    predictions : Predictions
-    rescore : callable or None
-        Asks the other pipeline's ranking again; see `pair_rules.Rescore`.
-    shown : RunRules or None
-        What the whole file showed of its ranking, where these are some of its lines.
-    """
+    """A dataset with the predictions of another pipeline, of the whole file or of one `line`."""
 
     predictions: Predictions = field(kw_only=True)
-    rescore: Rescore | None = None
-    shown: RunRules | None = None
+    rescore: Rescore | None = None  # Asks the other pipeline's ranking again; see `pair_rules.Rescore`
+    shown: RunRules | None = None  # What the whole file showed of its ranking, where these are some of its lines
 
     @cached_property
     def rules(self) -> RunRules:
@@ -256,16 +236,7 @@ def _given_reader(line: Prediction, system: str) -> Callable[..., Query]:
 def open_imported(predictions: Path, dataset: Any, **options: Any) -> ImportedPipeline:
     """A dataset with the predictions of a file.
 
-    Parameters
-    ----------
-    predictions : Path
-    dataset, options
-        As for `open_pipeline`; what names models is refused.
-
-    Raises
-    ------
-    InputError
-        As `open_pipeline` and `read_predictions`; a line of a frame that the dataset does not have.
+    `dataset`, `options`: as for `open_pipeline`; what names models is refused.
     """
     for name in ("detector", "model", "segmenter", "fuse", "also", "config"):
         require(not options.get(name), f"{name} is not for imported predictions", cause="the file says what was seen")

@@ -55,75 +55,36 @@ def _depth_contract(name: str) -> DetectorContract:
 
 @dataclass(frozen=True)
 class Adapter:
-    """What an option reads.
+    """What an option reads."""
 
-    Attributes
-    ----------
-    option : str
-        "--detector grounding-dino".
-    contracts : tuple of DetectorContract
-        Any of them, or an encoder and a decoder of them.
-    known : tuple of KnownModel
-    needs : str or None
-        The extra that is missing here, if one is.
-    """
-
-    option: str
-    contracts: tuple[DetectorContract, ...]
+    option: str  # "--detector grounding-dino"
+    contracts: tuple[DetectorContract, ...]  # Any of them, or an encoder and a decoder of them
     known: tuple[KnownModel, ...]
-    needs: str | None
+    needs: str | None  # The extra that is missing here, if one is
 
 
 @dataclass(frozen=True)
 class FileReport:
-    """What a file is.
-
-    Attributes
-    ----------
-    path : Path
-    megabytes : float or None
-        In 10**6 bytes.
-    inputs, outputs : tuple of TensorSpec
-    kind : FileKind or None
-        None where nothing here knows it.
-    missing : tuple of str
-        What must stand beside it and does not.
-    class_names : tuple of str
-        Those in its metadata, in the order of its outputs.
-    problem : str or None
-        Why it cannot be opened.
-    """
+    """What a file is."""
 
     path: Path
-    megabytes: float | None
+    megabytes: float | None  # In 10**6 bytes
     inputs: tuple[TensorSpec, ...] = ()
     outputs: tuple[TensorSpec, ...] = ()
-    kind: FileKind | None = None
-    missing: tuple[str, ...] = ()
-    class_names: tuple[str, ...] = ()
-    problem: str | None = None
+    kind: FileKind | None = None  # None where nothing here knows it
+    missing: tuple[str, ...] = ()  # What must stand beside it and does not
+    class_names: tuple[str, ...] = ()  # Those in its metadata, in the order of its outputs
+    problem: str | None = None  # Why it cannot be opened
 
 
 @dataclass(frozen=True)
 class Here:
-    """What this machine has.
+    """What this machine has."""
 
-    Attributes
-    ----------
-    version : str
-        Of ONNX Runtime.
-    providers : tuple of str
-        What it was built with.
-    fetched : tuple of (str, Path)
-        Models from the hub, by their ids.
-    networks : tuple of (str, Path)
-        Relation networks that were installed, by name.
-    """
-
-    version: str
-    providers: tuple[str, ...]
-    fetched: tuple[tuple[str, Path], ...]
-    networks: tuple[tuple[str, Path], ...]
+    version: str  # Of ONNX Runtime
+    providers: tuple[str, ...]  # What it was built with
+    fetched: tuple[tuple[str, Path], ...]  # Models from the hub, by their ids
+    networks: tuple[tuple[str, Path], ...]  # Relation networks that were installed, by name
 
 
 def adapters() -> tuple[Adapter, ...]:

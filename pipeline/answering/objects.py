@@ -28,33 +28,17 @@ BOX_MARGIN_M = 0.02
 
 @dataclass(frozen=True)
 class SceneObject:
-    """One proposal in 3D.
+    """One proposal in 3D."""
 
-    Attributes
-    ----------
-    id : int
-        The detector's own identity; the annotation's index for `annotations`, -1 where it has none.
-    label : str
-    score : float
-        0..1.
-    bbox : (4,) float32
-        x0, y0, x1, y1, pixels.
-    mask : (H, W) bool
-    lifted : LiftedObject
-    told : mapping of str to float
-        P(attribute | object) where an imported file gives it, by attribute.
-    box_from : str
-        Of imported predictions: "given", or "worked out" where the file gives no 3D box of it.
-    """
-
-    id: int
+    id: int  # The detector's own identity; the annotation's index for `annotations`, -1 where it has none
     label: str
-    score: float
-    bbox: np.ndarray
-    mask: np.ndarray
+    score: float  # 0..1
+    bbox: np.ndarray  # (4,) float32: x0, y0, x1, y1, pixels
+    mask: np.ndarray  # (H, W) bool
     lifted: LiftedObject
+    # told: P(attribute | object) where an imported file gives it, by attribute
     told: Mapping[str, float] = field(default_factory=dict)
-    box_from: str = ""
+    box_from: str = ""  # Of imported predictions: "given", or "worked out" where the file gives no 3D box of it
 
     def __repr__(self) -> str:
         return f"<SceneObject {self.label!r}, score {self.score:.2f}, {self.box or 'no 3D box'}>"
@@ -74,8 +58,6 @@ class PreparedFrame:
 
     Parameters
     ----------
-    frame : Frame
-    config : LiftConfig, optional
     boxes : bool
         Fit 3D boxes; without them lifting is a third cheaper, and all relations are the same.
     up_doubt : str
@@ -85,7 +67,6 @@ class PreparedFrame:
     ----------
     frame : Frame
         With the camera's up vector resolved.
-    viewer : ViewerAxes
     edges : (H, W) bool
         Depth edges.
     seconds : float
@@ -194,8 +175,7 @@ def same_object(objects: Sequence[SceneObject], exact: bool) -> np.ndarray:
     Parameters
     ----------
     exact : bool
-        The detector's identities are the truth, and only they count: a
-        cushion may fill most of the chair it lies on.
+        The detector's identities are the truth, and only they count: a cushion may fill most of the chair it lies on.
 
     Returns
     -------

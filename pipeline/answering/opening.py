@@ -35,35 +35,17 @@ Skipped = Callable[[str, str], None]
 
 @dataclass(frozen=True)
 class Pipeline:
-    """A dataset with the models to be used on it.
-
-    Attributes
-    ----------
-    dataset : Dataset
-    detector : Detector or None
-        None where the dataset has no annotations and no detector was named.
-    scorer : RelationScorer
-    config : AskConfig
-    synonyms : Synonyms or None
-    open_unfiltered : callable or None
-        Opens the same detector without a minimum score.
-    reader : Reader
-        What reads expressions: the grammar, unless another was asked for.
-    predictions : Predictions or None
-        Of another pipeline, which answers are read from.
-    line : Prediction or None
-        Of these, the one expression that this pipeline is about.
-    """
+    """A dataset with the models to be used on it."""
 
     dataset: Dataset
-    detector: Detector | None
+    detector: Detector | None  # None where the dataset has no annotations and no detector was named
     scorer: RelationScorer
     config: AskConfig = field(default_factory=AskConfig)
     synonyms: Synonyms | None = None
-    open_unfiltered: Callable[[], Detector | None] | None = None
-    reader: Reader = parse
-    predictions: Predictions | None = None
-    line: Prediction | None = None
+    open_unfiltered: Callable[[], Detector | None] | None = None  # Opens the same detector without a minimum score
+    reader: Reader = parse  # What reads expressions: the grammar, unless another was asked for
+    predictions: Predictions | None = None  # Of another pipeline, which answers are read from
+    line: Prediction | None = None  # Of these, the one expression that this pipeline is about
 
     def __repr__(self) -> str:
         name = self.dataset.root.resolve().name
@@ -186,8 +168,8 @@ def open_pipeline(
     Raises
     ------
     InputError
-        For a folder that cannot be read, an unknown model name, a model file of another contract, a score
-        calibration of another detector.
+        For a folder that cannot be read, an unknown model name, a model file of another contract, a score calibration
+        of another detector.
     """
     camera: dict[str, Any] = {
         "intrinsics": intrinsics, "depth_scale": depth_scale, "up": up, "level_at": level_at,

@@ -107,16 +107,10 @@ def _read(text: str, names: tuple[str, ...]) -> tuple[str, str, str] | None:
 
 @dataclass(frozen=True)
 class RunRules:
-    """What the lines of a file say together of the rule that ranks.
-
-    Attributes
-    ----------
-    shown : ShownRanking or None
-    true_scores : (float, float)
-        What is high and low for a thing by this file: of what nothing ever had, no score is known.
-    """
+    """What the lines of a file say together of the rule that ranks."""
 
     shown: ShownRanking | None
+    # true_scores: What is high and low for a thing by this file: of what nothing ever had, no score is known
     true_scores: tuple[float, float]
 
     @staticmethod
@@ -148,55 +142,32 @@ def _told_scores(header: Header, line: Prediction, factors: Factors) -> dict[Pai
 
 @dataclass(frozen=True, eq=False)
 class PairRule:
-    """How the pairs of one line score.
+    """How the pairs of one line score."""
 
-    Attributes
-    ----------
-    given : dict of (target id, reference id) to float
-        As the line says, or by the model where it says no scores.
-    factors : dict of (target id, reference id) to (P(target), P(reference), P(relation))
-        What these scores were given for.
-    model : callable or None
-        (ids (P..., 2), factors (..., P..., 3)) -> (..., P...): what the pairs of a line score by what is known of the
-        ranking, on `scale`; None where nothing is, and their scores stand.
-    unit : float
-        So much more score is one more of the log odds of standing higher; 0 where the model is the ranking itself, and
-        nothing that was fitted to it.
-    scale : str
-        On which the model is a sum; see `shown_ranking.SCALES`.
-    told : bool
-        The scores are the system's own, and no product.
-    true_scores : (float, float)
-    answered : str or None
-        Of a line that does not tell what ranked: its answer in words, which no number of ours may stand beside.
-    scored : bool
-        `given` are scores of the file.
-    first : GivenAnswer or None
-        What was answered, where it is still to be put first among the pairs that are two things: `among`.
-    ids : (N,) int64
-        Of the list of objects that the table of pairs is about.
-    """
-
+    # given: dict of (target id, reference id) to float: as the line says, or by the model where it says no scores
     given: dict[Pair, float]
+    # factors: dict of (target id, reference id) to (P(target), P(reference), P(relation)): what these scores were given
+    # for
     factors: Factors = field(default_factory=dict)
+    # model: (ids (P..., 2), factors (..., P..., 3)) -> (..., P...): what the pairs of a line score by what is known of
+    # the ranking, on `scale`; None where nothing is, and their scores stand
     model: Model | None = None
+    # unit: So much more score is one more of the log odds of standing higher; 0 where the model is the ranking itself,
+    # and nothing that was fitted to it
     unit: float = 0.0
-    scale: Scale = "values"
-    told: bool = True
+    scale: Scale = "values"  # On which the model is a sum; see `shown_ranking.SCALES`
+    told: bool = True  # The scores are the system's own, and no product
     true_scores: tuple[float, float] = RankConfig().true_scores
+    # answered: Of a line that does not tell what ranked: its answer in words, which no number of ours may stand beside
     answered: str | None = None
-    scored: bool = False
+    scored: bool = False  # `given` are scores of the file
+    # first: What was answered, where it is still to be put first among the pairs that are two things: `among`
     first: GivenAnswer | None = None
+    # ids: (N,) int64: of the list of objects that the table of pairs is about
     ids: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def among(self, ids: Sequence[int], same: np.ndarray) -> PairRule | None:
-        """With the answer before all others of a list of objects; None where the header's product says so by itself.
-
-        Raises
-        ------
-        InputError
-            Target and reference of the answer are one thing by `same`, (N, N) bool, and others are not.
-        """
+        """With the answer before all others of a list of objects; None where the header's product says so by itself."""
         known = np.array(ids, np.int64)
         apart = {(int(known[i]), int(known[j])) for i, j in np.argwhere(~same)}
         scores = {pair: score for pair, score in self.given.items() if pair in apart or pair[1] < 0}

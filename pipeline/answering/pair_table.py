@@ -69,39 +69,23 @@ class Link:
 
 @dataclass(frozen=True)
 class ScoredPair:
-    """One candidate answer.
-
-    Attributes
-    ----------
-    target : int
-    reference : int or None
-        Places in the list of objects; None where no pair was allowed, or no relation to another object was asked.
-    p_target, p_reference, p_relation : float
-        The three factors.
-    log_score : float
-        S, the weighted sum of logs.
-    product : float
-        Of the factors, with those of all further relations of the expression.
-    probability : float
-        Posterior over all allowed pairs.
-    links : tuple of Link
-        All relations of the expression with the objects that fill them; empty where only the one was asked.
-    second_reference : int or None
-        The other end of "between".
-    factors : tuple of Factor
-        What the expression says of its objects one by one: attributes, choices, what they are not.
-    """
+    """One candidate answer."""
 
     target: int
+    # reference: Places in the list of objects; None where no pair was allowed, or no relation to another object was
+    # asked
     reference: int | None
+    # p_target, p_reference, p_relation: The three factors
     p_target: float
     p_reference: float
     p_relation: float
-    log_score: float
-    product: float
-    probability: float
+    log_score: float  # S, the weighted sum of logs
+    product: float  # Of the factors, with those of all further relations of the expression
+    probability: float  # Posterior over all allowed pairs
+    # links: All relations of the expression with the objects that fill them; empty where only the one was asked
     links: tuple[Link, ...] = ()
-    second_reference: int | None = None
+    second_reference: int | None = None  # The other end of "between"
+    # factors: What the expression says of its objects one by one: attributes, choices, what they are not
     factors: tuple[Factor, ...] = ()
 
     def __repr__(self) -> str:
@@ -140,20 +124,12 @@ class ScoredPair:
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """What may fill one place of a pair.
+    """What may fill one place of a pair."""
 
-    Attributes
-    ----------
-    index : (K,) int64
-        Places in the list of objects.
-    scores : (..., K) float64
-        P(x | name), 0..1.
-    log : (..., K) float64
-        What each adds to S: its own weighted log score, and the best of everything that hangs on it.
-    """
-
-    index: np.ndarray
-    scores: np.ndarray
+    index: np.ndarray  # (K,) int64: places in the list of objects
+    scores: np.ndarray  # (..., K) float64: P(x | name), 0..1
+    # log: (..., K) float64: what each adds to S: its own weighted log score, and the best of everything that hangs on
+    # it
     log: np.ndarray
 
 
@@ -192,18 +168,9 @@ def pair_table(
 ) -> PairTable:
     """The score of all pairs, of one scene or of many at once.
 
-    Parameters
-    ----------
-    target : Side
-    ends : sequence of Side
-        The reference; with "between" both.
-    p : (..., T, R) or (..., T, R, R) float64
-        Probability of the relation.
-    forbidden : bool, of that shape or one that fits it
-        No pairs: see `one_object_twice`.
-    sizes : (N,) int64
-        Pixels of the mask of every object; the larger target wins a tie.
-    config : RankConfig
+    `ends`: the reference; with "between" both; `p`: (..., T, R) or (..., T, R, R) float64: probability of the relation;
+    `forbidden`: no pairs: see `one_object_twice`; `sizes`: (N,) int64: pixels of the mask of every object; the larger
+    target wins a tie.
     """
     if config.rule is not None and (len(ends) < 2 or config.rule.answered is not None):
         log_score = np.where(forbidden, -np.inf, config.rule.scores(target, ends, p))
@@ -220,23 +187,14 @@ def _along(values: np.ndarray, axis: int, axes: int) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class PairTable:
-    """All pairs of a question. Pairs are counted through: the place of one is that in its scene's flattened table.
-
-    Attributes
-    ----------
-    target : Side
-    ends : tuple of Side
-    p_relation, log_score : (..., T, R) or (..., T, R, R) float64
-        S is -inf where there is no pair.
-    sizes : (N,) int64
-    config : RankConfig
-    """
+    """All pairs of a question. Pairs are counted through: the place of one is that in its scene's flattened table."""
 
     target: Side
     ends: tuple[Side, ...]
+    # p_relation, log_score: (..., T, R) or (..., T, R, R) float64: S is -inf where there is no pair
     p_relation: np.ndarray
     log_score: np.ndarray
-    sizes: np.ndarray
+    sizes: np.ndarray  # (N,) int64
     config: RankConfig
 
     @cached_property

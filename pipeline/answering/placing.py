@@ -38,13 +38,7 @@ def pixel_scale(header: Header, width: int, height: int) -> np.ndarray:
 
 
 def box_3d(given: GivenBox, header: Header, camera: Camera | None) -> Box3D:
-    """A 3D box in the camera frame, metres.
-
-    Raises
-    ------
-    InputError
-        It is no box: a rotation that is none, corners that are none of a box, no pose for one in the world.
-    """
+    """A 3D box in the camera frame, metres."""
     if given.corners is not None:
         box = box_of_corners(np.array(given.corners))
     else:

@@ -25,11 +25,6 @@ def joined_events(events: Iterable[Numbered], path: Path) -> Iterator[Numbered]:
     """The predictions that events tell, in the order of the file, with the numbers of the lines that begin them.
 
     One that has no end keeps its proposals, and has the problem `OPEN`: what else was told of it may be half of it.
-
-    Raises
-    ------
-    InputError
-        A field that was told before, and otherwise: the lines of both.
     """
     lines: dict[tuple[str, str], Numbered] = {}
     for number, event in events:

@@ -50,182 +50,104 @@ class Weights:
 
 @dataclass(frozen=True)
 class Header:
-    """Whose predictions a file holds, and by which conventions; as JSON the file's first line.
-
-    Attributes
-    ----------
-    spatialviz_predictions : int
-        Version of the schema.
-    system : str
-        Name of the pipeline.
-    boxes : str
-        How 2D boxes are written.
-    box_unit : str
-        What they and points are in: pixels, or shares (0..1) or thousandths of the picture's width and height.
-    coordinates : str
-        Frame of 3D boxes: the camera's with y down and z forward, or y up and z backward; or the dataset's world.
-    length : str
-        Unit of 3D boxes.
-    ranking : str
-        How pairs are ranked: by the product of P(target), P(reference) and P(relation) with these weights; by scores
-        of the system's own, given as "pairs"; or "none": not told.
-    weights : Weights
-    same : str
-        Which proposals count as one thing, and so never as a pair: those with one id, or also those that overlap.
-    exact : bool
-        The proposals are the dataset's own annotations.
-    events : bool
-        The lines are events of a trace: what they tell of one expression is joined.
-    scorer : str or None
-        A relation scorer of ours that made the probabilities ("rule", "trained", an ONNX file), which can be asked
-        again; None for one that cannot.
-    confidence : float or None
-        Score that is given to an object that was not proposed, where the truth is put in place; None for the median of
-        the right proposals.
-    settings : dict or None
-        Of a run of ours that was exported: how it was answered.
-    notes : str
-        For people.
-    """
+    """Whose predictions a file holds, and by which conventions; as JSON the file's first line."""
 
     __pydantic_config__ = _STRICT
 
-    spatialviz_predictions: int = VERSION
-    system: Name = "predictions"
-    boxes: Literal["xyxy", "xywh", "cxcywh", "yxyx"] = "xyxy"
+    spatialviz_predictions: int = VERSION  # Version of the schema
+    system: Name = "predictions"  # Name of the pipeline
+    boxes: Literal["xyxy", "xywh", "cxcywh", "yxyx"] = "xyxy"  # How 2D boxes are written
+    # box_unit: What they and points are in: pixels, or shares (0..1) or thousandths of the picture's width and height
     box_unit: Literal["pixels", "shares", "thousandths"] = "pixels"
+    # coordinates: Frame of 3D boxes: the camera's with y down and z forward, or y up and z backward; or the dataset's
+    # world
     coordinates: Literal["camera_opencv", "camera_opengl", "world"] = "camera_opencv"
-    length: Literal["m", "cm", "mm"] = "m"
+    length: Literal["m", "cm", "mm"] = "m"  # Unit of 3D boxes
+    # ranking: How pairs are ranked: by the product of P(target), P(reference) and P(relation) with these weights; by
+    # scores of the system's own, given as "pairs"; or "none": not told
     ranking: Literal["product", "pair_scores", "none"] = "none"
     weights: Weights = field(default_factory=Weights)
+    # same: Which proposals count as one thing, and so never as a pair: those with one id, or also those that overlap
     same: Literal["ids", "overlap"] = "ids"
-    exact: StrictBool = False
-    events: StrictBool = False
+    exact: StrictBool = False  # The proposals are the dataset's own annotations
+    events: StrictBool = False  # The lines are events of a trace: what they tell of one expression is joined
+    # scorer: A relation scorer of ours that made the probabilities ("rule", "trained", an ONNX file), which can be
+    # asked again; None for one that cannot
     scorer: str | None = None
+    # confidence: Score that is given to an object that was not proposed, where the truth is put in place; None for the
+    # median of the right proposals
     confidence: Share | None = None
-    settings: dict[str, Any] | None = None
-    notes: str = ""
+    settings: dict[str, Any] | None = None  # Of a run of ours that was exported: how it was answered
+    notes: str = ""  # For people
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """One detection for a name.
-
-    Attributes
-    ----------
-    id : int
-        Which object of the frame it is: the same number in two names, or in two lines of a frame, is one object.
-    score : float
-        P(object | name), 0..1.
-    box : tuple of 4 float or None
-        As the header says; may be left out where an earlier line of the frame told it of this id.
-    name : str
-        What the detector calls it; empty for the name that was asked.
-    mask : RunLength or None
-        COCO's run-length code, of the frame's size; without it the box is all that is known.
-    dropped : str or None
-        It did not go on to the ranking: cut off by K, suppressed by a better one, or below the minimum score.
-    """
+    """One detection for a name."""
 
     __pydantic_config__ = _STRICT
 
-    id: Id
-    score: Share
-    box: Four | None = None
-    name: str = ""
+    id: Id  # Which object of the frame it is: the same number in two names, or in two lines of a frame, is one object
+    score: Share  # P(object | name), 0..1
+    box: Four | None = None  # As the header says; may be left out where an earlier line of the frame told it of this id
+    name: str = ""  # What the detector calls it; empty for the name that was asked
+    # mask: COCO's run-length code, of the frame's size; without it the box is all that is known
     mask: RunLength | None = None
+    # dropped: It did not go on to the ranking: cut off by K, suppressed by a better one, or below the minimum score
     dropped: Literal["rank", "overlap", "threshold"] | None = None
 
 
 @dataclass(frozen=True)
 class GivenBox:
-    """A 3D box: center, size and rotation, or its eight corners in any order; in the header's frame and unit.
-
-    Attributes
-    ----------
-    center, size : tuple of 3 float or None
-        Full edge lengths along the box's own axes.
-    rotation : tuple of 9 float or None
-        Row by row; its columns are the box's axes. None for a box along the axes of the frame.
-    corners : tuple of 8 tuples or None
-    """
+    """A 3D box: center, size and rotation, or its eight corners in any order; in the header's frame and unit."""
 
     __pydantic_config__ = _STRICT
 
+    # center, size: Full edge lengths along the box's own axes
     center: Three | None = None
     size: Three | None = None
+    # rotation: Row by row; its columns are the box's axes. None for a box along the axes of the frame.
     rotation: Annotated[tuple[Number, ...], Field(min_length=9, max_length=9)] | None = None
     corners: Annotated[tuple[Three, ...], Field(min_length=8, max_length=8)] | None = None
 
 
 @dataclass(frozen=True)
 class GivenAnswer:
-    """What was answered: one of these; with an object also the reference that it was found by.
-
-    Attributes
-    ----------
-    object, reference : int or None
-        Ids of proposals.
-    box : tuple of 4 float or None
-    point : tuple of 2 float or None
-        x, y in the unit of boxes.
-    mask : RunLength or None
-    yes : bool or None
-    """
+    """What was answered: one of these; with an object also the reference that it was found by."""
 
     __pydantic_config__ = _STRICT
 
+    # object, reference: Ids of proposals
     object: Id | None = None
     reference: Id | None = None
     box: Four | None = None
-    point: tuple[Number, Number] | None = None
+    point: tuple[Number, Number] | None = None  # x, y in the unit of boxes
     mask: RunLength | None = None
     yes: StrictBool | None = None
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """One expression on a frame; as JSON a line of the file.
-
-    Attributes
-    ----------
-    frame : str
-        Id of the dataset's frame.
-    text : str
-    answer : GivenAnswer or None
-        None where there is none, or where the ranking that the file gives says it.
-    problem : str or None
-        Why there is none.
-    target, relation, reference : str or None
-        How the system read the words, where it did; else ours reads them.
-    proposals : dict of str to tuple of Proposal or None
-        By the name that was asked; from level 1 on.
-    unknown : dict of str to str or None
-        Names that the detector could not be asked for, and why.
-    boxes_3d : dict of int to GivenBox or None
-        By id, null where an object has none; from level 2 on.
-    relations : dict of str to tuple of (a, b, p), or None
-        P("a RELATION b") by relation; from level 3 on. Of "between" rows of three objects.
-    attributes : dict of str to tuple of (id, p), or None
-        P(attribute | object) by attribute ("red").
-    pairs : tuple of (target, reference, score), or None
-        The system's own scores of pairs, higher is better; the reference is null where none is asked.
-    """
+    """One expression on a frame; as JSON a line of the file."""
 
     __pydantic_config__ = _STRICT
 
-    frame: Name
+    frame: Name  # Id of the dataset's frame
     text: Name
-    answer: GivenAnswer | None = None
-    problem: str | None = None
+    answer: GivenAnswer | None = None  # None where there is none, or where the ranking that the file gives says it
+    problem: str | None = None  # Why there is none
+    # target, relation, reference: How the system read the words, where it did; else ours reads them
     target: Name | None = None
     relation: str | None = None
     reference: Name | None = None
-    proposals: dict[Name, tuple[Proposal, ...]] | None = None
-    unknown: dict[Name, str] | None = None
+    proposals: dict[Name, tuple[Proposal, ...]] | None = None  # By the name that was asked; from level 1 on
+    unknown: dict[Name, str] | None = None  # Names that the detector could not be asked for, and why
+    # boxes_3d: dict of int to GivenBox: by id, null where an object has none; from level 2 on
     boxes_3d: dict[Key, GivenBox | None] | None = None
+    # relations: P("a RELATION b") by relation; from level 3 on. Of "between" rows of three objects.
     relations: dict[str, tuple[Row, ...]] | None = None
-    attributes: dict[Name, tuple[tuple[Id, Share], ...]] | None = None
+    attributes: dict[Name, tuple[tuple[Id, Share], ...]] | None = None  # P(attribute | object) by attribute ("red")
+    # pairs: The system's own scores of pairs, higher is better; the reference is null where none is asked
     pairs: tuple[tuple[Id, Id | None, Number], ...] | None = None
 
     @property

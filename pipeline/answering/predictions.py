@@ -58,28 +58,17 @@ _HEADER, _LINE = TypeAdapter(Header), TypeAdapter(Prediction)
 
 @dataclass(frozen=True)
 class Predictions:
-    """A file of predictions, read and checked.
-
-    Attributes
-    ----------
-    path : Path
-    header : Header
-    lines : dict of (str, str) to Prediction
-        By frame and text, boxes and masks filled in from earlier lines of the frame.
-    numbers : dict of (str, str) to int
-        The number of each line in the file, from 1, for messages.
-    least : int or None
-        The level of the file that these lines are some of.
-    cut_off : int or None
-        The number of a last line that a killed writer left half, and that is not read.
-    """
+    """A file of predictions, read and checked."""
 
     path: Path
     header: Header
+    # lines: dict of (str, str) to Prediction: by frame and text, boxes and masks filled in from earlier lines of the
+    # frame
     lines: dict[tuple[str, str], Prediction]
+    # numbers: dict of (str, str) to int: the number of each line in the file, from 1, for messages
     numbers: dict[tuple[str, str], int]
-    least: int | None = None
-    cut_off: int | None = None
+    least: int | None = None  # The level of the file that these lines are some of
+    cut_off: int | None = None  # The number of a last line that a killed writer left half, and that is not read
 
     @property
     def level(self) -> int:
@@ -185,14 +174,7 @@ def _words_of(frame: str, text: str) -> tuple[str, str]:
 
 
 def read_lines(path: Path, cut: list[int] | None = None) -> Iterator[tuple[int, Header | Prediction]]:
-    """The header and each line, or what events tell of an expression, by itself, with its number from 1.
-
-    Raises
-    ------
-    InputError
-        As `read_predictions`. A last line without its end that is no JSON is what a killed writer left: it is skipped,
-        and its number added to `cut`.
-    """
+    """The header and each line, or what events tell of an expression, by itself, with its number from 1."""
     contents = read_contents(path, cut)
     header = parse_header(next(contents)[1], path)
     yield 1, header
@@ -374,12 +356,7 @@ def _filled(
 class PredictionWriter:
     """Writes predictions as they come; each line is whole on the disk before the next begins.
 
-    Parameters
-    ----------
-    path : Path
-    header : Header
-    append : bool
-        Go on with a file that has this very header; else the file must be new.
+    `append`: go on with a file that has this very header; else the file must be new.
     """
 
     def __init__(self, path: str | Path, header: Header, *, append: bool = False) -> None:

@@ -35,23 +35,12 @@ RelationLookup = Callable[[Attachment, np.ndarray, Sequence[np.ndarray]], np.nda
 
 @dataclass(frozen=True)
 class Candidates:
-    """The objects that may fill one place of the expression.
+    """The objects that may fill one place of the expression."""
 
-    Attributes
-    ----------
-    index : (K,) int64
-        Places in the list of objects.
-    scores : (K,) float64
-        P(x | name), 0..1.
-    labels : tuple of str
-        What the detector calls each under this name; empty where it is of no matter.
-    raw_scores : (K,) float64 or None
-        What the detector itself said, before any calibration; None for the same as `scores`.
-    """
-
-    index: np.ndarray
-    scores: np.ndarray
-    labels: tuple[str, ...] = ()
+    index: np.ndarray  # (K,) int64: places in the list of objects
+    scores: np.ndarray  # (K,) float64: P(x | name), 0..1
+    labels: tuple[str, ...] = ()  # What the detector calls each under this name; empty where it is of no matter
+    # raw_scores: (K,) float64: what the detector itself said, before any calibration; None for the same as `scores`
     raw_scores: np.ndarray | None = None
 
     @property
@@ -65,32 +54,15 @@ class Candidates:
 
 @dataclass(frozen=True)
 class Ranking:
-    """All allowed pairs, best first.
-
-    Attributes
-    ----------
-    pairs : tuple of ScoredPair
-    reading : Reading
-        The reading of the expression that was taken.
-    margin : float
-        Posterior of the winner minus the runner-up's; 1 where there is only one pair.
-    log_margin : float
-        S of the winner minus the runner-up's; inf where there is only one pair.
-    entropy : float
-        Of the posterior, nats.
-    degenerate : bool
-        No pair was allowed; the detector's best target stands alone.
-    reading_scores : tuple of float
-        The best S of each reading, in their order; -inf where it has no pair.
-    """
+    """All allowed pairs, best first."""
 
     pairs: tuple[ScoredPair, ...]
-    reading: Reading
-    margin: float
-    log_margin: float
-    entropy: float
-    degenerate: bool
-    reading_scores: tuple[float, ...]
+    reading: Reading  # The reading of the expression that was taken
+    margin: float  # Posterior of the winner minus the runner-up's; 1 where there is only one pair
+    log_margin: float  # S of the winner minus the runner-up's; inf where there is only one pair
+    entropy: float  # Of the posterior, nats
+    degenerate: bool  # No pair was allowed; the detector's best target stands alone
+    reading_scores: tuple[float, ...]  # The best S of each reading, in their order; -inf where it has no pair
 
     def __repr__(self) -> str:
         return f"<Ranking of {len(self.pairs)} pairs, margin {self.margin:.3f}>"
@@ -119,7 +91,6 @@ def rank(
         Pairs of one and the same object are excluded.
     mask_sizes : (N,) int
         Pixels; the larger mask wins a tie.
-    config : RankConfig, optional
     evidence : SceneEvidence, optional
         Gives what attributes and choices say of the objects; without it they say nothing.
     """
@@ -281,18 +252,10 @@ def _table(root: _Solved, mask_sizes: np.ndarray, config: RankConfig) -> PairTab
 
 @dataclass(frozen=True, eq=False)
 class SolvedReading:
-    """The table of a reading's pairs, with all that the expression says of them.
+    """The table of a reading's pairs, with all that the expression says of them."""
 
-    Attributes
-    ----------
-    root : _Solved
-        The target with all below it.
-    table : PairTable
-        The pairs of its first relation; without one the targets alone.
-    """
-
-    root: _Solved
-    table: PairTable
+    root: _Solved  # The target with all below it
+    table: PairTable  # The pairs of its first relation; without one the targets alone
 
     def pair(self, at: int) -> ScoredPair:
         """A pair of the table with its links and factors."""

@@ -23,10 +23,7 @@ def reading_notes(trace: Trace) -> tuple[str, ...]:
     A comparison decides between two; of more the first in its order is taken, and how many there were is told. Sizes
     and heights are those of the part of each thing that the camera saw.
 
-    Parameters
-    ----------
-    trace : Trace
-        Of a question that was read.
+    `trace`: of a question that was read.
     """
     return tuple(dict.fromkeys(note for node in trace.root.walk() for note in _of_node(trace, node)))
 

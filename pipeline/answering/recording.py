@@ -25,27 +25,14 @@ from pipeline.system.whole_files import temporary_folder, text_file, whole_file
 
 @dataclass(frozen=True)
 class RecordingReport:
-    """What was recorded.
-
-    Attributes
-    ----------
-    frames : int
-    detections : int
-    skipped : dict of str to str
-        Frames that were left out, and why.
-    unknown : tuple of str
-        Names that the detector does not know.
-    seconds : float
-    classes : dict of str to int
-        Detections by label, the commonest first.
-    """
+    """What was recorded."""
 
     frames: int
     detections: int
-    skipped: dict[str, str]
-    unknown: tuple[str, ...]
+    skipped: dict[str, str]  # Frames that were left out, and why
+    unknown: tuple[str, ...]  # Names that the detector does not know
     seconds: float
-    classes: dict[str, int] = field(default_factory=dict)
+    classes: dict[str, int] = field(default_factory=dict)  # Detections by label, the commonest first
 
 
 @dataclass(frozen=True)
@@ -74,11 +61,11 @@ def record_detections(
     source : Pipeline
         Its `config.k` proposals of each name are kept, as `ask` would; those of an exact detector all.
     out : str or Path
-        A JSON file where the name ends in ".json", else a folder with an NPZ file for each frame: it must not exist,
-        or be empty. Either appears whole or not at all, and frames are written one by one.
+        A JSON file where the name ends in ".json", else a folder with an NPZ file for each frame: it must not exist, or
+        be empty. Either appears whole or not at all, and frames are written one by one.
     class_names : sequence of str, optional
-        Asked for one by one, as `ask` does. None asks once for everything that the detector knows: then a thing has
-        one label only.
+        Asked for one by one, as `ask` does. None asks once for everything that the detector knows: then a thing has one
+        label only.
     progress : callable, optional
         Called with (frames done, frames in all).
     frame_ids : sequence of str, optional

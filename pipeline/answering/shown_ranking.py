@@ -75,22 +75,13 @@ def curves(factors: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class ShownRanking:
-    """What the file shows of its ranking.
+    """What the file shows of its ranking."""
 
-    Attributes
-    ----------
-    weights : (K,) float64
-        Of `curves` and `standing`; the difference of two sums is how much more the one pair scores, about, on
-        `scale`.
-    unit : float
-        So much more is one more of the log odds that it scores more at all.
-    scale : str
-        In what scores are sums.
-    """
-
+    # weights: (K,) float64: of `curves` and `standing`; the difference of two sums is how much more the one pair
+    # scores, about, on `scale`
     weights: np.ndarray
-    unit: float
-    scale: Scale = "values"
+    unit: float  # So much more is one more of the log odds that it scores more at all
+    scale: Scale = "values"  # In what scores are sums
 
     def sums(self, factors: np.ndarray, ids: np.ndarray | None = None) -> np.ndarray:
         """(..., P) float64: of factors (..., P, 3) of the pairs of a line with these ids (P, 2)."""

@@ -130,18 +130,11 @@ def _begins(text: str, word: str) -> bool:
 
 @dataclass(frozen=True)
 class MissedNames:
-    """What may help where a name was not found.
+    """What may help where a name was not found."""
 
-    Attributes
-    ----------
-    below : dict of str to float
-        Names that were not found, with the best score below the detector's minimum.
-    seen : dict of str to int
-        What the detector finds in the frame, with a score of at least SURE, where it is asked for all that it knows,
-        the commonest first; empty for one that knows any name.
-    """
-
-    below: dict[str, float]
+    below: dict[str, float]  # Names that were not found, with the best score below the detector's minimum
+    # seen: What the detector finds in the frame, with a score of at least SURE, where it is asked for all that it
+    # knows, the commonest first; empty for one that knows any name
     seen: dict[str, int]
 
 

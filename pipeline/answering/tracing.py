@@ -27,10 +27,7 @@ Rows = Mapping[Any, float] | Iterable[Sequence[float]]
 class Tracer:
     """What a pipeline calls as it runs; see `trace`. Threads and tasks may each have an expression open.
 
-    Attributes
-    ----------
-    path : Path
-        The file.
+    `path`: the file.
     """
 
     def __init__(self, path: str | Path, append: bool, conventions: Mapping[str, Any]) -> None:
@@ -55,14 +52,8 @@ class Tracer:
     ) -> None:
         """Begin an expression on a frame: what follows belongs to it. Asked once more it begins anew.
 
-        Parameters
-        ----------
-        frame : str
-            Id of the dataset's frame.
-        text : str
-            As the labels have it.
-        target, relation, reference : str, optional
-            How the pipeline reads the words; else spatialviz reads them.
+        `frame`: id of the dataset's frame; `text`: as the labels have it; `target`, `relation`, `reference`: how the
+        pipeline reads the words; else spatialviz reads them.
         """
         self._open.set((str(frame), text, set()))
         read = {"target": target, "relation": relation, "reference": reference}
@@ -81,31 +72,11 @@ class Tracer:
     ) -> list[int]:
         """What the detector found for a name.
 
-        Parameters
-        ----------
-        name : str
-            That was asked.
-        boxes : (N, 4) float
-            As the header's `boxes` and `box_unit` say.
-        scores : (N,) float
-            0..1.
-        masks : N of (H, W) bool or of COCO's run-length code, optional
-        ids : (N,) int, optional
-            Which objects of the frame they are; by default boxes are numbered, an equal box of the frame by one number.
-        names : N str, optional
-            What the detector calls each.
-        dropped : N str or None, optional
-            Why one does not go on: "rank", "overlap" or "threshold".
-
-        Returns
-        -------
-        list of int
-            The ids, by which `boxes`, `relations` and `answer` name the objects.
-
-        Raises
-        ------
-        InputError
-            Lists of different lengths, or what the schema does not allow: logits for scores, NaN, a mask of numbers.
+        `name`: that was asked; `boxes`: (N, 4) float: as the header's `boxes` and `box_unit` say; `scores`: (N,) float:
+        0..1; `masks`: N of (H, W) bool or of COCO's run-length code; `ids`: (N,) int: which objects of the frame they
+        are; by default boxes are numbered, an equal box of the frame by one number; `names`: what the detector calls
+        each; `dropped`: why one does not go on: "rank", "overlap" or "threshold". Returns the ids, by which `boxes`,
+        `relations` and `answer` name the objects.
         """
         rows, frame = plain(boxes), self._expression()[0]
         numbers = self._numbered(frame, rows) if ids is None else plain(ids)

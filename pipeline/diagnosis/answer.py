@@ -34,33 +34,16 @@ class AnswerSource(Protocol):
 
 @dataclass(frozen=True)
 class Answer(InNotebook):
-    """An answer, with what is known of it; positions in `pairs` are those in `objects`.
+    """An answer, with what is known of it; positions in `pairs` are those in `objects`."""
 
-    Attributes
-    ----------
-    text : str
-        The expression as it was asked.
-    trace : Trace or None
-        Every stage's input and output; None where the expression cannot be read or asked.
-    problem : str or None
-        Why it cannot.
-    diagnosis : Diagnosis or None
-        None where there is no verdict.
-    unjudged : str or None
-        Why there is a truth and no verdict on this answer; None also where no truth is known at all.
-    origin : AnswerSource or None
-        What answered it, where one is asked from Python: edits and the page need it.
-    edits : mapping or None
-        What it was answered under, as JSON; None for none.
-    """
-
-    text: str
-    trace: Trace | None = None
-    problem: str | None = None
-    diagnosis: Diagnosis | None = None
+    text: str  # The expression as it was asked
+    trace: Trace | None = None  # Every stage's input and output; None where the expression cannot be read or asked
+    problem: str | None = None  # Why it cannot
+    diagnosis: Diagnosis | None = None  # None where there is no verdict
+    # unjudged: Why there is a truth and no verdict on this answer; None also where no truth is known at all
     unjudged: str | None = None
-    origin: AnswerSource | None = None
-    edits: Edited | None = None
+    origin: AnswerSource | None = None  # What answered it, where one is asked from Python: edits and the page need it
+    edits: Edited | None = None  # What it was answered under, as JSON; None for none
 
     def __repr__(self) -> str:
         frame = "" if self.trace is None else f" on {self.trace.frame.id!r}"

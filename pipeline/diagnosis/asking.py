@@ -76,21 +76,14 @@ def ask_and_judge(
 
     Parameters
     ----------
-    source : Pipeline
     key : str or int
         As for `pipeline.answering.opening.contexts`.
-    expressions : sequence of str
     labels : Labels, optional
         What says what is true. By default the frame's annotations do.
     skipped : callable, optional
         Told of each broken frame among all frames.
     of_run : EvalSpec, optional
         Expressions are judged as in a run of this specification.
-
-    Raises
-    ------
-    InputError
-        As `pipeline.answering.opening.contexts` and `Pipeline.ask`.
     """
     source.needed_detector()
     for context in contexts(source, key, skipped):
@@ -176,21 +169,7 @@ def answer(
 ) -> Answer:
     """Answer an expression, and judge the answer where the truth is known.
 
-    Parameters
-    ----------
-    source : Pipeline
-    context : PreparedFrame
-    text : str
-    truth : FrameCases, optional
-    case, mark, confidence
-        As for `pipeline.diagnosis.asking.judge_trace`.
-    edits : mapping, optional
-        Edits as JSON.
-
-    Raises
-    ------
-    InputError
-        Edits that cannot be applied.
+    `case`, `mark`, `confidence`: as for `pipeline.diagnosis.asking.judge_trace`; `edits`: edits as JSON.
     """
     source.needed_detector()
     rank: RankConfig | None = None
@@ -233,13 +212,7 @@ def judge_refused(
 
 
 def edited_trace(source: Pipeline, context: PreparedFrame, text: str, edits: Edited) -> tuple[Trace, RankConfig]:
-    """The answer under edits, and the weights it was ranked with.
-
-    Raises
-    ------
-    InputError
-        Edits that cannot be read, or ones that name a file.
-    """
+    """The answer under edits, and the weights it was ranked with."""
     read = pathless_edits(edits)
     return rerun(Baseline(source, context, text), read).trace, replace(source.config.rank, **read.rank)
 
@@ -351,10 +324,8 @@ def judge_trace(
     ----------
     trace : Trace
         Edited or not.
-    source : Pipeline
     context : PreparedFrame
         Of the trace's frame.
-    truth : FrameCases
     case : Case, optional
         The labelled expression; by default the one whose words were asked, else one made of the frame's relations.
     mark : str, optional

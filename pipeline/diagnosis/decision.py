@@ -75,8 +75,6 @@ def diagnose(
 
     Parameters
     ----------
-    evidence : FrameEvidence
-    case : Case
     parse_ok : bool
         The parser read the gold triple.
     mark : str, optional

@@ -53,8 +53,6 @@ class FrameEvidence:
 
     Parameters
     ----------
-    truth : FrameCases
-    answers : FrameAnswers
     confidence : float
         Score of an object that the oracle RECALL adds, 0..1.
     cases : sequence of Case, optional
@@ -66,7 +64,6 @@ class FrameEvidence:
         IoU of the 2D boxes.
     match : (D,) int64
         The labelled object that each detection is, of whatever class: the best overlap of at least a half; -1 for none.
-    objects : TrueObjects
     same : (D + N, D + N) bool
         One and the same thing.
     same_box : (D + N, D + N) bool
@@ -257,17 +254,8 @@ class FrameEvidence:
 class TrueObjects:
     """What LIFT and RECALL put in place of detections; each object is made when it is first needed.
 
-    Parameters
-    ----------
-    truth : FrameCases
-    context : PreparedFrame
-
-    Attributes
-    ----------
-    known : (N,) bool
-        Objects whose geometry is known.
-    pseudo : (N,) bool
-        Those of which the label has a box and no pixels: points are not to be had.
+    `known`: (N,) bool: objects whose geometry is known; `pseudo`: (N,) bool: those of which the label has a box and no
+    pixels: points are not to be had.
     """
 
     def __init__(self, truth: FrameCases, context: PreparedFrame) -> None:

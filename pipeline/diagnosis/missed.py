@@ -51,17 +51,8 @@ def why_missed(
 ) -> Missed:
     """Look for a right box among all that the detector gives, then among what it drops.
 
-    Parameters
-    ----------
-    frame : Frame
-    name : str
-        The class name that was asked.
-    right : (M, 4) float
-        Boxes of the objects that would have been right, pixels.
-    k : int
-    detector : Detector
-    unfiltered : callable
-        Gives the same detector without a minimum score; called only when it is needed.
+    `name`: the class name that was asked; `right`: (M, 4) float: boxes of the objects that would have been right,
+    pixels; `unfiltered`: gives the same detector without a minimum score; called only when it is needed.
     """
     seen = _detections(detector, frame, name)
     best = 0.0

@@ -15,25 +15,16 @@ FACTORS = ("target", "reference", "relation", "attributes")
 
 @dataclass(frozen=True)
 class Needed:
-    """What one factor would have to be, all else as it is.
+    """What one factor would have to be, all else as it is."""
 
-    Attributes
-    ----------
-    factor : str
-        target, reference or relation; attributes, what is said of the target alone.
-    right, winner : float
-        The factor of the best acceptable pair and of the answer now.
-    right_above : float or None
-        The right pair wins as soon as its factor is above this; None where no probability is enough.
-    winner_below : float or None
-        The right pair wins as soon as the answer's factor is below this; None where none is low enough, or it is
-        shared by both pairs, so that it cannot be lowered for one alone.
-    """
-
-    factor: str
+    factor: str  # target, reference or relation; attributes, what is said of the target alone
+    # right, winner: The factor of the best acceptable pair and of the answer now
     right: float
     winner: float
+    # right_above: The right pair wins as soon as its factor is above this; None where no probability is enough
     right_above: float | None
+    # winner_below: The right pair wins as soon as the answer's factor is below this; None where none is low enough, or
+    # it is shared by both pairs, so that it cannot be lowered for one alone
     winner_below: float | None
 
 
@@ -42,14 +33,8 @@ def needed_changes(
 ) -> tuple[Needed, ...]:
     """For each factor of weight above 0 the change that alone would put the right pair first, the smallest first.
 
-    Parameters
-    ----------
-    table : PairTable
-        Of one scene, with one reference or none.
-    winner, right : int
-        The pair that comes first, and the one that should.
-    looks : (float, float), optional
-        P(attributes | x) of the right pair's target and of the answer's, where the expression has any.
+    `table`: of one scene, with one reference or none; `winner`, `right`: the pair that comes first, and the one that
+    should; `looks`: P(attributes | x) of the right pair's target and of the answer's, where the expression has any.
     """
     config, ours, theirs = table.config, table.pair(right), table.pair(winner)
     of_pairs = len(table.ends) > 0

@@ -21,20 +21,13 @@ from pipeline.system.errors import InputError
 
 @dataclass(frozen=True)
 class Offers:
-    """What can be asked of a frame.
-
-    Attributes
-    ----------
-    names : tuple of str
-    questions : tuple of str
-        At most so many as were wanted; none where up is only assumed, unless they are labelled.
-    by : str
-        Who says that they are there: "the labels", "the annotations", "the file of predictions", "detections of at
-        least 0.50".
-    """
+    """What can be asked of a frame."""
 
     names: tuple[str, ...] = ()
+    # questions: At most so many as were wanted; none where up is only assumed, unless they are labelled
     questions: tuple[str, ...] = ()
+    # by: Who says that they are there: "the labels", "the annotations", "the file of predictions", "detections of at
+    # least 0.50"
     by: str = ""
 
     @property
@@ -56,7 +49,6 @@ def offers_of(
     ----------
     source : Pipeline
         What will answer.
-    context : PreparedFrame
     objects : sequence of SceneObject
         All that its detector finds in the frame.
     truth : FrameCases, optional

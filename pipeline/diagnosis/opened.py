@@ -31,19 +31,11 @@ Source = str | Path | Dataset | Frame | Sequence[Frame]
 
 @dataclass(frozen=True)
 class Opened:
-    """A pipeline opened for questions from Python, with what says what is true of its frames.
-
-    Attributes
-    ----------
-    pipeline : Pipeline
-    labels : Labels or None
-        What is true; without them the frames' annotations say it, where there are any.
-    viewer : callable or None
-        Shows this, or an answer of it. The core has no screen: `spatialviz.open` sets it.
-    """
+    """A pipeline opened for questions from Python, with what says what is true of its frames."""
 
     pipeline: Pipeline
-    labels: Labels | None = None
+    labels: Labels | None = None  # What is true; without them the frames' annotations say it, where there are any
+    # viewer: Shows this, or an answer of it. The core has no screen: `spatialviz.open` sets it.
     viewer: Callable[..., Any] | None = None
 
     def __repr__(self) -> str:
@@ -74,7 +66,6 @@ class Opened:
         ----------
         frame : int, str or Frame
             Its number in the dataset, its id, or one that is at hand.
-        text : str
 
         Raises
         ------
@@ -130,11 +121,6 @@ def open(
         Its file, or its id on the model hub.
     options
         All others of `pipeline.answering.opening.open_pipeline`: min_score, segmenter, srm, up, intrinsics, ...
-
-    Raises
-    ------
-    InputError
-        As `open_pipeline` and `open_labels`.
     """
     found = open_labels(labels) if isinstance(labels, str | Path) else labels
     options |= {"detector": detector, "model": None if model is None else Path(model)}
@@ -157,22 +143,10 @@ def open_arrays(
 ) -> Opened:
     """Open arrays that are at hand, for questions: what is given of boxes and relations stands, the rest is made here.
 
-    Parameters
-    ----------
-    rgb, depth, K
-        As for `Frame.of_arrays`, from numpy or another library.
-    boxes : sequence, optional
-        A 3D box or None for each mask, camera frame, metres: a Box3D, its (8, 3) corners, or a mapping of `center`,
-        `size` and `rotation`.
-    relations : mapping, optional
-        P("a RELATION b") by relation, (N, N) float or {(a, b): p}, objects by their place in `masks`.
-    arrays
-        masks, names, up, T_world_camera, id: as for `Frame.of_arrays`.
-
-    Raises
-    ------
-    InputError
-        As `Frame.of_arrays` and `given_relations`; a box that is none.
+    `rgb`, `depth`, `K`: as for `Frame.of_arrays`, from numpy or another library; `boxes`: A 3D box or None for each
+    mask, camera frame, metres: a Box3D, its (8, 3) corners, or a mapping of `center`, `size` and `rotation`;
+    `relations`: P("a RELATION b") by relation, (N, N) float or {(a, b): p}, objects by their place in `masks`;
+    `arrays`: masks, names, up, T_world_camera, id: as for `Frame.of_arrays`.
     """
     found = None if boxes is None else [box_at_hand(box, f"boxes[{k}]") for k, box in enumerate(boxes)]
     frame = Frame.of_arrays(rgb, depth, K, boxes=found, **arrays)

@@ -69,54 +69,31 @@ side of a half, follows from the box."""
 
 @dataclass(frozen=True, eq=False)
 class CandidateSet:
-    """What may fill one place of the expression: its candidates, then the labelled objects that RECALL adds.
+    """What may fill one place of the expression: its candidates, then the labelled objects that RECALL adds."""
 
-    Attributes
-    ----------
-    index : (K,) int64
-        In the list of the frame's evidence.
-    found : int
-        How many of them are candidates.
-    scores : (K,) float64
-    object : (K,) int64
-        The labelled object of the asked class that each is; -1 for a false positive.
-    shape_of : (K,) int64
-        The labelled object whose geometry LIFT gives it, of whatever class; -1 where it keeps its own.
-    overlap : (K, N) float64
-        With every labelled object.
-    """
-
-    index: np.ndarray
-    found: int
-    scores: np.ndarray
-    object: np.ndarray
+    index: np.ndarray  # (K,) int64: in the list of the frame's evidence
+    found: int  # How many of them are candidates
+    scores: np.ndarray  # (K,) float64
+    object: np.ndarray  # (K,) int64: the labelled object of the asked class that each is; -1 for a false positive
+    # shape_of: (K,) int64: the labelled object whose geometry LIFT gives it, of whatever class; -1 where it keeps its
+    # own
     shape_of: np.ndarray
-    overlap: np.ndarray
+    overlap: np.ndarray  # (K, N) float64: with every labelled object
 
 
 @dataclass(frozen=True, eq=False)
 class OracleScores:
-    """All candidate pairs of one expression under all subsets of the oracles.
-
-    Attributes
-    ----------
-    target, reference : CandidateSet
-    table : PairTable
-        One scene a subset, of which there are S; no pair is there whose objects are one thing, or not recalled.
-    p_relation : (2, 2, T, R) float64
-        Without and with LIFT, without and with SRM; of a sentence (S, T, R) or, without a relation, (S, T).
-    covered : (T, R) bool
-        Acceptable pairs; without a relation R is 1.
-    right : (T,) bool
-        Targets of which the expression is or may be true.
-    """
+    """All candidate pairs of one expression under all subsets of the oracles."""
 
     target: CandidateSet
     reference: CandidateSet
+    # table: One scene a subset, of which there are S; no pair is there whose objects are one thing, or not recalled
     table: PairTable
+    # p_relation: (2, 2, T, R) float64: without and with LIFT, without and with SRM; of a sentence (S, T, R) or, without
+    # a relation, (S, T)
     p_relation: np.ndarray
-    covered: np.ndarray
-    right: np.ndarray
+    covered: np.ndarray  # (T, R) bool: acceptable pairs; without a relation R is 1
+    right: np.ndarray  # (T,) bool: targets of which the expression is or may be true
 
     @property
     def subsets(self) -> int:

@@ -91,15 +91,7 @@ class SubstitutedTree:
 
     The candidates of all its names stand in one list of G entries, those of each name under its own.
 
-    Parameters
-    ----------
-    evidence : FrameEvidence
-    meant : Meant
-
-    Attributes
-    ----------
-    roles : dict of str to CandidateSet
-        By name.
+    `roles`: by name.
     """
 
     def __init__(self, evidence: FrameEvidence, meant: Meant) -> None:
@@ -206,16 +198,9 @@ class SubstitutedTree:
 class SubstitutedEvidence(SceneEvidence):
     """What noun phrases say of the candidates of a sentence, with attributes as they are told to be.
 
-    Parameters
-    ----------
-    objects, frame, viewer
-        As for `SceneEvidence`.
-    judged : dict
-        Keeps what the pixels and boxes of these objects say.
-    told : dict of str to (G,) float64
-        By attribute: what is put in its place; NaN for what stays.
-    decide : bool
-        Attributes count as .99 where they hold and .01 where not.
+    `objects`, `frame`, `viewer`: as for `SceneEvidence`; `judged`: keeps what the pixels and boxes of these objects
+    say; `told`: dict of str to (G,) float64: by attribute: what is put in its place; NaN for what stays; `decide`:
+    attributes count as .99 where they hold and .01 where not.
     """
 
     def __init__(

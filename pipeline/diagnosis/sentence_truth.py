@@ -49,10 +49,8 @@ def sentence_case(
 
     Parameters
     ----------
-    truth : FrameCases
     trace : Trace
         Its answer.
-    source : Pipeline
     context : PreparedFrame
         Of the trace's frame.
     right : (K,) int64, optional

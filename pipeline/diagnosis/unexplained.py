@@ -6,14 +6,8 @@ from __future__ import annotations
 def unexplained(detail: str | None, target: str, answered: bool = True) -> str:
     """The verdict UNEXPLAINED in words: what is known, and what would tell more.
 
-    Parameters
-    ----------
-    detail : str or None
-        ANSWER, PROPOSALS, BOXES: what the file gives; or NOT-SEPARABLE.
-    target : str
-        The name that was asked for.
-    answered : bool
-        There is an answer.
+    `detail`: ANSWER, PROPOSALS, BOXES: what the file gives; or NOT-SEPARABLE; `target`: the name that was asked for;
+    `answered`: there is an answer.
     """
     wrong = "Wrong" if answered else "Not answered"
     proposed = f"{wrong}, and the right {target} was proposed"

@@ -69,69 +69,42 @@ MODULE_OF = {
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What failed and what would mend it, with all that it was judged by.
+    """What failed and what would mend it, with all that it was judged by."""
 
-    Attributes
-    ----------
-    verdict : str
-        One of VERDICTS.
-    detail : str or None
-        WORDS, GRAMMAR, UNSUPPORTED (not in files of earlier versions); AMBIGUOUS, BAD_LABEL, BAD_BOX, SUSPECT; RANK,
-        THRESHOLD, LOCALISATION, ABSENT; DEGENERATE; CHOICE; CONSTANT (of imported relations: about as probable of every
-        pair); SCORE (of imported pair scores: the right pair would stand first by what all others scored); the oracles
-        of COMPOUND; of UNEXPLAINED what the file gives (ANSWER, PROPOSALS, BOXES), or NOT-SEPARABLE.
-    lucky : bool
-        Right, but with a pair that is not acceptable.
-    repair : tuple of str
-        The smallest set of oracles with which an acceptable pair wins; empty where none is needed or none helps.
-    mends : tuple of str
-        Where an acceptable pair stood among the candidates and lost: every oracle that alone makes one win.
-    right_with : int or None
-        Bit s is set where the target is right with the oracles of subset s (`oracles`), on the gold triple; None where
-        predictions that were imported do not tell.
-    margins : (S,) float64
-        Of all S subsets, sixteen or with attributes thirty-two:
-        S of the best acceptable pair less S of the best other one under each subset; NaN without any pair.
-    winner, right : ScoredPair or None
-        The answer, and the best acceptable pair among the candidates.
-    false_target, false_reference : bool
-        The answer's objects are of no labelled object of the asked class.
-    missed : Missed or None
-        With OPM-TARGET and OPM-REF.
-    missed_name : str or None
-        The class name of which the right object is missing.
-    needed : tuple of Needed
-        What one factor alone would have to be for the best acceptable pair to win; empty where one wins.
-    pseudo : bool
-        LIFT's truth was the box of the label for an object of either pair: the dataset has no pixels of it.
-    text : str
-        The verdict in words.
-    untold : dict of str to str
-        Of imported predictions: the oracles that cannot be put in place by what the file gives, and why; what
-        `right_with` says of subsets with these counts nowhere.
-    gold : bool
-        The expression was read as meant; else the evidence is that of the gold names, not the trace's own.
-    case : Case
-    evidence : FrameEvidence
-    """
-
-    verdict: str
+    verdict: str  # One of VERDICTS
+    # detail: WORDS, GRAMMAR, UNSUPPORTED (not in files of earlier versions); AMBIGUOUS, BAD_LABEL, BAD_BOX, SUSPECT;
+    # RANK, THRESHOLD, LOCALISATION, ABSENT; DEGENERATE; CHOICE; CONSTANT (of imported relations: about as probable of
+    # every pair); SCORE (of imported pair scores: the right pair would stand first by what all others scored); the
+    # oracles of COMPOUND; of UNEXPLAINED what the file gives (ANSWER, PROPOSALS, BOXES), or NOT-SEPARABLE
     detail: str | None
-    lucky: bool
+    lucky: bool  # Right, but with a pair that is not acceptable
+    # repair: The smallest set of oracles with which an acceptable pair wins; empty where none is needed or none helps
     repair: tuple[str, ...]
+    # right_with: Bit s is set where the target is right with the oracles of subset s (`oracles`), on the gold triple;
+    # None where predictions that were imported do not tell
     right_with: int | None
+    # margins: (S,) float64: of all S subsets, sixteen or with attributes thirty-two: S of the best acceptable pair less
+    # S of the best other one under each subset; NaN without any pair
     margins: np.ndarray
+    # winner, right: The answer, and the best acceptable pair among the candidates
     winner: ScoredPair | None
     right: ScoredPair | None
+    # false_target, false_reference: The answer's objects are of no labelled object of the asked class
     false_target: bool = False
     false_reference: bool = False
-    missed: Missed | None = None
-    missed_name: str | None = None
+    missed: Missed | None = None  # With OPM-TARGET and OPM-REF
+    missed_name: str | None = None  # The class name of which the right object is missing
+    # pseudo: LIFT's truth was the box of the label for an object of either pair: the dataset has no pixels of it
     pseudo: bool = False
+    # mends: Where an acceptable pair stood among the candidates and lost: every oracle that alone makes one win
     mends: tuple[str, ...] = ()
+    # needed: What one factor alone would have to be for the best acceptable pair to win; empty where one wins
     needed: tuple[Needed, ...] = ()
-    text: str = ""
+    text: str = ""  # The verdict in words
+    # untold: Of imported predictions: the oracles that cannot be put in place by what the file gives, and why; what
+    # `right_with` says of subsets with these counts nowhere
     untold: dict[str, str] = field(default_factory=dict)
+    # gold: The expression was read as meant; else the evidence is that of the gold names, not the trace's own
     gold: bool = True
     case: Case = field(kw_only=True)
     evidence: FrameEvidence = field(kw_only=True, repr=False)
@@ -181,30 +154,16 @@ class Diagnosis:
 
 @dataclass(frozen=True)
 class Missed:
-    """Why a thing is not among the candidates.
+    """Why a thing is not among the candidates."""
 
-    Attributes
-    ----------
-    kind : str
-        RANK: the detector gave it, but others stood before it (K) or over it (suppression of overlapping boxes).
-        THRESHOLD: it gave it with less than the minimum score.
-        LOCALISATION: the best box overlaps it by .1 to .5.
-        ABSENT: nothing overlaps it by .1.
-    overlap : float
-        The best IoU of all boxes seen.
-    score : float or None
-        Of the box that was cut off, or of the best overlapping one.
-    rank : int or None
-        With RANK: its rank from 1 by score, before suppression.
-    suppressed : bool
-        With RANK: a better-scored box overlapped it too much.
-    """
-
+    # kind: RANK: the detector gave it, but others stood before it (K) or over it (suppression of overlapping boxes).
+    # THRESHOLD: it gave it with less than the minimum score. LOCALISATION: the best box overlaps it by .1 to .5.
+    # ABSENT: nothing overlaps it by .1.
     kind: Miss
-    overlap: float
-    score: float | None = None
-    rank: int | None = None
-    suppressed: bool = False
+    overlap: float  # The best IoU of all boxes seen
+    score: float | None = None  # Of the box that was cut off, or of the best overlapping one
+    rank: int | None = None  # With RANK: its rank from 1 by score, before suppression
+    suppressed: bool = False  # With RANK: a better-scored box overlapped it too much
 
 
 def explain(
@@ -217,16 +176,8 @@ def explain(
 ) -> str:
     """Why the answer is what it is, and the smallest change that would mend it.
 
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-    case : Case
-    query : Query, optional
-        What the parser read.
-    problem : InputError, optional
-        Why it could not be read, or could not be asked.
-    unknown : collection of str
-        Names that the detector does not know.
+    `query`: what the parser read; `problem`: why it could not be read, or could not be asked; `unknown`: names that the
+    detector does not know.
     """
     if diagnosis.verdict == "PARSE":
         return _parse(case, query, problem)

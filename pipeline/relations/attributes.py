@@ -46,8 +46,8 @@ def size_keys(boxes: Sequence[Box3D | None], viewer: ViewerAxes | None = None) -
     -------
     dict of str to (N,) float64
         "volume" (cubic metres, no edge less than a tenth of the longest), "height" (vertical extent), "width" (extent
-        from the viewer's left to right), "length" and "thickness" (longest and shortest edge of the box), metres;
-        NaN without a box.
+        from the viewer's left to right), "length" and "thickness" (longest and shortest edge of the box), metres; NaN
+        without a box.
     """
     viewer = viewer or viewer_axes(IMAGE_UP)
     keys = {name: np.full(len(boxes), np.nan) for name in ("volume", "height", "width", "length", "thickness")}
@@ -74,7 +74,6 @@ def attribute_probabilities(
 
     Parameters
     ----------
-    attribute : Attribute
     rgb : (H, W, 3) uint8
     masks : sequence of N (H, W) bool
     boxes : sequence of N Box3D or None
@@ -89,8 +88,8 @@ def attribute_probabilities(
     Returns
     -------
     (N,) float64 or None
-        0..1, and a half where an object has no pixels or no box to judge by. None where nothing here can judge
-        the attribute: materials, others, and most shapes.
+        0..1, and a half where an object has no pixels or no box to judge by. None where nothing here can judge the
+        attribute: materials, others, and most shapes.
     """
     if attribute.kind == "color":
         return color_probabilities(attribute, colors or object_colors(rgb, masks))

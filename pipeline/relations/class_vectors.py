@@ -28,17 +28,10 @@ _NAMED = 8
 
 @dataclass(frozen=True, eq=False)
 class ClassVectors:
-    """Class names and their phrase vectors.
+    """Class names and their phrase vectors."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        As the labels spell them, each once.
-    vectors : (C, D) float32
-    """
-
-    names: tuple[str, ...]
-    vectors: np.ndarray
+    names: tuple[str, ...]  # As the labels spell them, each once
+    vectors: np.ndarray  # (C, D) float32
 
     @property
     def hash(self) -> str:
@@ -79,21 +72,8 @@ def vectors_path(network: Path) -> Path:
 class ClassLookup:
     """The vectors of class names for a network.
 
-    Parameters
-    ----------
-    network : Path
-        Its ONNX file.
-    language : LanguageContract
-        What it says of its text vectors.
-    expected : str
-        Hash of its class vectors.
-    vectors : Path, optional
-        The file of text vectors, for classes the network was not trained on.
-
-    Raises
-    ------
-    InputError
-        The class vectors are missing or another network's, or the file is not the one it was trained with.
+    `network`: its ONNX file; `language`: what it says of its text vectors; `expected`: hash of its class vectors;
+    `vectors`: the file of text vectors, for classes the network was not trained on.
     """
 
     def __init__(self, network: Path, language: LanguageContract, expected: str, vectors: Path | None = None) -> None:
@@ -138,13 +118,7 @@ class ClassLookup:
         return {**found, **dict(zip(self._known.names, self._known.vectors, strict=True))}
 
     def rows(self, labels: Sequence[str]) -> np.ndarray:
-        """(N, D) float64 vectors of the class names.
-
-        Raises
-        ------
-        InputError
-            Classes that are not known, listed.
-        """
+        """(N, D) float64 vectors of the class names."""
         known = {**self._by_name, **self._found}
         unknown = list(dict.fromkeys(n for n in labels if n not in known and normal_form(n) not in known))
         if unknown and self._file is None:

@@ -79,18 +79,12 @@ _LINEAR = ((np.arange(256) / 255.0) ** 2.2).astype(np.float32)
 
 @dataclass(frozen=True)
 class ObjectColors:
-    """What colours objects have.
+    """What colours objects have."""
 
-    Attributes
-    ----------
-    shares : (N, 15) float64
-        Of each object's pixels, by BASIC_COLORS and FURTHER_COLORS; the basic ones sum to 1. NaN for an empty mask.
-    lightness : (N, 15) float64
-        Mean CIELAB L of the pixels of that colour, in the light of the frame.
-    """
-
+    # shares: (N, 15) float64: of each object's pixels, by BASIC_COLORS and FURTHER_COLORS; the basic ones sum to 1. NaN
+    # for an empty mask.
     shares: np.ndarray
-    lightness: np.ndarray
+    lightness: np.ndarray  # (N, 15) float64: mean CIELAB L of the pixels of that colour, in the light of the frame
 
 
 def neutral_gains(rgb: np.ndarray) -> np.ndarray:

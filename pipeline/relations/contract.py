@@ -26,49 +26,26 @@ Output = Literal["sigmoid", "softmax"]
 
 @dataclass(frozen=True)
 class NetworkContract:
-    """What a relation network declares about itself.
+    """What a relation network declares about itself."""
 
-    Attributes
-    ----------
-    features : str
-        Name of the feature contract.
-    columns : tuple of str
-    mean, std : (D,) float64
-        Inputs are standardised by these.
-    vocabulary : tuple of str
-        The relation of each output.
-    calibration : dict of str to (a, b)
-        Platt's sigmoid of each relation; of a softmax network the inverse temperature and 0.
-    seed : int
-        Seed of data and training.
-    data : str
-        Hash of the training data.
-    output : str
-        "sigmoid": each relation is a question of its own. "softmax": exactly one
-        relation of the vocabulary fits a pair best.
-    prior : tuple of float
-        Share of each class in the training pairs of a softmax network, in the order of the vocabulary; else empty.
-    language : LanguageContract or None
-        The text vectors behind a "+lang" contract.
-    classes : str
-        Hash of the class vectors beside the file, see `class_vectors`; "" without language.
-    trained_on : TrainedOn or None
-        The scenes or frames of labels that it learnt from; None for rendered rooms.
-    """
-
-    features: str
+    features: str  # Name of the feature contract
     columns: tuple[str, ...]
+    # mean, std: (D,) float64: inputs are standardised by these
     mean: np.ndarray
     std: np.ndarray
-    vocabulary: tuple[str, ...]
+    vocabulary: tuple[str, ...]  # The relation of each output
+    # calibration: Platt's sigmoid of each relation; of a softmax network the inverse temperature and 0
     calibration: dict[str, Platt]
-    seed: int
-    data: str
+    seed: int  # Seed of data and training
+    data: str  # Hash of the training data
+    # "sigmoid": each relation is a question of its own. "softmax": exactly one relation of the vocabulary fits a pair
+    # best.
     output: Output = "sigmoid"
+    # prior: Share of each class in the training pairs of a softmax network, in the order of the vocabulary; else empty
     prior: tuple[float, ...] = ()
-    language: LanguageContract | None = None
-    classes: str = ""
-    trained_on: TrainedOn | None = None
+    language: LanguageContract | None = None  # The text vectors behind a "+lang" contract
+    classes: str = ""  # Hash of the class vectors beside the file, see `class_vectors`; "" without language
+    trained_on: TrainedOn | None = None  # The scenes or frames of labels that it learnt from; None for rendered rooms
 
     @property
     def feature_set(self) -> FeatureSet:
@@ -255,30 +232,15 @@ def _differing(got: Sequence[str], expected: Sequence[str]) -> str:
 
 @dataclass(frozen=True)
 class TrainedOn:
-    """The part of a dataset that a network was trained and calibrated on.
+    """The part of a dataset that a network was trained and calibrated on."""
 
-    Attributes
-    ----------
-    dataset : str
-        Name of its folder.
-    input_hash : str
-        Of the dataset's files, as the labels' manifest has it.
-    content_hash : str
-        Of the labels' table of frames.
-    split : str
-        "scene": `train` and `validation` name scenes. "blocks", "random": frames.
-    train, validation : tuple of str
-    scenes : tuple of str
-        Of all frames in either.
-    """
-
-    dataset: str
-    input_hash: str
-    content_hash: str
-    split: str
+    dataset: str  # Name of its folder
+    input_hash: str  # Of the dataset's files, as the labels' manifest has it
+    content_hash: str  # Of the labels' table of frames
+    split: str  # "scene": `train` and `validation` name scenes. "blocks", "random": frames.
     train: tuple[str, ...]
     validation: tuple[str, ...]
-    scenes: tuple[str, ...]
+    scenes: tuple[str, ...]  # Of all frames in either
 
     def to_json(self) -> str:
         """As one line of JSON."""

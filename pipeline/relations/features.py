@@ -51,35 +51,19 @@ class Describe(Protocol):
 
 @dataclass(frozen=True)
 class FeatureSet:
-    """A feature contract.
-
-    Attributes
-    ----------
-    name : str
-    columns : tuple of str
-        Name of each feature; their number is the network's input dimension.
-    describe : callable
-        (objects, viewer, appearance) -> (N, K) float64, one row an object; NaN for an
-        object without points and box. With language, its geometry alone.
-    pair : callable
-        (N, K + language) -> (N, N, D) float64: the features of "a to b" at [a, b]. Leading dimensions are a batch.
-    lengths : tuple of int
-        Columns of the description that are lengths: they grow with the scene, the others do not.
-    named : tuple of int
-        Columns that follow from the class name, all 0 where that tells nothing.
-    shown : bool
-        Objects are described by their 2D boxes or class names: `describe` needs the appearance.
-    language : int
-        Dimension of the phrase vectors that stand after the geometry in each object's row; 0 without language.
-    """
+    """A feature contract."""
 
     name: str
-    columns: tuple[str, ...]
+    columns: tuple[str, ...]  # Name of each feature; their number is the network's input dimension
+    # describe: (objects, viewer, appearance) -> (N, K) float64, one row an object; NaN for an object without points and
+    # box. With language, its geometry alone.
     describe: Describe
+    # pair: (N, K + language) -> (N, N, D) float64: the features of "a to b" at [a, b]. Leading dimensions are a batch.
     pair: Callable[[np.ndarray], np.ndarray]
-    lengths: tuple[int, ...]
-    named: tuple[int, ...] = ()
-    shown: bool = False
+    lengths: tuple[int, ...]  # Columns of the description that are lengths: they grow with the scene, the others do not
+    named: tuple[int, ...] = ()  # Columns that follow from the class name, all 0 where that tells nothing
+    shown: bool = False  # Objects are described by their 2D boxes or class names: `describe` needs the appearance
+    # language: Dimension of the phrase vectors that stand after the geometry in each object's row; 0 without language
     language: int = 0
 
     @property
@@ -157,13 +141,7 @@ def describe_level_boxes(
 def describe_boxes_2d(
     objects: Sequence[LiftedObject], viewer: ViewerAxes, appearance: Appearance | None = None
 ) -> np.ndarray:
-    """(N, 4): centre x, centre y, width, height of the 2D box, divided by the image's width and height.
-
-    Raises
-    ------
-    InputError
-        Without the appearance.
-    """
+    """(N, 4): centre x, centre y, width, height of the 2D box, divided by the image's width and height."""
     shown = needed(appearance, "geom2d8 needs the objects' 2D boxes", expected="their appearance in the image")
     return rows_2d(shown.bboxes, shown.width, shown.height)
 
@@ -232,13 +210,7 @@ def pair_viewed(rows: np.ndarray) -> np.ndarray:
 def describe_named_extents(
     objects: Sequence[LiftedObject], viewer: ViewerAxes, appearance: Appearance | None = None
 ) -> np.ndarray:
-    """(N, 10): the extents and the cut, and how long things of the object's class are.
-
-    Raises
-    ------
-    InputError
-        Without the appearance.
-    """
+    """(N, 10): the extents and the cut, and how long things of the object's class are."""
     shown = needed(appearance, "rel32 needs the objects' class names", expected="their appearance in the image")
     return with_class_lengths(describe_viewed_extents(objects, viewer), shown.labels)
 
@@ -305,24 +277,14 @@ FEATURES: dict[str, FeatureSet] = {
 
 @dataclass(frozen=True, eq=False)
 class Appearance:
-    """2D boxes and class names of a list of objects, in its order.
+    """2D boxes and class names of a list of objects, in its order."""
 
-    Attributes
-    ----------
-    bboxes : (N, 4) float64
-        x0, y0, x1, y1, pixels; right and bottom edges exclusive.
-    labels : tuple of str
-    width, height : int
-        Of the image, pixels.
-    ids : tuple of int
-        The detector's own identity of each, -1 for none; empty where they are not told.
-    """
-
-    bboxes: np.ndarray
+    bboxes: np.ndarray  # (N, 4) float64: x0, y0, x1, y1, pixels; right and bottom edges exclusive
     labels: tuple[str, ...]
+    # width, height: Of the image, pixels
     width: int
     height: int
-    ids: tuple[int, ...] = ()
+    ids: tuple[int, ...] = ()  # The detector's own identity of each, -1 for none; empty where they are not told
 
     def __post_init__(self) -> None:
         require(

@@ -21,24 +21,12 @@ Rows = Iterable[Sequence[float]]
 
 @dataclass(frozen=True)
 class GivenRelations:
-    """A relation scorer of probabilities at hand.
+    """A relation scorer of probabilities at hand."""
 
-    Attributes
-    ----------
-    relations : mapping of str to rows
-        By relation; see `given_relations`.
-    stand_in : RelationScorer
-        Scores what is not given.
-    name : str
-        Who gave them.
-    asked_again : bool
-        The stand-in is what made them, and may be asked of other geometry.
-    """
-
-    relations: Mapping[str, Rows]
-    stand_in: RelationScorer
-    name: str = "given"
-    asked_again: bool = True
+    relations: Mapping[str, Rows]  # By relation; see `given_relations`
+    stand_in: RelationScorer  # Scores what is not given
+    name: str = "given"  # Who gave them
+    asked_again: bool = True  # The stand-in is what made them, and may be asked of other geometry
 
     def score(
         self,
@@ -76,18 +64,8 @@ def given_relations(
 ) -> GivenRelations:
     """The scorer of these probabilities.
 
-    Parameters
-    ----------
-    relations : mapping
-        By relation P("a RELATION b"), 0..1: (N, N) float, NaN where it is not known, or {(a, b): p}.
-    count : int
-        N, how many objects there are.
-    rest : RelationScorer
-
-    Raises
-    ------
-    InputError
-        No such relation or object, or no probabilities.
+    `relations`: by relation P("a RELATION b"), 0..1: (N, N) float, NaN where it is not known, or {(a, b): p}; `count`:
+    N, how many objects there are.
     """
     rows: dict[str, Rows] = {}
     for relation, told in relations.items():

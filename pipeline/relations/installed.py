@@ -17,16 +17,9 @@ TAKEN = ("rule", "trained")
 
 @dataclass(frozen=True)
 class InstalledNetwork:
-    """A network by its name.
+    """A network by its name."""
 
-    Attributes
-    ----------
-    name : str
-        What `--srm` takes.
-    path : Path
-    """
-
-    name: str
+    name: str  # What `--srm` takes
     path: Path
 
 

@@ -33,7 +33,6 @@ class OnnxScorer:
 
     Parameters
     ----------
-    path : Path
     vectors : Path, optional
         The text vectors a language network was trained with, for classes it was not trained on.
 
@@ -43,7 +42,6 @@ class OnnxScorer:
         That of its feature contract.
     path : Path
         Its file.
-    contract : NetworkContract
 
     Raises
     ------

@@ -56,27 +56,18 @@ class Profile:
 
 @dataclass(frozen=True)
 class PairMeasures:
-    """Measures of all ordered pairs [a, b]; the last dimension is (right, up, forward).
+    """Measures of all ordered pairs [a, b]; the last dimension is (right, up, forward)."""
 
-    Attributes
-    ----------
-    lo, hi, center, extent : (N, 3) float64
-        Of each object, metres; extents are at least a millimetre.
-    delta : (N, N, 3) float64
-        Centre of a less that of b, metres.
-    gap : (N, N, 3) float64
-        Signed distance between the extents, metres: positive where a lies
-        after b along the axis, negative where before, 0 where they overlap.
-    overlap, overlap_share : (N, N, 3) float64
-        Length of the overlap in metres, and as a share of the shorter extent.
-    """
-
+    # lo, hi, center, extent: (N, 3) float64: of each object, metres; extents are at least a millimetre
     lo: np.ndarray
     hi: np.ndarray
     center: np.ndarray
     extent: np.ndarray
-    delta: np.ndarray
+    delta: np.ndarray  # (N, N, 3) float64: centre of a less that of b, metres
+    # gap: (N, N, 3) float64: signed distance between the extents, metres: positive where a lies after b along the axis,
+    # negative where before, 0 where they overlap
     gap: np.ndarray
+    # overlap, overlap_share: (N, N, 3) float64: length of the overlap in metres, and as a share of the shorter extent
     overlap: np.ndarray
     overlap_share: np.ndarray
 
@@ -111,21 +102,13 @@ _BEYOND_EXTENTS = 0.1
 
 @dataclass(frozen=True)
 class AllMeasures:
-    """All that is measured of every ordered pair, of points only what is asked for.
-
-    Attributes
-    ----------
-    pairs : PairMeasures
-    profile : Profile
-    clouds : sequence of (M, 3) float, or None
-        Each object's points along (right, up, forward); without them extents stand in.
-    given : ((..., N, N), (..., N, N)) float64, or None
-        `surface` and `share` where they are known: of a batch of scenes always.
-    """
+    """All that is measured of every ordered pair, of points only what is asked for."""
 
     pairs: PairMeasures
     profile: Profile
+    # clouds: sequence of (M, 3) float: each object's points along (right, up, forward); without them extents stand in
     clouds: Sequence[np.ndarray] | None = None
+    # given: ((..., N, N), (..., N, N)) float64: `surface` and `share` where they are known: of a batch of scenes always
     given: tuple[np.ndarray, np.ndarray] | None = None
 
     @cached_property
@@ -144,14 +127,8 @@ class AllMeasures:
 def on_measures(measured: AllMeasures) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What decides "a on b".
 
-    Returns
-    -------
-    covered : (N, N) float64
-        Share of a's footprint that lies over b's.
-    area_ratio : (N, N) float64
-        Footprint of a over that of b.
-    gap : (N, N) float64
-        Metres between a's bottom and the surface of b under it.
+    Returns `covered` (N, N) float64: share of a's footprint that lies over b's; `area_ratio` (N, N) float64: footprint
+    of a over that of b; `gap` (N, N) float64: metres between a's bottom and the surface of b under it.
     """
     return _on_surfaces(measured.pairs, measured.surface)
 
@@ -189,14 +166,8 @@ def surface_heights(
 ) -> np.ndarray:
     """(N,) height of one object under and around footprints: the 95th percentile of its points there.
 
-    Parameters
-    ----------
-    lo, hi : (N, 3) float
-        Extents of what may stand on it, metres.
-    cloud : (M, 3) float or None
-        Its points along (right, up, forward).
-    top : float
-        Its upper extent, for footprints under which it has no point.
+    `lo`, `hi`: (N, 3) float: extents of what may stand on it, metres; `cloud`: (M, 3) float: its points along (right,
+    up, forward); `top`: its upper extent, for footprints under which it has no point.
     """
     heights = np.full(len(lo), top)
     if cloud is None or not len(cloud):
@@ -222,12 +193,8 @@ def surface_heights(
 def in_measures(measured: AllMeasures) -> tuple[np.ndarray, np.ndarray]:
     """What decides "a in b".
 
-    Returns
-    -------
-    share : (N, N) float64
-        Share of a's points, or of its extents where it has none, in b's inflated extents.
-    below_rim : (N, N) float64
-        How far a's bottom lies below b's top, in heights of a.
+    Returns `share` (N, N) float64: share of a's points, or of its extents where it has none, in b's inflated extents;
+    `below_rim` (N, N) float64: how far a's bottom lies below b's top, in heights of a.
     """
     return measured.share, _below_rim(measured.pairs)
 

@@ -20,23 +20,12 @@ Slacks = Callable[[PairMeasures, Profile], tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True)
 class Predicate:
-    """The rule of one relation, or of several that are judged together.
-
-    Attributes
-    ----------
-    relations : tuple of str
-    states : callable
-        (..., N, N) states, one array for each of the relations: T, U or F at [a, b] for "a RELATION b".
-    margins : callable
-        (N, N) float64 metres to the nearest threshold for each: positive for T, negative for F, 0 for U.
-    reads_points : bool
-        It looks at more than extents.
-    """
+    """The rule of one relation, or of several that are judged together."""
 
     relations: tuple[str, ...]
-    states: Judge
-    margins: Judge
-    reads_points: bool = False
+    states: Judge  # (..., N, N) states, one array for each of the relations: T, U or F at [a, b] for "a RELATION b"
+    margins: Judge  # (N, N) float64 metres to the nearest threshold for each: positive for T, negative for F, 0 for U
+    reads_points: bool = False  # It looks at more than extents
 
 
 PREDICATES: dict[str, Predicate] = {}

@@ -61,8 +61,8 @@ def directional_states(lo: np.ndarray, hi: np.ndarray, profile: Profile | None =
     Parameters
     ----------
     lo, hi : (N, 3) float
-        Extents along (right, up, forward), metres, as `lifting.extents` gives
-        them. An object with NaN extents is in doubt (U) with every other one.
+        Extents along (right, up, forward), metres, as `lifting.extents` gives them. An object with NaN extents is in
+        doubt (U) with every other one.
 
     Returns
     -------
@@ -154,9 +154,8 @@ def pairwise_states(
     lo, hi : (N, 3) float
         Extents along (right, up, forward), metres.
     clouds : sequence of (M, 3) float, optional
-        Each object's points along (right, up, forward); `on` reads the height
-        of the supporting surface from them and `in` counts them. Without
-        points the extents stand in.
+        Each object's points along (right, up, forward); `on` reads the height of the supporting surface from them and
+        `in` counts them. Without points the extents stand in.
     relations : collection of str
         Of those that look at points only these are judged; the directions always are.
 
@@ -205,10 +204,7 @@ def vertical_margins(measured: AllMeasures) -> tuple[np.ndarray, np.ndarray]:
 def _horizontal_slacks(pairs: PairMeasures, profile: Profile) -> tuple[np.ndarray, np.ndarray]:
     """Slack of T and of "T or U" of left, right, front, behind.
 
-    Returns
-    -------
-    (2, N, N, 4) float64 each
-        By gaps, and by centres.
+    Returns (2, N, N, 4) float64 each: by gaps, and by centres.
     """
     n = len(pairs.center)
     displacement = np.abs(np.stack([pairs.gap[..., ::2], pairs.delta[..., ::2]]))

@@ -25,28 +25,15 @@ Beyond = Mapping[str, Mapping[tuple[int, ...], float]]
 
 @dataclass(frozen=True)
 class RelationScores:
-    """Every relation of every ordered pair of a list of objects.
-
-    Attributes
-    ----------
-    relations : tuple of str
-    states : (N, N, R) int8
-        The rule's verdicts: 1 T, 0 U, -1 F.
-    probabilities : (N, N, R) float64
-        P("a RELATION b") at [a, b].
-    scored_by : dict
-        Relation -> name of what scored it ("rule" where no network has a head for it).
-    beyond : Beyond
-    given : (N, N, R) bool or None
-        Which of the probabilities are as they were given, of a file or of arrays; the others are worked out in their
-        place. None where nothing is given.
-    """
+    """Every relation of every ordered pair of a list of objects."""
 
     relations: tuple[str, ...]
-    states: np.ndarray
-    probabilities: np.ndarray
-    scored_by: dict[str, str]
+    states: np.ndarray  # (N, N, R) int8: the rule's verdicts: 1 T, 0 U, -1 F
+    probabilities: np.ndarray  # (N, N, R) float64: P("a RELATION b") at [a, b]
+    scored_by: dict[str, str]  # Relation -> name of what scored it ("rule" where no network has a head for it)
     beyond: Beyond = field(default_factory=dict)
+    # given: (N, N, R) bool: which of the probabilities are as they were given, of a file or of arrays; the others are
+    # worked out in their place. None where nothing is given.
     given: np.ndarray | None = None
 
     def __repr__(self) -> str:
@@ -181,18 +168,9 @@ def superlative_states(
 ) -> np.ndarray:
     """closest or farthest: which candidate is at the end of the row, seen from each reference.
 
-    Parameters
-    ----------
-    candidates, references : sequences of int
-        Objects that compete, and objects they are measured from.
-    same : (N, N) bool, optional
-        Entries that are one and the same thing; by default each is only itself.
-
-    Returns
-    -------
-    (C, R) int8
-        T for the nearest (farthest) candidate, U for those within 3 cm of it, F for the rest;
-        an object is no candidate for itself.
+    `candidates`, `references`: objects that compete, and objects they are measured from; `same`: (N, N) bool: entries
+    that are one and the same thing; by default each is only itself. Returns (C, R) int8: T for the nearest (farthest)
+    candidate, U for those within 3 cm of it, F for the rest; an object is no candidate for itself.
     """
     away = distances(lo, hi)[np.ix_(list(candidates), list(references))]
     centers = (lo + hi) / 2
@@ -217,9 +195,7 @@ def between_states(lo: np.ndarray, hi: np.ndarray, candidates: Indices, first: I
     T where the centre projects onto the middle 70 % of the line between the two
     centres and lies within a quarter of its length of it; U up to the whole line and half its length.
 
-    Returns
-    -------
-    (C, A, B) int8
+    Returns (C, A, B) int8.
     """
     plan = ((lo + hi) / 2)[:, [0, 2]]
     p, a, b = plan[list(candidates)][:, None, None], plan[list(first)][None, :, None], plan[list(second)][None, None]

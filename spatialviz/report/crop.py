@@ -21,36 +21,18 @@ Stroke = Literal["thick", "thin", "dashed"]
 
 @dataclass(frozen=True)
 class Outline:
-    """A box to draw.
+    """A box to draw."""
 
-    Attributes
-    ----------
-    box : (4,) float64
-        x0, y0, x1, y1, pixels of the frame.
-    color : RGB
-    style : str
-        "thick", "thin" or "dashed": colours are doubled by it.
-    """
-
-    box: np.ndarray
+    box: np.ndarray  # (4,) float64: x0, y0, x1, y1, pixels of the frame
     color: RGB
-    style: Stroke = "thick"
+    style: Stroke = "thick"  # "thick", "thin" or "dashed": colours are doubled by it
 
 
 def answer_crop(rgb: np.ndarray, outlines: Sequence[Outline], size: tuple[int, int] = (360, 270)) -> np.ndarray:
     """The part of a picture that holds all boxes, with some of what is around, and the boxes drawn.
 
-    Parameters
-    ----------
-    rgb : (H, W, 3) uint8
-    outlines : sequence of Outline
-        Without any the whole frame is shown.
-    size : tuple of int
-        Width and height, pixels.
-
-    Returns
-    -------
-    (size[1], size[0], 3) uint8
+    `rgb`: (H, W, 3) uint8; `outlines`: without any the whole frame is shown; `size`: width and height, pixels; Returns
+    (size[1], size[0], 3) uint8.
     """
     height, width = rgb.shape[:2]
     ends = np.array([o.box for o in outlines], np.float64).reshape(-1, 4)

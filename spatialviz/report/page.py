@@ -40,15 +40,7 @@ def failure_page(
 ) -> str:
     """The page of one answer as HTML.
 
-    Parameters
-    ----------
-    answered : Answer
-    source : Pipeline
-        What answered.
-    context : PreparedFrame
-    subject : Subject
-    scene : str, optional
-        A self-contained page of the scene in 3D, which is put into a frame of its own.
+    `source`: what answered; `scene`: A self-contained page of the scene in 3D, which is put into a frame of its own.
     """
     cast = answer_roles(answered)
     judged = answered.diagnosis
@@ -78,13 +70,7 @@ def failure_page(
 
 
 def write_page(page: str, path: Path) -> None:
-    """Write a page, whole or not at all.
-
-    Raises
-    ------
-    InputError
-        The place cannot be written.
-    """
+    """Write a page, whole or not at all."""
     write_whole(path, page.encode("utf-8", "replace"), "the report")
 
 
@@ -205,29 +191,14 @@ def _facts(
 
 @dataclass(frozen=True)
 class Subject:
-    """What the page says besides the answer.
+    """What the page says besides the answer."""
 
-    Attributes
-    ----------
-    dataset : str
-        Its name.
-    frame : str
-    commands : tuple of str
-        To see the same again.
-    state : str or None
-        The view as one string.
-    facts : tuple of (str, str)
-        More about where it is from.
-    shares : tuple of Share
-        What the answer has in common with what made the truth that its verdict is by.
-    """
-
-    dataset: str
+    dataset: str  # Its name
     frame: str
-    commands: tuple[str, ...]
-    state: str | None = None
-    facts: tuple[tuple[str, str], ...] = ()
-    shares: tuple[Share, ...] = ()
+    commands: tuple[str, ...]  # To see the same again
+    state: str | None = None  # The view as one string
+    facts: tuple[tuple[str, str], ...] = ()  # More about where it is from
+    shares: tuple[Share, ...] = ()  # What the answer has in common with what made the truth that its verdict is by
 
     @staticmethod
     def of_case(opened: OpenedCase) -> Subject:

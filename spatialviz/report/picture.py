@@ -31,16 +31,7 @@ TINT = 0.45
 def tinted(rgb: np.ndarray, objects: Sequence[SceneObject], roles: Mapping[int, Role]) -> np.ndarray:
     """The picture with the masks of objects in a role tinted in its colour, outlined.
 
-    Parameters
-    ----------
-    rgb : (H, W, 3) uint8
-    objects : sequence of SceneObject
-    roles : mapping
-        Place in `objects` -> role; the rest is left alone.
-
-    Returns
-    -------
-    (H, W, 3) uint8
+    `rgb`: (H, W, 3) uint8; `roles`: place in `objects` -> role; the rest is left alone. Returns (H, W, 3) uint8.
     """
     image = rgb.copy()
     for index, role in roles.items():
@@ -54,10 +45,7 @@ def tinted(rgb: np.ndarray, objects: Sequence[SceneObject], roles: Mapping[int, 
 def box_edges_2d(box: Box3D, camera: Camera, near: float = 0.05) -> np.ndarray:
     """The visible edges of a 3D box in the image, clipped at the image plane.
 
-    Returns
-    -------
-    (M, 2, 2) float64
-        Start and end of each edge, pixels; M <= 12.
+    Returns (M, 2, 2) float64: start and end of each edge, pixels; M <= 12.
     """
     ends = box.corners[EDGES]
     a, b = ends[:, 0], ends[:, 1]
@@ -107,13 +95,7 @@ def save_picture(trace: Trace, path: Path) -> None:
 
 
 def write_picture(image: np.ndarray, path: Path) -> None:
-    """Write a picture ((H, W, 3) uint8 RGB), whole or not at all; the format follows the file's ending.
-
-    Raises
-    ------
-    InputError
-        Where the folder does not exist or cannot be written, or the ending is not that of an image.
-    """
+    """Write a picture ((H, W, 3) uint8 RGB), whole or not at all; the format follows the file's ending."""
     require(path.parent.is_dir(), "the folder for the picture does not exist", path=path.parent)
     try:
         ok, data = cv2.imencode(path.suffix or ".", image[..., ::-1])
@@ -164,19 +146,9 @@ def _caption(trace: Trace, width: int, scale: float) -> np.ndarray:
 def dashed(segments: np.ndarray, period: float, share: float = 0.55) -> np.ndarray:
     """Line segments cut into dashes.
 
-    Parameters
-    ----------
-    segments : (N, 2, D) float
-        Start and end of each.
-    period : float
-        Length of a dash with its gap, about: each segment holds a whole number of dashes, and ends with one.
-    share : float
-        Of the dash in it, 0..1.
-
-    Returns
-    -------
-    (M, 2, D) float32
-        In the order of the segments.
+    `segments`: (N, 2, D) float: start and end of each; `period`: length of a dash with its gap, about: each segment
+    holds a whole number of dashes, and ends with one; `share`: of the dash in it, 0..1. Returns (M, 2, D) float32: in
+    the order of the segments.
     """
     segments = np.asarray(segments, np.float64)
     length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
@@ -280,37 +252,20 @@ def _svg_tag(
 
 @dataclass(frozen=True)
 class AnswerRoles:
-    """The roles of one answer.
+    """The roles of one answer."""
 
-    Attributes
-    ----------
-    objects : tuple of SceneObject
-        As detected.
-    target, reference : int or None
-        Indices of the answer's objects.
-    roles : dict of int to Role
-        Index -> target or reference, for the answer's objects.
-    right : (int, int) or None
-        Indices of the best right pair among the detections.
-    labelled : dict of int to int
-        Index -> the labelled object that it is.
-    truth : dict of int to (Role, SceneObject)
-        Index of a labelled object -> its role and itself: the labelled target and reference, where they are known.
-    exact : bool
-        The detections are the dataset's own.
-    numbers : mapping of int to int
-        As `Trace.numbers`.
-    """
-
-    objects: tuple[SceneObject, ...]
+    objects: tuple[SceneObject, ...]  # As detected
+    # target, reference: Indices of the answer's objects
     target: int | None
     reference: int | None
-    roles: dict[int, Role]
-    right: tuple[int, int] | None
-    labelled: dict[int, int]
+    roles: dict[int, Role]  # index -> target or reference, for the answer's objects
+    right: tuple[int, int] | None  # Indices of the best right pair among the detections
+    labelled: dict[int, int]  # index -> the labelled object that it is
+    # truth: dict of int to (Role, SceneObject): index of a labelled object -> its role and itself: the labelled target
+    # and reference, where they are known
     truth: dict[int, tuple[Role, SceneObject]]
-    exact: bool
-    numbers: Mapping[int, int]
+    exact: bool  # The detections are the dataset's own
+    numbers: Mapping[int, int]  # as `Trace.numbers`
 
     def name(self, index: int) -> str:
         """An object as the tables call it."""

@@ -39,20 +39,12 @@ class ShownRankingRecord(_StrictModel):
 
 
 class ShownRecord(_StrictModel):
-    """What a whole file of predictions showed.
-
-    Attributes
-    ----------
-    level : int
-    true_scores : (float, float)
-    ranking : ShownRankingRecord or None
-    relations : dict or None
-        The scorer's fit by relation; None where the file names its scorer.
-    """
+    """What a whole file of predictions showed."""
 
     level: int
     true_scores: tuple[FiniteFloat, FiniteFloat]
     ranking: ShownRankingRecord | None = None
+    # relations: The scorer's fit by relation; None where the file names its scorer
     relations: dict[str, tuple[FiniteFloat, ...] | None] | None = None
 
     @property
@@ -63,13 +55,7 @@ class ShownRecord(_StrictModel):
 
 
 def keep_predictions(source: ImportedPipeline, frame: str) -> tuple[bytes, ShownRecord]:
-    """The lines of a frame as a file of predictions, and what its whole file showed.
-
-    Raises
-    ------
-    InputError
-        The ranking was asked again by a function, which no file holds.
-    """
+    """The lines of a frame as a file of predictions, and what its whole file showed."""
     require(
         source.rescore is None, "the ranking was asked again by a function, which no case holds",
         expected="the run without rescore",

@@ -83,30 +83,15 @@ def keep_proposals(frame: Frame, detector: Detector, unfiltered: Detector, names
 
 @dataclass(frozen=True)
 class KeptDetector:
-    """Plays back kept proposals.
+    """Plays back kept proposals."""
 
-    Attributes
-    ----------
-    name : str
-        That of the detector they are from.
-    exact : bool
-    vocabulary : tuple of str or None
-    kept : KeptProposals
-    path : Path
-        The file, for errors.
-    print : str
-        Hash of the file.
-    everything : bool
-        Without the detector's minimum score.
-    """
-
-    name: str
+    name: str  # That of the detector they are from
     exact: bool
     vocabulary: tuple[str, ...] | None
     kept: KeptProposals
-    path: Path
-    print: str
-    everything: bool = False
+    path: Path  # The file, for errors
+    print: str  # Hash of the file
+    everything: bool = False  # Without the detector's minimum score
     _answers: dict[tuple[str, ...] | None, Proposals] = field(default_factory=dict, compare=False, repr=False)
 
     def fingerprint(self) -> str:
@@ -139,13 +124,7 @@ class KeptDetector:
 
 
 def read_proposals(path: Path) -> tuple[KeptProposals, str]:
-    """The file, and its hash.
-
-    Raises
-    ------
-    InputError
-        It is damaged; the message names the field.
-    """
+    """The file, and its hash."""
     data = read_bytes(path, "text")
     unreadable = "the detections of the case are not JSON"
     with as_input_error(unreadable, ValueError, got=lambda e: str(e)[:120], path=path):

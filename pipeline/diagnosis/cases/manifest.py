@@ -146,13 +146,7 @@ class CaseManifest(_Strict):
 
 
 def checked_manifest(root: Path, table: dict[str, Any]) -> tuple[CaseManifest, ExpectedRecord]:
-    """The manifest, validated.
-
-    Raises
-    ------
-    InputError
-        It is damaged; the message names the field.
-    """
+    """The manifest, validated."""
     path = root / MANIFEST
     manifest = validated(CaseManifest, table, path)
     return manifest, checked_expected(manifest.expected, path)
@@ -224,13 +218,7 @@ def truth_record(truth: FrameCases, case: Case, mark: str | None, confidence: fl
 
 
 def read_truth(record: Any, frame_id: str, path: Path) -> tuple[FrameCases, Case | None, str | None, float | None]:
-    """Truth, expression, a person's mark, and the confidence of recalled objects.
-
-    Raises
-    ------
-    InputError
-        The record is damaged; the message names the field.
-    """
+    """Truth, expression, a person's mark, and the confidence of recalled objects."""
     saved = validated(TruthRecord, record, path, "truth")
     n, case = len(saved.objects), saved.expression
     indices = [] if case is None else [

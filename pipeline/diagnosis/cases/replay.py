@@ -40,34 +40,19 @@ SAME_BOX_PIXELS = 0.05
 
 @dataclass(frozen=True)
 class ReplayedCase:
-    """A case that was run again.
-
-    Attributes
-    ----------
-    path : Path
-    name : str
-    before, after : Expected
-        The kept answer and that of now, as far as they are compared.
-    changes : tuple of str
-        What is another now, in words; empty where the answer is the same.
-    warnings : tuple of str
-        What moved without changing the answer, and what the case was run with besides its own.
-    record : dict
-        The whole answer of now.
-    answered : Answer
-    moved : str or None
-        The first module whose own output is another now: PARSE, OPM, LIFT, SRM or PRM; None where none is. What follows
-        it gets another input, so that the verdict may blame a later one, or one that is as it was.
-    """
+    """A case that was run again."""
 
     path: Path
     name: str
+    # before, after: The kept answer and that of now, as far as they are compared
     before: ExpectedRecord
     after: ExpectedRecord
-    changes: tuple[str, ...]
-    warnings: tuple[str, ...]
-    record: dict[str, Any]
+    changes: tuple[str, ...]  # What is another now, in words; empty where the answer is the same
+    warnings: tuple[str, ...]  # What moved without changing the answer, and what the case was run with besides its own
+    record: dict[str, Any]  # The whole answer of now
     answered: Answer
+    # moved: The first module whose own output is another now: PARSE, OPM, LIFT, SRM or PRM; None where none is. What
+    # follows it gets another input, so that the verdict may blame a later one, or one that is as it was.
     moved: str | None = None
 
     @property
@@ -98,18 +83,8 @@ def find_cases(path: str | Path) -> tuple[Path, ...]:
 def replay_case(opened: OpenedCase, tolerance: float = TOLERANCE, *, live: bool = False) -> ReplayedCase:
     """Answer a case again and compare.
 
-    Parameters
-    ----------
-    opened : OpenedCase
-    tolerance : float
-        A probability that moves by more is warned of.
-    live : bool
-        The detections are new ones: objects are the same where their 2D boxes overlap by 0.7.
-
-    Raises
-    ------
-    InputError
-        The case cannot be answered: it is damaged, or lacks its network.
+    `tolerance`: A probability that moves by more is warned of; `live`: the detections are new ones: objects are the
+    same where their 2D boxes overlap by 0.7.
     """
     require((np.isfinite(tolerance) and tolerance >= 0), "a tolerance must be at least 0", got=tolerance)
     now = opened.answer()
@@ -212,23 +187,12 @@ def _moved(what: str, before: float, after: float, tolerance: float) -> list[str
 
 @dataclass(frozen=True)
 class Result:
-    """What came of one case.
-
-    Attributes
-    ----------
-    path : Path
-    status : str
-        same, changed, updated (changed, and taken over) or damaged (could not be run).
-    replay : ReplayedCase or None
-        None where it could not be run.
-    problem : str or None
-        Why not.
-    """
+    """What came of one case."""
 
     path: Path
-    status: Status
-    replay: ReplayedCase | None
-    problem: str | None = None
+    status: Status  # same, changed, updated (changed, and taken over) or damaged (could not be run)
+    replay: ReplayedCase | None  # None where it could not be run
+    problem: str | None = None  # Why not
 
 
 def _check_places(folders: Sequence[Path], predictions: Predictions, rules: RunRules | None) -> None:
@@ -264,7 +228,6 @@ def replay_all(
 
     Parameters
     ----------
-    folders : sequence of Path
     srm, vectors
         As for `open_case`.
     tolerance : float

@@ -87,7 +87,6 @@ def save_case(
         Must not exist, or be empty.
     source : Pipeline
         What answers; its detector is asked once more, without its minimum score too.
-    context : PreparedFrame
     text : str
         The expression.
     truth : FrameCases, optional
@@ -113,8 +112,8 @@ def save_case(
     Raises
     ------
     InputError
-        No detector, a folder that is in use, edits that cannot be applied, or a source whose answer does not come
-        back from what it gave; nothing is written then.
+        No detector, a folder that is in use, edits that cannot be applied, or a source whose answer does not come back
+        from what it gave; nothing is written then.
     """
     folder = Path(folder)
     require(
@@ -245,34 +244,18 @@ def _scorer_record(scorer: RelationScorer, copy: bool) -> tuple[ScorerRecord, by
 
 @dataclass(frozen=True)
 class OpenedCase:
-    """A case that is ready to be answered.
-
-    Attributes
-    ----------
-    root : Path
-    manifest : CaseManifest
-    table : dict
-        The manifest as it stands in the file.
-    expected : ExpectedRecord
-    source : Pipeline
-    truth : FrameCases or None
-    case : Case or None
-    mark : str or None
-    confidence : float or None
-    notes : tuple of str
-        What is not as it was when the case was written, such as another shipped network.
-    """
+    """A case that is ready to be answered."""
 
     root: Path
     manifest: CaseManifest
-    table: dict[str, Any]
+    table: dict[str, Any]  # The manifest as it stands in the file
     expected: ExpectedRecord
     source: Pipeline
     truth: FrameCases | None
     case: Case | None
     mark: str | None
     confidence: float | None
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # What is not as it was when the case was written, such as another shipped network
 
     @cached_property
     def context(self) -> PreparedFrame:
@@ -291,13 +274,7 @@ class OpenedCase:
         write_whole(self.root / MANIFEST, _json({**self.table, "expected": record}).encode(), "the case")
 
     def with_detector(self, name: str, model: Path | None, min_score: float | None = None) -> OpenedCase:
-        """The same case with a detector that looks at the picture now; "live" is the one it was made with.
-
-        Raises
-        ------
-        InputError
-            No such detector, or it needs a model.
-        """
+        """The same case with a detector that looks at the picture now; "live" is the one it was made with."""
         require(
             self.manifest.shown is None, "what another pipeline gave cannot be looked at again here",
             expected="--predictions FILE, what it gives now", path=self.root,
@@ -334,7 +311,6 @@ def open_case(
 
     Parameters
     ----------
-    root : str or Path
     srm : str or Path, optional
         Another relation scorer than the case's, as `pipeline.relations.make_scorer` takes it.
     vectors : Path, optional

@@ -29,22 +29,12 @@ View = TypeVar("View", bound="AnswerView")
 
 @dataclass(frozen=True)
 class OtherAnswer:
-    """What another run answers to the same question about the same frame.
+    """What another run answers to the same question about the same frame."""
 
-    Attributes
-    ----------
-    name : str
-        Of its system.
-    trace : Trace or None
-    judged : Diagnosis or str or None
-    error : str
-        Why it cannot be asked.
-    """
-
-    name: str
+    name: str  # Of its system
     trace: Trace | None
     judged: Diagnosis | str | None = None
-    error: str = ""
+    error: str = ""  # Why it cannot be asked
 
     @property
     def best(self) -> ScoredPair | None:
@@ -56,21 +46,12 @@ class OtherAnswer:
 
 @dataclass(frozen=True)
 class Ghost:
-    """A box beside the answer's: of the label, or of another run's answer.
-
-    Attributes
-    ----------
-    key, text : str
-    box : Box3D
-        Camera frame.
-    role : str
-        "truth" for the label's, "edited" for the other run's.
-    """
+    """A box beside the answer's: of the label, or of another run's answer."""
 
     key: str
     text: str
-    box: Box3D
-    role: Role
+    box: Box3D  # Camera frame
+    role: Role  # "truth" for the label's, "edited" for the other run's
 
 
 def same_thing(trace: Trace | None, place: int | None, other: SceneObject) -> bool:
@@ -82,21 +63,12 @@ def same_thing(trace: Trace | None, place: int | None, other: SceneObject) -> bo
 
 @dataclass(frozen=True)
 class BothAnswers:
-    """An answer without edits and with them.
-
-    Attributes
-    ----------
-    before, after : Outcome
-    judged : Diagnosis or str or None
-        The verdict on the one before.
-    seconds : float
-        What answering again took the core.
-    """
+    """An answer without edits and with them."""
 
     before: Outcome
     after: Outcome
-    judged: Diagnosis | str | None
-    seconds: float
+    judged: Diagnosis | str | None  # The verdict on the one before
+    seconds: float  # What answering again took the core
 
     def pair_before(self, pair: ScoredPair) -> tuple[int | None, ScoredPair | None]:
         """A pair of the answer as it was, after the place that it had, from 1; None where it was no candidate."""
@@ -116,37 +88,19 @@ class BothAnswers:
 
 @dataclass(frozen=True, kw_only=True)
 class AnswerView:
-    """What somebody looks at: a frame, and an answer of it.
+    """What somebody looks at: a frame, and an answer of it."""
 
-    Attributes
-    ----------
-    loaded : LoadedFrame or None
-        None where the frame is broken.
-    trace : Trace or None
-    found : ShownObjects
-        What `shown` is made of.
-    pair : tuple of int or None
-        The chosen pair (with "between", all three), as places in `shown.objects`; kept by objects, not by rank.
-    selected : int or None
-        Place in `shown.objects`.
-    judged : Diagnosis or str or None
-        The verdict on the answer, why there is none, or None where nothing is known of the truth.
-    other : OtherAnswer or None
-        The answer of a run to compare with.
-    edits : Edits
-        Of the question that is asked; they stay when it is asked again.
-    edited : BothAnswers or None
-        `trace` is the answer under the edits, and this has the one without them; None where nothing is edited.
-    """
-
-    loaded: LoadedFrame | None = None
+    loaded: LoadedFrame | None = None  # None where the frame is broken
     trace: Trace | None = None
-    found: ShownObjects = NOTHING
+    found: ShownObjects = NOTHING  # What `shown` is made of
+    # pair: The chosen pair (with "between", all three), as places in `shown.objects`; kept by objects, not by rank
     pair: tuple[int, ...] | None = None
-    selected: int | None = None
+    selected: int | None = None  # Place in `shown.objects`
+    # judged: The verdict on the answer, why there is none, or None where nothing is known of the truth
     judged: Diagnosis | str | None = None
-    other: OtherAnswer | None = None
-    edits: Edits = field(default_factory=Edits)
+    other: OtherAnswer | None = None  # The answer of a run to compare with
+    edits: Edits = field(default_factory=Edits)  # Of the question that is asked; they stay when it is asked again
+    # edited: `trace` is the answer under the edits, and this has the one without them; None where nothing is edited
     edited: BothAnswers | None = None
 
     @cached_property
@@ -316,13 +270,7 @@ class AnswerView:
 
 
 def answer_view(context: PreparedFrame, outcome: Outcome, edits: Edits, key: str | None = None) -> AnswerView:
-    """An answer under edits as one first looks at it: its best pair, and of that the target, or the object of a key.
-
-    Raises
-    ------
-    InputError
-        The answer has no object of the key.
-    """
+    """An answer under edits as one first looks at it: its best pair, and of that the target, or the object of a key."""
     loaded, trace = LoadedFrame(context, ()), outcome.trace
     view = AnswerView(loaded=loaded, trace=trace, found=shown_objects(loaded, trace, trace.exact), edits=edits)
     pair = next(map(view.at, view.ranked), None)

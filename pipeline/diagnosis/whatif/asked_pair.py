@@ -22,20 +22,11 @@ REACH = 1.0
 
 @dataclass(frozen=True)
 class AskedPair:
-    """What a region is of: "target RELATION reference", in the order in which it is judged.
-
-    Attributes
-    ----------
-    trace : Trace
-    ends : (int, int)
-        Target and reference, indices in the trace's objects.
-    profile : Profile
-        The rule's thresholds, edited or not.
-    """
+    """What a region is of: "target RELATION reference", in the order in which it is judged."""
 
     trace: Trace
-    ends: tuple[int, int]
-    profile: Profile
+    ends: tuple[int, int]  # Target and reference, indices in the trace's objects
+    profile: Profile  # The rule's thresholds, edited or not
 
     @property
     def _lifted(self) -> tuple[LiftedObject, LiftedObject]:

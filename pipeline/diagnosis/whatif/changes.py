@@ -46,7 +46,6 @@ def what_changed(
 
     Parameters
     ----------
-    before, after : Outcome
     verdicts : pair of str or None, optional
         Of both, where the caller knows them.
     most : int
@@ -55,16 +54,12 @@ def what_changed(
     Returns
     -------
     dict
-        `changed` (the winning pair is another); `before` and `after`, each with
-        `target`, `reference`, `second_reference` (objects as {key, label}),
-        the factors `p_target`, `p_reference`, `p_relation`, `product`, whether
-        the pair `holds` and by what `relation_probability`, `probability`, the
-        `margin` and `log_margin` (null where there is one pair only),
-        `entropy`, `reason` where there is no answer, `verdict`;
-        `factors`: what became of the pair that won before and of the one that
-        wins now, as logs {before, after}; `moved`: the pairs with another
-        rank, best first after the edit; `candidates`: keys of objects that
-        `came` and `went`.
+        `changed` (the winning pair is another); `before` and `after`, each with `target`, `reference`,
+        `second_reference` (objects as {key, label}), the factors `p_target`, `p_reference`, `p_relation`, `product`,
+        whether the pair `holds` and by what `relation_probability`, `probability`, the `margin` and `log_margin` (null
+        where there is one pair only), `entropy`, `reason` where there is no answer, `verdict`; `factors`: what became
+        of the pair that won before and of the one that wins now, as logs {before, after}; `moved`: the pairs with
+        another rank, best first after the edit; `candidates`: keys of objects that `came` and `went`.
     """
     first, last = _winner(before), _winner(after)
     told = verdicts or (None, None)
@@ -158,21 +153,11 @@ def _moved(before: Outcome, after: Outcome, most: int) -> list[Record]:
 
 @dataclass(frozen=True)
 class EditDescription:
-    """One edit.
+    """One edit."""
 
-    Attributes
-    ----------
-    id : str
-        Names it among the edits of its view.
-    text : str
-        What is changed, in words.
-    key : str or None
-        Of the object; None for a setting, and for a relation that of its first end.
-    """
-
-    id: str
-    text: str
-    key: str | None = None
+    id: str  # Names it among the edits of its view
+    text: str  # What is changed, in words
+    key: str | None = None  # Of the object; None for a setting, and for a relation that of its first end
 
 
 def each_edit(edits: Edits, named: Callable[[str], str] = str) -> tuple[EditDescription, ...]:

@@ -47,39 +47,22 @@ _AT_ONCE = 512
 
 @dataclass(frozen=True)
 class DecisionMap:
-    """Which answer wins where.
+    """Which answer wins where."""
 
-    Attributes
-    ----------
-    key : str
-        The object that is moved.
-    right, forward : (G,) float64
-        Where the centre of its extents stands in each column and row, metres along the viewer's axes.
-    floor : float
-        Height of the lowest object, metres along up.
-    keys : tuple of str
-        All objects.
-    winner, reference : (G, G) int64
-        Index in `keys` of the target and of the reference that win at [row of forward, column of right];
-        -1 where no pair is allowed.
-    margin : (G, G) float64
-        Posterior of the winning pair less that of the next.
-    corners : (G + 1, G + 1, 3) float64
-        Of the cells, on the floor, camera frame, metres.
-    seconds : float
-        What it cost.
-    """
-
-    key: str
+    key: str  # The object that is moved
+    # right, forward: (G,) float64: where the centre of its extents stands in each column and row, metres along the
+    # viewer's axes
     right: np.ndarray
     forward: np.ndarray
-    floor: float
-    keys: tuple[str, ...]
+    floor: float  # Height of the lowest object, metres along up
+    keys: tuple[str, ...]  # All objects
+    # winner, reference: (G, G) int64: index in `keys` of the target and of the reference that win at [row of forward,
+    # column of right]; -1 where no pair is allowed
     winner: np.ndarray
     reference: np.ndarray
-    margin: np.ndarray
-    corners: np.ndarray
-    seconds: float
+    margin: np.ndarray  # (G, G) float64: posterior of the winning pair less that of the next
+    corners: np.ndarray  # (G + 1, G + 1, 3) float64: of the cells, on the floor, camera frame, metres
+    seconds: float  # What it cost
 
 
 def decision_map(baseline: Baseline, edits: Edits, key: str, cells: int = CELLS, margin: float = MARGIN) -> DecisionMap:
@@ -97,8 +80,8 @@ def decision_map(baseline: Baseline, edits: Edits, key: str, cells: int = CELLS,
     Raises
     ------
     InputError
-        The object is no candidate or has no place in space, the question has no
-        answer, or the scorer is one that judges a list only as a whole.
+        The object is no candidate or has no place in space, the question has no answer, or the scorer is one that
+        judges a list only as a whole.
     """
     start = perf_counter()
     require(

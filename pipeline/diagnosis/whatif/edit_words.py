@@ -31,8 +31,8 @@ def edited_by(said: str, view: AnswerView, source: Pipeline, keys: tuple[str, ..
     Parameters
     ----------
     said : str
-        Of the selected object "center:AXIS:METRES" (0 right, 1 forward, 2 up), "size:AXIS:METRES" (0 width, 1 height,
-        2 depth), "yaw:DEGREES", "hide", "confidence:NAME:P" (NAME counted from 0), "mask:grow:PIXELS", "mask:label",
+        Of the selected object "center:AXIS:METRES" (0 right, 1 forward, 2 up), "size:AXIS:METRES" (0 width, 1 height, 2
+        depth), "yaw:DEGREES", "hide", "confidence:NAME:P" (NAME counted from 0), "mask:grow:PIXELS", "mask:label",
         "mask:swap", "mask:rectangle:X0,Y0,X1,Y1" (shares of the picture); of the chosen pair "relation:P"; of the
         settings "set:NAME:VALUE".
     keys : tuple of str
@@ -76,17 +76,10 @@ def said_edits(baseline: Baseline, edits: Edits, said: Sequence[str], key: str |
 
     Parameters
     ----------
-    baseline : Baseline
-    edits : Edits
     said : sequence of str
         As for `edited_by`; the pair that they are of is the answer.
     key : str, optional
         Of the object that they are of. Default: the target of the answer.
-
-    Raises
-    ------
-    InputError
-        As `edited_by`, or where the answer has no such object.
     """
     for words in said:
         outcome = rerun(baseline, edits)
@@ -165,13 +158,7 @@ def _masks(view: AnswerView, keys: tuple[str, ...], way: str, more: list[str]) -
 
 
 def partners(view: AnswerView) -> tuple[int, int]:
-    """The two whose masks are swapped: the selected object, and the other end of the chosen pair.
-
-    Raises
-    ------
-    InputError
-        No pair is chosen, or no candidate selected.
-    """
+    """The two whose masks are swapped: the selected object, and the other end of the chosen pair."""
     if view.pair is None or view.selected is None or view.selected not in view.shown.place.values():
         raise InputError("swapping takes a selected candidate and a chosen pair")
     other = view.pair[0] if view.selected != view.pair[0] else view.pair[1]

@@ -144,13 +144,7 @@ CHECKS = {"rank": checked_rank, "profile": checked_profile, "lift": checked_lift
 
 @dataclass(frozen=True)
 class PlacedBox:
-    """A 3D box as plain numbers, camera frame, metres; `R` row by row.
-
-    Attributes
-    ----------
-    center, size : three floats
-    R : three times three floats
-    """
+    """A 3D box as plain numbers, camera frame, metres; `R` row by row."""
 
     center: Axis
     R: tuple[Axis, Axis, Axis]
@@ -222,33 +216,22 @@ else:
 
 @dataclass(frozen=True)
 class Edits:
-    """All edits of a view; `Edits()` has none. Made by `read_edits` or by the functions below, which check.
-
-    Attributes
-    ----------
-    boxes : mapping of key to PlacedBox
-    masks : mapping of key to RunLength
-    hidden : frozenset of key
-    confidences : mapping of (name, key) to float
-        0..1; the name as it is asked in the expression.
-    relations : mapping of (relation, key of a, key of b) to float
-        0..1.
-    k : int or None
-    min_score : float or None
-    rank, profile, lift : mapping of field name to value
-    scorer : str or None
-    """
+    """All edits of a view; `Edits()` has none. Made by `read_edits` or by the functions below, which check."""
 
     __pydantic_config__ = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
     format: Literal["spatialviz-edits-1"] = FORMAT
+    # boxes: mapping of key to PlacedBox
     boxes: Annotated[Mapping[Key, PlacedBox], Field(max_length=MOST_EDITS)] = field(default_factory=dict)
+    # masks: mapping of key to RunLength
     masks: Annotated[Mapping[Key, _Mask], Field(max_length=MOST_EDITS)] = field(default_factory=dict)
     hidden: Annotated[frozenset[Key], Field(max_length=MOST_EDITS)] = frozenset()
+    # confidences: mapping of (name, key) to float: 0..1; the name as it is asked in the expression
     confidences: _Confidences = field(default_factory=dict)
-    relations: _Relations = field(default_factory=dict)
+    relations: _Relations = field(default_factory=dict)  # mapping of (relation, key of a, key of b) to float: 0..1
     k: Annotated[int, Field(ge=1, le=100_000)] | None = None
     min_score: Share | None = None
+    # rank, profile, lift: mapping of field name to value
     rank: Annotated[Mapping[str, Any], AfterValidator(checked_rank)] = field(default_factory=dict)
     profile: Annotated[Mapping[str, Any], AfterValidator(checked_profile)] = field(default_factory=dict)
     lift: Annotated[Mapping[str, Any], AfterValidator(checked_lift)] = field(default_factory=dict)
@@ -351,13 +334,7 @@ def edits_record(edits: Edits) -> Record:
 
 
 def read_edits(record: Record | str | bytes) -> Edits:
-    """Edits from a JSON object, or from the text of one.
-
-    Raises
-    ------
-    InputError
-        It is not JSON, has an unknown field, or a value out of range.
-    """
+    """Edits from a JSON object, or from the text of one."""
     return validated(Edits, record, "the edits")
 
 

@@ -34,33 +34,17 @@ _Identity = tuple[int, str, bytes]
 
 @dataclass(frozen=True)
 class PairTables:
-    """What was scored, and what it was scored from.
-
-    Attributes
-    ----------
-    objects : tuple of SceneObject
-    index : dict
-        Identity of an object -> its index.
-    lo, hi : (N, 3) float64
-        Extents along (right, up, forward), metres.
-    clouds : tuple of (M, 3) float32
-        Points along (right, up, forward).
-    rows : (N, K) float64
-        What the network is given of each object; K is 0 for the rule.
-    scores : RelationScores
-        Of PAIRWISE.
-    scored : int
-        How many unordered pairs were scored anew.
-    """
+    """What was scored, and what it was scored from."""
 
     objects: tuple[SceneObject, ...]
-    index: dict[_Identity, int]
+    index: dict[_Identity, int]  # Identity of an object -> its index
+    # lo, hi: (N, 3) float64: extents along (right, up, forward), metres
     lo: np.ndarray
     hi: np.ndarray
-    clouds: tuple[np.ndarray, ...]
-    rows: np.ndarray
-    scores: RelationScores
-    scored: int
+    clouds: tuple[np.ndarray, ...]  # tuple of (M, 3) float32: points along (right, up, forward)
+    rows: np.ndarray  # (N, K) float64: what the network is given of each object; K is 0 for the rule
+    scores: RelationScores  # Of PAIRWISE
+    scored: int  # How many unordered pairs were scored anew
 
 
 def identity(entry: SceneObject) -> _Identity:
@@ -79,10 +63,7 @@ def score_pairs(
 ) -> PairTables:
     """All relations of all ordered pairs.
 
-    Parameters
-    ----------
-    before : PairTables, optional
-        Scored by the same scorer, profile and viewer; pairs of two objects that are in it are taken from it.
+    `before`: scored by the same scorer, profile and viewer; pairs of two objects that are in it are taken from it.
     """
     objects = tuple(objects)
     n = len(objects)
@@ -191,19 +172,9 @@ def of_pairs(
 ) -> RelationScores:
     """Scores of pairs of objects, each pair as a scene of two.
 
-    Parameters
-    ----------
-    pair : (P, 2) int
-        Indices in the lists.
-    extents : ((N, 3), (N, 3)) float64
-        Along (right, up, forward), metres.
-    clouds : sequence of (M, 3)
-    rows : (N, K) float64
-
-    Returns
-    -------
-    RelationScores
-        With arrays (P, 2, 2, R): [p, 0, 1] is "first RELATION second".
+    `pair`: (P, 2) int: indices in the lists; `extents`: ((N, 3), (N, 3)) float64: along (right, up, forward), metres;
+    `clouds`: sequence of (M, 3); `rows`: (N, K) float64. Returns arrays (P, 2, 2, R): [p, 0, 1] is "first RELATION
+    second".
     """
     known = known_extents(*extents)
     lo, hi = (np.where(known[:, None], e, 0.0) for e in extents)
@@ -261,12 +232,7 @@ def detection_keys(name: str, found: Proposals) -> tuple[str, ...]:
     asked for "chair", before anything is suppressed or cut off. The first kind has no slash and the second always has
     one, so that no key can be mistaken for another.
 
-    Parameters
-    ----------
-    name : str
-        As it was asked.
-    found : Proposals
-        All of the run.
+    `name`: as it was asked; `found`: all of the run.
     """
     index = np.empty(len(found), np.int64)
     index[np.argsort(-found.scores, kind="stable")] = np.arange(1, len(found) + 1)

@@ -25,23 +25,12 @@ Measures = dict[str, float]
 
 @dataclass(frozen=True)
 class Placement:
-    """One pair under one relation's rule.
-
-    Attributes
-    ----------
-    relation : str
-    state : int
-        1 T, 0 U, -1 F: the rule's own.
-    why : str
-        One sentence.
-    measures : dict of str to float
-        What the rule looked at; names end in `_m` (metres), `_deg` (degrees), else they are shares.
-    """
+    """One pair under one relation's rule."""
 
     relation: str
-    state: int
-    why: str
-    measures: Measures
+    state: int  # 1 T, 0 U, -1 F: the rule's own
+    why: str  # One sentence
+    measures: Measures  # What the rule looked at; names end in `_m` (metres), `_deg` (degrees), else they are shares
 
 
 def place_in_region(
@@ -51,13 +40,7 @@ def place_in_region(
     viewer: ViewerAxes,
     profile: Profile | None = None,
 ) -> Placement:
-    """Judge "target RELATION reference" by the profile, and say why.
-
-    Raises
-    ------
-    InputError
-        For a relation that is not of two objects.
-    """
+    """Judge "target RELATION reference" by the profile, and say why."""
     require(
         relation in PAIRWISE, "there is no region of this relation", got=repr(relation), expected=", ".join(PAIRWISE)
     )
@@ -229,21 +212,11 @@ def pulled(box: Box3D, axis: int, side: float, by: float) -> Box3D:
 
 @dataclass(frozen=True)
 class BoxNumbers:
-    """A box in the viewer's level axes.
+    """A box in the viewer's level axes."""
 
-    Attributes
-    ----------
-    center : three floats
-        Along (right, forward, up), metres.
-    size : three floats
-        Along the box's own axes, for an upright box (width, height, depth), metres.
-    yaw : float
-        Of the box's first axis in plan, degrees from right towards forward, in (-180, 180].
-    """
-
-    center: Three
-    size: Three
-    yaw: float
+    center: Three  # Along (right, forward, up), metres
+    size: Three  # Along the box's own axes, for an upright box (width, height, depth), metres
+    yaw: float  # Of the box's first axis in plan, degrees from right towards forward, in (-180, 180]
 
 
 def box_numbers(box: Box3D, viewer: ViewerAxes) -> BoxNumbers:
@@ -261,13 +234,7 @@ def with_numbers(
     size: Three | None = None,
     yaw: float | None = None,
 ) -> Box3D:
-    """The box with some of its numbers changed; None leaves one as it is.
-
-    Raises
-    ------
-    InputError
-        For numbers that are no box. Sides below SMALLEST_SIDE become that.
-    """
+    """The box with some of its numbers changed; None leaves one as it is."""
     axes = _axes(viewer)
     moved = box.center if center is None else axes.T @ np.array(center, np.float64)
     sides = box.size if size is None else np.maximum(np.array(size, np.float64), SMALLEST_SIDE)
@@ -299,16 +266,7 @@ what another mask is for."""
 def grown(mask: np.ndarray, pixels: int) -> np.ndarray:
     """A mask grown by a disc of a radius, or shrunk where it is negative.
 
-    Parameters
-    ----------
-    mask : (H, W) bool
-    pixels : int
-        -200..200.
-
-    Raises
-    ------
-    InputError
-        A radius out of range.
+    `mask`: (H, W) bool; `pixels`: -200..200.
     """
     require(
         abs(pixels) <= MOST_PIXELS,
@@ -327,13 +285,7 @@ def grown(mask: np.ndarray, pixels: int) -> np.ndarray:
 
 
 def rectangle(height: int, width: int, corners: tuple[float, float, float, float]) -> np.ndarray:
-    """(H, W) bool: the pixels between two corners, x0, y0, x1, y1 as fractions of width and height in any order.
-
-    Raises
-    ------
-    InputError
-        The rectangle holds no pixel.
-    """
+    """(H, W) bool: the pixels between two corners, x0, y0, x1, y1 as fractions of width and height in any order."""
     x0, y0, x1, y1 = corners
     require(np.isfinite([x0, y0, x1, y1]).all(), "the corners of a rectangle must be finite", got=corners)
     xs, ys = sorted((x0, x1)), sorted((y0, y1))

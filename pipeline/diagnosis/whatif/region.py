@@ -39,44 +39,25 @@ REACH = 1.5
 
 @dataclass(frozen=True)
 class RegionPart:
-    """One part of a region.
+    """One part of a region."""
 
-    Attributes
-    ----------
-    label : str
-        "T" or "U".
-    triangles : (M, 3, 3) float64
-        Corners, camera frame, metres; to be drawn translucent.
-    lines : (S, 2, 3) float64
-        Segments of its outline, camera frame, metres.
-    """
-
-    label: str
-    triangles: np.ndarray
-    lines: np.ndarray
+    label: str  # "T" or "U"
+    triangles: np.ndarray  # (M, 3, 3) float64: corners, camera frame, metres; to be drawn translucent
+    lines: np.ndarray  # (S, 2, 3) float64: segments of its outline, camera frame, metres
 
 
 @dataclass(frozen=True)
 class Region:
-    """Where a relation holds (T) and where it is undecided (U), for the centre of a target of one size.
-
-    Attributes
-    ----------
-    relation : str
-    patches : tuple of RegionPart
-    axes : (3, 2, 3) float64
-        Segments from the reference's middle along the viewer's right, up and forward, camera frame, metres.
-    dead_zone : float
-        Half width of the undecided strip along the relation's axis, metres; 0 where it has none.
-    exact : bool
-        Every point of the plane that is drawn is judged as the rule judges it. The solids of above, below, on and
-        in take extents for points, and their U is what lies inside U and outside T.
-    """
+    """Where a relation holds (T) and where it is undecided (U), for the centre of a target of one size."""
 
     relation: str
     patches: tuple[RegionPart, ...]
+    # axes: (3, 2, 3) float64: segments from the reference's middle along the viewer's right, up and forward, camera
+    # frame, metres
     axes: np.ndarray
-    dead_zone: float
+    dead_zone: float  # Half width of the undecided strip along the relation's axis, metres; 0 where it has none
+    # exact: Every point of the plane that is drawn is judged as the rule judges it. The solids of above, below, on and
+    # in take extents for points, and their U is what lies inside U and outside T.
     exact: bool
 
 
@@ -90,20 +71,8 @@ def region_of(
 ) -> Region:
     """The region of "target RELATION reference".
 
-    Parameters
-    ----------
-    reference : LiftedObject
-    relation : str
-        One of PAIRWISE.
-    size : (3,) float
-        The target's extents along (right, up, forward), metres: `hi - lo` of its LiftedObject.
-    reach : float
-        How far beyond the reference it is drawn, metres.
-
-    Raises
-    ------
-    InputError
-        For another relation, a reference without extents, a size that is none.
+    `relation`: one of PAIRWISE; `size`: (3,) float: the target's extents along (right, up, forward), metres: `hi - lo`
+    of its LiftedObject; `reach`: how far beyond the reference it is drawn, metres.
     """
     profile = profile or Profile()
     require(

@@ -41,20 +41,11 @@ _MOST_KEPT = {"context": 3, "scorer": 3, "tables": 6, "selected": 64, "same": 4}
 
 @dataclass(frozen=True)
 class Outcome:
-    """An answer under edits.
-
-    Attributes
-    ----------
-    trace : Trace
-    keys : tuple of str
-        Of `trace.objects`, in their order.
-    pairs_scored : int
-        Unordered pairs whose relations were computed for this answer.
-    """
+    """An answer under edits."""
 
     trace: Trace
-    keys: tuple[str, ...]
-    pairs_scored: int
+    keys: tuple[str, ...]  # Of `trace.objects`, in their order
+    pairs_scored: int  # Unordered pairs whose relations were computed for this answer
 
 
 class Baseline:
@@ -62,25 +53,17 @@ class Baseline:
 
     Parameters
     ----------
-    source : Pipeline
-    context : PreparedFrame
     text : str
         The expression.
 
     Attributes
     ----------
-    query : Query
     found : dict of str to Proposals
         The detector's whole run for each name, before suppression and K.
     keys : dict of str to tuple of str
         Of `found`.
     outcome : Outcome
         The answer without edits.
-
-    Raises
-    ------
-    InputError
-        As `pipeline.answering.ask.ask`.
     """
 
     def __init__(self, source: Pipeline, context: PreparedFrame, text: str) -> None:
@@ -149,13 +132,6 @@ def rerun(baseline: Baseline, edits: Edits) -> Outcome:
 
     With `Edits()` this is `Pipeline.ask`'s own trace; only the timings differ:
     they say what this answer cost, what was kept costs nothing.
-
-    Raises
-    ------
-    InputError
-        For a mask of another picture size, a scorer that cannot be used, or a
-        probability of a relation that has none for two objects alone; any edit
-        of an imported answer that came without what ranked it.
     """
     rule = baseline.source.config.rank.rule
     require(

@@ -13,20 +13,12 @@ from pipeline.answering.pair_table import ScoredPair
 
 @dataclass(frozen=True)
 class ShownObjects:
-    """The objects that somebody looks at: all of the frame, and those only the question found.
-
-    Attributes
-    ----------
-    objects : tuple of SceneObject
-    names : tuple of str
-        "mug·3": the class and the place in the list (the dataset's own where the objects are the dataset's).
-    place : dict of int to int
-        Place in the trace's objects -> place in `objects`.
-    """
+    """The objects that somebody looks at: all of the frame, and those only the question found."""
 
     objects: tuple[SceneObject, ...]
+    # "mug·3": the class and the place in the list (the dataset's own where the objects are the dataset's).
     names: tuple[str, ...]
-    place: Mapping[int, int]
+    place: Mapping[int, int]  # place in the trace's objects -> place in `objects`
 
     def in_roles(self, trace: Trace, pair: ScoredPair) -> ShownObjects:
         """The same, with each object of a pair under the name that it is asked for there, and with that name's score.

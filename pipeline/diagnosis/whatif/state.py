@@ -35,12 +35,7 @@ Toggle = bool | int | float | Text
 
 @dataclass(frozen=True)
 class CameraView:
-    """Where the page's camera stands, in the frame's camera frame, metres; `up` is a direction.
-
-    Attributes
-    ----------
-    position, look_at, up : three floats
-    """
+    """Where the page's camera stands, in the frame's camera frame, metres; `up` is a direction."""
 
     position: Vector
     look_at: Vector
@@ -49,44 +44,23 @@ class CameraView:
 
 @dataclass(frozen=True)
 class ViewState:
-    """Everything that makes a view what it is.
-
-    Attributes
-    ----------
-    dataset : str
-        Its name on the page.
-    frame : str
-        Frame id.
-    expression : str
-    selection : tuple of str
-        Keys of the selected objects (`pipeline.diagnosis.whatif.pair_tables`).
-    pair : pair of str or None
-        Keys of the pair that is shown; None for the winner.
-    camera : CameraView or None
-    toggles : mapping of str to bool, number or str
-        What is shown and how.
-    edits : Edits
-    run : str or None
-        Folder of the evaluation run that the expression is of.
-    expression_id : str or None
-        In that run.
-    colors : str or None
-        What the points are coloured by.
-    """
+    """Everything that makes a view what it is."""
 
     __pydantic_config__ = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
-    dataset: Text
-    frame: Text
+    dataset: Text  # Its name on the page
+    frame: Text  # Frame id
     expression: Text = ""
+    # selection: Keys of the selected objects (`pipeline.diagnosis.whatif.pair_tables`)
     selection: Annotated[tuple[Text, ...], Field(max_length=2000)] = ()
-    pair: tuple[Text, Text] | None = None
+    pair: tuple[Text, Text] | None = None  # Keys of the pair that is shown; None for the winner
     camera: CameraView | None = None
+    # toggles: What is shown and how
     toggles: Annotated[Mapping[Text, Toggle], Field(max_length=200)] = field(default_factory=dict)
     edits: Edits = field(default_factory=Edits)
-    run: Text | None = None
-    expression_id: Text | None = None
-    colors: Text | None = None
+    run: Text | None = None  # Folder of the evaluation run that the expression is of
+    expression_id: Text | None = None  # In that run
+    colors: Text | None = None  # What the points are coloured by
 
 
 def state_record(state: ViewState) -> dict[str, Any]:
