@@ -27,16 +27,26 @@ CUBE_FACES = np.array(
 
 @dataclass(frozen=True)
 class Box3D:
-    """An oriented box.
+    """An oriented 3D box.
 
     Attributes
     ----------
     center : (3,) float64
         Metres.
     R : (3, 3) float64
-        Rotation; its columns are the box's own axes.
+        Rotation; columns are the box's own axes.
     size : (3,) float64
         Full edge lengths along those axes, metres.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pipeline import Box3D
+    >>> box = Box3D(np.array([0, 0, 2]), np.eye(3), np.array([0.4, 0.2, 0.3]))
+    >>> box
+    <Box3D center 0.000 0.000 2.000, size 0.400 0.200 0.300 m>
+    >>> round(box.volume, 4), box.corners.shape
+    (0.024, (8, 3))
     """
 
     center: np.ndarray
@@ -68,42 +78,42 @@ class Box3D:
 
     @property
     def corners(self) -> np.ndarray:
-        """(8, 3) float64, metres, in the order of CORNER_SIGNS."""
+        """Corners, (8, 3) float64, metres, in the order of CORNER_SIGNS."""
         return self.center + (CORNER_SIGNS * self.size / 2) @ self.R.T
 
     @property
     def volume(self) -> float:
-        """Cubic metres."""
+        """Volume, cubic metres."""
         return float(np.prod(self.size))
 
     def transformed(self, T: np.ndarray) -> Box3D:
-        """The box seen from another frame; T is (4, 4), rigid, new-from-old."""
+        """Box in another frame; T is (4, 4), rigid, new-from-old."""
         return self.turned(T[:3, :3], T[:3, 3])
 
     def turned(self, R: np.ndarray, shift: np.ndarray | float = 0.0) -> Box3D:
-        """The box in other axes: R is (3, 3), rows the new axes in the old; then shifted, metres."""
+        """Box in other axes: R is (3, 3), rows the new axes in the old; then shifted, metres."""
         return Box3D(R @ self.center + shift, R @ self.R, self.size)
 
     @property
     def half_extent(self) -> np.ndarray:
-        """(3,): half of what it takes along the axes of its frame, metres."""
+        """Half extent along the axes of the box's frame, (3,), metres."""
         return np.ptp(self.corners, axis=0) / 2
 
 
 def edge_lines(boxes: Iterable[Box3D], growth: float = 0.0) -> np.ndarray:
-    """(N, 2, 3) float32: the twelve edges of each box, all of them grown by so many metres."""
+    """Edges of boxes, (N, 2, 3) float32, twelve each; every box is first grown by `growth` metres."""
     grown = [Box3D(b.center, b.R, b.size + growth).corners[EDGES] for b in boxes]
     return np.concatenate([np.zeros((0, 2, 3)), *grown]).astype(np.float32)
 
 
 def boxes_on_ray(boxes: Mapping[int, Box3D], origin: np.ndarray, direction: np.ndarray) -> list[int]:
-    """Those of numbered boxes that a ray passes, the smallest first: a mug is meant rather than the table around it."""
+    """Numbers of the boxes on a ray, the smallest first: a mug is meant rather than the table around it."""
     hit = (i for i, b in boxes.items() if ray_entry(b, origin, direction) is not None)
     return sorted(hit, key=lambda i: boxes[i].volume)
 
 
 def _is_rotation(R: np.ndarray) -> bool:
-    """Orthogonal to 1e-3, and right-handed."""
+    """Test a matrix to be orthogonal to 1e-3 and right-handed."""
     (a, b, c), (d, e, f), (g, h, i) = R.tolist()
     determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
     return determinant > 0 and bool(np.abs(R @ R.T - _IDENTITY).max() <= 1e-3)
@@ -113,7 +123,7 @@ _IDENTITY = np.eye(3)
 
 
 def ray_entry(box: Box3D, origin: np.ndarray, direction: np.ndarray) -> float | None:
-    """How far along a ray it enters a box, in lengths of `direction`; None where it misses (slab method)."""
+    """Distance along a ray to a box, in lengths of `direction`; None for a miss (slab method)."""
     start, step = (origin - box.center) @ box.R, direction @ box.R
     safe = np.where(np.abs(step) < 1e-12, 1e-12, step)
     near, far = np.sort(np.stack([(-box.size / 2 - start) / safe, (box.size / 2 - start) / safe]), axis=0)
@@ -126,14 +136,19 @@ def iou_2d(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
     Parameters
     ----------
-    a : (N, 4) float
-    b : (M, 4) float
+    a, b : (N, 4), (M, 4) float
         x0, y0, x1, y1 in pixels, continuous coordinates.
 
     Returns
     -------
     (N, M) float64
         0..1; 0 where either box is empty.
+
+    Examples
+    --------
+    >>> from pipeline.geometry import iou_2d
+    >>> iou_2d([[0, 0, 2, 2]], [[0, 0, 2, 1], [1, 0, 3, 2]]).round(3)
+    array([[0.5  , 0.333]])
     """
     a = np.asarray(a, dtype=np.float64).reshape(-1, 4)
     b = np.asarray(b, dtype=np.float64).reshape(-1, 4)
@@ -141,18 +156,7 @@ def iou_2d(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def paired_iou_2d(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Intersection over union of each box of `a` with the box of `b` in the same place.
-
-    Parameters
-    ----------
-    a, b : (..., 4) float64
-        As in `iou_2d`; broadcast against each other.
-
-    Returns
-    -------
-    (...) float64
-        0..1; 0 where either box is empty or NaN.
-    """
+    """Intersection over union of paired boxes, (..., 4) float64 each as in `iou_2d`; 0 where empty or NaN."""
     low = np.maximum(a[..., :2], b[..., :2])
     high = np.minimum(a[..., 2:], b[..., 2:])
     intersection = np.clip(high - low, 0, None).prod(axis=-1)
@@ -163,16 +167,19 @@ def paired_iou_2d(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def iou_3d(a: Box3D, b: Box3D) -> float:
-    """Exact intersection over union of two oriented boxes.
+    """Exact intersection over union of two oriented boxes, 0..1; 0 where the boxes only touch or either is flat.
 
     The intersection of two convex solids is the convex hull of the corners of
     each inside the other and of the points where an edge of one crosses a face
     of the other; its volume comes from Qhull.
 
-    Returns
-    -------
-    float
-        0..1; 0 where the boxes only touch or either is flat.
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pipeline.geometry import Box3D, iou_3d
+    >>> a = Box3D(np.zeros(3), np.eye(3), np.ones(3))
+    >>> round(iou_3d(a, a.turned(np.eye(3), np.array([0.5, 0, 0]))), 3)
+    0.333
     """
     if a.volume <= 0 or b.volume <= 0:
         return 0.0
@@ -194,7 +201,7 @@ def _inside(points: np.ndarray, box: Box3D) -> np.ndarray:
 
 
 def _crossings(a: Box3D, b: Box3D) -> np.ndarray:
-    """Where the edges of `a` cross the six face planes of `b` within those faces."""
+    """Points, (N, 3), where edges of `a` cross faces of `b`."""
     start, end = (((a.corners[EDGES[:, k]] - b.center) @ b.R) for k in (0, 1))
     planes = np.concatenate([b.size / 2, -b.size / 2])
     axis = np.tile(np.arange(3), 2)

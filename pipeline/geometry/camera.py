@@ -24,7 +24,7 @@ IMAGE_UP = np.array([0.0, -1.0, 0.0])
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera and what is known of its place in the world.
+    """A pinhole camera, its pose and its up vector.
 
     Attributes
     ----------
@@ -37,10 +37,17 @@ class Camera:
     up : (3,) float64 or None
         Unit vector against gravity in the CAMERA frame, None where unknown.
     up_source : str or None
-        How `up` is known.
+        Source of `up`.
     untold : tuple of str
-        Options that would tell what nothing tells of the camera or of the depth's unit: a stand-in is there to look
-        at, and nothing may be measured by it.
+        Options that would say what is unknown of the camera or of the depth's unit; while there are any, the camera
+        is a stand-in to look at the frame, and nothing may be measured by it.
+
+    Examples
+    --------
+    >>> from pipeline import Camera
+    >>> from pipeline.geometry import intrinsics
+    >>> Camera(intrinsics(570, 570, 320, 240), 640, 480)
+    <Camera 640x480, fx=570 fy=570 cx=320 cy=240>
     """
 
     K: np.ndarray
@@ -117,7 +124,7 @@ class Camera:
         return float(self.K[1, 2])
 
     def check_metric(self) -> None:
-        """Raise InputError where nothing can be measured, since the camera or the depth's unit is not known."""
+        """Raise InputError where nothing can be measured, since the camera or the depth's unit is unknown."""
         require(
             not self.untold,
             "nothing can be measured: this recording does not say its camera",
@@ -125,17 +132,17 @@ class Camera:
         )
 
     def with_up(self, up: np.ndarray, source: UpSource) -> Camera:
-        """The same camera with its up vector ((3,), camera frame) set."""
+        """Copy with an up vector, (3,), camera frame."""
         return replace(self, up=up, up_source=source)
 
 
 def intrinsics(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
-    """The (3, 3) float64 matrix of a pinhole camera without skew, pixels."""
+    """Matrix of a pinhole camera without skew, (3, 3) float64, pixels."""
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
 def depth_at(depth: np.ndarray, u: int, v: int, expected: str = "a pixel of a surface") -> float:
-    """The depth ((H, W) float32, metres) at a column and row; InputError outside, and where nothing was measured."""
+    """Depth at a column and row of (H, W) float32, metres; InputError outside, and where nothing was measured."""
     height, width = depth.shape
     require(
         (0 <= u < width and 0 <= v < height),
@@ -148,13 +155,12 @@ def depth_at(depth: np.ndarray, u: int, v: int, expected: str = "a pixel of a su
 
 
 def backproject(depth: np.ndarray, camera: Camera, v: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Camera-frame points of the pixels (u, v), given the whole depth map.
+    """Backproject pixels (u, v) to camera-frame points, by the whole depth map.
 
     Parameters
     ----------
     depth : (H, W) float32
         Metres along z.
-    camera : Camera
     v, u : (N,) int
         Rows and columns.
 
@@ -162,12 +168,21 @@ def backproject(depth: np.ndarray, camera: Camera, v: np.ndarray, u: np.ndarray)
     -------
     (N, 3) float32
         Metres, camera frame. Pixels without depth (0) come back as zeros.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pipeline.geometry import Camera, backproject, intrinsics, project
+    >>> camera = Camera(intrinsics(500, 500, 320, 240), 640, 480)
+    >>> points = backproject(np.full((480, 640), 2, np.float32), camera, np.array([240]), np.array([420]))
+    >>> points.tolist(), project(points, camera).tolist()
+    ([[0.4000000059604645, 0.0, 2.0]], [[420.0000014901161, 240.0]])
     """
     return lift_pixels(depth[v, u], camera, v, u)
 
 
 def lift_pixels(z: np.ndarray, camera: Camera, v: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Camera-frame points ((N, 3) float32) of pixels whose depths z ((N,)) are at hand."""
+    """Backproject pixels of known depths z, (N,), to camera-frame points, (N, 3) float32, metres."""
     z = np.asarray(z, dtype=np.float32)
     points = np.empty((len(z), 3), dtype=np.float32)
     points[:, 0] = (np.asarray(u, dtype=np.float32) - np.float32(camera.cx)) * z / np.float32(camera.fx)
@@ -177,18 +192,7 @@ def lift_pixels(z: np.ndarray, camera: Camera, v: np.ndarray, u: np.ndarray) -> 
 
 
 def project(points: np.ndarray, camera: Camera) -> np.ndarray:
-    """Pixels (u, v) of camera-frame points.
-
-    Parameters
-    ----------
-    points : (..., 3) float
-        Metres, camera frame, z > 0.
-
-    Returns
-    -------
-    (..., 2) float64
-        Pixels; NaN for points on or behind the image plane.
-    """
+    """Project camera-frame points, (..., 3), metres, to pixels (u, v), (..., 2) float64; NaN behind the image plane."""
     points = np.asarray(points, dtype=np.float64)
     z = points[..., 2]
     safe = np.where(z > 1e-9, z, np.nan)
@@ -199,5 +203,5 @@ def project(points: np.ndarray, camera: Camera) -> np.ndarray:
 
 
 def to_world(points: np.ndarray, T_world_camera: np.ndarray) -> np.ndarray:
-    """Camera-frame points ((..., 3)) in the world, metres."""
+    """Transform camera-frame points, (..., 3), to the world, metres."""
     return points @ T_world_camera[:3, :3].T + T_world_camera[:3, 3]

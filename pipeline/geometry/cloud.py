@@ -1,4 +1,4 @@
-"""The points of a frame as they are drawn: thinned, in bands of depth, a first part of them evenly spread."""
+"""Point cloud of a frame as drawn: thinned, in bands of depth, a first part of the points evenly spread."""
 
 from __future__ import annotations
 
@@ -27,31 +27,17 @@ NEAREST_M, ASIDE, ASIDE_FROM_M = 0.05, 0.012, 0.3
 
 @dataclass(frozen=True, eq=False)
 class CloudPart:
-    """Points that are sent as one: of one band of depth, either of the first cloud or of the rest.
+    """Points sent together: of one band of depth, either of the first cloud or of the rest."""
 
-    Attributes
-    ----------
-    first : bool
-        Of the first cloud: one point in four, evenly spread.
-    at : slice
-        Its points in the cloud.
-    center : (3,) float32
-        Shown frame, metres.
-    offsets : (M, 3) float16
-        From the centre, metres: to within 1 mm where a part reaches less than 4 m from it.
-    size : float
-        Of a point, metres, once all points are there.
-    """
-
-    first: bool
-    at: slice
-    center: np.ndarray
-    offsets: np.ndarray
-    size: float
+    first: bool  # Of the first cloud: one point in four, evenly spread
+    at: slice  # Points of the cloud
+    center: np.ndarray  # (3,) float32, shown frame, metres
+    offsets: np.ndarray  # (M, 3) float16, from the centre, metres: to within 1 mm in a part that reaches less than 4 m
+    size: float  # Point size, metres, once all points are drawn
 
     @property
     def name(self) -> str:
-        """Its own among the parts of a cloud."""
+        """Name, unique among the parts of a cloud."""
         return f"{'first' if self.first else 'rest'}-{self.at.start}"
 
 
@@ -75,11 +61,11 @@ class Cloud:
     parts: tuple[CloudPart, ...]
 
     def painted(self, colors: np.ndarray) -> np.ndarray:
-        """(N, 3) uint8 of its points in the colours of the frame's pixels, (H, W, 3)."""
+        """Colours of the points, (N, 3) uint8, from colours of the frame's pixels, (H, W, 3)."""
         return colors.reshape(-1, 3).take(self.v * colors.shape[1] + self.u, axis=0)
 
     def pixel_on_ray(self, origin: np.ndarray, direction: np.ndarray) -> tuple[int, int] | None:
-        """(u, v) of the nearest surface point close to a ray ((3,) each, shown frame); exact: points are pixels."""
+        """Nearest surface pixel (u, v) close to a ray, (3,) each, shown frame; exact, since points are pixels."""
         offset = self.points - origin
         along = offset @ direction
         aside = np.linalg.norm(offset - along[:, None] * direction, axis=1)
@@ -91,12 +77,12 @@ class Cloud:
 
 
 def drawn_pixels(frame: Frame) -> np.ndarray:
-    """(H, W) bool: pixels near enough to be drawn that do not fly between two surfaces."""
+    """Mask of drawn pixels, (H, W) bool: near enough, and not flying between two surfaces."""
     return (frame.depth > 0) & (frame.depth < FAR) & ~flying_pixels(frame.depth)
 
 
 def cloud_of(frame: Frame, viewer: ViewerAxes, stride: int | None = None) -> Cloud:
-    """The cloud of a frame, of one row and column in `stride`; by default it has at most MAX_POINTS."""
+    """Build the cloud of a frame from each `stride`-th row and column; by default at most MAX_POINTS points."""
     to_show = np.stack([viewer.right, viewer.forward, viewer.up])
     stride = stride or max(1, int(np.ceil(np.sqrt(frame.width * frame.height / MAX_POINTS))))
     depth, keep = frame.depth[::stride, ::stride], drawn_pixels(frame)[::stride, ::stride]

@@ -46,20 +46,10 @@ def extents_of(coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def gravity_box(points: np.ndarray, viewer: ViewerAxes) -> tuple[Box3D, float]:
-    """The upright box of points: yaw by PCA in plan, sizes by percentiles.
+    """Fit the upright box to (N, 3) points, camera frame, metres: yaw by PCA in plan, sizes by percentiles.
 
-    Parameters
-    ----------
-    points : (N, 3) float
-        Camera frame, metres, N >= 1.
-
-    Returns
-    -------
-    box : Box3D
-        In the camera frame. Its axes are near (right, down, forward), so that
-        `size` reads (width, height, depth).
-    yaw_confidence : float
-        1 - l2/l1 of the plan's variances.
+    The axes are near (right, down, forward), so that `size` reads (width, height, depth). Beside the box stands the
+    yaw confidence, 1 - l2/l1 of the plan's variances.
     """
     R_level_camera = viewer.R_level_camera
     level = points.astype(np.float64) @ R_level_camera.T
@@ -74,21 +64,10 @@ def gravity_box(points: np.ndarray, viewer: ViewerAxes) -> tuple[Box3D, float]:
 
 
 def pca_box(points: np.ndarray, viewer: ViewerAxes | None = None) -> tuple[Box3D, float]:
-    """The paper's box: axes by PCA in 3D in order of falling variance, sizes by percentiles.
+    """Fit the paper's box to (N, 3) points, camera frame, metres: axes by PCA in falling order, sizes by percentiles.
 
-    Parameters
-    ----------
-    points : (N, 3) float
-        Camera frame, metres, N >= 1.
-    viewer : ViewerAxes, optional
-        Where given, the axes are renamed to be nearest to the level camera frame.
-
-    Returns
-    -------
-    box : Box3D
-        In the camera frame.
-    confidence : float
-        1 - l2/l1 of the variances.
+    With a viewer, the axes are renamed to be nearest to the level camera frame. Beside the box stands the confidence,
+    1 - l2/l1 of the variances.
     """
     cloud = points.astype(np.float64)
     centred = cloud - cloud.mean(axis=0)
@@ -106,7 +85,7 @@ def pca_box(points: np.ndarray, viewer: ViewerAxes | None = None) -> tuple[Box3D
 
 
 def canonicalised(box: Box3D) -> Box3D:
-    """The same solid with its axes renamed to be nearest to its frame's own axes.
+    """Rename a box's axes to be nearest to the axes of its frame; the solid stays the same.
 
     Of the 24 proper signed permutations M the one with the largest
     trace(R M^T) is taken, the lexicographically first where several tie; then

@@ -1,4 +1,4 @@
-"""The floor of a frame: how high it lies, and a grid of metres on it, by which lengths can be judged."""
+"""The floor of a frame: its height, and a grid of metres on it, by which lengths can be judged."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ FLOOR_NOISE = 0.06
 
 
 def over_floor(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
-    """The height over which nearly none of the floor's points ((N, 3), shown frame) lie, between two of its corners.
+    """Height above nearly all floor points, (N, 3), shown frame, between two corners.
 
     Depth is noisy: what lies in the floor itself shows as specks between its points.
     """
@@ -30,17 +30,14 @@ GRID_LIFT = 0.008
 
 
 def metre_grid(frame: Frame, viewer: ViewerAxes, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`grid_lines` on the floor of a frame, under nearly all of its points ((N, 3), N > 0, shown frame)."""
+    """Lines of `grid_lines` on the floor of a frame, under nearly all of (N, 3) points, N > 0, shown frame."""
     low, high = np.percentile(points, [1, 99], axis=0)
     low[2] = high[2] = floor_height(frame, viewer, points)
     return grid_lines(low[:2], high[:2], over_floor(points, low, high) + GRID_LIFT)
 
 
 def floor_height(frame: Frame, viewer: ViewerAxes, points: np.ndarray) -> float:
-    """How high the floor lies, metres along up from the camera: the annotated one, else that of the lowest points.
-
-    `points` are the frame's, (N, 3), shown frame; without any there is no height.
-    """
+    """Height of the floor, metres along up from the camera: the annotated floor, else the lowest of (N, 3) points."""
     for annotation in frame.annotations:
         if annotation.label == "floor" and annotation.mask is not None:
             v, u = np.nonzero(annotation.mask & (frame.depth > 0))
@@ -53,7 +50,7 @@ def floor_height(frame: Frame, viewer: ViewerAxes, points: np.ndarray) -> float:
 
 
 def grid_lines(low: np.ndarray, high: np.ndarray, height: float) -> tuple[np.ndarray, np.ndarray]:
-    """(N, 2, 3) float32 each: lines at whole metres, and the fine ones between, over the cells from low to high."""
+    """Lines of a grid, (N, 2, 3) float32 each: at whole metres, and fine ones between, over cells from low to high."""
     first, last = np.floor(low / CELL) * CELL, np.ceil(high / CELL) * CELL
     made = []
     for axis in (0, 1):

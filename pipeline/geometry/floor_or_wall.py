@@ -1,4 +1,4 @@
-"""Whether a plane is a floor, looked down at steeply, or a wall that the camera looks up at.
+"""Tell a floor that is looked down at steeply from a wall that the camera looks up at.
 
 The two look alike, and so do most things on them: a box on a floor is a cabinet on a wall, a hole in a table a window.
 But what hangs on a wall hangs straight, and what stands on a floor stands as it likes: a thing that is turned about the
@@ -57,19 +57,14 @@ _STRAIGHT = float(np.cos(np.deg2rad(1.5 * STRAIGHT_DEG)))
 
 
 def may_be_wall(up: np.ndarray) -> bool:
-    """Whether a plane with this normal ((3,), towards the camera) may be a wall that the camera looks up at."""
+    """Test if a plane with a normal, (3,), towards the camera, may be a wall seen from below."""
     return bool(_on_wall(up)[0][2] <= np.sin(np.deg2rad(LOOKED_UP_DEG)))
 
 
 def is_floor(surface: SurfaceBlocks, up: np.ndarray, offset: float) -> bool:
-    """Whether things are turned on a plane as they are on a floor, and on no wall.
+    """Test if objects are turned on a plane as on a floor, and on no wall.
 
-    Parameters
-    ----------
-    up : (3,) float64
-        Unit normal of the plane, towards the camera.
-    offset : float
-        `points @ up` in the plane, metres; negative.
+    `up` is the plane's unit normal, (3,), towards the camera; `offset` is `points @ up` in the plane, metres, negative.
     """
     if -offset > HIGHEST_CAMERA_M:
         return False
@@ -101,14 +96,14 @@ def is_floor(surface: SurfaceBlocks, up: np.ndarray, offset: float) -> bool:
 
 
 def _on_wall(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Up on a wall of this normal for a camera that is not rolled, and the direction beside it; unit vectors."""
+    """Unit vectors on a wall with a normal, for an unrolled camera: up and sideways."""
     above = np.array([0.0, normal[2], -normal[1]])
     above /= np.linalg.norm(above)
     return above, np.cross(normal, above)
 
 
 def _patches(surface: SurfaceBlocks, chosen: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Each connected patch of chosen blocks, and the blocks around it."""
+    """Connected patches of chosen blocks, each with the blocks around."""
     mask = np.zeros(surface.shape, np.uint8)
     mask[surface.v[chosen], surface.u[chosen]] = 1
     count, patches, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
@@ -123,7 +118,7 @@ def _patches(surface: SurfaceBlocks, chosen: np.ndarray) -> Iterator[tuple[np.nd
 def _stands_out(
     surface: SurfaceBlocks, patch: np.ndarray, around: np.ndarray, above: np.ndarray, across: np.ndarray
 ) -> bool:
-    """Whether a side is one of a thing, no wall or slope of a roof: what is seen beyond its edges lies behind it."""
+    """Test a side for standing free, unlike a wall or a slope of a roof: the surroundings lie behind."""
     points, normals = surface.points[patch], surface.normals[patch]
     ring, tolerance = surface.points[around], plane_tolerance(surface.points[around])
     behind = np.zeros(len(around), np.bool_)
@@ -135,7 +130,7 @@ def _stands_out(
 
 
 def _is_turned(surface: SurfaceBlocks, patch: np.ndarray, above: np.ndarray, across: np.ndarray) -> np.ndarray:
-    """Of each roll whether the edges of a level patch run mostly neither along nor across up on a wall."""
+    """Flag each roll in which most edges of a level patch run neither along nor across up on a wall."""
     points = surface.points[patch]
     plan = np.stack([points @ across, points @ above], axis=1).astype(np.float32)
     hull = np.asarray(cv2.convexHull(plan, returnPoints=False)[:, 0], np.int64)
@@ -153,7 +148,7 @@ def _is_turned(surface: SurfaceBlocks, patch: np.ndarray, above: np.ndarray, acr
 
 
 def _corners(outline: np.ndarray, numbers: np.ndarray, slack: float) -> np.ndarray:
-    """The numbers of those points of an outline ((N, 2)) that draw it within `slack` metres."""
+    """Numbers of the points of an outline, (N, 2), needed to draw the outline within `slack` metres."""
     drawn = cv2.approxPolyDP(outline, slack, True)[:, 0]
     return numbers[[int(np.abs(outline - corner).sum(axis=1).argmin()) for corner in drawn]]
 
@@ -168,26 +163,14 @@ VOTERS = 4000
 
 @dataclass(frozen=True)
 class SurfaceBlocks:
-    """What is seen in each block of pixels that has a depth.
+    """Surface points and normals, for each block of pixels with a depth."""
 
-    Attributes
-    ----------
-    points, normals : (N, 3) float32
-        Camera frame, metres; the normals point towards the camera.
-    flat : (N,) bool
-        Whether the normal is known.
-    v, u : (N,) int64
-        Row and column of the block.
-    shape : (int, int)
-        Rows and columns of blocks.
-    """
-
-    points: np.ndarray
-    normals: np.ndarray
-    flat: np.ndarray
-    v: np.ndarray
-    u: np.ndarray
-    shape: tuple[int, int]
+    points: np.ndarray  # (N, 3) float32, camera frame, metres; normals point towards the camera
+    normals: np.ndarray  # (N, 3) float32
+    flat: np.ndarray  # (N,) bool, the normal is known
+    v: np.ndarray  # (N,) int64, row and column of the block
+    u: np.ndarray  # (N,) int64
+    shape: tuple[int, int]  # (int, int), rows and columns of blocks
 
     @cached_property
     def voters(self) -> np.ndarray:
@@ -197,7 +180,7 @@ class SurfaceBlocks:
 
 
 def surface_blocks(depth: np.ndarray, camera: Camera, noise: int = 1) -> SurfaceBlocks:
-    """What is seen in blocks of pixels.
+    """Build surface points and normals of blocks of pixels.
 
     Where the sensor is `noise` times as noisy as a structured-light camera, normals are fitted to wider windows.
     """
@@ -213,7 +196,7 @@ def surface_blocks(depth: np.ndarray, camera: Camera, noise: int = 1) -> Surface
 
 
 def _block_depths(depth: np.ndarray) -> tuple[np.ndarray, int]:
-    """Means over blocks of pixels, of inverse depth: in it a plane stays a plane. And the side of a block, pixels."""
+    """Mean depths over blocks of pixels, in inverse depth (a plane stays a plane), and the side of a block, pixels."""
     height, width = depth.shape
     side = max(1, round(float(np.sqrt(height * width / GRID_BLOCKS))))
     rows, columns = height // side, width // side
@@ -226,7 +209,7 @@ def _block_depths(depth: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def block_noise(depth: np.ndarray) -> float:
-    """How noisy blocks of pixels are, in standard deviations of a structured-light camera's single pixel.
+    """Noise of blocks of pixels, in standard deviations of a structured-light camera's single pixel.
 
     By the median over the frame of what is left of inverse depth when the planes of 3x3 blocks are taken away; about
     0.25 with such a camera, as blocks are means of 16 pixels; 0 without depth.
@@ -239,5 +222,5 @@ def block_noise(depth: np.ndarray) -> float:
 
 
 def plane_tolerance(points: np.ndarray) -> np.ndarray:
-    """(N,) metres within which points ((N, 3)) lie in a plane."""
+    """Distances, (N,), metres, within which points, (N, 3), count as in a plane."""
     return 0.008 + 0.006 * points[:, 2] ** 2

@@ -20,12 +20,12 @@ is wrong: metres read as millimetres fall a thousand times below."""
 
 @dataclass(frozen=True)
 class Annotation:
-    """One annotated object of a frame.
+    """An annotated object of a frame.
 
     Attributes
     ----------
     index : int
-        Its place in the dataset's own list for this frame.
+        Place in the dataset's own list for this frame.
     label : str
         Class name as the dataset gives it.
     bbox : (4,) float32
@@ -39,9 +39,15 @@ class Annotation:
     instance : int or None
         The dataset's number of this very object, the same in all frames that show it.
     difficulty : int or None
-        How hard the dataset says the object is to find: 1 is easy.
+        Difficulty of finding the object, by the dataset: 1 is easy.
     fixed : bool
-        Its 3D box stands as it is: none is fitted to the points.
+        The 3D box stands as it is: none is fitted to the points.
+
+    Examples
+    --------
+    >>> from pipeline import Annotation
+    >>> Annotation(0, "mug", [210, 140, 260, 200])
+    <Annotation 0 'mug' at 210 140 260 200>
     """
 
     index: int
@@ -87,9 +93,18 @@ class Frame:
     camera : Camera
     annotations : tuple of Annotation
     notes : tuple of str
-        What was found odd in this frame and could be left out.
+        Oddities of this frame that could be left out.
     depth_source : str
-        Who estimated the depth and by what its metres are known, in words; empty where a sensor measured it.
+        Network that estimated the depth, and the source of its metres, in words; empty where a sensor measured it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pipeline import Frame
+    >>> from pipeline.geometry import intrinsics
+    >>> rgb, depth = np.zeros((480, 640, 3), np.uint8), np.full((480, 640), 1.5)
+    >>> Frame.of_arrays(rgb, depth, intrinsics(570, 570, 320, 240))
+    <Frame 'frame': 640x480, 0 annotations>
     """
 
     id: str
@@ -159,7 +174,7 @@ class Frame:
         T_world_camera: np.ndarray | None = None,
         id: str = "frame",
     ) -> Frame:
-        """A frame of arrays that are at hand, with what is seen in it.
+        """Build a frame from arrays, with the objects in view.
 
         Parameters
         ----------
@@ -171,9 +186,9 @@ class Frame:
         masks : (N, H, W) bool, optional
             The pixels of each object; integers 0 and 1 will do.
         names : N str, optional
-            What each of them is; by default "object 1", "object 2", ...
+            Name of each object; by default "object 1", "object 2", ...
         boxes : N Box3D or None, optional
-            Their 3D boxes, camera frame, metres: these stand, and none is fitted. They may come without masks.
+            3D boxes, camera frame, metres: these stand, and none is fitted. They may come without masks.
         up : (3,) float, optional
             Against gravity, camera frame.
         T_world_camera : (4, 4) float, optional
@@ -226,7 +241,7 @@ def _array(values: object, what: str, frame: str) -> np.ndarray:
 
 
 def _check_units(rgb: np.ndarray, depth: np.ndarray, frame: str) -> None:
-    """InputError where a picture or a depth map at hand is of another type, order of axes or unit, with what to do."""
+    """Raise InputError for a picture or a depth map of another type, order of axes or unit, with advice."""
     turned = rgb.ndim == 3 and rgb.shape[0] == 3 and rgb.shape[2] != 3
     advice = "are channels first? rgb.transpose(1, 2, 0)" if turned else None
     if rgb.dtype.kind == "f":
@@ -263,7 +278,7 @@ def _annotations(
     names: Sequence[str] | None,
     boxes: Sequence[Box3D | None] | None,
 ) -> tuple[Annotation, ...]:
-    """Objects at hand, each with a mask, a 3D box or both; see `Frame.of_arrays`."""
+    """Annotations from arrays, each with a mask, a 3D box or both; see `Frame.of_arrays`."""
     given = {"masks": masks, "names": names, "boxes": boxes}
     numbers = {what: len(values) for what, values in given.items() if values is not None}
     objects = numbers.get("masks") or numbers.get("boxes") or 0
@@ -301,7 +316,7 @@ def _mask(mask: object, what: str, frame: Frame) -> np.ndarray:
 
 
 def _seen(box: Box3D, frame: Frame, what: str) -> np.ndarray:
-    """(4,) float32: the rectangle of a 3D box in the picture; InputError where it is not in view."""
+    """Rectangle of a 3D box in the picture, (4,) float32; InputError outside the view."""
     front = box.corners[box.corners[:, 2] > 0]
     seen = project(front, frame.camera) if len(front) else np.zeros((1, 2))
     low, high = (np.clip(end, 0, [frame.width, frame.height]) for end in (seen.min(axis=0), seen.max(axis=0)))

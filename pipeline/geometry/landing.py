@@ -1,7 +1,8 @@
-"""How well the depth of one posed view lands on the depth of another, for a camera, a unit and poses.
+"""Landing of one posed view's depth on the depth of another, for a camera, a unit and poses.
 
-A point of view A, lifted and moved into view B, lands where B measured the same depth, in front of it (B sees through
-it: a contradiction), or behind it (B's surface hides it, or the pose lies). Only the share that lands says anything.
+A point of view A, lifted and moved into view B, lands where B measured the same depth, in front of it (B sees
+through it: a contradiction), or behind it (B's surface hides it, or the pose is wrong). Only the share that lands
+says anything.
 """
 
 from __future__ import annotations
@@ -23,37 +24,23 @@ ALIKE, TEXTURED = 8.0, 6.0
 
 @dataclass(frozen=True)
 class Views:
-    """Posed depth maps of one size, with the points that are lifted and the pairs that are compared.
+    """Posed depth maps of one size, with lifted points and compared pairs."""
 
-    Attributes
-    ----------
-    depth : (F, H, W) float32
-        Metres as read, 0 where missing.
-    K : (F, 3, 3) float64
-    poses : (F, 4, 4) float64
-        T_world_camera as read.
-    pairs : (P, 2) int64
-        From view, to view.
-    u, v, z : (F, N) float32
-        Pixels of each view on a grid, and their depth, 0 where it has none.
-    detail : (F, H, W) float32 or None
-        Brightness against its surroundings, of colour that a point must also land on.
-    """
-
-    depth: np.ndarray
-    K: np.ndarray
-    poses: np.ndarray
-    pairs: np.ndarray
-    u: np.ndarray
-    v: np.ndarray
-    z: np.ndarray
+    depth: np.ndarray  # (F, H, W) float32, metres as read, 0 where missing
+    K: np.ndarray  # (F, 3, 3) float64
+    poses: np.ndarray  # (F, 4, 4) float64, T_world_camera as read
+    pairs: np.ndarray  # (P, 2) int64, from view, to view
+    u: np.ndarray  # (F, N) float32, pixels of each view on a grid, and their depth, 0 where missing
+    v: np.ndarray  # (F, N) float32
+    z: np.ndarray  # (F, N) float32
+    # (F, H, W) float32 or None, brightness against its surroundings, of colour that a point must also land on
     detail: np.ndarray | None = None
 
     @classmethod
     def of(
         cls, depths: Sequence[np.ndarray], cameras: Sequence[Camera], pairs: np.ndarray, points: tuple[int, int]
     ) -> Views:
-        """Views of depth maps ((H, W) float32 each) and their cameras, with (rows, columns) points of each."""
+        """Build views of depth maps, (H, W) float32 each, and their cameras, with (rows, columns) points of each."""
         depth = np.stack(depths)
         height, width = depth.shape[1:]
         rows, columns = (
@@ -70,8 +57,7 @@ class Views:
 
     @cached_property
     def _lifted(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What is the same for every camera, unit and pose: (P, N) depths of the points, the (N, B) block of each, and
-        (P, B) float64 how many have a depth."""
+        """Depths of the points, (P, N), blocks, (N, B), and points with a depth by block, (P, B) float64."""
         height, width = self.size
         block = (self.v * BLOCKS // height) * BLOCKS + self.u * BLOCKS // width
         one_hot = np.eye(BLOCKS * BLOCKS, dtype=np.float32)[block]
@@ -81,58 +67,45 @@ class Views:
 
     @cached_property
     def _own_detail(self) -> tuple[np.ndarray, np.ndarray]:
-        """(P, N) detail at the points, and how much it counts, 0 to 1."""
+        """Detail at the points, (P, N), and its weight, 0 to 1."""
         assert self.detail is not None
         own = self.detail[:, self.v, self.u]
         first = self.pairs[:, 0]
         return own[first], (np.abs(own) / (np.abs(own) + TEXTURED))[first]
 
     def of_pairs(self, pairs: np.ndarray) -> Views:
-        """The same views, with other pairs."""
+        """Copy with other pairs."""
         return replace(self, pairs=pairs)
 
 
 def detail_of(rgb: np.ndarray) -> np.ndarray:
-    """(H, W) float32 brightness of colour ((H, W, 3) uint8) against its surroundings: alike under another exposure."""
+    """Brightness of colour, (H, W, 3) uint8, against the surroundings, (H, W) float32: alike under another exposure."""
     grey = cv2.GaussianBlur(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 2.0)
     return grey - cv2.GaussianBlur(grey, (0, 0), 12.0)
 
 
 @dataclass(frozen=True)
 class Landing:
-    """What became of the lifted points.
+    """Outcome of the lifted points, by pair and block of its first view."""
 
-    Attributes
-    ----------
-    landed : (P, B) float64
-        Of each pair and block of its first view: the sum over points of how nearly each landed on a surface, 0..1.
-    met : (P, B) float64
-        Points that fell on a measured depth.
-    lifted : (P, B) float64
-        Points that had a depth.
-    """
-
-    landed: np.ndarray
-    met: np.ndarray
-    lifted: np.ndarray
+    landed: np.ndarray  # (P, B) float64, sum over points of how nearly each landed on a surface, 0..1
+    met: np.ndarray  # (P, B) float64, points that fell on a measured depth
+    lifted: np.ndarray  # (P, B) float64, points that had a depth
 
 
 def land(
     views: Views, K: np.ndarray, poses: np.ndarray, scale: float, tolerance: float, colour: bool = False
 ) -> Landing:
-    """Lift, move and compare with these cameras.
+    """Lift, move and compare points with cameras K, (F, 3, 3), and poses T_world_camera, (F, 4, 4).
 
     Parameters
     ----------
-    K : (F, 3, 3) float64
-    poses : (F, 4, 4) float64
-        T_world_camera.
     scale : float
         True depth by depth as read.
     tolerance : float
         Relative depth at which a point counts half.
     colour : bool
-        Whether a point with detail must also land on the same, where the views have it.
+        A point with detail must also land on the same, where the views have it.
     """
     a, b = views.pairs[:, 0], views.pairs[:, 1]
     R_b = poses[b, :3, :3].transpose(0, 2, 1)

@@ -1,4 +1,4 @@
-"""The level plane of a frame: a floor or a table-top, told from walls and ceilings."""
+"""The level plane of a frame: a floor or a table-top, distinguished from walls and ceilings."""
 
 from __future__ import annotations
 
@@ -71,50 +71,32 @@ STRETCH_M = 0.04
 
 @dataclass(frozen=True)
 class UpHypothesis:
-    """An up vector that planes of the frame suggest, and what speaks for it.
+    """An up vector suggested by planes of the frame, and its support."""
 
-    Attributes
-    ----------
-    up : (3,) float64
-        Unit vector, camera frame.
-    kind : str
-        A plane seen from above (a floor, a table-top), one seen from below, or walls that stand on no floor seen.
-    share : float
-        Share of the surface seen that lies in the plane; of walls, what speaks for the less seen direction.
-    explained : float
-        Share of the flat surface that is level or upright under it, in either way.
-    told : bool
-        False for a plane that nothing tells from a wall which the camera looks up at, and for what is upright to it.
-        It decides nothing, but contradicts.
-    """
-
-    up: np.ndarray
+    up: np.ndarray  # (3,) float64, unit vector, camera frame
+    # A plane seen from above (a floor, a table-top), one seen from below, or walls that stand on no floor seen
     kind: Literal["floor", "ceiling", "walls"]
-    share: float
-    explained: float
+    share: float  # Share of the surface seen that lies in the plane; of walls, what speaks for the less seen direction
+    explained: float  # Share of the flat surface that is level or upright under it, in either way
+    # False for a plane that may as well be a wall which the camera looks up at, and for what is upright to it: it
+    # decides nothing, but contradicts
     told: bool = True
 
     @property
     def score(self) -> float:
-        """0..1: how well it explains the frame, how large its plane is, how common it is to hold a camera so."""
+        """Score, 0..1: share of the frame explained, size of the plane, and how common such a camera pose is."""
         held = float(_ease(self.up[None])[0])
         return WEIGHT[self.kind] * held * self.explained**2 * self.share / (self.share + FULL_SHARE)
 
 
 def level_plane(depth: np.ndarray, camera: Camera) -> np.ndarray | None:
-    """The up vector that the level planes of a frame give, or None where they are too few or contradict each other.
-
-    Returns
-    -------
-    (3,) float64 or None
-        Unit vector, camera frame.
-    """
+    """Up vector of the level planes of a frame, (3,) float64, camera frame; None where too few or contradictory."""
     best = decided(up_hypotheses(depth, camera))
     return None if best is None else best.up
 
 
 def decided(found: Sequence[UpHypothesis]) -> UpHypothesis | None:
-    """The best of a frame's hypotheses (best first), None where it is weak or another contradicts it."""
+    """Best of a frame's hypotheses (best first); None where weak or contradicted by another."""
     if not found or found[0].score < MIN_SCORE or not found[0].told:
         return None
     best = found[0]
@@ -123,29 +105,21 @@ def decided(found: Sequence[UpHypothesis]) -> UpHypothesis | None:
 
 
 def assumed(found: Sequence[UpHypothesis]) -> np.ndarray:
-    """(3,) float64: the up vector that is assumed where nothing is decided: image-up, or that of a plane which stands
-    alone, so steep that it may be a wall looked up at. More cameras look down on tables and floors than up at walls.
+    """Up vector to assume where nothing is decided, (3,) float64; hypotheses come best first.
 
-    Parameters
-    ----------
-    found : sequence of UpHypothesis
-        Of a frame, the best first.
+    It is image-up, or that of a plane which stands alone, so steep that it may be a wall looked up at: more cameras
+    look down on tables and floors than up at walls.
     """
     alone = decided([replace(h, told=True) for h in found])
     return IMAGE_UP if alone is None or alone.score < ALONE_SCORE else alone.up
 
 
 def up_hypotheses(depth: np.ndarray, camera: Camera) -> tuple[UpHypothesis, ...]:
-    """What the planes of a frame suggest, the best first.
+    """Up vectors suggested by the planes of a depth map, (H, W) float32, metres; the best first.
 
     Candidate directions are normals of the surface itself, so that every hypothesis is a real patch of the
     scene and no random numbers are needed. A plane counts only on the side it is seen from: a floor from
     above, a ceiling from below.
-
-    Parameters
-    ----------
-    depth : (H, W) float32
-        Metres.
     """
     found: list[tuple[UpHypothesis, ...]] = []
     for noise in NOISES if block_noise(depth) > NOISY else NOISES[:1]:
@@ -198,7 +172,7 @@ def _of_one_side(surface: SurfaceBlocks, kind: Literal["floor", "ceiling"]) -> l
 
 
 def _of_walls(surface: SurfaceBlocks) -> list[UpHypothesis]:
-    """The direction that all walls run along, where nothing level is seen and they face at least two ways."""
+    """Hypothesis of the direction common to all walls, where nothing level is seen and walls face at least two ways."""
     normals = surface.voters.astype(np.float64)
     up, spread = _least_seen(normals)
     for _ in range(2):
@@ -214,19 +188,19 @@ def _of_walls(surface: SurfaceBlocks) -> list[UpHypothesis]:
 
 
 def _least_seen(normals: np.ndarray) -> tuple[np.ndarray, float]:
-    """Where normals ((N, 3)) point least, as a unit vector up the image, and the sum of squares of the next axis."""
+    """Unit vector least pointed to by normals, (N, 3), up the image, and the sum of squares of the next axis."""
     spread, axes = np.linalg.eigh(normals.T @ normals)
     return axes[:, 0] * (-1.0 if axes[1, 0] > 0 else 1.0), float(spread[1])
 
 
 def _explained(normals: np.ndarray, up: np.ndarray) -> float:
-    """Share of the normals ((N, 3)) that are parallel or perpendicular to an up vector."""
+    """Share of the normals, (N, 3), parallel or perpendicular to an up vector."""
     along = np.abs(normals @ up.astype(normals.dtype))
     return float(((along > np.cos(np.deg2rad(PARALLEL_DEG))) | (along < UPRIGHT)).mean())
 
 
 def _ease(up: np.ndarray) -> np.ndarray:
-    """0..1 of each up vector ((N, 3)): how common it is to hold a camera so; 0 is never."""
+    """Commonness, 0..1, of holding a camera with each up vector, (N, 3); 0 is never."""
     pitch, roll = _pitch_deg(up), np.abs(_roll_deg(up))
     beyond = np.maximum(pitch - EASY_STEEP_DEG, 0) + np.maximum(-pitch - EASY_HIGH_DEG, 0)
     held = np.exp(-0.5 * (np.maximum(roll - EASY_ROLL_DEG, 0) / 8) ** 2 - beyond / 12)
@@ -234,7 +208,7 @@ def _ease(up: np.ndarray) -> np.ndarray:
 
 
 def _pitch_deg(up: np.ndarray) -> np.ndarray:
-    """How far a camera of this up vector ((..., 3)) looks down."""
+    """Downward pitch of a camera with an up vector, (..., 3), degrees."""
     return np.rad2deg(np.arcsin(np.clip(-up[..., 2], -1, 1)))
 
 
@@ -243,7 +217,7 @@ def _roll_deg(up: np.ndarray) -> np.ndarray:
 
 
 def _fitted(surface: SurfaceBlocks, direction: np.ndarray, sign: np.float32) -> tuple[np.ndarray, float, float] | None:
-    """The largest plane of about this normal: unit normal, offset along it, share of the points; None if too small."""
+    """Largest plane of about a normal: unit normal, offset along the normal, share of the points; None if too small."""
     points = surface.points
     tolerance = plane_tolerance(points)
     cosine = surface.normals @ direction * sign
@@ -275,7 +249,7 @@ def _plane_of(cloud: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def level_normal_at(depth: np.ndarray, camera: Camera, u: int, v: int) -> np.ndarray:
-    """The up vector that a person gives by naming a pixel of a level surface.
+    """Up vector from a pixel of a level surface, chosen by a person.
 
     The plane around the pixel is grown to the connected region that lies in it, and fitted to that.
 
@@ -322,7 +296,7 @@ def level_normal_at(depth: np.ndarray, camera: Camera, u: int, v: int) -> np.nda
 
 
 def far_from_level(depth: np.ndarray, camera: Camera, up: np.ndarray) -> float | None:
-    """By how many degrees an up vector contradicts the one that the level planes of a frame give; None where not."""
+    """Angle, degrees, of an up vector to the level planes of a frame; None where they do not contradict."""
     own = level_plane(depth, camera)
     angle = 0.0 if own is None else float(np.rad2deg(np.arccos(np.clip(own @ up / np.linalg.norm(up), -1, 1))))
     return angle if angle > FAR_FROM_LEVEL_DEG else None

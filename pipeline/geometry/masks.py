@@ -1,6 +1,6 @@
 """Masks: bool crops in memory, COCO's run-length code in files, and the one codec between them.
 
-A code is read without trust and decoded no further than to the mask's box.
+Codes are untrusted input, and decoded no further than to the mask's box.
 """
 
 from __future__ import annotations
@@ -39,21 +39,21 @@ class RunLength:
 
     @staticmethod
     def of(mask: np.ndarray) -> RunLength:
-        """The compressed code of a mask ((H, W) bool)."""
+        """Encode a mask, (H, W) bool."""
         return RunLength((int(mask.shape[0]), int(mask.shape[1])), encode_run_length(np.ascontiguousarray(mask)))
 
     def crop(self, shape: tuple[int, int], where: str, path: Path | None = None) -> MaskCrop:
-        """The mask; InputError where it is not of a picture of that shape, before memory for it is asked for."""
+        """Decode the mask; InputError for a picture of another shape, before memory is asked for."""
         require(self.size == shape, f"{where}: the mask has another size", got=self.size, expected=shape, path=path)
         return decode_crop(self.size, self.counts, where, path)
 
     def decoded(self, shape: tuple[int, int], where: str, path: Path | None = None) -> np.ndarray:
-        """(H, W) bool; errors as of `crop`."""
+        """Decode the mask to (H, W) bool; errors as of `crop`."""
         return self.crop(shape, where, path).of_picture(shape)
 
 
 def run_lengths(code: str) -> np.ndarray | str:
-    """(M,) int64 run lengths of a compressed code, or in words why it is none.
+    """Run lengths of a compressed code, (M,) int64, or the code's fault in words.
 
     They go column by column, from zeros to ones and back. Each number takes 5 bits a character from the lowest; from
     the fourth on it is the difference to the one two places before (`rleToString` of the COCO API).
@@ -81,20 +81,14 @@ def run_lengths(code: str) -> np.ndarray | str:
 
 
 def decode_run_length(size: Sequence[int], counts: str | Sequence[int], where: str = "mask") -> np.ndarray:
-    """(H, W) bool from COCO run-length encoding, compressed or not.
-
-    Raises
-    ------
-    InputError
-        The run lengths do not fill the mask, or are none.
-    """
+    """Decode COCO run lengths, compressed or not, to (H, W) bool; InputError where they do not fill the mask."""
     return decode_crop(size, counts, where).of_picture(size)
 
 
 def decode_crop(
     size: Sequence[int], counts: str | Sequence[int], where: str = "mask", path: Path | None = None
 ) -> MaskCrop:
-    """The mask that `decode_run_length` gives, without the empty picture around it; a fraction of the work."""
+    """Decode only the non-empty part of the mask of `decode_run_length`; a fraction of the work."""
     height, width = int(size[0]), int(size[1])
     pixels = height * width
     if isinstance(counts, str):
@@ -127,7 +121,16 @@ def decode_crop(
 
 
 def encode_run_length(mask: np.ndarray) -> str:
-    """COCO's compressed run-length code of a mask ((H, W) bool)."""
+    """Encode a mask, (H, W) bool, in COCO's compressed run-length code.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pipeline.geometry import decode_run_length, encode_run_length
+    >>> code = encode_run_length(np.array([[False, True], [False, True]]))
+    >>> code, decode_run_length((2, 2), code).tolist()
+    ('22', [[False, True], [False, True]])
+    """
     from pycocotools import mask as coco
 
     # The code runs down columns; OpenCV transposes several times faster than a strided copy.
@@ -137,12 +140,12 @@ def encode_run_length(mask: np.ndarray) -> str:
 
 @dataclass(frozen=True)
 class MaskCrop:
-    """The part of a picture's mask that is not empty.
+    """The non-empty part of a picture's mask.
 
     Attributes
     ----------
     x, y : int
-        Its upper left pixel in the picture.
+        Upper left pixel in the picture.
     mask : (h, w) bool
     """
 
@@ -152,41 +155,41 @@ class MaskCrop:
 
     @property
     def box(self) -> tuple[int, int, int, int]:
-        """x0, y0, x1, y1 of the mask, exclusive right and bottom edges; empty where the mask is."""
+        """Box of the mask, x0, y0, x1, y1, with exclusive right and bottom edges; empty for an empty mask."""
         x0, y0, x1, y1 = mask_box(self.mask)
         return self.x + x0, self.y + y0, self.x + x1, self.y + y1
 
     @property
     def area(self) -> int:
-        """Pixels that are set."""
+        """Number of set pixels."""
         return int(self.mask.sum())
 
     def of_picture(self, size: Sequence[int]) -> np.ndarray:
-        """The mask of the whole picture, (H, W) bool."""
+        """Mask of the whole picture, (H, W) bool."""
         picture = np.zeros((int(size[0]), int(size[1])), np.bool_)
         self.paint(picture)
         return picture
 
     def paint(self, picture: np.ndarray) -> None:
-        """Set its pixels in an empty mask of the whole picture, (H, W) bool."""
+        """Set the crop's pixels in an empty mask of the whole picture, (H, W) bool."""
         h, w = self.mask.shape
         picture[self.y : self.y + h, self.x : self.x + w] = self.mask
 
 
 def mask_box(mask: np.ndarray) -> tuple[int, int, int, int]:
-    """x0, y0, x1, y1 of a mask ((H, W) bool), exclusive right and bottom edges; zeros for an empty one."""
+    """Box of a mask, (H, W) bool: x0, y0, x1, y1, exclusive right and bottom edges; zeros for an empty mask."""
     x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
     return x, y, x + w, y + h
 
 
 def outlines(mask: np.ndarray) -> list[np.ndarray]:
-    """(N, 2) float64 each: closed outer outlines of a mask's parts ((H, W) bool) through the middles of its pixels."""
+    """Closed outer outlines of a mask's parts, (N, 2) float64 each, through the middles of pixels."""
     found, _ = cv2.findContours(np.ascontiguousarray(mask).view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_TC89_L1)
     return [line.reshape(-1, 2) + 0.5 for line in found if len(line) > 2]
 
 
 def fill_polygons(size: tuple[int, int], polygons: Sequence[np.ndarray]) -> np.ndarray:
-    """(H, W) bool: the pixels inside any of the polygons, (N, 2) x, y within the picture, as the COCO API has them."""
+    """Fill polygons, (N, 2) x, y within the picture, as the COCO API does: (H, W) bool."""
     from pycocotools import mask as coco
 
     encoded: Any = coco.merge(coco.frPyObjects([p.ravel().tolist() for p in polygons], *size))

@@ -1,4 +1,4 @@
-"""How far apart two surface points are that a person names by their pixels."""
+"""Distance between two surface points, chosen by their pixels."""
 
 from __future__ import annotations
 
@@ -17,37 +17,28 @@ PLACES = 3
 
 @dataclass(frozen=True)
 class Measurement:
-    """The way from one surface point to another.
+    """Vector from one surface point to another."""
 
-    Attributes
-    ----------
-    pixels : tuple of (int, int)
-        Column and row of the first and of the second.
-    points : (2, 3) float64
-        Metres, camera frame.
-    parts : (3,) float64
-        From the first to the second along the viewer's right, up and forward, metres.
-    """
-
+    # tuple of (int, int), column and row of the first and of the second
     pixels: tuple[tuple[int, int], tuple[int, int]]
-    points: np.ndarray
-    parts: np.ndarray
+    points: np.ndarray  # (2, 3) float64, metres, camera frame
+    parts: np.ndarray  # (3,) float64, from the first to the second along the viewer's right, up and forward, metres
 
     @property
     def distance(self) -> float:
-        """Straight, metres."""
+        """Straight distance, metres."""
         return float(np.linalg.norm(self.parts))
 
     @property
     def words(self) -> tuple[str, str, str]:
-        """The parts as they are told: "0.524 m left", "0.103 m up", "1.207 m back"."""
+        """Parts in words: "0.524 m left", "0.103 m up", "1.207 m back"."""
         right, up, forward = (
             f"{abs(part):.{PLACES}f} m {words[int(part < 0)]}" for words, part in zip(WAYS, self.parts, strict=True)
         )
         return right, up, forward
 
     def record(self) -> dict[str, object]:
-        """What `spatialviz relations --measure --json` prints, metres."""
+        """JSON of `spatialviz relations --measure --json`, metres."""
         parts = {name: round(float(part), 4) for name, part in zip(PARTS, self.parts, strict=True)}
         return {
             "pixels": [list(pixel) for pixel in self.pixels],
@@ -58,7 +49,7 @@ class Measurement:
 
 
 def surface_point(depth: np.ndarray, camera: Camera, pixel: tuple[int, int]) -> np.ndarray:
-    """The point that a pixel (u, v) sees: (3,) float64, metres, camera frame; InputError where it has no depth."""
+    """Surface point of a pixel (u, v), (3,) float64, metres, camera frame; InputError without depth."""
     u, v = pixel
     z = depth_at(depth, u, v)
     return lift_pixels(np.array([z]), camera, np.array([v]), np.array([u]))[0].astype(np.float64)
@@ -67,22 +58,10 @@ def surface_point(depth: np.ndarray, camera: Camera, pixel: tuple[int, int]) -> 
 def measure(
     depth: np.ndarray, camera: Camera, viewer: ViewerAxes, first: tuple[int, int], second: tuple[int, int]
 ) -> Measurement:
-    """How far apart the surface points of two pixels are.
+    """Measure the distance between the surface points of two pixels (column, row), metres.
 
-    Parameters
-    ----------
-    depth : (H, W) float32
-        Metres, 0 where missing.
-    camera : Camera
-    viewer : ViewerAxes
-        Whose right, up and forward the parts are along.
-    first, second : (int, int)
-        Column and row.
-
-    Raises
-    ------
-    InputError
-        A pixel is outside the picture, or has no depth; or the camera is only a stand-in (`Camera.untold`).
+    `depth` is (H, W) float32, metres, 0 where missing. InputError where a pixel is outside the picture or has no
+    depth, or the camera is only a stand-in (`Camera.untold`).
     """
     camera.check_metric()
     points = np.stack([surface_point(depth, camera, pixel) for pixel in (first, second)])

@@ -23,7 +23,7 @@ def depth_noise(z: np.ndarray) -> np.ndarray:
 
 
 def surface_step(depth: np.ndarray) -> np.ndarray:
-    """By how much neighbouring pixels of one surface differ at most, at these depths: max(3 cm, 3 %), metres."""
+    """Largest depth difference of neighbouring pixels of a surface, at these depths: max(3 cm, 3 %), metres."""
     return np.maximum(np.float32(0.03), np.float32(0.03) * depth)
 
 
@@ -39,15 +39,14 @@ def surface_normals(
     radius : int
         The window has 2 * radius + 1 pixels a side.
     noise : float
-        How many times as noisy as `depth_noise` the sensor is.
+        Noise of the sensor, in multiples of `depth_noise`.
 
     Returns
     -------
     normals : (H, W, 3) float32
         Towards the camera, camera frame.
     known : (H, W) bool
-        False where the window holds too few depths or is no plane (a depth
-        edge, strong curvature).
+        False where the window holds too few depths or is no plane (a depth edge, strong curvature).
     """
     height, width = depth.shape
     side = 2 * radius + 1

@@ -1,4 +1,4 @@
-"""The outlines of things in the depth of frames, and how well they lie on edges of their colour, region by region.
+"""Outlines of objects in depth, and their agreement with edges of colour, region by region.
 
 A depth edge is the outline of a thing, and most outlines are edges of colour too, that run the same way. Where colour
 and depth are of two cameras and are taken for one, the outlines of one picture miss those of the other.
@@ -44,7 +44,7 @@ AWAY_STEPS = 4.0
 
 @dataclass(frozen=True)
 class Outlines:
-    """The outlines of depth of frames of one size and camera, and how far their colour's pixels are from edges.
+    """Depth outlines of frames of one size and camera, and distances of their pixels from edges of colour.
 
     Attributes
     ----------
@@ -58,7 +58,6 @@ class Outlines:
         Index of the region of the picture that it lies in, row by row of `REGIONS`.
     away : (F, WAYS, H, W) uint8
         Quarters of a pixel to the nearest edge of colour of a direction, at a width of 640; at most 255.
-    camera : Camera
     """
 
     u: np.ndarray
@@ -72,7 +71,7 @@ class Outlines:
 
     @classmethod
     def of(cls, frames: Sequence[Frame]) -> Outlines:
-        """Those of frames of one size and camera, at least one."""
+        """Find outlines in frames of one size and camera, at least one frame."""
         found = [np.stack(_outlines(frame.depth)).astype(float) for frame in frames]
         index = np.repeat(np.arange(len(frames)), [part.shape[1] for part in found])
         u, v, z, way, region = np.concatenate(found, axis=1)
@@ -80,7 +79,7 @@ class Outlines:
         return cls(u, v, z, index, way.astype(int), region.astype(int), away, frames[0].camera)
 
     def near(self, warp: Registration, tolerance: float = NEAR_PX, every: int = 1) -> np.ndarray:
-        """(N,) 0..1: how near each outline, or one in so many, is to an edge of colour under a warp; NaN outside."""
+        """Nearness of each outline (or each `every`-th) to an edge of colour under a warp, (N,) 0..1; NaN outside."""
         columns, rows, far = warp.pixels(self.u[::every], self.v[::every], self.z[::every], self.camera)
         height, width = self.away.shape[2:]
         inside = (far > 0) & (columns > -0.5) & (columns < width - 0.5) & (rows > -0.5) & (rows < height - 0.5)
@@ -89,7 +88,7 @@ class Outlines:
         return np.where(inside, 1 / (1 + away * away), np.nan)
 
     def above_chance(self, warp: Registration) -> np.ndarray:
-        """(N,) by how much nearer it is than with the pictures moved by some pixels: 0 where they show nothing."""
+        """Nearness above chance, (N,): less the nearness with the pictures moved by some pixels; 0 shows nothing."""
         px = MOVED_PX * self.away.shape[3] / WIDE
         ways = ((px, 0), (-px, 0), (0, px), (0, -px))
         moved = np.stack([self.near(warp.moved(*way)) for way in ways])
@@ -97,7 +96,7 @@ class Outlines:
         return self.near(warp) - np.where(inside, moved, 0).sum(axis=0) / np.maximum(inside.sum(axis=0), 1)
 
     def by_region(self, value: np.ndarray, every: int = 1) -> np.ndarray:
-        """(R,) the mean over each region of a number of each outline ((N,), NaN left out); NaN where it has too few."""
+        """Mean by region, (R,), of a number of each outline, (N,), NaN left out; NaN for too few outlines."""
         known = np.isfinite(value)
         region, regions = self.region[::every][known], REGIONS[0] * REGIONS[1]
         count = np.bincount(region, minlength=regions)
@@ -105,7 +104,7 @@ class Outlines:
         return np.where(count * every >= LEAST_IN_REGION, total / np.maximum(count, 1), np.nan)
 
     def by_frame(self, value: np.ndarray) -> np.ndarray:
-        """(F,) the same over each frame; NaN where it has too few."""
+        """Mean by frame, (F,); NaN for too few outlines."""
         known = np.isfinite(value)
         count = np.bincount(self.frame[known], minlength=len(self.away))
         total = np.bincount(self.frame[known], value[known], len(self.away))
@@ -113,18 +112,18 @@ class Outlines:
 
 
 def mean_known(values: np.ndarray) -> float:
-    """The mean of those that are no NaN; 0 without any."""
+    """Mean without NaN; 0 without any."""
     known = values[np.isfinite(values)]
     return float(known.mean()) if len(known) else 0.0
 
 
 def agreement(outlines: Outlines, warp: Registration) -> float:
-    """0..1: how many of the outlines of depth lie on edges of colour under a warp, the mean over regions."""
+    """Share, 0..1, of depth outlines on edges of colour under a warp, the mean over regions."""
     return mean_known(outlines.by_region(outlines.near(warp)))
 
 
 def _outlines(depth: np.ndarray) -> tuple[np.ndarray, ...]:
-    """u, v, z, way and region of a frame's outlines, as many of each region."""
+    """Outlines of a depth map: u, v, z, direction and region, as many of each region."""
     v, u, z, angle = _depth_steps(depth)
     rows, columns = REGIONS
     region = v * rows // depth.shape[0] * columns + u * columns // depth.shape[1]

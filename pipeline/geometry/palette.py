@@ -1,4 +1,4 @@
-"""The fixed colours of roles and of dropped pixels: the same in 3D, 2D, tables and chips.
+"""Fixed colours of roles and of dropped pixels: the same in 3D, 2D, tables and chips.
 
 Roles stay apart where one kind of cone is missing, and can be read as text on the page's grounds (tests hold
 both); every role is doubled by a word, a line width or a line style wherever it is shown.
@@ -53,12 +53,12 @@ def palette(dark: bool) -> dict[Role, RGB]:
 
 
 def hex_color(color: RGB) -> str:
-    """ "#rrggbb"."""
+    """Hexadecimal form, "#rrggbb"."""
     return "#{:02x}{:02x}{:02x}".format(*color)
 
 
 def instance_colors(count: int) -> np.ndarray:
-    """(count, 3) uint8: one calm, distinct colour for each object, golden-ratio hues."""
+    """Calm, distinct colours of `count` objects, (count, 3) uint8, golden-ratio hues."""
     import cv2
 
     hues = np.round((np.arange(count) * 0.61803398875 % 1.0) * 179).astype(np.uint8)
@@ -67,14 +67,14 @@ def instance_colors(count: int) -> np.ndarray:
 
 
 def depth_ends(depth: np.ndarray) -> tuple[float, float]:
-    """Where the colours of depths in metres end: the 2nd and the 98th percentile of those that were measured."""
+    """Ends of the depth colours, metres: the 2nd and the 98th percentile of measured depths."""
     valid = depth > 0
     low, high = np.percentile(depth[valid], [2, 98]) if valid.any() else (0.0, 1.0)
     return float(low), float(high)
 
 
 def depth_colors(depth: np.ndarray, ends: tuple[float, float] | None = None) -> np.ndarray:
-    """(..., 3) uint8 turbo colours of depths in metres, near red to far blue between `ends`, by default `depth_ends`.
+    """Turbo colours of depths in metres, (..., 3) uint8, near red to far blue between `ends`, by default `depth_ends`.
 
     Pixels without depth are dark grey.
     """
@@ -107,7 +107,7 @@ VERDICTS: dict[str, RGB] = {
 
 
 def ink(color: str) -> str:
-    """Black or white, whichever is read better on a colour "#rrggbb": at least 4.58 to 1, by WCAG 2.2's contrast."""
+    """Black or white, whichever reads better on a colour "#rrggbb": at least 4.58 to 1, by WCAG 2.2's contrast."""
     channels = (int(color[k : k + 2], 16) / 255 for k in (1, 3, 5))
     linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in channels]
     luminance = sum(w * c for w, c in zip((0.2126, 0.7152, 0.0722), linear, strict=True))

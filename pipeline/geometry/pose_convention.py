@@ -1,4 +1,4 @@
-"""What a pose file may mean by its matrices, and the camera-to-world pose in OpenCV's axes that each gives."""
+"""Conventions of pose matrices, and the camera-to-world pose in OpenCV's axes that each gives."""
 
 from __future__ import annotations
 
@@ -20,19 +20,13 @@ CONVENTIONS = (*(f"{way} {axes}" for axes in _AXES for way in _WAYS), f"{STANDAR
 
 
 def check_convention(name: object) -> str:
-    """The name; InputError where it is none of `CONVENTIONS`."""
+    """Check a convention's name; InputError for none of `CONVENTIONS`."""
     require(name in CONVENTIONS, "no such pose convention", got=repr(name)[:60], expected=" | ".join(CONVENTIONS))
     return str(name)
 
 
 def standard_poses(T: np.ndarray, convention: str) -> np.ndarray:
-    """T_world_camera in OpenCV's axes of matrices that were read as such and are of another convention.
-
-    Parameters
-    ----------
-    T : (..., 4, 4) float64
-        Rigid.
-    """
+    """T_world_camera in OpenCV's axes, of rigid matrices (..., 4, 4) in another convention."""
     way, axes, *order = convention.split()
     out = np.array(T, np.float64)
     if order:
@@ -44,7 +38,7 @@ def standard_poses(T: np.ndarray, convention: str) -> np.ndarray:
 
 
 def composed(first: str, then: str) -> str | None:
-    """The one convention that both in turn come to; None where that is none of `CONVENTIONS`."""
+    """Convention equal to two in turn; None for none of `CONVENTIONS`."""
     q = np.random.default_rng(0).normal(size=(3, 3))
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = np.linalg.qr(q)[0], q[0]
@@ -54,7 +48,7 @@ def composed(first: str, then: str) -> str | None:
 
 
 def as_convention(T: np.ndarray, convention: str) -> np.ndarray:
-    """The matrices (..., 4, 4) that a file of this convention has, read as of the standard one, for such poses."""
+    """Matrices of a file in a convention, (..., 4, 4), for standard poses; the inverse of `standard_poses`."""
     way, axes, *order = convention.split()
     out = np.array(T, np.float64)
     out[..., :3, :3] = out[..., :3, :3] @ _AXES[axes].T
@@ -73,7 +67,7 @@ def _inverse(T: np.ndarray) -> np.ndarray:
 
 
 def _reordered(R: np.ndarray, by: int) -> np.ndarray:
-    """The rotations (..., 3, 3) of quaternions that were read as x y z w, and whose numbers belong `by` places on."""
+    """Rotations, (..., 3, 3), of quaternions read as x y z w whose numbers belong `by` places on."""
     # The quaternion's outer product with itself, from the rotation; its largest column is the quaternion but for scale.
     trace = np.trace(R, axis1=-2, axis2=-1)
     q = np.empty((*R.shape[:-2], 4, 4))

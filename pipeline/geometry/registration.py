@@ -1,4 +1,4 @@
-"""Where a depth camera's pixels lie in the colour picture: the warp between the two, and depth warped."""
+"""Registration of a depth camera to a colour camera: the warp between the two, and depth warped."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ class Registration:
     fx, fy, cx, cy : float
         Intrinsics of the colour camera, pixels.
     tx, ty, tz : float
-        Added to a point of the depth camera's frame, gives it in the colour camera's, metres; both look the same way.
+        Added to a point of the depth camera's frame, gives it in the colour camera's, metres; both look the same
+        way.
     """
 
     fx: float
@@ -36,44 +37,34 @@ class Registration:
 
     @classmethod
     def none(cls, camera: Camera) -> Registration:
-        """Both cameras are one."""
+        """Identity: both cameras are one."""
         return cls(camera.fx, camera.fy, camera.cx, camera.cy)
 
     @property
     def t(self) -> np.ndarray:
-        """(3,) float64."""
+        """Translation, (3,) float64."""
         return np.array([self.tx, self.ty, self.tz])
 
     def moved(self, across: float, down: float) -> Registration:
-        """The same with the principal point so many pixels on."""
+        """Copy with the principal point moved by pixels."""
         return replace(self, cx=self.cx + across, cy=self.cy + down)
 
     def after(self, first: Registration) -> Registration:
-        """Both in one: the first, of the depth camera, and this one, of the camera that the first leads to."""
+        """Compose with a first warp: of the depth camera, to the camera of this warp."""
         return replace(self, tx=self.tx + first.tx, ty=self.ty + first.ty, tz=self.tz + first.tz)
 
     def pixels(self, u: np.ndarray, v: np.ndarray, z: np.ndarray, camera: Camera) -> tuple[np.ndarray, ...]:
-        """Column, row and depth in the colour camera of the depth camera's pixels and depths, (N,) each."""
+        """Column, row and depth in the colour camera, of the depth camera's pixels and depths, (N,) each."""
         far = z + self.tz
         x, y = (u - camera.cx) / camera.fx * z + self.tx, (v - camera.cy) / camera.fy * z + self.ty
         return self.fx * x / far + self.cx, self.fy * y / far + self.cy, far
 
 
 def registered(depth: np.ndarray, camera: Camera, warp: Registration) -> tuple[np.ndarray, Camera]:
-    """Depth as the colour camera would have measured it, and that camera.
+    """Register depth, (H, W) float32, metres, to the colour camera; the nearer of two surfaces hides the other.
 
-    Parameters
-    ----------
-    depth : (H, W) float32
-        Metres, of the depth camera.
-    camera : Camera
-        The depth camera's, with its pose.
-
-    Returns
-    -------
-    depth : (H, W) float32
-        0 where nothing falls. The nearer of two surfaces hides the other.
-    camera : Camera
+    `camera` is the depth camera's, with its pose; the one that comes back is the colour camera. Depth is 0 where
+    nothing falls.
     """
     v, u = np.nonzero(depth)
     columns, rows, z = warp.pixels(u.astype(np.float32), v.astype(np.float32), depth[v, u], camera)
@@ -93,7 +84,7 @@ def registered(depth: np.ndarray, camera: Camera, warp: Registration) -> tuple[n
 
 
 def _without_pinholes(depth: np.ndarray) -> np.ndarray:
-    """Depth whose single missing pixels inside a surface have the nearest depth around them."""
+    """Fill single missing pixels inside a surface with the nearest depth around."""
     missing = depth <= 0
     known = cv2.boxFilter((~missing).astype(np.float32), -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
     nearest = cv2.erode(np.where(missing, np.float32(np.inf), depth), np.ones((3, 3), np.uint8))

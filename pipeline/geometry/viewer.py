@@ -30,7 +30,7 @@ class ViewerAxes:
     ----------
     right, up, forward : (3,) float64
     up_source : str
-        How `up` is known.
+        Source of `up`.
     up_doubt : str
         What the frame itself says against it, in words; "" for nothing.
     """
@@ -43,25 +43,33 @@ class ViewerAxes:
 
     @cached_property
     def matrix(self) -> np.ndarray:
-        """(3, 3): `points @ matrix.T` gives (right, up, forward) coordinates, metres."""
+        """Matrix, (3, 3): `points @ matrix.T` gives (right, up, forward) coordinates, metres."""
         return np.stack([self.right, self.up, self.forward])
 
     @cached_property
     def R_level_camera(self) -> np.ndarray:
-        """(3, 3) rotation into the right-handed level frame: x right, y down, z forward."""
+        """Rotation, (3, 3), into the right-handed level frame: x right, y down, z forward."""
         return np.stack([self.right, -self.up, self.forward])
 
     @property
     def pitch(self) -> float:
-        """How far the camera looks down, radians."""
+        """Downward pitch of the camera, radians."""
         return float(np.arcsin(np.clip(-self.up[2], -1.0, 1.0)))
 
 
 def viewer_axes(up: np.ndarray, up_source: UpSource = "declared", up_doubt: str = "") -> ViewerAxes:
-    """The level axes for an up vector ((3,), camera frame).
+    """Level axes for an up vector, (3,), camera frame.
 
     Forward is the camera's z made level. Looking nearly straight down (or up),
     forward is where the top (or bottom) of the image points.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pipeline.geometry import viewer_axes
+    >>> axes = viewer_axes(np.array([0, -np.cos(0.5), -np.sin(0.5)]))
+    >>> round(axes.pitch, 3), axes.right.round(3).tolist()
+    (0.5, [1.0, 0.0, 0.0])
     """
     up = np.asarray(up, dtype=np.float64)
     up = up / np.linalg.norm(up)
@@ -74,7 +82,7 @@ def viewer_axes(up: np.ndarray, up_source: UpSource = "declared", up_doubt: str 
 
 
 def resolve_up(depth: np.ndarray, camera: Camera, scene_up: np.ndarray | None = None) -> Camera:
-    """The camera with an up vector: its own, else its scene's, else that of a level plane, else an assumed one.
+    """Camera with an up vector: own, else the scene's, else of a level plane, else assumed.
 
     Parameters
     ----------
@@ -82,11 +90,6 @@ def resolve_up(depth: np.ndarray, camera: Camera, scene_up: np.ndarray | None = 
         Metres.
     scene_up : (3,) float64, optional
         The up of the frame's scene in the world; see `pipeline.datasets.up`. It needs a pose.
-
-    Returns
-    -------
-    Camera
-        With `up` and `up_source` set.
     """
     if camera.up is not None:
         return camera if camera.up_source else camera.with_up(camera.up, "declared")

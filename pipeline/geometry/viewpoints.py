@@ -1,4 +1,4 @@
-"""From where a frame's points are looked at: as the sensor does, from above, or so that all or a pair is in view."""
+"""Viewpoints on a frame's points: the sensor's, from above, or with all or a pair in view."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Viewed = tuple[np.ndarray, np.ndarray, float]
 def viewpoint(
     kind: str, points: np.ndarray, to_show: np.ndarray, camera: Camera, aspect: float, about: np.ndarray | None = None
 ) -> Viewed:
-    """From where a frame is looked at.
+    """Viewpoint of a frame.
 
     Parameters
     ----------
@@ -28,11 +28,10 @@ def viewpoint(
         Of the frame, shown frame, metres.
     to_show : (3, 3)
         From the camera frame into the shown frame.
-    camera : Camera
     aspect : float
-        Width over height of what is seen.
+        Width over height of the view.
     about : (M, 3) float, optional
-        What "pair" shows, shown frame; without it that is all of the frame.
+        Points that "pair" shows, shown frame; by default all of the frame.
     """
     middle = np.median(points, axis=0) if len(points) else np.array([0.0, 2.0, 0.0])
     if kind == "sensor" or not len(points):
@@ -53,7 +52,7 @@ def viewpoint(
 
 
 def fitting_viewpoint(points: np.ndarray, aspect: float) -> Viewed:
-    """As near as shows nearly all of some points ((N, 3), N > 0, shown frame), along TOWARD."""
+    """Nearest viewpoint along TOWARD with nearly all of (N, 3) points in view, N > 0, shown frame."""
     center = np.percentile(points, [2, 98], axis=0).mean(axis=0)
     toward = TOWARD / np.linalg.norm(TOWARD)
     across = np.cross(toward, [0.0, 0.0, 1.0])

@@ -1,4 +1,4 @@
-"""The warp between a depth camera and a colour camera under which outlines of depth lie on edges of colour."""
+"""Search for the warp between a depth and a colour camera that puts outlines of depth on edges of colour."""
 
 from __future__ import annotations
 
@@ -27,13 +27,12 @@ SETTLING = ((0.5, NEAR_PX, 1), (0.25, NEAR_PX, 1), (0.12, NEAR_PX, 1))
 
 @dataclass(frozen=True)
 class Fitted:
-    """A warp that was searched for.
+    """A warp found by the search.
 
     Attributes
     ----------
-    warp : Registration
     bounded : bool
-        Whether it lies at the bound of what is searched, so that it is none.
+        It lies at the bound of what is searched, so that it is none.
     """
 
     warp: Registration
@@ -41,14 +40,14 @@ class Fitted:
 
 
 def estimated(outlines: Outlines, regions: np.ndarray | None = None, near: Registration | None = None) -> Fitted:
-    """The warp under which most outlines of depth lie on edges of colour, region by region; one for all frames.
+    """Warp with most outlines of depth on edges of colour, region by region; one for all frames.
 
     Parameters
     ----------
     regions : (R,) bool, optional
-        Those that count, by default all.
+        Regions that count, by default all.
     near : Registration, optional
-        Where to look, beside no warp; by default everywhere.
+        Start of the search, besides no warp; by default everywhere.
     """
     told = Registration.none(outlines.camera)
     own = {(near, every): outlines.near(told, near, every) for _, near, every in (*LOOKING, *SETTLING)}
@@ -77,7 +76,7 @@ def _climbed(
     gain: Callable[[Registration, float, int], float],
     levels: Sequence[tuple[float, float, int]],
 ) -> Registration:
-    """The nearest best, by steps that become finer, as do tolerances."""
+    """Climb to the nearest optimum, by steps and tolerances that become finer."""
     for step, tolerance, every in levels:
         share, metres, pixels = 0.01 * step, 0.01 * step, 4.0 * step
         value = gain(best, tolerance, every)
