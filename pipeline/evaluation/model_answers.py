@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from pipeline.system.chat import Alternatives
 from pipeline.system.errors import require
 
 _YES = frozenset({"yes", "yeah", "yep", "yup"})
@@ -319,21 +318,3 @@ def _verdicts(tokens: Sequence[str]) -> set[bool]:
             if (i == first and alone) or last in _SAYS_OF or last == "not":
                 found.add(_AGREES[token] != (last in ("not", "isn't")))
     return found
-
-
-def yes_probability(logprobs: Sequence[Alternatives]) -> float | None:
-    """P(yes) / (P(yes) + P(no)) at the first token of an answer that is one of them; None where none is.
-
-    Spellings ("Yes", " yes", "YES") are summed. One that is not among the alternatives counts as zero.
-    """
-    for index in logprobs:
-        if not index or _plain_token(index[0][0]) not in ("yes", "no"):
-            continue
-        yes, no = (sum(math.exp(p) for token, p in index if _plain_token(token) == word) for word in ("yes", "no"))
-        return yes / (yes + no) if yes + no > 0 else None
-    return None
-
-
-def _plain_token(token: str) -> str:
-    """A token without the marks by which tokenizers write a space, and without punctuation."""
-    return re.sub(r"[\W_ĠĊ▁]+", "", token).lower()

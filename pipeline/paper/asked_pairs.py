@@ -14,7 +14,7 @@ from pipeline.evaluation.systems import AskedPairs
 from pipeline.geometry.frame import Annotation
 from pipeline.labels.reading import Labels
 from pipeline.metrics.splits import DROPPED
-from pipeline.paper.questions import RelationConfig, score_pairs
+from pipeline.paper.questions import score_pairs
 from pipeline.system.arrow import pa, pq
 from pipeline.system.chat import ChatClient
 
@@ -32,7 +32,6 @@ def sample_pairs(counted: np.ndarray, number: int, seed: int) -> np.ndarray:
 def ask_pairs(
     client: ChatClient,
     title: str,
-    workers: int,
     how: RelationSpec,
     dataset: Dataset,
     labels: Labels,
@@ -51,7 +50,6 @@ def ask_pairs(
     """
     rows = sample_pairs(counted, how.vlm_pairs, how.seed)
     relations = records.systems[0].relations
-    config = RelationConfig(workers=workers, keep_going=True)
     p = np.empty((len(rows), len(relations)), np.float32)
     reasons: Counter[str] = Counter()
     tables: list[pa.Table] = []
@@ -65,7 +63,7 @@ def ask_pairs(
         objects = [Annotation(number, name, box) for number, name, box in named]
         asked = np.stack([pairs.a[chosen], pairs.b[chosen]], axis=1)
         frame = dataset.load(pairs.key.frame)
-        found = score_pairs(client, frame, objects, asked, relations, config=config)
+        found = score_pairs(client, frame, objects, asked, relations)
         p[mine] = found.probabilities
         reasons.update(found.reasons)
 

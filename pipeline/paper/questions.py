@@ -1,29 +1,25 @@
-"""What a vision-language model is asked: for the box of a sentence, and whether the relations of a pair hold."""
+"""Questions to a vision-language model: for the box of a sentence, and whether the relations of a pair hold."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
-from pipeline.evaluation.model_answers import BoxScale, parse_box, parse_yes_no, yes_probability
+from pipeline.evaluation.model_answers import BoxScale, parse_box, parse_yes_no
 from pipeline.geometry.frame import Frame
-from pipeline.labels.exports.vqa_questions import BRIEF, ask_grounding, ask_relation, can_be_asked
+from pipeline.labels.exports.vqa_questions import ask_grounding, ask_relation, can_be_asked
 from pipeline.language.naming import normal_form
-from pipeline.language.noun_phrase import noun_phrase, readable
-from pipeline.language.relation_names import PAIRWISE, PHRASE
-from pipeline.paper.view import View, marked, view_of
-from pipeline.system.chat import Answer, ChatClient, Picture, Question
+from pipeline.language.relation_names import PAIRWISE
+from pipeline.paper.view import View, view_of
+from pipeline.system.chat import Answer, ChatClient, Question
 from pipeline.system.errors import InputError, require
 
-_Key = tuple[tuple[int, int] | None, str, str, str]
-
 UNKNOWN = 0.5
-_TOP_LOGPROBS = 5
-"""As many as all servers grant; vLLM's default limit is 20, others have 5."""
+_YES_NO_TOKENS, _BOX_TOKENS = 32, 64
 
 
 class Named(Protocol):
@@ -37,77 +33,20 @@ class Named(Protocol):
 
 
 @dataclass(frozen=True)
-class AskingConfig:
-    """How a model is asked.
-
-    Attributes
-    ----------
-    wording : int
-        Which of the house's sentences asks; 0 is the plainest, LLaVA's.
-    square, max_side
-        See `view.view_of`.
-    max_tokens : int
-    workers : int
-    keep_going : bool
-        Go on without an answer where one question fails for itself.
-    """
-
-    wording: int = 0
-    square: bool = True
-    max_side: int | None = None
-    max_tokens: int = 32
-    workers: int = 4
-    keep_going: bool = False
-
-
-@dataclass(frozen=True)
-class RelationConfig(AskingConfig):
-    """How relations are asked for; the wording is that of `labels.wording.question_text`, where nothing is marked.
-
-    Attributes
-    ----------
-    mark : bool
-        Draw the pair's boxes, numbered 1 and 2, and name the numbers in the question ("Is the mug (box 1) ..."), as
-        in Set-of-Mark prompting (Yang et al. 2023). Without it, as in LLaVA, things are told apart by their names only.
-    logprobs : bool
-        Ask for log-probabilities, and where the server gives them take P(yes) / (P(yes) + P(no)).
-    """
-
-    mark: bool = False
-    logprobs: bool = False
-
-    def __post_init__(self) -> None:
-        require(0 <= self.wording < 2**64, "the wording of questions", got=self.wording, expected="0 .. 2**64 - 1")
-
-
-@dataclass(frozen=True)
 class PairScores:
-    """What the model says of N ordered pairs and R relations.
-
-    Attributes
-    ----------
-    relations : tuple of str
-    probabilities : (N, R) float64
-        P("a RELATION b"): 1 for yes, 0 for no, 0.5 where the answer is not known; or by log-probabilities.
-    known : (N, R) bool
-        False where the 0.5 is no answer.
-    by_logprobs : (N, R) bool
-        Where the probability comes from log-probabilities.
-    ambiguous : (N,) bool
-        Pairs that the question does not pin down: a name that another thing of the frame has too, and no marks.
-    texts : tuple of tuple of str
-        The answers, N by R.
-    reasons : dict of str to int
-        Why answers are not known, and how often.
-    """
+    """Answers of the model about N ordered pairs and R relations."""
 
     relations: tuple[str, ...]
     probabilities: np.ndarray
+    """(N, R) float64: 1 for yes, 0 for no, 0.5 for an answer that is not known."""
     known: np.ndarray
-    by_logprobs: np.ndarray
+    """(N, R) bool."""
     ambiguous: np.ndarray
+    """(N,) bool: pairs with a name that another thing of the frame has too."""
     texts: tuple[tuple[str, ...], ...]
+    """N by R."""
     reasons: dict[str, int]
+    """Counts of why answers are not known."""
 
 
 def score_pairs(
@@ -117,10 +56,9 @@ def score_pairs(
     pairs: np.ndarray | Sequence[tuple[int, int]],
     relations: Sequence[str],
     *,
-    config: RelationConfig | None = None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    workers: int = 4,
 ) -> PairScores:
-    """Ask of each pair whether each relation holds.
+    """Ask of each pair whether each relation holds, in LLaVA's words; things are told apart by their names only.
 
     Parameters
     ----------
@@ -129,107 +67,58 @@ def score_pairs(
     pairs : (N, 2) int
         Indices of a and b in `objects`.
     relations : sequence of str
-        Out of `relations.PAIRWISE`.
-    progress : callable
-        Called with the number of questions answered so far, and of all.
+        Out of `PAIRWISE`.
 
     Raises
     ------
     InputError
-        For arguments out of range.
+        Arguments out of range.
     ServerError
-        The server gives no answer.
+        No answer from the server to any question.
     """
-    config = config or RelationConfig()
     indices = _checked(pairs, len(objects), relations)
-    asked = _questions(objects, indices, relations, config)
-    # Things of one name ask the same without marks, and are asked about once.
-    order = {key: n for n, key in enumerate(dict.fromkeys(k for k, text in asked if text is not None))}
-    prompts = {key: text for key, text in asked if text is not None}
-    answers = client.ask_many(
-        _with_pictures(frame, objects, [(key[0], prompts[key]) for key in order], config),
-        workers=config.workers,
-        progress=lambda done: progress(done, len(order)),
-        keep_going=config.keep_going,
-    )
+    asked = [_question(relation, objects[a].label, objects[b].label) for a, b in indices for relation in relations]
+    # Things of one name ask the same, and are asked about once.
+    prompts = [text for text in dict.fromkeys(asked) if text is not None]
+    picture = view_of(frame.rgb).picture
+    questions = [Question(text, picture, _YES_NO_TOKENS) for text in prompts]
+    answers = dict(zip(prompts, client.ask_many(questions, workers=workers), strict=True))
     shape = (len(indices), len(relations))
-    probabilities, known = np.full(shape, UNKNOWN), np.zeros(shape, np.bool_)
-    by_logprobs, reasons, texts = np.zeros(shape, np.bool_), Counter[str](), [[""] * shape[1] for _ in range(shape[0])]
-    for cell, (key, text) in enumerate(asked):
-        i, j = divmod(cell, shape[1])
-        if text is None:
-            reasons["a name that cannot stand in a question"] += 1
-            continue
-        answer = answers[order[key]]
-        texts[i][j] = answer.text
-        value, exact, reason = _judged(answer)
-        if reason is not None:
+    probabilities, reasons = np.full(shape, UNKNOWN), Counter[str]()
+    for cell, text in enumerate(asked):
+        value, reason = (None, "a name that cannot stand in a question") if text is None else _judged(answers[text])
+        if value is None:
             reasons[reason] += 1
         else:
-            probabilities[i, j], known[i, j], by_logprobs[i, j] = value, True, exact
+            probabilities.flat[cell] = float(value)
+    said = iter("" if text is None else answers[text].text for text in asked)
     return PairScores(
         tuple(relations),
         probabilities,
-        known,
-        by_logprobs,
-        _shared_names(objects)[indices].reshape(-1, 2).any(axis=1) & np.full(len(indices), not config.mark),
-        tuple(map(tuple, texts)),
+        probabilities != UNKNOWN,
+        np.asarray(_shared_names(objects)[indices].reshape(-1, 2).any(axis=1)),
+        tuple(tuple(next(said) for _ in relations) for _ in indices),
         dict(reasons),
     )
 
 
-def marked_question(relation: str, a: str, b: str) -> str:
-    """The question about the things in the boxes 1 and 2 of a marked picture."""
-    first, second = (noun_phrase(readable(name)) for name in (a, b))
-    verb = first.verb.capitalize()
-    return f"{verb} {first.definite()} (box 1) {PHRASE[relation]} {second.definite()} (box 2)?\n{BRIEF}"
+def _question(relation: str, a: str, b: str) -> str | None:
+    """None where a name cannot be said."""
+    if not (can_be_asked(a) and can_be_asked(b)):
+        return None
+    try:
+        return ask_relation(relation, a, b, 0)
+    except InputError:
+        return None
 
 
-def _questions(
-    objects: Sequence[Named], indices: np.ndarray, relations: Sequence[str], config: RelationConfig
-) -> list[tuple[_Key, str | None]]:
-    """For every cell what makes its question the same as another's, and its words; None where a name cannot be said."""
-    found: list[tuple[_Key, str | None]] = []
-    for a, b in indices.tolist():
-        names = objects[a].label, objects[b].label
-        for relation in relations:
-            text = None
-            if all(map(can_be_asked, names)):
-                try:
-                    text = (
-                        marked_question(relation, *names)
-                        if config.mark
-                        else ask_relation(relation, *names, config.wording)
-                    )
-                except InputError:
-                    text = None
-            found.append((((a, b) if config.mark else None, relation, *names), text))
-    return found
-
-
-def _with_pictures(
-    frame: Frame, objects: Sequence[Named], asked: Sequence[tuple[tuple[int, int] | None, str]], config: RelationConfig
-) -> Iterator[Question]:
-    """The questions with their pictures, one pair's at a time: those of a whole frame would fill the memory."""
-    drawn: tuple[int, int] | None = None
-    picture: Picture | None = None
-    for pair, prompt in asked:
-        if picture is None or pair != drawn:
-            rgb = frame.rgb if pair is None else marked(frame.rgb, [objects[i].bbox for i in pair])
-            picture, drawn = view_of(rgb, square=config.square, max_side=config.max_side).picture, pair
-        yield Question(prompt, picture, config.max_tokens, _TOP_LOGPROBS if config.logprobs else 0)
-
-
-def _judged(answer: Answer) -> tuple[float, bool, str | None]:
-    """Probability, whether by log-probabilities, and why there is none."""
+def _judged(answer: Answer) -> tuple[bool | None, str]:
+    """Yes or no, or None and the reason."""
     if answer.failure is not None:
-        return UNKNOWN, False, "the server failed"
+        return None, "the server failed"
     verdict = parse_yes_no(answer.text)
-    if verdict.value is None:
-        cut = answer.finish == "length"
-        return UNKNOWN, False, f"{verdict.reason}, cut off by max_tokens" if cut else verdict.reason
-    exact = yes_probability(answer.logprobs)
-    return (float(verdict.value), False, None) if exact is None else (exact, True, None)
+    cut = ", cut off by max_tokens" if answer.finish == "length" else ""
+    return verdict.value, f"{verdict.reason}{cut}"
 
 
 def _shared_names(objects: Sequence[Named]) -> np.ndarray:
@@ -248,88 +137,52 @@ def _checked(pairs: np.ndarray | Sequence[tuple[int, int]], count: int, relation
         "pairs must be int (N, 2)",
         got=f"{indices.dtype} {indices.shape}",
     )
-    if indices.size and (indices.min() < 0 or indices.max() >= count):
-        raise InputError("a pair names an object that is not there", got=f"{indices.min()} to {indices.max()}",
-                         expected=f"0 to {count - 1}")  # fmt: skip
+    sound = not indices.size or (indices.min() >= 0 and indices.max() < count)
+    require(sound, "a pair names an object that is not there", got=pairs, expected=f"0 to {count - 1}")
+    known = " | ".join(PAIRWISE)
     for relation in relations:
-        require(
-            relation in PAIRWISE, "no such relation of two things", got=repr(relation), expected=" | ".join(PAIRWISE)
-        )
+        require(relation in PAIRWISE, "no such relation of two things", got=repr(relation), expected=known)
     return indices
 
 
 @dataclass(frozen=True)
-class GroundingConfig(AskingConfig):
-    """How boxes are asked for.
-
-    Attributes
-    ----------
-    box_scale : float, "pixels" or "auto"
-        See `answers.parse_box`; pixels are those of the picture as it is sent. Models that count in thousandths
-        (Qwen3-VL, InternVL) need 1000.
-    """
-
-    max_tokens: int = 64
-    box_scale: BoxScale = "auto"
-
-
-@dataclass(frozen=True)
 class Grounding:
-    """Where the model says that an expression's target is.
-
-    Attributes
-    ----------
-    box : (4,) float32 or None
-        x0, y0, x1, y1, pixels of the frame.
-    raw : str
-        The answer.
-    reason : str or None
-        Why there is no box.
-    notes : tuple of str
-        What had to be mended or assumed to read it.
-    """
+    """Box of an expression's target, by the model."""
 
     box: np.ndarray | None
+    """(4,) float32: x0, y0, x1, y1, pixels of the frame."""
     raw: str
+    """The answer."""
     reason: str | None = None
+    """Why there is no box."""
     notes: tuple[str, ...] = ()
+    """What had to be mended or assumed to read it."""
 
 
 def ground_many(
-    client: ChatClient,
-    frame: Frame,
-    texts: Sequence[str],
-    *,
-    config: GroundingConfig | None = None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    client: ChatClient, frame: Frame, texts: Sequence[str], *, box_scale: BoxScale = "auto", workers: int = 4
 ) -> list[Grounding]:
-    """Ask for the boxes of expressions about one frame; in their order.
+    """Ask for the boxes of expressions about one frame, such as "the mug left of the laptop"; in their order.
 
     Parameters
     ----------
-    texts : sequence of str
-        Such as "the mug left of the laptop".
+    box_scale : float, "pixels" or "auto"
+        As `parse_box` takes it; pixels are those of the picture as it is sent. Models that count in thousandths
+        (Qwen3-VL, InternVL) need 1000.
 
     Raises
     ------
     InputError
-        For an expression that cannot be asked.
+        An expression that cannot be asked.
     ServerError
-        The server gives no answer.
+        No answer from the server to any question.
     """
-    config = config or GroundingConfig()
     # An unusable scale is told before the server is asked.
-    parse_box("", (1, 1), config.box_scale)
+    parse_box("", (1, 1), box_scale)
     require(all(text.strip() for text in texts), "an expression is empty")
-    view = view_of(frame.rgb, square=config.square, max_side=config.max_side)
-    questions = [Question(ask_grounding(text, config.wording), view.picture, config.max_tokens) for text in texts]
-    answers = client.ask_many(
-        questions,
-        workers=config.workers,
-        progress=lambda done: progress(done, len(questions)),
-        keep_going=config.keep_going,
-    )
-    return [_grounding(answer, view, config.box_scale) for answer in answers]
+    view = view_of(frame.rgb)
+    questions = [Question(ask_grounding(text, 0), view.picture, _BOX_TOKENS) for text in texts]
+    return [_grounding(answer, view, box_scale) for answer in client.ask_many(questions, workers=workers)]
 
 
 def _grounding(answer: Answer, view: View, scale: BoxScale) -> Grounding:
@@ -340,6 +193,5 @@ def _grounding(answer: Answer, view: View, scale: BoxScale) -> Grounding:
         cut = ", cut off by max_tokens" if answer.finish == "length" else ""
         return Grounding(None, answer.text, f"{found.reason}{cut}", found.notes)
     box = view.to_frame(found.box)
-    if box is None:
-        return Grounding(None, answer.text, "a box outside the frame, in the padding", found.notes)
-    return Grounding(box, answer.text, None, found.notes)
+    reason = "a box outside the frame, in the padding" if box is None else None
+    return Grounding(box, answer.text, reason, found.notes)

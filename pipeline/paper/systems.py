@@ -24,7 +24,7 @@ from pipeline.geometry.frame import Frame
 from pipeline.labels.cases import HIT, Case, FrameCases
 from pipeline.labels.reading import Labels
 from pipeline.paper.asked_pairs import ask_pairs
-from pipeline.paper.questions import GroundingConfig, ground_many
+from pipeline.paper.questions import ground_many
 from pipeline.proposals.base import Detector, detect_expression
 from pipeline.system.chat import ChatClient
 from pipeline.system.errors import InputError
@@ -88,31 +88,15 @@ def point_by_detector(detector: Detector, frame: Frame, texts: Sequence[str]) ->
 
 @dataclass(frozen=True)
 class VlmOptions:
-    """A vision-language model behind an OpenAI-compatible server.
-
-    Attributes
-    ----------
-    url, model : str
-    requests_per_minute : float or None
-    timeout_s : float
-    workers : int
-        Questions in flight at once.
-    box_scale : str or float
-        See `pipeline.evaluation.model_answers.parse_box`.
-    """
+    """Address and name of a vision-language model behind an OpenAI-compatible server."""
 
     url: str
     model: str
     requests_per_minute: float | None = None
-    timeout_s: float = 120.0
-    workers: int = 4
-    box_scale: Any = "auto"
 
     def client(self) -> ChatClient:
-        """Open the server; `usage` of the client counts requests and tokens."""
-        return ChatClient(
-            self.url, self.model, timeout_s=self.timeout_s, requests_per_minute=self.requests_per_minute
-        )  # fmt: skip
+        """Open the server."""
+        return ChatClient(self.url, self.model, requests_per_minute=self.requests_per_minute)
 
 
 @dataclass(frozen=True)
@@ -137,10 +121,9 @@ class Vlm:
 
     def open(self, spec: EvalSpec, source: Pipeline, labels: Labels, clock: StageClock) -> Records:
         client = self.options.client()
-        config = GroundingConfig(box_scale=self.options.box_scale, workers=self.options.workers, keep_going=True)
 
         def point(frame: Frame, texts: Sequence[str]) -> list[Pointed]:
-            found = ground_many(client, frame, texts, config=config)
+            found = ground_many(client, frame, texts)
             return [Pointed(g.box, problem=g.reason if g.box is None else None) for g in found]
 
         return _pointing(source, clock, point)
@@ -150,7 +133,7 @@ class Vlm:
         folder: Path,
     ) -> AskedPairs:  # fmt: skip
         client, title = self.options.client(), f"VLM {self.options.model}"
-        return ask_pairs(client, title, self.options.workers, how, dataset, labels, records, counted, folder)
+        return ask_pairs(client, title, how, dataset, labels, records, counted, folder)
 
 
 def recorded_system(manifest: Mapping[str, Any]) -> System | None:

@@ -11,7 +11,7 @@ import queue
 import re
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -31,9 +31,6 @@ KEY_VARIABLE = "SPATIALVIZ_VLM_KEY"
 JPEG_QUALITY = 92
 _VERSION = "1"
 """Part of every key: a change of what is made of a reply must change it."""
-
-Alternatives = tuple[tuple[str, float], ...]
-"""Tokens that could stand at one place of an answer, the one that does first, with their log-probabilities."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,30 +74,19 @@ class Question:
     prompt: str
     picture: Picture | None
     max_tokens: int | None = None
-    top_logprobs: int = 0
     check: Callable[[str], object] = str
 
 
 @dataclass(frozen=True)
 class Answer:
-    """Text of a model.
-
-    Attributes
-    ----------
-    finish : str or None
-        Why it ends: "stop", or "length" where it was cut off.
-    logprobs : tuple of Alternatives
-        One a token; empty where the server gives none.
-    cached : bool
-    failure : str or None
-        Why there is no answer, where a run was told to go on without it.
-    """
+    """Text of a model."""
 
     text: str
     finish: str | None = None
-    logprobs: tuple[Alternatives, ...] = ()
+    """Why it ends: "stop", or "length" where it was cut off."""
     cached: bool = False
     failure: str | None = None
+    """Why there is no answer to one of many questions."""
 
 
 _ANSWER = TypeAdapter(Answer)
@@ -209,31 +195,21 @@ class ChatClient:
         """
         return self._answer(Question(prompt, None if rgb is None else Picture(rgb), check=check))
 
-    def ask_many(
-        self,
-        questions: Iterable[Question],
-        *,
-        workers: int = 4,
-        progress: Callable[[int], None] = lambda _: None,
-        keep_going: bool = False,
-    ) -> list[Answer]:
-        """Ask many questions, `workers` at a time; answers in their order.
+    def ask_many(self, questions: Iterable[Question], *, workers: int = 4) -> list[Answer]:
+        """Ask many questions, `workers` at a time; answers in their order, those that were asked before from the cache.
 
-        An error or Ctrl-C ends it at once. Earlier answers are in the cache, where the same call goes on from.
+        A question that fails for itself (a timeout, a refusal of its content) leaves only its own answer empty, with
+        `failure` set. Ctrl-C ends it at once.
 
         Parameters
         ----------
         questions : iterable of Question
             May make its pictures as it goes.
-        progress : callable
-            Called in this thread with the number of answers so far.
-        keep_going : bool
-            Leave only its own answer empty, with `failure` set, where a question fails for itself (a timeout, a
-            refusal of its content). Errors of every question still raise.
 
         Raises
         ------
         ServerError
+            An error that every question would meet.
         """
         require(workers >= 1, "at least one worker is needed", got=workers)
 
@@ -241,19 +217,16 @@ class ChatClient:
             try:
                 return self._answer(question)
             except ServerError as error:
-                if not keep_going or error.everywhere:
+                if error.everywhere:
                     raise
                 return Answer("", failure=str(error))
 
-        return _in_order(answer, questions, workers, progress)
+        return _in_order(answer, questions, workers)
 
     def _answer(self, question: Question) -> Answer:
         require(question.prompt.strip(), "a question without words")
-        tops = question.top_logprobs
-        require(0 <= tops <= 20, "top_logprobs", got=tops, expected="0 to 20, the most that the protocol allows")
         tokens = self._max_tokens if question.max_tokens is None else question.max_tokens
         request = {"model": self._model, "max_tokens": tokens, "temperature": 0.0, "seed": 0, "stream": False}
-        request |= {"logprobs": True, "top_logprobs": tops} if tops else {}
         request = {name: value for name, value in {**request, **self._extra}.items() if value is not None}
         picture = question.picture
         # The server is no part of the key: the same model at another address gives the same answer.
@@ -298,19 +271,8 @@ def _kept(path: Path, key: str) -> Answer | None:
 def _read(choice: dict[str, Any]) -> Answer:
     content, finish = choice["message"].get("content"), choice.get("finish_reason")
     parts = [content] if isinstance(content, str) else [p.get("text") for p in content or () if isinstance(p, dict)]
-    try:
-        rows = choice["logprobs"]["content"]
-        logprobs = tuple(_alternatives([row, *(row.get("top_logprobs") or ())]) for row in rows)
-    except (LookupError, TypeError, ValueError, AttributeError):
-        logprobs = ()
     text = "".join(part for part in parts if isinstance(part, str))
-    return Answer(text, finish if isinstance(finish, str) else None, logprobs)
-
-
-def _alternatives(tokens: Sequence[dict[str, Any]]) -> Alternatives:
-    found = {str(token["token"]): min(0.0, float(token["logprob"])) for token in tokens}
-    require(not any(map(math.isnan, found.values())), "log-probabilities that are no numbers")
-    return tuple(found.items())
+    return Answer(text, finish if isinstance(finish, str) else None)
 
 
 def checked_base(url: str) -> str:
@@ -337,9 +299,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-def _in_order(
-    function: Callable[[Item], Result], items: Iterable[Item], workers: int, done: Callable[[int], None]
-) -> list[Result]:
+def _in_order(function: Callable[[Item], Result], items: Iterable[Item], workers: int) -> list[Result]:
     """Results in the order of the items, which are taken one by one as workers come free; the first error is raised.
 
     The threads are daemons: those of `concurrent.futures` would hold Ctrl-C up until the last answer comes.
@@ -375,7 +335,6 @@ def _in_order(
                 raise result
             else:
                 found[result[0]] = result[1]
-                done(len(found))
     finally:
         stop.set()
     return [found[index] for index in range(len(found))]

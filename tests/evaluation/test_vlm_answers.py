@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.evaluation.model_answers import parse_box, parse_yes_no, yes_probability
+from pipeline.evaluation.model_answers import parse_box, parse_yes_no
 from pipeline.system import InputError
 
 YES = (
@@ -72,19 +72,6 @@ def test_no_run_of_numbers_is_too_odd(parts: list[str]) -> None:
         x0, y0, x1, y1 = found.box
         assert 0 <= x0 < x1 <= 1
         assert 0 <= y0 < y1 <= 1
-
-
-def test_probabilities_of_yes() -> None:
-    def place(**tokens: float) -> Any:
-        return tuple((t.replace("_", " "), math.log(p) if p else -math.inf) for t, p in tokens.items())
-
-    assert yes_probability([place(Yes=0.6, No=0.3, _yes=0.05)]) == pytest.approx(0.65 / 0.95)
-    assert yes_probability([place(_no=0.9, Yes=0.1)]) == pytest.approx(0.1)
-    assert yes_probability([place(No=1.0)]) == 0
-    assert yes_probability([place(The=0.9, Yes=0.1), place(Yes=0.8, No=0.2)]) == pytest.approx(0.8)
-    assert yes_probability([place(Yes=0.0, No=0.0)]) is None
-    for nothing in ([], [()], [place(The=0.9, Yes=0.1)]):
-        assert yes_probability(nothing) is None
 
 
 def written(digits: int, factor: float) -> Callable[[float], str]:
