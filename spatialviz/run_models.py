@@ -10,8 +10,7 @@ from typing import Any
 
 from rich.text import Text
 
-from pipeline.answering.agreement.agreement import AgreementFigures, FrameAgreement, figures
-from pipeline.answering.agreement.frames import agree_frames, agreement_record
+from pipeline.answering.agreement import FrameAgreement, agree_frames, agreement_record, figures
 from pipeline.answering.calibrating import annotated_names, calibrate_scores
 from pipeline.answering.model_catalogue import (
     Adapter,
@@ -101,8 +100,8 @@ def run_agree(command: AgreeCommand) -> int:
                 record = agreement_record(frame_id, one, source.synonyms)
                 command.write(record, print_frame_agreement, frame_id, one)
     sums = figures(found, source.synonyms)
-    command.write({"detectors": names, **sums.record()}, print_agreement, sums, names)
-    return FINE if sums.a + sums.b else NO
+    command.write({"detectors": names, **sums}, print_agreement, sums, names)
+    return FINE if sums["a"] + sums["b"] else NO
 
 
 def run_calibrate(command: CalibrateCommand) -> int:
@@ -153,36 +152,39 @@ def print_frame_agreement(frame_id: str, found: FrameAgreement) -> None:
         say("IoU of what one found alone: with the nearest of the other's", style="dim")
 
 
-def print_agreement(sums: AgreementFigures, detectors: Sequence[str]) -> None:
+def print_agreement(sums: dict[str, Any], detectors: Sequence[str]) -> None:
     """The figures of all frames, and the table of classes."""
     a, b = detectors
-    say(("A ", "dim"), a, ("   B ", "dim"), b, (f"   {sums.frames} frames", "dim"))
-    say(f"{sums.both} things alike, {sums.otherwise} named otherwise, {sums.only_a} only A, {sums.only_b} only B")
-    if sums.beyond_a or sums.beyond_b:
-        beyond = f"of classes that the other does not know: {sums.beyond_a} of A, {sums.beyond_b} of B (not counted)"
-        say(beyond, style="dim")
-    say(
-        f"agreement {shown(sums.share)}, whatever the name {shown(sums.share_placed)}; kappa of names "
-        f"{shown(sums.name_kappa)}; mean IoU {shown(sums.mean_iou)}; score correlation {shown(sums.score_correlation)}"
+    say(("A ", "dim"), a, ("   B ", "dim"), b, (f"   {sums['frames']} frames", "dim"))
+    say("{both} things alike, {otherwise} named otherwise, {only_a} only A, {only_b} only B".format(**sums))
+    if sums["beyond_a"] or sums["beyond_b"]:
+        beyond = "of classes that the other does not know: {beyond_a} of A, {beyond_b} of B (not counted)"
+        say(beyond.format(**sums), style="dim")
+    share, placed, kappa, iou, correlation = (
+        shown(sums[name]) for name in ("share", "share_placed", "name_kappa", "mean_iou", "score_correlation")
     )
-    if not sums.classes:
+    say(
+        f"agreement {share}, whatever the name {placed}; kappa of names {kappa}; mean IoU {iou}; "
+        f"score correlation {correlation}"
+    )
+    if not sums["classes"]:
         return
     counts = ("A", "B", "alike", "otherwise", "only A", "only B", "agreement", "mean IoU")
     print_rows(
         ("class", *(f">{name}" for name in counts)),
         (
             (
-                row.name,
-                *map(str, (row.a, row.b, row.both, row.otherwise, row.only_a, row.only_b)),
-                shown(row.share),
-                shown(row.mean_iou),
+                row["name"],
+                *map(str, (row["a"], row["b"], row["both"], row["otherwise"], row["only_a"], row["only_b"])),
+                shown(row["share"]),
+                shown(row["mean_iou"]),
             )
-            for row in sums.classes
+            for row in sums["classes"]
         ),
     )
-    if sums.renamed:
-        names = ", ".join(f"{a}/{b} {n}" for a, b, n in sums.renamed[:SHOWN_NAMES])
-        more = len(sums.renamed) - SHOWN_NAMES
+    if sums["renamed"]:
+        names = ", ".join(f"{a}/{b} {n}" for a, b, n in sums["renamed"][:SHOWN_NAMES])
+        more = len(sums["renamed"]) - SHOWN_NAMES
         say(f"named otherwise, A/B: {names}" + (f" and {more} more" if more > 0 else ""))
         say("names that mean the same can be declared in a file: --synonyms", style="dim")
 

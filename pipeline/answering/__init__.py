@@ -4,8 +4,7 @@ from pipeline.system.lazy_exports import lazy_exports
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from pipeline.answering.agreement.agreement import FrameAgreement, figures
-    from pipeline.answering.agreement.frames import agree_frames, agreement_record
+    from pipeline.answering.agreement import FrameAgreement, agree_frames, agreement_record, figures
     from pipeline.answering.answer_words import NO_SUCH_PAIR, best_pair, holds, probability, told, why_no_answer
     from pipeline.answering.answering import FrameAnswers, StageClock
     from pipeline.answering.ask import AskConfig, Trace

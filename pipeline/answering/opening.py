@@ -18,6 +18,7 @@ from pipeline.datasets.demo import DEMO_NAME, demo_path
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.expression import Reader, parse
+from pipeline.language.llm_reader import LlmReader
 from pipeline.language.naming import Synonyms
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import Query
@@ -232,8 +233,6 @@ def make_reader(reader: str | Reader, url: str | None, model: str | None) -> Rea
     if url is None or model is None:
         example = "--reader-url http://localhost:8000/v1 --reader-model NAME"
         raise InputError("--reader llm needs a server and a model", expected=example)
-    from pipeline.language.llm_reader import LlmReader
-
     return LlmReader(url, model)
 
 

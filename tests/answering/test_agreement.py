@@ -21,7 +21,7 @@ from pipeline.answering import (
     figures,
     open_pipeline,
 )
-from pipeline.answering.agreement.agreement import (
+from pipeline.answering.agreement import (
     Layer,
     agree,
     layer_of_proposals,
@@ -101,11 +101,11 @@ def test_neither_order_nor_side_matters(a: Layer, b: Layer, random: Any) -> None
     shuffled = figures([agree(mixed, b)])
     for other in (back, shuffled):
         for name in COUNTS:
-            assert getattr(there, name) == getattr(other, name)
-        assert there.share == other.share
-        assert (there.mean_iou or 0) == pytest.approx(other.mean_iou or 0)
-    assert there.both + there.otherwise + there.only_a + there.beyond_a == len(a)
-    assert there.both + there.otherwise + there.only_b + there.beyond_b == len(b)
+            assert there[name] == other[name]
+        assert there["share"] == other["share"]
+        assert (there["mean_iou"] or 0) == pytest.approx(other["mean_iou"] or 0, abs=1e-6)
+    assert there["both"] + there["otherwise"] + there["only_a"] + there["beyond_a"] == len(a)
+    assert there["both"] + there["otherwise"] + there["only_b"] + there["beyond_b"] == len(b)
 
 
 @given(layers())
@@ -114,9 +114,9 @@ def test_a_detector_agrees_with_itself(a: Layer) -> None:
     solid = [i for i in range(len(a)) if iou_2d(a.boxes[i], a.boxes[i])[0, 0] == 1]
     a = Layer(a.boxes[solid], a.scores[solid], tuple(a.labels[i] for i in solid), (None,) * len(solid))
     found = figures([agree(a, a)])
-    assert (found.both, found.otherwise, found.only_a, found.only_b) == (len(a), 0, 0, 0)
-    assert found.share == (1 if len(a) else None)
-    assert found.share_placed == (1 if len(a) else None)
+    assert (found["both"], found["otherwise"], found["only_a"], found["only_b"]) == (len(a), 0, 0, 0)
+    assert found["share"] == (1 if len(a) else None)
+    assert found["share_placed"] == (1 if len(a) else None)
 
 
 def simulated(seed: int) -> SimulatedDetector:
@@ -161,15 +161,15 @@ def test_every_kind_of_disagreement_is_told_apart() -> None:
     assert found.nearest_b.tolist() == [1, 1, 0]
     assert found.beyond_a.tolist() == [False, False, False, True]
     sums = figures([found])
-    assert (sums.both, sums.otherwise, sums.only_a, sums.only_b, sums.beyond_a) == (1, 1, 1, 1, 1)
-    assert sums.share == pytest.approx(2 / 6)
-    assert sums.share_placed == pytest.approx(4 / 6)
-    rows = {row.name: row for row in sums.classes}
-    assert (rows["trash can"].a, rows["trash can"].b, rows["trash can"].both) == (1, 1, 1)
+    assert (sums["both"], sums["otherwise"], sums["only_a"], sums["only_b"], sums["beyond_a"]) == (1, 1, 1, 1, 1)
+    assert sums["share"] == pytest.approx(2 / 6, abs=1e-6)
+    assert sums["share_placed"] == pytest.approx(4 / 6, abs=1e-6)
+    rows = {row["name"]: row for row in sums["classes"]}
+    assert tuple(rows["trash can"][n] for n in ("a", "b", "both")) == (1, 1, 1)
     assert "bin" not in rows
     assert "zebra" not in rows
-    assert rows["mug"].otherwise == rows["bowl"].otherwise == 1
-    assert sums.renamed == (("mug", "bowl", 1),)
+    assert rows["mug"]["otherwise"] == rows["bowl"]["otherwise"] == 1
+    assert sums["renamed"] == [["mug", "bowl", 1]]
     record = agreement_record("f", found)
     assert [p["same_name"] for p in record["pairs"]].count(True) == 1
     assert record["alone_a"] == [{"index": 2, "label": "lamp", "score": 0.4, "nearest_iou": 0.0}]
@@ -206,16 +206,12 @@ def test_empty_masks_are_of_no_thing() -> None:
     empty = Layer(np.array([BOX]), np.ones(1), ("mug",), (np.zeros((20, 20), np.bool_),))
     found = agree(empty, empty)
     assert len(found.pairs) == 0
-    assert figures([found]).share == 0
+    assert figures([found])["share"] == 0
 
 
-def test_ranks_agree_with_scipy() -> None:
-    from scipy.stats import spearmanr
-
-    rng = np.random.default_rng(4)
-    for _ in range(20):
-        a, b = rng.integers(0, 6, 30) / 6, rng.uniform(size=30)
-        assert rank_correlation(a, b) == pytest.approx(float(np.asarray(spearmanr(a, b))[0]))
+def test_ranks_correlate_where_there_is_an_order() -> None:
+    assert rank_correlation(np.array([0.1, 0.2, 0.2, 0.9]), np.array([3, 5, 5, 8])) == 1
+    assert rank_correlation(np.arange(5), -np.arange(5)) == -1
     assert rank_correlation(np.ones(5), np.arange(5)) is None
     assert rank_correlation(np.arange(2), np.arange(2)) is None
 
@@ -223,11 +219,11 @@ def test_ranks_agree_with_scipy() -> None:
 def test_kappa_is_one_where_all_names_are_alike_and_none_without_a_choice() -> None:
     a = plain([("mug", 0.9, BOX), ("trash can", 0.8, FAR)])
     b = plain([("mug", 0.9, BOX), ("bin", 0.8, FAR)])
-    assert figures([agree(a, b)]).name_kappa == 1
-    assert figures([agree(plain([("mug", 0.9, BOX)]), plain([("mug", 0.9, BOX)]))]).name_kappa is None
+    assert figures([agree(a, b)])["name_kappa"] == 1
+    assert figures([agree(plain([("mug", 0.9, BOX)]), plain([("mug", 0.9, BOX)]))])["name_kappa"] is None
     crossed = plain([("lamp", 0.9, FAR), ("mug", 0.8, BOX)])
     other = plain([("mug", 0.9, FAR), ("lamp", 0.8, BOX)])
-    assert figures([agree(crossed, other)]).name_kappa == pytest.approx(-1)
+    assert figures([agree(crossed, other)])["name_kappa"] == pytest.approx(-1)
 
 
 # The job.
@@ -244,15 +240,15 @@ def test_the_job_compares_frame_by_frame_and_sums() -> None:
     found = dict(agree_frames(source, second, "0:3"))
     assert list(found) == list(source.dataset.frame_ids[:3])
     sums = figures(found.values())
-    assert sums.a == sum(len(source.dataset.load(f).annotations) for f in found)
-    assert sums.both == sum(int(f.same.sum()) for f in found.values())
-    assert sums.share is not None
-    assert 0.5 < sums.share < 1
-    assert sum(row.a for row in sums.classes) == sums.a
-    assert sum(row.b for row in sums.classes) == sums.b
+    assert sums["a"] == sum(len(source.dataset.load(f).annotations) for f in found)
+    assert sums["both"] == sum(int(f.same.sum()) for f in found.values())
+    assert sums["share"] is not None
+    assert 0.5 < sums["share"] < 1
+    assert sum(row["a"] for row in sums["classes"]) == sums["a"]
+    assert sum(row["b"] for row in sums["classes"]) == sums["b"]
     same = figures(f for _, f in agree_frames(replace(source, detector=second), second, "0"))
-    assert (same.share, same.mean_iou, same.only_a, same.only_b) == (1, 1, 0, 0)
-    assert same.score_correlation == pytest.approx(1)
+    assert (same["share"], same["mean_iou"], same["only_a"], same["only_b"]) == (1, 1, 0, 0)
+    assert same["score_correlation"] == pytest.approx(1)
 
 
 def test_both_are_asked_for_the_same_names() -> None:

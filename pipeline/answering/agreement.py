@@ -1,20 +1,22 @@
-"""How far two detectors agree: which detections are of one thing, which only one made, and the figures of that."""
+"""Agreement of two detectors: detections of one thing, detections that only one made, and the figures of that."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from pipeline.answering.opening import ALL_FRAMES, Pipeline, Skipped, frame_range, skip_or_raise
 from pipeline.geometry.boxes import iou_2d
+from pipeline.geometry.frame import Frame
 from pipeline.language.naming import Synonyms
 from pipeline.metrics.intervals import cohen_kappa
-from pipeline.proposals.base import Proposals
-from pipeline.proposals.class_names import knows, name_groups, same_name, same_names
+from pipeline.proposals.base import Detector, Proposals
+from pipeline.proposals.class_names import known_names, knows, name_groups, same_name, same_names
 from pipeline.system.errors import InputError, require
 
 MIN_IOU = 0.5
@@ -198,95 +200,24 @@ def _alone(scores: np.ndarray, paired: np.ndarray, beyond: np.ndarray) -> np.nda
     return found[np.argsort(-scores[found], kind="stable")]
 
 
-@dataclass(frozen=True)
-class ClassAgreement:
-    """One class of the table; a thing that is named otherwise stands with both its names.
+def figures(found: Iterable[FrameAgreement], synonyms: Synonyms | None = None) -> dict[str, Any]:
+    """Sums over frames as JSON, rounded to 1e-6; `synonyms` as they were compared with.
 
-    Attributes
-    ----------
-    name : str
-        As the first detector has it, where it has it.
-    a, b : int
-        Detections of each that the other could have made.
-    both : int
-        Things that both found under this name.
-    otherwise : int
-        Detections of this name that the other detector names otherwise.
-    only_a, only_b : int
-    share : float or None
-        2 both / (a + b); None where neither has any.
-    mean_iou : float or None
-        Of what both found.
+    Returns
+    -------
+    dict
+        frames; a, b : detections of each, without those of classes that the other does not know; both : things that
+        both found under the same name; otherwise : that they name differently; only_a, only_b; beyond_a, beyond_b :
+        found alone, of classes that the other does not know, which count nowhere else.
+        share : 2 both / (a + b), the positive specific agreement. Cohen's kappa tends to it where the places without
+        any object are beyond counting, as in pictures (Hripcsak and Rothschild, JAMIA 12, 2005); share_placed : the
+        same whatever the names; None where neither found anything.
+        name_kappa : Cohen's kappa of the names of what both found, None where there is no choice of names; mean_iou,
+        score_correlation (Spearman's; None for fewer than three, or equal scores) : of what both found.
+        classes : the most frequent first, each with name, a, b, both, otherwise, only_a, only_b, share, mean_iou; a
+        thing that is named otherwise stands with both its names, under those of the first detector where it has them.
+        renamed : [name, other name, count], the commonest first.
     """
-
-    name: str
-    a: int
-    b: int
-    both: int
-    otherwise: int
-    only_a: int
-    only_b: int
-    share: float | None
-    mean_iou: float | None
-
-
-@dataclass(frozen=True)
-class AgreementFigures:
-    """The sums.
-
-    Attributes
-    ----------
-    frames : int
-    a, b : int
-        Detections of each, without those of classes that the other does not know.
-    both : int
-        Things that both found under the same name.
-    otherwise : int
-        Things that both found and name differently.
-    only_a, only_b : int
-    beyond_a, beyond_b : int
-        Found alone, of classes that the other does not know; they count nowhere else.
-    share : float or None
-        2 both / (a + b), the positive specific agreement. It is what Cohen's kappa tends to where the places without
-        any object are beyond counting, as in pictures (Hripcsak and Rothschild, JAMIA 12, 2005).
-    share_placed : float or None
-        The same whatever the names: 2 (both + otherwise) / (a + b).
-    name_kappa : float or None
-        Cohen's kappa of the names of what both found; None where there is no choice of names.
-    mean_iou : float or None
-        Of what both found, however they name it.
-    score_correlation : float or None
-        Spearman's rank correlation of the scores of what both found; None for fewer than three, or equal scores.
-    classes : tuple of ClassAgreement
-        The most frequent first.
-    renamed : tuple of (str, str, int)
-        What the first and the second call a thing where they differ, and how often; the commonest first.
-    """
-
-    frames: int
-    a: int
-    b: int
-    both: int
-    otherwise: int
-    only_a: int
-    only_b: int
-    beyond_a: int
-    beyond_b: int
-    share: float | None
-    share_placed: float | None
-    name_kappa: float | None
-    mean_iou: float | None
-    score_correlation: float | None
-    classes: tuple[ClassAgreement, ...]
-    renamed: tuple[tuple[str, str, int], ...]
-
-    def record(self) -> dict[str, Any]:
-        """As JSON knows it, figures rounded to 1e-6."""
-        return _rounded(asdict(self))
-
-
-def figures(found: Iterable[FrameAgreement], synonyms: Synonyms | None = None) -> AgreementFigures:
-    """The sums over frames; `synonyms` as they were compared with."""
     frames = list(found)
     scores = np.concatenate([np.zeros((0, 2)), *(f.pair_scores for f in frames)])
     iou = np.concatenate([np.zeros(0), *(f.iou for f in frames)])
@@ -294,48 +225,34 @@ def figures(found: Iterable[FrameAgreement], synonyms: Synonyms | None = None) -
     otherwise = sum(int((~f.same).sum()) for f in frames)
     only_a, only_b = sum(len(f.only_a) for f in frames), sum(len(f.only_b) for f in frames)
     a, b = both + otherwise + only_a, both + otherwise + only_b
-    return AgreementFigures(
-        frames=len(frames),
-        a=a,
-        b=b,
-        both=both,
-        otherwise=otherwise,
-        only_a=only_a,
-        only_b=only_b,
-        beyond_a=sum(int(f.beyond_a.sum()) for f in frames),
-        beyond_b=sum(int(f.beyond_b.sum()) for f in frames),
-        share=_share(both, a, b),
-        share_placed=_share(both + otherwise, a, b),
-        name_kappa=_name_kappa(frames, synonyms),
-        mean_iou=float(iou.mean()) if len(iou) else None,
-        score_correlation=rank_correlation(scores[:, 0], scores[:, 1]),
-        classes=_classes(frames, synonyms),
-        renamed=_renamed(frames),
-    )
-
-
-def _renamed(frames: Iterable[FrameAgreement]) -> tuple[tuple[str, str, int], ...]:
     counts = Counter((f.labels_a[i], f.labels_b[j]) for f in frames for i, j in f.pairs[~f.same].tolist())
-    return tuple((a, b, n) for (a, b), n in sorted(counts.items(), key=lambda item: (-item[1], item[0])))
+    return {
+        "frames": len(frames), "a": a, "b": b, "both": both, "otherwise": otherwise, "only_a": only_a,
+        "only_b": only_b,
+        "beyond_a": sum(int(f.beyond_a.sum()) for f in frames), "beyond_b": sum(int(f.beyond_b.sum()) for f in frames),
+        "share": _share(both, a, b), "share_placed": _share(both + otherwise, a, b),
+        "name_kappa": _name_kappa(frames, synonyms), "mean_iou": _mean(iou),
+        "score_correlation": rank_correlation(scores[:, 0], scores[:, 1]),
+        "classes": _classes(frames, synonyms),
+        "renamed": [[*names, n] for names, n in sorted(counts.items(), key=lambda item: (-item[1], item[0]))],
+    }  # fmt: skip
 
 
 def rank_correlation(a: np.ndarray, b: np.ndarray) -> float | None:
     """Spearman's correlation, ties with their mean rank; None for fewer than three values, or equal ones."""
-    if len(a) < 3:
-        return None
-    one, other = _ranks(a), _ranks(b)
-    if np.ptp(one) == 0 or np.ptp(other) == 0:
-        return None
-    return float(np.clip(np.corrcoef(one, other)[0, 1], -1, 1))
+    from scipy.stats import spearmanr
 
-
-def _ranks(values: np.ndarray) -> np.ndarray:
-    _, index, count = np.unique(values, return_inverse=True, return_counts=True)
-    return (np.cumsum(count) - (count - 1) / 2)[index]
+    if len(a) < 3 or np.ptp(a) == 0 or np.ptp(b) == 0:
+        return None
+    return round(float(np.asarray(spearmanr(a, b))[0]), 6)
 
 
 def _share(both: int, a: int, b: int) -> float | None:
-    return 2 * both / (a + b) if a + b else None
+    return round(2 * both / (a + b), 6) if a + b else None
+
+
+def _mean(values: np.ndarray | Sequence[float]) -> float | None:
+    return round(float(np.mean(values)), 6) if len(values) else None
 
 
 def _name_kappa(frames: Iterable[FrameAgreement], synonyms: Synonyms | None) -> float | None:
@@ -348,13 +265,11 @@ def _name_kappa(frames: Iterable[FrameAgreement], synonyms: Synonyms | None) -> 
     stands = name_groups([label for a, b, _ in named for label in (a, b)], synonyms)
     apart = [not same and stands[a] == stands[b] for a, b, same in named]
     first, second = ([row[k] if own else stands[row[k]] for row, own in zip(named, apart, strict=True)] for k in (0, 1))
-    if not first:
-        return None
-    kappa = cohen_kappa(first, second).kappa
-    return kappa if math.isfinite(kappa) else None
+    kappa = cohen_kappa(first, second).kappa if first else math.nan
+    return round(kappa, 6) if math.isfinite(kappa) else None
 
 
-def _classes(frames: list[FrameAgreement], synonyms: Synonyms | None) -> tuple[ClassAgreement, ...]:
+def _classes(frames: list[FrameAgreement], synonyms: Synonyms | None) -> list[dict[str, Any]]:
     names_a = list(dict.fromkeys(label for f in frames for label in f.labels_a))
     names_b = dict.fromkeys(label for f in frames for label in f.labels_b)
     row_of = {label: next((n for n in names_a if same_name(n, label, synonyms)), label) for label in names_b}
@@ -370,23 +285,115 @@ def _classes(frames: list[FrameAgreement], synonyms: Synonyms | None) -> tuple[C
                 counts.update([(name, "otherwise_a"), (row_of[f.labels_b[j]], "otherwise_b")])
         counts.update((f.labels_a[i], "only_a") for i in f.only_a.tolist())
         counts.update((row_of[f.labels_b[j]], "only_b") for j in f.only_b.tolist())
-    rows = [_class_row(name, counts, overlap.get(name, [])) for name in dict.fromkeys(name for name, _ in counts)]
-    return tuple(sorted(rows, key=lambda r: (-(r.a + r.b), r.name)))
+    rows = []
+    for name in dict.fromkeys(name for name, _ in counts):
+        kinds = ("both", "otherwise_a", "otherwise_b", "only_a", "only_b")
+        both, other_a, other_b, only_a, only_b = (counts[name, kind] for kind in kinds)
+        a, b = both + other_a + only_a, both + other_b + only_b
+        rows.append(
+            {"name": name, "a": a, "b": b, "both": both, "otherwise": other_a + other_b, "only_a": only_a,
+             "only_b": only_b, "share": _share(both, a, b), "mean_iou": _mean(overlap.get(name, []))}
+        )  # fmt: skip
+    return sorted(rows, key=lambda r: (-(r["a"] + r["b"]), r["name"]))
 
 
-def _class_row(name: str, counts: Counter[tuple[str, str]], iou: list[float]) -> ClassAgreement:
-    kinds = ("both", "otherwise_a", "otherwise_b", "only_a", "only_b")
-    both, other_a, other_b, only_a, only_b = (counts[name, kind] for kind in kinds)
-    a, b = both + other_a + only_a, both + other_b + only_b
-    mean = sum(iou) / len(iou) if iou else None
-    return ClassAgreement(name, a, b, both, other_a + other_b, only_a, only_b, _share(both, a, b), mean)
+def find_layer(
+    frame: Frame, detector: Detector, names: Sequence[str] | None = None, synonyms: Synonyms | None = None
+) -> Layer:
+    """What a detector finds in a frame of the given names, without those that it does not know; None for everything."""
+    if names is None:
+        return layer_of_proposals(detector.detect(frame, None), known_names(detector))
+    known = [name for name in names if knows(detector.vocabulary, name, synonyms)]
+    require(known, f"the detector {detector.name} knows none of the names", got=", ".join(names))
+    return layer_of_proposals(detector.detect(frame, known), known)
 
 
-def _rounded(value: Any) -> Any:
-    if isinstance(value, float):
-        return round(value, 6)
-    if isinstance(value, dict):
-        return {k: _rounded(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_rounded(v) for v in value]
-    return value
+def agree_frames(
+    source: Pipeline,
+    second: Detector,
+    frames: str = ALL_FRAMES,
+    *,
+    names: Sequence[str] | None = None,
+    min_iou: float = MIN_IOU,
+    skipped: Skipped | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Iterator[tuple[str, FrameAgreement]]:
+    """Compare the detections of two detectors frame by frame.
+
+    Parameters
+    ----------
+    source : Pipeline
+        With the first detector.
+    second : Detector
+    frames : str
+        As in `pipeline.answering.opening.frame_range`.
+    names : sequence of str, optional
+        What both are asked for. Default: everything that each knows.
+    min_iou : float
+        As in `agree`.
+    skipped : callable, optional
+        Told of each frame that cannot be used, where all were asked for.
+    progress : callable, optional
+        Called with (frames done, frames in all).
+
+    Yields
+    ------
+    (frame id, FrameAgreement)
+
+    Raises
+    ------
+    InputError
+        A frame that was asked for by name is broken; a detector knows none of the names.
+    """
+    detector = source.needed_detector()
+    if names is not None:
+        for one in (detector, second):
+            require(
+                any(knows(one.vocabulary, name, source.synonyms) for name in names),
+                f"the detector {one.name} knows none of the names",
+                got=", ".join(names),
+            )
+    chosen = frame_range(source.dataset, frames)
+    named = frames if len(chosen) == 1 else ALL_FRAMES
+    for done, frame_id in enumerate(chosen, start=1):
+        try:
+            frame = source.dataset.load(frame_id)
+            layers = [find_layer(frame, one, names, source.synonyms) for one in (detector, second)]
+            found = agree(*layers, min_iou=min_iou, synonyms=source.synonyms)
+        except InputError as error:
+            skip_or_raise(error, named, frame_id, skipped)
+        else:
+            yield frame_id, found
+        if progress is not None:
+            progress(done, len(chosen))
+
+
+def agreement_record(frame_id: str, found: FrameAgreement, synonyms: Synonyms | None = None) -> dict[str, Any]:
+    """One frame: the figures, and every detection by its place in its detector's list."""
+    sums = figures([found], synonyms)
+    del sums["frames"], sums["classes"]
+
+    def one(label: str, score: Any, nearest: Any = None) -> dict[str, Any]:
+        found = {} if nearest is None else {"nearest_iou": round(float(nearest), 6)}
+        return {"label": label, "score": round(float(score), 6), **found}
+
+    pairs = [
+        {
+            "a": {"index": int(i), **one(found.labels_a[i], found.scores_a[i])},
+            "b": {"index": int(j), **one(found.labels_b[j], found.scores_b[j])},
+            "iou": round(float(iou), 6),
+            "same_name": bool(same),
+        }
+        for (i, j), iou, same in zip(found.pairs, found.iou, found.same, strict=True)
+    ]
+    return {
+        "frame": frame_id,
+        **sums,
+        "pairs": pairs,
+        "alone_a": [
+            {"index": int(i), **one(found.labels_a[i], found.scores_a[i], found.nearest_a[i])} for i in found.only_a
+        ],
+        "alone_b": [
+            {"index": int(j), **one(found.labels_b[j], found.scores_b[j], found.nearest_b[j])} for j in found.only_b
+        ],
+    }

@@ -1,1 +1,0 @@
-"""How far two detectors agree on the same frames."""
