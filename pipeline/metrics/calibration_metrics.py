@@ -1,4 +1,4 @@
-"""Whether probabilities mean what they say (Brier score, ECE, reliability), and sigmoids that make them."""
+"""Calibration of probabilities: Brier score, ECE, reliability diagrams, and sigmoids that calibrate."""
 
 from __future__ import annotations
 
@@ -18,49 +18,27 @@ ECE_BINS = 15
 
 @dataclass(frozen=True)
 class ReliabilityDiagram:
-    """Probabilities in bins of equal width [k/B, (k+1)/B), the last with its end.
+    """Probabilities in bins of equal width [k/B, (k+1)/B), the last with its end."""
 
-    Attributes
-    ----------
-    edges : (B + 1,) float64
-    count : (B,) int64
-    confidence : (B,) float64
-        Mean probability; NaN in an empty bin.
-    frequency : (B,) float64
-        Share of what holds; NaN in an empty bin.
-    """
-
-    edges: np.ndarray
-    count: np.ndarray
-    confidence: np.ndarray
-    frequency: np.ndarray
+    edges: np.ndarray  # (B + 1,) float64
+    count: np.ndarray  # (B,) int64
+    confidence: np.ndarray  # (B,) float64, mean probability; NaN in an empty bin
+    frequency: np.ndarray  # (B,) float64, share of what holds; NaN in an empty bin
 
     @property
     def ece(self) -> float:
-        """Expected calibration error: |confidence - frequency| over the bins, weighted by count; NaN without any.
-
-        Naeini et al., AAAI 2015.
-        """
+        """Expected calibration error (Naeini et al., AAAI 2015), weighted by the bins' counts; NaN if empty."""
         gap = np.abs(self.confidence - self.frequency)
         return float(ratio(np.where(self.count > 0, gap * self.count, 0.0).sum(), self.count.sum()))
 
 
 @dataclass(frozen=True)
 class CalibrationMetrics:
-    """Calibration of each relation and of all known cells together; NaN where no cell is known.
-
-    Attributes
-    ----------
-    relations : tuple of str
-    brier, ece : (R,) float64
-    diagrams : tuple of ReliabilityDiagram
-    pooled_brier, pooled_ece : float
-    pooled : ReliabilityDiagram
-    """
+    """Calibration of each relation and of all known cells together; NaN where no cell is known."""
 
     relations: tuple[str, ...]
-    brier: np.ndarray
-    ece: np.ndarray
+    brier: np.ndarray  # (R,) float64
+    ece: np.ndarray  # (R,) float64
     diagrams: tuple[ReliabilityDiagram, ...]
     pooled_brier: float
     pooled_ece: float
@@ -68,21 +46,11 @@ class CalibrationMetrics:
 
 
 def reliability_diagram(p: Any, holds: Any, bins: int = ECE_BINS) -> ReliabilityDiagram:
-    """Mean probability and frequency by bins of probability.
+    """Reliability diagram of (M,) probabilities, 0..1, and (M,) bool: mean probability and frequency by bin.
 
     For a softmax, `p` is the largest probability of each row and `holds` says
-    whether its relation is the true one.
-
-    Parameters
-    ----------
-    p : (M,) float
-        0..1.
-    holds : (M,) bool
-
-    Raises
-    ------
-    InputError
-        Lengths differ, probabilities are NaN or outside 0..1, or there is no bin.
+    whether its relation is the true one. InputError where lengths differ, probabilities are NaN or outside 0..1,
+    or there is no bin.
     """
     p, holds = _checked(p, holds)
     require(bins >= 1, "a reliability diagram needs at least one bin", got=bins)
@@ -94,12 +62,20 @@ def reliability_diagram(p: Any, holds: Any, bins: int = ECE_BINS) -> Reliability
 
 
 def expected_calibration_error(p: Any, holds: Any, bins: int = ECE_BINS) -> float:
-    """`ReliabilityDiagram.ece` of (M,) probabilities and (M,) bool; NaN without any."""
+    """Expected calibration error of (M,) probabilities and (M,) bool; NaN without any.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pipeline.metrics import expected_calibration_error
+    >>> round(expected_calibration_error([0.8] * 10, np.arange(10) < 6), 3)
+    0.2
+    """
     return reliability_diagram(p, holds, bins).ece
 
 
 def brier_score(p: Any, holds: Any) -> float:
-    """Mean of (p - [holds])² of (M,) probabilities and (M,) bool; NaN without any."""
+    """Brier score, the mean of (p - [holds])², of (M,) probabilities and (M,) bool; NaN without any."""
     p, holds = _checked(p, holds)
     return float(ratio(np.square(p - holds).sum(), len(p)))
 
@@ -107,20 +83,9 @@ def brier_score(p: Any, holds: Any) -> float:
 def calibration_metrics(
     p: Any, truth: Any, relations: Sequence[str] = DIRECTIONAL, bins: int = ECE_BINS
 ) -> CalibrationMetrics:
-    """Calibration of multi-label relation probabilities.
+    """Calibration of multi-label relation probabilities, (P, R), by states, (P, R) int8: 1 T, 0 U (left out), -1 F.
 
-    Parameters
-    ----------
-    p : (P, R) float
-    truth : (P, R) int8
-        1 T, 0 U (takes no part), -1 F.
-    relations : sequence of str
-        Names of the R columns.
-
-    Raises
-    ------
-    InputError
-        Shapes differ, probabilities are NaN or outside 0..1, or a state is none.
+    InputError where shapes differ, probabilities are NaN or outside 0..1, or a state is none.
     """
     p, truth = checked_cells(p, truth)
     names = checked_names(relations, p.shape[1])
@@ -153,7 +118,7 @@ FEWEST_POSITIVES = 50
 
 
 def antisymmetric(logits: np.ndarray, vocabulary: Sequence[str]) -> np.ndarray:
-    """ "a left of b" and "b right of a" get one and the same logit: the mean of the two.
+    """Average the logits of "a left of b" and "b right of a", so that both are the same.
 
     Parameters
     ----------
@@ -172,21 +137,12 @@ def antisymmetric(logits: np.ndarray, vocabulary: Sequence[str]) -> np.ndarray:
 
 
 def antisymmetric_log_softmax(logits: np.ndarray, vocabulary: Sequence[str]) -> np.ndarray:
-    """Logarithms of class probabilities in which "a left of b" and "b right of a" mirror each other.
+    """Logarithms of class probabilities, (N, N, R), in which "a left of b" and "b right of a" mirror each other.
 
     The logits of two pairs have no common zero, and so only what does not depend
     on it is averaged: among the relations with an inverse, the logarithm of each
     one's share. How much falls to these together and to each of the others (on,
     in) stays as the network said it of that pair.
-
-    Parameters
-    ----------
-    logits : (N, N, R) float
-        In the order of `vocabulary`.
-
-    Returns
-    -------
-    (N, N, R) float64
     """
     result = log_softmax(logits)
     mirrored = [k for k, relation in enumerate(vocabulary) if INVERSE.get(relation) in vocabulary]
@@ -205,7 +161,7 @@ def log_softmax(logits: np.ndarray) -> np.ndarray:
 
 
 def softmax(logits: np.ndarray) -> np.ndarray:
-    """Over the last axis, float64."""
+    """Softmax over the last axis, float64."""
     return np.exp(log_softmax(logits))
 
 
@@ -215,20 +171,15 @@ def _log_sum(x: np.ndarray) -> np.ndarray:
 
 
 def sigmoid(x: np.ndarray) -> np.ndarray:
-    """The logistic function, without overflow."""
+    """Logistic function, without overflow."""
     return 0.5 * (1.0 + np.tanh(0.5 * np.asarray(x, np.float64)))
 
 
 def fit_platt(logits: np.ndarray, holds: np.ndarray) -> Platt:
-    """Platt's sigmoid by Newton's method on held-out examples.
+    """Fit Platt's sigmoid to (M,) held-out logits and (M,) bool by Newton's method.
 
     Targets are (n+ + 1) / (n+ + 2) and 1 / (n- + 2) as in Platt (1999), which
     keeps the fit finite where the examples are separable.
-
-    Parameters
-    ----------
-    logits : (M,) float
-    holds : (M,) bool
     """
     positive, negative = int(holds.sum()), int((~holds).sum())
     if min(positive, negative) < FEWEST_POSITIVES:
@@ -262,7 +213,7 @@ def _cross_entropy(x: np.ndarray, target: np.ndarray, weights: np.ndarray) -> fl
 def fit_calibration(
     logits: Sequence[np.ndarray], truth: Sequence[np.ndarray], vocabulary: Sequence[str]
 ) -> dict[str, Platt]:
-    """A sigmoid for each relation; inverse relations share one, so that antisymmetry stays exact.
+    """Fit a sigmoid for each relation; inverse relations share a sigmoid, so that antisymmetry stays exact.
 
     Parameters
     ----------
@@ -289,7 +240,7 @@ def fit_calibration(
 def labelled_pairs(
     values: Sequence[np.ndarray], truth: Sequence[np.ndarray], classes: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(P, R) values and (P,) int64 classes of the pairs of all views whose class ((N, N) int each) is not below 0."""
+    """Values, (P, R), and classes, (P,) int64, of the pairs of all views with a class, (N, N) int each, >= 0."""
     pairs = [(v[t >= 0], t[t >= 0]) for v, t in zip(values, truth, strict=True)]
     found = np.concatenate([np.zeros((0, classes)), *(v for v, _ in pairs)])
     return found, np.concatenate([np.zeros(0, np.int64), *(t for _, t in pairs)]).astype(np.int64)
@@ -298,7 +249,7 @@ def labelled_pairs(
 def fit_temperature(
     logits: Sequence[np.ndarray], truth: Sequence[np.ndarray], vocabulary: Sequence[str]
 ) -> dict[str, Platt]:
-    """One temperature for all classes, by the likelihood of held-out pairs (Guo et al. 2017, section 4.2).
+    """Fit a temperature for all classes, by the likelihood of held-out pairs (Guo et al. 2017, section 4.2).
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What the metrics accept; checked once, refused in one line."""
+"""Inputs of the metrics: checked once, refused in one line."""
 
 from __future__ import annotations
 
@@ -11,13 +11,7 @@ from pipeline.system.errors import InputError, require
 
 
 def checked_probabilities(p: Any, what: str = "probabilities", dimensions: int = 2) -> np.ndarray:
-    """`p` as float64 with that many dimensions, all of it within 0..1.
-
-    Raises
-    ------
-    InputError
-        Another shape, no numbers, NaN or infinite, or outside 0..1.
-    """
+    """Check `p` to be finite within 0..1, with `dimensions` axes: float64."""
     found = np.asarray(p)
     if found.dtype.kind not in "fiub" or found.ndim != dimensions:
         shape = "(P, R)" if dimensions == 2 else "(M,)"
@@ -31,14 +25,7 @@ def checked_probabilities(p: Any, what: str = "probabilities", dimensions: int =
 
 
 def checked_cells(p: Any, truth: Any) -> tuple[np.ndarray, np.ndarray]:
-    """(P, R) float64 probabilities and (P, R) int8 states of relations: 1 T, 0 U, -1 F.
-
-    Raises
-    ------
-    InputError
-        Probabilities as in `checked_probabilities`, no relation at all, states
-        of another shape, not integers, or not one of the three.
-    """
+    """Check (P, R) probabilities, and (P, R) states of relations, int8: 1 T, 0 U, -1 F."""
     p, states = checked_probabilities(p), np.asarray(truth)
     require(p.shape[1] != 0, "probabilities must have a column for each relation", got=p.shape, expected="R >= 1")
     require(
@@ -60,7 +47,7 @@ def checked_cells(p: Any, truth: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def checked_thresholds(thresholds: Any, relations: int) -> np.ndarray:
-    """(R,) float64, from one number or one a relation."""
+    """Thresholds, (R,) float64, from a number or (R,) numbers."""
     found = np.asarray(thresholds, np.float64)
     require(
         found.shape in ((), (relations,)) and np.isfinite(found).all(),
@@ -72,7 +59,7 @@ def checked_thresholds(thresholds: Any, relations: int) -> np.ndarray:
 
 
 def checked_names(names: Sequence[str], count: int) -> tuple[str, ...]:
-    """The names of relations, one a column."""
+    """Names of relations, a name for each column."""
     require(
         len(names) == count, "relations must have a name for each column", got=f"{len(names)} names", expected=count
     )
@@ -80,7 +67,7 @@ def checked_names(names: Sequence[str], count: int) -> tuple[str, ...]:
 
 
 def checked_flags(flags: Any, what: str) -> np.ndarray:
-    """(N,) bool from bools or from numbers that are 0 or 1."""
+    """Flags, (N,) bool, from bools or numbers 0 and 1."""
     found = np.asarray(flags)
     require(
         found.ndim == 1 and found.dtype.kind in "biuf" and ((found == 0) | (found == 1)).all(),
@@ -91,7 +78,7 @@ def checked_flags(flags: Any, what: str) -> np.ndarray:
 
 
 def checked_numbers(values: Any, what: str, shape: tuple[int, ...] | None = None) -> np.ndarray:
-    """Finite float64, (N,) or of the given shape."""
+    """Check numbers to be finite: float64, (N,) or of `shape`."""
     found = np.asarray(values)
     require(
         found.dtype.kind in "biuf" and not (found.ndim != 1 if shape is None else found.shape != shape),
@@ -109,13 +96,7 @@ def _finite(values: np.ndarray, what: str) -> np.ndarray:
 
 
 def checked_clusters(clusters: Any, rows: int) -> tuple[np.ndarray, int]:
-    """(N,) int64 number of each row's cluster, in the order of the sorted ids, and how many clusters there are.
-
-    Raises
-    ------
-    InputError
-        Not one id a row, or ids that are neither texts nor integers.
-    """
+    """Cluster number of each row, (N,) int64, in the order of the sorted ids, and the number of clusters."""
     ids = np.asarray(clusters)
     require(ids.shape == (rows,), "clusters must be one id a row", got=ids.shape, expected=(rows,))
     if ids.dtype.kind == "O" and all(isinstance(one, str) for one in ids):
@@ -131,13 +112,7 @@ def checked_clusters(clusters: Any, rows: int) -> tuple[np.ndarray, int]:
 
 
 def checked_boxes(boxes: Any, what: str, may_miss: bool = False) -> np.ndarray:
-    """(N, 4) float64, x0, y0, x1, y1 with x1 >= x0 and y1 >= y0; rows of NaN only where `may_miss`.
-
-    Raises
-    ------
-    InputError
-        Another shape, numbers that are missing or infinite, or corners in the wrong order.
-    """
+    """Check boxes, (N, 4) float64, x0, y0, x1, y1 with x1 >= x0 and y1 >= y0; rows of NaN only where `may_miss`."""
     found = np.asarray(boxes)
     if found.size == 0 and found.ndim <= 2:
         found = np.zeros((0, 4))

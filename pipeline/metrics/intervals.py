@@ -31,11 +31,10 @@ Statistic = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class BootstrapConfig:
-    """How intervals are drawn.
+    """Settings of a bootstrap.
 
     Attributes
     ----------
-    resamples : int
     seed : int or SeedSequence
         The same seed, clusters and rows give the same interval.
     confidence : float
@@ -70,6 +69,12 @@ class Estimate:
         Clusters among them.
     note : str
         Why the value or the interval is missing, or unreliable; else empty.
+
+    Examples
+    --------
+    >>> from pipeline.metrics import Estimate
+    >>> Estimate(0.627, 0.599, 0.654, n=1200, clusters=40).formatted()
+    '62.7 [59.9, 65.4]'
     """
 
     value: float
@@ -80,7 +85,7 @@ class Estimate:
     note: str = ""
 
     def formatted(self, scale: float = 100.0, decimals: int = 1, signed: bool = False) -> str:
-        """ "62.7 [59.9, 65.4]"; "62.7 [–]" without an interval, "–" without a value.
+        """Format as "62.7 [59.9, 65.4]"; "62.7 [–]" without an interval, "–" without a value.
 
         `signed` writes a plus before what is positive: for differences.
         """
@@ -96,7 +101,7 @@ class Estimate:
         return f"{text(self.value)} [{text(self.low)}, {text(self.high)}]"
 
     def record(self) -> dict[str, Any]:
-        """JSON-able: value, low, high (None where there is none), n, clusters, note."""
+        """JSON: value, low, high (None for NaN), n, clusters, note."""
         numbers = {k: v if math.isfinite(v) else None for k, v in
                    (("value", self.value), ("low", self.low), ("high", self.high))}  # fmt: skip
         return {**numbers, "n": self.n, "clusters": self.clusters, "note": self.note}
@@ -105,12 +110,9 @@ class Estimate:
 def resample_weights(
     clusters: int, config: BootstrapConfig | None = None, block_cells: int = BLOCK_CELLS
 ) -> Iterator[np.ndarray]:
-    """How often each cluster is drawn in each resample: multinomial, as many draws as there are clusters.
+    """Draw how often each cluster is in each resample: multinomial, as many draws as clusters.
 
-    Yields
-    ------
-    (b, C) float64
-        Blocks of rows which together have `resamples` rows. The rows do not depend on `block_cells`.
+    Blocks (b, C) float64 of rows which together have `resamples` rows. The rows do not depend on `block_cells`.
     """
     config = config or BootstrapConfig()
     rng = np.random.default_rng(config.seed)
@@ -131,12 +133,12 @@ def bootstrap(
     other: np.ndarray | None = None,
     config: BootstrapConfig | None = None,
 ) -> list[Estimate]:
-    """Estimates of any figures that are functions of sums over rows, all from the same resamples.
+    """Bootstrap any figures that are functions of sums over rows, all from the same resamples.
 
     Parameters
     ----------
     rows : (N, ...) float64
-        What is summed.
+        Summands.
     clusters : (N,) int or str
         Scene of each row, or frame where there is one scene.
     statistic : callable
@@ -146,7 +148,6 @@ def bootstrap(
     other : (N, ...) float64, optional
         The same rows of another system: the figures are then those of `rows`
         less those of `other`, with the same resamples for both.
-    config : BootstrapConfig, optional
 
     Returns
     -------
@@ -182,7 +183,7 @@ def bootstrap(
 
 
 def _cluster_sums(rows: np.ndarray, index: np.ndarray, count: int) -> np.ndarray:
-    """(C, m) float64 sums of (N, m) rows by cluster."""
+    """Sums of (N, m) rows by cluster, (C, m) float64."""
     if not len(rows):
         return np.zeros((0, rows.shape[1]))
     order = np.argsort(index, kind="stable")
@@ -232,7 +233,7 @@ def ratio_estimate(
 def mean_estimate(
     values: Any, clusters: Any, *, other: Any | None = None, config: BootstrapConfig | None = None
 ) -> Estimate:
-    """Mean of (N,) values, such as hits or IoUs; with `other` (N,), the mean of `values` less that of `other`."""
+    """Mean of (N,) values, such as hits or IoUs; with `other` (N,), the mean of `values` less the mean of `other`."""
     second = None if other is None else (other, np.ones(np.shape(other)))
     return ratio_estimate(values, np.ones(np.shape(values)), clusters, other=second, config=config)
 
@@ -242,6 +243,12 @@ def share_estimate(flags: Any, clusters: Any, confidence: float = 0.95) -> Estim
 
     It takes the rows as independent, and so is too narrow where those of a cluster resemble each other; unlike a
     bootstrap it has a width where there are few rows or all are alike.
+
+    Examples
+    --------
+    >>> from pipeline.metrics import share_estimate
+    >>> share_estimate([True] * 8 + [False] * 2, ["kitchen"] * 5 + ["office"] * 5).formatted()
+    '80.0 [49.0, 94.3]'
     """
     flags = checked_flags(flags, "flags")
     _, held = checked_clusters(clusters, len(flags))
@@ -260,19 +267,19 @@ def _columns(columns: tuple[Any, ...]) -> np.ndarray:
 
 
 def ratio(part: Any, whole: Any) -> np.ndarray:
-    """`part` / `whole` of arrays of any shape, float64; NaN where `whole` is 0."""
+    """Quotient `part` / `whole` of arrays of any shape, float64; NaN where `whole` is 0."""
     part, whole = np.broadcast_arrays(np.asarray(part, np.float64), np.asarray(whole, np.float64))
     return np.divide(part, whole, out=np.full(part.shape, np.nan), where=whole != 0)
 
 
 def f1_of(tp: Any, fp: Any, fn: Any) -> np.ndarray:
-    """F1 = 2 tp / (2 tp + fp + fn); NaN where nothing holds (tp + fn = 0), whatever was said: it has no support."""
+    """F1 = 2 tp / (2 tp + fp + fn); NaN without support (tp + fn = 0), whatever was predicted."""
     doubled, support = 2.0 * np.asarray(tp, np.float64), np.asarray(tp, np.float64) + fn
     return ratio(doubled, np.where(support > 0, doubled + fp + fn, 0.0))
 
 
 def mean_of_defined(values: np.ndarray) -> np.ndarray:
-    """Mean over the last axis of what is not NaN; NaN where all is."""
+    """Mean over the last axis without NaN; NaN where all are."""
     defined = ~np.isnan(values)
     return ratio(np.where(defined, values, 0.0).sum(axis=-1), defined.sum(axis=-1))
 
@@ -298,7 +305,7 @@ class McNemar:
 
 
 def mcnemar(first: Any, second: Any) -> McNemar:
-    """McNemar's exact test: the binomial probability of a split of the b + c disagreements at least as uneven.
+    """Test a paired difference by McNemar's exact test, the binomial probability of as uneven a split of b + c.
 
     It takes the questions as independent. Questions about one scene are not, so
     that its p-value is too small where scenes differ; the clustered interval of
@@ -307,12 +314,13 @@ def mcnemar(first: Any, second: Any) -> McNemar:
     Parameters
     ----------
     first, second : (N,) bool
-        Whether each question was answered rightly.
+        Right answers of each system, question by question.
 
-    Raises
-    ------
-    InputError
-        Lengths differ, or values are neither true nor false.
+    Examples
+    --------
+    >>> from pipeline.metrics import mcnemar
+    >>> mcnemar([True] * 9 + [False], [False] * 6 + [True] * 4)
+    McNemar(n=10, b=6, c=1, p_value=0.125)
     """
     first, second = checked_flags(first, "answers of the first"), checked_flags(second, "answers of the second")
     require(
@@ -341,13 +349,13 @@ class Agreement:
     Attributes
     ----------
     judgements : tuple of str
-        What either said, sorted: the order of rows and columns.
+        All judgements, sorted: the order of rows and columns.
     table : (J, J) int64
-        Items by what the first said (rows) and the second (columns).
+        Items by the judgement of the first (rows) and the second (columns).
     observed, expected : float
         Share of items judged alike, and the share by chance with each one's own habits; NaN without items.
     kappa : float
-        (observed - expected) / (1 - expected); NaN where both always said the same one thing.
+        (observed - expected) / (1 - expected); NaN where both always judged one and the same.
     """
 
     judgements: tuple[str, ...]
@@ -361,7 +369,7 @@ class Agreement:
         return int(self.table.sum())
 
     def record(self) -> dict[str, Any]:
-        """As JSON; None where a figure has no meaning."""
+        """JSON; None where a figure has no meaning."""
         figures = {name: float(getattr(self, name)) for name in ("observed", "expected", "kappa")}
         return {
             "items": self.items,
@@ -372,12 +380,13 @@ class Agreement:
 
 
 def cohen_kappa(first: Sequence[str], second: Sequence[str]) -> Agreement:
-    """Agreement on items that both judged, in the same order.
+    """Cohen's kappa of two reviewers' judgements of the same items, in the same order; InputError for other lengths.
 
-    Raises
-    ------
-    InputError
-        Not one judgement of each for every item.
+    Examples
+    --------
+    >>> from pipeline.metrics import cohen_kappa
+    >>> cohen_kappa(["yes", "yes", "no", "no"], ["yes", "no", "no", "no"]).kappa
+    0.5
     """
     require(
         len(first) == len(second),

@@ -1,4 +1,4 @@
-"""How right relation probabilities are: where several relations of a pair may hold, and where exactly one does.
+"""Accuracy of relation probabilities: multi-label (several relations of a pair may hold) and single-label.
 
 Cells whose true state is U are neither right nor wrong: they are masked, and counted.
 """
@@ -28,12 +28,7 @@ THRESHOLD = 0.5
 
 @dataclass(frozen=True)
 class CellOutcomes:
-    """What became of each cell; where all four are false, the cell is U.
-
-    Attributes
-    ----------
-    tp, fp, fn, tn : (P, R) bool
-    """
+    """Outcome of each cell, (P, R) bool; where all four are false, the cell is U."""
 
     tp: np.ndarray
     fp: np.ndarray
@@ -49,7 +44,6 @@ class RelationMetrics:
     ----------
     relations : tuple of str
         The order of everything with shape (R,).
-    pairs : int
     positives, negatives, undecided : (R,) int64
         Cells whose truth is T, F, U.
     tp, fp, fn : (R,) int64
@@ -62,7 +56,7 @@ class RelationMetrics:
     element_accuracy : float
         Share of known cells that are right.
     all_negative_accuracy : float
-        The same for a scorer that always says no: the share of negatives.
+        The same for a scorer that always answers no: the share of negatives.
     mean_average_precision : float
         Over the relations that have one.
     """
@@ -88,7 +82,7 @@ class RelationMetrics:
 
 
 def cell_outcomes(p: Any, truth: Any, thresholds: Any = THRESHOLD) -> CellOutcomes:
-    """Right or wrong, cell by cell.
+    """Compare relation probabilities with true states, cell by cell.
 
     Parameters
     ----------
@@ -97,7 +91,7 @@ def cell_outcomes(p: Any, truth: Any, thresholds: Any = THRESHOLD) -> CellOutcom
     truth : (P, R) int8
         1 T, 0 U, -1 F.
     thresholds : float or (R,) float
-        "Holds" is said where p is greater.
+        A relation is predicted where p is greater.
 
     Raises
     ------
@@ -113,21 +107,17 @@ def cell_outcomes(p: Any, truth: Any, thresholds: Any = THRESHOLD) -> CellOutcom
 def multi_label_metrics(
     p: Any, truth: Any, thresholds: Any = THRESHOLD, relations: Sequence[str] = DIRECTIONAL
 ) -> RelationMetrics:
-    """Every figure of a multi-label relation scorer.
+    """Compute every figure of a multi-label relation scorer.
 
-    Parameters
-    ----------
-    p : (P, R) float
-    truth : (P, R) int8
-    thresholds : float or (R,) float
-        As in `cell_outcomes`; those of `tuned_thresholds` must come from other pairs than these.
-    relations : sequence of str
-        Names of the R columns.
+    Parameters and errors are those of `cell_outcomes`; thresholds of `tuned_thresholds` must come from other pairs
+    than these, and `relations` names the R columns.
 
-    Raises
-    ------
-    InputError
-        As in `cell_outcomes`, or names that do not match the columns.
+    Examples
+    --------
+    >>> from pipeline.metrics import multi_label_metrics
+    >>> found = multi_label_metrics([[0.9, 0.2], [0.4, 0.7]], [[1, -1], [1, 0]], relations=["on", "in"])
+    >>> found.recall.tolist(), round(found.micro_f1, 3)
+    ([0.5, nan], 0.667)
     """
     p, truth = checked_cells(p, truth)
     names = checked_names(relations, p.shape[1])
@@ -161,19 +151,9 @@ def multi_label_metrics(
 
 
 def average_precision(p: Any, truth: Any) -> np.ndarray:
-    """AP of each relation: the sum of (R_n - R_(n-1)) P_n over its distinct probabilities, falling.
+    """Average precision by relation, (R,): sum of (R_n - R_(n-1)) P_n over falling probabilities; NaN if none holds.
 
     No interpolation; the definition of scikit-learn's average_precision_score.
-
-    Parameters
-    ----------
-    p : (P, R) float
-    truth : (P, R) int8
-
-    Returns
-    -------
-    (R,) float64
-        NaN where no cell holds.
     """
     p, truth = checked_cells(p, truth)
     found = np.full(p.shape[1], np.nan)
@@ -185,21 +165,11 @@ def average_precision(p: Any, truth: Any) -> np.ndarray:
 
 
 def tuned_thresholds(p_validation: Any, truth_validation: Any) -> np.ndarray:
-    """The threshold of each relation with the largest F1 on validation pairs.
+    """Threshold of each relation with the largest F1 on validation pairs, (R,); 0.5 where no cell holds.
 
     It lies half way between two neighbouring probabilities; of thresholds with
     the same F1 the one nearest to 0.5 is taken. A negative one says that the
     relation always holds.
-
-    Parameters
-    ----------
-    p_validation : (P, R) float
-    truth_validation : (P, R) int8
-
-    Returns
-    -------
-    (R,) float64
-        0.5 where no validation cell holds: there is nothing to tune on.
     """
     p, truth = checked_cells(p_validation, truth_validation)
     found = np.full(p.shape[1], THRESHOLD)
@@ -218,7 +188,7 @@ def tuned_thresholds(p_validation: Any, truth_validation: Any) -> np.ndarray:
 
 
 def _ranked(p: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-    """Distinct probabilities of the known cells, falling; down to each, how many hold and how many cells; positives."""
+    """Distinct probabilities of the known cells, falling; down to each, positives and cells; all positives."""
     known = truth != 0
     p, holds = p[known], truth[known] > 0
     order = np.argsort(-p, kind="stable")
@@ -229,22 +199,13 @@ def _ranked(p: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
 
 @dataclass(frozen=True)
 class RelationEstimates:
-    """Figures of `RelationMetrics` with intervals, or differences of two scorers.
-
-    Attributes
-    ----------
-    relations : tuple of str
-    precision, recall, f1 : tuple of Estimate
-        R each.
-    micro_f1, macro_f1, element_accuracy : Estimate
-        A resample without a relation takes its macro mean over the others.
-    """
+    """Figures of `RelationMetrics` with intervals, or differences of two scorers."""
 
     relations: tuple[str, ...]
-    precision: tuple[Estimate, ...]
+    precision: tuple[Estimate, ...]  # R each
     recall: tuple[Estimate, ...]
     f1: tuple[Estimate, ...]
-    micro_f1: Estimate
+    micro_f1: Estimate  # A resample without a relation takes its macro mean over the others
     macro_f1: Estimate
     element_accuracy: Estimate
 
@@ -257,7 +218,7 @@ def relation_estimates(
     relations: Sequence[str] = DIRECTIONAL,
     config: BootstrapConfig | None = None,
 ) -> RelationEstimates:
-    """Intervals of all figures from one set of resamples.
+    """Estimate intervals of all figures from one set of resamples.
 
     Parameters
     ----------
@@ -268,8 +229,6 @@ def relation_estimates(
     other : CellOutcomes, optional
         Another scorer's on the same pairs and the same truth: the estimates are
         then the figures of `cells` less those of `other`.
-    relations : sequence of str
-    config : BootstrapConfig, optional
 
     Raises
     ------
@@ -307,7 +266,7 @@ def relation_estimates(
 
 
 def _by_cluster(cells: CellOutcomes, index: np.ndarray, count: int) -> np.ndarray:
-    """(C, R, 4) float64: how many of tp, fp, fn, tn each cluster has."""
+    """Counts of tp, fp, fn, tn by cluster and relation, (C, R, 4) float64."""
     kinds = (cells.tp, cells.fp, cells.fn, cells.tn)
     columns = [np.stack([_sums(kind[:, k], index, count) for kind in kinds], axis=1) for k in range(cells.tp.shape[1])]
     return np.stack(columns, axis=1)
@@ -318,7 +277,7 @@ def _sums(flags: np.ndarray, index: np.ndarray, count: int) -> np.ndarray:
 
 
 def _figures(sums: np.ndarray) -> np.ndarray:
-    """(S, 3 R + 3) from sums (S, R, 4): precision, recall, F1 of each relation, micro-F1, macro-F1, accuracy."""
+    """Figures (S, 3 R + 3) of sums (S, R, 4): precision, recall, F1 by relation, micro-F1, macro-F1, accuracy."""
     tp, fp, fn, _ = np.moveaxis(sums, -1, 0)
     f1 = f1_of(tp, fp, fn)
     pooled = sums.sum(axis=1)
@@ -332,49 +291,30 @@ SUM_TOLERANCE = 1e-3
 
 @dataclass(frozen=True)
 class SingleLabelMetrics:
-    """The figures of a single-label relation scorer.
-
-    Attributes
-    ----------
-    relations : tuple of str
-    pairs, unknown : int
-        Pairs that count, and pairs left out because their relation is not known.
-    confusion : (R, R) int64
-        Pairs by true relation (row) and most probable one (column).
-    precision, recall, f1 : (R,) float64
-        NaN without support: precision of what is never said, recall and F1 of what never holds.
-    top1, top2 : float
-        Share of pairs whose true relation is the most probable, is among the two most probable.
-    macro_f1 : float
-        Over the relations that have one.
-    """
+    """The figures of a single-label relation scorer."""
 
     relations: tuple[str, ...]
-    pairs: int
+    pairs: int  # Pairs that count, and pairs left out because their relation is not known
     unknown: int
-    confusion: np.ndarray
+    confusion: np.ndarray  # (R, R) int64, pairs by true relation (row) and most probable one (column)
+    # (R,) float64, naN without support: precision of what is never predicted, recall and F1 of what never holds
     precision: np.ndarray
-    recall: np.ndarray
-    f1: np.ndarray
-    top1: float
+    recall: np.ndarray  # (R,) float64
+    f1: np.ndarray  # (R,) float64
+    top1: float  # Share of pairs whose true relation is the most probable, is among the two most probable
     top2: float
-    macro_f1: float
+    macro_f1: float  # Over the relations that have one
 
 
 def true_ranks(p: Any, truth: Any) -> np.ndarray:
-    """How many relations are more probable than the true one; of equals the earlier column comes first.
+    """Rank of the true relation by probability, (P,) int64, 0 for the most probable, -1 where unknown.
 
     Parameters
     ----------
     p : (P, R) float
-        Each row a distribution over the relations.
+        Each row a distribution over the relations; of equals the earlier column comes first.
     truth : (P,) int
         Column of the true relation, -1 where it is not known.
-
-    Returns
-    -------
-    (P,) int64
-        0 where the true relation is the most probable one; -1 where it is not known.
 
     Raises
     ------
@@ -388,7 +328,7 @@ def true_ranks(p: Any, truth: Any) -> np.ndarray:
 
 
 def single_label_metrics(p: Any, truth: Any, relations: Sequence[str]) -> SingleLabelMetrics:
-    """Every figure of a single-label relation scorer; arguments and errors as in `true_ranks`."""
+    """Compute every figure of a single-label relation scorer; arguments and errors as in `true_ranks`."""
     p, truth = _checked(p, truth)
     count = p.shape[1]
     names = checked_names(relations, count)

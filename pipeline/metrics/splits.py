@@ -1,4 +1,4 @@
-"""Which frames are learnt from, which calibrate, which measure: 70, 10 and 20 in a hundred.
+"""Splits of frames into training, validation and test: 70, 10 and 20 in a hundred.
 
 Frames of one scene show the same objects from almost the same place. A split
 that puts neighbours on both sides measures memory: so scenes are split, or on
@@ -33,14 +33,12 @@ RANDOM_WARNING = (
 
 @dataclass(frozen=True)
 class FrameKey:
-    """What a split knows of a frame.
+    """A frame as a split knows it.
 
     Attributes
     ----------
-    frame : str
-    scene : str
     index : int
-        Its index in the dataset.
+        Index in the dataset.
     position : tuple of float or None
         Of the camera in the world, metres.
     """
@@ -53,25 +51,13 @@ class FrameKey:
 
 @dataclass(frozen=True, eq=False)
 class SplitPlan:
-    """Each frame's part.
+    """Each frame's part."""
 
-    Attributes
-    ----------
-    kind : str
-        "scene", "blocks" or "random".
-    seed : int
-    frames : tuple of FrameKey
-    part : (F,) int8
-        TRAIN, VALIDATION, TEST, or DROPPED (in a gap).
-    gaps : dict of str to float or int
-        Of "blocks", by scene: metres between blocks, or frames where the scene has no usable poses.
-    warning : str or None
-    """
-
-    kind: SplitKind
+    kind: SplitKind  # "scene", "blocks" or "random"
     seed: int
     frames: tuple[FrameKey, ...]
-    part: np.ndarray
+    part: np.ndarray  # (F,) int8, TRAIN, VALIDATION, TEST, or DROPPED (in a gap)
+    # Of "blocks", by scene: metres between blocks, or frames where the scene has no usable poses
     gaps: dict[str, float | int]
     warning: str | None
 
@@ -80,13 +66,13 @@ class SplitPlan:
         return np.flatnonzero(self.part == part)
 
     def for_frames(self, frames: Sequence[FrameKey]) -> SplitPlan:
-        """The same parts for frames of other labels of the dataset, by id; those that the plan lacks are dropped."""
+        """Apply the parts, by id, to frames of other labels of the dataset; frames outside the plan are dropped."""
         parts = {f.frame: part for f, part in zip(self.frames, self.part.tolist(), strict=True)}
         part = np.array([parts.get(f.frame, DROPPED) for f in frames], np.int8)
         return replace(self, frames=tuple(frames), part=part)
 
     def record(self) -> dict[str, Any]:
-        """As JSON: the scenes of each part, or its frames where scenes are cut."""
+        """JSON: the scenes of each part, or the frames where scenes are cut."""
         counts = {name: int((self.part == k).sum()) for k, name in enumerate(PARTS)}
         inside = {name: [self.frames[i] for i in self.indices(k)] for k, name in enumerate(PARTS)}
         members = (
@@ -105,23 +91,29 @@ class SplitPlan:
 
 
 def split_frames(frames: Sequence[FrameKey], kind: SplitKind | None = None, seed: int = 0) -> SplitPlan:
-    """Part the frames.
+    """Split frames into parts.
 
     Parameters
     ----------
-    frames : sequence of FrameKey
     kind : str, optional
         "scene": whole scenes, in the order of a seeded hash of their names.
         "blocks": in each scene one block of camera positions for each part, at
-        least 1 m apart (less where the scene is smaller, and said so).
+        least 1 m apart (less, with a warning, where the scene is smaller).
         "random": frames drawn at random, which leaks. By default scenes where
         there are at least three, else blocks.
-    seed : int
 
     Raises
     ------
     InputError
         Too few scenes or frames.
+
+    Examples
+    --------
+    >>> from pipeline.metrics import TEST, FrameKey, split_frames
+    >>> frames = [FrameKey(f"{scene}/{k}", scene, k) for scene in ("bath", "hall", "kitchen") for k in range(4)]
+    >>> plan = split_frames(frames)
+    >>> plan.kind, [frames[i].frame for i in plan.indices(TEST)]
+    ('scene', ['bath/0', 'bath/1', 'bath/2', 'bath/3'])
     """
     frames = tuple(frames)
     scenes = sorted({f.scene for f in frames})
@@ -155,7 +147,7 @@ def _by_scene(frames: Sequence[FrameKey], scenes: Sequence[str], seed: int) -> n
 
 
 def _cut(n: int) -> np.ndarray:
-    """(n,) parts in a row, at least one of each where n >= 3: training first, then validation, then test."""
+    """Parts in a row, (n,), at least one of each where n >= 3: training first, then validation, then test."""
     test, validation = max(1, round(n * SHARES[2])), max(1, round(n * SHARES[1]))
     return np.repeat(np.array([TRAIN, VALIDATION, TEST], np.int8), [n - test - validation, validation, test])
 
@@ -201,23 +193,10 @@ def _blocks_warning(scenes: int, gaps: dict[str, float | int]) -> str:
 
 
 def position_blocks(positions: np.ndarray, gap: float) -> tuple[np.ndarray, float] | None:
-    """Cut camera positions into three blocks along the direction in which they spread most.
+    """Cut camera positions, (F, 3), metres, into three blocks along the direction of their largest spread.
 
-    Parameters
-    ----------
-    positions : (F, 3) float
-        Metres.
-    gap : float
-        Metres between blocks; halved until no block is empty.
-
-    Returns
-    -------
-    part : (F,) int8
-        Positions in different parts are at least the gap apart; those between are DROPPED.
-    gap : float
-        The gap that was possible.
-    None
-        Where the positions do not differ by enough to be cut with a gap of 1 cm.
+    Gives the parts, (F,) int8, those between blocks DROPPED, and the gap, metres: halved until no block is empty; None
+    where the positions do not differ by enough to be cut with a gap of 1 cm.
     """
     along = along_spread(positions)
     if along is None:
@@ -238,10 +217,7 @@ def position_blocks(positions: np.ndarray, gap: float) -> tuple[np.ndarray, floa
 
 
 def along_spread(positions: np.ndarray) -> np.ndarray | None:
-    """(F,) metres: coordinates of positions ((F, 3), metres) along the direction in which they spread most.
-
-    None where a position is not finite.
-    """
+    """Coordinates, (F,), metres, of positions, (F, 3), in the direction of largest spread; None if not finite."""
     centred = positions - positions.mean(axis=0)
     if not np.isfinite(centred).all():
         return None
@@ -251,7 +227,7 @@ def along_spread(positions: np.ndarray) -> np.ndarray | None:
 
 
 def _index_blocks(n: int) -> tuple[np.ndarray, int]:
-    """Blocks of neighbouring frames, with frames dropped on the training's and the test's side of either cut."""
+    """Cut neighbouring frames into blocks, with frames dropped on the training's and the test's side of either cut."""
     part = _cut(n)
     gap = max(1, round(FRAME_GAP * n)) if n >= 10 else 0
     if gap:

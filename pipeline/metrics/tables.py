@@ -21,17 +21,26 @@ NOTHING_SHARED: Mapping[str, Any] = MappingProxyType({})
 
 @dataclass(frozen=True)
 class Row:
-    """A line of a table: its name, its cells, and where they come from.
+    """A line of a table: name, cells, and their source.
 
     Attributes
     ----------
-    name : str
-    cells : tuple of Cell
     source : str
         "measured", or "reported" for figures of a publication.
     shares : str
         Where its figures are agreement with what made the truth, and not accuracy: that, in a few words. Such rows
         stand in blocks of their own below the others, see `in_blocks`.
+
+    Examples
+    --------
+    >>> from pipeline.metrics import Row, Table, markdown
+    >>> print(markdown([Table("srm", "Relations", ("F1", "pairs"), (Row("rules", (0.913, 1200)),))]))
+    ## Relations
+    <BLANKLINE>
+    |  | F1 | pairs |
+    |---|---:|---:|
+    | rules | 91.3 | 1200 |
+    <BLANKLINE>
     """
 
     name: str
@@ -48,10 +57,8 @@ class Table:
     ----------
     key : str
         Its name in files.
-    title : str
     columns : tuple of str
         Heads of the cells; the first column, the rows' names, has none.
-    rows : tuple of Row
     note : str
         What a reader must know: what is counted, what the intervals are.
     caveats : tuple of str
@@ -72,7 +79,7 @@ class Table:
     fractions: tuple[str, ...] = ()
 
     def shown(self, row: Row) -> tuple[str, ...]:
-        """The cells of a row as text."""
+        """Cells of a row as text."""
         return tuple(
             shown(cell, self.decimals, name in self.fractions)
             for name, cell in zip(self.columns, row.cells, strict=True)
@@ -80,14 +87,14 @@ class Table:
 
 
 def in_blocks(rows: Iterable[Row], kinds: Iterable[str] = ()) -> tuple[Row, ...]:
-    """The rows that share nothing first, then the others by kind, in the order of `kinds`; else in their own order."""
+    """Order rows: rows that share nothing first, then by kind, in the order of `kinds`; else in their own order."""
     rows = tuple(rows)
     order = list(dict.fromkeys(["", *kinds, *(row.shares for row in rows)]))
     return tuple(sorted(rows, key=lambda row: order.index(row.shares)))
 
 
 def with_heads(rows: Sequence[Row]) -> Iterator[tuple[str, Row]]:
-    """Each row with the title of the block that it begins; empty within a block, and where all rows are alike."""
+    """Yield each row with the title of the block that begins; empty within a block, and where all rows are alike."""
     before = rows[0].shares if rows and len({row.shares for row in rows}) == 1 else ""
     for row in rows:
         yield ("" if row.shares == before else row.shares), row
@@ -95,13 +102,13 @@ def with_heads(rows: Sequence[Row]) -> Iterator[tuple[str, Row]]:
 
 
 def caveats_html(tables: Iterable[Table]) -> str:
-    """The caveats of tables as paragraphs, for pages of plots of the same figures."""
+    """Caveats of tables as paragraphs, for pages of plots of the same figures."""
     message = dict.fromkeys(caveat for table in tables for caveat in table.caveats)
     return "".join(f'<p style="color:#a85b00;font:13px Arial,sans-serif">{escape(text)}</p>' for text in message)
 
 
 def shown(cell: Cell, decimals: int = 1, fraction: bool = False) -> str:
-    """A cell as text: percentages with one decimal (fractions with two), intervals in brackets."""
+    """Format a cell: percentages with one decimal (fractions with two), intervals in brackets."""
     if cell is None or (isinstance(cell, float) and math.isnan(cell)):
         return "–"
     if isinstance(cell, Estimate):
@@ -112,7 +119,7 @@ def shown(cell: Cell, decimals: int = 1, fraction: bool = False) -> str:
 
 
 def markdown(tables: Sequence[Table]) -> str:
-    """All tables, each under its title."""
+    """Format tables as Markdown, each under its title."""
     parts = []
     for table in tables:
         lines = [f"## {table.title}", ""]
@@ -133,7 +140,7 @@ def _bars(text: str) -> str:
 
 
 def as_csv(table: Table) -> str:
-    """One line a row; an estimate fills three columns: value, low, high. Shares stay between 0 and 1.
+    """Format a table as CSV: an estimate fills three columns: value, low, high. Shares stay between 0 and 1.
 
     The last column is `Row.shares`.
     """
@@ -164,7 +171,7 @@ _SPECIAL |= {"~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "\\": r"\tex
 
 
 def latex(tables: Sequence[Table]) -> str:
-    """All tables as `table` environments with booktabs rules; intervals in small type."""
+    """Format tables as `table` environments with booktabs rules; intervals in small type."""
     parts = ["% needs \\usepackage{booktabs}"]
     for table in tables:
         lines = [
