@@ -30,15 +30,10 @@ BY_HAND = "by-hand"
 
 @dataclass(frozen=True)
 class NewLabels(Labels):
-    """Labels that are not on the disk yet, as a whole or with these frames: `with_frames` writes them.
-
-    Attributes
-    ----------
-    rows : pyarrow.Table or None
-        All of their table `frames`.
-    """
+    """Labels that are not on the disk yet, as a whole or with these frames: `with_frames` writes them."""
 
     rows: pa.Table | None = None
+    """All of their table `frames`."""
 
     def table(self, name: str) -> pa.Table:
         """One of the tables; all but the frames are empty."""
@@ -64,17 +59,12 @@ def begun_labels(
 
     Parameters
     ----------
-    dataset : Dataset
-    folder : str or Path
-    options : dict, optional
+    options
         What was declared of the camera: arguments of `open_dataset`.
-    config : LabelConfig, optional
+    config
         Of new labels. Default: all relations.
 
-    Raises
-    ------
-    InputError
-        The folder holds something else.
+    Raises InputError: the folder holds something else.
     """
     folder = Path(folder).expanduser().absolute()
     if (folder / MANIFEST_FILE).exists():
@@ -127,10 +117,8 @@ def with_frames(labels: Labels, dataset: Dataset, names: Iterable[str] = ()) -> 
 
     Frames that are there, by whomever, stay as they are; several processes may add some at the same time.
 
-    Raises
-    ------
-    InputError
-        The labels do not grow, the dataset has no such frame or cannot load it, or the folder cannot be written.
+    Raises InputError: the labels do not grow, the dataset has no such frame or cannot load it, or the folder cannot be
+    written.
     """
     require(grows(labels), "only labels that were begun by hand take in frames", path=labels.root)
     ids = dataset.frame_ids

@@ -67,10 +67,9 @@ def dataset_card(labels: Labels, *, licence: str = UNKNOWN_LICENCE, files: Mappi
 
     Parameters
     ----------
-    labels : Labels
-    licence : str
+    licence
         Of the source dataset.
-    files : mapping of str to str, optional
+    files
         Path or pattern of each table's files below the folder; by default those of a labels folder.
     """
     paths = files or {table: labels.manifest.tables[table].file for table in TABLES}
@@ -225,11 +224,9 @@ def croissant(
 
     Parameters
     ----------
-    labels : Labels
-    licence : str
-    files : mapping of str to sequence of DataFile, optional
+    files
         The files of each table; by default those of a labels folder.
-    schema : callable
+    schema
         The Arrow schema of a table in those files, by name.
     """
     manifest, name = labels.manifest, dataset_name(labels)

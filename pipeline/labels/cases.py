@@ -42,21 +42,15 @@ else:
 
 @dataclass(frozen=True)
 class Meant:
-    """A sentence as it was read, where it says more than two names and a relation, with what is true of its parts.
-
-    Attributes
-    ----------
-    root : Node
-        The target with all that is said of it.
-    classes : dict of str to (N,) bool
-        By name: the labelled objects of that class, whatever they look like.
-    attributes : dict of (str, str) to (N,) float64
-        By name and attribute: .99, .50, .01 as they have it; NaN where nobody knows. Empty without attributes.
-    """
+    """A sentence as it was read, where it says more than two names and a relation, with what is true of its parts."""
 
     root: Node
+    """The target with all that is said of it."""
     classes: dict[str, np.ndarray]
+    """dict of str to (N,) bool: by name: the labelled objects of that class, whatever they look like."""
     attributes: dict[tuple[str, str], np.ndarray]
+    """dict of (str, str) to (N,) float64: by name and attribute: .99, .50, .01 as they have it; NaN where nobody knows.
+    Empty without attributes."""
 
     @property
     def chooses(self) -> bool:
@@ -66,23 +60,7 @@ class Meant:
 
 @dataclass(frozen=True)
 class Case:
-    """One expression with its truth; as JSON its arrays are lists, and a margin that is not known is null.
-
-    Attributes
-    ----------
-    id, text : str
-    target, relation, reference : str
-        The gold triple; of a sentence the target with its first relation, the last two empty without one.
-    target_object, reference_object : int
-        Indices in the frame's objects; the same without a reference.
-    strict, acceptable : (K,) int64
-        Indices of the right targets: beyond doubt, and with the undecided ones.
-    ambiguous : bool
-    margin : float
-        Of the labelled pair, metres.
-    meant : Meant or None
-        None for a plain triple.
-    """
+    """One expression with its truth; as JSON its arrays are lists, and a margin that is not known is null."""
 
     __pydantic_config__ = ConfigDict(extra="forbid")
 
@@ -91,13 +69,18 @@ class Case:
     target: str
     relation: str
     reference: str
+    """The gold triple; of a sentence the target with its first relation, the last two empty without one."""
     target_object: int
     reference_object: int
+    """Indices in the frame's objects; the same without a reference."""
     strict: Indices
     acceptable: Indices
+    """(K,) int64: indices of the right targets: beyond doubt, and with the undecided ones."""
     ambiguous: bool
     margin: Margin
+    """Of the labelled pair, metres."""
     meant: NotSaved = None
+    """None for a plain triple."""
 
     @property
     def relations(self) -> set[str]:
@@ -109,57 +92,38 @@ class Case:
 
 @dataclass(frozen=True)
 class FrameCases:
-    """All expressions of a frame, and its objects as labelled.
-
-    Attributes
-    ----------
-    frame : str
-    frame_index : int
-    scene : str
-    labels : tuple of str
-    boxes : (N, 4) float64
-        x0, y0, x1, y1, pixels.
-    alike : (N, N) bool
-        Objects whose class names mean the same.
-    states : dict of str to (N, N) int8
-        By relation; -1 where a pair has no label.
-    cases : tuple of Case
-    numbers : (N,) int64
-        The objects' own numbers in the labels: the dataset's own, where they were made from its annotations.
-    judged : (N, N) bool
-        Pairs that have a label.
-    geometry : dict of str to (N, K) float64
-        "lo", "hi", "center", "R" and "size" as labelled; NaN where there is none.
-    facts : dict of str to (N,) float64
-        "distance" (metres, NaN for unknown), "occluded" (share of the border), "mask_pixels".
-    masks : tuple of str or None
-        COCO's compressed run-length codes.
-    rgb_hash : str or None
-        Content hash of the picture that was labelled; None where it is the one at hand.
-    """
+    """All expressions of a frame, and its objects as labelled."""
 
     frame: str
     frame_index: int
     scene: str
     labels: tuple[str, ...]
     boxes: np.ndarray
+    """(N, 4) float64: x0, y0, x1, y1, pixels."""
     alike: np.ndarray
+    """(N, N) bool: objects whose class names mean the same."""
     states: dict[str, np.ndarray]
+    """dict of str to (N, N) int8: by relation; -1 where a pair has no label."""
     cases: tuple[Case, ...]
     numbers: np.ndarray
+    """(N,) int64: the objects' own numbers in the labels: the dataset's own, where they were made from its
+    annotations."""
     judged: np.ndarray
+    """(N, N) bool: pairs that have a label."""
     geometry: dict[str, np.ndarray]
+    """dict of str to (N, K) float64: "lo", "hi", "center", "R" and "size" as labelled; NaN where there is none."""
     facts: dict[str, np.ndarray]
+    """dict of str to (N,) float64: "distance" (metres, NaN for unknown), "occluded" (share of the border),
+    "mask_pixels"."""
     masks: tuple[str | None, ...]
+    """COCO's compressed run-length codes."""
     rgb_hash: str | None = None
+    """Content hash of the picture that was labelled; None where it is the one at hand."""
 
     def check_picture(self, frame: Frame) -> None:
         """Refuse a frame whose picture is not the one that was labelled.
 
-        Raises
-        ------
-        InputError
-            Another dataset has a frame of the same name, or the dataset has changed.
+        Raises InputError: another dataset has a frame of the same name, or the dataset has changed.
         """
         require(
             self.rgb_hash is None or frame.content_hash == self.rgb_hash,

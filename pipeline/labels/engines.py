@@ -36,48 +36,31 @@ from pipeline.system.worker_pool import one_thread, results_of
 
 @dataclass(frozen=True)
 class ShardReport:
-    """What became of a shard.
-
-    Attributes
-    ----------
-    name : str
-        Of its part.
-    frames : int
-    objects, pairs, candidates : int
-        Rows written.
-    broken : int
-        Frames that could not be used.
-    seconds : float
-        0 where it was there already.
-    reused : bool
-    """
+    """What became of a shard."""
 
     name: str
+    """Of its part."""
     frames: int
     objects: int = 0
     pairs: int = 0
     candidates: int = 0
+    """Rows written."""
     broken: int = 0
+    """Frames that could not be used."""
     seconds: float = 0.0
+    """0 where it was there already."""
     reused: bool = False
 
 
 @dataclass(frozen=True)
 class Labeller:
-    """What a process opens once and labels many frames with.
-
-    Attributes
-    ----------
-    config : LabelConfig
-    source : Pipeline
-        The dataset and what finds objects in it.
-    network : OnnxScorer or None
-        The second opinion.
-    """
+    """What a process opens once and labels many frames with."""
 
     config: LabelConfig
     source: Pipeline
+    """The dataset and what finds objects in it."""
     network: OnnxScorer | None
+    """The second opinion."""
 
 
 def open_labeller(spec: SourceSpec, config: LabelConfig) -> Labeller:
@@ -193,10 +176,7 @@ Done = Callable[[ShardReport], None]
 def run_local(plan: Plan, shards: Sequence[Shard], store: Store, workers: int, done: Done) -> None:
     """Label shards with so many processes; what is finished stays when the run is stopped.
 
-    Raises
-    ------
-    InputError
-        A worker was killed.
+    Raises InputError: a worker was killed.
     """
     reports = results_of(
         label_shard,
@@ -258,15 +238,12 @@ def run_ray(
 
     Parameters
     ----------
-    workers : int
+    workers
         Processors of the cluster on this machine, and detector actors at most.
-    gpus_a_detector : float
+    gpus_a_detector
         Share of a GPU that each detector actor is given.
 
-    Raises
-    ------
-    MissingExtra
-        Ray is not installed.
+    Raises MissingExtra: ray is not installed.
     """
     needed_ray()
     ray: Any = import_module("ray")

@@ -25,30 +25,20 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class LabelReport:
-    """What a labelling run did.
-
-    Attributes
-    ----------
-    frames : int
-        Frames of the shards that were asked for.
-    reused : int
-        Of those, frames whose shard was there already.
-    broken : int
-        Frames that could not be used.
-    objects, pairs, candidates : int
-    seconds : float
-    manifest : Manifest or None
-        Of the merged labels; None where only a part was asked for.
-    """
+    """What a labelling run did."""
 
     frames: int
+    """Frames of the shards that were asked for."""
     reused: int
+    """Of those, frames whose shard was there already."""
     broken: int
+    """Frames that could not be used."""
     objects: int
     pairs: int
     candidates: int
     seconds: float
     manifest: Manifest | None
+    """Of the merged labels; None where only a part was asked for."""
 
     def __repr__(self) -> str:
         return f"<LabelReport: {self.frames} frames, {self.objects} objects, {self.seconds:.1f} s>"
@@ -74,27 +64,23 @@ def label_dataset(
 
     Parameters
     ----------
-    spec : SourceSpec
-    out : str or Path
+    out
         Must be new or empty; with `resume` and `part` it may hold labels made with the same arguments.
-    engine : str
+    engine
         "local" or "ray"; the rows are the same.
-    workers : int
+    workers
         Processes at once.
-    part : (k, n), optional
+    part
         Only task k of n (from 1), for arrays of jobs that share `out`; the last
         to finish, or anyone after, merges.
-    resume : bool
+    resume
         Go on in a folder where a run was stopped: finished shards are kept.
-    limit : int, optional
+    limit
         Only the first so many frames.
-    frames_of : sequence of str
+    frames_of
         Only the frames of these splits of the dataset's own.
 
-    Raises
-    ------
-    InputError
-        For a dataset that cannot be opened or changes meanwhile, a folder that holds something else.
+    Raises InputError: for a dataset that cannot be opened or changes meanwhile, a folder that holds something else.
     """
     config = config or LabelConfig()
     if config.second_opinion not in (NONE, TRAINED):

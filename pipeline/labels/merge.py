@@ -55,16 +55,12 @@ def merge_labels(where: str | Path, selection: SelectConfig | None = None, out: 
 
     Parameters
     ----------
-    where : str or Path
+    where
         The labels folder, or a URL; then `out` is needed.
-    selection : SelectConfig, optional
-    out : Path, optional
+    out
         Where the merged tables go; the labels folder by default.
 
-    Raises
-    ------
-    InputError
-        Shards are missing or damaged, or the folder holds no labels.
+    Raises InputError: shards are missing or damaged, or the folder holds no labels.
     """
     selection = selection or SelectConfig()
     store = Store(where)
@@ -222,10 +218,7 @@ def choose(shards: Sequence[Shard], store: Store, selection: SelectConfig) -> tu
 def _worded(
     shards: Sequence[Shard], store: Store, chosen: dict[str, np.ndarray], style: TextStyle
 ) -> Iterator[pa.Table]:
-    """The chosen candidates, put into words: a row's own hash chooses its sentence.
-
-    A row whose names no sentence can carry beside the dataset's other names is left out.
-    """
+    """The chosen candidates, put into words: a row's own hash chooses its sentence."""
     labels = (store.read_part(s.name, "objects", ["label"]).column("label").unique().to_pylist() for s in shards)
     class_names = tuple(sorted({name for found in labels for name in found}))
 
@@ -321,7 +314,6 @@ def select(
         The rows' hashes.
     frame, relation, target, reference : (N,) int
         Codes of what the rows say.
-    config : SelectConfig
 
     Returns
     -------
@@ -394,28 +386,19 @@ def _quotas(counts: np.ndarray, config: SelectConfig) -> np.ndarray:
 
 @dataclass(frozen=True)
 class SelectConfig:
-    """Which of all candidate expressions are kept.
-
-    Attributes
-    ----------
-    total : int or None
-        At most so many; None for as many as the other rules allow.
-    per_frame : int or None
-        At most so many of one frame.
-    balance : float or None
-        No relation has more than so many times the expressions of the rarest
-        one; None keeps the relations as they come.
-    telling : bool
-        Leave out what is true of every object of the target's class, where there
-        are several: such a sentence tells nothing apart.
-    seed : int
-    """
+    """Which of all candidate expressions are kept."""
 
     total: int | None = None
+    """At most so many; None for as many as the other rules allow."""
     per_frame: int | None = 40
+    """At most so many of one frame."""
     balance: float | None = 3.0
+    """No relation has more than so many times the expressions of the rarest one; None keeps the relations as they
+    come."""
     seed: int = 0
     telling: bool = True
+    """Leave out what is true of every object of the target's class, where there are several: such a sentence tells
+    nothing apart."""
 
     def __post_init__(self) -> None:
         for name in ("total", "per_frame"):

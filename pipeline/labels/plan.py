@@ -58,23 +58,15 @@ def _absolute(path: str | Path) -> str:
 
 @dataclass(frozen=True)
 class Shard:
-    """A run of frames that is labelled as one.
-
-    Attributes
-    ----------
-    index : int
-        Its index among the shards.
-    first : int
-        Index of its first frame in the dataset.
-    frames : tuple of str
-    key : str
-        Hash of everything its rows depend on: configuration, models, input.
-    """
+    """A run of frames that is labelled as one."""
 
     index: int
+    """Its index among the shards."""
     first: int
+    """Index of its first frame in the dataset."""
     frames: tuple[str, ...]
     key: str
+    """Hash of everything its rows depend on: configuration, models, input."""
 
     @property
     def name(self) -> str:
@@ -84,37 +76,23 @@ class Shard:
 
 @dataclass(frozen=True)
 class Plan:
-    """All shards of a run.
-
-    Attributes
-    ----------
-    spec : SourceSpec
-    config : LabelConfig
-    frames : tuple of str
-        All frames of the dataset, in order.
-    models : dict of str to str
-        Fingerprints of detector and segmenter, of the second opinion, and of
-        what was declared of camera and names.
-    input_hash : str
-        Hash of the dataset's files by name, size and time of change.
-    format : str
-        The dataset's format.
-    exact : bool
-        The objects are the dataset's own annotations.
-    frames_a_shard : int
-    version : str
-        Of this program: shards of two releases do not mix.
-    """
+    """All shards of a run."""
 
     spec: SourceSpec
     config: LabelConfig
     frames: tuple[str, ...]
+    """All frames of the dataset, in order."""
     models: dict[str, str]
+    """Fingerprints of detector and segmenter, of the second opinion, and of what was declared of camera and names."""
     input_hash: str
+    """Hash of the dataset's files by name, size and time of change."""
     format: str
+    """The dataset's format."""
     exact: bool
+    """The objects are the dataset's own annotations."""
     frames_a_shard: int
     version: str = __version__
+    """Of this program: shards of two releases do not mix."""
 
     @property
     def key(self) -> str:
@@ -150,17 +128,14 @@ def make_plan(
 
     Parameters
     ----------
-    limit : int, optional
+    limit
         Only the first so many frames.
-    frames_of : sequence of str
+    frames_of
         Only the frames of these splits of the dataset's own, in their order.
-    out : str or Path, optional
+    out
         Where the labels go: within the dataset's folder, that folder is not part of the input.
 
-    Raises
-    ------
-    InputError
-        The dataset cannot be opened, has no frames, or nothing finds objects in it.
+    Raises InputError: the dataset cannot be opened, has no frames, or nothing finds objects in it.
     """
     require(limit is None or limit >= 1, "the limit must be at least one frame", got=limit)
     require(frames_a_shard is None or frames_a_shard >= 1, "a shard needs at least one frame", got=frames_a_shard)
@@ -192,10 +167,7 @@ def make_plan(
 def frames_of_splits(dataset: Dataset, names: Sequence[str]) -> tuple[str, ...]:
     """The frames of the dataset's own splits of these names, each frame once.
 
-    Raises
-    ------
-    InputError
-        The dataset has no such split.
+    Raises InputError: the dataset has no such split.
     """
     there = splits(dataset)
     absent = next((name for name in names if name not in there), None)
@@ -256,10 +228,7 @@ def _files(folder: Path, prefix: str, leave_out: Path | None) -> Iterator[tuple[
 def save_plan(plan: Plan, store: Store) -> None:
     """Write `plan.json`, or check that the one there is of the same labels.
 
-    Raises
-    ------
-    InputError
-        The folder holds labels made otherwise: which setting differs.
+    Raises InputError: the folder holds labels made otherwise: which setting differs.
     """
     if store.read_text(PLAN_FILE) is None:
         store.write_text(PLAN_FILE, json.dumps(plan.record(), indent=1, ensure_ascii=False))
@@ -289,10 +258,7 @@ def _difference(a: Plan, b: Plan, name: str) -> str:
 def load_plan(store: Store) -> Plan:
     """The plan of a labels folder.
 
-    Raises
-    ------
-    InputError
-        There is none, or it is damaged.
+    Raises InputError: there is none, or it is damaged.
     """
     expected = f"a folder with the {PLAN_FILE} of `label`"
     text = needed(store.read_text(PLAN_FILE), "no labels here", expected=expected, path=store.where)
@@ -319,10 +285,7 @@ def load_plan(store: Store) -> Plan:
 def part_of(shards: Sequence[Shard], k: int, n: int) -> tuple[Shard, ...]:
     """The shards of task k of n (k from 1): every n-th one, so that long scenes are shared evenly.
 
-    Raises
-    ------
-    InputError
-        k is not 1..n.
+    Raises InputError: k is not 1..n.
     """
     require(1 <= k <= n, "no such part", got=f"{k}/{n}", expected=f"1/{n} to {n}/{n}")
     return tuple(shards[k - 1 :: n])
@@ -340,43 +303,29 @@ BACKGROUND = (
 
 @dataclass(frozen=True)
 class LabelConfig:
-    """How a frame is labelled. Everything here changes the labels, and so their hash.
-
-    Attributes
-    ----------
-    profile : str
-        Rule profile, see `pipeline.labels.profiles`.
-    vocabulary : str
-        "avd", "semantic-abstraction" or "all".
-    lift : LiftConfig
-    min_pixels, min_points : int
-        An object with fewer is not asked for.
-    background : tuple of str
-        Classes that take no part in relations.
-    style : str
-        How expressions are worded.
-    seed : int
-        Of the row hashes, which choose wordings and, in the merge, expressions.
-    second_opinion : str
-        "trained", "none", or the path of a network: see `labels.profiles`.
-        Published geometry is taken as published, without one.
-    sentences : tuple of str
-        Kinds of sentences that are made besides the expressions, of SENTENCE_KINDS.
-    sentences_a_kind : int
-        At most so many of each kind in a frame.
-    """
+    """How a frame is labelled. Everything here changes the labels, and so their hash."""
 
     profile: str = PROFILE
+    """Rule profile, see `pipeline.labels.profiles`."""
     vocabulary: str = "avd"
+    """ "avd", "semantic-abstraction" or "all"."""
     lift: LiftConfig = field(default_factory=LiftConfig)
     min_pixels: int = 200
     min_points: int = 16
+    """An object with fewer is not asked for."""
     background: tuple[str, ...] = BACKGROUND
+    """Classes that take no part in relations."""
     style: TextStyle = "varied"
+    """How expressions are worded."""
     seed: int = 0
+    """Of the row hashes, which choose wordings and, in the merge, expressions."""
     second_opinion: str = "trained"
+    """ "trained", "none", or the path of a network: see `labels.profiles`. Published geometry is taken as published,
+    without one."""
     sentences: tuple[str, ...] = ()
+    """Kinds of sentences that are made besides the expressions, of SENTENCE_KINDS."""
     sentences_a_kind: int = 4
+    """At most so many of each kind in a frame."""
 
     def __post_init__(self) -> None:
         unknown = next((k for k in self.sentences if k not in SENTENCE_KINDS), None)

@@ -24,18 +24,12 @@ _HASHES = {
 
 @dataclass(frozen=True)
 class Model:
-    """A detector or a segmenter, told apart by its model and not by its thresholds.
-
-    Attributes
-    ----------
-    name : str
-        As on the command line.
-    content : str or None
-        Hash of its files; of one without files that are known, what its fingerprint says; None where that is nothing.
-    """
+    """A detector or a segmenter, told apart by its model and not by its thresholds."""
 
     name: str
+    """As on the command line."""
     content: str | None = None
+    """Hash of its files; of one without files that are known, what its fingerprint says; None where that is nothing."""
 
     def __str__(self) -> str:
         if self.content is None:
@@ -48,18 +42,12 @@ class Model:
 
 @dataclass(frozen=True)
 class MaskMakers:
-    """What finds objects and their masks.
-
-    Attributes
-    ----------
-    detectors : tuple of Model
-        Several where they are fused.
-    segmenters : tuple of Model
-        What gives masks to boxes that have none.
-    """
+    """What finds objects and their masks."""
 
     detectors: tuple[Model, ...]
+    """Several where they are fused."""
     segmenters: tuple[Model, ...] = ()
+    """What gives masks to boxes that have none."""
 
     def __str__(self) -> str:
         found = " & ".join(map(str, self.detectors))
@@ -76,7 +64,7 @@ def mask_makers(text: str) -> MaskMakers | None:
 
     Parameters
     ----------
-    text : str
+    text
         `models["detector"]` of labels, `detector` of a run; see `Detector.fingerprint`.
     """
     name, colon, fingerprint = text.partition(": ")
@@ -118,49 +106,33 @@ def _model(name: str, fingerprint: str) -> Model:
 
 @dataclass(frozen=True)
 class Decided:
-    """How much of labels people decided: set, accepted or rejected it.
-
-    Attributes
-    ----------
-    objects, relations, expressions : (int, int)
-        How many of how many; of relations the cells, one for each pair and relation.
-    """
+    """How much of labels people decided: set, accepted or rejected it."""
 
     objects: tuple[int, int]
     relations: tuple[int, int]
     expressions: tuple[int, int]
+    """How many of how many; of relations the cells, one for each pair and relation."""
 
 
 @dataclass(frozen=True)
 class Makers:
-    """What made labels.
-
-    Attributes
-    ----------
-    masks : MaskMakers or None
-        None where it is not known.
-    boxes : str
-        Release and hash of the settings by which boxes and extents were lifted from masks and depth.
-    rule, rule_hash : str or None
-        The profile that judged relations.
-    second_opinion : str or None
-        Hash of the network that had a vote, "none", or None where it is not known.
-    second_opinion_name : str or None
-        What it was called: "trained", or a path.
-    corrected : bool
-        Whether people's corrections are in the labels.
-    decided : Decided or None
-        What people decided; None where nothing, or where it was not counted.
-    """
+    """What made labels."""
 
     masks: MaskMakers | None
+    """None where it is not known."""
     boxes: str
+    """Release and hash of the settings by which boxes and extents were lifted from masks and depth."""
     rule: str | None
     rule_hash: str | None
+    """The profile that judged relations."""
     second_opinion: str | None
+    """Hash of the network that had a vote, "none", or None where it is not known."""
     second_opinion_name: str | None
+    """What it was called: "trained", or a path."""
     corrected: bool = False
+    """Whether people's corrections are in the labels."""
     decided: Decided | None = None
+    """What people decided; None where nothing, or where it was not counted."""
 
     @property
     def annotated(self) -> bool:

@@ -113,10 +113,7 @@ def read_table(
 ) -> pa.Table:
     """A table of the labels, from a path or an open file (then `path` names it in messages).
 
-    Raises
-    ------
-    InputError
-        The file is missing, damaged, of another table, or of a newer schema.
+    Raises InputError: the file is missing, damaged, of another table, or of a newer schema.
     """
     path = source if isinstance(source, Path) else path or "an open file"
     with (
@@ -139,10 +136,7 @@ def sound_rows(
 
     The file may be older than the columns in ADDED_COLUMNS: those are null, in their place.
 
-    Raises
-    ------
-    InputError
-        A column is missing, of another type, or lacks values that it must have.
+    Raises InputError: a column is missing, of another type, or lacks values that it must have.
     """
     schema = arrow_schema(table)
     wanted = columns or schema.names
@@ -329,27 +323,18 @@ STATUSES_FILE = "statuses.json"
 
 @dataclass(frozen=True)
 class Corrections:
-    """Values that people set: the linter does not hold them against the rules that made the other ones.
-
-    Attributes
-    ----------
-    relations : frozenset of (str, int, int, str)
-        Frame, a, b, relation: set by a person, or ruled out by what a person set.
-    expressions : frozenset of (str, str)
-        Frame and id of those whose text or answers a person set.
-    """
+    """Values that people set: the linter does not hold them against the rules that made the other ones."""
 
     relations: frozenset[tuple[str, int, int, str]] = frozenset()
+    """Frame, a, b, relation: set by a person, or ruled out by what a person set."""
     expressions: frozenset[tuple[str, str]] = frozenset()
+    """Frame and id of those whose text or answers a person set."""
 
 
 def read_corrections(root: Path) -> Corrections:
     """The corrections of a labels folder; none where it has no provenance.
 
-    Raises
-    ------
-    InputError
-        The file is damaged.
+    Raises InputError: the file is damaged.
     """
     path = root / PROVENANCE_FILE
     if not path.exists():
@@ -397,21 +382,18 @@ def labelled_dataset(
 
     Parameters
     ----------
-    manifest : Manifest
+    manifest
         Of the labels.
-    path : str, optional
+    path
         Where it is now.
-    intrinsics : tuple of float, optional
+    intrinsics
         fx, fy, cx, cy in pixels, instead of what was declared then.
-    depth_scale : float, optional
+    depth_scale
         Depth units in one metre, instead of what was declared then.
-    up, level_at, depth_model, poses, registration : optional
+    up, level_at, depth_model, poses, registration
         As for `open_dataset`, instead of what was declared then.
 
-    Raises
-    ------
-    InputError
-        The labels do not name it, or it cannot be opened.
+    Raises InputError: the labels do not name it, or it cannot be opened.
     """
     record = manifest.dataset
     where = path or named_before(needed(record.get("path") or None, "the labels do not say which dataset they are of"))

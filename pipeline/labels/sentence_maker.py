@@ -59,23 +59,15 @@ RELATIONS_A_NAME = 12
 
 @dataclass(frozen=True)
 class MadeSentence:
-    """A sentence of a frame.
-
-    Attributes
-    ----------
-    kind : str
-        One of `plan.SENTENCE_KINDS`.
-    text : str
-    tree : Node
-        What it says.
-    answers : tuple of int
-        Places in the list of objects, of all that are what it says; of no other is it doubtful.
-    """
+    """A sentence of a frame."""
 
     kind: str
+    """One of `plan.SENTENCE_KINDS`."""
     text: str
     tree: Node
+    """What it says."""
     answers: tuple[int, ...]
+    """Places in the list of objects, of all that are what it says; of no other is it doubtful."""
 
 
 def make_sentences(
@@ -89,12 +81,11 @@ def make_sentences(
 
     Parameters
     ----------
-    objects : sequence of SceneObject
+    objects
         All of the frame, as they were labelled.
-    labels : FrameLabels
-    config : LabelConfig
+    config
         Says which kinds, and how many of each.
-    class_names : sequence of str
+    class_names
         The names that a reader of the sentences knows.
     """
     rows, judged = labels.objects, labels.judged

@@ -65,10 +65,7 @@ def label_statistics(labels: Labels) -> dict[str, Any]:
         text : sentences (distinct), questions (distinct target, relation and
             reference), sentences_per_question (mean)
 
-    Raises
-    ------
-    InputError
-        A table is missing, damaged, or of another schema.
+    Raises InputError: a table is missing, damaged, or of another schema.
     """
     relations = labels.relation_names
     with open_database(labels) as database:
@@ -260,10 +257,7 @@ class Database:
     def rows(self, sql: str, **values: Any) -> list[tuple[Any, ...]]:
         """All rows of a query; meant for the few rows of an aggregate.
 
-        Raises
-        ------
-        InputError
-            A file turned out to be damaged.
+        Raises InputError: a file turned out to be damaged.
         """
         return self._asked(sql, values).fetchall()
 
@@ -294,10 +288,7 @@ class Database:
 def open_database(labels: Labels) -> Iterator[Database]:
     """Views over the four tables; the schema of each file is checked first.
 
-    Raises
-    ------
-    InputError
-        A table is missing, damaged, of another schema, or lacks a column.
+    Raises InputError: a table is missing, damaged, of another schema, or lacks a column.
     """
     with bounded_database() as connection:
         add_views(connection, labels, TABLES)
@@ -327,7 +318,7 @@ def quantiles(values: np.ndarray, counts: np.ndarray, shares: tuple[float, ...])
         Ascending.
     counts : (N,) int
         How often each occurs; at least one in all.
-    shares : tuple of float
+    shares
         0..1; the quantile of q is the least value that at least a share q does not exceed.
     """
     upto = np.cumsum(counts, dtype=np.int64)

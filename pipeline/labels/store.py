@@ -31,7 +31,7 @@ class Store:
 
     Parameters
     ----------
-    where : str
+    where
         A path, or a URL such as "s3://bucket/labels" (extra: cluster).
     """
 
@@ -50,10 +50,7 @@ class Store:
     def prepare(self) -> None:
         """Make the folder.
 
-        Raises
-        ------
-        InputError
-            It cannot be made or written.
+        Raises InputError: it cannot be made or written.
         """
         if self.remote:
             self._fs.makedirs(f"{self._root}/{PARTS}", exist_ok=True)
@@ -153,10 +150,7 @@ class Store:
     def read_part(self, name: str, table: str, columns: list[str] | None = None) -> pa.Table:
         """A table of a finished part.
 
-        Raises
-        ------
-        InputError
-            The file is missing or damaged.
+        Raises InputError: the file is missing or damaged.
         """
         path = f"{PARTS}/{name}/{table}.parquet"
         if not self.remote:
@@ -167,10 +161,7 @@ class Store:
     def part_record(self, name: str) -> dict[str, Any]:
         """The record of a finished part.
 
-        Raises
-        ------
-        InputError
-            It is damaged.
+        Raises InputError: it is damaged.
         """
         try:
             record = parse_json(self.read_text(f"{PARTS}/{name}/{DONE_FILE}") or "")
@@ -181,10 +172,7 @@ class Store:
     def check_part(self, name: str, key: str) -> None:
         """Check that a part is the one of this key, and its files those that were written.
 
-        Raises
-        ------
-        InputError
-            Of another key, a file is missing, or its content has changed.
+        Raises InputError: of another key, a file is missing, or its content has changed.
         """
         record = self.part_record(name)
         if record.get("key") != key:

@@ -52,14 +52,13 @@ class TreeTruth:
 
     Parameters
     ----------
-    context : PreparedFrame
-    objects : sequence of N SceneObject
+    objects
         Those whose pairs were judged.
     states : (N, N, R) int8
         T, U and F in the order of PAIRWISE.
-    usable : sequence of N bool
+    usable
         The others may be what is meant or not.
-    occluded : sequence of N float
+    occluded
         Share of the border beside which something is nearer.
     """
 

@@ -17,10 +17,9 @@ def tree_text(root: Node, several: Collection[int], key: int) -> str:
 
     Parameters
     ----------
-    root : Node
-    several : collection of int
+    several
         Mentions of the nouns that mean several things: they take `a`, since `the` would claim that there is one.
-    key : int
+    key
         At least 0; it chooses among the forms. Equal input gives equal text.
     """
     key, frame = divmod(key, len(FRAMES))

@@ -129,25 +129,22 @@ def expression_text(
 
     Parameters
     ----------
-    target, reference : str
+    target, reference
         Class names as the dataset spells them.
-    relation : str
+    relation
         One of `relations.PAIRWISE`.
-    key : int
+    key
         0 .. 2**64 - 1, such as a seeded hash; it chooses the sentence. Equal input gives equal text.
-    style : {"varied", "plain", "semantic-abstraction"}
+    style
         Many forms; `mug left of the laptop`; or the published form of Semantic Abstraction, `mug on the left of a
         laptop`, whose `a` stands before any name.
-    class_names : sequence of str
+    class_names
         All names of the dataset, where the sentence must also not be mistaken for any other of them.
-    several : (bool, bool)
+    several
         Whether the target's and the reference's name mean several objects of the frame: those take `a`, since `the`
         would claim that there is one. The published form has its `a` in any case.
 
-    Raises
-    ------
-    InputError
-        Where an argument is out of range, or no sentence can carry the names: see `can_be_worded`.
+    Raises InputError: where an argument is out of range, or no sentence can carry the names: see `can_be_worded`.
     """
     require(style in STYLES, "unknown style of expressions", got=repr(style), expected="one of " + ", ".join(STYLES))
     number = _checked(relation, key)
@@ -306,11 +303,7 @@ def _names_no_other(form: str, name: str, names: tuple[str, ...]) -> bool:
 
 @lru_cache(maxsize=65536)
 def _is_settled(name: str, known: _Known) -> bool:
-    """Whether the first form of a name cannot be misread in any sentence, so that it need not be tried.
-
-    The parser holds a form together that has just the words of the name; then only what begins before the name and
-    swallows its first word can break it. Any other form must be free of the grammar's words.
-    """
+    """Whether the first form of a name cannot be misread in any sentence, so that it need not be tried."""
     words = words_of(_forms(name, known)[0])
     if words == words_of(name) and (not known.names or name in known.names):
         return words[0] not in _PHRASE_WORDS and words[0] not in _TEMPLATE_WORDS

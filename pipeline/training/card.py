@@ -81,25 +81,18 @@ def train_on_rooms(
 
     Parameters
     ----------
-    out : Path
+    out
         The ONNX file to write; its folder is made if it is missing.
-    rooms : RoomConfig, optional
-    config : TrainConfig, optional
-    workers : int
+    workers
         Processes that make rooms; with more than one the calling script must be importable.
-    progress : callable, optional
 
     Returns
     -------
     dict
         The card.
 
-    Raises
-    ------
-    InputError
-        `out` is not an .onnx file, or an argument makes no sense.
-    MissingExtra
-        torch, onnx or embreex is not installed.
+    Raises InputError: `out` is not an .onnx file, or an argument makes no sense.
+    Raises MissingExtra: torch, onnx or embreex is not installed.
     """
     rooms, config = rooms or RoomConfig(), config or TrainConfig()
     check_room_config(config)
@@ -212,15 +205,10 @@ def write_onnx(
 
     Parameters
     ----------
-    path : Path
     layers : sequence of (W, b)
         W is (inputs, outputs).
-    metadata : dict of str to str
 
-    Raises
-    ------
-    MissingExtra
-        The package onnx is not installed.
+    Raises MissingExtra: the package onnx is not installed.
     """
     onnx = extra_module("onnx", "writing ONNX files", "train")
     from onnx import TensorProto, helper, numpy_helper
@@ -330,9 +318,8 @@ def evaluate_classes(
         Of each view, softmax over the vocabulary, the prior not divided out.
     truth : sequence of (N, N) int
         Index of the one true relation; -1 for pairs that take no part.
-    prior : sequence of float
+    prior
         Share of each class in training.
-    vocabulary : sequence of str
 
     Returns
     -------
@@ -404,7 +391,7 @@ def clear_cut(lo: np.ndarray, hi: np.ndarray, by_centers: bool = False) -> np.nd
     ----------
     lo, hi : (N, 3) float
         Exact extents along (right, up, forward), metres.
-    by_centers : bool
+    by_centers
         The dominant axis is that of the largest difference of centres, and not
         that of the largest gap.
 

@@ -40,26 +40,19 @@ GEOMETRY_COLUMNS: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True, eq=False)
 class LabelledFrame:
-    """The usable objects of one frame.
-
-    Attributes
-    ----------
-    key : FrameKey
-    rows : (N, K) float64
-        Geometry of each object by the feature contract; objects of which it is not known are left out.
-    classes : (N,) int32
-        Indices of the class names in the data's list.
-    states : (N, N, R) int8
-        Relations in the order of the vocabulary; U for pairs that were not judged, and on the diagonal.
-    objects : (N,) int64
-        Their numbers in the labels, rising.
-    """
+    """The usable objects of one frame."""
 
     key: FrameKey
     rows: np.ndarray
+    """(N, K) float64: geometry of each object by the feature contract; objects of which it is not known are left
+    out."""
     classes: np.ndarray
+    """(N,) int32: indices of the class names in the data's list."""
     states: np.ndarray
+    """(N, N, R) int8: relations in the order of the vocabulary; U for pairs that were not judged, and on the
+    diagonal."""
     objects: np.ndarray
+    """(N,) int64: their numbers in the labels, rising."""
 
     def single(self) -> np.ndarray:
         """(N, N) int64: index of the one relation that holds of a pair; -1 where none or several do."""
@@ -69,23 +62,15 @@ class LabelledFrame:
 
 @dataclass(frozen=True, eq=False)
 class LabelData:
-    """A labels folder as training data.
-
-    Attributes
-    ----------
-    features : str
-        The feature contract of the rows, without language.
-    vocabulary : tuple of str
-    frames : tuple of LabelledFrame
-        Those with at least two usable objects, in the order of the dataset.
-    names : tuple of str
-        Class names of the usable objects, sorted.
-    """
+    """A labels folder as training data."""
 
     features: str
+    """The feature contract of the rows, without language."""
     vocabulary: tuple[str, ...]
     frames: tuple[LabelledFrame, ...]
+    """Those with at least two usable objects, in the order of the dataset."""
     names: tuple[str, ...]
+    """Class names of the usable objects, sorted."""
 
 
 def read_label_data(labels: Labels, features: str, vocabulary: Sequence[str]) -> LabelData:
@@ -93,16 +78,12 @@ def read_label_data(labels: Labels, features: str, vocabulary: Sequence[str]) ->
 
     Parameters
     ----------
-    labels : Labels
-    features : str
+    features
         Name of the feature contract, with or without "+lang".
-    vocabulary : sequence of str
+    vocabulary
         Relations in the order of the network's outputs.
 
-    Raises
-    ------
-    InputError
-        Relations that were not labelled, a damaged table, or nothing usable in it.
+    Raises InputError: relations that were not labelled, a damaged table, or nothing usable in it.
     """
     features = geometry_of(features)
     feature_set(features)
@@ -155,16 +136,15 @@ def pair_set(
 
     Parameters
     ----------
-    frames : sequence of LabelledFrame
-    features : str
+    features
         The contract of their rows, without language.
-    output : str
+    output
         "sigmoid": pairs with any relation that is not U. "softmax": those with exactly one T.
-    vectors : ClassVectors, optional
+    vectors
         For language networks: of the data's names, in their order.
-    limit : int, optional
+    limit
         At most so many pairs, drawn at random without replacement.
-    seed : int
+    seed
         Of that draw.
     """
     contract = feature_set(features)
@@ -318,23 +298,16 @@ class PairSet:
 
     Class names stand once each, and not in every pair: 75,000 pairs with 300
     numbers for either name would be 180 MB, a million 2.4 GB.
-
-    Attributes
-    ----------
-    features : (P, G) float32 or float64
-        Geometry, not standardised.
-    states : (P, R) int8
-        T, U, F of each relation of the vocabulary.
-    classes : (P, 2) int32 or None
-        Indices of both class names in `vectors`.
-    vectors : ClassVectors or None
-        For "+lang" contracts.
     """
 
     features: np.ndarray
+    """(P, G) float32 or float64: geometry, not standardised."""
     states: np.ndarray
+    """(P, R) int8: T, U, F of each relation of the vocabulary."""
     classes: np.ndarray | None = None
+    """(P, 2) int32 or None: indices of both class names in `vectors`."""
     vectors: ClassVectors | None = None
+    """For "+lang" contracts."""
 
     def __len__(self) -> int:
         return len(self.features)
@@ -411,7 +384,7 @@ def class_shares(states: np.ndarray, inverse: dict[int, int]) -> np.ndarray:
     Parameters
     ----------
     states : (P, R) int8
-    inverse : dict of int to int
+    inverse
         Class -> its inverse, for those that have one.
 
     Returns
@@ -419,10 +392,7 @@ def class_shares(states: np.ndarray, inverse: dict[int, int]) -> np.ndarray:
     (R,) float64
         Summing to 1.
 
-    Raises
-    ------
-    InputError
-        A class without an example.
+    Raises InputError: a class without an example.
     """
     count = (states == T).sum(axis=0).astype(np.float64)
     mirrored = np.array([inverse.get(k, k) for k in range(len(count))])

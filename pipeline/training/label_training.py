@@ -35,28 +35,18 @@ CIRCULAR = (
 
 @dataclass(frozen=True)
 class LabelTraining:
-    """What is learnt from a labels folder.
-
-    Attributes
-    ----------
-    labels : Path
-    config : TrainConfig
-    split : str or None
-        "scene", "blocks", "random", or the default of `split_frames`.
-    vectors : Path or None
-        File of text vectors, for "+lang" contracts.
-    normalised : bool
-        Word vectors are divided by their lengths before a phrase's mean is taken.
-    pairs : int or None
-        At most so many training pairs, drawn at random.
-    """
+    """What is learnt from a labels folder."""
 
     labels: Path
     config: TrainConfig
     split: SplitKind | None = None
+    """ "scene", "blocks", "random", or the default of `split_frames`."""
     vectors: Path | None = None
+    """File of text vectors, for "+lang" contracts."""
     normalised: bool = False
+    """Word vectors are divided by their lengths before a phrase's mean is taken."""
     pairs: int | None = None
+    """At most so many training pairs, drawn at random."""
 
     def check(self) -> None:
         """Raise InputError where the arguments do not fit each other."""
@@ -91,12 +81,11 @@ def train_on_labels(
 
     Parameters
     ----------
-    job : LabelTraining
-    out : Path
+    out
         The ONNX file to write; its folder is made if it is missing.
-    progress : callable, optional
+    progress
         Called after each epoch.
-    plan : SplitPlan, optional
+    plan
         A split that was made for several labels of the dataset; by default that of the job.
 
     Returns
@@ -104,12 +93,8 @@ def train_on_labels(
     dict
         The card.
 
-    Raises
-    ------
-    InputError
-        The labels, the vectors or the arguments cannot be used.
-    MissingExtra
-        torch or onnx is not installed.
+    Raises InputError: the labels, the vectors or the arguments cannot be used.
+    Raises MissingExtra: torch or onnx is not installed.
     """
     job.check()
     out = network_path(out)

@@ -73,26 +73,18 @@ SCALES = (0.2, 2.0)
 
 @dataclass(frozen=True)
 class FrameSamples:
-    """The objects of one view, as seen and as they are.
-
-    Attributes
-    ----------
-    room : int
-        Seed of the room.
-    rows : dict of str to (N, K) float64
-        Feature contract -> its description of each object, from the noisy view.
-    seen_lo, seen_hi : (N, 3) float64
-        Extents of the noisy points along (right, up, forward), metres.
-    exact_lo, exact_hi : (N, 3) float64
-        Extents of the whole objects.
-    """
+    """The objects of one view, as seen and as they are."""
 
     room: int
+    """Seed of the room."""
     rows: dict[str, np.ndarray]
+    """dict of str to (N, K) float64: feature contract -> its description of each object, from the noisy view."""
     seen_lo: np.ndarray
     seen_hi: np.ndarray
+    """(N, 3) float64: extents of the noisy points along (right, up, forward), metres."""
     exact_lo: np.ndarray
     exact_hi: np.ndarray
+    """(N, 3) float64: extents of the whole objects."""
 
     @property
     def truth(self) -> np.ndarray:
@@ -159,25 +151,21 @@ def make_samples(
 
     Parameters
     ----------
-    seeds : sequence of int
+    seeds
         Room seeds.
-    views : int
+    views
         Views of each room.
-    width, height : int
+    width, height
         Pixels.
-    maker : str
+    maker
         See `Maker`.
-    workers : int
+    workers
         Processes; they are spawned. The samples do not depend on their number.
-    progress : callable, optional
+    progress
         Called with the number of rooms done.
 
-    Raises
-    ------
-    InputError
-        An argument makes no sense.
-    MissingExtra
-        embreex is not installed.
+    Raises InputError: an argument makes no sense.
+    Raises MissingExtra: embreex is not installed.
     """
     require(
         views >= 1 and workers >= 1 and min(width, height) >= 16,
@@ -197,10 +185,7 @@ def room_seeds(seed: int, rooms: int) -> tuple[tuple[int, ...], tuple[int, ...],
 
     Rooms of different makers have the same seeds and nothing else in common.
 
-    Raises
-    ------
-    InputError
-        Fewer than three rooms, more than fit under one seed, or a negative seed.
+    Raises InputError: fewer than three rooms, more than fit under one seed, or a negative seed.
     """
     require(
         3 <= rooms <= ROOMS_A_SEED - FIRST_ROOM,

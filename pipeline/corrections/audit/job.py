@@ -32,23 +32,19 @@ def audit(
 
     Parameters
     ----------
-    target : Path
+    target
         A labels folder; RoboSpatial-Home's; or, about the frames of `dataset`, a file of sentences as `eval
         --sentences` takes it.
-    dataset : str, optional
-    runs : sequence of Path
+    runs
         Run folders of systems that answered the same items; of RoboSpatial-Home files of answers in its form.
-    options : dict, optional
+    options
         Arguments of `open_pipeline`.
-    queue : QueueConfig, optional
+    queue
         Of the review queue of labels.
-    progress : callable, optional
+    progress
         Told (done, in all).
 
-    Raises
-    ------
-    InputError
-        Something cannot be read, or --dataset is missing.
+    Raises InputError: something cannot be read, or --dataset is missing.
     """
     if is_robospatial(target):
         return _of_questions(target, dataset, runs, options or {}, progress)

@@ -34,16 +34,12 @@ def audit_labels(
 
     Parameters
     ----------
-    labels : Labels
-    systems : sequence of SystemAnswers
+    systems
         Of runs on these labels.
-    config : QueueConfig, optional
+    config
         Of the review queue that is joined. Default: what the linter finds and small margins, without networks.
 
-    Raises
-    ------
-    InputError
-        The labels are damaged.
+    Raises InputError: the labels are damaged.
     """
     doubts = _doubts(review_queue(labels, config or QueueConfig(doubts=None)))
     for truth in read_cases(labels, 0, np.iinfo(np.int32).max):

@@ -43,16 +43,10 @@ def audit_questions(
 
     Parameters
     ----------
-    questions : sequence of Question
-    systems : sequence of QuestionAnswers
-    source : Pipeline, optional
+    source
         The benchmark's frames with a detector, for the geometry of yes/no questions; without it that is left out.
-    progress : callable, optional
 
-    Raises
-    ------
-    InputError
-        A picture or mask cannot be read.
+    Raises InputError: a picture or mask cannot be read.
     """
     against = _contradictions(questions)
     for number, question in enumerate(questions, start=1):

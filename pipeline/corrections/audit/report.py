@@ -24,20 +24,13 @@ COLUMNS = ("rank", "score", "id", "frame", "text", "truth", "seems", "evidence",
 
 @dataclass(frozen=True)
 class AuditReport:
-    """Audited items, the most suspicious first; of equal ones in the order of the benchmark.
-
-    Attributes
-    ----------
-    dataset : str
-        As it is named on the command line, for `look`.
-    items : tuple of AuditItem
-    systems : Table or None
-        The systems that were compared, where the benchmark has a metric of its own.
-    """
+    """Audited items, the most suspicious first; of equal ones in the order of the benchmark."""
 
     dataset: str
+    """As it is named on the command line, for `look`."""
     items: tuple[AuditItem, ...]
     systems: Table | None = None
+    """The systems that were compared, where the benchmark has a metric of its own."""
 
     @classmethod
     def ranked(cls, dataset: str, items: Iterable[AuditItem], systems: Table | None = None) -> AuditReport:
@@ -82,10 +75,7 @@ class AuditReport:
     def write(self, path: Path) -> None:
         """Every item by rank: CSV where the file's name ends so, else JSON lines.
 
-        Raises
-        ------
-        InputError
-            It cannot be written.
+        Raises InputError: it cannot be written.
         """
         write_whole(path, (self._csv() if path.suffix == ".csv" else self._lines()).encode(), "the audit")
 

@@ -38,11 +38,8 @@ def audit_sentences(
 
     Parameters
     ----------
-    source : Pipeline
+    source
         The dataset with its own annotations as the detector.
-    asked : SentenceFile
-    systems : sequence of SystemAnswers
-    progress : callable, optional
     """
     by_frame: dict[str, list[Sentence]] = {}
     for sentence in asked.sentences:

@@ -54,30 +54,20 @@ class Evidence:
 
 @dataclass(frozen=True)
 class AuditItem:
-    """An item with what is known against its truth.
-
-    Attributes
-    ----------
-    id : str
-        Its own in the benchmark or labels; of a file of lines the line's number.
-    frame, text : str
-    truth : str
-        What it says is right, in words.
-    seems : str or None
-        What seems right; None where nothing in particular does.
-    evidence : tuple of Evidence
-        For and against it.
-    unjudged : str or None
-        Why geometry says nothing of it.
-    """
+    """An item with what is known against its truth."""
 
     id: str
+    """Its own in the benchmark or labels; of a file of lines the line's number."""
     frame: str
     text: str
     truth: str
+    """What it says is right, in words."""
     seems: str | None = None
+    """What seems right; None where nothing in particular does."""
     evidence: tuple[Evidence, ...] = ()
+    """For and against it."""
     unjudged: str | None = None
+    """Why geometry says nothing of it."""
 
     @property
     def score(self) -> float:

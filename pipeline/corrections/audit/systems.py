@@ -32,10 +32,7 @@ class SystemAnswers:
 def read_answers(folder: Path) -> SystemAnswers:
     """The answers of a run folder: of labels (`eval --labels`, `import-run`), or of sentences (`eval --sentences`).
 
-    Raises
-    ------
-    InputError
-        It is no run folder, or damaged.
+    Raises InputError: it is no run folder, or damaged.
     """
     if (folder / RECORDS_FILE).is_file():
         rows = read_records(folder).select(["frame", "id", "text", "box"]).to_pylist()
@@ -58,8 +55,6 @@ def system_evidence(
 
     Parameters
     ----------
-    systems : sequence of SystemAnswers
-    key : Key
     right : (K, 4) float
         Boxes that the truth accepts, pixels.
     named : sequence of (str, (4,) float)

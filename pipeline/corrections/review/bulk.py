@@ -52,7 +52,7 @@ def found_items(
 
     Parameters
     ----------
-    words : callable
+    words
         What the label of a row of the queue says.
     """
     is_open = ~np.isin(work.codes, [STATES.index(s) for s in SETTLED]) & ~work.gone
@@ -70,10 +70,7 @@ def accept_all(items: Collection[ItemKey], frame_of: Callable[[str], EffectiveFr
 
     Items that have gone since they were found are left out.
 
-    Raises
-    ------
-    InputError
-        There are none, or more than a person can have looked at.
+    Raises InputError: there are none, or more than a person can have looked at.
     """
     require(items, "no open item is found: there is nothing to accept")
     require(len(items) <= MOST, "too many items at once", got=len(items), expected=f"at most {MOST}: filter them")
@@ -93,21 +90,14 @@ def accept_all(items: Collection[ItemKey], frame_of: Callable[[str], EffectiveFr
 
 @dataclass(frozen=True)
 class Pace:
-    """How fast a person worked today.
-
-    Attributes
-    ----------
-    items : int
-        Items that were settled, each once.
-    minutes : float
-        Of work, without rests.
-    per_hour : float or None
-        What is accepted at once counts as one item; None before there are two.
-    """
+    """How fast a person worked today."""
 
     items: int
+    """Items that were settled, each once."""
     minutes: float
+    """Of work, without rests."""
     per_hour: float | None
+    """What is accepted at once counts as one item; None before there are two."""
 
     def record(self) -> dict[str, Any]:
         """As JSON."""

@@ -30,22 +30,16 @@ TRUSTED = 0.9
 
 @dataclass(frozen=True)
 class Noise:
-    """How labels of one question came to be wrong.
-
-    Attributes
-    ----------
-    thresholds : (2,) float64
-        Mean probability of "no" over labels that say no, of "yes" over those that say yes; NaN where there are none.
-    joint : (2, 2) float64
-        Labels by what they say [0: no, 1: yes] and what they should [0, 1]; sums to their number.
-    yes_for_no, no_for_yes : float
-        Share of true noes that were labelled yes, and the reverse.
-    """
+    """How labels of one question came to be wrong."""
 
     thresholds: np.ndarray
+    """(2,) float64: mean probability of "no" over labels that say no, of "yes" over those that say yes; NaN where there
+    are none."""
     joint: np.ndarray
+    """(2, 2) float64: labels by what they say [0: no, 1: yes] and what they should [0, 1]; sums to their number."""
     yes_for_no: float
     no_for_yes: float
+    """Share of true noes that were labelled yes, and the reverse."""
 
     @property
     def wrong(self) -> float:
@@ -63,10 +57,7 @@ def estimate_noise(p: np.ndarray, says: np.ndarray) -> Noise:
     says : (M,) bool
         What the labels say.
 
-    Raises
-    ------
-    InputError
-        Lengths differ, or a probability is not in 0..1.
+    Raises InputError: lengths differ, or a probability is not in 0..1.
     """
     p, says = _checked(p, says)
     counts = np.array([(~says).sum(), says.sum()], np.float64)

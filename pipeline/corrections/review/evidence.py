@@ -237,27 +237,19 @@ def _joined(*parts: str | np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class RelationLabels:
-    """The table of relations as arrays, in its order.
-
-    Attributes
-    ----------
-    relations : tuple of str
-    frame : (P,) object
-        Ids.
-    frame_index, a, b : (P,) int64
-    states : (P, R) int8
-        T, U, F; NOT_JUDGED where there is none.
-    margins : (P, R) float64
-        Metres; NaN where there is none.
-    """
+    """The table of relations as arrays, in its order."""
 
     relations: tuple[str, ...]
     frame: np.ndarray
+    """(P,) object: ids."""
     frame_index: np.ndarray
     a: np.ndarray
     b: np.ndarray
+    """(P,) int64"""
     states: np.ndarray
+    """(P, R) int8: T, U, F; NOT_JUDGED where there is none."""
     margins: np.ndarray
+    """(P, R) float64: metres; NaN where there is none."""
 
     def __len__(self) -> int:
         return len(self.a)
@@ -286,10 +278,7 @@ class RelationLabels:
 def read_relation_labels(labels: Labels) -> RelationLabels:
     """All relation labels of a folder.
 
-    Raises
-    ------
-    InputError
-        The table is damaged.
+    Raises InputError: the table is damaged.
     """
     relations = labels.relation_names
     margins = [f"{r}_margin" for r in relations]

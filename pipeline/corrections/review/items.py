@@ -47,29 +47,20 @@ BLOCK = 60
 
 
 class ItemKey(NamedTuple):
-    """What names a label in every version of a dataset's labels.
-
-    Attributes
-    ----------
-    frame : str
-        The frame's id.
-    kind : str
-        "relation", "object" or "expression".
-    a : int
-        Number of the object; of a pair, of the one that is said to be somewhere. NOBODY of an expression, and where
-        an object may be missing.
-    b : int or None
-        The other object of a pair.
-    what : str
-        The relation, or the expression's id; empty for objects. Where one may be missing (in queues and
-        journals of earlier versions), its place x0,y0,x1,y1 in pixels.
-    """
+    """What names a label in every version of a dataset's labels."""
 
     frame: str
+    """The frame's id."""
     kind: str
+    """ "relation", "object" or "expression"."""
     a: int
+    """Number of the object; of a pair, of the one that is said to be somewhere. NOBODY of an expression, and where an
+    object may be missing."""
     b: int | None
+    """The other object of a pair."""
     what: str
+    """The relation, or the expression's id; empty for objects. Where one may be missing (in queues and journals of
+    earlier versions), its place x0,y0,x1,y1 in pixels."""
 
     def text(self) -> str:
         """As one line of JSON; equal keys have equal texts."""
@@ -84,10 +75,7 @@ class ItemKey(NamedTuple):
     def read(cls, text: str) -> ItemKey:
         """The reverse.
 
-        Raises
-        ------
-        InputError
-            It is no key.
+        Raises InputError: it is no key.
         """
         with as_input_error("not the key of a review item", ValueError, TypeError, got=Shown(text, 80)):
             frame, kind, a, b, what = json.loads(text)
@@ -118,10 +106,7 @@ def item_keys(queue: pa.Table) -> list[ItemKey]:
 def with_states(queue: pa.Table, states: Mapping[ItemKey, State]) -> pa.Table:
     """The queue with a column `state`; what the mapping lacks is unreviewed.
 
-    Raises
-    ------
-    InputError
-        A state is none of STATES.
+    Raises InputError: a state is none of STATES.
     """
     checked_states(states)
     kept = queue.select([name for name in queue.column_names if name != "state"])
@@ -223,42 +208,27 @@ Labelled = Callable[[ItemKey], "int | None"]
 
 @dataclass(frozen=True)
 class Judgement:
-    """What one person says of an item.
-
-    Attributes
-    ----------
-    author : str
-    status : str
-        "accepted", "corrected", "rejected" or "unsure"; "unreviewed" where an earlier word was withdrawn.
-    verdict : str
-        What is compared between people. Of relations T, U or F: who accepts a T says T. Of others the status; who
-        accepts what another has corrected says "corrected", as that one did.
-    at : int
-        `id` of the event that made it so: later words have greater ones.
-    time : datetime
-    """
+    """What one person says of an item."""
 
     author: str
     status: State
+    """ "accepted", "corrected", "rejected" or "unsure"; "unreviewed" where an earlier word was withdrawn."""
     verdict: str
+    """What is compared between people. Of relations T, U or F: who accepts a T says T. Of others the status; who
+    accepts what another has corrected says "corrected", as that one did."""
     at: int
+    """`id` of the event that made it so: later words have greater ones."""
     time: datetime
 
 
 @dataclass(frozen=True)
 class Judgements:
-    """All words that stand.
-
-    Attributes
-    ----------
-    words : dict of ItemKey to dict of str to Word
-        The newest of each author.
-    settled : dict of ItemKey to Word
-        What was settled where people differed.
-    """
+    """All words that stand."""
 
     words: dict[ItemKey, dict[str, Judgement]]
+    """The newest of each author."""
     settled: dict[ItemKey, Judgement]
+    """What was settled where people differed."""
 
     @property
     def authors(self) -> tuple[str, ...]:
@@ -300,7 +270,7 @@ class Judgements:
 
         Parameters
         ----------
-        now : callable
+        now
             T, U or F of a relation as the labels are now; None where they have none.
         """
         found = self.states()
@@ -327,12 +297,12 @@ def judgements_of(
 
     Parameters
     ----------
-    journal : Journal or iterable of Event
+    journal
         All events, in the order of their saving.
-    automatic : callable, optional
+    automatic
         What the labeller says of a relation, for those who accepted it by its status alone. Without it, their word
         is "accepted" where nobody ever changed the relation.
-    ignored : collection of str
+    ignored
         ULIDs of events that say nothing of the labels as they are now (`EffectiveLabels.unapplied`).
     """
     refs = by_ref(journal.events() if isinstance(journal, Journal) else tuple(journal))

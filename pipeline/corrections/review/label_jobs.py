@@ -47,28 +47,19 @@ CANCELLED = "cancelled"
 
 @dataclass(frozen=True)
 class CorrectedLabelsJob:
-    """Work on corrected labels, for a process of its own.
-
-    Attributes
-    ----------
-    labels : Path
-        As they were made.
-    out : Path
-        File or folder to write.
-    journal, project : str or None
-        See `journal_of`.
-    dataset : str or None
-        For what follows from corrected pixels and boxes; without it, as the labels name it.
-    options : dict
-        Of the dataset, for `labelled_dataset`: intrinsics, depth_scale.
-    """
+    """Work on corrected labels, for a process of its own."""
 
     labels: Path
+    """As they were made."""
     out: Path
+    """File or folder to write."""
     journal: str | None = None
     project: str | None = None
+    """See `journal_of`."""
     dataset: str | None = None
+    """For what follows from corrected pixels and boxes; without it, as the labels name it."""
     options: dict[str, Any] = field(default_factory=dict)
+    """Of the dataset, for `labelled_dataset`: intrinsics, depth_scale."""
 
     def corrected_dataset(self, labels: Labels) -> Dataset | None:
         """The labels' dataset; None where it is not at hand, and what follows from new pixels is stale."""
@@ -80,15 +71,10 @@ class CorrectedLabelsJob:
 
 @dataclass(frozen=True)
 class QueueJob(CorrectedLabelsJob):
-    """What a queue is made of; `out` is the Parquet file to write.
-
-    Attributes
-    ----------
-    networks : bool
-        Ask networks that have not learnt from a label; that takes the most time.
-    """
+    """What a queue is made of; `out` is the Parquet file to write."""
 
     networks: bool = True
+    """Ask networks that have not learnt from a label; that takes the most time."""
 
 
 def make_queue(job: QueueJob, report: Callable[[Step], None]) -> dict[str, Any]:
@@ -96,7 +82,7 @@ def make_queue(job: QueueJob, report: Callable[[Step], None]) -> dict[str, Any]:
 
     Parameters
     ----------
-    report : callable
+    report
         Called with a Step.
 
     Returns
@@ -107,12 +93,8 @@ def make_queue(job: QueueJob, report: Callable[[Step], None]) -> dict[str, Any]:
         and last (the newest event that surely counts in it, a `worklist.Mark`). The states of the items then are the
         queue's column `state`.
 
-    Raises
-    ------
-    InputError
-        The labels or the journal cannot be read, or hold nothing to learn from.
-    MissingExtra
-        torch is not installed, and networks are to be asked.
+    Raises InputError: the labels or the journal cannot be read, or hold nothing to learn from.
+    Raises MissingExtra: torch is not installed, and networks are to be asked.
     """
     labels = open_labels(job.labels)
     with scratch_folder() as folder:
@@ -149,64 +131,38 @@ def _reviewed(job: QueueJob, labels: Labels, folder: Path) -> tuple[Reviewed, Ma
 
 @dataclass(frozen=True)
 class QueueProgress:
-    """A review queue that is being made, and the one that was made last.
-
-    Attributes
-    ----------
-    running : bool
-    job : QueueJob or None
-        What is being made, or was last.
-    step : Step or None
-        How far it is; None before it tells.
-    problem : str
-        Why there is none, or no new one.
-    made : dict or None
-        What is known of the queue: `make_queue`.
-    work : Worklist or None
-        The queue as it was made.
-    """
+    """A review queue that is being made, and the one that was made last."""
 
     running: bool = False
     job: QueueJob | None = None
+    """What is being made, or was last."""
     step: Step | None = None
+    """How far it is; None before it tells."""
     problem: str = ""
+    """Why there is none, or no new one."""
     made: Mapping[str, Any] | None = None
+    """What is known of the queue: `make_queue`."""
     work: Worklist | None = None
+    """The queue as it was made."""
 
 
 @dataclass(frozen=True)
 class TrainingProgress:
-    """How far a training is, and what came of it.
-
-    Attributes
-    ----------
-    running : bool
-    step : tuple of (str, int, int)
-        What is being done, how far, of how much.
-    record : dict or None
-        Of `pipeline.corrections.review.label_jobs.RetrainingRun`.
-    problem : str
-    seconds : float
-    installed : str
-        The name under which the network was installed.
-    """
+    """How far a training is, and what came of it."""
 
     running: bool = False
     step: tuple[str, int, int] = ("labels", 0, 1)
+    """What is being done, how far, of how much."""
     record: Mapping[str, Any] | None = None
+    """Of `pipeline.corrections.review.label_jobs.RetrainingRun`."""
     problem: str = ""
     seconds: float = 0.0
     installed: str = ""
+    """The name under which the network was installed."""
 
 
 class LabelJobs:
-    """The jobs of one set of labels in one process.
-
-    Attributes
-    ----------
-    queue : SharedJob of QueueProgress
-    training : SharedJob of TrainingProgress
-    """
+    """The jobs of one set of labels in one process."""
 
     def __init__(self) -> None:
         self.queue = SharedJob(QueueProgress())
@@ -219,7 +175,7 @@ class LabelJobs:
 
         Parameters
         ----------
-        job_for : callable
+        job_for
             Gives the job for a file that it is to write, which does not stay.
         """
         folder = ExitStack()
@@ -275,48 +231,32 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class RetrainingJob(CorrectedLabelsJob):
-    """What is retrained on.
-
-    Attributes
-    ----------
-    run : Path or None
-        The run that is made again.
-    config : RetrainConfig
-    workers : int
-    """
+    """What is retrained on."""
 
     run: Path | None = None
+    """The run that is made again."""
     config: RetrainConfig = field(default_factory=RetrainConfig)
     workers: int = 1
 
 
 @dataclass(frozen=True)
 class RetrainingRun:
-    """What came of it.
-
-    Attributes
-    ----------
-    folder : Path
-        `labels/`, `network.onnx` with its card and comparison, and where a run was made again `run-before/` and
-        `run-after/`.
-    corrections : dict
-        Of the manifest of the mended labels: events, values by people, recomputed.
-    retraining : Retraining
-        Networks learnt from the labels before and after.
-    in_use : Retraining or None
-        The network that is in use, beside the one after, on the same held-out pairs; None where it cannot be compared.
-    mended : Comparison or None
-        The run as it was, beside the same on the mended labels: what the labels alone changed.
-    replay : Comparison or None
-        The run on the mended labels with its own relations, beside the same with the new network.
-    """
+    """What came of it."""
 
     folder: Path
+    """`labels/`, `network.onnx` with its card and comparison, and where a run was made again `run-before/` and
+    `run-after/`."""
     corrections: dict[str, Any]
+    """Of the manifest of the mended labels: events, values by people, recomputed."""
     retraining: Retraining
+    """Networks learnt from the labels before and after."""
     in_use: Retraining | None
+    """The network that is in use, beside the one after, on the same held-out pairs; None where it cannot be
+    compared."""
     mended: Comparison | None
+    """The run as it was, beside the same on the mended labels: what the labels alone changed."""
     replay: Comparison | None
+    """The run on the mended labels with its own relations, beside the same with the new network."""
 
     @property
     def network(self) -> Path:
@@ -337,12 +277,8 @@ class RetrainingRun:
 def run_retraining(job: RetrainingJob, progress: Progress | None = None) -> RetrainingRun:
     """Mend, retrain, compare, and make the run again; the folder appears whole or not at all.
 
-    Raises
-    ------
-    InputError
-        Nothing was corrected, the labels cannot be learnt from, or the run cannot be opened.
-    MissingExtra
-        torch or onnx is not installed.
+    Raises InputError: nothing was corrected, the labels cannot be learnt from, or the run cannot be opened.
+    Raises MissingExtra: torch or onnx is not installed.
     """
     tell = progress or (lambda what, done, of: None)
     labels = open_labels(job.labels)

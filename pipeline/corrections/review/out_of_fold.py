@@ -37,8 +37,8 @@ REVIEWED = "all"
 EPOCHS = 5
 """Half of the usual: longer training ranks no better, and takes wrong labels to heart."""
 PASSES = 3
-"""One pass overlooks 1.0 % of planted errors, three 0.5 % (in rendered rooms: `tests/benchmarks/planted_labels.py`). Few
-that are left cost much: as many chosen at random cost at least as much F1, so it is their number that counts."""
+"""One pass overlooks 1.0 % of planted errors, three 0.5 % (in rendered rooms: `tests/benchmarks/planted_labels.py`).
+Few that are left cost much: as many chosen at random cost at least as much F1, so it is their number that counts."""
 PRUNED = 0.5
 """A label that is more probably wrong than right is not learnt from in the next pass."""
 FOLDS = 5
@@ -46,21 +46,14 @@ FOLDS = 5
 
 @dataclass(frozen=True)
 class DoubtConfig:
-    """How labels are doubted.
-
-    Attributes
-    ----------
-    folds : int
-    passes : int
-        After the first, networks are trained once more without the labels that were found probably wrong: better, for
-        as long again. Which labels are left out is then known from networks that have seen the others.
-    train : TrainConfig
-        Its features are those of the labels' rows; every relation is judged alone, whatever its vocabulary.
-    """
+    """How labels are doubted."""
 
     folds: int = FOLDS
     passes: int = PASSES
+    """After the first, networks are trained once more without the labels that were found probably wrong: better, for as
+    long again. Which labels are left out is then known from networks that have seen the others."""
     train: TrainConfig = field(default_factory=lambda: TrainConfig(vocabulary=REVIEWED, epochs=EPOCHS))
+    """Its features are those of the labels' rows; every relation is judged alone, whatever its vocabulary."""
 
     def check(self) -> None:
         """Raise InputError where the numbers make no sense."""
@@ -79,25 +72,16 @@ class DoubtConfig:
 
 @dataclass(frozen=True, eq=False)
 class Doubts:
-    """What networks that did not learn from them say of labels.
-
-    Attributes
-    ----------
-    vocabulary : tuple of str
-        The order of R, that of the frames' states.
-    probabilities : tuple of (N, N, R) float64
-        Of each frame: how probably the relation holds. Of the diagonal it means nothing.
-    wrong : tuple of (N, N, R) float64
-        How probably the label is wrong; NaN where it is U.
-    noise : dict of str to Noise
-        By relation.
-    folds : Folds
-    """
+    """What networks that did not learn from them say of labels."""
 
     vocabulary: tuple[str, ...]
+    """The order of R, that of the frames' states."""
     probabilities: tuple[np.ndarray, ...]
+    """tuple of (N, N, R) float64: of each frame: how probably the relation holds. Of the diagonal it means nothing."""
     wrong: tuple[np.ndarray, ...]
+    """tuple of (N, N, R) float64: how probably the label is wrong; NaN where it is U."""
     noise: dict[str, Noise]
+    """By relation."""
     folds: Folds
 
 
@@ -112,20 +96,14 @@ def doubt_labels(
 
     Parameters
     ----------
-    data : LabelData
-    config : DoubtConfig, optional
     trusted : sequence of (N, N, R) bool, optional
         Of each frame: labels that a person has settled. They are learnt from in every pass, and are not wrong: no
         noise is estimated from them, and what is estimated is of the others.
-    progress : callable, optional
+    progress
         Called with (networks trained, of how many).
 
-    Raises
-    ------
-    InputError
-        There is nothing to learn from, or the configuration makes no sense.
-    MissingExtra
-        torch is not installed.
+    Raises InputError: there is nothing to learn from, or the configuration makes no sense.
+    Raises MissingExtra: torch is not installed.
     """
     config = config or DoubtConfig(train=TrainConfig(data.features, REVIEWED, epochs=EPOCHS))
     config.check()
@@ -163,13 +141,11 @@ def out_of_fold(
 
     Parameters
     ----------
-    frames : sequence of LabelledFrame
-    vocabulary : sequence of str
+    vocabulary
         Of the frames' states.
-    config : TrainConfig
-    folds : Folds
+    folds
         Of these frames.
-    trained : callable, optional
+    trained
         Called after each network.
     """
     require(
@@ -244,24 +220,16 @@ def unstacked(cells: np.ndarray, sizes: Sequence[int]) -> tuple[np.ndarray, ...]
 
 @dataclass(frozen=True, eq=False)
 class Folds:
-    """What is held out, and what is learnt from, in each of K folds.
-
-    Attributes
-    ----------
-    kind : str
-        "scene": whole scenes; "blocks": blocks of camera positions in each scene.
-    held : (K, F) bool
-        Every frame is held out in exactly one fold.
-    learnt : (K, F) bool
-        Never a frame that is held out, nor one in a gap beside it.
-    gaps : dict of str to float or int
-        Of "blocks", by scene: metres between blocks, or frames where the scene has no usable poses.
-    """
+    """What is held out, and what is learnt from, in each of K folds."""
 
     kind: Literal["scene", "blocks"]
+    """ "scene": whole scenes; "blocks": blocks of camera positions in each scene."""
     held: np.ndarray
+    """(K, F) bool: every frame is held out in exactly one fold."""
     learnt: np.ndarray
+    """(K, F) bool: never a frame that is held out, nor one in a gap beside it."""
     gaps: dict[str, float | int]
+    """Of "blocks", by scene: metres between blocks, or frames where the scene has no usable poses."""
 
     def __len__(self) -> int:
         return len(self.held)
@@ -272,16 +240,12 @@ def make_folds(frames: Sequence[FrameKey], folds: int = FOLDS, seed: int = 0) ->
 
     Parameters
     ----------
-    frames : sequence of FrameKey
-    folds : int
+    folds
         At most so many: no more than there are scenes, or frames of the longest scene.
-    seed : int
+    seed
         Of the order in which scenes are dealt out.
 
-    Raises
-    ------
-    InputError
-        Fewer than two folds are asked for, or there are fewer than two frames.
+    Raises InputError: fewer than two folds are asked for, or there are fewer than two frames.
     """
     require(folds >= 2, "there must be at least two folds", got=folds)
     require(len(frames) >= 2, "out-of-fold probabilities need at least two frames", got=len(frames))

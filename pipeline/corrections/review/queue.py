@@ -40,20 +40,14 @@ LEAST = 0.02
 
 @dataclass(frozen=True)
 class QueueConfig:
-    """What a queue is made from.
-
-    Attributes
-    ----------
-    doubts : DoubtConfig or None
-        None: without networks.
-    linter, margins, undecided : bool
-        Whether findings of `check_labels`, small margins, and U cells are looked at.
-    """
+    """What a queue is made from."""
 
     doubts: DoubtConfig | None = field(default_factory=DoubtConfig)
+    """None: without networks."""
     linter: bool = True
     margins: bool = True
     undecided: bool = True
+    """Whether findings of `check_labels`, small margins, and U cells are looked at."""
 
 
 def review_queue(
@@ -69,16 +63,14 @@ def review_queue(
 
     Parameters
     ----------
-    labels : Labels
-    config : QueueConfig, optional
-    other : Labels, optional
+    other
         Of the same dataset, by another detector or run: what they say otherwise counts too.
-    judgements : Judgements, optional
+    judgements
         What people said of these labels, which are effective ones then: see `reviewed_labels`. What is settled has no
         evidence against it, and stands last, with a score of 0.
     doubts : (LabelData, Doubts), optional
         Where the networks were already asked.
-    progress : callable, optional
+    progress
         Called with (networks trained, of how many).
 
     Returns
@@ -94,12 +86,8 @@ def review_queue(
         tells where (x0,y0,x1,y1), `a` is -1, and the label is the class. The label of an object that was left out is
         null.
 
-    Raises
-    ------
-    InputError
-        The labels are damaged, or hold nothing to learn from.
-    MissingExtra
-        torch is not installed.
+    Raises InputError: the labels are damaged, or hold nothing to learn from.
+    Raises MissingExtra: torch is not installed.
     """
     config = config or QueueConfig()
     cells = read_relation_labels(labels)

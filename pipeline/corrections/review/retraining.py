@@ -37,18 +37,11 @@ SHOWN_CELLS = 200
 
 @dataclass(frozen=True)
 class RetrainConfig:
-    """How both networks are trained.
-
-    Attributes
-    ----------
-    train : TrainConfig
-    split : str or None
-        See `split_frames`.
-    bootstrap : BootstrapConfig
-    """
+    """How both networks are trained."""
 
     train: TrainConfig = field(default_factory=TrainConfig)
     split: SplitKind | None = None
+    """See `split_frames`."""
     bootstrap: BootstrapConfig = field(default_factory=BootstrapConfig)
 
     def check(self) -> None:
@@ -64,48 +57,33 @@ class RetrainConfig:
 
 @dataclass(frozen=True)
 class Retraining:
-    """Two networks on the same held-out pairs.
-
-    Attributes
-    ----------
-    relations : tuple of str
-    pairs, frames : int
-        Held out.
-    before, after, gain : RelationEstimates
-        `gain` is after less before, paired.
-    tests : dict of str to McNemar
-        By relation, and "all": `b` counts cells that only the network after got right, `c` only the one before.
-    changed : dict of str to dict of str to int
-        Labels that differ, by part of the split ("train", "validation", "test", "dropped") and relation.
-    better, worse : tuple of dict
-        Held-out cells that became right, became wrong: frame, a, b, relation, label, before, after (probabilities).
-    counts : tuple of int
-        How many became right, became wrong.
-    split : dict
-        See `SplitPlan.record`.
-    cluster : str
-        What intervals are drawn over, "scene" or "frame".
-    cards : tuple of dict
-        Of both networks.
-    caveats : tuple of str
-        What the figures cannot show, since a network and the labels have a maker in common.
-    """
+    """Two networks on the same held-out pairs."""
 
     relations: tuple[str, ...]
     pairs: int
     frames: int
+    """Held out."""
     before: RelationEstimates
     after: RelationEstimates
     gain: RelationEstimates
+    """`gain` is after less before, paired."""
     tests: dict[str, McNemar]
+    """By relation, and "all": `b` counts cells that only the network after got right, `c` only the one before."""
     changed: dict[str, dict[str, int]]
+    """Labels that differ, by part of the split ("train", "validation", "test", "dropped") and relation."""
     better: tuple[dict[str, Any], ...]
     worse: tuple[dict[str, Any], ...]
+    """Held-out cells that became right, became wrong: frame, a, b, relation, label, before, after (probabilities)."""
     counts: tuple[int, int]
+    """How many became right, became wrong."""
     split: dict[str, Any]
+    """See `SplitPlan.record`."""
     cluster: str
+    """What intervals are drawn over, "scene" or "frame"."""
     cards: tuple[dict[str, Any], dict[str, Any]]
+    """Of both networks."""
     caveats: tuple[str, ...] = ()
+    """What the figures cannot show, since a network and the labels have a maker in common."""
 
     def table(self) -> Table:
         """F1 before and after, relation by relation and together."""
@@ -183,20 +161,15 @@ def retrain(
 
     Parameters
     ----------
-    before, after : Labels
+    before, after
         Of one dataset.
-    out : Path
+    out
         The ONNX file to write.
-    config : RetrainConfig, optional
-    progress : callable, optional
+    progress
         Called after each epoch with ("before" or "after", the epoch).
 
-    Raises
-    ------
-    InputError
-        The labels have no held-out frame in common, cannot be used, or the configuration makes no sense.
-    MissingExtra
-        torch or onnx is not installed.
+    Raises InputError: the labels have no held-out frame in common, cannot be used, or the configuration makes no sense.
+    Raises MissingExtra: torch or onnx is not installed.
     """
     config = config or RetrainConfig()
     config.check()

@@ -56,16 +56,10 @@ DISAGREE = "reviewers disagree"
 
 @dataclass(frozen=True, eq=False)
 class Reviewed:
-    """Labels as people have left them, and what people said.
-
-    Attributes
-    ----------
-    labels : Labels
-        Effective ones, as a folder.
-    judgements : Judgements
-    """
+    """Labels as people have left them, and what people said."""
 
     labels: Labels
+    """Effective ones, as a folder."""
     judgements: Judgements = field(default_factory=lambda: Judgements({}, {}))
 
 
@@ -74,15 +68,12 @@ def reviewed_labels(labels: Labels, journal: Journal, folder: Path, dataset: Dat
 
     Parameters
     ----------
-    folder : Path
+    folder
         A new or empty one, into which effective labels are written; it is left alone where there are no corrections.
-    dataset : Dataset, optional
+    dataset
         As of `materialise`.
 
-    Raises
-    ------
-    InputError
-        The labels, the journal or a frame cannot be read.
+    Raises InputError: the labels, the journal or a frame cannot be read.
     """
     events = journal.events()
     if not events:
@@ -116,10 +107,9 @@ def without_gone(queue: pa.Table, labels: Labels, states: Mapping[ItemKey, State
 
     Parameters
     ----------
-    queue : pyarrow.Table
-    labels : Labels
+    labels
         Effective ones.
-    states : mapping of ItemKey to str
+    states
         As of `states_on_labels`.
     """
     keys = item_keys(queue)
@@ -182,21 +172,15 @@ def left_for(
 
     Parameters
     ----------
-    queue : pyarrow.Table
-    judgements : Judgements
-    states : dict of ItemKey to str
+    states
         Over all people.
-    author : str
-    overlap : float
+    overlap
         Share, 0 to 1, of what others have settled that is asked again; which items these are depends on nothing but
         their names, so that it is the same share for each reviewer and every day. They are strewn among the others.
-    second_opinion_of : str, optional
+    second_opinion_of
         Instead: what this person has judged, and `author` has not; of these the share `overlap`, or all where it is 0.
 
-    Raises
-    ------
-    InputError
-        The share is none, or somebody is to be their own second.
+    Raises InputError: the share is none, or somebody is to be their own second.
     """
     require(0 <= overlap <= 1, "the overlap is a share from 0 to 1", got=overlap)
     require(second_opinion_of != author, "a second opinion is another person's", got=author)
@@ -235,24 +219,16 @@ def _without_others(queue: pa.Table) -> pa.Table:
 
 @dataclass(frozen=True, eq=False)
 class PairAgreement:
-    """How far two people agree.
-
-    Attributes
-    ----------
-    first, second : str
-    all : Agreement
-        On all items that both have judged.
-    kinds : dict of str to Agreement
-        On those of a kind, where there are any.
-    differ : tuple of (ItemKey, str, str)
-        Items that they judge differently, and what each says, by frame and key.
-    """
+    """How far two people agree."""
 
     first: str
     second: str
     all: Agreement
+    """On all items that both have judged."""
     kinds: dict[str, Agreement]
+    """On those of a kind, where there are any."""
     differ: tuple[tuple[ItemKey, str, str], ...]
+    """tuple of (ItemKey, str, str): items that they judge differently, and what each says, by frame and key."""
 
     def record(self) -> dict[str, Any]:
         """As JSON."""
@@ -276,8 +252,7 @@ def pair_agreements(judgements: Judgements, inverse: Callable[[str], str | None]
 
     Parameters
     ----------
-    judgements : Judgements
-    inverse : callable
+    inverse
         What "b ... a" is called where "a RELATION b" is said, as of `Setting.inverse`; None where nothing is.
     """
     verdict = {
@@ -324,10 +299,9 @@ def review_progress(queue: pa.Table, judgements: Judgements, states: Mapping[Ite
 
     Parameters
     ----------
-    queue : pyarrow.Table
+    queue
         Of these labels, made now or stored before.
-    judgements : Judgements
-    states : mapping of ItemKey to str
+    states
         Over all people.
 
     Returns

@@ -42,36 +42,24 @@ NOTHING: Mark = (0, "")
 
 @dataclass(frozen=True, eq=False)
 class Worklist:
-    """The items of a queue in their order, and their states; `worklist` makes one.
-
-    Attributes
-    ----------
-    queue : pyarrow.Table
-    keys : tuple of ItemKey
-        Of its rows.
-    indices : dict of ItemKey to int
-        The reverse.
-    codes : (N,) int8
-        States as indices in STATES.
-    kinds : (N,) int8
-        Places in KINDS.
-    disputed : (N,) bool
-        What reviewers judged differently when the queue was made.
-    frames : dict of str to (K,) int64
-        The indices of each frame's items.
-    gone : (N,) bool
-        Items of which nothing is left, since what they are about was left out: not shown and not counted, until they
-        come back.
-    """
+    """The items of a queue in their order, and their states; `worklist` makes one."""
 
     queue: pa.Table
     keys: tuple[ItemKey, ...]
+    """Of its rows."""
     indices: Mapping[ItemKey, int]
+    """The reverse."""
     codes: np.ndarray
+    """(N,) int8: states as indices in STATES."""
     kinds: np.ndarray
+    """(N,) int8: places in KINDS."""
     disputed: np.ndarray
+    """(N,) bool: what reviewers judged differently when the queue was made."""
     frames: Mapping[str, np.ndarray]
+    """dict of str to (K,) int64: the indices of each frame's items."""
     gone: np.ndarray
+    """(N,) bool: items of which nothing is left, since what they are about was left out: not shown and not counted,
+    until they come back."""
 
     def __len__(self) -> int:
         return len(self.keys)
@@ -120,10 +108,7 @@ class Worklist:
 
         An item that the queue does not hold changes nothing: people also edit what nobody doubted.
 
-        Raises
-        ------
-        InputError
-            There is no such state.
+        Raises InputError: there is no such state.
         """
         codes = _codes(self.codes, self.indices, states)
         return self if (codes == self.codes).all() else replace(self, codes=codes)
@@ -154,11 +139,11 @@ class Worklist:
 
         Parameters
         ----------
-        after : ItemKey, optional
+        after
             None, and one that the queue does not hold, stand before the first.
-        skip : collection of ItemKey
+        skip
             Put off: not shown.
-        kind : str, optional
+        kind
             Only items of this kind.
         """
         start = -1 if after is None else self.indices.get(after.plain, -1)
@@ -191,10 +176,7 @@ def worklist(queue: pa.Table, states: Mapping[ItemKey, State] | None = None) -> 
 
     Without a mapping they are those of the queue's column `state`, where it has one.
 
-    Raises
-    ------
-    InputError
-        A state is none, or the queue holds an item twice.
+    Raises InputError: a state is none, or the queue holds an item twice.
     """
     keys = tuple(item_keys(queue))
     if states is None:
@@ -227,10 +209,7 @@ def _codes(codes: np.ndarray, indices: Mapping[ItemKey, int], states: Mapping[It
 def write_queue(queue: pa.Table, path: Path) -> None:
     """Store a queue as Parquet, whole or not at all; it knows which labels it is of.
 
-    Raises
-    ------
-    InputError
-        It cannot be written.
+    Raises InputError: it cannot be written.
     """
     with as_input_error("the queue cannot be written", OSError, got=lambda e: e.strerror or str(e), path=path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -242,14 +221,10 @@ def read_queue(path: str | Path, version: str | None = None) -> pa.Table:
 
     Parameters
     ----------
-    path : str or Path
-    version : str, optional
+    version
         Of the automatic labels that it must be of: see `reviewed.automatic_version`.
 
-    Raises
-    ------
-    InputError
-        It is no queue, damaged, or of other labels.
+    Raises InputError: it is no queue, damaged, or of other labels.
     """
     path = Path(path)
     with as_input_error("the queue cannot be read", pa.ArrowException, OSError, ValueError, got=first_line, path=path):
@@ -302,8 +277,7 @@ def frame_states(frame: EffectiveFrame, events: Sequence[Event]) -> dict[ItemKey
 
     Parameters
     ----------
-    frame : EffectiveFrame
-    events : sequence of Event
+    events
         All of it, in the order of their saving.
     """
     ignored = {u.event.ulid for u in frame.unapplied if u.kind != "agreed"}
@@ -316,20 +290,16 @@ def refreshed_worklist(work: Worklist, corrector: Corrector, journal: Journal, a
 
     Parameters
     ----------
-    after : Mark
+    after
         The newest event that is known already. Where the journal lacks it, that is another one now, such as a copy that
         was put back: then nothing of what was known holds.
 
     Returns
     -------
-    work : Worklist
     newest : Mark
         The newest event.
 
-    Raises
-    ------
-    InputError
-        The journal or a frame cannot be read.
+    Raises InputError: the journal or a frame cannot be read.
     """
     fresh, standing = _since(journal, after)
     names = [e.ref.frame for e in fresh]

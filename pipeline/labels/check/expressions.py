@@ -42,19 +42,12 @@ def triple_of(class_names: tuple[str, ...], text: str) -> Triple | str:
 
 @dataclass(frozen=True)
 class ExpressionRules:
-    """What the expressions of a run are compared with.
-
-    Attributes
-    ----------
-    read : function of a text
-        `triple_of` with the class names of the labels, each text once.
-    seed : int
-        Of the ids.
-    profile : str
-    """
+    """What the expressions of a run are compared with."""
 
     read: Callable[[str], Triple | str]
+    """`triple_of` with the class names of the labels, each text once."""
     seed: int
+    """Of the ids."""
     profile: str
 
 

@@ -51,9 +51,9 @@ def check_labels(labels: Labels, *, rules: Sequence[str] | None = None) -> Itera
 
     Parameters
     ----------
-    labels : Labels
+    labels
         From `open_labels`.
-    rules : sequence of str, optional
+    rules
         Names of rules or of groups ("relation"); all by default.
 
     Yields
@@ -61,10 +61,7 @@ def check_labels(labels: Labels, *, rules: Sequence[str] | None = None) -> Itera
     Finding
         First of whole files, then frame by frame.
 
-    Raises
-    ------
-    InputError
-        A rule has no such name; before anything is read.
+    Raises InputError: a rule has no such name; before anything is read.
     """
     chosen, by_people = chosen_rules(rules), read_corrections(labels.root)
     found = _all_findings(labels, frozenset(rule.split("/")[0] for rule in chosen), chosen)

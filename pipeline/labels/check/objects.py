@@ -205,7 +205,7 @@ def _extents(view: FrameView, boxed: np.ndarray, level: np.ndarray) -> Iterator[
         known & ~off & (stray > OUTSIDE_M[0] + OUTSIDE_SHARE[0] * np.abs(hi - lo)).any(axis=1),
         lambda k: f"the mean point of {named(k)} is {stray[k].max():.3f} m outside its extents",
         lambda k: {"outside": stray[k].max()},
-        np.zeros(len(known), np.bool_),
+        np.zeros(len(lo), np.bool_),
     )
     yield from view.where("object/extent-box", boxed & ~known, lambda k: f"{named(k)} has a 3D box and no extents")
 

@@ -33,19 +33,12 @@ BATCH_ROWS = 8_192
 
 @dataclass(frozen=True)
 class Rows:
-    """Rows of one frame.
-
-    Attributes
-    ----------
-    columns : dict of str to array
-        Numbers and bools as they are, vectors as (N, k), the rest as objects.
-    violations : tuple of Violation
-        Their `row` counts from the frame's first.
-    count : int
-    """
+    """Rows of one frame."""
 
     columns: dict[str, np.ndarray]
+    """Numbers and bools as they are, vectors as (N, k), the rest as objects."""
     violations: tuple[Violation, ...]
+    """Their `row` counts from the frame's first."""
     count: int
 
     def __getitem__(self, name: str) -> np.ndarray:
@@ -60,9 +53,7 @@ class TableStream:
 
     Parameters
     ----------
-    path : Path
-    table : str
-    checked : bool
+    checked
         Whether its rows tell their violations.
 
     Attributes
@@ -333,9 +324,9 @@ def violations(rows: pa.Table, table: str, skip: frozenset[str] = frozenset()) -
 
     Parameters
     ----------
-    rows : pa.Table
+    rows
         Of the table's Arrow schema.
-    skip : frozenset of str
+    skip
         Columns that the file lacks.
     """
     found: list[Violation] = []

@@ -39,22 +39,14 @@ def state_letter(state: Any) -> str:
 
 @dataclass(frozen=True)
 class FrameView:
-    """The rows of one frame.
-
-    Attributes
-    ----------
-    index : int
-    tables : dict of str to Rows
-    background : frozenset of str
-        Normal forms of the background classes.
-    relation_names : tuple of str
-        The relations that the labels hold.
-    """
+    """The rows of one frame."""
 
     index: int
     tables: dict[str, Rows]
     background: frozenset[str]
+    """Normal forms of the background classes."""
     relation_names: tuple[str, ...]
+    """The relations that the labels hold."""
 
     @cached_property
     def id(self) -> str | None:
@@ -258,46 +250,30 @@ Figure = float | int | str
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong, or questionable, in labels.
-
-    Attributes
-    ----------
-    rule : str
-        One of RULES.
-    severity : str
-        "error" or "warning".
-    frame : str or None
-        The frame's id; None where the finding is of a whole file.
-    objects : tuple of int
-        The objects it is about, by number; of a pair the first is the one that is said to be somewhere.
-    message : str
-        One sentence.
-    figures : dict
-        The numbers behind it.
-    """
+    """One thing that is wrong, or questionable, in labels."""
 
     rule: str
+    """One of RULES."""
     severity: Severity
+    """ "error" or "warning"."""
     frame: str | None
+    """The frame's id; None where the finding is of a whole file."""
     objects: tuple[int, ...]
+    """The objects it is about, by number; of a pair the first is the one that is said to be somewhere."""
     message: str
+    """One sentence."""
     figures: dict[str, Figure] = field(default_factory=dict)
+    """The numbers behind it."""
 
 
 @dataclass(frozen=True)
 class Rule:
-    """What a rule looks for.
-
-    Attributes
-    ----------
-    about : str
-        One line.
-    severity : str
-        The worst it reports; `about` says where it is milder.
-    """
+    """What a rule looks for."""
 
     about: str
+    """One line."""
     severity: Severity
+    """The worst it reports; `about` says where it is milder."""
 
 
 _error, _warning = partial(Rule, severity="error"), partial(Rule, severity="warning")
@@ -353,10 +329,7 @@ RULES: dict[str, Rule] = {
 def chosen_rules(names: Sequence[str] | None) -> frozenset[str]:
     """The rules of the names given: of a rule or of a whole group, such as "relation"; all for None.
 
-    Raises
-    ------
-    InputError
-        A name is neither.
+    Raises InputError: a name is neither.
     """
     if names is None:
         return frozenset(RULES)

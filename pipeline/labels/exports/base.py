@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from heapq import merge
+from itertools import groupby, pairwise
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,7 @@ from pipeline.datasets import Dataset
 from pipeline.labels.exports.row_provenance import Provenance
 from pipeline.labels.reading import Labels, arrow_schema, check_version, sound_rows
 from pipeline.system.arrow import pa
-from pipeline.system.errors import InputError, as_input_error, first_line, require
+from pipeline.system.errors import as_input_error, first_line, require
 from pipeline.system.safe_files import open_parquet
 
 Progress = Callable[[int, int], None]
@@ -24,40 +26,26 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Job:
-    """One export on its way.
-
-    Attributes
-    ----------
-    labels : Labels
-    folder : Path
-        Where files are written; it appears under its final name when all are.
-    images : Dataset or None
-        Given where its pictures are to be copied too.
-    tell : callable
-        Progress.
-    options : object
-        The format's own options, of the type it declares.
-    dataset : callable
-        Opens the dataset that was labelled; InputError where it cannot be.
-    provenance : Provenance
-        Where values come from, and their reviews.
-    """
+    """One export on its way."""
 
     labels: Labels
     folder: Path
+    """Where files are written; it appears under its final name when all are."""
     images: Dataset | None
+    """Given where its pictures are to be copied too."""
     tell: Progress
+    """Progress."""
     options: Any
+    """The format's own options, of the type it declares."""
     provenance: Provenance
+    """Where values come from, and their reviews."""
     dataset: Callable[[], Dataset] | None = None
+    """Opens the dataset that was labelled; InputError where it cannot be."""
 
     def copy_picture(self, rows: FrameRows, folder: str = "images", suffix: str = "jpg") -> None:
         """Write a usable frame's colour image, as JPEG of quality 95 or as PNG, where pictures are copied.
 
-        Raises
-        ------
-        InputError
-            The dataset lacks the frame, or has another picture under its name.
+        Raises InputError: the dataset lacks the frame, or has another picture under its name.
         """
         frame = rows.frame
         if self.images is None or not frame["ok"]:
@@ -98,12 +86,7 @@ class Written:
 
 @dataclass(frozen=True)
 class ExportReport(Written):
-    """A finished export: what was written, and where.
-
-    Attributes
-    ----------
-    folder : Path
-    """
+    """A finished export: what was written, and where."""
 
     folder: Path = Path()
 
@@ -146,17 +129,10 @@ BATCH = 16_384
 
 @dataclass(frozen=True)
 class FrameRows:
-    """All rows of one frame.
-
-    Attributes
-    ----------
-    frame : dict
-        Its row of the table `frames`.
-    objects, expressions : list of dict
-    relations : pa.Table
-    """
+    """All rows of one frame."""
 
     frame: dict[str, Any]
+    """Its row of the table `frames`."""
     objects: list[dict[str, Any]]
     relations: pa.Table
     expressions: list[dict[str, Any]]
@@ -169,10 +145,7 @@ class FrameRows:
 def table_batches(labels: Labels, name: str, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
     """A table in pieces of at most 16,384 rows, in order.
 
-    Raises
-    ------
-    InputError
-        The file is damaged or of another schema.
+    Raises InputError: the file is damaged or of another schema.
     """
     path = labels.root / f"{name}.parquet"
     with (
@@ -197,58 +170,27 @@ def label_names(labels: Labels) -> list[str]:
 def iterate_frames(labels: Labels, tell: Progress | None = None) -> Iterator[FrameRows]:
     """Every frame with its rows, broken ones too; memory does not grow with their number.
 
-    Raises
-    ------
-    InputError
-        A table is damaged, out of order, or has rows of a frame that is not listed.
+    Raises InputError: a table is damaged, out of order, or has rows of a frame that is not listed.
     """
-    total = labels.manifest.tables["frames"].rows
-    others = {name: _Runs(labels, name) for name in ("objects", "relations", "expressions")}
-    for done, (index, rows) in enumerate(_runs(labels, "frames"), start=1):
-        require(rows.num_rows == 1, f"frame_index {index} is listed {rows.num_rows} times", path=labels.root)
-        taken = {name: runs.take(index) for name, runs in others.items()}
-        yield FrameRows(
-            rows.to_pylist()[0], taken["objects"].to_pylist(), taken["relations"], taken["expressions"].to_pylist()
+    names = "frames", "objects", "relations", "expressions"
+    parts = merge(*(_runs(labels, name) for name in names), key=itemgetter(0))
+    for done, (index, of_frame) in enumerate(groupby(parts, itemgetter(0)), start=1):
+        rows = {name: table for _, name, table in of_frame}
+        require(
+            "frames" in rows,
+            f"the table {min(rows)} has rows of frame_index {index}, which is not among the frames",
+            path=labels.root,
         )
+        listed = rows["frames"].to_pylist()
+        require(len(listed) == 1, f"frame_index {index} is listed {len(listed)} times", path=labels.root)
+        objects, relations, expressions = (rows.get(n, arrow_schema(n).empty_table()) for n in names[1:])
+        yield FrameRows(listed[0], objects.to_pylist(), relations, expressions.to_pylist())
         if tell is not None:
-            tell(done, total)
-    for runs in others.values():
-        runs.finish()
+            tell(done, labels.manifest.tables["frames"].rows)
 
 
-class _Runs:
-    """One table, taken frame by frame."""
-
-    def __init__(self, labels: Labels, name: str) -> None:
-        self._name, self._root = name, labels.root
-        self._runs = _runs(labels, name)
-        self._none = arrow_schema(name).empty_table()
-        self._next = next(self._runs, None)
-
-    def take(self, index: int) -> pa.Table:
-        """The rows of a frame, maybe none; indices must rise from call to call."""
-        if self._next is None or self._next[0] > index:
-            return self._none
-        if self._next[0] < index:
-            self._unlisted()
-        rows = self._next[1]
-        self._next = next(self._runs, None)
-        return rows
-
-    def finish(self) -> None:
-        if self._next is not None:
-            self._unlisted()
-
-    def _unlisted(self) -> None:
-        assert self._next is not None
-        raise InputError(
-            f"the table {self._name} has rows of frame_index {self._next[0]}, which is not among the frames",
-            path=self._root,
-        )
-
-
-def _runs(labels: Labels, name: str) -> Iterator[tuple[int, pa.Table]]:
-    """(frame_index, its rows), in order."""
+def _runs(labels: Labels, name: str) -> Iterator[tuple[int, str, pa.Table]]:
+    """(frame_index, the table's name, its rows), in order."""
     current, waiting = -1, []
     for batch in table_batches(labels, name):
         index = batch.column("frame_index").to_numpy()
@@ -259,9 +201,9 @@ def _runs(labels: Labels, name: str) -> Iterator[tuple[int, pa.Table]]:
             found = int(index[start])
             require(found >= current, f"the table {name} is not in the order of its frames", path=labels.root)
             if found != current and waiting:
-                yield current, pa.concat_tables(waiting)
+                yield current, name, pa.concat_tables(waiting)
                 waiting = []
             current = found
             waiting.append(batch.slice(start, end - start))
     if waiting:
-        yield current, pa.concat_tables(waiting)
+        yield current, name, pa.concat_tables(waiting)

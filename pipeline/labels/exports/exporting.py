@@ -80,26 +80,23 @@ def export_labels(
 
     Parameters
     ----------
-    labels : Labels
-    format : str
+    format
         A name of FORMATS, or a plugin's.
-    out : str or Path
+    out
         A folder that does not exist yet or is empty.
-    images : {"none", "copy"}
+    images
         Whether the colour images of the frames come too.
-    dataset : Dataset, optional
+    dataset
         Where they come from, and the depth for what is measured; the dataset that the manifest names by default.
-    overwrite : bool
+    overwrite
         Replace an earlier export in `out`; a folder of anything else is never replaced.
-    options : dataclass, optional
+    options
         The format's own options, such as `vqa.VqaConfig`.
-    progress : callable, optional
+    progress
         Called with (frames done, frames in all).
 
-    Raises
-    ------
-    InputError
-        An unknown format, a target that is not empty, damaged labels, or pictures that are not those of the labels.
+    Raises InputError: an unknown format, a target that is not empty, damaged labels, or pictures that are not those of
+    the labels.
     """
     chosen = _format(format)
     kind = chosen.options or NoneType
@@ -158,17 +155,11 @@ GROUP_BYTES = 1 << 25
 
 @dataclass(frozen=True)
 class HubConfig:
-    """Options of the export.
-
-    Attributes
-    ----------
-    rows_a_file : int
-    licence : str
-        Of the source dataset, as the card states it.
-    """
+    """Options of the export."""
 
     rows_a_file: int = ROWS_A_FILE
     licence: str = UNKNOWN_LICENCE
+    """Of the source dataset, as the card states it."""
 
     def __post_init__(self) -> None:
         require(self.rows_a_file >= 1, "a file needs at least one row", got=self.rows_a_file)

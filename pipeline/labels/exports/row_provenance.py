@@ -43,21 +43,14 @@ NO_EVENT = "0"
 
 @dataclass(frozen=True)
 class ExportedFrom:
-    """Which state of the labels an export is of: what somebody changed in it is told by comparing with that state.
-
-    Attributes
-    ----------
-    labels : str
-        Version of the automatic labels, see `pipeline.labels.schema.labels_version`.
-    event : str or None
-        ULID of the newest correction that is in it.
-    relifted : bool
-        What follows from corrected pixels and boxes was computed, from the dataset.
-    """
+    """Which state of the labels an export is of: what somebody changed in it is told by comparing with that state."""
 
     labels: str
+    """Version of the automatic labels, see `pipeline.labels.schema.labels_version`."""
     event: str | None
+    """ULID of the newest correction that is in it."""
     relifted: bool
+    """What follows from corrected pixels and boxes was computed, from the dataset."""
 
     def __str__(self) -> str:
         return f"{self.labels}.{self.event or NO_EVENT}.{int(self.relifted)}"
@@ -89,25 +82,17 @@ def made_by(manifest: Manifest) -> str:
 
 @dataclass(frozen=True)
 class Provenance:
-    """What is known of the rows of labels beside their values.
-
-    Attributes
-    ----------
-    base, made_by : str
-        `base` is None where it is not known.
-    entries : dict of (table, frame, key) to list of dict
-        Of rows with a value that is not the labeller's; keys of dicts as ENTRY.
-    reviewed : dict of (table, frame, key) to dict
-        Fields as in the journal: "status", "left.status", "mark", "note".
-    frames : dict of str to set of str
-        By table, the frames that are in either.
-    """
+    """What is known of the rows of labels beside their values."""
 
     base: str | None
     made_by: str
+    """`base` is None where it is not known."""
     entries: dict[tuple[str, str, str], list[dict[str, Any]]] = field(default_factory=dict)
+    """Of rows with a value that is not the labeller's; keys of dicts as ENTRY."""
     reviewed: dict[tuple[str, str, str], dict[str, Any]] = field(default_factory=dict)
+    """Fields as in the journal: "status", "left.status", "mark", "note"."""
     frames: dict[str, set[str]] = field(default_factory=dict)
+    """By table, the frames that are in either."""
 
     def of(self, table: str, frame: str, key: str) -> list[dict[str, Any]]:
         """The entries of a row."""
@@ -153,10 +138,7 @@ class Provenance:
 def open_provenance(labels: Labels) -> Provenance:
     """Read what stands beside the tables of corrected labels; of others there is nothing to read.
 
-    Raises
-    ------
-    InputError
-        A file is damaged.
+    Raises InputError: a file is damaged.
     """
     state = exported_from(labels.manifest)
     found = Provenance(None if state is None else str(state), made_by(labels.manifest))
@@ -232,10 +214,7 @@ _LINE_ENDS = {ord(c): f"\\u{ord(c):04x}" for c in "\x85\u2028\u2029"}
 def json_line(content: Any) -> str:
     """One line of JSON that gives the same values back, floats included.
 
-    Raises
-    ------
-    InputError
-        A number that JSON has no word for.
+    Raises InputError: a number that JSON has no word for.
     """
     try:
         text = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(", ", ": "))
@@ -282,7 +261,7 @@ class JsonList:
 
     Parameters
     ----------
-    file : text file
+    file
         Open for writing; the list begins where it stands.
     """
 
@@ -302,10 +281,7 @@ class JsonList:
 def load_json(path: Path) -> Any:
     """The content of a JSON file.
 
-    Raises
-    ------
-    InputError
-        Missing or damaged.
+    Raises InputError: missing or damaged.
     """
     with (
         as_input_error(

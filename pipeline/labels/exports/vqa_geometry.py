@@ -40,24 +40,16 @@ MASKS = ("annotation", "detector", "segmenter", "human")
 
 @dataclass(frozen=True)
 class Figures:
-    """What is known of one object; coordinates along the viewer's (right, up, forward), metres.
-
-    Attributes
-    ----------
-    rests_on : str or None
-        What centre and extents come from: EXACT, HUMAN or POINTS; None where nothing is known.
-    center : (3,) float64
-        NaN where it is not known.
-    extents : (3,) float64
-        NaN along an axis of which nothing is known.
-    points : (N, 3) float32
-        Its raw points, empty where it is not seen whole.
-    """
+    """What is known of one object; coordinates along the viewer's (right, up, forward), metres."""
 
     rests_on: str | None
+    """What centre and extents come from: EXACT, HUMAN or POINTS; None where nothing is known."""
     center: np.ndarray
+    """(3,) float64: NaN where it is not known."""
     extents: np.ndarray
+    """(3,) float64: NaN along an axis of which nothing is known."""
     points: np.ndarray
+    """(N, 3) float32: its raw points, empty where it is not seen whole."""
 
 
 NOTHING = Figures(None, np.full(3, np.nan), np.full(3, np.nan), np.empty((0, 3), np.float32))
@@ -101,9 +93,9 @@ def figures_of(rows: FrameRows, config: VqaConfig, depths: Depths, human: frozen
 
     Parameters
     ----------
-    depths : Depths
+    depths
         Asked only where some object is seen whole.
-    human : frozenset of int
+    human
         Numbers of the objects whose 3D box a person set.
     """
     if rows.frame["up"] is None:
@@ -210,44 +202,29 @@ CONVERSATIONS_FILE = "conversations.json"
 
 @dataclass(frozen=True)
 class VqaConfig:
-    """What is asked.
-
-    Attributes
-    ----------
-    per_frame : int
-        At most so many questions of a frame.
-    kinds : tuple of str
-        Out of KINDS; they take turns.
-    min_margin : float
-        Metres that a relation must stand from its thresholds to be asked for.
-    max_occluded : float
-        Gaps, and distances and sizes without a given 3D box, are asked only of
-        objects with at most this share of their border covered, that do not touch
-        the picture's border.
-    min_visible : float
-        And of which the dataset, where it says so, sees at least this share.
-    max_depth_missing : float
-        And with at most this share of their pixels without depth.
-    min_kept : float
-        And of whose mask cleaning kept at least this share.
-    min_distance : float
-        Distances below it, metres, are not asked for.
-    box_decimals : int
-        2 or 3: digits of the normalised box in an answer.
-    seed : int
-        Of the row hashes that choose questions and wordings.
-    """
+    """What is asked."""
 
     per_frame: int = 24
+    """At most so many questions of a frame."""
     kinds: tuple[Kind, ...] = KINDS
+    """Out of KINDS; they take turns."""
     min_margin: float = 0.05
+    """Metres that a relation must stand from its thresholds to be asked for."""
     max_occluded: float = 0.05
+    """Gaps, and distances and sizes without a given 3D box, are asked only of objects with at most this share of their
+    border covered, that do not touch the picture's border."""
     min_visible: float = 0.9
+    """And of which the dataset, where it says so, sees at least this share."""
     max_depth_missing: float = 0.5
+    """And with at most this share of their pixels without depth."""
     min_kept: float = 0.6
+    """And of whose mask cleaning kept at least this share."""
     min_distance: float = 0.1
+    """Distances below it, metres, are not asked for."""
     box_decimals: int = 3
+    """2 or 3: digits of the normalised box in an answer."""
     seed: int = 0
+    """Of the row hashes that choose questions and wordings."""
 
     def __post_init__(self) -> None:
         require(self.per_frame >= 1, "per_frame must be at least 1", got=self.per_frame)
@@ -263,40 +240,26 @@ class VqaConfig:
 
 @dataclass(frozen=True)
 class Question:
-    """One question about one frame.
-
-    Attributes
-    ----------
-    id : str
-    image : str
-        File name of the picture, relative to the export.
-    kind : str
-    frame : str
-    frame_index : int
-    objects : tuple of int
-        relation: (target, reference). which: (answer, reference). grounding:
-        (target, reference). distance: the two. size: the one.
-    about : str
-        The relation; or what is measured: "center", "gap", "height", "width".
-    question, answer : str
-        What the human says without the image token, and what the model is to say.
-    source : str or None
-        Of a grounding question the id of its expression.
-    rests_on : str or None
-        Of a distance or a size what its figure was measured on: see `vqa_geometry`.
-    """
+    """One question about one frame."""
 
     id: str
     image: str
+    """File name of the picture, relative to the export."""
     kind: Kind
     frame: str
     frame_index: int
     objects: tuple[int, ...]
+    """relation: (target, reference). which: (answer, reference). grounding: (target, reference). distance: the two.
+    size: the one."""
     about: str
+    """The relation; or what is measured: "center", "gap", "height", "width"."""
     question: str
     answer: str
+    """What the human says without the image token, and what the model is to say."""
     source: str | None = field(default=None)
+    """Of a grounding question the id of its expression."""
     rests_on: str | None = field(default=None)
+    """Of a distance or a size what its figure was measured on: see `vqa_geometry`."""
 
     def record(self) -> dict[str, Any]:
         """As LLaVA's training data has it, with `metadata` beside."""

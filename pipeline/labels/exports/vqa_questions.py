@@ -84,22 +84,14 @@ _by_key = attrgetter("key")
 
 @dataclass(frozen=True)
 class Scene:
-    """One frame, made ready for asking.
-
-    Attributes
-    ----------
-    rows : FrameRows
-    number : (N,) int
-        The objects' numbers.
-    clear : (N,) bool
-        Usable objects whose name means no other object of the frame.
-    figures : sequence of N Figures
-    """
+    """One frame, made ready for asking."""
 
     rows: FrameRows
     config: VqaConfig
     number: np.ndarray
+    """(N,) int: the objects' numbers."""
     clear: np.ndarray
+    """(N,) bool: usable objects whose name means no other object of the frame."""
     figures: Sequence[Figures]
 
     def label(self, index: int) -> str:

@@ -19,19 +19,13 @@ DISTANCE_STEP_M = 0.25
 
 @dataclass(frozen=True)
 class Displacements:
-    """Where targets lie from their references: the middle of their extents, less that of the reference's.
-
-    Attributes
-    ----------
-    across, along : (N,) float64
-        Metres to the right, and up or forward (see `in_plan`): middles of cells of CELL_M.
-    count : (N,) int64
-        Pairs in the cell.
-    """
+    """Where targets lie from their references: the middle of their extents, less that of the reference's."""
 
     across: np.ndarray
     along: np.ndarray
+    """(N,) float64: metres to the right, and up or forward (see `in_plan`): middles of cells of CELL_M."""
     count: np.ndarray
+    """(N,) int64: pairs in the cell."""
 
 
 @dataclass(frozen=True)
@@ -46,30 +40,20 @@ class SizeRange:
 
 @dataclass(frozen=True)
 class Distributions:
-    """All of it.
-
-    Attributes
-    ----------
-    margins : dict of str to dict
-        See `pipeline.labels.statistics.margin_counts`.
-    displacements : dict of str to Displacements
-        Of the pairs of which the relation holds.
-    frames_sampled : bool
-        Displacements are of a sample of the frames.
-    distances : (N,) int64
-        Objects by distance, in steps of DISTANCE_STEP_M.
-    by_class : dict of (str, str) to int
-        Expressions by (relation, class of the target).
-    sizes : list of SizeRange
-        Of the usable objects of the classes that were asked for.
-    """
+    """All of it."""
 
     margins: dict[str, dict[str, np.ndarray]]
+    """See `pipeline.labels.statistics.margin_counts`."""
     displacements: dict[str, Displacements]
+    """Of the pairs of which the relation holds."""
     frames_sampled: bool
+    """Displacements are of a sample of the frames."""
     distances: np.ndarray
+    """(N,) int64: objects by distance, in steps of DISTANCE_STEP_M."""
     by_class: dict[tuple[str, str], int]
+    """Expressions by (relation, class of the target)."""
     sizes: list[SizeRange]
+    """Of the usable objects of the classes that were asked for."""
 
 
 def distributions(
@@ -79,11 +63,11 @@ def distributions(
 
     Parameters
     ----------
-    frames : int
+    frames
         How many there are.
-    classes : sequence of str
+    classes
         Those whose sizes are shown.
-    sampled : int
+    sampled
         See SAMPLED_FRAMES.
     """
     return Distributions(

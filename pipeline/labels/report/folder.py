@@ -55,20 +55,15 @@ def write_report(labels: Labels, statistics: dict[str, Any], out: Path) -> list[
 
     Parameters
     ----------
-    labels : Labels
-    statistics : dict
+    statistics
         Of the same labels, from `pipeline.labels.statistics.label_statistics`.
-    out : Path
 
     Returns
     -------
     list of Path
         The files, the page first.
 
-    Raises
-    ------
-    InputError
-        `out` holds something else, or the labels cannot be read.
+    Raises InputError: `out` holds something else, or the labels cannot be read.
     """
     out = Path(out).expanduser()
     check_report_folder(out)
@@ -109,10 +104,7 @@ def _draw(statistics: dict[str, Any], found: Distributions, folder: Path) -> lis
 def check_report_folder(out: Path) -> None:
     """Whether a report can go there: to be asked before long work.
 
-    Raises
-    ------
-    InputError
-        It is a file, or a folder with anything that is not of a report.
+    Raises InputError: it is a file, or a folder with anything that is not of a report.
     """
     out = Path(out).expanduser()
     require(
