@@ -1,4 +1,4 @@
-"""Scenes of the MIT-Princeton Amazon Picking Challenge: frames named as 7-Scenes' with one `cam.info.txt`.
+"""Scenes of the MIT-Princeton Amazon Picking Challenge: frames named like 7-Scenes' with a single `cam.info.txt`.
 
 https://github.com/andyzeng/apc-vision-toolbox
 """
@@ -14,7 +14,7 @@ from pipeline.datasets.base import DatasetFormat
 from pipeline.datasets.camera_files import Stated
 from pipeline.datasets.cameras import or_note, pose_from_matrix
 from pipeline.datasets.files import read_bytes
-from pipeline.datasets.folder import FolderDataset, Scene
+from pipeline.datasets.folder import FolderDataset, SceneFolder
 from pipeline.datasets.pairing import Pair
 from pipeline.datasets.recording import DepthRule
 from pipeline.datasets.settings import Settings
@@ -37,11 +37,11 @@ class ApcDataset(FolderDataset):
         self._info = read_titled(root / INFO)
         super().__init__(root, settings)
 
-    def _camera(self, scene: Scene, pair: Pair) -> Stated:
+    def _camera(self, scene: SceneFolder, pair: Pair) -> Stated:
         K = self._info.get(COLOR_CAMERA)
         return Stated(None if K is None or K.shape != (3, 3) else K, path=self.root / INFO)
 
-    def _pose(self, scene: Scene, pair: Pair, notes: list[str]) -> np.ndarray | None:
+    def _pose(self, scene: SceneFolder, pair: Pair, notes: list[str]) -> np.ndarray | None:
         name = pair.stem.partition(".")[0]
         found = next((M for title, M in self._info.items() if title.endswith(name) and "world" in title), None)
         if found is None or found.shape != (4, 4):
@@ -53,7 +53,7 @@ class ApcDataset(FolderDataset):
 
 
 def read_titled(path: Path) -> dict[str, np.ndarray]:
-    """Matrices that stand under lines "# title", by title in small letters; what is no matrix is left out."""
+    """Matrices under lines "# title", by title in small letters; other text is left out."""
     found: dict[str, np.ndarray] = {}
     for block in re.split(r"^#", read_bytes(path).decode(errors="replace"), flags=re.MULTILINE)[1:]:
         title, _, text = block.partition("\n")

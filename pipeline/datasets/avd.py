@@ -54,7 +54,7 @@ SPLITS: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class _Scan:
-    """A scan's folder, its images by name without their ending, and how its frames' ids begin."""
+    """A scan's folder, images by name without ending, and the prefix of its frame ids."""
 
     folder: Path
     name: str
@@ -73,7 +73,7 @@ class _Scan:
 
 @dataclass(frozen=True)
 class _Tables:
-    """A scan's annotations and poses, each with why there are none."""
+    """Annotations and poses of a scan, each with the reason where missing."""
 
     annotations: Mapping[str, Mapping[str, Any]]
     poses: AvdPoses | None
@@ -112,7 +112,7 @@ class AvdDataset(Recording):
         self.class_names: tuple[str, ...] = tuple(dict.fromkeys(labels[i] for i in sorted(labels)))
 
     def load(self, frame_id: str) -> Frame:
-        """Decode one frame; see `Dataset.load`."""
+        """Decode a frame; see `Dataset.load`."""
         scan, stem = self._stem(frame_id)
         tables = self._tables.get(scan.name, lambda: _read_tables(scan))
         first = stem == scan.first
@@ -149,7 +149,7 @@ class AvdDataset(Recording):
         return self._frame(frame_id, (rgb, metres), K, pose, path, depth, annotations, notes, up)
 
     def moves(self, frame_id: str) -> dict[str, str]:
-        """Where the robot's moves from a frame lead, for those that are possible; see `base.moves`.
+        """Frame ids by possible move of the robot; see `base.moves`.
 
         A pointer to an image that is not there is left out.
         """
@@ -159,7 +159,7 @@ class AvdDataset(Recording):
         return {move: scan.prefix + to for move, to in found.items() if to is not None and to in scan.images}
 
     def splits(self) -> dict[str, tuple[str, ...]]:
-        """The frames that each split of the site tests on, as far as their scans are here; see `SPLITS`."""
+        """Test frames of each split of the site, for the scans present; see `SPLITS`."""
         entries = self._index.items()
         found = {
             split: tuple(frame_id for frame_id, (scan, _) in entries if scan in scans)
@@ -172,7 +172,7 @@ class AvdDataset(Recording):
         return self._scans[name], stem
 
     def _camera(self, scan: _Scan) -> tuple[AvdCamera | None, Path]:
-        """The scan's camera and the file to blame; none where it is missing or where a person told the intrinsics.
+        """Camera of the scan and the file to blame; None without a file or where the settings give the intrinsics.
 
         A broken file matters only where no person told them.
         """
@@ -188,7 +188,7 @@ class AvdDataset(Recording):
 
 
 def _remarks(scan: _Scan, own: AvdCamera | None, annotated: tuple[int, int], size: tuple[int, int]) -> list[str]:
-    """What is so in the whole scan, for its first frame."""
+    """Remarks on the whole scan, for the first frame."""
     notes: list[str] = []
     if not scan.names:
         notes.append("instance_id_map.txt is missing: the instances are named by their numbers everywhere")
@@ -215,20 +215,14 @@ def _read_tables(scan: _Scan) -> _Tables:
 
 
 def _listed(folder: Path) -> tuple[set[str], set[int]]:
-    """The images that a scan's annotations list, and the instances; none where they cannot be read."""
+    """Images and instances of a scan's annotations; none where unreadable."""
     # What is unusable is told when a frame is loaded.
     table = or_note([], "", read_annotations, folder / "annotations.json") or {}
     return set(table), set().union(*map(instances_of, table.values()))
 
 
 def _names(folder: Path) -> dict[int, str]:
-    """The instances' names, from the folder of the scans or from the scan's own.
-
-    Raises
-    ------
-    InputError
-        The file is there and broken: with wrong names every answer would be wrong.
-    """
+    """The instances' names, from the folder of the scans or from the scan's own."""
     for path in (folder.parent / "instance_id_map.txt", folder / "instance_id_map.txt"):
         if path.is_file():
             return read_names(path)
@@ -241,7 +235,7 @@ def _images(folder: Path) -> dict[str, str]:
 
 
 def _depths(folder: Path) -> set[str]:
-    """The colour images that the registered depth images of a scan belong to."""
+    """Colour images with a registered depth image in the scan."""
     if not folder.is_dir():
         return set()
     ending = f"{REGISTERED_DEPTH}.png"
@@ -266,7 +260,7 @@ def _scan_folders(root: Path) -> list[tuple[str, Path, str]]:
 
 
 def _recognises(root: Path) -> bool:
-    """A scan; a folder with scans that has the dataset's own files beside them, or little else than scans."""
+    """Recognise a scan, or a folder of scans with the dataset's own files or little else."""
     if _is_scan(root):
         return True
     folders = readable(root)[0]

@@ -1,4 +1,4 @@
-"""The files of one scan of the Active Vision Dataset, checked, in metres.
+"""Files of a single scan of the Active Vision Dataset, checked, in metres.
 
 https://www.cs.unc.edu/~ammirato/active_vision_dataset_website
 """
@@ -31,27 +31,16 @@ LEVEL = 0.5
 
 @dataclass(frozen=True)
 class AvdCamera:
-    """What `cameras.txt` says.
+    """Camera of a `cameras.txt`."""
 
-    Attributes
-    ----------
-    K : (3, 3) float64
-        Pixels of an image of this size.
-    width, height : int
-    fisheye : tuple of float
-        OpenCV's four fisheye coefficients. They are never read as Brown's k1 k2 p1 p2.
-    others : int
-        How many more cameras the file lists.
-    """
-
-    K: np.ndarray
+    K: np.ndarray  # (3, 3) float64: Pixels of an image of this size
     width: int
     height: int
-    fisheye: tuple[float, ...]
-    others: int = 0
+    fisheye: tuple[float, ...]  # OpenCV's four fisheye coefficients. They are never read as Brown's k1 k2 p1 p2
+    others: int = 0  # How many more cameras the file lists
 
     def resized(self, width: int, height: int) -> np.ndarray:
-        """K (3, 3) of the same camera's image in another size; a pixel's centre is its integer."""
+        """Intrinsics K (3, 3) for another image size; pixel centres are integers."""
         x, y = width / self.width, height / self.height
         K = self.K
         return intrinsics(K[0, 0] * x, K[1, 1] * y, (K[0, 2] + 0.5) * x - 0.5, (K[1, 2] + 0.5) * y - 0.5)
@@ -59,30 +48,16 @@ class AvdCamera:
 
 @dataclass(frozen=True)
 class AvdPoses:
-    """What `image_structs.mat` says.
-
-    Attributes
-    ----------
-    registered : mapping of str to (R, t)
-        World-to-camera (3, 3) and (3,) by image name without its ending, in the reconstruction's own unit.
-    metres : float
-        Metres in one such unit.
-    up : (3,) float64 or None
-        Against gravity in the world; None where the cameras do not tell.
-    """
+    """Poses of an `image_structs.mat`."""
 
     registered: Mapping[str, tuple[np.ndarray, np.ndarray]]
-    metres: float
-    up: np.ndarray | None
+    """mapping of str to (R, t): World-to-camera (3, 3) and (3,) by image name without its ending, in the
+    reconstruction's own unit."""
+    metres: float  # Metres in one such unit
+    up: np.ndarray | None  # (3,) float64 or None: Against gravity in the world; None where the cameras do not tell
 
     def pose(self, stem: str) -> np.ndarray:
-        """T_world_camera (4, 4), metres: the camera's centre is -R^T t times the scale.
-
-        Raises
-        ------
-        InputError
-            The image was not registered, or its pose is no rigid motion.
-        """
+        """T_world_camera (4, 4), metres: the camera's centre is -R^T t times the scale."""
         require(stem in self.registered, "the image is not registered")
         R, t = self.registered[stem]
         return inverse(rigid(R, t * self.metres))
@@ -95,13 +70,7 @@ def image_stem(name: Any) -> str | None:
 
 
 def read_camera(path: Path) -> AvdCamera:
-    """The first camera of a `cameras.txt`: id, model, width, height, fx fy cx cy, d1 d2 d3 d4.
-
-    Raises
-    ------
-    InputError
-        Missing, another count of numbers, or numbers that no camera has.
-    """
+    """The first camera of a `cameras.txt`: id, model, width, height, fx fy cx cy, d1 d2 d3 d4."""
     lines = numbered_lines(path)
     require(lines, "no camera is listed", path=path)
     number, line = lines[0]
@@ -126,13 +95,7 @@ def read_camera(path: Path) -> AvdCamera:
 
 
 def read_names(path: Path) -> dict[int, str]:
-    """The instances of an `instance_id_map.txt` by number: `name id` a line.
-
-    Raises
-    ------
-    InputError
-        Missing, a line that is no name and number, or a number that is listed twice.
-    """
+    """The instances of an `instance_id_map.txt` by number: `name id` a line."""
     names: dict[int, str] = {}
     for number, line in numbered_lines(path):
         words = line.rsplit(maxsplit=1)
@@ -148,14 +111,9 @@ def read_names(path: Path) -> dict[int, str]:
 
 
 def read_annotations(path: Path) -> dict[str, Mapping[str, Any]]:
-    """The entries of an `annotations.json` by image name without its ending.
+    """Entries of an `annotations.json` by image name without ending.
 
     Keys that are no names of colour images are left out, and so never become part of a path.
-
-    Raises
-    ------
-    InputError
-        Missing or malformed.
     """
     table: dict[str, Mapping[str, Any]] = {}
     for name, entry in read_json(path).items():
@@ -166,14 +124,14 @@ def read_annotations(path: Path) -> dict[str, Mapping[str, Any]]:
 
 
 def instances_of(entry: Mapping[str, Any]) -> set[int]:
-    """The instances that are annotated in one image."""
+    """Instances annotated in an image."""
     boxes = entry.get("bounding_boxes")
     rows = boxes if isinstance(boxes, list) else []
     return {row[4] for row in rows if _is_box(row)}
 
 
 def label_of(instance: int, names: Mapping[int, str]) -> str:
-    """The name of an instance, or one made of its number."""
+    """Name of an instance, else "instance_NUMBER"."""
     return names.get(instance) or f"instance_{instance}"
 
 
@@ -184,19 +142,9 @@ def read_boxes(
     size: tuple[int, int],
     notes: list[str],
 ) -> tuple[Annotation, ...]:
-    """The annotated instances of one image, in its pixels.
+    """Annotated instances of an image, in pixels of the image.
 
-    Parameters
-    ----------
-    entry : mapping
-        Its entry of `annotations.json`.
-    names : mapping of int to str
-        Of the instances.
-    annotated, size : (width, height)
-        Of the image that the boxes speak of, and of the one that is there.
-    notes : list of str
-        Gets a line for each box that had to be clipped or dropped, and for each instance that `names` lacks
-        (none where it is empty: that is said once).
+    `annotated, size` (width, height): Of the image that the boxes speak of, and of the one that is there.
     """
     rows = entry.get("bounding_boxes", [])
     if not isinstance(rows, list):
@@ -226,17 +174,12 @@ def read_boxes(
 
 
 def read_poses(path: Path) -> AvdPoses:
-    """All poses of a scan, and which way is up in its world.
+    """Poses of a scan, and the up direction of the world.
 
     The height axis of that world is y; which of its ends is up differs from
     reconstruction to reconstruction. The robot's cameras are level within a few
     degrees, so that it is the end that agrees, over all images, with the
     opposite of the camera's own y: the mean of R[1, 1] has its sign.
-
-    Raises
-    ------
-    InputError
-        Missing, cut off, no MATLAB file, or of other content.
     """
     table = read_mat(path, "image_structs", "scale")
     structs, scale = np.asarray(table.get("image_structs")), np.asarray(table.get("scale", ()))

@@ -1,4 +1,4 @@
-"""What every dataset reader offers, what only some do, and how a frame is named.
+"""Dataset readers: the protocol, optional capabilities, and names of frames.
 
 Moves between frames, expressions of its own, splits, frames without annotations: a dataset has one of these where it
 has the method of that name; the functions here ask for it, and give nothing for a dataset without it.
@@ -34,14 +34,12 @@ class Dataset(Protocol):
     Attributes
     ----------
     root : Path
-        The folder that was opened. Nothing outside it is read, except the camera
-        file of a Redwood recording and the camera file and instance names of an AVD
-        scan, which may stand one folder up.
+        The folder that was opened. Nothing outside it is read, except the camera file of a Redwood recording and
+        the camera file and instance names of an AVD scan, which may stand one folder up.
     format : str
-        Name of the on-disk format: "bop", "7-scenes", "scannet", "tum", "sunrgbd",
-        "sunrgbd-votenet", "redwood", "avd", "semantic-abstraction", "case" (a saved one),
-        "ycb-video", "apc", "arkitscenes", "nerfstudio", "colmap", "record3d", "parquet", "robospatial", "ros",
-        "folder", "pictures", or a plugin's.
+        Name of the on-disk format: "bop", "7-scenes", "scannet", "tum", "sunrgbd", "sunrgbd-votenet", "redwood",
+        "avd", "semantic-abstraction", "case" (a saved one), "ycb-video", "apc", "arkitscenes", "nerfstudio",
+        "colmap", "record3d", "parquet", "robospatial", "ros", "folder", "pictures", or a plugin's.
     frame_ids : tuple of str
         Every frame the dataset lists, broken ones too, in order.
     class_names : tuple of str
@@ -61,7 +59,7 @@ class Dataset(Protocol):
     def class_names(self) -> tuple[str, ...]: ...
 
     def load(self, frame_id: str) -> Frame:
-        """Decode one frame.
+        """Decode a frame.
 
         Raises
         ------
@@ -73,11 +71,10 @@ class Dataset(Protocol):
 
 @dataclass(frozen=True)
 class DatasetFormat:
-    """One on-disk format: how to tell it, and how to open it.
+    """An on-disk format: recognition and opening.
 
     Attributes
     ----------
-    name : str
     signature : str
         One line that says what is looked for in the folder.
     recognises : callable
@@ -93,22 +90,15 @@ class DatasetFormat:
 
 
 def resolve_frame(dataset: Dataset, key: str | int) -> str:
-    """The id of the frame of a dataset that a person named; see `named_frame`."""
+    """Resolve a frame id or index to a frame id of the dataset; see `named_frame`."""
     return named_frame(dataset.frame_ids, key, dataset.root)
 
 
 def named_frame(ids: Sequence[str], key: str | int, root: Path) -> str:
-    """The id of the frame that a person named, among all ids in order; `root` is the folder to blame.
+    """Resolve a frame id or index among all ids in order; `root` is the folder for the error.
 
     An exact id comes first, then an index counted from 0, then the same path
     with its numbers written differently ("1/20" for "000001/000020").
-
-    Raises
-    ------
-    InputError
-        No such frame (the message gives the nearest ids and the count), or an
-        index that may also be the scene, or with leading zeros the last part, of
-        another frame's id.
     """
     text = str(key).strip()
     if isinstance(key, str) and text in ids:
@@ -129,7 +119,7 @@ def named_frame(ids: Sequence[str], key: str | int, root: Path) -> str:
 
 
 def _ambiguous(text: str, found: str, others: list[str], root: Path) -> InputError:
-    """The error for a number that is the index of one frame and stands in the ids of others."""
+    """Error for a number both an index and a part of other ids."""
     scene = sorted(others, key=lambda i: not i.startswith(f"{text}/"))
     listed = ", ".join(scene[:3]) + (f" and {len(scene) - 3} more" if len(scene) > 3 else "")
     return InputError(
@@ -141,7 +131,7 @@ def _ambiguous(text: str, found: str, others: list[str], root: Path) -> InputErr
 
 
 def scene_of(dataset: Dataset, frame_id: str) -> str:
-    """The scene of a frame: as the dataset knows it, else the folder part of its id, or the dataset's own name."""
+    """Scene of a frame: by the dataset, else the folder part of the id, else the dataset's name."""
     known = getattr(dataset, "scene_of", None)
     if callable(known) and (own := known(frame_id)) is not None:
         return str(own)
@@ -150,18 +140,18 @@ def scene_of(dataset: Dataset, frame_id: str) -> str:
 
 
 def frames_of_scene(dataset: Dataset, frame_id: str) -> tuple[str, ...]:
-    """The ids of all frames of the scene that a frame belongs to, in the dataset's order."""
+    """Frame ids of the same scene, in the dataset's order."""
     folder = PurePosixPath(frame_id).parent
     return tuple(other for other in dataset.frame_ids if PurePosixPath(other).parent == folder)
 
 
 def unknown_frame(dataset: Dataset, key: str) -> InputError:
-    """The error for an id that a dataset does not have, with the nearest ids and the count."""
+    """Error for an unknown frame id, with the nearest ids and the count."""
     return unknown_id(dataset.frame_ids, key, dataset.root)
 
 
 def unknown_id(ids: Sequence[str], key: str, root: Path) -> InputError:
-    """The same for the ids and the folder of a dataset."""
+    """Error for an id not among `ids`, with the nearest ids and the count."""
     near = difflib.get_close_matches(key, ids[:20_000], n=3, cutoff=0.3) or list(ids[:3])
     return InputError(
         f"no frame {key[:80]!r} among {len(ids)}",
@@ -182,7 +172,7 @@ turning left and right (seen from above, counter-clockwise is to the left), then
 
 @dataclass(frozen=True)
 class GivenExpression:
-    """A referring expression that the dataset itself gives for a frame.
+    """A referring expression from the dataset's own files.
 
     Attributes
     ----------
@@ -205,12 +195,12 @@ class GivenExpression:
 
 
 def has_moves(dataset: Dataset) -> bool:
-    """Whether the dataset says which frame a move leads to."""
+    """Test whether the dataset has moves between frames."""
     return callable(getattr(dataset, "moves", None))
 
 
 def moves(dataset: Dataset, frame_id: str) -> dict[str, str]:
-    """Where the moves that are possible from a frame lead: move to frame id, in the order of `MOVES`.
+    """Frame ids by possible move, in the order of `MOVES`.
 
     Raises
     ------
@@ -222,7 +212,7 @@ def moves(dataset: Dataset, frame_id: str) -> dict[str, str]:
 
 
 def given_expressions(dataset: Dataset, frame_id: str) -> tuple[GivenExpression, ...]:
-    """The dataset's own expressions about a frame; empty for a dataset that gives none.
+    """Referring expressions of the dataset about a frame; empty without any.
 
     Raises
     ------
@@ -244,37 +234,25 @@ def splits(dataset: Dataset) -> dict[str, tuple[str, ...]]:
 
 
 def dataset_notes(dataset: Dataset) -> tuple[str, ...]:
-    """What holds for every frame and no file states: a unit or a camera that the format is known for, each with the
-    option that tells another; empty for a dataset whose files say all."""
+    """Assumptions for every frame without a file behind them: a unit or a camera known from the format, with the option
+    to change each."""
     return getattr(dataset, "notes", ())
 
 
 def load_pose(dataset: Dataset, frame_id: str) -> np.ndarray | None:
-    """T_world_camera (4, 4) of a frame, or None; without decoding it where the dataset can.
-
-    Raises
-    ------
-    InputError
-        As `Dataset.load`.
-    """
+    """Pose T_world_camera (4, 4) of a frame, or None; without decoding where possible."""
     method: Any = getattr(dataset, "load_pose", None)
     return load_picture(dataset, frame_id).camera.T_world_camera if method is None else method(frame_id)
 
 
 def load_picture(dataset: Dataset, frame_id: str) -> Frame:
-    """A frame for those who need no annotations: without them where the dataset can leave them out, else whole.
-
-    Raises
-    ------
-    InputError
-        As `Dataset.load`.
-    """
+    """Load a frame without annotations where the dataset can leave them out, else whole."""
     method: Any = getattr(dataset, "load_picture", None)
     return dataset.load(frame_id) if method is None else method(frame_id)
 
 
 def readable_frames(load: Callable[[str], Frame], ids: Iterable[str]) -> Iterator[Frame]:
-    """The frames of these ids that can be loaded; a broken one only means less to go by."""
+    """Load the readable frames of these ids; broken frames are skipped."""
     for frame_id in ids:
         with suppress(InputError):
             yield load(frame_id)
@@ -286,7 +264,7 @@ def _ask(dataset: Dataset, capability: str, nothing: Any, *arguments: str) -> An
 
 
 class Frames(Sequence[Frame]):
-    """All frames of a dataset in its order, each decoded when it is asked for and not kept.
+    """Sequence of all frames of a dataset, decoded on access and not kept.
 
     `frames[0]`, `frames["000001/000000"]` (the keys of `resolve_frame`), `frames[-3:]`, `len(frames)`, and a loop.
     A broken frame raises InputError.
@@ -314,7 +292,7 @@ class Frames(Sequence[Frame]):
 
 
 class ChangedFrames:
-    """A dataset whose frames are changed as they are loaded; all else is the dataset's own."""
+    """A dataset with frames changed on loading."""
 
     def __init__(self, inner: Dataset) -> None:
         self.inner = inner
@@ -333,16 +311,16 @@ class ChangedFrames:
         return found
 
     def changed(self, frame: Frame) -> Frame:
-        """Each kind's own: a frame of the dataset as it is given; InputError where it cannot be."""
+        """Change a frame of the inner dataset (subclasses); InputError where impossible."""
         raise NotImplementedError
 
     def load(self, frame_id: str) -> Frame:
-        """Decode one frame; see `Dataset.load`."""
+        """Decode a frame; see `Dataset.load`."""
         return self.changed(self.inner.load(frame_id))
 
 
 class InMemoryDataset:
-    """Frames that are at hand, as a dataset (`pipeline.datasets.base.Dataset`).
+    """Frames in memory as a dataset (`pipeline.datasets.base.Dataset`).
 
     Parameters
     ----------

@@ -35,7 +35,7 @@ SCENES_KEPT = 8
 
 
 class BopDataset(Recording):
-    """Frames of id `<scene>/<image:06d>`, the scene being its folder's own name.
+    """Frames of id `<scene>/<image:06d>`; the scene is the folder's name.
 
     The opened folder may be a dataset, one of its splits, a dataset of splits
     (`test/000001`; with more than one split the id begins with the split's
@@ -62,21 +62,21 @@ class BopDataset(Recording):
 
     @cached_property
     def _class_names(self) -> tuple[str, ...]:
-        """The classes that are annotated anywhere, in the order of their object numbers."""
+        """Annotated classes, in the order of object numbers."""
         numbers: set[int] = set().union(*map(annotated_objects, self._folders.values()))
         return tuple(dict.fromkeys(self._label(number) for number in sorted(numbers)))
 
     @property
     def class_names(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """As `Dataset` has it; read when it is first asked for."""
+        """Annotated classes, read on first use."""
         return self._class_names
 
     def load(self, frame_id: str) -> Frame:
-        """Decode one frame; see `Dataset.load`."""
+        """Decode a frame; see `Dataset.load`."""
         return self._load(frame_id, annotated=True)
 
     def load_picture(self, frame_id: str) -> Frame:
-        """The same without annotations: their masks are most of what there is to decode."""
+        """Decode a frame without annotations."""
         return self._load(frame_id, annotated=False)
 
     def _load(self, frame_id: str, annotated: bool) -> Frame:
@@ -145,13 +145,7 @@ class BopDataset(Recording):
 def _extent(
     mask_path: Path | None, info: Mapping[str, Any], size: tuple[int, ...], info_path: Path, remarks: list[str]
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """The box (4,) and the mask of one annotation; the box is the mask's own where there is one.
-
-    Raises
-    ------
-    InputError
-        Nothing visible is left, so that the annotation must be dropped.
-    """
+    """Box (4,) and mask of an annotation; the box is the mask's where a mask exists."""
     if mask_path is not None and not mask_path.is_file():
         remarks.append(f"the mask {mask_path.name} is missing")
         mask_path = None
@@ -184,7 +178,7 @@ def _image(folder: Path, image: int, suffixes: tuple[str, ...]) -> Path:
 
 
 def _scene_folders(root: Path) -> dict[str, Path]:
-    """The scene folders by the name they have in a frame's id."""
+    """Scene folders by prefix of the frame ids."""
     if _is_scene(root):
         return {root.resolve().name: root}
     folders = listing(root)[0]
@@ -222,49 +216,25 @@ MM = 1e-3
 
 @dataclass(frozen=True)
 class ObjectModel:
-    """What `models_info.json` says of one object.
+    """An object of `models_info.json`."""
 
-    Attributes
-    ----------
-    name : str or None
-        The extra key `name`, which BOP itself does not have.
-    center, size : (3,) float64 or None
-        The exact axis-aligned box in the object's own frame, metres.
-    """
-
-    name: str | None
+    name: str | None  # The extra key `name`, which BOP itself does not have
     center: np.ndarray | None
-    size: np.ndarray | None
+    size: np.ndarray | None  # (3,) float64 or None: The exact axis-aligned box in the object's own frame, metres
 
 
 @dataclass(frozen=True)
 class BopScene:
-    """The three tables of a scene, each keyed by image number.
-
-    Attributes
-    ----------
-    folder : Path
-    camera : dict
-        `scene_camera.json`.
-    gt, gt_info : dict or None
-        `scene_gt.json` and `scene_gt_info.json`; None where there is no such file.
-    """
+    """The three tables of a scene, each keyed by image number."""
 
     folder: Path
-    camera: Mapping[int, Any]
+    camera: Mapping[int, Any]  # `scene_camera.json`
     gt: Mapping[int, Any] | None
-    gt_info: Mapping[int, Any] | None
+    gt_info: Mapping[int, Any] | None  # `scene_gt.json` and `scene_gt_info.json`; None where there is no such file
 
 
 def read_images(path: Path) -> dict[int, Any]:
-    """A table keyed by image number, in their order.
-
-    Raises
-    ------
-    InputError
-        Malformed JSON, or a key that is no plain number: a key becomes part of
-        a file name, so "../1" must not pass.
-    """
+    """A table keyed by image number, in their order."""
     images: dict[int, Any] = {}
     for key, value in read_json(path).items():
         require(
@@ -280,26 +250,14 @@ def read_images(path: Path) -> dict[int, Any]:
 
 
 def read_scene(folder: Path) -> BopScene:
-    """The tables of a scene folder.
-
-    Raises
-    ------
-    InputError
-        A table that is malformed, or no `scene_camera.json`.
-    """
+    """The tables of a scene folder."""
     optional = (folder / name for name in ("scene_gt.json", "scene_gt_info.json"))
     gt, gt_info = (read_images(path) if path.is_file() else None for path in optional)
     return BopScene(folder, read_images(folder / "scene_camera.json"), gt, gt_info)
 
 
 def read_camera(entry: Any, path: Path, image: int) -> tuple[np.ndarray, float]:
-    """K (3, 3) and the depth units in one metre of one entry of `scene_camera.json`.
-
-    Raises
-    ------
-    InputError
-        Either is missing, not a number, or not finite.
-    """
+    """Intrinsics K (3, 3) and depth units per metre of an entry of `scene_camera.json`."""
     require(
         isinstance(entry, Mapping), f"image {image}: a camera must be an object", got=type(entry).__name__, path=path
     )
@@ -314,13 +272,7 @@ def read_camera(entry: Any, path: Path, image: int) -> tuple[np.ndarray, float]:
 
 
 def read_pose(entry: Mapping[str, Any], path: Path) -> np.ndarray | None:
-    """T_world_camera (4, 4) in metres, from the optional cam_R_w2c and cam_t_w2c; None without them.
-
-    Raises
-    ------
-    InputError
-        One of the two without the other, or no rigid motion.
-    """
+    """Pose T_world_camera (4, 4) in metres, from the optional cam_R_w2c and cam_t_w2c; else None."""
     if "cam_R_w2c" not in entry and "cam_t_w2c" not in entry:
         return None
     return inverse(_rigid_mm(entry, "cam_R_w2c", "cam_t_w2c", path))
@@ -334,15 +286,10 @@ def _rigid_mm(entry: Mapping[str, Any], R_key: str, t_key: str, path: Path) -> n
 
 
 def read_models(root: Path) -> dict[int, ObjectModel]:
-    """The objects by number, from `models/models_info.json` and its variants (`models_eval`, ...).
+    """Objects by number, from `models/models_info.json` and variants (`models_eval`, ...).
 
     Where several folders speak of an object, `models` comes first and the
     others fill in what it leaves out.
-
-    Raises
-    ------
-    InputError
-        A malformed file.
     """
     models: dict[int, ObjectModel] = {}
     for folder in listing(root)[0]:
@@ -377,7 +324,7 @@ def _model(entry: Mapping[str, Any]) -> ObjectModel:
 
 
 def annotated_objects(folder: Path) -> set[int]:
-    """The object numbers that occur in a scene's `scene_gt.json`.
+    """Object numbers in a scene's `scene_gt.json`.
 
     Matched rather than parsed: parsing every scene of a large dataset takes
     seconds, and a malformed scene is reported frame by frame anyway.

@@ -1,4 +1,4 @@
-"""What small files beside a recording say of its camera: intrinsics, their image size, the unit of depth.
+"""Camera files next to a recording: intrinsics, image size, unit of depth.
 
 Makers write the same few numbers into JSON, YAML, INI, MATLAB, NPZ and plain text under a dozen names. Every file is
 read into one flat table of names and numbers, and the names that are known are looked up in it.
@@ -41,32 +41,17 @@ _UNITS = ("factor_depth", "depth_scale", "depth_factor", "depthmapfactor", "dept
 
 @dataclass(frozen=True)
 class Stated:
-    """What files say of a camera; None where they do not.
+    """Camera facts from files; None where missing."""
 
-    Attributes
-    ----------
-    K : (3, 3) float64 or None
-    size : (width, height) or None
-        Of the pictures that K is for, pixels.
-    units_per_metre : float or None
-    path : Path or None
-        The file that says it.
-    """
-
-    K: np.ndarray | None = None
-    size: tuple[int, int] | None = None
+    K: np.ndarray | None = None  # (3, 3) float64 or None
+    size: tuple[int, int] | None = None  # (width, height) or None: Of the pictures that K is for, pixels
     units_per_metre: float | None = None
-    path: Blob | None = None
+    path: Blob | None = None  # The file that says it
 
     def scaled(self, size: tuple[int, int], other: tuple[int, int]) -> np.ndarray | None:
-        """K for a picture of `size` (width, height), whose colour was of the size `other` before it was resized.
+        """Intrinsics K for a picture of `size` (width, height), with colour of size `other` before resizing.
 
         A file that names no size is taken to speak of whichever of both has its middle at the principal point.
-
-        Raises
-        ------
-        InputError
-            K is for pictures of neither shape.
         """
         if self.K is None:
             return None
@@ -102,18 +87,12 @@ def _is_middle(K: np.ndarray, size: tuple[int, int]) -> bool:
 
 
 def read_stated(path: Blob) -> Stated:
-    """What a file says of a camera.
-
-    Raises
-    ------
-    InputError
-        Missing, cut off, or malformed.
-    """
+    """Read the camera facts of a file."""
     return stated_in(dict(_named_numbers(path)), path)
 
 
 def stated_in(table: Mapping[str, np.ndarray], path: Blob | None = None) -> Stated:
-    """The same in a flat table of names and numbers, dots between the levels of a name."""
+    """Camera facts in a flat table of numbers by dotted name."""
     last = {}
     for name, numbers in table.items():
         parts = name.lower().split(".")
@@ -139,13 +118,7 @@ def stated_in(table: Mapping[str, np.ndarray], path: Blob | None = None) -> Stat
 
 
 def stated_beside(paths: Iterable[Path], told: bool = False) -> Stated:
-    """What the first of several files says that says it of each fact; a file that says nothing is passed over.
-
-    Raises
-    ------
-    InputError
-        Two files state different intrinsics for pictures of one size, and no person told (`told`) which are right.
-    """
+    """First value of each camera fact over several files; files without any are skipped."""
     found: list[Stated] = []
     units: float | None = None
     for path in paths:
@@ -172,7 +145,7 @@ def stated_beside(paths: Iterable[Path], told: bool = False) -> Stated:
 
 
 def _units(value: float | None) -> float | None:
-    """Units in one metre of a depth scale as makers write it; between both ways of writing it is not guessed."""
+    """Units per metre of a depth scale, written either way; None where ambiguous."""
     if value is None or not np.isfinite(value):
         return None
     return value if value >= 100 else 1 / value if 0 < value <= 0.01 else None
@@ -191,7 +164,7 @@ def _first(table: Mapping[str, np.ndarray], names: Iterable[str]) -> float | Non
 
 
 def _matrix(numbers: np.ndarray) -> np.ndarray | None:
-    """(3, 3) intrinsics of 4, 9, 12 or 16 numbers, row by row or column by column; None where they are none."""
+    """Intrinsics (3, 3) of 4, 9, 12 or 16 numbers, row- or column-major; else None."""
     if numbers.size == 4:
         fx, fy, cx, cy = numbers.tolist()
         return intrinsics(fx, fy, cx, cy) if min(fx, fy) > 1 else None
@@ -235,7 +208,7 @@ def _named_numbers(path: Blob) -> Iterator[tuple[str, np.ndarray]]:
 
 
 def flat_numbers(value: Any, name: str = "") -> Iterator[tuple[str, np.ndarray]]:
-    """Every number and list of numbers in a JSON value, by its name with dots between the levels."""
+    """Numbers and lists of numbers in a JSON value, by dotted name."""
     if isinstance(value, Mapping):
         for key, inside in value.items():
             yield from flat_numbers(inside, f"{name}.{key}" if name else str(key))

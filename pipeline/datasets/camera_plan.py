@@ -1,4 +1,4 @@
-"""Where the cameras of a posed scene stand, seen from above."""
+"""Plan view of the cameras of a posed scene."""
 
 from __future__ import annotations
 
@@ -19,26 +19,15 @@ NEIGHBOURS = 20_000
 
 @dataclass(frozen=True, eq=False)
 class CameraPlan:
-    """The cameras of a scene from above.
-
-    Attributes
-    ----------
-    scene : str
-    frame_ids : tuple of str
-        Of the frames with a pose, in the dataset's order.
-    positions : (N, 2) float
-        Metres; the first axis is that in which the cameras are spread most.
-    headings : (N, 2) float
-        Where they look, of length one; 0, 0 for one that looks straight up or down.
-    """
+    """The cameras of a scene from above."""
 
     scene: str
-    frame_ids: tuple[str, ...]
-    positions: np.ndarray
-    headings: np.ndarray
+    frame_ids: tuple[str, ...]  # Of the frames with a pose, in the dataset's order
+    positions: np.ndarray  # (N, 2) float: Metres; the first axis is that in which the cameras are spread most
+    headings: np.ndarray  # (N, 2) float: Where they look, of length one; 0, 0 for one that looks straight up or down
 
     def record(self) -> dict[str, object]:
-        """As JSON."""
+        """Plan as JSON."""
         return {
             "scene": self.scene,
             "frames": list(self.frame_ids),
@@ -50,7 +39,7 @@ class CameraPlan:
 def camera_plan(
     dataset: Dataset, frame_id: str, most: int = MOST_CAMERAS, load: Callable[[str], Frame] | None = None
 ) -> CameraPlan | None:
-    """The cameras of the scene of a frame; None where fewer than two of its frames have a pose.
+    """Plan of the cameras in a frame's scene; None with fewer than two poses.
 
     Up is what the frames declare, else what they vote for, else what the cameras hold upwards. At most `most` frames
     are read for their poses; a scene whose first frame has none is taken for one without.

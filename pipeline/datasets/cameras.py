@@ -1,4 +1,4 @@
-"""Cameras and poses as files say them, checked, and frames put together with the file to blame in every error."""
+"""Cameras and poses from files, checked; frames assembled with the file to blame in every error."""
 
 from __future__ import annotations
 
@@ -24,20 +24,9 @@ ROUNDING = 1e-2
 
 
 def nearest_rotation(R: np.ndarray) -> np.ndarray:
-    """The rotation nearest to a rounded one, by SVD (orthogonal Procrustes).
+    """Nearest rotation to a rounded matrix, by SVD (orthogonal Procrustes).
 
-    Parameters
-    ----------
-    R : (3, 3) float
-
-    Returns
-    -------
-    (3, 3) float64
-
-    Raises
-    ------
-    InputError
-        Not finite, mirrored, or further from a rotation than rounding explains.
+    `R` (3, 3) float.
     """
     R = np.asarray(R, dtype=np.float64)
     require(np.isfinite(R).all(), "a rotation with inf or NaN")
@@ -53,13 +42,7 @@ def nearest_rotation(R: np.ndarray) -> np.ndarray:
 
 
 def rigid(R: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """The (4, 4) float64 transform of a (rounded) rotation (3, 3) and a translation (3,), metres.
-
-    Raises
-    ------
-    InputError
-        R is no rotation, or t is not finite.
-    """
+    """The (4, 4) float64 transform of a (rounded) rotation (3, 3) and a translation (3,), metres."""
     t = np.asarray(t, dtype=np.float64)
     require(np.isfinite(t).all(), "a position with inf or NaN")
     T = np.eye(4)
@@ -77,13 +60,7 @@ def inverse(T: np.ndarray) -> np.ndarray:
 
 
 def pose_from_matrix(T: np.ndarray) -> np.ndarray:
-    """A checked (4, 4) T_world_camera from a 4x4 matrix as printed in a file.
-
-    Raises
-    ------
-    InputError
-        inf or NaN (the tracker was lost), a last row other than 0 0 0 1, or no rotation.
-    """
+    """A checked (4, 4) T_world_camera from a 4x4 matrix as printed in a file."""
     require(np.isfinite(T).all(), "inf or NaN, the tracker was lost")
     require(np.abs(T[3] - (0, 0, 0, 1)).max() <= 1e-6, "the last row is not 0 0 0 1", got=T[3].tolist())
     return rigid(T[:3, :3], T[:3, 3])
@@ -94,11 +71,6 @@ def pose_from_quaternion(values: np.ndarray) -> np.ndarray:
 
     The quaternion may be rounded; the formula is the usual one for a unit
     quaternion (Shoemake 1985).
-
-    Raises
-    ------
-    InputError
-        inf or NaN, or a quaternion whose length is not 1.
     """
     require(np.isfinite(values).all(), "inf or NaN, the tracker was lost")
     length = float(np.linalg.norm(values[3:]))
@@ -122,25 +94,10 @@ def make_camera(
     path: Blob,
     untold: tuple[str, ...] = (),
 ) -> Camera:
-    """A checked camera; the settings' intrinsics win over `K`, and they may say what a pose means.
+    """Checked camera; intrinsics and pose convention of the settings win over `K` and the file.
 
-    Parameters
-    ----------
-    K : (3, 3) float64 or None
-        What the dataset's own files say, from `path`.
-    size : (height, width)
-        Or the shape of the image.
-    T_world_camera : (4, 4) float64 or None
-    settings : Settings
-    path : Blob
-        The file to blame.
-    untold : tuple of str
-        Options that would tell what else nothing tells; see `Camera.untold`.
-
-    Raises
-    ------
-    InputError
-        No intrinsics at all where a frame is more than looked at, or ones that cannot belong to an image of this size.
+    `K` (3, 3) float64 or None: What the dataset's own files say, from `path`; `size` (height, width): Or the shape
+    of the image; `T_world_camera` (4, 4) float64 or None.
     """
     height, width = size[:2]
     if settings.intrinsics is not None:
@@ -168,13 +125,7 @@ def make_camera(
 def read_pair(
     color: Blob, depth: Blob, units_per_metre: float | None, nothing: int | None = None, rotated: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A colour file and its depth file, (H, W, 3) uint8 and (H, W) float32 metres; see `read_depth`.
-
-    Raises
-    ------
-    InputError
-        Either is broken, or their sizes differ.
-    """
+    """Colour and depth of a frame, (H, W, 3) uint8 and (H, W) float32 metres; see `read_depth`."""
     rgb = read_color(color)
     metres = read_depth(depth, units_per_metre, nothing, rotated)
     if rgb.shape[:2] != metres.shape:
@@ -183,7 +134,7 @@ def read_pair(
 
 
 def differ_in_size(rgb: np.ndarray, metres: np.ndarray, color: Blob, depth: Blob) -> InputError:
-    """The error for a colour image and a depth image that do not belong together."""
+    """Error for colour and depth of different sizes."""
     return InputError(
         "colour and depth differ in size",
         got=f"depth {metres.shape[1]}x{metres.shape[0]}",
@@ -201,7 +152,7 @@ def make_frame(
     annotations: tuple[Annotation, ...] = (),
     notes: tuple[str, ...] = (),
 ) -> Frame:
-    """A Frame; what it finds wrong is the depth, and is blamed on `depth_path`."""
+    """Assemble a Frame; errors name `depth_path`."""
     try:
         return Frame(frame_id, pair[0], pair[1], camera, annotations, notes)
     except InputError as error:
@@ -211,7 +162,7 @@ def make_frame(
 def known_intrinsics(
     numbers: tuple[float, float, float, float], whose: str, size: Sequence[int], expected: str, path: Blob
 ) -> np.ndarray:
-    """(3, 3) intrinsics that a format is known for, which are for 640x480; InputError for images of another size."""
+    """Intrinsics (3, 3) known for a format at 640x480; InputError for another size."""
     require(
         tuple(size) == (480, 640),
         f"the camera is not known: {whose} own intrinsics are for 640x480",
@@ -223,13 +174,7 @@ def known_intrinsics(
 
 
 def one_file(candidates: list[Path], what: str, where: Path) -> Path:
-    """The only file of several possible ones.
-
-    Raises
-    ------
-    InputError
-        None is there, or more than one.
-    """
+    """Single file among several candidates."""
     require(candidates, f"the {what} file is missing", path=where)
     require(
         len(candidates) <= 1, f"more than one {what} file", got=", ".join(path.name for path in candidates), path=where
@@ -238,7 +183,7 @@ def one_file(candidates: list[Path], what: str, where: Path) -> Path:
 
 
 def or_note(notes: list[str], what: str, read: Callable[..., Value], *given: Any) -> Value | None:
-    """What `read` makes of what is given; where that is unusable, None and a note that begins with `what`."""
+    """Call `read` on the arguments; where unusable, None and a note beginning with `what`."""
     try:
         return read(*given)
     except InputError as error:
@@ -247,7 +192,7 @@ def or_note(notes: list[str], what: str, read: Callable[..., Value], *given: Any
 
 
 class ShiftedPoses(ChangedFrames):
-    """A dataset whose poses stand with other frames of their scene, `shift` places later; see `Settings.pose_shift`."""
+    """A dataset with the poses of frames `shift` places later in the scene; see `Settings.pose_shift`."""
 
     def __init__(self, inner: Dataset, shift: int) -> None:
         super().__init__(inner)
@@ -266,7 +211,7 @@ class ShiftedPoses(ChangedFrames):
         return None if other is None else load_pose(self.inner, other)
 
     def changed(self, frame: Frame) -> Frame:
-        """A frame with the pose of the other one, and the up that is declared with it."""
+        """Frame with the pose of the shifted frame, and the declared up of this pose."""
         own, other = frame.camera, self._others[frame.id]
         notes, pose, up, source = frame.notes, None, None, None
         if other is None:
@@ -280,5 +225,5 @@ class ShiftedPoses(ChangedFrames):
 
 
 def read_pose(path: Path, notes: list[str]) -> np.ndarray | None:
-    """T_world_camera (4, 4) from a file of 4x4 numbers; an unusable one gives None and a note."""
+    """Pose T_world_camera (4, 4) from a file of 4x4 numbers; None and a note where unusable."""
     return or_note(notes, f"no camera pose, {path.name}: ", lambda: pose_from_matrix(read_matrix(path, 4, 4)))

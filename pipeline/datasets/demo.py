@@ -1,4 +1,4 @@
-"""The built-in demo dataset, its labels, and a run of a simulated detector over it."""
+"""Built-in demo dataset, with labels and a run of a simulated detector."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def demo_path() -> Path:
 
 
 def demo_labels() -> Path:
-    """The merged labels of the demo that its run was evaluated on; raises as `demo_path`."""
+    """Merged labels of the demo run."""
     return asset_path(DEMO_RUN_NAME, "labels")
 
 

@@ -1,4 +1,4 @@
-"""Reading the small text files of a dataset, and listing its folders."""
+"""Text files and folder listings of a dataset."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ CUT_OFF = "was the copy or the download interrupted?"
 
 
 class Blob(Protocol):
-    """A file where it stands: a path, or a member of an archive, a table or a stream.
+    """A file at any place: a path, or a member of an archive, table or stream.
 
     One that holds an array and no encoded picture also has `pixels()`. `os.fspath` says what a message calls it.
     """
@@ -37,13 +37,7 @@ class Blob(Protocol):
 
 
 def read_bytes(path: Blob, limit: str = "bytes") -> bytes:
-    """The whole file, wherever it stands; `limit` is the name of the limit of its size.
-
-    Raises
-    ------
-    InputError
-        Missing, unreadable, or empty; no regular file, outside the dataset, or too large.
-    """
+    """Read a whole file; `limit` names the size limit."""
     try:
         data = safe_files.read_bytes(path, limit) if isinstance(path, Path) else path.read_bytes()
     except FileNotFoundError as error:
@@ -55,13 +49,7 @@ def read_bytes(path: Blob, limit: str = "bytes") -> bytes:
 
 
 def read_json(path: Blob) -> dict[str, Any]:
-    """A JSON file whose top level is an object.
-
-    Raises
-    ------
-    InputError
-        Missing, empty, malformed (with the line), or of another shape.
-    """
+    """Read a JSON file with an object at the top."""
     data = read_bytes(path, "text")
     try:
         table = safe_files.parse_json(data, path)
@@ -78,13 +66,7 @@ def read_json(path: Blob) -> dict[str, Any]:
 
 
 def numbered_lines(path: Blob) -> list[tuple[int, str]]:
-    """The lines of a text file that say something, each with its number in the file, from 1.
-
-    Raises
-    ------
-    InputError
-        Missing, empty, unreadable, or no text.
-    """
+    """Lines with content of a text file, each with the line number from 1."""
     try:
         text = read_bytes(path, "text").decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -94,13 +76,7 @@ def numbered_lines(path: Blob) -> list[tuple[int, str]]:
 
 
 def name_inside(name: str, source: Path, line: int) -> str:
-    """The name of a file as line `line` of the list `source` gives it, which must stay inside the list's folder.
-
-    Raises
-    ------
-    InputError
-        An absolute path, one with "..", or one with control characters.
-    """
+    """File name from line `line` of a list; must stay inside the list's folder."""
     require(
         name and name.isprintable() and (_PLAIN.match(name) or not _leaves(name)),
         f"line {line} names a file outside the dataset",
@@ -121,19 +97,13 @@ def _leaves(name: str) -> bool:
 
 
 def read_matrix(path: Blob, rows: int, columns: int) -> np.ndarray:
-    """A text file of rows x columns numbers, as float64. inf and NaN may be among them."""
+    """Matrix of a text file as float64; inf and NaN may occur."""
     words = " ".join(line for _, line in numbered_lines(path)).replace(",", " ").split()
     return as_floats(words, rows * columns, path).reshape(rows, columns)
 
 
 def as_floats(values: Any, count: int, path: Blob, what: str = "numbers") -> np.ndarray:
-    """`values` as (count,) float64, whatever their nesting.
-
-    Raises
-    ------
-    InputError
-        Not numbers, or another count.
-    """
+    """`values` as (count,) float64, whatever their nesting."""
     try:
         array = np.asarray(values, dtype=np.float64).ravel()
     except (TypeError, ValueError, OverflowError) as error:
@@ -143,13 +113,7 @@ def as_floats(values: Any, count: int, path: Blob, what: str = "numbers") -> np.
 
 
 def read_mat(path: Blob, *names: str) -> dict[str, Any]:
-    """The named variables of a MATLAB file, as far as it has them.
-
-    Raises
-    ------
-    InputError
-        Missing, cut off, or no MATLAB file.
-    """
+    """Named variables of a MATLAB file, where present."""
     data = read_bytes(path)
     from scipy.io import loadmat, whosmat
 
@@ -165,7 +129,7 @@ def read_mat(path: Blob, *names: str) -> dict[str, Any]:
 
 
 def listing(folder: Path, links: bool = True) -> tuple[list[str], list[str]]:
-    """Names of the folders and of the files in a folder, each in natural order, without hidden ones.
+    """Folder and file names in natural order, without hidden names.
 
     Without `links` a folder that is a link counts as a file.
     """
@@ -193,7 +157,7 @@ _LISTED: ContextVar[dict[tuple[Path, bool], tuple[list[str], list[str]]] | None]
 
 @contextmanager
 def listed_once() -> Iterator[None]:
-    """In the block each folder is listed once: every format looks at a dataset before one opens it."""
+    """Cache folder listings inside the block."""
     token = _LISTED.set({})
     try:
         yield
@@ -207,7 +171,7 @@ def in_order(names: list[str]) -> list[str]:
 
 
 def readable(folder: Path, links: bool = True) -> tuple[list[str], list[str]]:
-    """`listing`, and nothing where the folder cannot be read: what may not be looked at is no data."""
+    """Folder listing; empty where unreadable."""
     try:
         return listing(folder, links)
     except InputError:
@@ -218,7 +182,7 @@ _NUMBER = re.compile("0*([0-9]+)")
 
 
 def natural(name: str) -> str:
-    """Sort key under which frame2 comes before frame10.
+    """Natural sort key: frame2 before frame10.
 
     A number is written as what tells its length and its digits, so that characters are compared: a tuple of parts
     would be compared three times as slowly, and a folder may hold 300,000 names.

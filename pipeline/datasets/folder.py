@@ -1,4 +1,4 @@
-"""Any other recording: colour and depth that their names tell, perhaps poses, camera files and label pictures."""
+"""Plain recordings: colour and depth by file names, perhaps poses, camera files and label pictures."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ MOST_CAMERA_FILES = 20
 
 @dataclass(frozen=True)
 class _PoseText:
-    """Where a pose stands: a file of its own, or a line of `pose.txt`."""
+    """Text of a pose: a file, or a line of `pose.txt`."""
 
     path: Path
     line: str | None = None
@@ -42,32 +42,20 @@ class _PoseText:
 
 
 @dataclass(frozen=True)
-class Scene:
-    """One folder of frames, and what else is there of them by their keys.
-
-    Attributes
-    ----------
-    pairs : list of Pair
-    stated : Stated
-        What a file for all frames says of the camera.
-    cameras, labels : dict of key to str
-        Files of single frames, relative to the folder.
-    poses : dict of key to _PoseText
-    pose_problem : str or None
-        Why there are none although there is a file.
-    """
+class SceneFolder:
+    """A folder of frames with labels, poses and cameras by key."""
 
     files: Files
     pairs: list[Pair]
-    stated: Stated = NOTHING
+    stated: Stated = NOTHING  # What a file for all frames says of the camera
     cameras: Mapping[Key, str] = field(default_factory=dict)
-    labels: Mapping[Key, str] = field(default_factory=dict)
+    labels: Mapping[Key, str] = field(default_factory=dict)  # Files of single frames, relative to the folder
     poses: Mapping[Key, _PoseText] = field(default_factory=dict)
-    pose_problem: str | None = None
+    pose_problem: str | None = None  # Why there are none although there is a file
 
     @classmethod
-    def of(cls, files: Files, told: bool) -> Scene:
-        """The frames of a folder, listed; InputError where colour and depth do not pair, or its camera files differ.
+    def of(cls, files: Files, told: bool) -> SceneFolder:
+        """List the frames of a folder; InputError where colour and depth do not pair or camera files differ.
 
         `told` says that the intrinsics are known already.
         """
@@ -85,7 +73,7 @@ class Scene:
         return cls(files, pairs, stated, each["camera"], each["label"], poses, problem)
 
     def camera(self, key: Key) -> Stated:
-        """What files say of the camera of one frame; raises as `read_stated`."""
+        """Camera facts of a frame."""
         if key not in self.cameras:
             return self.stated
         own = read_stated(self.files.root / self.cameras[key])
@@ -94,7 +82,7 @@ class Scene:
         return Stated(K, size, own.units_per_metre or rest.units_per_metre, path)
 
     def ids(self, prefix: str) -> list[str]:
-        """The frames' ids: the colour files' names, without the words of their role where they stand beside depth."""
+        """Frame ids: names of the colour files, without role words in flat folders."""
         stems = [pair.stem for pair in self.pairs]
         if self.files.flat:
             short = [role_of(stem)[1] or self.files.root.resolve().name for stem in stems]
@@ -119,7 +107,9 @@ class FolderDataset(Recording):
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
         told = settings.intrinsics is not None
-        self._scenes = {prefix: Scene.of(self._files(folder), told) for prefix, folder in self._folders(root).items()}
+        self._scenes = {
+            prefix: SceneFolder.of(self._files(folder), told) for prefix, folder in self._folders(root).items()
+        }
         self._index = {
             frame_id: (prefix, pair)
             for prefix, scene in self._scenes.items()
@@ -137,20 +127,20 @@ class FolderDataset(Recording):
     def _files(self, folder: Path) -> Files:
         return needed(files_by_role(folder), "no colour and depth that their names tell", path=folder)
 
-    def _camera(self, scene: Scene, pair: Pair) -> Stated:
+    def _camera(self, scene: SceneFolder, pair: Pair) -> Stated:
         return scene.camera(pair.key)
 
-    def _pose(self, scene: Scene, pair: Pair, notes: list[str]) -> np.ndarray | None:
+    def _pose(self, scene: SceneFolder, pair: Pair, notes: list[str]) -> np.ndarray | None:
         notes += [] if scene.pose_problem is None else [f"no camera pose: {scene.pose_problem}"]
         text = scene.poses.get(pair.key)
         return None if text is None else or_note(notes, "no camera pose: ", text.read)
 
     def _up(self, pose: np.ndarray | None) -> np.ndarray | None:
-        """The up vector, camera frame, that a layout's world declares; plain ones declare none."""
+        """Up vector, camera frame, of the layout's world; None for plain layouts."""
         return None
 
     def _check(self) -> None:
-        """What the first frame of each scene and the suffixes tell of what is missing, without decoding a picture."""
+        """Missing camera or unit, by the first frame of each scene and file endings."""
         told, camera, unit, floats = self._settings, False, False, False
         scene = next(iter(self._scenes.values()))
         for scene in self._scenes.values():
@@ -183,18 +173,18 @@ class FolderDataset(Recording):
         return self._settings.intrinsics is not None and self._settings.depth_scale is not None
 
     def load_picture(self, frame_id: str) -> Frame:
-        """As `load`, without annotations."""
+        """Decode a frame without annotations."""
         return self._decoded(frame_id, annotated=False)
 
 
-def _seen(scene: Scene) -> str:
+def _seen(scene: SceneFolder) -> str:
     """The colour and depth files of a scene in a few words."""
     first = next((p for p in scene.pairs if p.color_name and p.depth_name), scene.pairs[0])
     return f"{counted(len(scene.pairs), 'pair')} such as {first.color_name} and {first.depth_name}"
 
 
 def _poses(files: Files, naming: Naming, keys: list[Key]) -> tuple[dict[Key, _PoseText], str | None]:
-    """Where each frame's pose stands, and why there are none although there is a file."""
+    """Pose text by frame key, and the reason for missing poses."""
     known = set(keys)
     names = [name for name in files.of("pose") if "/" in name or naming(name) in known]
     if names:

@@ -1,4 +1,4 @@
-"""Which frame of a dataset a picture's name or number in another program's file means."""
+"""Frames by picture names or numbers in other programs' files."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Picture = str | int
 
 
 def fit(frame_id: str, picture: Picture) -> int:
-    """How surely a picture is that of a frame; 0 where it is not.
+    """Match score of a picture and a frame; 0 for no match.
 
     Strongest is the whole id; then the id's last part as the file's name, surer with each other part among the folders;
     then the whole id among the folders; then a file name that is the same number; then a bare number.
@@ -53,7 +53,7 @@ class FrameNames:
                 self._alike[int(last)].append(frame_id)
 
     def find(self, picture: Picture, where: str = "") -> str | None:
-        """The frame of a picture that a file names at `where`, or None.
+        """Frame of a picture named in a file, or None.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""What is in a dataset and what is broken in it: frame by frame, and counted over all frames."""
+"""Survey of a dataset: reports per frame, and counts over all frames."""
 
 from __future__ import annotations
 
@@ -20,13 +20,12 @@ from pipeline.system.errors import InputError
 
 @dataclass(frozen=True)
 class FrameReport:
-    """One line of a survey. Of a broken frame only index, id and problem are known.
+    """Survey line of a frame. For a broken frame only index, id and problem are known.
 
     Attributes
     ----------
     index : int
         Place in the dataset, from 0.
-    id : str
     ok : bool
         Whether the frame can be loaded.
     problem : str or None
@@ -41,7 +40,6 @@ class FrameReport:
         Share of the pixels that have depth, 0..1.
     median_depth : float or None
         Metres, over those pixels; None where broken, and where nothing tells the unit.
-    has_pose : bool
     up_source : str or None
         How the up vector that is used is known; see `camera.UpSource`.
     notes : tuple of str
@@ -73,7 +71,7 @@ class FrameReport:
 
 
 def survey(dataset: Dataset) -> Iterator[FrameReport]:
-    """Load every frame in turn and report it; a broken one does not stop the rest."""
+    """Load and report every frame in turn; broken frames do not stop the survey."""
     assumed = dataset_notes(dataset)
     for index, frame_id in enumerate(dataset.frame_ids):
         leads = moves(dataset, frame_id) if has_moves(dataset) else None
@@ -106,13 +104,7 @@ def survey(dataset: Dataset) -> Iterator[FrameReport]:
 
 
 def up_notes(dataset: Dataset, frame: Frame, camera: Camera) -> tuple[str, ...]:
-    """What is to be doubted about the up vector of a frame: that it is assumed, that its scene disagrees.
-
-    Parameters
-    ----------
-    camera : Camera
-        Of the frame, with its up vector resolved.
-    """
+    """Doubts about a frame's up vector: assumed, or against the scene's."""
     notes = (f"{ASSUMED}; {DECLARE}",) if camera.up_source == "assumed" else ()
     doubt = scene_doubt(dataset, frame, camera)
     return (*notes, doubt) if doubt else notes
@@ -123,7 +115,7 @@ LITTLE_DEPTH = 0.1
 
 
 class SurveyCounts:
-    """Counts that grow with each frame; memory grows with the number of classes alone."""
+    """Running counts of a survey; memory grows with the classes only."""
 
     def __init__(self) -> None:
         self._frames = self._usable = self._objects = 0
@@ -133,7 +125,7 @@ class SurveyCounts:
         self._depth = 0.0
 
     def add(self, report: FrameReport) -> None:
-        """Count one frame."""
+        """Count a frame."""
         self._frames += 1
         self._notes = report.dataset_notes
         if not report.ok:
@@ -151,7 +143,7 @@ class SurveyCounts:
         self._missing["with_notes"] += bool(report.notes)
 
     def watch(self, reports: Iterable[FrameReport]) -> Iterator[FrameReport]:
-        """Pass frames on, and count them."""
+        """Yield frames unchanged while counting."""
         for report in reports:
             self.add(report)
             yield report
@@ -162,13 +154,12 @@ class SurveyCounts:
         Returns
         -------
         dict
-            JSON-able: frames, frames_usable, frames_broken, notes (what no file states,
-            see `base.dataset_notes`), problems ({reason: frames}); of the usable
-            frames frames_with_little_depth (less than a tenth of the pixels), frames_without_pose,
-            frames_without_objects, frames_with_notes, sizes ({"WxH": frames}), up_source ({source: frames}),
-            depth_valid (mean share of the pixels, 0..1, or None), objects,
-            objects_per_frame (mean or None), and classes ({name: objects}). What is
-            counted by name runs from the most frequent on.
+            JSON-able: frames, frames_usable, frames_broken, notes (what no file states, see `base.dataset_notes`),
+            problems ({reason: frames}); of the usable frames frames_with_little_depth (less than a tenth of the
+            pixels), frames_without_pose, frames_without_objects, frames_with_notes, sizes ({"WxH": frames}),
+            up_source ({source: frames}), depth_valid (mean share of the pixels, 0..1, or None), objects,
+            objects_per_frame (mean or None), and classes ({name: objects}). What is counted by name runs from the
+            most frequent on.
         """
         missing = ("with_little_depth", "without_pose", "without_objects", "with_notes")
         return {
@@ -192,6 +183,6 @@ def _sorted(counter: Counter[str]) -> dict[str, int]:
 
 
 def _reason(report: FrameReport) -> str:
-    """A problem without what is only of this frame: its name, what was got, and the file."""
+    """Problem text without the frame's name, value and file."""
     text = (report.problem or "unknown").split("; ")[0].split(" [")[0].split(" (")[0]
     return re.sub(rf"(?<!\w){re.escape(report.id)}(?!\w)", "…", text).removeprefix("frame …: ")

@@ -60,20 +60,14 @@ def read_color(path: Blob, upright: bool = False) -> np.ndarray:
 
 
 def read_numbers(path: Blob) -> np.ndarray:
-    """A picture of masks or of labels as it is stored, (H, W) or (H, W, C); raises as `read_color`."""
+    """Stored mask or label picture, (H, W) or (H, W, C)."""
     data, kind = _checked(path, "png")
     require(kind not in _ARRAYS, "a mask must be a png", got=kind, path=path)
     return _decode(data, kind, path, cv2.IMREAD_UNCHANGED)
 
 
 def read_mask(path: Blob) -> np.ndarray:
-    """A mask file as (H, W) bool: whatever is above 0 in any channel but alpha.
-
-    Raises
-    ------
-    InputError
-        As `read_color`.
-    """
+    """A mask file as (H, W) bool: whatever is above 0 in any channel but alpha."""
     pixels = read_numbers(path)
     return np.any(pixels[..., :3] > 0, axis=2) if pixels.ndim == 3 else pixels > 0
 
@@ -81,22 +75,7 @@ def read_mask(path: Blob) -> np.ndarray:
 def read_depth(path: Blob, units_per_metre: float | None, nothing: int | None = None, rotated: int = 0) -> np.ndarray:
     """A depth file as (H, W) float32 metres, 0 where nothing was measured.
 
-    Parameters
-    ----------
-    path : Blob
-        16-bit PNG or PGM, TIFF, EXR, NPY or NPZ.
-    units_per_metre : float or None
-        1000 for millimetres. None: floating-point depth is metres, and integer
-        depth is an error.
-    nothing : int, optional
-        A stored value, besides 0, that means nothing was measured.
-    rotated : int
-        By how many bits the stored 16-bit values were rotated to the left: 3 in SUN RGB-D.
-
-    Raises
-    ------
-    InputError
-        As `read_color`; also 8-bit depth, depth with colours, or an unknown unit.
+    `units_per_metre`: 1000 for millimetres.
     """
     stored = read_stored(path, rotated)
     if units_per_metre is None:
@@ -117,7 +96,7 @@ def read_depth(path: Blob, units_per_metre: float | None, nothing: int | None = 
 
 
 def read_stored(path: Blob, rotated: int = 0) -> np.ndarray:
-    """A depth file as it is stored, (H, W), of 16-bit or larger integers or floats; see `read_depth`."""
+    """Stored depth (H, W) of 16-bit or larger integers or floats; see `read_depth`."""
     if hasattr(path, "pixels"):
         stored = _pixels(path)
     else:
@@ -153,7 +132,7 @@ DIAGONAL_35MM = 43.2666
 
 
 def exif_focal(path: Blob, height: int, width: int) -> tuple[float, float] | None:
-    """(pixels, millimetres as of 35 mm film): the focal length that a picture's EXIF states; None where it does not.
+    """Focal length of the picture's EXIF: (pixels, millimetres as of 35 mm film), or None.
 
     The diagonals are compared, as in `depth_pro/utils.py` of apple/ml-depth-pro (CIPA DCG-001).
     """
@@ -166,7 +145,7 @@ def exif_focal(path: Blob, height: int, width: int) -> tuple[float, float] | Non
 
 
 def picture_size(path: Path) -> tuple[int, int] | None:
-    """(width, height) by the header of a picture; None where it is none."""
+    """Picture size (width, height) from the header, or None."""
     try:
         with safe_files.opened(path) as file, Image.open(file) as picture:
             return picture.size
@@ -175,12 +154,12 @@ def picture_size(path: Path) -> tuple[int, int] | None:
 
 
 def _pixels(blob: Any) -> np.ndarray:
-    """The array of a blob that holds one."""
+    """Array of a blob in memory."""
     return blob.pixels()
 
 
 def _checked(path: Blob, expected: str) -> tuple[bytes, str]:
-    """The bytes of an image file that is whole, and its kind by its first bytes."""
+    """Bytes and kind of a complete image file."""
     data = read_bytes(path)
     kind = needed(
         next((name for magic, name in _MAGIC.items() if data.startswith(magic)), None),
@@ -200,7 +179,7 @@ def _checked(path: Blob, expected: str) -> tuple[bytes, str]:
 
 
 def _check_png(data: bytes, path: Blob) -> None:
-    """Walk the chunks to IEND; each has its length, type, body and CRC-32 (PNG 1.2, section 3)."""
+    """Walk the PNG chunks to IEND and check CRC-32 (PNG 1.2, section 3)."""
     view, position = memoryview(data), 8
     while position + 12 <= len(data):
         length = int.from_bytes(view[position : position + 4], "big")
@@ -285,7 +264,7 @@ def _decode_pnm(data: bytes, path: Blob, flags: int) -> np.ndarray:
 
 
 def _decode_numpy(data: bytes, path: Blob) -> np.ndarray:
-    """The array of an NPY, or of an NPZ: its only one, or the one that is named for depth."""
+    """Array of an NPY or NPZ: the only array, or the array named for depth."""
     try:
         array = safe_files.load_arrays(data, path)
         if isinstance(array, np.lib.npyio.NpzFile):
@@ -301,7 +280,7 @@ def _decode_numpy(data: bytes, path: Blob) -> np.ndarray:
 
 
 def _decode_exr(data: bytes, path: Blob) -> np.ndarray:
-    """The only channel of an OpenEXR file, or the first of several equal ones.
+    """Single channel of an OpenEXR file, or the first of several equal channels.
 
     OpenCV's wheels either lack OpenEXR (5.0) or hide it behind an environment
     variable that is read when OpenCV is imported (4.x), so the format's own

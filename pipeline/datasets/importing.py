@@ -20,25 +20,16 @@ SCALES = (1000.0, 5000.0, 10000.0)
 
 
 @dataclass
-class ImportReport:
-    """What was written.
-
-    Attributes
-    ----------
-    frames : int
-    skipped : dict of str to str
-        Frames that were left out, and why.
-    notes : list of str
-        What the plain layout cannot hold.
-    """
+class RecordingReport:
+    """Summary of a written recording."""
 
     frames: int = 0
-    skipped: dict[str, str] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
+    skipped: dict[str, str] = field(default_factory=dict)  # Frames that were left out, and why
+    notes: list[str] = field(default_factory=list)  # What the plain layout cannot hold
 
 
 class _Writer:
-    """Writes frames into a folder; the first one decides how depth is stored."""
+    """Writer of frames into a folder; the first frame decides the storage of depth."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -92,7 +83,7 @@ class _Writer:
         (self.folder / kind / f"{name}.txt").write_text("\n".join(rows) + "\n")
 
     def close(self) -> None:
-        """Write what is of all frames."""
+        """Write the files for all frames."""
         if self.numbers:
             lines = (f"{number} {label}" for (label, _), number in self.numbers.items())
             (self.folder / "labels.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -106,15 +97,15 @@ class _Writer:
 
 
 def _whole(depth: np.ndarray, scale: float) -> bool:
-    """Whether metres come back exactly from 16-bit integers of `scale` to a metre."""
+    """Test whether 16-bit integers of `scale` units per metre restore the depth exactly."""
     stored = np.round(depth * np.float32(scale))
     return bool(stored.max() < 65536) and np.array_equal(np.divide(stored, scale, dtype=np.float32), depth)
 
 
 def import_recording(
     dataset: Dataset, out: Path, progress: Callable[[int, int], None] = lambda done, total: None
-) -> ImportReport:
-    """Write every frame that can be read into a new folder in the plain layout; of several scenes a folder each.
+) -> RecordingReport:
+    """Write every readable frame into a new folder in the plain layout, with a folder per scene.
 
     Parameters
     ----------
@@ -129,7 +120,7 @@ def import_recording(
         `out` is not empty or cannot be written, or no frame can be read.
     """
     require(not out.exists() or not any(out.iterdir()), "the folder is not empty", path=out)
-    report = ImportReport()
+    report = RecordingReport()
     with temporary_folder(out) as partial:
         scenes = {str(PurePosixPath(frame_id).parent) for frame_id in dataset.frame_ids}
         writers: dict[str, _Writer] = {}

@@ -1,4 +1,4 @@
-"""Pictures of labels: a number a pixel, 0 for none, and what the numbers mean."""
+"""Label pictures: a number per pixel, 0 for none, with names of numbers."""
 
 from __future__ import annotations
 
@@ -19,17 +19,10 @@ NAME_FILES = ("labels.txt", "classes.txt", "image_sets/classes.txt", "label_name
 
 @dataclass(frozen=True)
 class LabelPicture:
-    """The label picture of one frame.
-
-    Attributes
-    ----------
-    path : Path
-    names : dict of int to str
-        Of the numbers; one without a name is "object".
-    """
+    """Label picture of a frame."""
 
     path: Path
-    names: Mapping[int, str]
+    names: Mapping[int, str]  # Of the numbers; one without a name is "object"
 
     def annotations(self, size: tuple[int, int], notes: list[str]) -> tuple[Annotation, ...]:
         """A mask for each number of a frame of (height, width) pixels; a note where the picture is broken."""
@@ -50,7 +43,7 @@ class LabelPicture:
 
 
 def read_label_names(root: Path) -> dict[int, str]:
-    """What the numbers mean: lines "number name", or the names alone, counted from 1; empty without a file."""
+    """Names by number: lines "number name", or names alone counted from 1; empty without a file."""
     for name in NAME_FILES:
         if not (root / name).is_file():
             continue

@@ -1,4 +1,4 @@
-"""Opening a folder whose format is found by looking."""
+"""Dataset opening with format detection."""
 
 from __future__ import annotations
 
@@ -101,8 +101,8 @@ def open_dataset(
         Against gravity: "world:X,Y,Z", "camera:X,Y,Z", or "X,Y,Z" for the world in a dataset with poses and the
         camera frame in one without.
     level_at : str, optional
-        "FRAME:U,V", or "U,V" of the first frame: the surface at this pixel is level, in all frames of its scene that
-        have poses.
+        "FRAME:U,V", or "U,V" of the first frame: the surface at this pixel is level, in all frames of its scene
+        that have poses.
     depth_model : str, optional
         A network that estimates depth: NAME, NAME=FILE.onnx, FILE.onnx or an id of the model hub. It stands in for
         depth that is missing, and replaces what was measured.
@@ -111,14 +111,13 @@ def open_dataset(
     registration : (fx, fy, cx, cy, tx, ty, tz), optional
         The colour camera as the depth camera sees it, pixels and metres; see `Settings`.
     browse : bool
-        Frames are only looked at: where nothing tells the camera or the depth's unit, that is no error but a note and
-        `Camera.untold`, and what measures refuses.
+        Frames are only looked at: where nothing tells the camera or the depth's unit, that is no error but a note
+        and `Camera.untold`, and what measures refuses.
 
     Raises
     ------
     InputError
-        No such folder, an unknown format (with what was looked for), or facts
-        missing that only a person can give.
+        No such folder, an unknown format (with what was looked for), or facts missing that only a person can give.
     """
     root = local_path(path)
     require(root.exists(), "there is no such dataset", expected="a folder", path=root)

@@ -1,4 +1,4 @@
-"""Which files are colour, depth, labels, poses or cameras by the words in their names, and which are of one frame."""
+"""File roles by words in names, and pairing of colour and depth."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ Naming = Callable[[str], Key]
 
 
 def role_of(name: str) -> tuple[str, str]:
-    """(its role or "", what is left of it) of a file's name without its ending, or of a folder's."""
+    """Role of a file or folder name ("" if none), and the rest of the name."""
     found: set[str] = set()
 
     def take(match: re.Match[str]) -> str:
@@ -56,22 +56,16 @@ def role_of(name: str) -> tuple[str, str]:
 
 
 def stem_of(name: str) -> str:
-    """The name of a file without its folder and its ending."""
+    """File name without folder and ending."""
     return name.rpartition("/")[2].rpartition(".")[0]
 
 
 @dataclass(frozen=True)
 class Files:
-    """The files of a recording by role: names relative to the folder, in natural order.
-
-    Attributes
-    ----------
-    flat : bool
-        Colour and depth stand in one folder, and only their names tell them apart.
-    """
+    """The files of a recording by role: names relative to the folder, in natural order."""
 
     root: Path
-    flat: bool
+    flat: bool  # Colour and depth stand in one folder, and only their names tell them apart
     by_role: dict[str, list[str]] = field(default_factory=dict)
 
     def of(self, role: str) -> list[str]:
@@ -82,7 +76,7 @@ class Files:
 
 
 def files_by_role(root: Path, depth: bool = True) -> Files | None:
-    """The files of a recording in a folder; None where it holds no colour and depth that its names tell.
+    """Files of a recording by role; None without colour and depth by name.
 
     Without `depth` colour alone will do.
     """
@@ -104,13 +98,13 @@ def files_by_role(root: Path, depth: bool = True) -> Files | None:
 
 
 def files_in_roles(root: Path, role: str) -> list[str]:
-    """The files of a role in the folders of that role, as `files_by_role` has them; none without such a folder."""
+    """Files of a role in folders of the role; empty without such a folder."""
     folders = [folder for folder in readable(root)[0] if role_of(folder)[0] == role]
     return _inside(root, folders, role) if folders else []
 
 
 def _by_name(names: Iterable[str]) -> dict[str, list[str]]:
-    """Names of the files of one folder by the role that their words tell; a picture without such a word is colour."""
+    """File names by role; pictures without a role word are colour."""
     found: dict[str, list[str]] = {}
     for name in names:
         stem, _, suffix = name.rpartition(".")
@@ -122,7 +116,7 @@ def _by_name(names: Iterable[str]) -> dict[str, list[str]]:
 
 
 def _inside(root: Path, folders: Iterable[str], role: str) -> list[str]:
-    """The files of a role in folders of that role; colour and depth stand in one, the one of their plain name first."""
+    """Files in folders of a role; colour and depth use a single folder, preferably of a plain name."""
     found = {folder: _files(root, folder, role) for folder in folders if role_of(folder)[0] == role}
     full = {folder: names for folder, names in found.items() if names}
     if role in ("color", "depth"):
@@ -136,7 +130,7 @@ def _files(root: Path, folder: str, role: str) -> list[str]:
 
 
 def one_folder(found: dict[str, list[str]], full: dict[str, list[str]], role: str, root: Path) -> None:
-    """Raise InputError where not exactly one of the folders has files."""
+    """Raise InputError unless exactly a single folder has files."""
     what = {"color": "colour"}.get(role, role)
     suffixes = ", ".join(SUFFIXES[role])
     require(full, f"no {what} files", got=f"{'/, '.join(found)}/ without one", expected=suffixes, path=root)
@@ -145,7 +139,7 @@ def one_folder(found: dict[str, list[str]], full: dict[str, list[str]], role: st
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """The files of one frame, relative to `root`; either may be missing, and the frame is then broken."""
+    """Files of a frame, relative to `root`; broken where a file is missing."""
 
     key: Key
     root: Path
@@ -162,12 +156,12 @@ class Pair:
 
     @property
     def stem(self) -> str:
-        """The name of the colour file without its ending, or of the depth file where there is none."""
+        """Stem of the colour file, else of the depth file."""
         return stem_of(self.color_name or self.depth_name or "")
 
 
 def image_files(root: Path, folders: tuple[str, ...], suffixes: tuple[str, ...], role: str) -> list[str]:
-    """The image files of the only folder that is named as one of `folders`, relative to `root`."""
+    """Image files in the single folder named in `folders`, relative to `root`."""
     found = {
         folder: [f"{folder}/{name}" for name in listing(root / folder)[1] if name.lower().endswith(suffixes)]
         for folder in listing(root)[0]
@@ -179,7 +173,7 @@ def image_files(root: Path, folders: tuple[str, ...], suffixes: tuple[str, ...],
 
 
 def numbers(name: str) -> Key:
-    """Every number in a file's name; a time stamp with its decimals is one number."""
+    """Numbers in a file name; a time stamp with decimals is a single number."""
     return tuple(_ZEROS.sub("", number) for number in _NUMBER.findall(stem_of(name)))
 
 
@@ -188,19 +182,13 @@ _ZEROS = re.compile(r"^0+(?=[0-9])")
 
 
 def rest(name: str) -> Key:
-    """What the words of its role leave of a file's name."""
+    """Rest of a file name without role words."""
     left = role_of(stem_of(name))[1]
     return (_ZEROS.sub("", left),)
 
 
 def choose_naming(colors: list[str], depths: list[str], flat: bool = False) -> Naming:
-    """The way of naming a frame that pairs the most files, and under which no folder has a name twice.
-
-    Raises
-    ------
-    InputError
-        Under every way, some folder has a name twice.
-    """
+    """Choose the naming with the most pairs and unique names per folder."""
     known = {name: numbers(name) for name in (*colors, *depths)}
     numbered = all(known.values())
 
@@ -234,19 +222,13 @@ def choose_naming(colors: list[str], depths: list[str], flat: bool = False) -> N
 
 
 def twice(naming: Naming, names: list[str]) -> str:
-    """Two files that `naming` cannot tell apart, as text; empty where there are none."""
+    """Two files with the same key under `naming`, as text; else empty."""
     key, count = Counter(map(naming, names)).most_common(1)[0]
     return " and ".join(PurePath(name).name for name in names if naming(name) == key) if count > 1 else ""
 
 
 def pair_files(naming: Naming, colors: list[str], depths: list[str], root: Path) -> list[Pair]:
-    """Every frame that has colour or depth, in natural order.
-
-    Raises
-    ------
-    InputError
-        There are depth files, and no colour file has a depth file.
-    """
+    """Pairs for every frame with colour or depth, in natural order."""
     color = {naming(name): name for name in colors}
     depth = {naming(name): name for name in depths}
     require(
@@ -267,7 +249,7 @@ def pair_files(naming: Naming, colors: list[str], depths: list[str], root: Path)
 def paired_files(
     root: Path, folders: tuple[str, ...], depth_suffixes: tuple[str, ...], depth_folders: tuple[str, ...] = ("depth",)
 ) -> dict[str, Pair]:
-    """Every frame of a recording by the name of its colour file, or of its depth file; raises as above."""
+    """Pairs of a recording by name of the colour file, else of the depth file."""
     colors = image_files(root, folders, COLOR_SUFFIXES, "color")
     depths = image_files(root, depth_folders, depth_suffixes, "depth")
     return {pair.stem: pair for pair in pair_files(choose_naming(colors, depths), colors, depths, root)}

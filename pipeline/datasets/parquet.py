@@ -1,5 +1,4 @@
-"""Tables with pictures in their columns, as the Hugging Face libraries `datasets` and `lerobot` write them: one row a
-frame.
+"""Parquet tables with picture columns, as of the Hugging Face libraries `datasets` and `lerobot`: a row per frame.
 
 https://huggingface.co/docs/datasets/image_dataset, https://huggingface.co/docs/lerobot/lerobot-dataset-v3
 """
@@ -34,7 +33,7 @@ NAME_COLUMNS = ("id", "frame_id", "image_id", "frame", "name")
 
 @dataclass(frozen=True)
 class Cell:
-    """A picture in a table: one row of one column, encoded bytes or an array."""
+    """A picture in a table cell: encoded bytes or an array."""
 
     table: Path
     row: int
@@ -78,7 +77,7 @@ def _row(table: Path, row: int) -> dict[str, Any]:
 
 @lru_cache(maxsize=ROWS_KEPT)
 def _decoded_row(table: Path, written: int, row: int) -> dict[str, Any]:
-    """One row of a table; of a row group only the batch that holds it is kept."""
+    """Row of a table, keeping only the batch around the row."""
     file, first = _file(table), 0
     with as_input_error("a row that cannot be read", Exception, got=str, path=table):
         for group in range(file.num_row_groups):
@@ -147,7 +146,7 @@ class ParquetDataset(Recording):
 
 
 def lerobot_features(root: Path) -> dict[str, Any]:
-    """The features of a dataset of LeRobot, by name, as its `meta/info.json` describes them; else nothing."""
+    """Features of a LeRobot dataset by name, from `meta/info.json`; empty otherwise."""
     if root.is_file() or not (root / LEROBOT).is_file():
         return {}
     with suppress(InputError):
@@ -162,7 +161,7 @@ def _info(features: Mapping[str, Any], name: str) -> Mapping[str, Any]:
 
 
 def is_lerobot_depth(features: Mapping[str, Any], name: str) -> bool:
-    """Whether a feature holds depth, by its mark or its name."""
+    """Test whether a feature holds depth, by mark or name."""
     info = _info(features, name)
     return bool(info.get("is_depth_map") or info.get("video.is_depth_map")) or role_of(name)[0] == "depth"
 
@@ -177,7 +176,7 @@ def _picture_columns(columns: Any, features: Mapping[str, Any]) -> dict[str, str
 
 
 def _above(table: Path, root: Path) -> str:
-    """A table's name in ids: with its chunk, if it is in one."""
+    """Prefix of ids for a table, with the chunk if any."""
     return table.stem if table.parent in (root, root / "data") else f"{table.parent.name}/{table.stem}"
 
 
@@ -186,7 +185,7 @@ def _is_array(column: Any) -> bool:
 
 
 def _is_picture(column: Any) -> bool:
-    """Whether a column can hold pictures: encoded bytes, alone or in the library's struct, or nested lists."""
+    """Test whether a column can hold pictures: encoded bytes, bare or in a struct, or nested lists."""
     return str(column.type).startswith(("struct<bytes: ", "binary", "large_binary")) or _is_array(column)
 
 
@@ -201,7 +200,7 @@ def _ids(table: Path, columns: list[str]) -> list[str]:
 
 
 def tables_in(root: Path) -> list[Path]:
-    """The tables of a folder, or of its `data/`, or of LeRobot's `data/chunk-NNN/`; a table alone where it is one."""
+    """Tables of a folder, of `data/`, or of LeRobot's `data/chunk-NNN/`; or the single table."""
     if root.suffix.lower() == SUFFIX:
         return [root]
     folder = root / "data" if (root / "data").is_dir() and not any(_named(root)) else root

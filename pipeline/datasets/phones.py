@@ -20,7 +20,7 @@ from pipeline.datasets.base import DatasetFormat
 from pipeline.datasets.camera_files import Stated, flat_numbers, stated_in
 from pipeline.datasets.cameras import inverse, or_note, pose_from_quaternion, rigid
 from pipeline.datasets.files import Blob, as_floats, natural, numbered_lines, read_json, readable
-from pipeline.datasets.folder import FolderDataset, Scene
+from pipeline.datasets.folder import FolderDataset, SceneFolder
 from pipeline.datasets.pairing import Files, Pair, numbers, stem_of
 from pipeline.datasets.reconstructions import OPENCV_OF_OPENGL
 from pipeline.datasets.recording import DepthRule, Listed, Recording
@@ -56,13 +56,13 @@ class ArkitScenesDataset(FolderDataset):
         found = {role: [f"{n}/{f}" for f in readable(folder / n)[1]] for role, n in _PARTS.items()}
         return Files(folder, False, found)
 
-    def _camera(self, scene: Scene, pair: Pair) -> Stated:
+    def _camera(self, scene: SceneFolder, pair: Pair) -> Stated:
         # Names of cameras may be a millisecond off.
         time = _time(pair)
         keys = ((f"{time + off:.3f}",) for off in (0, -0.001, 0.001))
         return scene.camera(next((key for key in keys if key in scene.cameras), pair.key))
 
-    def _pose(self, scene: Scene, pair: Pair, notes: list[str]) -> np.ndarray | None:
+    def _pose(self, scene: SceneFolder, pair: Pair, notes: list[str]) -> np.ndarray | None:
         notes += self._notes
         path, time = self._path, _time(pair)
         if path is None or not len(path):
@@ -94,7 +94,7 @@ def _trajectory(path: Path) -> np.ndarray:
 
 
 def _scan(root: Path) -> tuple[bool, Path]:
-    """Whether there is a scan, and its folder: the opened one, or `<video>_frames` in it."""
+    """Presence of a scan, and the folder: the root, or `<video>_frames` inside."""
     for folder in (root, root / f"{root.resolve().name}_frames"):
         if {COLOR, DEPTH} <= set(readable(folder)[0]):
             return True, folder

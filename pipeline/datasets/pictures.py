@@ -21,7 +21,7 @@ class PicturesDataset(FolderDataset):
         return needed(files_by_role(folder, depth=False), "no pictures", path=folder)
 
     def _check(self) -> None:
-        """There is no unit to ask for; a focal length is asked for where the network gives none."""
+        """Check nothing: colour alone has no unit, and the network or the user gives the focal length."""
 
 
 def _recognised(root: Path) -> bool:

@@ -1,4 +1,4 @@
-"""Whether the depth of one frame can be that of a room at all: a few milliseconds, for those who look at frames."""
+"""Plausibility of a frame's depth for a room, in milliseconds."""
 
 from __future__ import annotations
 
@@ -27,22 +27,14 @@ HINT = "is the depth scale another? `spatialviz doctor` looks for it"
 
 @dataclass(frozen=True)
 class Doubt:
-    """What speaks against the depth of a frame.
+    """Evidence against the depth of a frame."""
 
-    Attributes
-    ----------
-    text : str
-        One sentence.
-    factor : float or None
-        By how much depth is about too far (5: five times too far), where that can be told.
-    """
-
-    text: str
-    factor: float | None = None
+    text: str  # One sentence
+    factor: float | None = None  # By how much depth is about too far (5: five times too far), where that can be told
 
 
 def depth_doubt(frame: Frame) -> Doubt | None:
-    """As `plausibility`, of a measured depth.
+    """Evidence against measured depth; None for a stand-in camera or estimated depth.
 
     Of a camera that is made up nothing can be said, and what a network estimates has no unit that could be wrong.
     """
@@ -50,7 +42,7 @@ def depth_doubt(frame: Frame) -> Doubt | None:
 
 
 def plausibility(frame: Frame) -> Doubt | None:
-    """What speaks against the depth of a frame, None where nothing does.
+    """Evidence against the depth of a frame, or None.
 
     The sizes of annotated things of known classes decide where they can. Else the range of depth and the height of the
     camera above the lowest level that it sees must both be odd.
@@ -69,7 +61,7 @@ def plausibility(frame: Frame) -> Doubt | None:
 
 
 def annotated_sizes(frame: Frame) -> SizeFactor | None:
-    """By what factor the annotated things of a frame that nothing cuts are too large, by their 2D boxes and depth."""
+    """Oversize factor of the annotated things fully in view, by 2D boxes and depth."""
     height, width = frame.depth.shape
     labels: list[str] = []
     lengths: list[float] = []
@@ -87,7 +79,7 @@ def annotated_sizes(frame: Frame) -> SizeFactor | None:
 
 
 def doubt_by_sizes(found: SizeFactor | None) -> Doubt | None:
-    """What the sizes of named things say of the depth they were measured with."""
+    """Evidence from sizes of named things against the depth."""
     if found is None:
         return None
     factor = found.middle
@@ -97,7 +89,7 @@ def doubt_by_sizes(found: SizeFactor | None) -> Doubt | None:
 
 
 def camera_height(frame: Frame) -> float | None:
-    """How high the camera is above the lowest level surface that it sees, metres; None where it sees none."""
+    """Camera height above the lowest visible level surface, metres; else None."""
     camera = frame.camera
     up = camera.up
     if up is None:

@@ -1,4 +1,4 @@
-"""Pictures with poses as scene reconstruction leaves them: nerfstudio's `transforms.json`, COLMAP's text models.
+"""Posed pictures of scene reconstructions: nerfstudio's `transforms.json`, COLMAP's text models.
 
 https://docs.nerf.studio/quickstart/data_conventions.html, https://colmap.github.io/format.html
 """
@@ -35,7 +35,7 @@ FOCALS = {"SIMPLE_PINHOLE": 1, "SIMPLE_RADIAL": 1, "RADIAL": 1, "SIMPLE_RADIAL_F
 
 @dataclass(frozen=True)
 class PosedPicture:
-    """One entry of a list of pictures: its files, relative to the dataset, and its camera as the list has it."""
+    """An entry of a picture list: files relative to the dataset, with camera and pose."""
 
     color: str
     depth: str | None
@@ -44,7 +44,7 @@ class PosedPicture:
 
 
 class PosedPictures(Recording):
-    """What lists of posed pictures share: the id is the picture's name, depth is named too or paired by its name."""
+    """Base of posed picture lists: the id is the picture's name; depth is named, or paired by name."""
 
     source: Path
     lens = False
@@ -71,11 +71,11 @@ class PosedPictures(Recording):
             self.notes += ("lens distortion is left out: each camera is taken for a plain pinhole",)
 
     def _list(self) -> dict[str, PosedPicture]:
-        """Each format's own: its pictures by frame id."""
+        """Pictures by frame id (subclasses)."""
         raise NotImplementedError
 
     def _read_camera(self, camera: Any, picture: Path) -> Stated:
-        """Each format's own: what it says of a picture's camera."""
+        """Camera facts of a picture (subclasses)."""
         raise NotImplementedError
 
     def _read_pose(self, pose: Any) -> np.ndarray:
@@ -92,7 +92,7 @@ class PosedPictures(Recording):
         return Listed(color, depth, stated, pose)
 
     def _with_depths(self, entries: dict[str, PosedPicture]) -> dict[str, PosedPicture]:
-        """The entries, each with the depth file that has its number or its name."""
+        """Entries with the depth file of the same number or name."""
         depths = files_in_roles(self.root, "depth")
         if not depths:
             return entries
@@ -106,7 +106,7 @@ class PosedPictures(Recording):
 
 
 class NerfstudioDataset(PosedPictures):
-    """Pictures of `transforms.json`: camera-to-world poses of OpenGL cameras, depth in millimetres by its makers' rule.
+    """Pictures of `transforms.json`: camera-to-world poses of OpenGL cameras, depth in millimetres.
 
     Its world has z up by the makers' convention, which reconstructions keep only roughly: it is not declared.
     """
@@ -186,7 +186,7 @@ class ColmapDataset(PosedPictures):
         return self._with_depths(dict(sorted(found.items())))
 
     def _folder(self, name: str) -> str:
-        """Where a picture stands, relative to the dataset."""
+        """Folder of a picture, relative to the dataset."""
         folders = ("images", "color", "rgb", "")
         return next((folder for folder in folders if os.path.isfile(self.root / folder / name)), "images")
 
@@ -208,7 +208,7 @@ class ColmapDataset(PosedPictures):
 
 
 def half_pixel(K: np.ndarray, size: tuple[int, int] | None, path: Path) -> Stated:
-    """Intrinsics whose pixel (0, 0) has its corner at 0, as ours, whose pixel has its centre there."""
+    """Shift intrinsics by half a pixel: from corner-based pixels to centre-based pixels."""
     K = K.copy()
     K[:2, 2] -= 0.5
     return Stated(K, size, path=path)

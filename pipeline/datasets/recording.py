@@ -1,4 +1,4 @@
-"""What the readers of recordings share: a layout lists each frame's files and their facts, one way decodes them."""
+"""Base of recording readers: a layout lists files and facts of each frame, and decoding is common."""
 
 from __future__ import annotations
 
@@ -35,24 +35,13 @@ BROWSED_MEDIAN_M = 2.0
 
 @dataclass(frozen=True)
 class DepthRule:
-    """How a format stores depth, where its files do not say.
-
-    Attributes
-    ----------
-    units_per_metre : float or None
-        The format's own unit. None: only a file or a person can tell; floats are metres.
-    whose : str
-        Whose unit that is, for the note: "ScanNet's".
-    nothing : int or None
-        A stored value, besides 0, that means nothing was measured.
-    rotated : int
-        By how many bits the stored values are rotated to the left.
-    """
+    """Storage of depth in a format, where files are silent."""
 
     units_per_metre: float | None = None
-    whose: str = ""
-    nothing: int | None = None
-    rotated: int = 0
+    """The format's own unit. None: only a file or a person can tell; floats are metres."""
+    whose: str = ""  # Whose unit that is, for the note: "ScanNet's"
+    nothing: int | None = None  # A stored value, besides 0, that means nothing was measured
+    rotated: int = 0  # By how many bits the stored values are rotated to the left
 
 
 Annotate = Callable[[tuple[int, int], list[str]], tuple[Annotation, ...]]
@@ -61,35 +50,20 @@ Annotate = Callable[[tuple[int, int], list[str]], tuple[Annotation, ...]]
 
 @dataclass(frozen=True)
 class Listed:
-    """One frame as its layout lists it: nothing is decoded.
-
-    Attributes
-    ----------
-    color : Blob
-    depth : Blob or None
-        None where it is estimated of the colour.
-    stated : Stated
-        What files say of its camera.
-    pose : (4, 4) float64 or None
-        T_world_camera, metres.
-    annotate : callable or None
-    up : (3,) float64 or None
-        What the dataset declares, camera frame.
-    documented : (fx, fy, cx, cy) or None
-        The format's own camera for 640x480, where `stated` has none.
-    """
+    """Files and facts of a frame, not decoded."""
 
     color: Blob
-    depth: Blob | None
-    stated: Stated = NOTHING
-    pose: np.ndarray | None = None
+    depth: Blob | None  # None where it is estimated of the colour
+    stated: Stated = NOTHING  # What files say of its camera
+    pose: np.ndarray | None = None  # (4, 4) float64 or None: T_world_camera, metres
     annotate: Annotate | None = None
-    up: np.ndarray | None = None
+    up: np.ndarray | None = None  # (3,) float64 or None: What the dataset declares, camera frame
     documented: tuple[float, float, float, float] | None = None
+    """(fx, fy, cx, cy) or None: The format's own camera for 640x480, where `stated` has none."""
 
 
 class Recording:
-    """What the readers of files share; a reader sets `frame_ids` and says in `_listed` where a frame stands."""
+    """Base class of file readers; subclasses set `frame_ids` and implement `_listed`."""
 
     format = ""
     rule = DepthRule()
@@ -108,11 +82,11 @@ class Recording:
             self.notes = unit_notes(settings, self.rule.units_per_metre, self.rule.whose)
 
     def load(self, frame_id: str) -> Frame:
-        """Decode one frame; see `Dataset.load`."""
+        """Decode a frame; see `Dataset.load`."""
         return self._decoded(frame_id)
 
     def load_pose(self, frame_id: str) -> np.ndarray | None:
-        """T_world_camera (4, 4) of a frame as it is loaded, without decoding it."""
+        """Pose T_world_camera (4, 4) of a frame, without decoding."""
         told = self._settings
         if told.registration is not None or type(self)._listed is Recording._listed:
             # A warp moves the pose; some formats read a frame in a way of their own.
@@ -121,7 +95,7 @@ class Recording:
         return pose if pose is None or told.poses is None else standard_poses(pose, told.poses)
 
     def _listed(self, frame_id: str, notes: list[str]) -> Listed:
-        """Each format's own: the files of a frame and what is known of them; `notes` takes what is to be said."""
+        """Files and facts of a frame (subclasses); remarks are appended to `notes`."""
         raise NotImplementedError
 
     def _decoded(self, frame_id: str, annotated: bool = True) -> Frame:
@@ -152,7 +126,7 @@ class Recording:
         )
 
     def _metres(self, found: Listed, rgb: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-        """(H, W) float32 depth, and the option that would tell its unit where nothing does.
+        """Depth (H, W) float32 metres, and the option for the unit where unknown.
 
         A stand-in of one metre where it is to be estimated, smaller than a large picture that nothing is drawn on.
         """
@@ -169,7 +143,7 @@ class Recording:
         return read_depth(found.depth, units, rule.nothing, rule.rotated), ()
 
     def _ask_for(self, seen: str, camera: bool, unit: bool) -> None:
-        """Raise InputError where the camera or the unit is missing; where pictures are only browsed, keep it."""
+        """Raise InputError for a missing camera or unit; while browsing, record the options instead."""
         missing = [option for option, lacks in ((INTRINSICS, camera), (DEPTH_SCALE, unit)) if lacks]
         if not missing:
             return
@@ -186,7 +160,7 @@ class Recording:
         )
 
     def _found(self, table: Mapping[str, Value], frame_id: str) -> Value:
-        """What a table of all frames has of one; InputError where there is no such frame."""
+        """Entry of a frame in a table of all frames; InputError for an unknown frame."""
         if frame_id not in table:
             raise unknown_id(self.frame_ids, frame_id, self.root)
         return table[frame_id]
@@ -205,7 +179,7 @@ class Recording:
         untold: tuple[str, ...] = (),
         fits: bool = False,
     ) -> Frame:
-        """A Frame; `source` is to blame for the intrinsics, `up` ((3,), camera frame) is what the dataset declares.
+        """Assemble a Frame; errors in intrinsics name `source`, `up` ((3,), camera frame) is declared.
 
         Where K `fits`, it is made for this size of whatever intrinsics were told.
         """
@@ -222,7 +196,7 @@ class Recording:
 
 
 def _resized(rgb: np.ndarray, metres: np.ndarray, found: Listed, notes: list[str], first: bool) -> np.ndarray:
-    """The colour image in the depth image's size; InputError where they are not of one shape."""
+    """Colour resized to the depth's size; InputError for another aspect ratio."""
     (height, width), whole = metres.shape, rgb.shape[:2]
     if found.depth is not None and abs(whole[1] * height / (whole[0] * width) - 1) > SAME_SHAPE:
         raise differ_in_size(rgb, metres, found.color, found.depth)
@@ -235,7 +209,7 @@ def _resized(rgb: np.ndarray, metres: np.ndarray, found: Listed, notes: list[str
 
 
 def _exif_intrinsics(path: Blob, size: tuple[int, ...], notes: list[str]) -> np.ndarray | None:
-    """(3, 3) intrinsics by the focal length that the picture's EXIF states, which is noted; None where it does not."""
+    """Intrinsics (3, 3) by the focal length in the picture's EXIF, with a note; else None."""
     found = exif_focal(path, size[0], size[1])
     if found is None:
         return None
@@ -244,7 +218,7 @@ def _exif_intrinsics(path: Blob, size: tuple[int, ...], notes: list[str]) -> np.
 
 
 def files_of(pair: Pair, root: Path, color: Path | None = None, depth: Path | None = None) -> tuple[Path, Path]:
-    """Both files of a frame; InputError where one is missing, which should be `color` or `depth`, if that is known."""
+    """Both files of a frame; InputError for a missing file, naming the expected `color` or `depth`."""
     present = pair.color or pair.depth or root
     return (
         one_file([pair.color] if pair.color else [], "colour", color or present),

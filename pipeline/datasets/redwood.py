@@ -27,7 +27,7 @@ CAMERA_FILE_BYTES = 64 * 1024
 
 @dataclass(frozen=True)
 class _Layout:
-    """Where the parts of a recording stand; the frames' folder is the opened one or its only recording."""
+    """Paths of a recording's parts."""
 
     frames: Path
     camera: Path | None
@@ -80,7 +80,7 @@ class RedwoodDataset(Recording):
 
 
 def _layout(root: Path) -> _Layout | None:
-    """The parts of a recording in a folder; None where there are no images."""
+    """Parts of a recording in a folder; None without images."""
     frames = root
     if not _has_images(root):
         inside = [root / name for name in listing(root)[0]]
@@ -105,7 +105,7 @@ def _has_images(folder: Path) -> bool:
 
 
 def _is_camera_file(path: Path) -> bool:
-    """Whether a file of the right name speaks of Open3D's intrinsics; what is wrong with them is told at loading."""
+    """Test whether a file has Open3D intrinsics; errors in them appear on loading."""
     try:
         return path.stat().st_size <= CAMERA_FILE_BYTES and b"intrinsic_matrix" in read_bytes(path)
     except (OSError, InputError):
@@ -113,7 +113,7 @@ def _is_camera_file(path: Path) -> bool:
 
 
 def _stated(path: Path) -> Stated:
-    """An Open3D PinholeCameraIntrinsic, which stores its matrix column by column; InputError where it is malformed."""
+    """Open3D PinholeCameraIntrinsic, column-major; InputError where malformed."""
     table = read_json(path)
     for key in ("width", "height", "intrinsic_matrix"):
         require(key in table, f"{key} is missing", path=path)
@@ -127,11 +127,6 @@ def _poses(path: Path | None, keys: list[Key]) -> dict[Key, np.ndarray]:
 
     A block is a line of three whole numbers, of which the first counts the
     frames, and four lines of a camera-to-world matrix.
-
-    Raises
-    ------
-    InputError
-        A malformed block, a number that stands twice, or blocks that cannot be given to the frames.
     """
     if path is None:
         return {}

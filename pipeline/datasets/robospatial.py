@@ -1,4 +1,5 @@
-"""RoboSpatial-Home as its download script writes it: `annotations.json` beside `images/`, a picture with depth an item.
+"""RoboSpatial-Home in the layout of the download script: `annotations.json` with `images/`, an item per picture with
+depth.
 
 https://github.com/chanhee-luke/RoboSpatial-Eval (download_benchmark.py). Neither the camera nor the depth's unit is in
 the files: they are asked for. The tables of https://huggingface.co/datasets/chanhee-luke/RoboSpatial-Home, as they are
@@ -22,7 +23,7 @@ _HEAD = 4096
 
 
 class RoboSpatialDataset(Recording):
-    """A frame for each item with depth, of id its picture's name without `img_`: "context_0"."""
+    """Frames of the items with depth; the id is the picture's name without `img_`: "context_0"."""
 
     format = "robospatial"
 
@@ -46,13 +47,7 @@ def item_name(picture: str) -> str:
 
 
 def robospatial_entries(path: Path) -> list[dict[str, Any]]:
-    """The items of `annotations.json`, or of a file of answers in its form.
-
-    Raises
-    ------
-    InputError
-        It cannot be read, or an item lacks its category, question, answer or picture.
-    """
+    """Items of `annotations.json`, or of a file of answers in the same form."""
     with as_input_error("the items cannot be read", OSError, ValueError, got=first_line, path=path):
         entries = read_json(path)
     require(isinstance(entries, list) and entries, "no list of items", got=type(entries).__name__, path=path)

@@ -54,7 +54,7 @@ class SavedBox(_Strict):
 
 
 class SavedAnnotation(_Strict):
-    """`pipeline.geometry.frame.Annotation`, its mask as COCO run lengths."""
+    """`pipeline.geometry.frame.Annotation` with the mask as COCO run lengths."""
 
     index: int
     label: str
@@ -68,14 +68,14 @@ class SavedAnnotation(_Strict):
 
 
 class _SavedViewer(BaseModel):
-    """What the kept answer says of the up vector, to six decimals."""
+    """Up vector of the kept answer, to six decimals."""
 
     up: Three
     up_source: UpSource
 
 
 class SavedFrame(_Strict):
-    """A frame but for its pixels. `units` is the depth units in one metre, None where depth.npy holds float32 metres.
+    """A frame without pixels. `units` is depth units per metre, None where depth.npy holds float32 metres.
 
     `up` is null in older cases where it was found from the depth; then it is that of the kept answer.
     """
@@ -95,7 +95,7 @@ class SavedFrame(_Strict):
 
 
 def saved_frame(frame: Frame) -> tuple[SavedFrame, dict[str, bytes]]:
-    """A frame as what is written: its record, and its files by name."""
+    """Record and files, by name, of a saved frame."""
     camera = frame.camera
     depth_file, units, depth = _depth_bytes(frame.depth)
     record = SavedFrame.model_validate(
@@ -122,7 +122,7 @@ def _annotation_record(a: Annotation) -> dict[str, Any]:
 
 
 def _depth_bytes(depth: np.ndarray) -> tuple[str, float | None, bytes]:
-    """The depth's file, its units in one metre, and its bytes: integers where they give every pixel back."""
+    """File name, units per metre and bytes of the depth: integers where lossless."""
     for units in UNITS:
         stored = np.round(depth.astype(np.float64) * units)
         if stored.max(initial=0) < 65536:
@@ -135,13 +135,7 @@ def _depth_bytes(depth: np.ndarray) -> tuple[str, float | None, bytes]:
 
 
 def read_manifest(root: Path) -> dict[str, Any]:
-    """What stands in the manifest, of this program's format.
-
-    Raises
-    ------
-    InputError
-        No manifest, one that is damaged, or one of another version.
-    """
+    """Read the manifest of a case in this program's format."""
     path = enter(root) / MANIFEST
     table = read_json(path)
     require(
@@ -155,13 +149,7 @@ def read_manifest(root: Path) -> dict[str, Any]:
 
 
 def checked_file(root: Path, manifest: dict[str, Any], name: str) -> Path:
-    """A file of a case, the one that was written with it.
-
-    Raises
-    ------
-    InputError
-        It is missing, was changed, or is a link out of the folder.
-    """
+    """Path of a case file with the recorded checksum."""
     path = root / name
     files = manifest.get("files")
     wanted = files.get(name) if isinstance(files, dict) else None
@@ -179,13 +167,7 @@ def checked_file(root: Path, manifest: dict[str, Any], name: str) -> Path:
 
 
 def read_saved_frame(root: Path, manifest: dict[str, Any]) -> Frame:
-    """The frame of a case.
-
-    Raises
-    ------
-    InputError
-        A damaged case: the file and the reason.
-    """
+    """The frame of a case."""
     path = root / MANIFEST
     saved = _frame_part(manifest, path)
     depth_path = checked_file(root, manifest, saved.depth)
@@ -210,7 +192,7 @@ def read_saved_frame(root: Path, manifest: dict[str, Any]) -> Frame:
 
 
 def _answered_up(manifest: dict[str, Any]) -> tuple[Three | None, UpSource | None]:
-    """The up vector with which the kept answer was given, so that an old case is answered as it was."""
+    """Up vector of the kept answer, for cases saved without a resolved up."""
     expected = manifest.get("expected")
     try:
         viewer = _SavedViewer.model_validate(expected.get("viewer") if isinstance(expected, dict) else None)
@@ -234,7 +216,7 @@ def _annotation(saved: SavedAnnotation, shape: tuple[int, int]) -> Annotation:
 
 
 class SavedCaseDataset:
-    """The one frame of a saved case, with the class names of the dataset that it is from."""
+    """Single frame of a saved case, with the class names of the source dataset."""
 
     format = "case"
 

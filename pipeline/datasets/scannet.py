@@ -1,4 +1,4 @@
-"""ScanNet as its SensReader exports it: `color/`, `depth/`, `pose/` and `intrinsic/`, one number a frame."""
+"""ScanNet as exported by SensReader: `color/`, `depth/`, `pose/` and `intrinsic/`, a number per frame."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class ScanNetDataset(Recording):
         return Listed(color, depth, self._camera(color, depth), pose)
 
     def _camera(self, color: Path, depth: Path) -> Stated:
-        """The depth camera's intrinsics; the colour camera's where there is no other file and one size."""
+        """Depth intrinsics, else the colour camera's for equal sizes."""
         path = self.root / "intrinsic" / "intrinsic_depth.txt"
         if self._settings.intrinsics is not None:
             return Stated(path=path)

@@ -1,4 +1,4 @@
-"""Context: the posed frames around a frame, fused into one mesh, so that a person understands the room.
+"""Context mesh: posed frames around a frame, fused.
 
 Fusion is Open3D's truncated signed distance volume (extra `open3d`); the mesh is
 kept on disk by content. What the frame itself shows is left out of the mesh:
@@ -29,47 +29,24 @@ _VERSION = "1"
 
 @dataclass(frozen=True)
 class ContextConfig:
-    """How frames are fused.
+    """Fusion settings."""
 
-    Attributes
-    ----------
-    frames : int
-        Neighbouring frames at most, nearest in the sequence first.
-    voxel : float
-        Edge of a voxel, metres.
-    far : float
-        Depths beyond are left out, metres.
-    hidden : float
-        Mesh in front of what the frame itself shows, or less than this behind it, is left out, metres.
-    smallest_part : int
-        Parts of the mesh with fewer faces are left out.
-    """
-
-    frames: int = 12
-    voxel: float = 0.025
-    far: float = 6.0
+    frames: int = 12  # Neighbouring frames at most, nearest in the sequence first
+    voxel: float = 0.025  # Edge of a voxel, metres
+    far: float = 6.0  # Depths beyond are left out, metres
     hidden: float = 0.08
-    smallest_part: int = 400
+    """Mesh in front of what the frame itself shows, or less than this behind it, is left out, metres."""
+    smallest_part: int = 400  # Parts of the mesh with fewer faces are left out
 
 
 @dataclass(frozen=True)
 class ContextMesh:
-    """A coloured mesh in the camera frame of the frame that it is context for.
+    """A coloured mesh in the camera frame of the central frame."""
 
-    Attributes
-    ----------
-    vertices : (V, 3) float32
-        Metres, camera frame.
-    faces : (F, 3) int32
-    colors : (V, 3) uint8
-    frames : int
-        How many frames were fused.
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    colors: np.ndarray
-    frames: int
+    vertices: np.ndarray  # (V, 3) float32: Metres, camera frame
+    faces: np.ndarray  # (F, 3) int32
+    colors: np.ndarray  # (V, 3) uint8
+    frames: int  # How many frames were fused
 
 
 def neighbours(dataset: Dataset, frame_id: str, count: int) -> tuple[str, ...]:
@@ -87,7 +64,6 @@ def fuse_context(
 
     Parameters
     ----------
-    dataset : Dataset
     frame : Frame
         One of its frames, with a pose.
     folder : Path, optional
@@ -151,7 +127,7 @@ def _fused(frames: list[Frame], T_camera_world: np.ndarray, config: ContextConfi
 
 
 def _without_the_seen(mesh: ContextMesh, frame: Frame, config: ContextConfig) -> ContextMesh:
-    """The mesh without the part that the frame's own depth shows."""
+    """Mesh without the surface visible in the frame's own depth."""
     if not len(mesh.vertices):
         return mesh
     pixel = np.nan_to_num(project(mesh.vertices, frame.camera), nan=-1.0)

@@ -1,4 +1,4 @@
-"""Semantic Abstraction: AI2-THOR views, one HDF5 file each, with masks, whole-object points and expressions.
+"""Semantic Abstraction: AI2-THOR views as HDF5 files, with masks, whole-object points and expressions.
 
 https://github.com/columbia-ai-robotics/semantic-abstraction
 """
@@ -68,8 +68,8 @@ NO_POSE = "no camera pose and no 3D boxes"
 
 
 @dataclass(frozen=True)
-class _Scene:
-    """What the file says of the scene: cam_pose (4, 4), points (M, 3) and their objects (M,), bounds (2, 3)."""
+class _FileScene:
+    """Scene data of a file: cam_pose (4, 4), points (M, 3) with objects (M,), bounds (2, 3)."""
 
     cam_pose: np.ndarray
     xyz: np.ndarray
@@ -114,7 +114,7 @@ class SemanticAbstractionDataset(Recording):
         self.class_names: tuple[str, ...] = tuple(sorted(names - NOT_AN_OBJECT))
 
     def load(self, frame_id: str) -> Frame:
-        """Decode one frame; see `Dataset.load`."""
+        """Decode a frame; see `Dataset.load`."""
         path, item = self._view(frame_id)
         notes: list[str] = []
         with open_view(path) as file:
@@ -177,12 +177,12 @@ class SemanticAbstractionDataset(Recording):
         return tuple(map(with_synonyms, found) if frame_id.endswith(RENAMED) else found)
 
     def scene_of(self, frame_id: str) -> str | None:
-        """The room, such as "FloorPlan3", where the view's name says it."""
+        """Room of a view, such as "FloorPlan3", where named."""
         named = re.search(r"FloorPlan[0-9]+", frame_id, re.ASCII)
         return None if named is None else named.group()
 
     def splits(self) -> dict[str, tuple[str, ...]]:
-        """The frames that the split files beside the views list, by "vool/train" and so on; see `base.splits`.
+        """Frames of the split files, by "vool/train" and so on; see `base.splits`.
 
         Files that are not here, and paths that lead outside, are left out. The
         frames of `unseen_instances_dr` are those with randomised materials, the
@@ -204,7 +204,7 @@ class SemanticAbstractionDataset(Recording):
 
 
 def _picture(file: Any, item: int, randomized: bool) -> np.ndarray:
-    """(H, W, 3) uint8. The randomised one stands in `data` itself; outside test rooms it is an empty array."""
+    """Colour (H, W, 3) uint8; the randomised picture is an empty array outside test rooms."""
     if not randomized:
         return read_item(file, "rgb", item, "u", None, None, 3).astype(np.uint8, copy=False)
     try:
@@ -214,7 +214,7 @@ def _picture(file: Any, item: int, randomized: bool) -> np.ndarray:
 
 
 def _depth(stored: np.ndarray, settings: Settings) -> np.ndarray:
-    """Metres, (H, W) float32; NaN, inf and what is not positive becomes 0."""
+    """Depth (H, W) float32 metres; NaN, inf and non-positive values become 0."""
     with np.errstate(over="ignore", invalid="ignore"):
         depth = (stored / (settings.depth_scale or 1.0)).astype(np.float32)
     depth[~(np.isfinite(depth) & (depth > 0))] = 0
@@ -222,7 +222,7 @@ def _depth(stored: np.ndarray, settings: Settings) -> np.ndarray:
 
 
 def _segments(file: Any, item: int, size: tuple[int | None, int | None], notes: list[str]) -> np.ndarray:
-    """(H, W) ids, below 0 for none. A view without `seg` has no objects, and that is noted."""
+    """Object ids (H, W), below 0 for none; without `seg` empty, with a note."""
     if not has(file, "seg"):
         notes.append("no annotations, seg is missing")
         return np.full((size[0] or 1, size[1] or 1), -1)
@@ -230,13 +230,7 @@ def _segments(file: Any, item: int, size: tuple[int | None, int | None], notes: 
 
 
 def _labels(file: Any, ids: np.ndarray, notes: list[str]) -> dict[int, str]:
-    """The class names of the objects among `ids` (ascending), by id; those that are no objects left out.
-
-    Raises
-    ------
-    InputError
-        More ids, or larger ones, than a view can have.
-    """
+    """Class names by id for `ids` (ascending), without background."""
     classes: dict[int, str] = {}
     require(
         len(ids) <= MOST_OBJECTS and ids.max(initial=0) < LARGEST_ID,
@@ -257,15 +251,15 @@ def _labels(file: Any, ids: np.ndarray, notes: list[str]) -> dict[int, str]:
     return {i: label for i, label in named.items() if label not in NOT_AN_OBJECT}
 
 
-def _scene(file: Any, item: int) -> _Scene:
-    """What the file says of the scene; InputError where any of it is missing or broken."""
+def _scene(file: Any, item: int) -> _FileScene:
+    """Scene data of a file; InputError where incomplete."""
     cam_pose = read_array(file, "data/cam_pose", 4, 4)
     xyz = read_item(file, "full_xyz_pts", item, "f", None, 3)
-    return _Scene(cam_pose, xyz, read_item(file, "full_objid_pts", item, "iu", len(xyz)), _bounds(file))
+    return _FileScene(cam_pose, xyz, read_item(file, "full_objid_pts", item, "iu", len(xyz)), _bounds(file))
 
 
 def _pose(
-    scene: _Scene,
+    scene: _FileScene,
     points: ObjectPoints,
     camera: Camera,
     depth: np.ndarray,
@@ -273,7 +267,7 @@ def _pose(
     ids: list[int],
     notes: list[str],
 ) -> ScenePose | None:
-    """The pose that takes the depth to the file's points; None, with a note, where there is none."""
+    """Pose aligning the depth with the file's points; None, with a note, without a fit."""
     v, u, owner = depth_samples(seg, depth, ids)
     samples = lift_pixels(depth[v, u], camera, v, u)
     given = scene.cam_pose, samples, owner, points.xyz, points.owner, scene.bounds
@@ -281,7 +275,7 @@ def _pose(
 
 
 def _bounds(file: Any) -> np.ndarray:
-    """The scene's bounds, (2, 3); the usual ones where the file has none that can be."""
+    """Scene bounds (2, 3); defaults where implausible."""
     try:
         bounds = read_array(file, "data/scene_bounds", 2, 3)
     except InputError:
@@ -293,7 +287,7 @@ def _bounds(file: Any) -> np.ndarray:
 
 
 def _views_below(root: Path, levels: int, prefix: str = "") -> list[str]:
-    """Paths of the HDF5 files below a folder, relative to it and without their ending; links are not followed."""
+    """Relative paths of HDF5 files below a folder, without ending; links are not followed."""
     folders, files = readable(root, links=False)
     found = [prefix + n.removesuffix(SUFFIX) for n in files if n.endswith(SUFFIX) and os.path.isfile(root / n)]
     for name in folders if levels > 0 else ():
@@ -302,7 +296,7 @@ def _views_below(root: Path, levels: int, prefix: str = "") -> list[str]:
 
 
 def _is_view(root: Path, view: str) -> bool:
-    """By its name, as the dataset names its files, or else by what stands in it."""
+    """Test for a view by file name, else by content."""
     if re.fullmatch(r"[0-9]+.FloorPlan[0-9]+_physics", view.rpartition("/")[2], re.ASCII):
         return True
     try:
@@ -313,7 +307,7 @@ def _is_view(root: Path, view: str) -> bool:
 
 
 def _recognises(root: Path) -> bool:
-    """Views in the folder itself, or split files with views below, or views in most of its folders.
+    """Recognise views in the folder, below split files, or in most folders.
 
     Not any folder with a view somewhere below: that may hold other datasets too.
     """

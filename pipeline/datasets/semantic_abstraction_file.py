@@ -1,4 +1,4 @@
-"""The files of Semantic Abstraction: its views in HDF5 and its split files, checked before anything large is read.
+"""Files of Semantic Abstraction: HDF5 views and split files, checked before reading large data.
 
 The root datasets of a view have one entry an item along their first axis; the group `data` refers to them by region
 references, and holds the rest itself. Split files are read without running what a pickle may hold.
@@ -29,13 +29,7 @@ MOST_NAMES = 1_000_000
 
 @contextmanager
 def open_view(path: Path) -> Iterator[Any]:
-    """The h5py file, read-only; whatever goes wrong in it becomes one InputError.
-
-    Raises
-    ------
-    InputError
-        Missing, cut off, or no HDF5 file.
-    """
+    """Open an h5py file read-only; any failure becomes an InputError."""
     import h5py
 
     try:
@@ -53,7 +47,7 @@ def open_view(path: Path) -> Iterator[Any]:
 
 
 def has(file: Any, name: str) -> bool:
-    """Whether there is something of this name that may be read."""
+    """Test whether a readable part of this name exists."""
     try:
         return _inside(file, name) is not None
     except InputError:
@@ -61,29 +55,13 @@ def has(file: Any, name: str) -> bool:
 
 
 def item_count(file: Any) -> int:
-    """How many items the file holds: the length of the first axis of `rgb`, else 1."""
+    """Number of items: length of the first axis of `rgb`, else 1."""
     found = _inside(file, "rgb")
     return max(1, int(found.shape[0])) if found is not None and getattr(found, "ndim", 0) == 4 else 1
 
 
 def read_item(file: Any, name: str, item: int, kinds: str, *shape: int | None) -> np.ndarray:
-    """One item of a root dataset, by its region reference in `data` where it has one.
-
-    Parameters
-    ----------
-    name : str
-    item : int
-        From 0.
-    kinds : str
-        The numpy kinds of number that it may hold.
-    shape : int or None
-        What an item must have along each axis; None for any length within bounds.
-
-    Raises
-    ------
-    InputError
-        Missing, of another shape or type, or a reference to something else.
-    """
+    """Item of a root dataset, through the region reference in `data` if present."""
     dataset = _dataset(file, name)
     require(
         dataset.dtype.kind in kinds and dataset.ndim == len(shape) + 1,
@@ -122,13 +100,7 @@ def read_item(file: Any, name: str, item: int, kinds: str, *shape: int | None) -
 
 
 def read_array(file: Any, name: str, *shape: int) -> np.ndarray:
-    """A small dataset of numbers of this shape, as float64.
-
-    Raises
-    ------
-    InputError
-        Missing, or of another shape or type.
-    """
+    """A small dataset of numbers of this shape, as float64."""
     dataset = _dataset(file, name)
     require(
         dataset.shape == shape and dataset.dtype.kind in "fiu",
@@ -140,13 +112,7 @@ def read_array(file: Any, name: str, *shape: int) -> np.ndarray:
 
 
 def read_names(file: Any, name: str) -> list[str]:
-    """A list of texts, stored as bytes or as strings, itself or by region references.
-
-    Raises
-    ------
-    InputError
-        Missing, or no list of texts.
-    """
+    """A list of texts, stored as bytes or as strings, itself or by region references."""
     values = _list(file, name)
     require(
         values.dtype.kind in "SUO" and all(isinstance(v, (bytes, str)) for v in values.tolist()),
@@ -158,26 +124,14 @@ def read_names(file: Any, name: str) -> list[str]:
 
 
 def read_integers(file: Any, name: str) -> list[int]:
-    """A list of integers, itself or by region references.
-
-    Raises
-    ------
-    InputError
-        Missing, or no list of integers.
-    """
+    """A list of integers, itself or by region references."""
     values = _list(file, name)
     require(not (values.dtype.kind not in "iu" and values.size), f"{name} is no list of integers", got=values.dtype)
     return [int(v) for v in values.tolist()]
 
 
 def read_classes(file: Any) -> dict[int, str]:
-    """`data/objid_to_class`: the objects' class names by id. An entry is `name[id]`; without an id its index counts.
-
-    Raises
-    ------
-    InputError
-        Missing, or no list of names.
-    """
+    """Class names by object id, from `data/objid_to_class` with entries `name[id]` or by index."""
     found: dict[int, str] = {}
     for index, text in enumerate(read_names(file, "data/objid_to_class")):
         match = re.fullmatch(r"(.*?)\s*\[([0-9]{1,9})\]", text, re.ASCII | re.DOTALL)
@@ -201,7 +155,7 @@ def _list(file: Any, name: str) -> np.ndarray:
 
 
 def _reference(file: Any, name: str, item: int) -> Any:
-    """The region reference to one item; None where `data` has none of this name."""
+    """Region reference to an item; None without references of this name."""
     import h5py
 
     references = _inside(file, f"data/{name}")
@@ -224,13 +178,7 @@ def _dataset(file: Any, name: str) -> Any:
 
 
 def _inside(file: Any, name: str) -> Any:
-    """What a name leads to, or None; it must lie in this very file.
-
-    Raises
-    ------
-    InputError
-        A link to another file, or data that are kept in one.
-    """
+    """Node of a name inside this file, or None."""
     import h5py
 
     node = file
@@ -297,7 +245,7 @@ _PLAIN = {"set": set, "frozenset": frozenset, "list": list, "tuple": tuple, "dic
 
 
 def subsets_of(frame_id: str, target: str, reference: str) -> tuple[str, ...]:
-    """Which of the `SUBSETS` an expression about a frame, or a pair of its objects, belongs to.
+    """`SUBSETS` of an expression about a frame.
 
     By the frame's id alone: "Visual" is of views with randomised materials, without the novel classes, as in the
     published evaluation; "Synonyms" of an object that goes by its synonym; "Class" of a class that no training view
@@ -310,7 +258,7 @@ def subsets_of(frame_id: str, target: str, reference: str) -> tuple[str, ...]:
 
 
 def with_synonyms(expression: GivenExpression) -> GivenExpression:
-    """The expression with both names replaced by their synonyms, where they have one."""
+    """Expression with synonyms for both names, where known."""
     target = SYNONYMS.get(expression.target, expression.target)
     reference = SYNONYMS.get(expression.reference, expression.reference)
     middle = expression.text[len(expression.target) : len(expression.text) - len(expression.reference)]
@@ -328,14 +276,7 @@ def split_files(root: Path) -> dict[str, Path]:
 
 
 def read_split(path: Path) -> dict[str, tuple[str, ...]]:
-    """The files that each split lists.
-
-    Raises
-    ------
-    InputError
-        Unreadable, a pickle that asks for anything but plain values (which is
-        named and not run), or no table of lists of names.
-    """
+    """File lists by split."""
     table: Any = read_json(path) if path.suffix == ".json" else _unpickled(path)
     require(isinstance(table, Mapping), "a table of splits was expected", got=type(table).__name__, path=path)
     found: dict[str, tuple[str, ...]] = {}
@@ -348,7 +289,7 @@ def read_split(path: Path) -> dict[str, tuple[str, ...]]:
 
 
 def view_name(listed: str) -> str | None:
-    """The path that a split lists without its ending, relative to the dataset; None for one that leads outside."""
+    """View path of a split entry without ending, relative to the dataset; None outside."""
     path = PurePosixPath(listed)
     if path.is_absolute() or ".." in path.parts or "\\" in listed or path.suffix != ".hdf5":
         return None
@@ -356,7 +297,7 @@ def view_name(listed: str) -> str | None:
 
 
 class _PlainUnpickler(pickle._Unpickler):
-    """Builds containers, strings and numbers, and nothing that would have to be looked up and called.
+    """Unpickler of containers, strings and numbers only.
 
     It is the one in Python: that in C reserves as much memory as a few hostile bytes ask it for.
     """

@@ -1,4 +1,4 @@
-"""The objects of a Semantic Abstraction view (their pixels, their points), and where its camera stands.
+"""Objects of a Semantic Abstraction view (pixels, points), and the camera pose.
 
 `cam_pose` is checked against the file's own points. The scene frame has x away from the camera, y to its left and z for
 height, and 0.6 units a metre. The program that wrote the files mirrors z in `cam_pose`, and whether the depth is
@@ -26,7 +26,7 @@ SAMPLES_AN_OBJECT = 60
 
 @dataclass(frozen=True)
 class ObjectPoints:
-    """Points (M, 3) of the annotated objects and the index (M,) of each one's object, ascending, below `count`."""
+    """Points (M, 3) of annotated objects, with ascending object indices (M,) below `count`."""
 
     xyz: np.ndarray
     owner: np.ndarray
@@ -34,14 +34,14 @@ class ObjectPoints:
 
 
 def object_ids(seg: np.ndarray) -> np.ndarray:
-    """The ids that a segmentation holds, ascending."""
+    """Object ids of a segmentation, ascending."""
     real = seg[seg >= 0]
     # Counting is many times as fast as sorting, where the numbers are small.
     return np.flatnonzero(np.bincount(real)) if real.size and real.max() < real.size else np.unique(real)
 
 
 def points_of(xyz: np.ndarray, objects: np.ndarray, ids: list[int]) -> ObjectPoints:
-    """Those of the points (M, 3), each with its object's id (M,), that belong to `ids`, ascending; sorted by object."""
+    """Points (M, 3) of the objects `ids` (ascending), sorted by object."""
     owner = _owners(objects, ids)
     chosen = np.flatnonzero(owner >= 0)
     order = chosen[np.argsort(owner[chosen], kind="stable")]
@@ -59,7 +59,7 @@ def _owners(values: np.ndarray, ids: list[int]) -> np.ndarray:
 
 
 def depth_samples(seg: np.ndarray, depth: np.ndarray, ids: list[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows, columns and owners of at most `SAMPLES_AN_OBJECT` pixels with depth of each object, evenly over it.
+    """Rows, columns and owners of at most `SAMPLES_AN_OBJECT` pixels with depth per object, evenly spread.
 
     So many of each, since a wall or a floor looks much the same upside down.
     """
@@ -79,7 +79,7 @@ def depth_samples(seg: np.ndarray, depth: np.ndarray, ids: list[int]) -> tuple[n
 def annotated_objects(
     seg: np.ndarray, labels: dict[int, str], pose: ScenePose | None, points: ObjectPoints | None
 ) -> tuple[Annotation, ...]:
-    """Every object of `labels` (id to class, ascending ids, each with a pixel in `seg`), its box where it has one."""
+    """Annotations for every object of `labels` (ascending ids present in `seg`), with boxes where known."""
     from scipy.ndimage import find_objects
 
     boxes = _boxes(pose, points, len(labels))
@@ -129,30 +129,15 @@ CLEARLY_DOWN = 0.5
 
 @dataclass(frozen=True)
 class ScenePose:
-    """The camera in the scene, and the scene in metres.
-
-    Attributes
-    ----------
-    T_world_camera : (4, 4) float64
-        A rigid motion, metres. The world is the scene frame in metres, mirrored where `mirrored`.
-    up : (3,) float64
-        Against gravity in the camera frame.
-    units_per_metre : float
-        Of the scene.
-    mirrored : bool
-        Whether the file's points have to be mirrored in z, since as they are no rotation leads to them.
-    convention : str
-        What had to be assumed; "" for the file's own cam_pose.
-    share : float
-        Share of the depth samples that it puts onto their own objects.
-    """
+    """The camera in the scene, and the scene in metres."""
 
     T_world_camera: np.ndarray
-    up: np.ndarray
-    units_per_metre: float
-    mirrored: bool
-    convention: str
-    share: float
+    """(4, 4) float64: A rigid motion, metres. The world is the scene frame in metres, mirrored where `mirrored`."""
+    up: np.ndarray  # (3,) float64: Against gravity in the camera frame
+    units_per_metre: float  # Of the scene
+    mirrored: bool  # Whether the file's points have to be mirrored in z, since as they are no rotation leads to them
+    convention: str  # What had to be assumed; "" for the file's own cam_pose
+    share: float  # Share of the depth samples that it puts onto their own objects
 
     def to_world(self, points: np.ndarray) -> np.ndarray:
         """The file's points ((N, 3)) in the world, (N, 3) float64 metres."""
@@ -168,27 +153,12 @@ def fit_pose(
     point_owner: np.ndarray,
     bounds: np.ndarray = SCENE_BOUNDS,
 ) -> ScenePose:
-    """The convention under which the depth lies on the points.
+    """Fit the pose convention aligning depth and points.
 
-    Parameters
-    ----------
-    cam_pose : (4, 4) float
-        As the file has it.
-    samples : (N, 3) float
-        Camera-frame points of the depth image, metres.
-    sample_owner : (N,) int
-        The object of each, counted from 0 without gaps.
-    points : (M, 3) float
-        The file's points of those objects, scene units.
-    point_owner : (M,) int
-        The object of each.
-    bounds : (2, 3) float
-        The scene's lowest and highest corner.
-
-    Raises
-    ------
-    InputError
-        cam_pose is no rotation with one scale, or no convention fits.
+    `cam_pose` (4, 4) float: As the file has it; `samples` (N, 3) float: Camera-frame points of the depth image,
+    metres; `sample_owner` (N,) int: The object of each, counted from 0 without gaps; `points` (M, 3) float: The
+    file's points of those objects, scene units; `point_owner` (M,) int: The object of each; `bounds` (2, 3) float:
+    The scene's lowest and highest corner.
     """
     owners = int(max(sample_owner.max(initial=-1), point_owner.max(initial=-1))) + 1
     grid = _Grid.of(points, point_owner, owners, bounds)
@@ -213,13 +183,7 @@ def fit_pose(
 
 
 def _conventions(cam_pose: np.ndarray) -> list[tuple[str, np.ndarray]]:
-    """(what is assumed, camera-to-scene (4, 4)) for everything that cam_pose may mean, the file's own word first.
-
-    Raises
-    ------
-    InputError
-        Not a rotation (perhaps mirrored) times one scale, and a position.
-    """
+    """Conventions for cam_pose: (assumption, camera-to-scene (4, 4)), the literal reading first."""
     require(
         np.isfinite(cam_pose).all() and np.abs(cam_pose[3] - (0, 0, 0, 1)).max() <= 1e-6, "cam_pose is no rigid motion"
     )
@@ -254,7 +218,7 @@ def _conventions(cam_pose: np.ndarray) -> list[tuple[str, np.ndarray]]:
 
 @dataclass(frozen=True)
 class _Grid:
-    """Which cells of the scene each object's points touch, one cell more on every side."""
+    """Occupied cells of each object, dilated by a cell."""
 
     taken: np.ndarray
     low: np.ndarray
@@ -275,12 +239,12 @@ class _Grid:
         return grid
 
     def hits(self, points: np.ndarray, owner: np.ndarray) -> tuple[int, int]:
-        """How many points fall into the scene, and how many of those onto their own object."""
+        """Number of points inside the scene, and on their own object."""
         at, inside = self._cells(points)
         return int(inside.sum()), int(self.taken[(owner[inside], *at[inside].T)].sum())
 
     def _cells(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Each point's cell (N, 3) int64, and whether there is such a cell (N,) bool."""
+        """Cells (N, 3) int64 of points, and validity (N,) bool."""
         with np.errstate(invalid="ignore", over="ignore"):
             cell = np.floor((points - self.low) / self.cell)
         size = np.array(self.taken.shape[1:])

@@ -1,4 +1,4 @@
-"""What a person tells about a recording, kept in `spatialviz.toml` beside the data."""
+"""User settings of a recording, kept in `spatialviz.toml` next to the data."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ LIMITS_TABLE = "limits"
 
 @dataclass(frozen=True)
 class Settings:
-    """Facts about a dataset that its format does not carry. None: not told.
+    """Facts about a dataset missing in the format. None: unknown.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ class Settings:
         up: GivenUp | None = None,
         **more: Any,
     ) -> Settings:
-        """These settings, with what is given here winning: `up` also over what is known of single frames.
+        """Settings overridden by the arguments; `up` also replaces the up of single frames.
 
         `more` may give `poses` and `registration`.
         """
@@ -129,8 +129,7 @@ class Settings:
 
 
 def unit_notes(settings: Settings, units_per_metre: float, whose: str) -> tuple[str, ...]:
-    """What to say where the depth's unit is known from the format alone: nothing where a person told it or it
-    is estimated."""
+    """Note on a depth unit known from the format alone; empty where set or estimated."""
     if settings.depth_scale is not None or settings.estimated:
         return ()
     return (
@@ -140,7 +139,7 @@ def unit_notes(settings: Settings, units_per_metre: float, whose: str) -> tuple[
 
 
 def camera_notes(settings: Settings, numbers: Sequence[float], whose: str) -> tuple[str, ...]:
-    """What to say where the intrinsics are known from the format alone: nothing where a person told them."""
+    """Note on intrinsics known from the format alone; empty where set."""
     if settings.intrinsics is not None:
         return ()
     values = ",".join(f"{n:g}" for n in numbers)
@@ -148,7 +147,7 @@ def camera_notes(settings: Settings, numbers: Sequence[float], whose: str) -> tu
 
 
 def read_settings(root: Path) -> Settings:
-    """The settings beside the data; all None where there is no `spatialviz.toml`.
+    """Read the settings of a dataset; all None without `spatialviz.toml`.
 
     Raises
     ------
@@ -185,7 +184,7 @@ def write_settings(
     frame_up: Mapping[str, Vector] | None = None,
     **more: Any,
 ) -> Path:
-    """Keep the camera and the up vector of a recording beside it, for the next time.
+    """Write camera and up settings of a recording to `spatialviz.toml`.
 
     What the file already holds and is not given here (None) stays, frames of `frame_up` that are not among them, too;
     but `up` is told of all frames. `more` may give `poses`, `pose_shift` and `registration`. The file is replaced
@@ -222,12 +221,12 @@ def write_settings(
 
 
 def settings_file(root: Path) -> Path:
-    """Where the settings of a dataset stand: in its folder, or beside a capture, which may share it with others."""
+    """Path of the settings: in the dataset's folder, or next to a capture file."""
     return (root.parent if root.is_file() else root) / FILE_NAME
 
 
 def _tables(path: Path) -> list[str]:
-    """The lines of a settings file from its first table on, as they stand; without the table that is a key."""
+    """Lines of a settings file from the first table on, without `frame_up`."""
     if not path.is_file():
         return []
     kept: list[str] = []
@@ -243,7 +242,7 @@ def _tables(path: Path) -> list[str]:
 
 
 def _quoted(text: str) -> str:
-    """A JSON string is a TOML basic string, except that TOML also escapes DEL."""
+    """Quote text as a TOML basic string (JSON, with DEL escaped)."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007F")
 
 
@@ -275,23 +274,16 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class GivenUp:
-    """A direction against gravity, in words "world:X,Y,Z", "camera:X,Y,Z", or "X,Y,Z".
+    """A direction against gravity, in words "world:X,Y,Z", "camera:X,Y,Z", or "X,Y,Z"."""
 
-    Attributes
-    ----------
-    vector : (x, y, z)
-        Of any length but 0.
-    frame : str or None
-        "world" is that of the poses, "camera" the OpenCV frame of each camera (image-up is 0,-1,0). None: the world
-        in a dataset with poses, else the camera.
-    """
-
-    vector: Vector
+    vector: Vector  # (x, y, z): Of any length but 0
     frame: Literal["world", "camera"] | None = None
+    """"world" is that of the poses, "camera" the OpenCV frame of each camera (image-up is 0,-1,0). None: the world in a
+    dataset with poses, else the camera."""
 
     @classmethod
     def parse(cls, text: str) -> GivenUp:
-        """Read the words; InputError where they are none."""
+        """Parse the text; InputError where malformed."""
         frame, colon, numbers = text.strip().rpartition(":")
         try:
             x, y, z = (float(part) for part in numbers.split(","))
@@ -312,7 +304,7 @@ class GivenUp:
 
 
 def parse_level_at(text: str) -> tuple[str | None, int, int]:
-    """(frame or None, u, v) of "U,V" or "FRAME:U,V", pixels; InputError where it is neither."""
+    """Parse "U,V" or "FRAME:U,V" to (frame or None, u, v), pixels."""
     frame, colon, numbers = text.strip().rpartition(":")
     try:
         u, v = (int(part) for part in numbers.split(","))

@@ -66,7 +66,7 @@ class SevenScenesDataset(Recording):
 
 
 def _camera_file(root: Path, folder: Path) -> Path | None:
-    """The intrinsics beside the frames of a folder, or else in the opened one."""
+    """Intrinsics file next to the frames of a folder, else in the root."""
     files = (parent / "camera-intrinsics.txt" for parent in (folder, root))
     return next((path for path in files if path.is_file()), None)
 

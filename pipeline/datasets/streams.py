@@ -78,7 +78,7 @@ class Message:
 
 
 class Stream:
-    """An open recording; one message is read at a time."""
+    """An open recording, read message by message."""
 
     def __init__(self, path: Path) -> None:
         highlevel = extra_module("rosbags.highlevel", "a ROS recording", "ros")
@@ -117,7 +117,7 @@ class Stream:
         return np.array(stamps)[order], [written[k] for k in order]
 
     def message(self, topic: str, at: int | None = None) -> Any:
-        """The message of a topic that was written at a time, or its first one."""
+        """Message of a topic written at a time, or the first message."""
         with self.lock:
             for connection, _, data in self.raw([topic], at, None if at is None else at + 1):
                 return self._decoded(connection, data)
@@ -143,7 +143,7 @@ def _opened(path: Path, written: int) -> Stream:
 
 
 class StreamDataset(Recording):
-    """A frame for each colour image with depth within 20 ms; its id is the stamp of the colour image in seconds.
+    """Frames of colour images with depth within 20 ms; the id is the colour stamp in seconds.
 
     The topics are told by their types and the words of their names, and said in a note. Poses come from tf, in the
     frame at the root of its tree.
@@ -258,7 +258,7 @@ def _depth(message: Any, path: Path) -> np.ndarray:
 
 
 class Transforms:
-    """The tree of tf: each frame's parent, and where it was when."""
+    """Tree of tf: parent and timed transforms of each frame."""
 
     def __init__(self, stream: Stream) -> None:
         found: defaultdict[str, list[tuple[float, str, np.ndarray]]] = defaultdict(list)
@@ -273,13 +273,7 @@ class Transforms:
         self._of = {child: sorted(entries, key=lambda entry: entry[0]) for child, entries in found.items()}
 
     def pose(self, frame: str, stamp: float) -> np.ndarray | None:
-        """T_root_frame (4, 4) at a time; None where tf does not know the frame.
-
-        Raises
-        ------
-        InputError
-            A transform of the way is too far off in time, or is no rotation.
-        """
+        """T_root_frame (4, 4) at a time; None where tf does not know the frame."""
         T, child, moving = np.eye(4), frame.lstrip("/"), False
         for _ in range(len(self._of)):
             if child not in self._of:

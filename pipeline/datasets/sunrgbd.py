@@ -1,4 +1,4 @@
-"""SUN RGB-D: as it is published, and as VoteNet's scripts export it.
+"""SUN RGB-D: as published, and as exported by VoteNet's scripts.
 
 Published: `image/`, `depth/`, `intrinsics.txt` and `extrinsics/`, a folder a picture. Exported: `image/`,
 `depth/*.mat`, `calib/` and `label/` with named 3D boxes.
@@ -49,11 +49,6 @@ def camera_from_upright(Rtilt: np.ndarray) -> np.ndarray:
 
     The dataset defines upright = Rtilt @ (x, z, -y) of the camera's x, y, z
     (its toolbox, read3dPoints.m); this is the inverse.
-
-    Raises
-    ------
-    InputError
-        Rtilt (3, 3) is no rotation.
     """
     return _SWAP @ nearest_rotation(Rtilt).T
 
@@ -103,7 +98,7 @@ def _only_image(folder: Path, suffixes: tuple[str, ...], what: str) -> Path:
 
 
 def _tilt(folder: Path) -> np.ndarray:
-    """Rtilt (3, 3) from the newest file, which is named by its time; its fourth column is 0."""
+    """Tilt Rtilt (3, 3) from the newest file; the fourth column is 0."""
     names = [name for name in listing(folder)[1] if name.endswith(".txt")]
     require(names, "no file with the tilt", path=folder)
     return read_matrix(folder / names[-1], 3, 4)[:, :3]
@@ -114,7 +109,7 @@ def _is_frame(folder: Path) -> bool:
 
 
 def _looks_like_a_frame(folder: Path, folders: list[str], files: list[str]) -> bool:
-    """Whether a folder is one picture of SUN RGB-D, perhaps a broken one.
+    """Test for the layout of a single SUN RGB-D picture, perhaps broken.
 
     SUN3D's recordings have the same folders with many images in them, and other
     recordings have image/ and depth/ alone.
@@ -127,7 +122,7 @@ def _looks_like_a_frame(folder: Path, folders: list[str], files: list[str]) -> b
 
 
 def _frames_below(root: Path, levels: int, prefix: str = "") -> list[str]:
-    """Paths of the frames' folders below `root`, relative to it; what is a frame is not searched further."""
+    """Relative paths of frame folders below `root`; frames are not searched further."""
     found: list[str] = []
     for name in readable(root, links=False)[0]:
         folder = root / name
@@ -140,7 +135,7 @@ def _frames_below(root: Path, levels: int, prefix: str = "") -> list[str]:
 
 
 def _recognises(root: Path) -> bool:
-    """A frame, a folder most of whose folders are frames, or the dataset's own tree by its names.
+    """Recognise a frame, a folder of mostly frames, or the dataset's own tree.
 
     Not any folder with a frame somewhere below: that may hold other datasets too.
     """
@@ -191,7 +186,7 @@ class SunRgbdVoteNetDataset(Recording):
 
     @cached_property
     def _class_names(self) -> tuple[str, ...]:
-        """Every name that any label file begins a line with, in alphabetical order."""
+        """Class names in the label files, sorted."""
         paths = [] if self._labels is None else [self._labels / n for n in listing(self._labels)[1]]
         # What is unusable is told when the frame is loaded.
         lines = [line for path in paths for _, line in or_note([], "", numbered_lines, path) or ()]
@@ -199,11 +194,11 @@ class SunRgbdVoteNetDataset(Recording):
 
     @property
     def class_names(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """As `Dataset` has it; read when it is first asked for."""
+        """Annotated classes, read on first use."""
         return self._class_names
 
     def load(self, frame_id: str) -> Frame:
-        """Decode one frame; see `Dataset.load`."""
+        """Decode a frame; see `Dataset.load`."""
         self._found(self._known, frame_id)
         rgb = read_color(self._folder / "image" / f"{frame_id}.jpg")
         size = (rgb.shape[0], rgb.shape[1])
@@ -236,13 +231,7 @@ class SunRgbdVoteNetDataset(Recording):
 
 
 def _calibration(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """The rotation from the upright to the camera frame, and K for pixels counted from 0.
-
-    Raises
-    ------
-    InputError
-        Not two lines of nine numbers, column by column; the first no rotation.
-    """
+    """The rotation from the upright to the camera frame, and K for pixels counted from 0."""
     lines = numbered_lines(path)
     require(len(lines) == 2, "a calibration must have two lines", got=len(lines), expected="Rtilt, then K", path=path)
     Rtilt, K = (as_floats(line.split(), 9, path, f"line {number}").reshape(3, 3).T for number, line in lines)
@@ -260,13 +249,7 @@ def _calibration(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _points(path: Path) -> np.ndarray:
-    """(N, 3) float64 points of the list `instance`, upright, metres; those that are not finite are left out.
-
-    Raises
-    ------
-    InputError
-        Missing, cut off, no MATLAB file, or of another shape.
-    """
+    """Points (N, 3) float64 of the list `instance`, upright, metres; non-finite points are left out."""
     table = read_mat(path, "instance").get("instance")
     if not isinstance(table, np.ndarray) or table.ndim != 2 or table.shape[1] < 3 or table.dtype.kind not in "fiu":
         raise InputError(
@@ -280,13 +263,7 @@ def _points(path: Path) -> np.ndarray:
 
 
 def _depth_image(points: np.ndarray, K: np.ndarray, size: tuple[int, int], path: Path) -> np.ndarray:
-    """The (H, W) float32 depth image, metres, whose pixels the camera-frame points (N, 3) once were.
-
-    Raises
-    ------
-    InputError
-        The points do not project to centres of pixels of the image: they are not of this camera.
-    """
+    """Depth (H, W) float32 metres rebuilt from camera-frame points (N, 3)."""
     height, width = size
     points = points[points[:, 2] > 0]
     require(len(points), "no point lies in front of the camera", path=path)
@@ -316,14 +293,9 @@ def _depth_image(points: np.ndarray, K: np.ndarray, size: tuple[int, int], path:
 
 
 def _annotation(index: int, name: str, values: np.ndarray, R_camera_upright: np.ndarray) -> Annotation:
-    """One line: 2D box x y w h, centroid, half sizes w l h, orientation x y; upright frame, metres.
+    """Annotation of a line: 2D box x y w h, centroid, half sizes w l h, orientation x y; upright frame, metres.
 
     The second half size lies along the orientation, the first across it, the third along z.
-
-    Raises
-    ------
-    InputError
-        Not finite, an empty 2D box, no orientation, or a negative size.
     """
     require(np.isfinite(values).all(), "inf or NaN")
     x, y, w, h = values[:4]

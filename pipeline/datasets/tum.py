@@ -36,7 +36,7 @@ _TIME = re.compile(r"[0-9]+(\.[0-9]+)?")
 
 @dataclass(frozen=True, slots=True)
 class _Entry:
-    """One line of rgb.txt or depth.txt."""
+    """A line of rgb.txt or depth.txt."""
 
     stamp: str
     name: str
@@ -48,7 +48,7 @@ class _Entry:
 
 
 class TumDataset(Recording):
-    """A frame for each line of rgb.txt, in order of time; its id is the time stamp as written.
+    """Frames of the lines of rgb.txt in order of time; the id is the time stamp as written.
 
     Colour and depth belong together where they lie within 20 ms, the nearest
     first and each image once; a colour image that is left without depth is a
@@ -107,13 +107,7 @@ class TumDataset(Recording):
 
 
 def _entries(root: Path, name: str) -> list[_Entry]:
-    """The lines of a list of images, in order of time.
-
-    Raises
-    ------
-    InputError
-        A malformed line, a time that stands twice, a path that leaves the folder, or no line.
-    """
+    """The lines of a list of images, in order of time."""
     source = root / name
     # As decimals, since two stamps may differ only in digits that a float does not hold.
     found: dict[Decimal, _Entry] = {}
@@ -135,7 +129,7 @@ def _entries(root: Path, name: str) -> list[_Entry]:
 
 
 def match_times(a: np.ndarray, b: np.ndarray) -> dict[int, int]:
-    """One-to-one matches of two sorted lists of times within 20 ms, the nearest first.
+    """Matches of two sorted lists of times within 20 ms, nearest first, each time used once.
 
     The greedy rule is that of the dataset's own associate.py.
     """
@@ -155,13 +149,7 @@ def match_times(a: np.ndarray, b: np.ndarray) -> dict[int, int]:
 
 
 def _camera_path(path: Path) -> np.ndarray:
-    """(N, 8) rows timestamp tx ty tz qx qy qz qw in order of time; none without the file.
-
-    Raises
-    ------
-    InputError
-        A malformed line, or a time that is not finite.
-    """
+    """(N, 8) rows timestamp tx ty tz qx qy qz qw in order of time; none without the file."""
     lines = numbered_lines(path) if path.is_file() else []
     rows = [as_floats(line.replace(",", " ").split(), 8, path, f"line {n}") for n, line in lines]
     table = np.stack(rows) if rows else np.empty((0, 8))

@@ -1,4 +1,4 @@
-"""What is said of a path that no reader opens: what is seen there, and what would do."""
+"""Errors for unrecognised paths: contents and advice."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ HALVES = {
 
 
 def kind_of(name: str) -> str:
-    """What a file is by its ending; empty where that is nothing known."""
+    """Kind of a file by ending; empty if unknown."""
     return next((kind for kind, ends in KINDS.items() if name.lower().endswith(ends)), "")
 
 
 def unknown(path: Path, recognised: Callable[[Path], bool]) -> UnknownFormat:
-    """The error for a path that no reader opens: one line of what is seen, and what would do.
+    """Error for an unrecognised path: contents and advice in a line.
 
     `recognised` says whether a reader would open another one.
     """
@@ -105,6 +105,6 @@ def _folder(root: Path, recognised: Callable[[Path], bool]) -> tuple[str, str]:
 
 
 def _depth_name(files: list[str]) -> str:
-    """What the depth file beside the first picture could be called."""
+    """Possible name of a depth file for the first picture."""
     name = next((name for name in files if kind_of(name) == "picture"), "")
     return f"{Path(name).stem}_depth.png" if name else "depth/0001.png beside color/0001.png"

@@ -1,4 +1,4 @@
-"""The up vectors of a dataset's frames, whatever reader they come from: what a person tells, and what a scene votes.
+"""Up vectors of frames for any reader: user settings, and votes of scenes.
 
 One up vector for all posed frames of a scene comes of a vote of some of them.
 """
@@ -44,7 +44,7 @@ LOOKED_AT = 5
 
 
 class UpGiven(ChangedFrames):
-    """A dataset whose frames have the up vector that was told; all else is the dataset's own.
+    """A dataset with user-set up vectors.
 
     What was told of a frame holds for it, and by the poses for its whole scene; then what was told of the whole
     dataset; then `world_up` of the settings, which declares it; then what the reader says.
@@ -60,7 +60,7 @@ class UpGiven(ChangedFrames):
 
     @cached_property
     def up(self) -> GivenUp | None:
-        """What was told of the whole dataset, with its frame."""
+        """Up of the whole dataset, with the frame resolved."""
         told = self.settings.up
         if told is None or told.frame is not None:
             return told
@@ -68,7 +68,7 @@ class UpGiven(ChangedFrames):
 
     @cached_property
     def posed(self) -> bool | None:
-        """Whether a frame that was looked at has a pose; None where none of them can be read."""
+        """Presence of a pose among the inspected frames; None where none is readable."""
         ids, found = self.inner.frame_ids, None
         spread = np.linspace(0, len(ids) - 1, min(LOOKED_AT, len(ids))).astype(int).tolist()
         for frame in readable_frames(self.inner.load, [ids[index] for index in spread]):
@@ -79,7 +79,7 @@ class UpGiven(ChangedFrames):
 
     @cached_property
     def _scene_up(self) -> dict[str, np.ndarray]:
-        """{scene: up in its world} by what was told of posed frames; the last one told counts."""
+        """World up by scene from user-set posed frames; the last setting counts."""
         found = {}
         for frame in readable_frames(self.inner.load, self.frame_up):
             pose = frame.camera.T_world_camera
@@ -88,7 +88,7 @@ class UpGiven(ChangedFrames):
         return found
 
     def changed(self, frame: Frame) -> Frame:
-        """A frame of the reader with the up vector that was told."""
+        """Frame with the user-set up vector."""
         camera, settings, notes = self._camera(frame), self.settings, frame.notes
         if camera is frame.camera:
             if camera.up is None and (self.up is not None or settings.world_up is not None):
@@ -99,7 +99,7 @@ class UpGiven(ChangedFrames):
         return replace(frame, camera=camera, notes=(*notes, *self.doubts(frame)))
 
     def _camera(self, frame: Frame) -> Camera:
-        """The camera of a frame of the reader with the up that was told, else with the dataset's own."""
+        """Camera of a frame with the user-set up, else the dataset's."""
         camera, pose, up = frame.camera, frame.camera.T_world_camera, self.up
         scene_up = self._scene_up.get(scene_of(self.inner, frame.id)) if self.frame_up else None
         if frame.id in self.frame_up:
@@ -113,14 +113,14 @@ class UpGiven(ChangedFrames):
         return self._own(camera)
 
     def _own(self, camera: Camera) -> Camera:
-        """A camera of the reader with the up that the dataset declares, if it does."""
+        """Camera with the dataset's declared up, if any."""
         pose, world_up = camera.T_world_camera, self.settings.world_up
         if world_up is None or pose is None:
             return camera
         return camera.with_up(pose[:3, :3].T @ np.asarray(world_up), "declared")
 
     def doubts(self, frame: Frame) -> tuple[str, ...]:
-        """What speaks against the up that was told, in a frame of the reader."""
+        """Evidence in a frame against the user-set up."""
         told, own = self._camera(frame), self._own(frame.camera)
         if told.up is None or told.up_source != "given":
             return ()
@@ -136,17 +136,9 @@ class UpGiven(ChangedFrames):
 
 
 def with_given_up(dataset: Dataset, settings: Settings, level_at: str | None = None) -> Dataset:
-    """The dataset with the up vector that its settings tell; itself where they tell none.
+    """Dataset with the up of the settings; unchanged without any.
 
-    Parameters
-    ----------
-    level_at : str, optional
-        "FRAME:U,V", or "U,V" of the first frame: the surface at this pixel is level.
-
-    Raises
-    ------
-    InputError
-        There is no such frame, no surface at the pixel, or up is told of the world and no frame has a pose in it.
+    `level_at`: "FRAME:U,V", or "U,V" of the first frame: the surface at this pixel is level.
     """
     frame_up = dict(settings.frame_up)
     if level_at is not None:
@@ -169,19 +161,19 @@ def with_given_up(dataset: Dataset, settings: Settings, level_at: str | None = N
 
 
 def with_frame_up(dataset: Dataset, frame_id: str, up: Vector) -> UpGiven:
-    """The dataset, told that `up` (camera frame) is up in a frame."""
+    """Dataset with `up` (camera frame) set for a frame."""
     known = dataset if isinstance(dataset, UpGiven) else UpGiven(dataset, Settings(), {})
     others = {other: v for other, v in known.frame_up.items() if other != frame_id}
     return UpGiven(known.inner, known.settings, {**others, frame_id: up})
 
 
 def told_up(dataset: Dataset) -> tuple[GivenUp | None, dict[str, Vector]]:
-    """What was told of the whole dataset, and of single frames, for `write_settings`."""
+    """User-set up of the dataset and of single frames, for `write_settings`."""
     return (dataset.up, dataset.frame_up) if isinstance(dataset, UpGiven) else (None, {})
 
 
 def told_doubts(dataset: Dataset) -> dict[str, tuple[str, ...]]:
-    """{frame: what speaks against the up that was told of it}; of one told of all frames, in the first."""
+    """Evidence against the user-set up, by frame."""
     if not isinstance(dataset, UpGiven):
         return {}
     frames = readable_frames(dataset.inner.load, tuple(dataset.frame_up) or dataset.frame_ids[:1])
@@ -198,24 +190,15 @@ VOTE_LEAD = 1.5
 
 @dataclass(frozen=True)
 class SceneVote:
-    """What the posed frames of a scene say of its up.
-
-    Attributes
-    ----------
-    scene : str
-    up : (3,) float64 or None
-        Unit vector of the world; None where they do not agree, or too few of them say anything.
-    agreeing, voting : int
-        Frames that support this up and say nothing else, and frames that say anything.
-    disagreeing : tuple of (str, float)
-        Frames whose own planes decide for another up, and by how many degrees.
-    """
+    """Vote of the posed frames of a scene on up."""
 
     scene: str
     up: np.ndarray | None
+    """(3,) float64 or None: Unit vector of the world; None where they do not agree, or too few of them say anything."""
     agreeing: int
-    voting: int
+    voting: int  # Frames that support this up and say nothing else, and frames that say anything
     disagreeing: tuple[tuple[str, float], ...] = ()
+    """tuple of (str, float): Frames whose own planes decide for another up, and by how many degrees."""
 
 
 Voter = tuple[str, np.ndarray, tuple[UpHypothesis, ...]]
@@ -223,7 +206,7 @@ Voter = tuple[str, np.ndarray, tuple[UpHypothesis, ...]]
 
 
 def vote(scene: str, voters: Sequence[Voter]) -> SceneVote:
-    """The direction of the world for which the hypotheses of the frames speak most, each frame once."""
+    """World direction with the most support by the frames' hypotheses, a vote per frame."""
     told = [[h for h in found if h.told] for _, _, found in voters]
     ups = [np.array([R @ h.up for h in found]).reshape(-1, 3) for (_, R, _), found in zip(voters, told, strict=True)]
     scores = [np.array([h.score for h in found]) for found in told]
@@ -253,7 +236,7 @@ def vote(scene: str, voters: Sequence[Voter]) -> SceneVote:
 
 
 def scene_vote(dataset: Dataset, frame_id: str) -> SceneVote:
-    """The vote of the scene that a frame belongs to, taken once per dataset and process.
+    """Vote of a frame's scene, cached per dataset and process.
 
     It depends on the scene alone, not on the frame that asks, so that every process finds the same.
     Frames that are broken or have no pose do not vote.
@@ -284,7 +267,7 @@ def _voters(dataset: Dataset, frame_id: str) -> list[Voter]:
 
 
 def resolved_camera(dataset: Dataset, frame: Frame) -> Camera:
-    """The frame's camera with its up vector; a frame with a pose and without an up takes its scene's."""
+    """Camera of a frame with an up vector; posed frames without up take the scene's."""
     camera = frame.camera
     if camera.untold:
         # Planes of a camera that is only a stand-in are none of the scene's.
@@ -295,7 +278,7 @@ def resolved_camera(dataset: Dataset, frame: Frame) -> Camera:
 
 
 def own_disagreement(frame: Frame, vote: SceneVote) -> float | None:
-    """By how many degrees a frame's own planes decide against its scene's up; None where they do not."""
+    """Angle, degrees, of a frame's own planes against the scene's up; None without disagreement."""
     T = frame.camera.T_world_camera
     own = None if T is None or vote.up is None else decided(up_hypotheses(frame.depth, frame.camera))
     if own is None or T is None or vote.up is None:
@@ -308,15 +291,7 @@ OFF_SCENE = "degrees off the up of its scene"
 
 
 def scene_doubt(dataset: Dataset, frame: Frame, camera: Camera) -> str:
-    """That a frame's own planes decide against its scene's up, in words; "" where they do not.
-
-    Parameters
-    ----------
-    frame : Frame
-        As its reader gives it.
-    camera : Camera
-        Of the frame, with its up vector resolved.
-    """
+    """Disagreement of a frame's planes with the scene's up, in words; "" without any."""
     if camera.T_world_camera is None or camera.up_source not in ("scene", "plane", "assumed"):
         return ""
     vote = scene_vote(dataset, frame.id)

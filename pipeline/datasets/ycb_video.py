@@ -1,4 +1,4 @@
-"""YCB-Video as it is distributed: colour, depth, label picture and `-meta.mat` of each frame side by side.
+"""YCB-Video as distributed: colour, depth, label picture and `-meta.mat` of each frame in a folder.
 
 https://rse-lab.cs.washington.edu/projects/posecnn/
 """
@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.datasets.base import DatasetFormat
 from pipeline.datasets.cameras import inverse, or_note, rigid
 from pipeline.datasets.files import as_floats, read_mat, readable
-from pipeline.datasets.folder import FolderDataset, Scene
+from pipeline.datasets.folder import FolderDataset, SceneFolder
 from pipeline.datasets.pairing import Pair
 
 OBJECTS = (
@@ -38,7 +38,7 @@ class YcbVideoDataset(FolderDataset):
     def _folders(self, root: Path) -> dict[str, Path]:
         return _scenes(root)
 
-    def _pose(self, scene: Scene, pair: Pair, notes: list[str]) -> np.ndarray | None:
+    def _pose(self, scene: SceneFolder, pair: Pair, notes: list[str]) -> np.ndarray | None:
         if pair.key not in scene.cameras:
             return None
         path = scene.files.root / scene.cameras[pair.key]
@@ -61,7 +61,7 @@ def _scenes(root: Path) -> dict[str, Path]:
 
 
 def _is_scene(folder: Path) -> bool:
-    """Whether the first files of a folder are a frame with its label picture and its facts."""
+    """Test whether the first files of a folder are a YCB-Video frame."""
     ends = {name.partition("-")[2] for name in readable(folder)[1][:12]}
     return {"depth.png", "label.png", "meta.mat"} <= ends
 

@@ -15,14 +15,13 @@ from pipeline.proposals.class_names import meant_names
 
 @dataclass(frozen=True)
 class AnnotationDetector:
-    """Gives what is annotated in the frame.
+    """Detector of the frame's annotations.
 
     Attributes
     ----------
     class_names : tuple of str
-        The dataset's class names: a name outside them is an error, one of them
-        that is not in the frame is an honest "nothing".
-    synonyms : Synonyms
+        The dataset's class names: a name outside them is an error, one of them that is not in the frame is an
+        honest "nothing".
     """
 
     class_names: tuple[str, ...] = ()
@@ -39,8 +38,8 @@ class AnnotationDetector:
         return "annotations"
 
     def _meant(self, label: str, known: Sequence[str], here: Sequence[str]) -> tuple[str, ...]:
-        """A name of the whole dataset decides first, so that "box" means the same classes in every frame where it has
-        one; a frame without a chair has, for people, a chair in its armchair."""
+        """Classes of a name in the whole dataset, else in the frame, so that "box" means the same classes in every
+        frame."""
         meant = meant_names(label, known, self.synonyms, "the dataset")
         return meant if any(n in here for n in meant) else match(label, here, self.synonyms)
 

@@ -1,4 +1,4 @@
-"""OPM: what a detector is, what it returns, and which of it goes on: minimum score, non-maximum suppression, top K."""
+"""OPM: detectors, proposals, and their selection: minimum score, non-maximum suppression, top K."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pipeline.system.errors import InputError, UnknownClass, listed, require
 
 @dataclass(frozen=True)
 class Proposals:
-    """Detections of one run of a detector on one frame.
+    """Detections of a run of a detector on a frame.
 
     Attributes
     ----------
@@ -27,13 +27,12 @@ class Proposals:
     label_index : (N,) int64
         Which of `labels`.
     labels : tuple of str
-        The names the detector gives; these may be more exact than what was
-        asked for ("cracker box" for "box").
+        The names the detector gives; these may be more exact than what was asked for ("cracker box" for "box").
     masks : (N, H, W) bool or None
         None where the detector gives boxes only.
     ids : (N,) int64
-        The detector's own identity of each detection: the same number in two
-        runs means the same detection. For `annotations` it is the annotation's index.
+        The detector's own identity of each detection: the same number in two runs means the same detection. For
+        `annotations` it is the annotation's index.
     has_mask : (N,) bool or None
         False where the mask is only the filled 2D box; None means all as `masks` says.
     segmented : (N,) bool or None
@@ -85,7 +84,7 @@ class Proposals:
         return self.labels[int(self.label_index[i])]
 
     def take(self, index: np.ndarray) -> Proposals:
-        """The proposals at `index` ((M,) int or (N,) bool), in that order; themselves where that is all of them."""
+        """Proposals at `index` ((M,) int or (N,) bool), in that order; self for all."""
         if index.all() if index.dtype == np.bool_ else np.array_equal(index, np.arange(len(self))):
             # The masks of one answer are megabytes, and most answers are taken whole.
             return self
@@ -102,7 +101,7 @@ class Proposals:
 
 
 def no_proposals(height: int, width: int) -> Proposals:
-    """Proposals of a run that found nothing."""
+    """Empty proposals."""
     return Proposals(
         np.zeros((0, 4), np.float32),
         np.zeros(0, np.float32),
@@ -124,8 +123,7 @@ class Detector(Protocol):
     vocabulary : tuple of str or None
         Class names the detector is limited to; None where any name will do.
     exact : bool
-        Its detections are the truth: scores are taken as they are, and nothing
-        is suppressed or cut off.
+        Its detections are the truth: scores are taken as they are, and nothing is suppressed or cut off.
     """
 
     @property
@@ -138,11 +136,11 @@ class Detector(Protocol):
     def exact(self) -> bool: ...
 
     def fingerprint(self) -> str:
-        """What the result depends on besides the picture and the names, for caches."""
+        """Cache key of the results, besides picture and names."""
         ...
 
     def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
-        """Detections of the given class names; None asks for everything the detector knows."""
+        """Detections of the given class names; None for everything known."""
         ...
 
 
@@ -153,7 +151,7 @@ def detect_expression(detector: Detector, frame: Frame, text: str) -> Proposals:
 
 
 def reads_annotations(detector: Detector) -> bool:
-    """Whether the frame's annotations bear on what a detector finds; those that look at the picture alone say so.
+    """Test whether the frame's annotations bear on the detector's results, by the attribute `reads_annotations`.
 
     A detector says it by an attribute `reads_annotations`; without one it may read them.
     """
@@ -161,29 +159,29 @@ def reads_annotations(detector: Detector) -> bool:
 
 
 def is_final(detector: Detector) -> bool:
-    """Whether what a detector gives goes on as it is: nothing is suppressed, cut off or calibrated."""
+    """Test whether detections go on unchanged: nothing suppressed, cut off or calibrated."""
     return bool(getattr(detector, "final", detector.exact))
 
 
 def told_by_ids(detector: Detector) -> bool:
-    """Whether only equal identities are one thing, whatever overlaps."""
+    """Test whether only equal ids are the same thing, regardless of overlap."""
     return bool(getattr(detector, "told_by_ids", detector.exact))
 
 
 def lists_things(detector: Detector) -> bool:
-    """Whether all that it finds in a frame is known without looking at the picture: simulated, or recorded."""
+    """Test whether all detections of a frame are known without the picture: simulated, or recorded."""
     return bool(getattr(detector, "lists_things", False))
 
 
 def numbers_of(detector: Detector, frame: Frame) -> dict[int, int]:
-    """By identity the place of each thing among all that a detector lists for a frame; empty for one that looks."""
+    """Rank of each id among all listed detections of a frame; empty for detectors of pictures."""
     # In the order of the identities, as `all_objects` has them.
     ids = np.sort(detector.detect(frame, None).ids).tolist() if lists_things(detector) else ()
     return {number: place for place, number in enumerate(ids) if number >= 0}
 
 
 def unknown_class(label: str, names: Sequence[str], where: str, advice: str | None = None) -> UnknownClass:
-    """The error for a class name that a detector of limited vocabulary does not know; `advice` says what else helps."""
+    """Error for a class name outside a limited vocabulary, with `advice`."""
     close = suggest(label, names)
     hint = f"did you mean {' or '.join(repr(c) for c in close)}?" if close else "known: " + listed(names)
     hint += f"; {advice}" if advice else ""
@@ -201,14 +199,14 @@ def top_k(proposals: Proposals, k: int, *, min_score: float = 0.0, nms_iou: floa
 
 
 def top_k_indices(proposals: Proposals, k: int, *, min_score: float = 0.0, nms_iou: float = NMS_IOU) -> np.ndarray:
-    """(M,) int64: the indices of the proposals that `top_k` takes."""
+    """Indices (M,) int64 of the proposals selected by `top_k`."""
     order = np.argsort(-proposals.scores, kind="stable")
     order = order[proposals.scores[order] >= min_score]
     return order[suppress(proposals.boxes[order], nms_iou)][:k]
 
 
 def suppress(boxes: np.ndarray, nms_iou: float = NMS_IOU) -> np.ndarray:
-    """Indices of the boxes that survive, given boxes ((N, 4)) in order of falling score."""
+    """Indices of the boxes surviving non-maximum suppression, for boxes ((N, 4)) by falling score."""
     overlap = iou_2d(boxes, boxes) > nms_iou
     alive = np.ones(len(boxes), np.bool_)
     for i in range(len(boxes)):
@@ -220,13 +218,9 @@ def suppress(boxes: np.ndarray, nms_iou: float = NMS_IOU) -> np.ndarray:
 def class_wise(
     boxes: np.ndarray, scores: np.ndarray, classes: np.ndarray, k: int, *, nms_iou: float = NMS_IOU
 ) -> np.ndarray:
-    """(M,) int64: the best `k` of each class after non-maximum suppression within it, best first.
+    """Indices (M,) int64 of the best `k` of each class after suppression within the class, best first.
 
-    Parameters
-    ----------
-    boxes : (N, 4) float
-    scores : (N,) float
-    classes : (N,) int
+    `boxes` (N, 4) float; `scores` (N,) float; `classes` (N,) int.
     """
     order = np.argsort(-scores, kind="stable")
     kept = [np.zeros(0, np.int64)]

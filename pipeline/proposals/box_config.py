@@ -1,6 +1,4 @@
-"""What a user says of a detector of their own in a TOML file (its input, its outputs, its class names), and its outputs
-read as the file describes them.
-"""
+"""TOML description of a custom detector (input, outputs, class names), and decoding of outputs."""
 
 from __future__ import annotations
 
@@ -12,7 +10,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from pipeline.geometry.picture_input import PictureInput, Table, read_description
+from pipeline.geometry.picture_input import ContractTable, PictureInput, read_description
 from pipeline.proposals.captions import sigmoid
 from pipeline.proposals.class_names import read_class_names
 from pipeline.system.errors import InputError, require
@@ -32,8 +30,8 @@ class BoxInput(PictureInput):
     """More inputs, each a row of numbers: orig_target_sizes = ["width", "height"]."""
 
 
-class BoxOutput(Table):
-    """The outputs. `form` says how they are laid out, and which of the other keys it wants."""
+class BoxOutput(ContractTable):
+    """Outputs of the detector; `form` selects the layout and the required keys."""
 
     form: Literal["rows", "separate", "distances"]
     rows: str | None = None
@@ -88,7 +86,7 @@ class BoxOutput(Table):
         return self
 
 
-class BoxModel(Table):
+class BoxModel(ContractTable):
     """The whole of the file."""
 
     input: BoxInput = BoxInput()
@@ -100,13 +98,7 @@ class BoxModel(Table):
 
 
 def read_box_model(path: Path) -> BoxModel:
-    """What a TOML file says of a detector; with the names of `names_file` in `names`.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or a key is unknown, missing or wrong.
-    """
+    """Read a detector's TOML file, with the names of `names_file` in `names`."""
     model = read_description(path, BoxModel, "detector")
     require(
         not (model.names and model.names_file),
@@ -120,13 +112,7 @@ def read_box_model(path: Path) -> BoxModel:
 
 
 def find_box_model(model: Path) -> Path:
-    """The TOML file beside a model: of its name, or the only one in its folder.
-
-    Raises
-    ------
-    InputError
-        Where there is none.
-    """
+    """TOML file of a model: of the same name, or the only TOML file in the folder."""
     own = model.with_suffix(".toml")
     if own.is_file():
         return own
@@ -142,44 +128,25 @@ def find_box_model(model: Path) -> Path:
 
 
 @dataclass(frozen=True)
-class Candidates:
-    """All that the network gave.
+class BoxCandidates:
+    """All candidates of the network."""
 
-    Attributes
-    ----------
-    boxes : (N, 4) float64
-        x0, y0, x1, y1 in the units of the file's description.
-    scores : (N, C) float32
-        Probabilities of the classes. Where the file gives one class for each box, the others are 0.
-    """
-
-    boxes: np.ndarray
+    boxes: np.ndarray  # (N, 4) float64: x0, y0, x1, y1 in the units of the file's description
     scores: np.ndarray
+    """(N, C) float32: Probabilities of the classes. Where the file gives one class for each box, the others are 0."""
 
 
 def output_names(config: BoxOutput) -> list[str]:
-    """The outputs that a description names."""
+    """Output names in a description."""
     given = (config.rows, config.boxes, config.scores, config.classes)
     names = [n for n in given if isinstance(n, str)]
     return [*names, *(config.scores if isinstance(config.scores, tuple) else ()), *config.distances]
 
 
-def decode(outputs: Mapping[str, np.ndarray], config: BoxOutput, classes: int, size: tuple[int, int]) -> Candidates:
+def decode(outputs: Mapping[str, np.ndarray], config: BoxOutput, classes: int, size: tuple[int, int]) -> BoxCandidates:
     """Boxes and probabilities.
 
-    Parameters
-    ----------
-    outputs : mapping of str to ndarray
-        By name.
-    classes : int
-        How many class names there are.
-    size : (int, int)
-        Height and width of the input.
-
-    Raises
-    ------
-    InputError
-        Where the outputs have other shapes than the description says.
+    `size` (int, int): Height and width of the input.
     """
     count = classes + (config.background != "none")
     if config.form == "rows":
@@ -188,8 +155,8 @@ def decode(outputs: Mapping[str, np.ndarray], config: BoxOutput, classes: int, s
         boxes, scores = _separate(outputs, config, count)
     else:
         boxes, scores = _distances(outputs, config, count, size)
-        return Candidates(boxes, _foreground(scores, config))
-    return Candidates(_corners(boxes.astype(np.float64), config.box), _foreground(scores, config))
+        return BoxCandidates(boxes, _foreground(scores, config))
+    return BoxCandidates(_corners(boxes.astype(np.float64), config.box), _foreground(scores, config))
 
 
 def _rows(values: np.ndarray, columns: Sequence[str], activation: str, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -274,7 +241,7 @@ def _distances(
 
 
 def _unbatched(values: np.ndarray, rank: int, what: str) -> np.ndarray:
-    """Without axes of one that come first, and last where a number stands alone."""
+    """Array without leading axes of 1, and trailing axes of 1 for scalars."""
     found = values
     while found.ndim > rank and found.shape[0] == 1:
         found = found[0]

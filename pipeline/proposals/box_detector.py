@@ -1,4 +1,4 @@
-"""Detectors of boxes that need no code: what their tensors are stands in a TOML file."""
+"""Box detectors described by a TOML file, without code."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.picture_input import Placement, checked_input, checked_outputs, place_picture
+from pipeline.geometry.picture_input import InputPlacement, checked_input, checked_outputs, place_picture
 from pipeline.language.naming import Synonyms
 from pipeline.proposals.base import Proposals, class_wise
-from pipeline.proposals.box_config import Candidates, decode, find_box_model, output_names, read_box_model
+from pipeline.proposals.box_config import BoxCandidates, decode, find_box_model, output_names, read_box_model
 from pipeline.proposals.class_names import metadata_names, names_hash
 from pipeline.proposals.network import MAX_PER_NAME, NetworkDetector, proposals_of
 from pipeline.system.errors import InputError, needed
@@ -22,22 +22,7 @@ VERSION = "1"
 
 
 class BoxDetector(NetworkDetector):
-    """A detector of boxes, as its TOML file describes it.
-
-    Parameters
-    ----------
-    path : Path
-        The ONNX file.
-    config : Path, optional
-        The TOML file, see `pipeline.proposals.box_config`; by default the one beside the model.
-    min_score : float, optional
-        Detections below it are dropped; by default as the TOML file says.
-
-    Raises
-    ------
-    InputError
-        Where the TOML file is wrong, or the model has no such tensors.
-    """
+    """A box detector described by a TOML file."""
 
     name = "boxes"
 
@@ -70,7 +55,7 @@ class BoxDetector(NetworkDetector):
         return f"boxes:{self.min_score}:{':'.join(parts)}"
 
     def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
-        """Detections of the classes that the names mean, the better first; `ids` are rows of the network's answer."""
+        """Detections of the named classes, best first; `ids` are output rows."""
         wanted = self._wanted(labels)
         candidates, placement = self._once(frame, self._forward)
         score, which = self._best(candidates.scores, wanted)
@@ -81,7 +66,7 @@ class BoxDetector(NetworkDetector):
         chosen = chosen[kept]
         return proposals_of(boxes[kept], score[chosen], which[chosen], wanted, chosen)
 
-    def _in_picture(self, boxes: np.ndarray, placement: Placement, frame: Frame) -> np.ndarray:
+    def _in_picture(self, boxes: np.ndarray, placement: InputPlacement, frame: Frame) -> np.ndarray:
         units = self.config.output.units
         if units == "share":
             boxes = boxes * ([placement.width, placement.height] * 2)
@@ -89,7 +74,7 @@ class BoxDetector(NetworkDetector):
             boxes = placement.to_picture(boxes)
         return np.clip(np.nan_to_num(boxes), 0, [frame.width, frame.height] * 2)
 
-    def _forward(self, frame: Frame) -> tuple[Candidates, Placement]:
+    def _forward(self, frame: Frame) -> tuple[BoxCandidates, InputPlacement]:
         tensor, placement = place_picture(frame.rgb, *self._sides, self.config.input)
         numbers = {
             "height": frame.height, "width": frame.width,

@@ -1,4 +1,4 @@
-"""What detectors and segmenters found, kept on disk by content: picture, models with their thresholds, names or box."""
+"""Disk cache of detections and masks, keyed by picture, models with thresholds, names or box."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _VERSION = "2"
 
 
 class CachedDetector:
-    """A detector that looks into the cache first.
+    """A detector with a disk cache.
 
     A damaged or unreadable cache file is a miss, never an error; a folder that
     cannot be written only means that nothing is kept.
@@ -43,7 +43,7 @@ class CachedDetector:
         return self._kept(self.key(frame, labels), lambda: self.detector.detect(frame, labels))
 
     def detect_expression(self, frame: Frame, text: str) -> Proposals:
-        """What the detector finds of a whole expression, see `pipeline.proposals.base.detect_expression`."""
+        """Detections of a whole expression; see `pipeline.proposals.base.detect_expression`."""
         return self._kept(
             self.key(frame, ["", "expression", text]), lambda: detect_expression(self.detector, frame, text)
         )
@@ -112,14 +112,13 @@ _MASK_VERSION = "1"
 
 
 class CachedSegmenter:
-    """A segmenter that looks into the cache first, for one whose masks do not depend on the other boxes or the labels.
+    """A disk cache for a segmenter with masks independent of other boxes and labels.
 
     A damaged or unreadable cache file is a miss, never an error; a folder that
     cannot be written only means that nothing is kept.
 
     Parameters
     ----------
-    segmenter : Segmenter
     folder : Path, optional
         Default: the folder of all caches.
     """
@@ -148,7 +147,7 @@ class CachedSegmenter:
         return masks, np.asarray(masks.any(axis=(1, 2)))
 
     def path(self, frame: Frame, box: np.ndarray) -> Path:
-        """Where the mask of a box ((4,) float32) is kept."""
+        """Cache path of the mask of a box ((4,) float32)."""
         parts = [_MASK_VERSION, frame.content_hash, self.fingerprint(), box.tobytes().hex()]
         key = xxhash.xxh3_128_hexdigest("\x1f".join(parts).encode())
         return self.folder / key[:2] / f"{key}.npz"

@@ -1,6 +1,5 @@
-"""Text for networks that are asked for any names: GroundingDINO's captions ("mug. laptop.", with the tokens of every
-name), and the tokenizer that belongs to a model, found beside its file and read without the network.
-"""
+"""Prompts for open-vocabulary networks: GroundingDINO's captions ("mug. laptop.", with the tokens of every name), and
+tokenizers next to model files."""
 
 from __future__ import annotations
 
@@ -26,32 +25,21 @@ _GAPS = re.compile(r"[\s_]+")
 
 @dataclass(frozen=True)
 class Caption:
-    """One run's text.
-
-    Attributes
-    ----------
-    text : str
-    ids : (S,) int64
-        Tokens, with those that begin and end the text.
-    names : (N,) int64
-        Which of the names asked for, in their order in the text.
-    spans : (N, 2) int64
-        The first token of each name, and the one after its last.
-    """
+    """Caption of a single run."""
 
     text: str
-    ids: np.ndarray
-    names: np.ndarray
-    spans: np.ndarray
+    ids: np.ndarray  # (S,) int64: Tokens, with those that begin and end the text
+    names: np.ndarray  # (N,) int64: Which of the names asked for, in their order in the text
+    spans: np.ndarray  # (N, 2) int64: The first token of each name, and the one after its last
 
 
 def plain_name(name: str) -> str:
-    """A class name as a caption may hold it: lower case, no separators (`T.V._stand` becomes `tv stand`)."""
+    """Class name as in captions: lower case, no separators (`T.V._stand` becomes `tv stand`)."""
     return _GAPS.sub(" ", _SEPARATORS.sub("", name)).strip().lower()
 
 
 def check_bert(tokenizer: Any, path: Path) -> None:
-    """Raise InputError unless the tokenizer has the numbers of the uncased BERT that GroundingDINO has built in."""
+    """Raise InputError unless token numbers are those of uncased BERT, as in GroundingDINO."""
     found = {token: tokenizer.token_to_id(token) for token in SPECIAL}
     require(
         found == SPECIAL,
@@ -70,14 +58,9 @@ def check_bert(tokenizer: Any, path: Path) -> None:
 
 
 def build_captions(names: Sequence[str], tokenizer: Any, limit: int = MAX_TOKENS) -> list[Caption]:
-    """As few captions as hold all names in their order, each of at most `limit` tokens; no name is ever cut.
+    """Fewest captions holding all names in order, at most `limit` tokens each; names are never cut.
 
     Names that read the same stand in a caption once, for the first of them.
-
-    Raises
-    ------
-    InputError
-        For a name without a word, with no word that the tokenizer knows, or longer than a caption.
     """
     groups: list[list[tuple[int, str, list[int]]]] = [[]]
     length = 2
@@ -130,21 +113,13 @@ def _caption(group: list[tuple[int, str, list[int]]]) -> Caption:
 
 
 def token_blocks(ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What tokens may attend to, and their positions: each name by itself, with the stop behind it.
+    """Attention mask and positions of tokens: each name separately, with the following stop.
 
     As `generate_masks_with_special_tokens_and_transfer_map` of IDEA-Research/GroundingDINO (bertwarper.py): a block
     ends with its special token, which belongs to it; the first and the last token, and those behind the last special
     one, attend to themselves.
 
-    Parameters
-    ----------
-    ids : (S,) int64
-
-    Returns
-    -------
-    mask : (S, S) bool
-    positions : (S,) int64
-        Counted from 0 in each block.
+    `ids` (S,) int64; `positions` (S,) int64: Counted from 0 in each block.
     """
     special = np.isin(ids, list(SPECIAL.values()))
     block = np.cumsum(special) - special
@@ -174,20 +149,7 @@ TOKENIZER = "tokenizer.json"
 
 
 def find_tokenizer(model: Path, patterns: Sequence[str] = (TOKENIZER,)) -> Path:
-    """The tokenizer's file in the model's folder or in the one above it, as the model hubs lay them out.
-
-    Parameters
-    ----------
-    model : Path
-        The ONNX file.
-    patterns : sequence of str
-        File names or globs, the best first.
-
-    Raises
-    ------
-    InputError
-        Where there is none, or several fit the same pattern.
-    """
+    """Tokenizer file in the model's folder or the parent folder, as on model hubs."""
     for folder in (model.parent, model.resolve().parent.parent):
         for pattern in patterns:
             found = sorted(p for p in folder.glob(pattern) if p.is_file())
@@ -205,20 +167,7 @@ def find_tokenizer(model: Path, patterns: Sequence[str] = (TOKENIZER,)) -> Path:
 
 
 def load_tokenizer(path: Path) -> Any:
-    """A `tokenizers.Tokenizer` that neither pads nor cuts, and takes what a user types for text only.
-
-    Parameters
-    ----------
-    path : Path
-        A tokenizer.json, or the vocabulary of an uncased BERT with one word piece a line (.txt).
-
-    Raises
-    ------
-    InputError
-        Where the file is missing or cannot be read.
-    MissingExtra
-        Where the library `tokenizers` is not installed.
-    """
+    """Load a `tokenizers.Tokenizer` without padding, truncation and special tokens in text."""
     try:
         import tokenizers
     except ImportError as error:

@@ -1,4 +1,4 @@
-"""Class names of detectors: where they are written, which of them a query means, and which of two mean the same."""
+"""Class names of detectors: files, matching to queries, and equality of names."""
 
 from __future__ import annotations
 
@@ -23,13 +23,7 @@ ADVICE = 'all: `spatialviz models FILE`; another name for one: --synonyms FILE w
 def wanted_names(
     labels: Sequence[str] | None, vocabulary: Sequence[str], synonyms: Synonyms | None, where: str
 ) -> list[str]:
-    """The names of the vocabulary that a query means, without repeats; all of them for None.
-
-    Raises
-    ------
-    UnknownClass
-        Where one of the labels means none of them.
-    """
+    """Names of the vocabulary meant by a query, without repeats; all for None."""
     if labels is None:
         return list(dict.fromkeys(vocabulary))
     meant = [meant_names(label, vocabulary, synonyms, where, ADVICE.format(json.dumps(label))) for label in labels]
@@ -39,7 +33,7 @@ def wanted_names(
 def meant_names(
     label: str, known: Sequence[str], synonyms: Synonyms | None, where: str, advice: str | None = None
 ) -> tuple[str, ...]:
-    """Those of the known names that a label means; UnknownClass, with `where` they are known, if it means none."""
+    """Known names meant by a label; UnknownClass, naming `where`, if none."""
     meant = match(label, known, synonyms)
     if not meant:
         raise unknown_class(label, known, where, advice)
@@ -47,7 +41,7 @@ def meant_names(
 
 
 def synonyms_hash(synonyms: Synonyms | None) -> str:
-    """Hash of what decides which names a query means, for fingerprints."""
+    """Hash of the synonyms, for fingerprints."""
     return (synonyms or default_synonyms()).fingerprint
 
 
@@ -57,7 +51,7 @@ def names_hash(names: Sequence[str]) -> str:
 
 
 def metadata_names(session: Any) -> tuple[str, ...] | None:
-    """The class names in a file's metadata, as Ultralytics writes them; None where there are none."""
+    """Class names in a file's metadata, as written by Ultralytics; else None."""
     text = metadata(session).get("names", "")
     try:
         names = ast.literal_eval(text)
@@ -72,19 +66,7 @@ def metadata_names(session: Any) -> tuple[str, ...] | None:
 
 
 def read_class_names(path: Path) -> tuple[str, ...]:
-    """Class names from a file, in the order of the network's outputs.
-
-    Parameters
-    ----------
-    path : Path
-        A text file with one name a line; or a JSON file: a list of names, or an object whose `categories` are
-        objects with `id` and `name`, as the annotation files of COCO and LVIS have them, taken by rising `id`.
-
-    Raises
-    ------
-    InputError
-        Where the file cannot be read, or holds something else.
-    """
+    """Class names from a file, in the order of the network's outputs."""
     with as_input_error("the class names cannot be read", OSError, ValueError, got=str, path=path):
         # Some editors put a mark before the first name. Lines end as files have it: other breaks may be in a name.
         text = read_text(path, "utf-8-sig")
@@ -105,7 +87,7 @@ def read_class_names(path: Path) -> tuple[str, ...]:
 
 
 def _of_categories(categories: Any) -> list[str] | None:
-    """Networks number the classes without the gaps that COCO's ids have."""
+    """Category names by rising id; networks number classes without the gaps of COCO's ids."""
     if not isinstance(categories, list):
         return None
     try:
@@ -115,7 +97,7 @@ def _of_categories(categories: Any) -> list[str] | None:
 
 
 def known_names(detector: Detector) -> tuple[str, ...] | None:
-    """The names that a detector gives where it is asked for everything; None where they may be any."""
+    """Names of a detector asked for everything; None for any name."""
     if detector.vocabulary is not None:
         return detector.vocabulary
     found: object = detector
@@ -129,18 +111,17 @@ def known_names(detector: Detector) -> tuple[str, ...] | None:
 
 
 def knows(names: Sequence[str] | None, label: str, synonyms: Synonyms | None = None) -> bool:
-    """Whether a detector of these names (None: any) could find what `label` means."""
+    """Test whether a detector with these names (None: any) could find `label`."""
     return names is None or bool(match(label, names, synonyms))
 
 
 def same_name(a: str, b: str, synonyms: Synonyms | None = None) -> bool:
-    """Whether two detectors that say `a` and `b` of one thing say the same: one class, or a kind of it ("cracker box"
-    and "box")."""
+    """Test whether two names mean the same class, or a kind of the other ("cracker box" and "box")."""
     return a == b or same_or_kind(a, b, synonyms)
 
 
 def same_names(a: Sequence[str], b: Sequence[str], synonyms: Synonyms | None = None) -> np.ndarray:
-    """(N, M) bool: `same_name` of every label of `a` with every one of `b`."""
+    """Pairwise `same_name` (N, M) bool of the labels of `a` and `b`."""
     # Each name once: most labels of a picture are of few.
     names_a, names_b = list(dict.fromkeys(a)), list(dict.fromkeys(b))
     table = np.array([[same_name(x, y, synonyms) for y in names_b] for x in names_a], np.bool_)
@@ -149,7 +130,7 @@ def same_names(a: Sequence[str], b: Sequence[str], synonyms: Synonyms | None = N
 
 
 def name_groups(names: Sequence[str], synonyms: Synonyms | None = None) -> dict[str, str]:
-    """The name that stands for each: shorter names first, each joins the first of them that says the same.
+    """Representative of each name: shorter names first, each joins the first equal name.
 
     It does not depend on the order of `names`.
     """

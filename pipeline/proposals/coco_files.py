@@ -1,4 +1,4 @@
-"""The parts of COCO files that are used: pictures, classes, polygons, and the results of a detector.
+"""COCO files: pictures, classes, polygons, and detector results.
 
 Results are as the COCO API writes them (cocodataset.org, "Results Format"; `loadRes` of pycocotools): a list of
 {"image_id", "category_id", "bbox": [x, y, width, height], "score"}, with "segmentation" (a run-length code) in place of
@@ -29,7 +29,7 @@ MOST_PIXELS = 1 << 28
 
 
 class RecordedDetection(BaseModel):
-    """One detection of a recorded run."""
+    """A detection of a recorded run."""
 
     label: str = Field(min_length=1)
     score: float = Field(ge=0, le=1)
@@ -43,7 +43,7 @@ Detections = dict[Picture, list[RecordedDetection]]
 
 
 class CocoImage(BaseModel):
-    """A picture of a COCO file; `frame` is what spatialviz writes beside the file's name."""
+    """A picture of a COCO file; `frame` is spatialviz's own addition."""
 
     id: int
     file_name: str
@@ -60,7 +60,7 @@ class CocoCategory(BaseModel):
 
 
 class CocoKey(BaseModel):
-    """Which pictures and classes the numbers of a COCO file mean."""
+    """Pictures and classes by number in a COCO file."""
 
     images: list[CocoImage] = []
     categories: list[CocoCategory] = []
@@ -77,29 +77,18 @@ class CocoResult(BaseModel):
 
 
 def is_coco(content: Content) -> bool:
-    """Whether a file holds results, or annotations with scores."""
+    """Test for results, or annotations with scores."""
     return {"image_id", "category_id", "score"} <= _results(content).first.keys()
 
 
 def _results(content: Content) -> Content:
-    """The list of results, where it stands within an object too."""
+    """List of results, also inside an object."""
     inside = isinstance(content.value, dict) and "annotations" in content.value
     return replace(content, value=content.value["annotations"]) if inside else content
 
 
 def coco_detections(content: Content, key: Path | None) -> Detections:
-    """The detections of a file, boxes as corners.
-
-    Parameters
-    ----------
-    key : Path or None
-        The annotation file.
-
-    Raises
-    ------
-    InputError
-        What does not follow the format, and a number of a picture or class that nothing tells.
-    """
+    """The detections of a file, boxes as corners."""
     path = content.path
     told = read_content(key).value if key is not None else content.value if isinstance(content.value, dict) else {}
     known = checked(CocoKey.model_validate, told, "not an annotation file of COCO at {}", key or path)

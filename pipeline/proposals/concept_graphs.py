@@ -1,4 +1,4 @@
-"""The maps of ConceptGraphs: objects fused over the pictures of a scene, each with its masks, boxes and scores.
+"""Maps of ConceptGraphs: objects fused over the pictures of a scene, each with masks, boxes and scores.
 
 `pcd_saves/full_pcd_*.pkl.gz` (concept-graphs/concept-graphs, slam/cfslam_pipeline_batch.py: a dict whose `objects` and
 `bg_objects` are what `MapObjectList.to_serializable` of slam/slam_classes.py gives) and `map/scene_map_*_pruned.pkl.gz`
@@ -30,28 +30,14 @@ Corners = tuple[tuple[float, float, float], ...]
 
 @dataclass(frozen=True)
 class SceneMap:
-    """A map.
+    """A map."""
 
-    Attributes
-    ----------
-    detections : Detections
-        What was found in each picture; the ids are the objects' numbers in the file.
-    corners : dict of int to Corners
-        By object: the eight corners of its box in the world, metres.
-    """
-
-    detections: Detections
-    corners: dict[int, Corners]
+    detections: Detections  # What was found in each picture; the ids are the objects' numbers in the file
+    corners: dict[int, Corners]  # By object: the eight corners of its box in the world, metres
 
 
 def read_map(path: Path) -> Content:
-    """A map as the content of a file.
-
-    Raises
-    ------
-    InputError
-        It is no pickle or holds what is not read (`pipeline.system.plain_pickle`), or no map.
-    """
+    """A map as the content of a file."""
     content = read_plain_pickle(path, _compact)
     found = [content.get(key) or [] for key in ("objects", "bg_objects")] if isinstance(content, dict) else [content]
     require(
@@ -84,7 +70,7 @@ def read_map(path: Path) -> Content:
 
 
 def _compact(array: np.ndarray) -> Any:
-    """Masks as their codes: a map may hold thousands of them."""
+    """Masks as run lengths, to save memory."""
     return RunLength.of(array) if array.ndim == 2 and array.dtype == np.bool_ and array.size else array
 
 
@@ -100,6 +86,6 @@ def _told(error: Exception) -> str:
 
 
 def map_detections(content: Content, key: Path | None) -> Detections:
-    """What a map holds of each picture."""
+    """Detections of a map by picture."""
     scene: SceneMap = content.value
     return scene.detections

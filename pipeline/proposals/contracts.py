@@ -1,4 +1,4 @@
-"""What a model file must declare to be one that an adapter reads, and where such a file has its tensors."""
+"""Contracts of model files: required tensors of each adapter, and their names in a file."""
 
 from __future__ import annotations
 
@@ -9,40 +9,21 @@ from typing import Any, Literal
 
 @dataclass(frozen=True)
 class TensorSpec:
-    """An input or output as a file declares it.
-
-    Attributes
-    ----------
-    name : str
-    dtype : str
-        As NumPy names it; "float32" stands for float16 too.
-    shape : tuple of int or str
-        A word where the size is the file's own.
-    """
+    """A declared input or output."""
 
     name: str
-    dtype: str
-    shape: tuple[int | str, ...]
+    dtype: str  # As NumPy names it; "float32" stands for float16 too
+    shape: tuple[int | str, ...]  # A word where the size is the file's own
 
 
 @dataclass(frozen=True)
-class Contract:
-    """One kind of model file.
+class DetectorContract:
+    """A kind of model file."""
 
-    Attributes
-    ----------
-    option : str
-        How it is asked for, such as "--segmenter sam".
-    what : str
-        One line of what it is.
-    inputs, outputs : tuple of TensorSpec
-        Those that tell it from others; a file may declare more outputs.
-    """
-
-    option: str
-    what: str
+    option: str  # How it is asked for, such as "--segmenter sam"
+    what: str  # One line of what it is
     inputs: tuple[TensorSpec, ...]
-    outputs: tuple[TensorSpec, ...]
+    outputs: tuple[TensorSpec, ...]  # Those that tell it from others; a file may declare more outputs
 
 
 _DTYPES = {
@@ -66,12 +47,12 @@ def declared(values: Iterable[Any]) -> tuple[TensorSpec, ...]:
 
 
 def by_name(values: Iterable[Any]) -> dict[str, TensorSpec]:
-    """The same by their names."""
+    """Declared inputs or outputs by name."""
     return {spec.name: spec for spec in declared(values)}
 
 
-def follows(session: Any, contract: Contract) -> bool:
-    """Whether a file declares what a contract wants: the same inputs, and at least its outputs."""
+def follows(session: Any, contract: DetectorContract) -> bool:
+    """Test whether a file meets a contract: the same inputs, and at least the outputs."""
     inputs, outputs = by_name(session.get_inputs()), by_name(session.get_outputs())
     if set(inputs) != {s.name for s in contract.inputs}:
         return False
@@ -93,7 +74,7 @@ def _fits(found: TensorSpec, wanted: TensorSpec) -> bool:
 
 
 def box_output(session: Any) -> str | None:
-    """The name of the output (1, Q, 4), by its usual name or else by its shape."""
+    """Name of the output (1, Q, 4), by usual name or by shape."""
     outputs = session.get_outputs()
     named = [o.name for o in outputs if o.name in ("pred_boxes", "boxes")]
     shaped = [o.name for o in outputs if len(o.shape) == 3 and o.shape[2] == 4]
@@ -103,7 +84,7 @@ def box_output(session: Any) -> str | None:
 _OUTPUTS = (TensorSpec("logits", "float32", (1, "Q", "T")), TensorSpec("pred_boxes", "float32", (1, "Q", 4)))
 _TEXT = (TensorSpec("input_ids", "int64", (1, "S")), TensorSpec("token_type_ids", "int64", (1, "S")))
 GROUNDING_DINO_CONTRACTS = (
-    Contract(
+    DetectorContract(
         "--detector grounding-dino",
         "GroundingDINO as transformers has it (onnx-community/grounding-dino-tiny-ONNX), with its tokenizer.json",
         (
@@ -114,7 +95,7 @@ GROUNDING_DINO_CONTRACTS = (
         ),
         _OUTPUTS,
     ),
-    Contract(
+    DetectorContract(
         "--detector grounding-dino",
         "GroundingDINO exported from the original code, with the tokenizer.json or vocab.txt of bert-base-uncased",
         (
@@ -132,7 +113,7 @@ PICTURES = ("pixel_values", "img")
 
 
 def grounding_dino_tensors(session: Any) -> tuple[str, list[str]] | None:
-    """The name of the picture's input, and those of the logits and the boxes; None where this is no such model."""
+    """Names of the picture's input, logits and boxes; None for another model."""
     inputs = {i.name: i.shape for i in session.get_inputs()}
     picture = next((n for n in PICTURES if n in inputs), None)
     known = {t.name for c in GROUNDING_DINO_CONTRACTS for t in c.inputs}
@@ -155,8 +136,8 @@ SIDES = {"owlv2": 960, "owlvit": 768}
 Kind = Literal["owlv2", "owlvit"]
 
 
-def _contract(kind: Kind, what: str) -> Contract:
-    return Contract(
+def _contract(kind: Kind, what: str) -> DetectorContract:
+    return DetectorContract(
         f"--detector {kind}",
         f"{what} as transformers.js and optimum export it, with its tokenizer.json",
         (
@@ -173,7 +154,7 @@ OWL_CONTRACTS = (_contract("owlv2", "OWLv2"), _contract("owlvit", "OWL-ViT"))
 
 
 def owl_tensors(session: Any) -> list[str] | None:
-    """The names of the logits, the boxes and, where it is there, the objectness; None where this is no such model."""
+    """Names of logits, boxes and, if present, objectness; None for another model."""
     inputs = {i.name: i.shape for i in session.get_inputs()}
     names = [o.name for o in session.get_outputs()]
     picture = inputs.get("pixel_values", [])
@@ -190,13 +171,13 @@ MASK_COEFFICIENTS = 32
 YOLO_SEG_OPTION = "--detector yolo-seg"
 _PROTOTYPES = TensorSpec("output1", "float32", (1, MASK_COEFFICIENTS, "H/4", "W/4"))
 YOLO_SEG_CONTRACTS = (
-    Contract(
+    DetectorContract(
         YOLO_SEG_OPTION,
         "YOLO export with masks (Ultralytics -seg, YOLOE, YOLO-World with a vocabulary inside)",
         (TensorSpec("images", "float32", (1, 3, "H", "W")),),
         (TensorSpec("output0", "float32", (1, "4+C+32", "N")), _PROTOTYPES),
     ),
-    Contract(
+    DetectorContract(
         YOLO_SEG_OPTION,
         "YOLO export with masks and the suppression inside",
         (TensorSpec("images", "float32", (1, 3, "H", "W")),),
@@ -207,7 +188,7 @@ YOLO_SEG_CONTRACTS = (
 
 
 def yolo_seg_tensors(session: Any) -> tuple[Any, list[str], bool, int | None] | None:
-    """The input, the names of rows and prototypes, whether rivals are suppressed inside, and the number of classes.
+    """Input, names of rows and prototypes, suppression inside, and number of classes.
 
     None where this is no such model; the number is None where only the class names tell it.
     """
@@ -226,7 +207,7 @@ def yolo_seg_tensors(session: Any) -> tuple[Any, list[str], bool, int | None] | 
 
 DETIC_OPTION = "--detector detic"
 DETIC_CONTRACTS = (
-    Contract(
+    DetectorContract(
         DETIC_OPTION,
         "Detic with a frozen vocabulary (axinc-ai/ailia-models), with its class names in a file",
         (TensorSpec("img", "float32", (1, 3, "H", "W")),),
@@ -258,7 +239,7 @@ def detic_tensors(session: Any) -> tuple[Any, list[str]] | None:
 EFFICIENTSAM_OPTION = "--segmenter efficientsam"
 _EMBEDDINGS = TensorSpec("image_embeddings", "float32", ("batch", 256, 64, 64))
 EFFICIENTSAM_ENCODERS = (
-    Contract(
+    DetectorContract(
         EFFICIENTSAM_OPTION,
         "EfficientSAM encoder",
         (TensorSpec("batched_images", "float32", ("batch", 3, "height", "width")),),
@@ -266,7 +247,7 @@ EFFICIENTSAM_ENCODERS = (
     ),
 )
 EFFICIENTSAM_DECODERS = (
-    Contract(
+    DetectorContract(
         EFFICIENTSAM_OPTION,
         "EfficientSAM prompt decoder",
         (
@@ -290,19 +271,19 @@ ALL_MASKS = 4
 """Masks of an export that leaves the choice to its reader: the one for unambiguous prompts, then three others."""
 _SAM_EMBEDDINGS = TensorSpec("image_embeddings", "float32", (1, 256, 64, 64))
 SAM_ENCODERS = (
-    Contract(
+    DetectorContract(
         SAM_OPTION,
         "SAM or MobileSAM encoder with the preprocessing inside",
         (TensorSpec("input_image", "float32", ("height", "width", 3)),),
         (_SAM_EMBEDDINGS,),
     ),
-    Contract(
+    DetectorContract(
         SAM_OPTION,
         "SAM or MobileSAM encoder of the normalised square (samexporter)",
         (TensorSpec("input_image", "float32", (1, 3, SAM_SIDE, SAM_SIDE)),),
         (_SAM_EMBEDDINGS,),
     ),
-    Contract(
+    DetectorContract(
         SAM_OPTION,
         "SAM or MobileSAM encoder of the normalised square (osam)",
         (TensorSpec("x", "float32", (1, 3, SAM_SIDE, SAM_SIDE)),),
@@ -310,7 +291,7 @@ SAM_ENCODERS = (
     ),
 )
 SAM_DECODERS = (
-    Contract(
+    DetectorContract(
         SAM_OPTION,
         "SAM or MobileSAM prompt decoder (official exporter)",
         (
@@ -356,21 +337,23 @@ _MASKS = (
     TensorSpec("iou_predictions", "float32", ("boxes", "masks")),
 )
 SAM2_ENCODERS = (
-    Contract(SAM2_OPTION, "SAM 2 encoder (samexporter)", (TensorSpec("image", "float32", _SQUARE),), _SAMEXPORTER),
-    Contract(SAM2_OPTION, "SAM 2 encoder (osam)", (TensorSpec("input", "float32", _SQUARE),), _OSAM),
-    Contract(
+    DetectorContract(
+        SAM2_OPTION, "SAM 2 encoder (samexporter)", (TensorSpec("image", "float32", _SQUARE),), _SAMEXPORTER
+    ),
+    DetectorContract(SAM2_OPTION, "SAM 2 encoder (osam)", (TensorSpec("input", "float32", _SQUARE),), _OSAM),
+    DetectorContract(
         SAM2_OPTION, "SAM 2 encoder (transformers.js)", (TensorSpec("pixel_values", "float32", _SQUARE),), _TRANSFORMERS
     ),
 )
 SAM2_DECODERS = (
-    Contract(SAM2_OPTION, "SAM 2 prompt decoder (samexporter)", (*_SAMEXPORTER, *_POINTS), _MASKS),
-    Contract(
+    DetectorContract(SAM2_OPTION, "SAM 2 prompt decoder (samexporter)", (*_SAMEXPORTER, *_POINTS), _MASKS),
+    DetectorContract(
         SAM2_OPTION,
         "SAM 2 prompt decoder (osam)",
         (*_OSAM, *_POINTS, TensorSpec("orig_im_size", "int64", (2,))),
         _MASKS,
     ),
-    Contract(
+    DetectorContract(
         SAM2_OPTION,
         "SAM 2 prompt decoder (transformers.js)",
         (

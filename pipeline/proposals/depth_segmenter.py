@@ -90,7 +90,7 @@ OWNER_KEEP = 0.1
 
 @dataclass(frozen=True)
 class _Maps:
-    """Of a whole frame: points and normals (camera frame), where normals are known, colour in CIE Lab."""
+    """Points and normals (camera frame) of a frame, known normals, colour in CIE Lab."""
 
     points: np.ndarray
     normals: np.ndarray
@@ -100,26 +100,18 @@ class _Maps:
 
 @dataclass(frozen=True)
 class _Samples:
-    """Pixels as samples: colour and place scaled by their reach (N, 5), points, normals, and which of those are known.
+    """Pixels as samples: colour and place scaled by their reach, points, normals."""
 
-    Attributes
-    ----------
-    features : (N, 5) float32
-    points, normals : (N, 3) float32
-    measured, known : (N,) bool
-        With a depth; with a normal.
-    """
-
-    features: np.ndarray
+    features: np.ndarray  # (N, 5) float32
     points: np.ndarray
-    normals: np.ndarray
+    normals: np.ndarray  # (N, 3) float32
     measured: np.ndarray
-    known: np.ndarray
+    known: np.ndarray  # (N,) bool: With a depth; with a normal
 
 
 @dataclass(frozen=True)
 class _Cut:
-    """The mask of one box at full size and its evidence."""
+    """Full-size mask of a box with log-odds."""
 
     x0: int
     y0: int
@@ -133,13 +125,13 @@ class _Cut:
 
     @property
     def claim(self) -> np.ndarray:
-        """(h, w) float32: how strongly the mask claims its pixels; -inf outside it."""
+        """Claim strength (h, w) float32 of the mask on pixels; -inf outside."""
         evidence = self.log_odds - np.float32(OWNER_AREA * np.log(self.mask.size))
         return np.where(self.mask, evidence, -np.inf).astype(np.float32)
 
 
 class DepthSegmenter:
-    """Masks from boxes by depth and colour; see the module's text for the method and its figures.
+    """Segmenter by depth and colour; method and figures in the module's docstring.
 
     Masks stay inside their boxes, widened to whole pixels. `has_mask` is False
     for boxes narrower than three pixels, outside of the picture, or as large
@@ -155,7 +147,7 @@ class DepthSegmenter:
         return f"depth:{VERSION}"
 
     def segment(self, frame: Frame, boxes: np.ndarray, labels: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-        """(N, H, W) bool masks of boxes ((N, 4), x0 y0 x1 y1), and which are more than the box. Names play no part."""
+        """Masks (N, H, W) bool of boxes ((N, 4), x0 y0 x1 y1), and masks differing from the box. Names are ignored."""
         shape = (frame.height, frame.width)
         masks = np.zeros((len(boxes), *shape), np.bool_)
         windows = [_window(box, *shape) for box in np.asarray(boxes, np.float64).reshape(-1, 4)]
@@ -178,7 +170,7 @@ class DepthSegmenter:
         return masks, np.array([c is not None for c in cuts], np.bool_)
 
     def _maps(self, frame: Frame) -> _Maps:
-        """Made once for a picture, however many boxes are asked for in turn."""
+        """Maps of a frame, cached per picture."""
         if self._last is None or self._last[0].rgb is not frame.rgb or self._last[0].depth is not frame.depth:
             self._last = frame, _maps(frame)
         return self._last[1]
@@ -193,7 +185,7 @@ def _maps(frame: Frame) -> _Maps:
 
 
 def _window(box: np.ndarray, height: int, width: int) -> tuple[int, int, int, int] | None:
-    """The box as whole pixels inside the picture; None where it is too narrow or not a box."""
+    """Box as whole pixels inside the picture; None where too narrow or no box."""
     if not np.isfinite(box).all():
         return None
     limit = np.array([width, height], np.float64)
@@ -209,7 +201,7 @@ def _even(start: int, stop: int, step: float) -> np.ndarray:
 
 
 def _cut(maps: _Maps, window: tuple[int, int, int, int], fx: float) -> _Cut | None:
-    """The mask of one box by itself; None where nothing can be said."""
+    """Mask of a single box; None without evidence."""
     x0, y0, x1, y1 = window
     height, width = maps.known.shape
     longer, shorter = max(x1 - x0, y1 - y0), min(x1 - x0, y1 - y0)
@@ -327,7 +319,7 @@ def _log_ratio(
     inner_counts: np.ndarray,
     floor: float,
 ) -> np.ndarray:
-    """(N,) log of object density over background density, given each inner sample's share in the object."""
+    """Log ratio (N,) of object density over background density, by each inner sample's share in the object."""
     of_object, rejected = share * inner_counts, (1 - share) * inner_counts
     near = inner @ of_object / max(float(of_object.sum()), 1e-6)
     outside = ring.sum(axis=1) / max(int(ring_counts.sum()), 1)
@@ -355,7 +347,7 @@ def _links(colour: np.ndarray, points: np.ndarray, normals: np.ndarray, known: n
 def _tightened(
     mask: np.ndarray, log_odds: np.ndarray, solved: Callable[[np.ndarray], np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The mask, or one cut with higher log-odds where it leaves too much of its box untouched."""
+    """Mask, cut again with higher log-odds where too small for the box."""
     best, best_fit = (mask, log_odds), _fit(mask)
     for boost in np.arange(1, BOOSTS + 1) * BOOST:
         if best_fit >= TIGHT:
@@ -367,7 +359,7 @@ def _tightened(
 
 
 def _fit(mask: np.ndarray) -> float:
-    """Share of the grid that the mask's own bounding box covers."""
+    """Share of the grid inside the mask's bounding box."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if not len(rows):
         return 0.0
@@ -388,17 +380,8 @@ _UNITS = 100
 def minimum_cut(log_odds: np.ndarray, links: list[np.ndarray]) -> np.ndarray:
     """The labelling of least energy (Boykov and Jolly 2001).
 
-    Parameters
-    ----------
-    log_odds : (h, w) float
-        Positive where a pixel by itself is of the object.
-    links : list of four (h', w') float
-        Cost of a border between neighbours, in the order of `NEIGHBOURS`.
-
-    Returns
-    -------
-    (h, w) bool
-        Of all best labellings the one with the fewest object pixels, so that the result is unique.
+    `log_odds` (h, w) float: Positive where a pixel by itself is of the object; `links` list of four (h', w') float:
+    Cost of a border between neighbours, in the order of `NEIGHBOURS`.
     """
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import breadth_first_order, maximum_flow

@@ -1,4 +1,4 @@
-"""Detections as other programs publish them, for `--detector recorded` and `import-run`.
+"""Published detections of other programs, for `--detector recorded` and `import-run`.
 
 COCO results: see `pipeline.proposals.coco_files`.
 
@@ -59,7 +59,7 @@ the left one."""
 
 
 class SinkRow(BaseModel):
-    """A row of supervision's sinks, or of a table with its columns by other names."""
+    """A row of supervision's sinks, or of a table with aliased columns."""
 
     model_config = ConfigDict(
         alias_generator=AliasGenerator(validation_alias=lambda name: AliasChoices(*_COLUMNS.get(name, (name,))))
@@ -82,7 +82,7 @@ def _picture_column(content: Content) -> str:
 
 
 def _picture(content: Content, k: int, column: str) -> Picture:
-    """Which picture row `k` is about."""
+    """Picture of row `k`."""
     picture = content.value[k].get(column)
     told = isinstance(picture, str | int) and not isinstance(picture, bool) and picture != ""
     where = f"{content.where(k)}, {column}: names no picture"
@@ -106,7 +106,7 @@ def _supervision(content: Content, key: Path | None) -> Detections:
 
 
 class ListedBoxes(BaseModel):
-    """What a detector found in a picture, as lists of one length: results of Grounding DINO and its like as JSON."""
+    """Detections of a picture as parallel lists: results of Grounding DINO and similar as JSON."""
 
     boxes: list[Corners]
     scores: list[Score] = Field(validation_alias=AliasChoices("scores", "logits", "confidences"))
@@ -134,14 +134,14 @@ def _lists(content: Content, key: Path | None) -> Detections:
 
 
 def _number(picture: Picture) -> Picture:
-    """A number that was written as text, as CSV has it; one that is written as file names are ("000017") stays text."""
+    """Number written as text, as in CSV; file names such as "000017" stay text."""
     return (
         int(picture) if isinstance(picture, str) and picture.isdecimal() and picture == f"{int(picture)}" else picture
     )
 
 
 class SegmentedThing(BaseModel):
-    """An annotation of Grounded-SAM-2; its score is the mask's, a number or, as the scripts write it, a list of one."""
+    """An annotation of Grounded-SAM-2; the score is the mask's, a number or a list of length 1."""
 
     class_name: Name
     bbox: Corners
@@ -196,23 +196,13 @@ def _grounded_sam(content: Content, key: Path | None) -> Detections:
 
 @dataclass(frozen=True)
 class DetectionFormat:
-    """A published format of detections.
+    """A published format of detections."""
 
-    Attributes
-    ----------
-    recognises : callable
-        Whether a file's content is of it.
-    read : callable
-        Its detections; the second argument is the file that says what its numbers mean, or None.
-    description : str
-    needs : str
-        What that second file is; empty where there is none.
-    """
-
-    recognises: Callable[[Content], bool]
+    recognises: Callable[[Content], bool]  # Whether a file's content is of it
     read: Callable[[Content, Path | None], Detections]
+    """Its detections; the second argument is the file that says what its numbers mean, or None."""
     description: str
-    needs: str = ""
+    needs: str = ""  # What that second file is; empty where there is none
 
 
 def _is_sam(content: Content) -> bool:
@@ -246,12 +236,12 @@ DETECTION_FORMATS = {
 
 
 def format_of(content: Content) -> str | None:
-    """The published format of a file; None where it is of none."""
+    """Published format of a file, or None."""
     return next((name for name, form in DETECTION_FORMATS.items() if form.recognises(content)), None)
 
 
 def detection_files(path: Path, what: str) -> list[Content]:
-    """A file, or the files of published formats in a folder and in those within it; `what` names it in messages."""
+    """File contents: of the file, or of published formats below a folder; `what` is for messages."""
 
     def read(file: Path) -> Content:
         return read_map(file) if file.name.endswith(ENDINGS) else read_content(file, what)
@@ -264,13 +254,7 @@ def detection_files(path: Path, what: str) -> list[Content]:
 
 
 def read_detections(files: Sequence[Content], key: Path | None) -> Detections:
-    """The detections of several files of published formats.
-
-    Raises
-    ------
-    InputError
-        A file of no such format, one that does not follow it, and a picture that stands in two files.
-    """
+    """The detections of several files of published formats."""
     found: Detections = {}
     for content in files:
         known = "a published format of detections"

@@ -1,4 +1,4 @@
-"""Detic by ONNX Runtime: the public exports, whose vocabulary is frozen (LVIS, or ImageNet-21k).
+"""Detic by ONNX Runtime: public exports with a frozen vocabulary (LVIS, or ImageNet-21k).
 
 Input: RGB 0..255, (1, 3, h, w), the shorter side 800 and the longer at most 1333. Outputs: boxes (n, 4) in input
 pixels, scores (n,), class numbers (n,), and masks (n, 1, 28, 28) of probabilities, after the suppression of rivals
@@ -36,22 +36,7 @@ NAME_FILES = ("{stem}.names.txt", "{stem}.txt", "{stem}.names.json", "imagenet_2
 
 
 class DeticDetector(NetworkDetector):
-    """Detic with the vocabulary that it was exported with.
-
-    Parameters
-    ----------
-    path : Path
-        The ONNX file.
-    names : Path, optional
-        File of its class names, see `read_class_names`. By default one of `NAME_FILES` beside the model.
-    min_score : float
-        Detections below it are dropped.
-
-    Raises
-    ------
-    InputError
-        Where the file does not follow the contract, or there are no class names.
-    """
+    """Detic with the exported vocabulary."""
 
     name = "detic"
     default_score = MIN_SCORE
@@ -76,7 +61,7 @@ class DeticDetector(NetworkDetector):
         )
 
     def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
-        """Detections of the classes that the names mean, the better first; `ids` are rows of the network's answer."""
+        """Detections of the named classes, best first; `ids` are output rows."""
         names = self.vocabulary or ()
         wanted = self._wanted(labels)
         boxes, scores, classes, masks = self._once(frame, self._forward)
@@ -131,13 +116,7 @@ class DeticDetector(NetworkDetector):
 
 
 def find_names(model: Path) -> Path:
-    """The file of the class names beside a model.
-
-    Raises
-    ------
-    InputError
-        Where there is none.
-    """
+    """Class name file of a model."""
     candidates = [model.with_name(n.format(stem=model.stem)) for n in NAME_FILES]
     return needed(
         next((p for p in candidates if p.is_file()), None),
@@ -149,7 +128,7 @@ def find_names(model: Path) -> Path:
 
 
 def resized_shape(height: int, width: int) -> tuple[int, int]:
-    """Height and width with the shorter side 800, or less so that the longer is at most 1333, as Detic's code rounds.
+    """Height and width with the shorter side 800, and the longer at most 1333, rounded as in Detic's code.
 
     That is detectron2's `ResizeShortestEdge`, which differs from transformers' by a pixel.
     """
@@ -173,14 +152,7 @@ def paste_masks(
     are a product of one along each axis, so two matrix products do it. Outside its box a mask of probabilities
     stays below a half, so that only the box needs looking at.
 
-    Parameters
-    ----------
-    masks : (N, h, w) float
-        Probabilities.
-    boxes : (N, 4) float
-        x0, y0, x1, y1 in pixels, within the picture.
-    threshold : float
-        At least 0.5.
+    `masks` (N, h, w) float: Probabilities; `boxes` (N, 4) float: x0, y0, x1, y1 in pixels, within the picture.
     """
     pasted = np.zeros((len(masks), height, width), np.bool_)
     for k, (x0, y0, x1, y1) in enumerate(boxes.astype(np.float64)):
@@ -195,6 +167,6 @@ def paste_masks(
 
 
 def _weights(pixels: np.ndarray, low: float, high: float, cells: int) -> np.ndarray:
-    """(P, cells) weights of a mask's cells at pixel centres along one axis of a box."""
+    """Weights (P, cells) of a mask's cells at pixel centres along an axis of a box."""
     position = (pixels + 0.5 - low) / (high - low) * cells - 0.5
     return np.maximum(1 - np.abs(position[:, None] - np.arange(cells)), 0)

@@ -1,4 +1,4 @@
-"""Several detectors as one: their detections of the same thing are fused.
+"""Ensemble of detectors with fused detections.
 
 Weighted boxes fusion, where boxes of several detectors become one where they overlap: Solovyev, Wang and Gabruseva,
 "Weighted boxes fusion: ensembling boxes from different object detection models", Image and Vision Computing 107, 2021
@@ -39,7 +39,7 @@ _ID_BITS = 53
 
 
 class EnsembleDetector:
-    """Runs several detectors and fuses what they find.
+    """Several detectors, run and fused.
 
     With "wbf" (weighted boxes fusion) a fused box is the mean of the members' boxes, weighted by score, and what few of
     the detectors that know its class have found loses score. With "nms" everything stands as it is, but for what
@@ -48,19 +48,6 @@ class EnsembleDetector:
 
     A class that a member does not know is asked of the others. Detections are fused within a class; what answers one
     name, or a whole expression, is of one class. The order of the members does not matter.
-
-    Parameters
-    ----------
-    members : sequence of Detector
-        At least two.
-    fusion : str
-        "wbf" or "nms".
-    synonyms : Synonyms, optional
-
-    Raises
-    ------
-    InputError
-        Fewer than two members, or an unknown fusion.
     """
 
     exact = False
@@ -79,7 +66,7 @@ class EnsembleDetector:
 
     @property
     def default_labels(self) -> tuple[str, ...] | None:
-        """What it looks for where it is asked for everything; None where that may be any name."""
+        """Names for a request of everything; None for any name."""
         return _together([known_names(member) for member in self.members])
 
     @property
@@ -106,7 +93,7 @@ class EnsembleDetector:
         return self._fused(frame, found, known, one=labels[0] if len(labels) == 1 else None)
 
     def detect_expression(self, frame: Frame, text: str) -> Proposals:
-        """What the members find of a whole expression, as one class."""
+        """Fused detections of a whole expression, as a single class."""
         found = [detect_expression(member, frame, text) for member in self.members]
         return self._fused(frame, found, [None] * len(found), one=text)
 
@@ -117,7 +104,7 @@ class EnsembleDetector:
         known: Sequence[Sequence[str] | None],
         one: str | None = None,
     ) -> Proposals:
-        """One answer of several; `known` are the names each was asked for, `one` the only name where there is one."""
+        """Fused answer; `known` are the names asked of each member, `one` the only name if any."""
         labels = [p.label(i) for p in found for i in range(len(p))]
         if not labels:
             return no_proposals(frame.height, frame.width)
@@ -134,18 +121,18 @@ class EnsembleDetector:
         return _proposals(frame, fused, labels, found)
 
     def _gives(self, names: Sequence[str] | None, name: str) -> bool:
-        """Whether a detector that was asked for `names` (None: any) could have said `name`."""
+        """Test whether a detector asked for `names` (None: any) could have answered `name`."""
         return names is None or any(same_name(own, name, self.synonyms) for own in names)
 
 
 def _together(known: Sequence[tuple[str, ...] | None]) -> tuple[str, ...] | None:
-    """The names that any of several detectors knows; None where one knows any."""
+    """Union of known names; None if any member knows all names."""
     names = {name for own in known for name in own or ()}
     return None if None in known else tuple(sorted(names))
 
 
 def _suppressed(boxes: np.ndarray, scores: np.ndarray, classes: np.ndarray) -> FusedBoxes:
-    """The union after non-maximum suppression within each class; every cluster is one box."""
+    """Union after non-maximum suppression within each class, each box a cluster."""
     order = falling(boxes, scores)
     kept = [own[suppress(boxes[own], NMS_IOU)] for own in (order[classes[order] == k] for k in np.unique(classes))]
     chosen = np.concatenate(kept)
@@ -155,7 +142,7 @@ def _suppressed(boxes: np.ndarray, scores: np.ndarray, classes: np.ndarray) -> F
 
 
 def _proposals(frame: Frame, fused: FusedBoxes, labels: Sequence[str], found: Sequence[Proposals]) -> Proposals:
-    """Fused boxes with the name of the best member, and the mask of the best that has one."""
+    """Fused boxes with the best member's name and the best available mask."""
     shape = (frame.height, frame.width)
     own = [(p, i) for p in found for i in range(len(p))]
     named = [labels[int(members[0])] for members in fused.members]
@@ -190,7 +177,7 @@ def _mask(member: tuple[Proposals, int] | None, box: np.ndarray, shape: tuple[in
 
 
 def _identity(box: np.ndarray, mask: np.ndarray | None) -> int:
-    """The same number where box and mask are the same: what is fused has no other identity from run to run."""
+    """Hash of box and mask as an id, stable from run to run."""
     digest = xxhash.xxh3_64(box.tobytes())
     if mask is not None:
         digest.update(np.packbits(mask).tobytes())
@@ -203,27 +190,17 @@ FUSION_IOU = 0.55
 
 @dataclass(frozen=True)
 class FusedBoxes:
-    """Clusters of boxes, the most certain first.
+    """Clusters of boxes, the most certain first."""
 
-    Attributes
-    ----------
-    boxes : (C, 4) float64
-        Means of the members' boxes, weighted by their scores.
-    scores : (C,) float64
-        Means of their scores, less where few detectors found the thing.
-    classes : (C,) int64
-    members : tuple of (M,) int64
-        Places in the input of each cluster's boxes, the highest score first.
-    """
-
-    boxes: np.ndarray
-    scores: np.ndarray
-    classes: np.ndarray
+    boxes: np.ndarray  # (C, 4) float64: Means of the members' boxes, weighted by their scores
+    scores: np.ndarray  # (C,) float64: Means of their scores, less where few detectors found the thing
+    classes: np.ndarray  # (C,) int64
     members: tuple[np.ndarray, ...]
+    """tuple of (M,) int64: Places in the input of each cluster's boxes, the highest score first."""
 
 
 def falling(boxes: np.ndarray, scores: np.ndarray) -> np.ndarray:
-    """(N,) int64: places by falling score; what is tied stands by its box, and not as it came."""
+    """Order (N,) int64 by falling score; ties are ordered by box."""
     return np.lexsort((*np.asarray(boxes, np.float64).reshape(-1, 4).T[::-1], -np.asarray(scores)))
 
 
@@ -232,18 +209,8 @@ def fuse_boxes(
 ) -> FusedBoxes:
     """Weighted boxes fusion of the boxes of several detectors, within each class.
 
-    Parameters
-    ----------
-    boxes : (N, 4) float
-        x0, y0, x1, y1 of all detectors.
-    scores : (N,) float
-        0..1.
-    classes : (N,) int
-        Numbers from 0.
-    detectors : (K,) int
-        How many detectors could have found each class. A cluster of fewer boxes loses score in proportion.
-    iou : float
-        A box joins the cluster whose mean overlaps it most, and by more than this.
+    `boxes` (N, 4) float: x0, y0, x1, y1 of all detectors; `scores` (N,) float: 0..1; `classes` (N,) int: Numbers
+    from 0; `detectors` (K,) int: How many detectors could have found each class.
     """
     boxes, scores = np.asarray(boxes, np.float64).reshape(-1, 4), np.asarray(scores, np.float64)
     means = np.empty_like(boxes)

@@ -49,32 +49,7 @@ BOX_THRESHOLD, TEXT_THRESHOLD = 0.15, 0.10
 
 
 class GroundingDinoDetector(TextDetector):
-    """GroundingDINO, asked for any names.
-
-    Parameters
-    ----------
-    path : Path
-        The ONNX file.
-    tokenizer : Path, optional
-        By default tokenizer.json or vocab.txt in the file's folder or the one above.
-    min_score : float
-        The box threshold: queries with no token above it are dropped.
-    text_threshold : float
-        Queries with no name above it are dropped.
-    default_labels : sequence of str
-        What is looked for where no names are asked for.
-    nms_iou : float
-        Overlap above which the weaker of two boxes of one name goes; 1 keeps all.
-    k : int
-        Detections of each name that are kept at most.
-
-    Raises
-    ------
-    InputError
-        Where the file does not follow a contract, or the tokenizer is another model's.
-    MissingExtra
-        Where the library `tokenizers` is not installed.
-    """
+    """GroundingDINO for any names."""
 
     name = "grounding-dino"
     default_score = BOX_THRESHOLD
@@ -103,13 +78,7 @@ class GroundingDinoDetector(TextDetector):
         return f"grounding-dino:{self._hash}:{self.min_score}:{self.text_threshold}:{self.nms_iou}:{self.k}"
 
     def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
-        """Detections of the given names, the better first; `ids` tell captions and queries apart.
-
-        Raises
-        ------
-        InputError
-            For a name that cannot be asked for, or where none is and there are no default ones.
-        """
+        """Detections of the given names, best first; `ids` encode caption and query."""
         names = self._asked(labels) or ()
         found = [self._run(frame, caption) for caption in build_captions(names, self._tokenizer, self._limit)]
         if not found:
@@ -118,7 +87,7 @@ class GroundingDinoDetector(TextDetector):
         return self._chosen(boxes, scores, which, names, ids)
 
     def detect_expression(self, frame: Frame, text: str) -> Proposals:
-        """Detections of a whole sentence, as one phrase: the referring baseline."""
+        """Detections of a whole sentence as a phrase (referring baseline)."""
         return self.detect(frame, [text])
 
     @property
@@ -127,7 +96,7 @@ class GroundingDinoDetector(TextDetector):
         return min(MAX_TOKENS, declared) if isinstance(declared, int) else MAX_TOKENS
 
     def _run(self, frame: Frame, caption: Caption) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Boxes (N, 4) in pixels, scores, numbers of the names, and ids (N,) of what one caption finds."""
+        """Boxes (N, 4) in pixels, scores, name numbers, and ids (N,) for a caption."""
         feed = self._feed(frame, caption)
         logits, relative = run_session(self._session, self._outputs, feed, self.path)
         tokens = len(caption.ids)

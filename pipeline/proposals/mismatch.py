@@ -1,4 +1,4 @@
-"""Which adapter an ONNX file is for, by what it declares; and why it does not fit the one that it was given to."""
+"""Adapter of an ONNX file by declared tensors, and explanation of mismatches."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pipeline.proposals.contracts import (
     SAM_OPTION,
     SIDES,
     YOLO_SEG_CONTRACTS,
-    Contract,
+    DetectorContract,
     TensorSpec,
     declared,
     detic_tensors,
@@ -33,7 +33,7 @@ from pipeline.system.onnx_session import metadata
 
 BOXES = "--detector boxes"
 Found = TypeVar("Found")
-DETECTORS: tuple[Contract, ...] = (
+DETECTORS: tuple[DetectorContract, ...] = (
     *GROUNDING_DINO_CONTRACTS,
     *OWL_CONTRACTS,
     *YOLO_SEG_CONTRACTS,
@@ -44,21 +44,11 @@ DETECTORS: tuple[Contract, ...] = (
 
 @dataclass(frozen=True)
 class FileKind:
-    """What a file looks like.
+    """Kind of a model file."""
 
-    Attributes
-    ----------
-    what : str
-        In a few words.
-    options : tuple of str
-        Those that read it, such as "--detector yolo-seg"; empty where none does.
-    advice : str
-        What to do with it where no option simply reads it; "" where one does.
-    """
-
-    what: str
-    options: tuple[str, ...]
-    advice: str = ""
+    what: str  # In a few words
+    options: tuple[str, ...]  # Those that read it, such as "--detector yolo-seg"; empty where none does
+    advice: str = ""  # What to do with it where no option simply reads it; "" where one does
 
     @property
     def sentence(self) -> str:
@@ -69,7 +59,7 @@ class FileKind:
 
 
 def recognise(session: Any) -> FileKind | None:
-    """What an open file is; None for one that nothing here knows."""
+    """Recognise an open file; None if unknown."""
     refused = next((c for c in REFUSED if follows(session, c)), None)
     if refused is not None:
         return FileKind(refused.what, (), INSTEAD[refused.option])
@@ -96,7 +86,7 @@ def _detector(session: Any) -> FileKind | None:
 
 
 def _relatives(session: Any) -> FileKind | None:
-    """Files that are near to something, and those that a TOML file can describe."""
+    """Similar kinds of files, and files for a TOML description."""
     inputs, outputs = declared(session.get_inputs()), declared(session.get_outputs())
     names = {s.name for s in inputs}
     if any(key.startswith("srm.") for key in metadata(session)):
@@ -132,14 +122,7 @@ def _boxes_among(outputs: Sequence[TensorSpec]) -> bool:
 
 
 def explain_mismatch(session: Any, option: str) -> str:
-    """Why a file is not for an option, or which one reads it, in a clause for a message.
-
-    Parameters
-    ----------
-    session : onnxruntime.InferenceSession
-    option : str
-        Such as "--detector grounding-dino".
-    """
+    """Explanation of a mismatch with an option, as a clause for a message."""
     face = option.split()[0]
     kind = recognise(session)
     if kind is None or option in kind.options:
@@ -156,25 +139,8 @@ def shapes(specs: Sequence[TensorSpec]) -> str:
     return ", ".join(f"{s.name} [{', '.join(str(d) for d in s.shape)}]" for s in specs)
 
 
-def fitting(found: Found | None, what: str, session: Any, path: Path, contracts: Sequence[Contract]) -> Found:
-    """What an adapter found in a file, where that is anything.
-
-    Parameters
-    ----------
-    found : any
-        The names of its tensors, or None.
-    what : str
-        "a GroundingDINO model".
-    session : onnxruntime.InferenceSession
-    path : Path
-    contracts : sequence of Contract
-        Those that the option reads.
-
-    Raises
-    ------
-    InputError
-        Nothing: the file was given to the wrong option.
-    """
+def fitting(found: Found | None, what: str, session: Any, path: Path, contracts: Sequence[DetectorContract]) -> Found:
+    """Tensors found by an adapter; InputError with an explanation otherwise."""
     if found is not None:
         return found
     wanted, given = [c.inputs for c in contracts], declared(session.get_inputs())
@@ -194,18 +160,18 @@ def _alike(wanted: Sequence[TensorSpec], given: Sequence[TensorSpec]) -> bool:
     return len(wanted) == len(given) and all(len(a.shape) == len(b.shape) for a, b in zip(wanted, given, strict=True))
 
 
-SEGMENTERS: tuple[Contract, ...] = SAM_CONTRACTS + SAM2_CONTRACTS + EFFICIENTSAM_CONTRACTS
+SEGMENTERS: tuple[DetectorContract, ...] = SAM_CONTRACTS + SAM2_CONTRACTS + EFFICIENTSAM_CONTRACTS
 """Of every segmenter that takes an encoder and a decoder."""
 _NO_BOX = "the export of SAM 1 for transformers.js, whose decoder takes no box"
 _POSITIONS = TensorSpec("image_positional_embeddings", "float32", ("batch", 256, 64, 64))
-REFUSED: tuple[Contract, ...] = (
-    Contract(
+REFUSED: tuple[DetectorContract, ...] = (
+    DetectorContract(
         SAM_OPTION,
         _NO_BOX,
         (TensorSpec("pixel_values", "float32", ("batch", 3, "side", "side")),),
         (_EMBEDDINGS, _POSITIONS),
     ),
-    Contract(
+    DetectorContract(
         SAM_OPTION,
         _NO_BOX,
         (
@@ -219,7 +185,7 @@ REFUSED: tuple[Contract, ...] = (
             TensorSpec("pred_masks", "float32", ("batch", "prompts", "masks", 256, 256)),
         ),
     ),
-    Contract(
+    DetectorContract(
         EFFICIENTSAM_OPTION,
         "an EfficientSAM in one file, which would be run whole for each box",
         (

@@ -1,4 +1,4 @@
-"""What detectors that are networks share: their file, one run for a picture, their names, and how boxes come out.
+"""Base of network detectors: model file, cached inference, class names, box conversion.
 
 Pictures become the tensors that networks were trained on, resized by the very algorithms of their reference code.
 """
@@ -26,22 +26,7 @@ Made = TypeVar("Made")
 
 
 class NetworkDetector:
-    """An ONNX file that finds objects in the picture alone.
-
-    Parameters
-    ----------
-    path : Path
-        The ONNX file.
-    min_score : float, optional
-        Detections below it are dropped; by default those below `default_score`.
-    synonyms : Synonyms, optional
-        Of a network with a vocabulary of its own.
-
-    Raises
-    ------
-    InputError
-        Where the file is missing or no ONNX model.
-    """
+    """An ONNX object detector on pictures."""
 
     name: str
     vocabulary: tuple[str, ...] | None = None
@@ -64,11 +49,11 @@ class NetworkDetector:
         return synonyms_hash(self.synonyms)
 
     def _once(self, frame: Frame, make: Callable[[Frame], Made]) -> Made:
-        """What is made once for a picture, however many names are asked for in turn."""
+        """Result computed a single time per picture."""
         return self._last.get(frame.content_hash, lambda: make(frame))
 
     def _wanted(self, labels: Sequence[str] | None) -> list[str]:
-        """The names of the vocabulary that a query means; raises as `wanted_names`."""
+        """Names of the vocabulary meant by a query."""
         return wanted_names(labels, self.vocabulary or (), self.synonyms, f"the model {self.path.name}")
 
     def _best(self, scores: np.ndarray, wanted: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
@@ -86,17 +71,7 @@ class NetworkDetector:
 
 
 class TextDetector(NetworkDetector):
-    """A network that is asked for any names, with its tokenizer.
-
-    Parameters
-    ----------
-    default_labels : sequence of str
-        What is looked for where no names are asked for.
-    nms_iou : float
-        Overlap above which the weaker of two boxes of one name goes; 1 keeps all.
-    k : int
-        Detections of each name that are kept at most.
-    """
+    """An open-vocabulary network with a tokenizer."""
 
     def __init__(
         self, path: str | Path, min_score: float | None, default_labels: Sequence[str], nms_iou: float, k: int
@@ -107,7 +82,7 @@ class TextDetector(NetworkDetector):
         self._inputs = {i.name: tuple(i.shape) for i in self._session.get_inputs()}
 
     def _read_tokenizer(self, given: str | Path | None, patterns: Sequence[str] = (TOKENIZER,)) -> Any:
-        """The tokenizer that was given, or the one beside the model; raises as the functions that read it."""
+        """Given tokenizer, or the file next to the model."""
         self.tokenizer_path = Path(given) if given is not None else find_tokenizer(self.path, patterns)
         return load_tokenizer(self.tokenizer_path)
 
@@ -116,7 +91,7 @@ class TextDetector(NetworkDetector):
         return f"{model_hash(self.path)}:{file_hash(self.tokenizer_path)}"
 
     def _asked(self, labels: Sequence[str] | None, also_none: bool = False) -> tuple[str, ...] | None:
-        """The names to look for; InputError where there are none, unless that will do."""
+        """Names to look for; InputError without any, unless allowed."""
         names = self.default_labels if labels is None else tuple(labels)
         require(
             names is not None or also_none,
@@ -129,21 +104,16 @@ class TextDetector(NetworkDetector):
     def _chosen(
         self, boxes: np.ndarray, scores: np.ndarray, names: np.ndarray, labels: Sequence[str], ids: np.ndarray
     ) -> Proposals:
-        """The best `k` of each name after the suppression of rivals, the better first."""
+        """Best `k` of each name after non-maximum suppression, best first."""
         kept = class_wise(boxes, scores, names, self.k, nms_iou=self.nms_iou)
         return proposals_of(boxes[kept], scores[kept], names[kept], labels, ids[kept])
 
 
 def to_pixels(relative: np.ndarray, width: float, height: float, frame: Frame) -> np.ndarray:
-    """(N, 4) float32 x0, y0, x1, y1 in pixels of the frame, clipped to it.
+    """Boxes (N, 4) float32 x0, y0, x1, y1 in pixels of the frame, clipped.
 
-    Parameters
-    ----------
-    relative : (N, 4) float
-        Centre and size as shares of what the network saw, as DETR-like networks give them.
-    width, height : float
-        The size of that in pixels of the frame: the frame itself, or the square it was padded to.
-    frame : Frame
+    `relative` (N, 4) float: Centre and size as shares of what the network saw, as DETR-like networks give them;
+    `width, height`: the size of that in pixels of the frame: the frame itself, or the square it was padded to.
     """
     center, size = relative[:, :2].astype(np.float64), np.maximum(relative[:, 2:].astype(np.float64), 0)
     boxes = np.concatenate([center - size / 2, center + size / 2], axis=1) * [width, height, width, height]
@@ -151,14 +121,14 @@ def to_pixels(relative: np.ndarray, width: float, height: float, frame: Frame) -
 
 
 def inside(boxes: np.ndarray) -> np.ndarray:
-    """(N,) bool: clipped boxes ((N, 4)) of which something is in the picture."""
+    """Clipped boxes ((N, 4)) with area in the picture, (N,) bool."""
     return (boxes[:, 2] > boxes[:, 0]) & (boxes[:, 3] > boxes[:, 1])
 
 
 def proposals_of(
     boxes: np.ndarray, scores: np.ndarray, names: np.ndarray, labels: Sequence[str], ids: np.ndarray
 ) -> Proposals:
-    """Proposals without masks; boxes with nothing of them in the picture are left out."""
+    """Proposals without masks, for boxes with area in the picture."""
     seen = inside(boxes)
     return Proposals(
         boxes[seen].astype(np.float32),
@@ -177,7 +147,7 @@ CLIP_STD = np.array([0.26862954, 0.26130258, 0.27577711], np.float32)
 
 
 def pillow_resized(rgb: np.ndarray, height: int, width: int, *, cubic: bool = False) -> np.ndarray:
-    """(height, width, 3) uint8: resized as Pillow does it, which widens its filter where a picture shrinks.
+    """Resize (height, width, 3) uint8 as Pillow does, with a wider filter for downscaling.
 
     OpenCV's bilinear filter skips pixels there, and its cubic filter has another coefficient (-0.75, not -0.5).
     """
@@ -188,7 +158,7 @@ def pillow_resized(rgb: np.ndarray, height: int, width: int, *, cubic: bool = Fa
 
 
 def shortest_edge(height: int, width: int, shortest: int = 800, longest: int = 1333) -> tuple[int, int]:
-    """Height and width with the shorter side `shortest`, or less so that the longer one is at most `longest`.
+    """Height and width with the shorter side `shortest`, and the longer at most `longest`.
 
     The roundings are those of `get_size_with_aspect_ratio` in transformers and in IDEA-Research/GroundingDINO; a side
     that they round to nothing is 1.
@@ -209,19 +179,13 @@ def normalised(image: np.ndarray, mean: np.ndarray, std: np.ndarray) -> np.ndarr
 
 
 def padded_square(rgb: np.ndarray, side: int, fill: float = 0.0) -> np.ndarray:
-    """(side, side, 3) float32 in 0..1: the picture in the top left of a square of its longer side, resized.
+    """Picture in the top left of a square of the longer side, resized: (side, side, 3) float32 in 0..1.
 
     The algorithm of OWLv2's reference code, which is that of `skimage.transform.resize`: a Gaussian of
     sigma (factor - 1) / 2 where the picture shrinks, then linear interpolation between pixel centres with mirrored
     edges, then clipped to the values that were there.
 
-    Parameters
-    ----------
-    rgb : (H, W, 3) uint8
-    side : int
-    fill : float
-        What the padding is made of, 0..1. transformers 5 pads with 0; releases before it and the original code
-        padded with 0.5.
+    `rgb` (H, W, 3) uint8; `fill`: what the padding is made of, 0..1.
     """
     from scipy.ndimage import gaussian_filter
 

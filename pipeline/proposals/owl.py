@@ -1,4 +1,4 @@
-"""OWLv2 and OWL-ViT by ONNX Runtime, as transformers.js and optimum export them: objects by any names.
+"""OWLv2 and OWL-ViT by ONNX Runtime, as exported by transformers.js and optimum: objects by any names.
 
 The two differ in how they see a picture. OWL-ViT has it squashed to a square, so its boxes are shares of the
 picture's width and height. OWLv2 has it padded to a square below or to the right, so its boxes are shares of the
@@ -43,36 +43,7 @@ MIN_SCORE = 0.1
 
 
 class OwlDetector(TextDetector):
-    """OWLv2 or OWL-ViT, asked for any names.
-
-    Parameters
-    ----------
-    path : Path
-        The ONNX file.
-    kind : "owlv2" or "owlvit"
-    tokenizer : Path, optional
-        By default tokenizer.json in the file's folder or the one above.
-    min_score : float
-        Detections below it are dropped.
-    default_labels : sequence of str
-        What is looked for where no names are asked for. Where there are none, and the file gives objectness, any
-        objects are, under the name "object".
-    prompt : str
-        What is asked for a name, which stands for {}.
-    fill : float
-        What OWLv2's padding is made of; see `padded_square`.
-    nms_iou : float
-        Overlap above which the weaker of two boxes of one name goes; 1 keeps all.
-    k : int
-        Detections of each name that are kept at most.
-
-    Raises
-    ------
-    InputError
-        Where the file does not follow the contract, or the tokenizer is another model's.
-    MissingExtra
-        Where the library `tokenizers` is not installed.
-    """
+    """OWLv2 or OWL-ViT for any names."""
 
     default_score = MIN_SCORE
 
@@ -99,13 +70,7 @@ class OwlDetector(TextDetector):
         return f"{self.name}:{self._hash}:{self.min_score}:{self.prompt}:{self.fill}:{self.nms_iou}:{self.k}"
 
     def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
-        """Detections of the given names, the better first; `ids` are the patches, whatever is asked for.
-
-        Raises
-        ------
-        InputError
-            For a name that is too long, or where none is asked for and there are no default ones.
-        """
+        """Detections of the given names, best first; `ids` are patches."""
         names = self._asked(labels, also_none="objectness_logits" in self._outputs)
         if names is None:
             return self._objects(frame)
@@ -113,7 +78,7 @@ class OwlDetector(TextDetector):
         return self._found(frame, names, [self.prompt.format(p) if p else "" for p in plain])
 
     def detect_expression(self, frame: Frame, text: str) -> Proposals:
-        """Detections of a whole sentence, which is asked as it is: the referring baseline."""
+        """Detections of a whole sentence (referring baseline)."""
         return self._found(frame, (text,), [text.strip().lower()])
 
     def _found(self, frame: Frame, names: tuple[str, ...], prompts: list[str]) -> Proposals:
@@ -199,7 +164,7 @@ class OwlDetector(TextDetector):
 
 
 def _marks(tokenizer: Any, path: Path) -> tuple[int, int]:
-    """The numbers of the tokens that begin and end a text."""
+    """Token numbers of the begin and end marks."""
     begin, end = tokenizer.token_to_id(BEGIN), tokenizer.token_to_id(END)
     require(
         None not in (begin, end) and end == tokenizer.get_vocab_size() - 1,

@@ -1,4 +1,4 @@
-"""The networks that `--segmenter sam`, `sam2` and `efficientsam` run: SAM and MobileSAM, SAM 2, EfficientSAM.
+"""Networks of `--segmenter sam`, `sam2` and `efficientsam`: SAM and MobileSAM, SAM 2, EfficientSAM.
 
 SAM takes the public picture encoders, and the decoder of the official exporter. A picture is scaled to a long side of
 1024 and lies at the top left of a square. The encoder takes either that picture as it is ((h, w, 3), 0..255; what
@@ -50,13 +50,13 @@ _VALUES = 2**25
 
 
 def resized_shape(height: int, width: int, side: int = SAM_SIDE) -> tuple[int, int]:
-    """Height and width of a picture whose long side is `side`."""
+    """Height and width of a picture with a long side of `side`."""
     scale = side / max(height, width)
     return max(int(height * scale + 0.5), 1), max(int(width * scale + 0.5), 1)
 
 
 def _declared_or(declared: Sequence[int | str], actual: Sequence[int]) -> tuple[int, int]:
-    """Height and width as a file declares them, or the actual ones where it leaves them open."""
+    """Height and width as declared in a file, else the actual size."""
     height, width = (d if isinstance(d, int) else a for d, a in zip(declared, actual, strict=True))
     return height, width
 
@@ -93,7 +93,7 @@ class SamModel(PairModel):
     def _run(
         self, features: dict[str, np.ndarray], boxes: np.ndarray, height: int, width: int, padded: bool
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Mask logits ((1, M, h, w)) and predicted IoUs ((1, M)) of one box."""
+        """Mask logits ((1, M, h, w)) and predicted IoUs ((1, M)) of a box."""
         new_height, new_width = resized_shape(height, width)
         points, labels = corners(boxes * np.array([new_width / width, new_height / height] * 2, np.float32))
         if padded:
@@ -119,7 +119,7 @@ class SamModel(PairModel):
         return stretched(stretched(logits, SAM_SIDE, SAM_SIDE)[:new_height, :new_width], height, width)
 
     def _fitted(self, image: np.ndarray) -> np.ndarray:
-        """(h, w, 3) of the size that the file declares, where it declares one."""
+        """Picture (h, w, 3) padded to the declared size, if any."""
         height, width = _declared_or(self.encoder_input.shape[:2], image.shape[:2])
         if (height, width) == image.shape[:2]:
             return image

@@ -1,4 +1,4 @@
-"""Masks by a network that is prompted with boxes: one run over the picture, then a cheap one for each few boxes.
+"""Box-prompted segmentation networks: a run of the encoder per picture, then a cheap decoder per few boxes.
 
 Picture encoder and prompt decoder are two ONNX files, opened together and checked against each other.
 """
@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from pipeline.geometry.frame import Frame
-from pipeline.proposals.contracts import Contract, _fits, by_name, follows
+from pipeline.proposals.contracts import DetectorContract, _fits, by_name, follows
 from pipeline.proposals.mismatch import explain_mismatch, shapes
 from pipeline.proposals.network import pillow_resized
 from pipeline.system.errors import InputError, require
@@ -28,21 +28,21 @@ _TOLERANCE = 1e-2
 
 
 class PromptModel(Protocol):
-    """An encoder and a decoder, with what goes in and comes out."""
+    """An encoder and a decoder."""
 
     @property
     def name(self) -> str: ...
 
     def fingerprint(self) -> str:
-        """Content of both files and the version of the code around them."""
+        """Cache key: content of both files and version of the code."""
         ...
 
     def encode(self, rgb: np.ndarray) -> dict[str, np.ndarray]:
-        """Features of a picture ((H, W, 3) uint8), by the decoder's names for them."""
+        """Features of a picture ((H, W, 3) uint8), by input name of the decoder."""
         ...
 
     def boxes_at_once(self, height: int, width: int) -> int:
-        """How many boxes the decoder may take in a run, by what it declares."""
+        """Number of boxes in a decoder run, by the declared shapes."""
         ...
 
     def decode(self, features: dict[str, np.ndarray], boxes: np.ndarray, height: int, width: int) -> np.ndarray:
@@ -50,17 +50,12 @@ class PromptModel(Protocol):
         ...
 
     def to_picture(self, logits: np.ndarray, height: int, width: int) -> np.ndarray:
-        """(height, width) float32 mask logits of one box ((h, w) float32)."""
+        """Mask logits (height, width) float32 of a box ((h, w) float32)."""
         ...
 
 
 class PromptedSegmenter:
-    """A segmenter that asks a network for the thing in each box; a box does not bear on another's mask.
-
-    Parameters
-    ----------
-    model : PromptModel
-    """
+    """A box-prompted segmenter; masks do not depend on other boxes."""
 
     independent = True
 
@@ -74,13 +69,7 @@ class PromptedSegmenter:
         return self.model.fingerprint()
 
     def segment(self, frame: Frame, boxes: np.ndarray, labels: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-        """(N, H, W) bool masks, where the logits are above zero; (N,) bool, false where a mask is empty.
-
-        Raises
-        ------
-        InputError
-            The network cannot be run, or gives something else than its contract says.
-        """
+        """(N, H, W) bool masks, where the logits are above zero; (N,) bool, false where a mask is empty."""
         masks = np.zeros((len(boxes), frame.height, frame.width), np.bool_)
         if len(boxes):
             boxes = boxes.astype(np.float32)
@@ -109,7 +98,7 @@ class PromptedSegmenter:
     def _tried(
         self, features: dict[str, np.ndarray], boxes: np.ndarray, size: tuple[int, int]
     ) -> tuple[bool, list[np.ndarray]]:
-        """Whether several boxes in a run come out as they do alone, and the logits.
+        """Test whether several boxes in a run give the same masks as alone, and the logits.
 
         An exported graph may declare a free number of boxes and still hold the one that it was traced with.
         """
@@ -150,12 +139,12 @@ class PromptedSegmenter:
 
 
 def resampled(rgb: np.ndarray, height: int, width: int) -> np.ndarray:
-    """(height, width, 3) uint8: the picture as Pillow scales it, which the networks were trained with."""
+    """Picture (height, width, 3) uint8 scaled by Pillow, as in training."""
     return rgb if rgb.shape[:2] == (height, width) else pillow_resized(rgb, height, width)
 
 
 def stretched(logits: np.ndarray, height: int, width: int) -> np.ndarray:
-    """(height, width) float32: bilinear between pixel centres, as `torch.nn.functional.interpolate` does it."""
+    """Bilinear resize (height, width) float32 between pixel centres, as `torch.nn.functional.interpolate`."""
     return cv2.resize(np.ascontiguousarray(logits, np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
 
 
@@ -165,7 +154,7 @@ def corners(boxes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def best_mask(masks: np.ndarray, scores: np.ndarray) -> np.ndarray:
-    """(N, h, w): of each box's masks ((N, M, h, w)) the one with the best predicted IoU ((N, M))."""
+    """Masks (N, h, w) of best predicted IoU ((N, M)) among ((N, M, h, w))."""
     require(
         masks.ndim == 4 and scores.shape == masks.shape[:2],
         "the decoder must give masks [N, M, h, w] and as many predicted IoUs",
@@ -175,36 +164,16 @@ def best_mask(masks: np.ndarray, scores: np.ndarray) -> np.ndarray:
 
 
 class PairModel:
-    """Two sessions that belong together.
+    """Encoder and decoder sessions of a model.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        The encoder, then the decoder.
-
-    Attributes
-    ----------
-    encoders, decoders : sequence of Contract
-        Those that will do.
-    encoder_path, decoder_path : Path
-    encoder_input : TensorSpec
-        The picture, as the encoder declares it.
-    decoder_inputs, decoder_outputs : dict of str to TensorSpec
-        As the decoder declares them, by name.
-    features : dict of str to str
-        Which input of the decoder each output of the encoder goes to.
-
-    Raises
-    ------
-    InputError
-        There are not two files, one is of another kind, they are the wrong way
-        round, or they do not fit each other.
+    `encoder_input`: The picture, as the encoder declares it; `decoder_inputs, decoder_outputs`: As the decoder
+    declares them, by name; `features`: Which input of the decoder each output of the encoder goes to.
     """
 
     name: str
     version = "1"
-    encoders: Sequence[Contract]
-    decoders: Sequence[Contract]
+    encoders: Sequence[DetectorContract]
+    decoders: Sequence[DetectorContract]  # Those that will do
 
     def __init__(self, paths: Sequence[Path]) -> None:
         option = self.encoders[0].option
@@ -253,19 +222,19 @@ class PairModel:
         return f"{model_hash(self.encoder_path)}:{model_hash(self.decoder_path)}"
 
     def fingerprint(self) -> str:
-        """Content of both files, with weights that are in files of their own, and the version of the code here."""
+        """Cache key: content of both files, with external weights, and version of the code."""
         return f"{self.name}:{self.version}:{self._hash}"
 
     def boxes_at_once(self, height: int, width: int) -> int:
-        """How many boxes the decoder may take in a run, by what it declares."""
+        """Number of boxes in a decoder run, by the declared shapes."""
         return 1
 
     def to_picture(self, logits: np.ndarray, height: int, width: int) -> np.ndarray:
-        """(height, width) float32 mask logits of one box ((h, w) float32)."""
+        """Mask logits (height, width) float32 of a box ((h, w) float32)."""
         return logits if logits.shape == (height, width) else stretched(logits, height, width)
 
     def _encoded(self, image: np.ndarray) -> dict[str, np.ndarray]:
-        """Features of a picture, as the encoder's contract says it, by the decoder's names for them."""
+        """Features of a picture in the encoder's contract, by input name of the decoder."""
         values = run(self._encoder, list(self.features), {self.encoder_input.name: image}, self.encoder_path)
         return dict(zip(self.features.values(), values, strict=True))
 
@@ -276,13 +245,7 @@ class PairModel:
 
 
 def run(session: Any, outputs: Sequence[str], feed: dict[str, np.ndarray], path: Path) -> list[np.ndarray]:
-    """Run a session on inputs converted to the types that the file declares.
-
-    Raises
-    ------
-    InputError
-        An input cannot be converted, ONNX Runtime refuses the input, or fails inside the model.
-    """
+    """Run a session on inputs converted to the declared types."""
     feed = as_declared(session, feed, path)
     try:
         return run_limited(session, outputs, feed, path)
@@ -294,14 +257,14 @@ def run(session: Any, outputs: Sequence[str], feed: dict[str, np.ndarray], path:
         raise InputError("the model cannot be run", got=f"{first[:160]} for {given}", path=path) from error
 
 
-def _follows(session: Any, contracts: Sequence[Contract]) -> Contract | None:
+def _follows(session: Any, contracts: Sequence[DetectorContract]) -> DetectorContract | None:
     return next((c for c in contracts if follows(session, c)), None)
 
 
 def _not_fitting(
-    option: str, role: str, session: Any, path: Path, wanted: Sequence[Contract], other: Contract | None
+    option: str, role: str, session: Any, path: Path, wanted: Sequence[DetectorContract], other: DetectorContract | None
 ) -> InputError:
-    """The error for a file of another kind; it says which kind that is, where it is known."""
+    """Error for a file of another kind, named where known."""
     found = "a decoder" if role == "encoder" else "an encoder"
     return InputError(
         f"the ONNX file is not the {role} that {option} reads",

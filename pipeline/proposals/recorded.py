@@ -54,30 +54,18 @@ _WHAT = "the recording"
 
 @dataclass(frozen=True)
 class FrameDetections:
-    """What is recorded of one frame, its masks as they are written.
+    """Recorded detections of a frame, with encoded masks."""
 
-    Attributes
-    ----------
-    boxes : (N, 4) float32
-    scores : (N,) float32
-    names : tuple of str
-    ids : (N,) int64
-        -1 where there is none.
-    masks : sequence of MaskCode or None, or (N, H, W) bool
-    segmented : (N,) bool or None
-        As of `Proposals`.
-    """
-
-    boxes: np.ndarray
-    scores: np.ndarray
+    boxes: np.ndarray  # (N, 4) float32
+    scores: np.ndarray  # (N,) float32
     names: tuple[str, ...]
-    ids: np.ndarray
-    masks: Sequence[MaskCode | None] | np.ndarray
-    segmented: np.ndarray | None = None
+    ids: np.ndarray  # (N,) int64: -1 where there is none
+    masks: Sequence[MaskCode | None] | np.ndarray  # sequence of MaskCode or None, or (N, H, W) bool
+    segmented: np.ndarray | None = None  # (N,) bool or None: As of `Proposals`
 
 
 class Playback:
-    """One frame of a recording: masks are decoded when they are asked for, and only to their boxes."""
+    """Playback of a recorded frame; masks are decoded on demand, within their boxes."""
 
     def __init__(self, frame: Frame, found: FrameDetections, path: Path) -> None:
         self.frame_id, self.shape = frame.id, (frame.height, frame.width)
@@ -116,7 +104,7 @@ class Playback:
             raise InputError(f"frame {self.frame_id}: {error}", path=self._path) from error
 
     def _paint(self, i: int, picture: np.ndarray) -> bool:
-        """Set the mask of a detection in an empty picture; False where it is only its box."""
+        """Paint the mask of a detection into an empty picture; False for a box only."""
         code = self.found.masks[i]
         if code is None:
             picture |= box_mask(self.found.boxes[i], *self.shape)
@@ -140,7 +128,7 @@ class Playback:
 
 
 class RecordedDetector:
-    """Plays back detections that were made elsewhere.
+    """Detector of recorded detections.
 
     Parameters
     ----------
@@ -253,7 +241,7 @@ class RecordedDetector:
         return playback.proposals(index[np.argsort(-playback.found.scores[index], kind="stable")])
 
     def _meant(self, label: str) -> tuple[str, ...]:
-        """The recorded names that a name means."""
+        """Recorded names meant by a name."""
         meant = self._meanings.get(label)
         if meant is None:
             where = f"the recording {self.path.name}"
@@ -310,7 +298,7 @@ def _mask_file(path: Path, name: str, where: str) -> np.ndarray:
 
 
 def _each_thing_once(index: np.ndarray, found: FrameDetections) -> np.ndarray:
-    """Those of `index` ((M,) int, rising) without those of a thing that has a higher score elsewhere."""
+    """Rows of `index` ((M,) int, rising) without repeats of a thing of lower score."""
     ids = found.ids[index]
     if len(np.unique(ids)) == len(ids):
         return index
@@ -320,7 +308,7 @@ def _each_thing_once(index: np.ndarray, found: FrameDetections) -> np.ndarray:
 
 
 def _of_frames(found: Detections, ids: Sequence[str], path: Path) -> tuple[dict[str, FrameDetections], list[Picture]]:
-    """Published detections by frame, and the pictures of no frame; FrameUnusable where it is not clear of which."""
+    """Published detections by frame, and unmatched pictures; FrameUnusable for an ambiguous picture."""
     names, shared = FrameNames(ids), dict[str, str]()
     frames: dict[str, FrameDetections] = {}
     elsewhere: list[Picture] = []
@@ -336,12 +324,12 @@ def _of_frames(found: Detections, ids: Sequence[str], path: Path) -> tuple[dict[
 
 
 def _object(content: Content) -> dict[str, Any]:
-    """A JSON object; any other JSON is as good as an empty one."""
+    """JSON object; other JSON counts as empty."""
     return content.value if isinstance(content.value, dict) else {}
 
 
 def _maker(content: dict[str, Any]) -> str | None:
-    """The detector that the recording names, where it names one."""
+    """Detector named in the recording, or None."""
     maker = content.get(MADE_BY)
     return maker if isinstance(maker, str) and maker else None
 
@@ -366,7 +354,7 @@ def _read_frames(content: dict[str, Any], path: Path) -> dict[str, FrameDetectio
 
 
 def as_arrays(entries: Sequence[RecordedDetection], shared: dict[str, str]) -> FrameDetections:
-    """Detections as arrays; equal names of all frames, and equal masks of this one, stand once in memory."""
+    """Detections as arrays, sharing equal names over frames and equal masks within a frame."""
     codes: dict[MaskCode | None, MaskCode | None] = {}
     with np.errstate(over="ignore"):  # What becomes infinite is refused where it is asked for.
         boxes = np.array([e.bbox for e in entries], np.float32)
@@ -380,7 +368,7 @@ def as_arrays(entries: Sequence[RecordedDetection], shared: dict[str, str]) -> F
 
 
 def _read_labels(file: Path) -> list[str]:
-    """The class names of one file, without its masks, which are far larger."""
+    """Class names of a file, without decoding masks."""
     try:
         with opened_arrays(file) as data:
             return np.asarray(data["labels"]).astype(np.str_).ravel().tolist()

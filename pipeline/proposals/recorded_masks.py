@@ -1,4 +1,4 @@
-"""Masks that another program made, fitted to boxes: COCO JSON, a recording of detections, or PNG files.
+"""Masks of other programs, fitted to boxes: COCO JSON, a recording of detections, or PNG files.
 
 COCO: `images` [{id, file_name}] and `annotations` [{image_id, segmentation, bbox?, category_id?}], run-length encoded
 (compressed or not) or polygons; an image is a frame's by its file name or its id. A recording: what
@@ -28,7 +28,7 @@ from pipeline.system.safe_files import read_json, read_picture
 
 
 class CocoAnnotation(BaseModel):
-    """A segment of a COCO file; anything else that it says is not looked at."""
+    """A segment of a COCO file."""
 
     image_id: int
     segmentation: RunLength | list[list[FiniteFloat]]
@@ -37,7 +37,7 @@ class CocoAnnotation(BaseModel):
 
 
 class CocoFile(BaseModel):
-    """The parts of a COCO file that are used."""
+    """A COCO file with masks."""
 
     images: list[CocoImage]
     annotations: list[CocoAnnotation]
@@ -45,13 +45,7 @@ class CocoFile(BaseModel):
 
 
 def open_recorded_masks(path: str | Path, synonyms: Synonyms | None = None) -> Segmenter:
-    """The segmenter that plays back a file or folder of masks.
-
-    Raises
-    ------
-    InputError
-        Where there is none, or it follows none of the formats; the message names the place.
-    """
+    """Open a segmenter for a file or folder of masks."""
     path = Path(path)
     require(path.exists(), "there are no recorded masks", path=path)
     if path.is_dir():
@@ -90,15 +84,7 @@ class CocoMasks:
         return _fingerprint("coco", self.path)
 
     def segment(self, frame: Frame, boxes: np.ndarray, labels: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-        """(N, H, W) bool masks by greatest overlap of the boxes (at least one half), names first; and which were found.
-
-        Raises
-        ------
-        FrameUnusable
-            The file has no such image, or several.
-        InputError
-            Masks of another size, or that cannot be decoded.
-        """
+        """Masks (N, H, W) bool of best box overlap (at least 0.5), names first, and found (N,) bool."""
         shape = (frame.height, frame.width)
         image = self._image(frame)
         size = (image.height or shape[0], image.width or shape[1])
@@ -128,7 +114,7 @@ class CocoMasks:
         return segment_from(Segments(rectangles, names, mask), boxes, labels, shape, self.synonyms)
 
     def _image(self, frame: Frame) -> CocoImage:
-        """The best by `pipeline.datasets.frame_names.fit`, of its name, else of its id."""
+        """Best-matching image by `pipeline.datasets.frame_names.fit`, by name, else by id."""
         for pictures in ([i.file_name for i in self._images], [i.id for i in self._images]):
             fits = [fit(frame.id, picture) for picture in pictures]
             best = max(fits, default=0)
@@ -159,13 +145,7 @@ class PngMasks:
         return _fingerprint("png", self.path)
 
     def segment(self, frame: Frame, boxes: np.ndarray, labels: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-        """(N, H, W) bool masks by greatest overlap of the boxes (at least one half), and which were found.
-
-        Raises
-        ------
-        FrameUnusable
-            The folder has no masks for the frame, or one of its files is broken or of another size.
-        """
+        """Masks (N, H, W) bool of best box overlap (at least 0.5), and found (N,) bool."""
         segments = self._of_frame(frame)
         return segment_from(segments, boxes, labels, (frame.height, frame.width), None)
 

@@ -27,34 +27,20 @@ from pipeline.system.plugins import load_plugins
 
 @dataclass(frozen=True)
 class DetectorRequest:
-    """What a detector may be made from.
+    """Ingredients of a detector."""
 
-    Attributes
-    ----------
-    model : Path or None
-        Model file, recording, or options; of a network also its id on the model hub.
-    class_names : tuple of str
-        The dataset's class names.
-    synonyms : Synonyms or None
-    min_score : float or None
-        None for the detector's own default.
-    config : Path or None
-        What the model file does not say itself: the TOML file of `boxes`, the class names of `detic` and `yolo-seg`,
-        what the numbers of a published file of `recorded` mean.
-    frame_ids : tuple of str
-        The dataset's frames, for files that name pictures.
-    """
-
-    model: Path | None
-    class_names: tuple[str, ...]
+    model: Path | None  # Model file, recording, or options; of a network also its id on the model hub
+    class_names: tuple[str, ...]  # The dataset's class names
     synonyms: Synonyms | None
-    min_score: float | None
+    min_score: float | None  # None for the detector's own default
     config: Path | None = None
-    frame_ids: tuple[str, ...] = ()
+    """What the model file does not say itself: the TOML file of `boxes`, the class names of `detic` and `yolo-seg`,
+    what the numbers of a published file of `recorded` mean."""
+    frame_ids: tuple[str, ...] = ()  # The dataset's frames, for files that name pictures
 
 
 def _loaded(home: str) -> Any:
-    """What "module.Name" of this package names, imported when it is asked for: start-up need not wait for it."""
+    """Attribute "module.Name" of this package, imported on use."""
     module, _, name = home.partition(".")
     return getattr(import_module(f"pipeline.proposals.{module}"), name)
 
@@ -74,7 +60,7 @@ def _recorded(request: DetectorRequest) -> Detector:
 def _network(
     name: str, home: str, what: str, options: Callable[[DetectorRequest], dict[str, Any]]
 ) -> Callable[[DetectorRequest], Detector]:
-    """A detector that runs a model file, fetched where it is named by its id on the model hub."""
+    """Factory of a network detector; the model file may be a hub id."""
 
     def make(request: DetectorRequest) -> Detector:
         expected = f"{what}, or its id on the model hub"
@@ -133,7 +119,7 @@ Make = TypeVar("Make")
 
 
 def _maker(name: str, what: str, own: dict[str, Make], group: str, near: bool = False) -> Make:
-    """What makes the detector or segmenter of that name: ours, or a plugin; InputError where there is none."""
+    """Factory of a detector or segmenter by name, built in or a plugin; InputError if unknown."""
     known = own if name in own else {**dict(load_plugins(group, what, Callable)), **own}
     if name not in known:
         alike = ([n for n in known if n.startswith(name)] or suggest(name, known)) if near else ()
@@ -152,7 +138,7 @@ def make_detector(
     config: Path | None = None,
     frame_ids: tuple[str, ...] = (),
 ) -> Detector:
-    """The detector of that name; the arguments are those of `DetectorRequest`.
+    """Make a detector by name; arguments as of `DetectorRequest`.
 
     Raises
     ------
@@ -180,22 +166,7 @@ def make_detector(
 def open_detector(
     setup: DetectorSetup, class_names: tuple[str, ...], table: Synonyms | None = None, frame_ids: tuple[str, ...] = ()
 ) -> Detector:
-    """Make the detector.
-
-    Parameters
-    ----------
-    class_names : tuple of str
-        Of the dataset.
-    table : Synonyms, optional
-        Where the file is read already.
-    frame_ids : tuple of str
-        Of the dataset.
-
-    Raises
-    ------
-    InputError
-        As `make_detector` and `EnsembleDetector`, and where the synonyms cannot be read.
-    """
+    """Make the detector."""
     table = table or Synonyms.load(setup.synonyms)
 
     def make(name: str, model: Path | None, config: Path | None = None) -> Detector:
@@ -216,20 +187,11 @@ def open_detector(
 
 @dataclass(frozen=True)
 class SegmenterRequest:
-    """What a segmenter may be made from.
+    """Ingredients of a segmenter."""
 
-    Attributes
-    ----------
-    model : Path or None
-        Model file, or recording; the first of several.
-    synonyms : Synonyms or None
-    models : tuple of Path
-        All that was given.
-    """
-
-    model: Path | None
+    model: Path | None  # Model file, or recording; the first of several
     synonyms: Synonyms | None
-    models: tuple[Path, ...] = ()
+    models: tuple[Path, ...] = ()  # All that was given
 
 
 def _depth(request: SegmenterRequest) -> Segmenter:
@@ -275,14 +237,14 @@ SEGMENTER_GROUP = "spatialviz.segmenters"
 
 
 def segmenter_files(given: SegmenterFiles | str | Sequence[str]) -> tuple[Path, ...]:
-    """The files in their order; words, as plans and manifests hold them, will do."""
+    """Files of a segmenter in order, from paths or text."""
     if given is None:
         return ()
     return (Path(given),) if isinstance(given, str | Path) else tuple(Path(part) for part in given)
 
 
 def make_segmenter(name: str, *, model: SegmenterFiles = None, synonyms: Synonyms | None = None) -> Segmenter:
-    """The segmenter of that name.
+    """Make a segmenter by name.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Detector scores that mean what they say: Platt's sigmoid on the logit, one for each detector.
+"""Calibration of detector scores: Platt's sigmoid on the logit, per detector.
 
 s~ = 1 / (1 + exp(-(a * logit(s) + b))) with a > 0, so that the order within a detector stays. What changes is how
 sharply a score speaks against the other factors of a pair. Fitted on detections of held-out frames, made as `ask`
@@ -32,11 +32,10 @@ FORMAT = "spatialviz-score-calibration-1"
 
 @dataclass(frozen=True)
 class FittedFrame:
-    """A frame that a calibration was fitted on.
+    """A frame used for fitting a calibration.
 
     Attributes
     ----------
-    frame, scene : str
     rgb_hash : str
         `Frame.content_hash`: the picture, under whatever name and path it is met again.
     """
@@ -48,7 +47,7 @@ class FittedFrame:
 
 @dataclass(frozen=True)
 class ScoreCalibration:
-    """A fitted sigmoid, and whose scores it is for.
+    """A fitted sigmoid for a detector's scores.
 
     Attributes
     ----------
@@ -84,11 +83,11 @@ class ScoreCalibration:
 
     @property
     def identity(self) -> bool:
-        """It changes nothing: there were too few hits or misses to fit it."""
+        """Test for the identity: too few hits or misses to fit."""
         return (self.a, self.b) == IDENTITY
 
     def apply(self, scores: np.ndarray) -> np.ndarray:
-        """Calibrated scores (N,) float64, in the order of the raw ones (N,)."""
+        """Calibrated scores (N,) float64, for raw scores (N,)."""
         if self.identity:
             return np.asarray(scores, np.float64)
         return sigmoid(self.a * score_logit(scores) + self.b)
@@ -110,12 +109,12 @@ class ScoreCalibration:
         )
 
     def for_any(self) -> ScoreCalibration:
-        """The same for any detector."""
+        """Calibration for any detector."""
         return replace(self, detector=None)
 
 
 class _File(BaseModel):
-    """What tells a score calibration as JSON; what else the file says is not looked at."""
+    """Format mark of a score calibration file."""
 
     format: str = Field(pattern=f"^{FORMAT}$")
 
@@ -124,14 +123,14 @@ _CALIBRATION = TypeAdapter(ScoreCalibration)
 
 
 def save_calibration(calibration: ScoreCalibration, path: str | Path, report: dict[str, Any] | None = None) -> None:
-    """Write a calibration as JSON, whole or not at all; `report` (see `calibrate_scores`) goes with it."""
+    """Write a calibration as JSON atomically, with an optional `report`."""
     record = {"format": FORMAT, **asdict(calibration)} | ({} if report is None else {"report": report})
     text = json.dumps(record, indent=1, allow_nan=False) + "\n"
     write_whole(Path(path), text.encode(), "the score calibration")
 
 
 def load_calibration(path: str | Path) -> ScoreCalibration:
-    """Read what `save_calibration` wrote.
+    """Read a calibration written by `save_calibration`.
 
     Raises
     ------
@@ -156,7 +155,7 @@ def score_logit(scores: np.ndarray) -> np.ndarray:
 
 
 def fit_scores(scores: np.ndarray, hits: np.ndarray) -> Platt:
-    """Platt's sigmoid for detector scores; the identity with fewer than 50 hits or 50 misses, or where it would fall.
+    """Fit Platt's sigmoid to detector scores; identity with fewer than 50 hits or misses, or a falling slope.
 
     Parameters
     ----------

@@ -1,6 +1,4 @@
-"""Masks for boxes that have none: what a segmenter is, a detector with one behind it, and segments of another program
-or detector that are given to the boxes they belong to.
-"""
+"""Masks for boxes: segmenters, a detector with a segmenter, and segments of other programs assigned to boxes."""
 
 from __future__ import annotations
 
@@ -39,7 +37,7 @@ class Segmenter(Protocol):
     def name(self) -> str: ...
 
     def fingerprint(self) -> str:
-        """What the masks depend on besides the frame and the boxes, for caches."""
+        """Cache key of the masks, besides frame and boxes."""
         ...
 
     def segment(self, frame: Frame, boxes: np.ndarray, labels: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
@@ -47,10 +45,9 @@ class Segmenter(Protocol):
 
         Parameters
         ----------
-        frame : Frame
         boxes : (N, 4) float32
-            x0, y0, x1, y1 in pixels. They are things of their own, not guesses
-            at the same one: a segmenter may give each pixel to one of them.
+            x0, y0, x1, y1 in pixels. They are things of their own, not guesses at the same one: a segmenter may
+            give each pixel to one of them.
         labels : sequence of str
             A class name for each box.
 
@@ -64,16 +61,11 @@ class Segmenter(Protocol):
 
 
 class Segmented:
-    """A detector whose proposals without masks get them from a segmenter; masks it has are kept.
+    """A detector with masks from a segmenter for proposals without masks.
 
     The boxes of an exact detector are segmented together, all of the frame, so that a mask does not depend on what
     was asked for. Those of any other may be guesses at one and the same thing: each is segmented by itself, unless
     the segmenter treats boxes independently anyway.
-
-    Parameters
-    ----------
-    detector : Detector
-    segmenter : Segmenter
     """
 
     def __init__(self, detector: Detector, segmenter: Segmenter) -> None:
@@ -106,11 +98,11 @@ class Segmented:
         return replace(found, masks=masks, has_mask=~bare | segmented, segmented=segmented)
 
     def detect_expression(self, frame: Frame, text: str) -> Proposals:
-        """What the detector finds of a whole expression: boxes are all that is asked of it, so none is segmented."""
+        """Detections of a whole expression, boxes only."""
         return detect_expression(self.detector, frame, text)
 
     def _of_all(self, frame: Frame) -> dict[int, np.ndarray]:
-        """The masks of a frame's exact boxes by their identities, kept for the next question about it."""
+        """Masks of a frame's exact boxes by id, kept for the next question."""
         if self._last is None or self._last[0].rgb is not frame.rgb or self._last[0].depth is not frame.depth:
             everything = self.detector.detect(frame, None)
             bare = np.flatnonzero(_without_mask(everything))
@@ -128,7 +120,7 @@ class Segmented:
         return made
 
     def _segment(self, frame: Frame, found: Proposals, which: np.ndarray) -> dict[int, np.ndarray]:
-        """Masks by place in `found`; boxes without one are left out."""
+        """Masks by index in `found`; boxes without a mask are left out."""
         labels = [found.label(int(i)) for i in which]
         start = perf_counter()
         masks, has_mask = self.segmenter.segment(frame, found.boxes[which], labels)
@@ -144,21 +136,14 @@ class Segmented:
 
 
 def _without_mask(found: Proposals) -> np.ndarray:
-    """(N,) bool: proposals that have only a box."""
+    """Proposals with only a box, (N,) bool."""
     if found.masks is None:
         return np.ones(len(found), np.bool_)
     return np.zeros(len(found), np.bool_) if found.has_mask is None else ~found.has_mask
 
 
 class DetectorSegmenter:
-    """Runs a detector for everything it knows and gives each box the mask that fits it.
-
-    Parameters
-    ----------
-    detector : Detector
-        Any that gives masks; proposals of it that are only a box are not used.
-    synonyms : Synonyms, optional
-    """
+    """Segmenter by a detector's masks of best box overlap."""
 
     def __init__(self, detector: Detector, synonyms: Synonyms | None = None) -> None:
         self.detector, self.name, self.synonyms = detector, detector.name, synonyms
@@ -167,13 +152,7 @@ class DetectorSegmenter:
         return f"masks:{self.detector.fingerprint()}"
 
     def segment(self, frame: Frame, boxes: np.ndarray, labels: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-        """(N, H, W) bool masks by greatest overlap of the boxes (at least one half), names first; and which were found.
-
-        Raises
-        ------
-        InputError
-            What the detector raises.
-        """
+        """Masks (N, H, W) bool of best box overlap (at least 0.5), names first, and found (N,) bool."""
         found = self.detector.detect(frame, None)
         masks = found.masks
         if masks is None:
@@ -191,35 +170,22 @@ MIN_IOU = 0.5
 
 @dataclass(frozen=True)
 class Segments:
-    """Masks of a frame that belong to no box yet.
+    """Unassigned masks of a frame."""
 
-    Attributes
-    ----------
-    boxes : (S, 4) float
-        Bounding boxes, x0, y0, x1, y1 in pixels.
-    labels : tuple of (str or None)
-        Their class names, where known.
-    mask : callable
-        The (H, W) bool mask of segment number i; only those that are needed are made.
-    """
-
-    boxes: np.ndarray
-    labels: tuple[str | None, ...]
-    mask: Callable[[int], np.ndarray]
+    boxes: np.ndarray  # (S, 4) float: Bounding boxes, x0, y0, x1, y1 in pixels
+    labels: tuple[str | None, ...]  # Their class names, where known
+    mask: Callable[[int], np.ndarray]  # The (H, W) bool mask of segment number i; only those that are needed are made
 
 
 def assign(
     boxes: np.ndarray, labels: Sequence[str], segments: Segments, synonyms: Synonyms | None = None
 ) -> np.ndarray:
-    """The segment of each box, each used at most once, so that the sum of the overlaps is greatest.
+    """Assign segments to boxes, each at most once, maximising total overlap.
 
     A segment of the box's own class name goes before one of another or no
     name. Equal overlaps are decided by the share of the segment's box inside the box.
 
-    Returns
-    -------
-    (N,) int64
-        Numbers of segments; -1 where none overlaps enough.
+    Returns (N,) int64: Numbers of segments; -1 where none overlaps enough.
     """
     from scipy.optimize import linear_sum_assignment
 
@@ -239,7 +205,7 @@ def assign(
 def segment_from(
     segments: Segments, boxes: np.ndarray, labels: Sequence[str], shape: tuple[int, int], synonyms: Synonyms | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Masks (N, H, W) and has_mask (N,) of boxes, as `Segmenter.segment` returns them."""
+    """Masks (N, H, W) and has_mask (N,) of boxes, as of `Segmenter.segment`."""
     chosen = assign(np.asarray(boxes, np.float64).reshape(-1, 4), labels, segments, synonyms)
     masks, has_mask = np.zeros((len(chosen), *shape), np.bool_), np.zeros(len(chosen), np.bool_)
     for i in np.flatnonzero(chosen >= 0):
@@ -249,7 +215,7 @@ def segment_from(
 
 
 def share_inside(inner: np.ndarray, outer: np.ndarray) -> np.ndarray:
-    """(S, N): which share of each of `inner` lies in each of `outer`."""
+    """Share of each of `inner` inside each of `outer`, (S, N)."""
     low = np.maximum(inner[:, None, :2], outer[None, :, :2])
     high = np.minimum(inner[:, None, 2:], outer[None, :, 2:])
     shared = np.maximum(high - low, 0).prod(axis=2)
@@ -258,7 +224,7 @@ def share_inside(inner: np.ndarray, outer: np.ndarray) -> np.ndarray:
 
 
 def _same_name(labels: Sequence[str], names: Sequence[str | None], synonyms: Synonyms | None) -> np.ndarray:
-    """(N, S) bool: the segment's name is one that the box's name means."""
+    """Name matches (N, S) bool of boxes and segments."""
     known = tuple(dict.fromkeys(n for n in names if n))
     meant = {label: set(match(label, known, synonyms)) for label in dict.fromkeys(labels)}
     return np.array([[name in meant[label] for name in names] for label in labels], np.bool_).reshape(

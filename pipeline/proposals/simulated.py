@@ -51,7 +51,7 @@ _NORMAL = NormalDist()
 
 
 class SimulationOptions(BaseModel):
-    """How the annotations are degraded.
+    """Degradation of the annotations.
 
     Attributes
     ----------
@@ -112,13 +112,7 @@ class SimulationOptions(BaseModel):
 
 
 def read_options(path: str | Path) -> SimulationOptions:
-    """Options from a TOML or JSON file; what it leaves out stays as by default.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or an option is unknown or out of range.
-    """
+    """Read options from a TOML or JSON file, with defaults for missing keys."""
     path = Path(path)
     unreadable = "the options of the simulated detector cannot be read"
     with as_input_error(unreadable, OSError, ValueError, got=str, path=path):
@@ -128,8 +122,8 @@ def read_options(path: str | Path) -> SimulationOptions:
 
 
 @dataclass(frozen=True)
-class _Found:
-    """One answer to a query; `right` where the object is of the class that was asked for."""
+class _SimulatedDetection:
+    """An answer to a query; `right` for an object of the requested class."""
 
     id: int
     label: str
@@ -138,7 +132,7 @@ class _Found:
 
 
 class SimulatedDetector:
-    """Gives the annotations of the frame as a detector of the chosen quality would see them.
+    """Simulated detector of chosen quality, from annotations.
 
     A thing has one identity, one box and one mask whatever is asked for: that of an object is its annotation's index.
     Its score and its label depend on the name that was asked. Where several names of one call return the same thing,
@@ -146,10 +140,8 @@ class SimulatedDetector:
 
     Parameters
     ----------
-    options : SimulationOptions
     class_names : tuple of str
         The dataset's class names.
-    synonyms : Synonyms, optional
     min_score : float
         Detections below it are dropped.
     """
@@ -187,7 +179,7 @@ class SimulatedDetector:
 
     def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
         known = tuple(dict.fromkeys([*(a.label for a in frame.annotations), *self.class_names]))
-        best: dict[int, _Found] = {}
+        best: dict[int, _SimulatedDetection] = {}
         for query in dict.fromkeys(self._meant(label, known) for label in (known if labels is None else labels)):
             for found in self._answers(frame, query):
                 other = best.get(found.id)
@@ -197,7 +189,7 @@ class SimulatedDetector:
         return self._proposals(frame, chosen) if chosen else no_proposals(frame.height, frame.width)
 
     def _meant(self, label: str, known: tuple[str, ...]) -> tuple[str, ...]:
-        """The classes that a name means: one query, however it is spelled."""
+        """Classes meant by a name, sorted."""
         meant = self._meanings.get((label, known))
         if meant is None:
             meant = tuple(sorted(meant_names(label, known, self.synonyms, "the dataset")))
@@ -206,7 +198,7 @@ class SimulatedDetector:
 
     # What is found, and with which score.
 
-    def _answers(self, frame: Frame, query: tuple[str, ...]) -> Iterator[_Found]:
+    def _answers(self, frame: Frame, query: tuple[str, ...]) -> Iterator[_SimulatedDetection]:
         o = self.options
         asked = (frame.id, "query", *query)
         others = []
@@ -217,19 +209,19 @@ class SimulatedDetector:
                 doubted = self._uniform(frame.id, a.index, "doubted") < o.doubted
                 mean = o.doubted_logit if doubted else o.true_logit
                 score = self._score("true", a.label, mean, frame.id, a.index, "score")
-                yield _Found(a.index, a.label, score, True)
+                yield _SimulatedDetection(a.index, a.label, score, True)
         if self._uniform(*asked, "cross-class") < o.cross_class:
             count = 1 + int(self._uniform(*asked, "confused") * o.most_confused)
             for index in sorted(others, key=lambda i: self._uniform(*asked, "order", i))[:count]:
                 score = self._score("confused", query[0], o.confused_logit, *asked, "score", index)
-                yield _Found(index, query[0], score, False)
+                yield _SimulatedDetection(index, query[0], score, False)
         for k in range(REGIONS):
             if self._uniform(*asked, "background", k) < o.background / REGIONS and self._region(frame, k) is not None:
                 score = self._score("background", query[0], o.background_logit, *asked, "score of region", k)
-                yield _Found(FIRST_REGION_ID + k, query[0], score, False)
+                yield _SimulatedDetection(FIRST_REGION_ID + k, query[0], score, False)
 
     def _uniform(self, *key: object) -> float:
-        """A figure in (0, 1) that only the seed and the key decide."""
+        """Number in (0, 1) from a hash of seed and key."""
         text = "\x1f".join(map(str, (self.options.seed, *key)))
         return ((xxhash.xxh3_64_intdigest(text.encode("utf-8", "surrogatepass")) >> 12) + 0.5) / (1 << 52)
 
@@ -243,7 +235,7 @@ class SimulatedDetector:
 
     # What it looks like.
 
-    def _proposals(self, frame: Frame, chosen: Sequence[_Found]) -> Proposals:
+    def _proposals(self, frame: Frame, chosen: Sequence[_SimulatedDetection]) -> Proposals:
         annotations = {a.index: a for a in frame.annotations}
         # Where nothing is annotated by a mask, this is a detector that gives boxes only.
         segments = any(a.mask is not None for a in frame.annotations)
@@ -317,7 +309,7 @@ class SimulatedDetector:
         return np.concatenate([low, np.clip(center + half, low + 1, limit)]).astype(np.float32)
 
     def _region(self, frame: Frame, k: int) -> np.ndarray | None:
-        """The box (4,) of a stretch of background; None where it lies on an annotated object."""
+        """Box (4,) of a background stretch; None on an annotated object."""
         key = (frame.id, "region", k)
         side = 0.06 * (0.3 / 0.06) ** self._uniform(*key, "side") * min(frame.width, frame.height)
         stretch = 2.0 ** (self._uniform(*key, "stretch") - 0.5)
@@ -331,7 +323,7 @@ class SimulatedDetector:
         return box
 
     def _background(self, frame: Frame, k: int) -> tuple[np.ndarray, MaskCrop]:
-        """A stretch of background and the ellipse in it."""
+        """Background stretch with an ellipse mask."""
         box = self._region(frame, k)
         assert box is not None
         x0, y0 = np.floor(box[:2]).astype(int)
@@ -349,7 +341,7 @@ LEAK_REACH = 0.3
 
 
 def surroundings(mask: np.ndarray, margin: float, reach: float = LEAK_REACH) -> MaskCrop:
-    """The surroundings of a mask ((H, W) bool): its box, widened by `margin` pixels or `reach` of its sides."""
+    """Crop of a mask ((H, W) bool) around its box, widened by `margin` pixels or `reach` of the sides."""
     height, width = mask.shape
     x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
     dx, dy = int(np.ceil(max(margin, reach * w))), int(np.ceil(max(margin, reach * h)))
@@ -358,7 +350,7 @@ def surroundings(mask: np.ndarray, margin: float, reach: float = LEAK_REACH) -> 
 
 
 def resized(mask: np.ndarray, pixels: int) -> np.ndarray:
-    """A mask ((h, w) bool) dilated by so many pixels, or eroded where they are negative."""
+    """Mask ((h, w) bool) dilated, or eroded for negative `pixels`."""
     if pixels == 0:
         return mask
     # OpenCV takes a square apart into rows and columns; a disc of this size would take twenty times as long.
@@ -368,7 +360,7 @@ def resized(mask: np.ndarray, pixels: int) -> np.ndarray:
 
 
 def truncated(mask: np.ndarray, angle: float, share: float) -> np.ndarray:
-    """The part of a mask ((h, w) bool) on one side of a straight cut that leaves `share` of its pixels.
+    """Part of a mask ((h, w) bool) on one side of a straight cut, keeping `share` of the pixels.
 
     `angle`, in radians, is the direction along which the cut pixels lie.
     """
@@ -381,7 +373,7 @@ def truncated(mask: np.ndarray, angle: float, share: float) -> np.ndarray:
 
 
 def leaked(mask: np.ndarray, angle: float, free: np.ndarray) -> np.ndarray:
-    """A mask ((h, w) bool) merged with all that is `free` ((h, w) bool) around it on one side.
+    """Mask ((h, w) bool) merged with the `free` surroundings ((h, w) bool) on one side.
 
     The side is that of `angle`, in radians, as seen from the mask's centre; the leak fills what is given there.
     """

@@ -37,7 +37,7 @@ SCORE_FLOOR = 0.05
 
 @dataclass(frozen=True)
 class _Raw:
-    """All rows of one forward pass above the score floor of any class."""
+    """Rows of a forward pass above the score floor of any class."""
 
     boxes: np.ndarray
     classes: np.ndarray
@@ -50,22 +50,7 @@ class _Raw:
 
 
 class YoloSegDetector(NetworkDetector):
-    """YOLOv8-seg, YOLO11-seg, YOLOE-seg and YOLO-World-seg files with a baked-in vocabulary.
-
-    Parameters
-    ----------
-    path : Path
-        The ONNX file.
-    names : Path, optional
-        File of its class names, see `read_class_names`. By default they are read from its metadata.
-    min_score : float
-        Detections below it are dropped.
-
-    Raises
-    ------
-    InputError
-        Where the file does not follow the contract.
-    """
+    """YOLOv8-seg, YOLO11-seg, YOLOE-seg and YOLO-World-seg files with a baked-in vocabulary."""
 
     name = "yolo-seg"
     default_score = MIN_SCORE
@@ -167,7 +152,7 @@ def _multiple_of_32(pixels: int) -> int:
 
 
 def _masks(raw: _Raw, order: np.ndarray, boxes: np.ndarray, height: int, width: int) -> np.ndarray:
-    """(N, H, W) bool masks of the chosen rows, each inside its box ((N, 4), picture pixels)."""
+    """Masks (N, H, W) bool of chosen rows, each inside its box ((N, 4), picture pixels)."""
     channels, proto_h, proto_w = raw.prototypes.shape
     logits = (raw.coefficients[order] @ raw.prototypes.reshape(channels, -1)).reshape(-1, proto_h, proto_w)
     placement = raw.placement
@@ -209,23 +194,13 @@ def _checked_names(names: tuple[str, ...] | None, classes: int | None, path: Pat
 
 @dataclass(frozen=True)
 class Letterbox:
-    """How a picture lies in the network's input.
+    """Placement of a picture in the network's input."""
 
-    Attributes
-    ----------
-    scale : float
-        Input pixels per picture pixel.
-    left, top : int
-        Where the picture begins in the input, pixels.
-    width, height : int
-        Size of the picture in the input, pixels.
-    """
-
-    scale: float
+    scale: float  # Input pixels per picture pixel
     left: int
-    top: int
+    top: int  # Where the picture begins in the input, pixels
     width: int
-    height: int
+    height: int  # Size of the picture in the input, pixels
 
     def to_picture(self, boxes: np.ndarray, picture_height: int, picture_width: int) -> np.ndarray:
         """(N, 4) boxes in input pixels as boxes in picture pixels, clipped to the picture."""
@@ -236,10 +211,7 @@ class Letterbox:
 def letterbox(rgb: np.ndarray, height: int, width: int, pad: int = 114) -> tuple[np.ndarray, Letterbox]:
     """The picture scaled to fit (height, width), centred, the rest filled with grey.
 
-    Returns
-    -------
-    image : (height, width, 3) uint8
-    placement : Letterbox
+    `image` (height, width, 3) uint8.
     """
     h, w = rgb.shape[:2]
     scale = min(height / h, width / w)

@@ -15,7 +15,7 @@ import numpy as np
 
 from pipeline.geometry.camera import Camera, intrinsics
 from pipeline.geometry.viewer import viewer_axes
-from pipeline.synthetic.raycast import Tracer, pixel_rays, pose_of
+from pipeline.synthetic.raycast import EmbreeScene, pixel_rays, pose_of
 from pipeline.synthetic.render import camera_at
 from pipeline.system.arrow import LazyModule
 
@@ -38,7 +38,7 @@ BASELINE_M, NEAREST_M, NEAR_SHARE = 0.075, 0.3, 0.05
 
 @dataclass(frozen=True)
 class Held:
-    """How a camera is held: metres above the floor (`close`: from the table's middle), degrees down and of roll."""
+    """Camera placement: metres above the floor (`close`: from the table's middle), degrees down and of roll."""
 
     height: tuple[float, float]
     pitch: tuple[float, float]
@@ -56,26 +56,15 @@ HELD = (
 
 @dataclass(frozen=True, eq=False)
 class AssembledView:
-    """A view of such a room.
+    """A view of such a room."""
 
-    Attributes
-    ----------
-    depth : (H, W) float32
-        Metres with the sensor's errors; 0 where nothing came back.
-    masks : tuple of (H, W) bool
-    labels : tuple of str
-        Class names.
-    camera : Camera
-        It knows what is up.
-    exact : tuple of ((3,), (3,)) float64
-        Least and greatest of the whole things along the viewer's (right, up, forward), metres from the camera.
-    """
-
-    depth: np.ndarray
-    masks: tuple[np.ndarray, ...]
-    labels: tuple[str, ...]
-    camera: Camera
+    depth: np.ndarray  # (H, W) float32: Metres with the sensor's errors; 0 where nothing came back
+    masks: tuple[np.ndarray, ...]  # tuple of (H, W) bool
+    labels: tuple[str, ...]  # Class names
+    camera: Camera  # It knows what is up
     exact: tuple[tuple[np.ndarray, np.ndarray], ...]
+    """tuple of ((3,), (3,)) float64: Least and greatest of the whole things along the viewer's (right, up, forward),
+    metres from the camera."""
 
 
 def _box(w: float, d: float, h: float, x: float = 0, y: float = 0, z: float = 0) -> Mesh:
@@ -263,7 +252,7 @@ SMALL: tuple[tuple[str, Callable[[Rng], Made]], ...] = (
 
 
 class _World:
-    """Named meshes whose upright boxes share nothing, but where they are meant to lean or to stand inside."""
+    """Named meshes with disjoint upright boxes, except leaning or contained things."""
 
     def __init__(self, rng: Rng) -> None:
         self.rng = rng
@@ -288,7 +277,7 @@ class _World:
         return mesh
 
     def fill(self, things: int) -> None:
-        """Put small things on what there is to put them on, some with company."""
+        """Put small things on the surfaces, some with neighbours."""
         rng = self.rng
         for _ in range(6 * things):
             if things <= 0 or not self.places:
@@ -308,7 +297,7 @@ class _World:
                 self.touch(mesh, at[2])
 
     def touch(self, mesh: Mesh, floor: float) -> None:
-        """Something beside a thing, at most a centimetre away."""
+        """Put a thing at most a centimetre from another."""
         rng, (low, high) = self.rng, mesh.bounds
         label, make = SMALL[int(rng.integers(len(SMALL)))]
         made = make(rng)
@@ -319,7 +308,7 @@ class _World:
         self.put(label, made, (at[0], at[1], floor), 0.0)
 
     def lean(self, mesh: Mesh, floor: float) -> None:
-        """A board leaning on a thing's side, its top over the thing where it is the longer."""
+        """Lean a board on a thing's side, over the edge if longer."""
         rng, (low, high) = self.rng, mesh.bounds
         tall = high[2] - low[2]
         long, angle = max(rng.uniform(0.8, 1.5) * tall, 0.05), rng.uniform(0.15, 0.6)
@@ -382,7 +371,7 @@ def _camera(held: Held, place: np.ndarray, rng: Rng, width: int, height: int) ->
 
 
 def assembled_view(seed: int, width: int = 480, height: int = 360, least_pixels: int = 200) -> AssembledView | None:
-    """What is seen of the room of this seed, always the same; None where the camera stands in something."""
+    """View of the seed's assembled room, deterministic; None for a camera inside a thing."""
     rng = np.random.default_rng([seed, 41])
     held = HELD[seed % len(HELD)]
     world, shell, place = (_table_top if held.close else _room)(rng)
@@ -392,7 +381,7 @@ def assembled_view(seed: int, width: int = 480, height: int = 360, least_pixels:
     starts = np.cumsum([0, *(len(m.vertices) for m in meshes)])
     faces = np.concatenate([np.asarray(m.faces) + s for m, s in zip(meshes, starts, strict=False)])
     owner = np.repeat(np.arange(len(meshes)) - len(shell), [len(m.faces) for m in meshes])
-    tracer = Tracer(np.concatenate([np.asarray(m.vertices) for m in meshes]), faces)
+    tracer = EmbreeScene(np.concatenate([np.asarray(m.vertices) for m in meshes]), faces)
     v, u = (g.ravel() for g in np.indices((height, width)))
     hits = tracer.first(pose[:3, 3], pixel_rays(camera, v, u))
     if not held.close and (hits.t < NEAREST_M).mean() > NEAR_SHARE:
@@ -414,7 +403,7 @@ def assembled_view(seed: int, width: int = 480, height: int = 360, least_pixels:
 
 
 def _sensed(depth: np.ndarray, rng: Rng, focal: float) -> np.ndarray:
-    """Disparity in eighths of a pixel, sampled a little beside; at edges holes and flying pixels; lost blobs."""
+    """Stereo sensor: disparity in eighths of a pixel with jitter, holes and flying pixels at edges, lost blobs."""
     height, width = depth.shape
     jitter = np.rint(rng.normal(0, 0.5, (2, height, width))).astype(int)
     v, u = np.mgrid[:height, :width]
@@ -437,7 +426,7 @@ def _sensed(depth: np.ndarray, rng: Rng, focal: float) -> np.ndarray:
 
 
 def _spoilt(mask: np.ndarray, rng: Rng, least_pixels: int) -> np.ndarray:
-    """Eroded or dilated by up to 4 pixels; every second one shifted by up to 2."""
+    """Mask eroded or dilated by up to 4 pixels, every second shifted by up to 2."""
     pixels = int(rng.integers(-4, 5))
     if pixels:
         kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * abs(pixels) + 1,) * 2)

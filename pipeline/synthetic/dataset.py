@@ -30,17 +30,14 @@ SMALLEST_SIDE = 16
 
 @dataclass(frozen=True)
 class RenderReport:
-    """What was rendered.
+    """Summary of a rendering.
 
     Attributes
     ----------
-    out : Path
-    frames, rooms : int
     objects : int
         Annotated instances, summed over frames.
     classes : tuple of str
         Class names that are annotated somewhere, sorted.
-    seconds : float
     """
 
     out: Path
@@ -81,9 +78,8 @@ def render_dataset(
     progress : callable, optional
         Called with (frames done, frames in all).
     workers : int
-        Processes; with more than one, each renders whole rooms, `progress` is
-        called once a room, and the calling script must be importable
-        (`if __name__ == "__main__"`): they are spawned. Hence one by default.
+        Processes; with more than one, each renders whole rooms, `progress` is called once a room, and the calling
+        script must be importable (`if __name__ == "__main__"`): they are spawned. Hence one by default.
 
     Raises
     ------
@@ -156,7 +152,7 @@ def _run(jobs: list[Job], views: int, workers: int, progress: Callable[[int, int
 
 
 def _render_room(job: Job, tell: Callable[[int], None] = lambda view: None) -> SceneRecord:
-    """Render the views of one room; `tell` is called with how many are written, after each."""
+    """Render the views of a room; `tell` gets the count after each view."""
     folder, room_seed, views, width, height = job
     record = SceneRecord()
     room = make_room(room_seed)
@@ -169,7 +165,7 @@ def _render_room(job: Job, tell: Callable[[int], None] = lambda view: None) -> S
 
 
 def _declaration(command: str, seed: int) -> str:
-    """The dataset's own file: what BOP cannot say, that z is up in its world."""
+    """Text of the dataset's `spatialviz.toml`: z is up, and the generator."""
     tool = versions_of("spatialviz").get("spatialviz", "unknown")
     return (
         'name = "spatialviz synthetic rooms"\n'
@@ -191,24 +187,18 @@ JPEG_QUALITY = 92
 
 @dataclass
 class SceneRecord:
-    """What is to be written about a scene beside its images; objects are still named by their model's key.
-
-    Attributes
-    ----------
-    camera, gt, gt_info : dict
-        The contents of the scene's three JSON files by image number.
-    models : dict
-        By model key, in order of appearance: the entry of models_info.json.
-    """
+    """JSON content of a scene; objects are keyed by model."""
 
     camera: dict[str, dict[str, Any]] = field(default_factory=dict)
     gt: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
     gt_info: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
+    """The contents of the scene's three JSON files by image number."""
     models: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """By model key, in order of appearance: the entry of models_info.json."""
 
 
 def write_frame(folder: Path, image: int, room: Room, frame: RenderedFrame, record: SceneRecord) -> None:
-    """Write the images and masks of one frame into the scene's folder and note the rest in `record`."""
+    """Write images and masks of a frame into the scene's folder and extend `record`."""
     for name in ("rgb", "depth", "mask_visib"):
         (folder / name).mkdir(parents=True, exist_ok=True)
     units = np.rint(frame.depth * (1000 / DEPTH_SCALE)).astype(np.uint16)
@@ -252,7 +242,7 @@ def write_scene(folder: Path, record: SceneRecord, numbers: dict[str, int]) -> N
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
-    """One line an image or model, as BOP's own files are laid out."""
+    """Write JSON with a line per image or model, in BOP's layout."""
     path.parent.mkdir(parents=True, exist_ok=True)
     lines = ",\n".join(f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in content.items())
     path.write_text("{\n" + lines + "\n}\n", encoding="utf-8")

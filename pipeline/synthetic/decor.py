@@ -9,10 +9,10 @@ from pipeline.synthetic.model import (
     BRASS,
     PAPER,
     Material,
-    Model,
+    ModelPart,
+    ObjectModel,
     Palette,
-    Part,
-    Surface,
+    RestSurface,
     assemble,
     cloth,
     metal,
@@ -26,7 +26,7 @@ from pipeline.synthetic.shapes import SIDES, ball, block, cylinder, each, joined
 Rng = np.random.Generator
 
 
-def lamp(p: Palette, rng: Rng) -> Model:
+def lamp(p: Palette, rng: Rng) -> ObjectModel:
     """A table lamp with a lit fabric shade."""
     foot = Material(rgb(pick(rng, p.accents)), ("plaster",), 0.2, gloss=0.4)
     r = rng.uniform(0.13, 0.15)
@@ -39,7 +39,7 @@ def lamp(p: Palette, rng: Rng) -> Model:
     )
 
 
-def desk_lamp(p: Palette, rng: Rng) -> Model:
+def desk_lamp(p: Palette, rng: Rng) -> ObjectModel:
     """A jointed reading lamp."""
     m = paint(pick(rng, p.accents), 0.4)
     head = lathe(
@@ -58,7 +58,7 @@ def desk_lamp(p: Palette, rng: Rng) -> Model:
     return assemble("lamp", parts)
 
 
-def floor_lamp(p: Palette, rng: Rng) -> Model:
+def floor_lamp(p: Palette, rng: Rng) -> ObjectModel:
     h = rng.uniform(1.45, 1.6)
     stand, shade = (
         (BRASS if rng.random() < 0.5 else metal(p)),
@@ -73,8 +73,8 @@ def floor_lamp(p: Palette, rng: Rng) -> Model:
     return assemble("lamp", parts)
 
 
-def plant(p: Palette, rng: Rng, tall: float = 0.9) -> Model:
-    """A pot with leaves: arching ones, or upright blades."""
+def plant(p: Palette, rng: Rng, tall: float = 0.9) -> ObjectModel:
+    """A pot with arching leaves or upright blades."""
     r = 0.12 * tall + 0.05
     pot_h = 1.5 * r
     pot = Material(rgb(pick(rng, ("#b8673f", "#efe9dd", "#4f5d57", *p.accents[:2]))), ("plaster",), 0.3, gloss=0.15)
@@ -83,7 +83,7 @@ def plant(p: Palette, rng: Rng, tall: float = 0.9) -> Model:
     parts = [lathe(profile, (0, 0, 0), pot, 36), cylinder(0.86 * r, 0.012, (0, 0, pot_h * 0.86), soil, 28)]
     greens = [Material(rgb(code), ("plaster",), 0.2, gloss=0.18) for code in ("#3f6b3c", "#5b8348", "#2f5636")]
     upright = bool(rng.random() < 0.35)
-    groups: list[list[Part]] = [[], [], []]
+    groups: list[list[ModelPart]] = [[], [], []]
     stems = []
     count = 15 if upright else int(16 + 16 * tall)
     for k in range(count):
@@ -110,7 +110,7 @@ def plant(p: Palette, rng: Rng, tall: float = 0.9) -> Model:
     return assemble("potted plant", parts)
 
 
-def trash_can(p: Palette, rng: Rng) -> Model:
+def trash_can(p: Palette, rng: Rng) -> ObjectModel:
     body = paint(pick(rng, ("#4a4d52", p.accents[2], p.accents[3], "#d9d4c8")), 0.3)
     r, h = rng.uniform(0.125, 0.15), rng.uniform(0.30, 0.36)
     profile = [(0, 0), (0.80 * r, 0), (r, h), (r - 0.004, h), (0.80 * r - 0.004, 0.006), (0, 0.006)]
@@ -127,8 +127,8 @@ def trash_can(p: Palette, rng: Rng) -> Model:
     )
 
 
-def basket(p: Palette, rng: Rng) -> Model:
-    """A woven basket with a folded blanket in it."""
+def basket(p: Palette, rng: Rng) -> ObjectModel:
+    """A woven basket with a folded blanket."""
     cane = Material(rgb("#c59a63"), ("basket",), 0.13)
     r, h = rng.uniform(0.17, 0.21), rng.uniform(0.24, 0.30)
     profile = [
@@ -152,8 +152,8 @@ def basket(p: Palette, rng: Rng) -> Model:
     return assemble("basket", parts)
 
 
-def box(p: Palette, rng: Rng) -> Model:
-    """A cardboard box, taped, with its label."""
+def box(p: Palette, rng: Rng) -> ObjectModel:
+    """A cardboard box with tape and label."""
     card = Material(rgb("#b78a58"), ("plaster",), 0.3)
     w, d, h = rng.uniform(0.30, 0.42), rng.uniform(0.24, 0.32), rng.uniform(0.20, 0.28)
     tape = Material(rgb("#d8bd8b"), None, gloss=0.4)
@@ -165,10 +165,10 @@ def box(p: Palette, rng: Rng) -> Model:
         *(block((0.002, 0.05, 0.07), (s * w / 2, 0, h - 0.068), tape, 0.0008) for s in SIDES),
         block((0.11, 0.002, 0.075), (-w * 0.2, -d / 2, h * 0.35), label, 0.0008),
     ]
-    return assemble("box", parts, [Surface(h + 0.004, -w / 2, w / 2, -d / 2, d / 2)])
+    return assemble("box", parts, [RestSurface(h + 0.004, -w / 2, w / 2, -d / 2, d / 2)])
 
 
-def backpack(p: Palette, rng: Rng) -> Model:
+def backpack(p: Palette, rng: Rng) -> ObjectModel:
     shell, trim = cloth(pick(rng, p.accents), 0.15), cloth("#3a3330", 0.15)
     parts = [
         block((0.31, 0.17, 0.44), (0, 0, 0), shell, 0.07, 4),
@@ -181,15 +181,15 @@ def backpack(p: Palette, rng: Rng) -> Model:
     return assemble("backpack", parts)
 
 
-def clock(p: Palette, rng: Rng) -> Model:
-    """A round wall clock: its back is at its largest y."""
+def clock(p: Palette, rng: Rng) -> ObjectModel:
+    """A round wall clock with the back at the largest y."""
     r = rng.uniform(0.14, 0.17)
     rim = ring(r, 0.012, (0, 0, 0), wood(p, rng)).turned(np.pi / 2, 0)
     face = cylinder(r, 0.015, (0, 0, 0), Material((1, 1, 1), ("dial",), 0), 48).turned(np.pi / 2, 0)
     return assemble("clock", [rim, face.moved((0, 0.010, 0))])
 
 
-def alarm_clock(p: Palette, rng: Rng) -> Model:
+def alarm_clock(p: Palette, rng: Rng) -> ObjectModel:
     body = paint(pick(rng, p.accents), 0.4)
     dial = Material((1, 1, 1), ("dial",), 0)
     parts = [
@@ -201,7 +201,7 @@ def alarm_clock(p: Palette, rng: Rng) -> Model:
     return assemble("clock", parts)
 
 
-def teapot(p: Palette, rng: Rng) -> Model:
+def teapot(p: Palette, rng: Rng) -> ObjectModel:
     glaze = Material(rgb(pick(rng, p.accents)), ("speckle",), 0.2, gloss=0.5)
     profile = [
         (0, 0),
@@ -223,7 +223,7 @@ def teapot(p: Palette, rng: Rng) -> Model:
     return assemble("teapot", parts)
 
 
-def candle(p: Palette, rng: Rng) -> Model:
+def candle(p: Palette, rng: Rng) -> ObjectModel:
     h = rng.uniform(0.08, 0.14)
     wax = Material(rgb("#f2e6cc"), ("plaster",), 0.2, gloss=0.15)
     parts = [
@@ -234,7 +234,7 @@ def candle(p: Palette, rng: Rng) -> Model:
     return assemble("candle", parts)
 
 
-def teddy_bear(p: Palette, rng: Rng) -> Model:
+def teddy_bear(p: Palette, rng: Rng) -> ObjectModel:
     fur, pale = cloth(pick(rng, ("#a9774a", "#c49a6c", "#8a5d3b")), 0.08), cloth("#e6cfa8", 0.08)
     eyes = [ball(0.008, (s * 0.026, -0.068, 0.25), BLACK) for s in SIDES]
     parts = [
@@ -251,7 +251,7 @@ def teddy_bear(p: Palette, rng: Rng) -> Model:
     return assemble("teddy bear", parts)
 
 
-def toy_ball(p: Palette, rng: Rng) -> Model:
+def toy_ball(p: Palette, rng: Rng) -> ObjectModel:
     r = rng.uniform(0.09, 0.12)
     a, b = p.accents[int(rng.integers(2))], p.accents[-1]
     parts = [
@@ -261,8 +261,8 @@ def toy_ball(p: Palette, rng: Rng) -> Model:
     return assemble("ball", parts)
 
 
-def picture(p: Palette, rng: Rng, width: float = 0.5, height: float = 0.65) -> Model:
-    """A framed painting: its back is at its largest y."""
+def picture(p: Palette, rng: Rng, width: float = 0.5, height: float = 0.65) -> ObjectModel:
+    """A framed painting with the back at the largest y."""
     frame = wood(p, rng) if rng.random() < 0.6 else BLACK
     art = Material((1, 1, 1), ("picture", int(rng.integers(4)), int(rng.integers(50)), *p.accents[:4]), 0)
     t = 0.022

@@ -10,10 +10,10 @@ from pipeline.synthetic.model import (
     BRASS,
     WHITE,
     Material,
-    Model,
+    ModelPart,
+    ObjectModel,
     Palette,
-    Part,
-    Surface,
+    RestSurface,
     assemble,
     cloth,
     metal,
@@ -29,7 +29,7 @@ Rng = np.random.Generator
 
 def _legs(
     w: float, d: float, h: float, inset: float, radius: float, material: Material, splay: float = 0.0
-) -> list[Part]:
+) -> list[ModelPart]:
     """Four tapered round legs under a w*d top at height h."""
     x, y = w / 2 - inset, d / 2 - inset
     return [
@@ -39,12 +39,12 @@ def _legs(
     ]
 
 
-def _knob(radius: float, at: tuple[float, float, float]) -> Part:
+def _knob(radius: float, at: tuple[float, float, float]) -> ModelPart:
     """A round brass handle on a front."""
     return cylinder(radius, 0.02, (0, 0, 0), BRASS, 14).turned(np.pi / 2, 0).moved(at)
 
 
-def dining_table(p: Palette, rng: Rng) -> Model:
+def dining_table(p: Palette, rng: Rng) -> ObjectModel:
     w, d, h = rng.uniform(1.45, 1.7), rng.uniform(0.85, 0.95), 0.75
     m = wood(p, rng)
     parts = [
@@ -55,10 +55,10 @@ def dining_table(p: Palette, rng: Rng) -> Model:
             block((0.022, d - 0.24, 0.08), (s * (w / 2 - 0.09), 0, h - 0.116), m, 0.003),
         )),
     ]  # fmt: skip
-    return assemble("dining table", parts, [Surface(h, -w / 2, w / 2, -d / 2, d / 2)])
+    return assemble("dining table", parts, [RestSurface(h, -w / 2, w / 2, -d / 2, d / 2)])
 
 
-def desk(p: Palette, rng: Rng) -> Model:
+def desk(p: Palette, rng: Rng) -> ObjectModel:
     w, d, h = rng.uniform(1.35, 1.5), rng.uniform(0.66, 0.72), 0.74
     m, body = wood(p, rng), paint(p.painted)
     x, low = w / 2 - 0.24, h - 0.53 + 0.012
@@ -81,10 +81,10 @@ def desk(p: Palette, rng: Rng) -> Model:
         )),
         block((0.02, d - 0.2, 0.06), (-w / 2 + 0.10, 0, h - 0.09), m, 0.003),
     ]  # fmt: skip
-    return assemble("desk", parts, [Surface(h, -w / 2, w / 2, -d / 2, d / 2)])
+    return assemble("desk", parts, [RestSurface(h, -w / 2, w / 2, -d / 2, d / 2)])
 
 
-def chair(p: Palette, rng: Rng) -> Model:
+def chair(p: Palette, rng: Rng) -> ObjectModel:
     m, seat = wood(p, rng), cloth(pick(rng, p.accents))
     w, d, h, top = 0.45, 0.44, 0.45, rng.uniform(0.80, 0.88)
     parts = [
@@ -113,10 +113,10 @@ def chair(p: Palette, rng: Rng) -> Model:
             rod((x, d / 2 - 0.02, h - 0.01), (x * 1.08, d / 2 + 0.04, top - 0.09), 0.007, m)
             for x in (-0.13 + 0.065 * k for k in range(5))
         ]
-    return assemble("chair", parts, [Surface(h + 0.018, -0.17, 0.17, -0.17, 0.13)])
+    return assemble("chair", parts, [RestSurface(h + 0.018, -0.17, 0.17, -0.17, 0.13)])
 
 
-def stool(p: Palette, rng: Rng) -> Model:
+def stool(p: Palette, rng: Rng) -> ObjectModel:
     m = wood(p, rng)
     h, r = rng.uniform(0.43, 0.48), 0.17
     feet = [(np.cos(a), np.sin(a)) for a in np.deg2rad([45, 135, 225, 315])]
@@ -128,10 +128,10 @@ def stool(p: Palette, rng: Rng) -> Model:
             for (x0, y0), (x1, y1) in zip(feet, feet[1:] + feet[:1], strict=True)
         ),
     ]
-    return assemble("stool", parts, [Surface(h, -0.145, 0.145, -0.145, 0.145)])
+    return assemble("stool", parts, [RestSurface(h, -0.145, 0.145, -0.145, 0.145)])
 
 
-def office_chair(p: Palette, rng: Rng) -> Model:
+def office_chair(p: Palette, rng: Rng) -> ObjectModel:
     dark, seat = metal(p), cloth(pick(rng, p.accents))
     spokes, wheels = [], []
     for k in range(5):
@@ -155,7 +155,7 @@ def office_chair(p: Palette, rng: Rng) -> Model:
     return assemble("office chair", parts)
 
 
-def sofa(p: Palette, rng: Rng, seats: int = 3) -> Model:
+def sofa(p: Palette, rng: Rng, seats: int = 3) -> ObjectModel:
     fabric, m = cloth(p.seat), wood(p, rng)
     w, d, free = 0.64 * seats + 0.36, 0.88, 0.64 * seats / 2
     back = (0, d / 2 - 0.26, 0.45)
@@ -170,15 +170,15 @@ def sofa(p: Palette, rng: Rng, seats: int = 3) -> Model:
         *_legs(w, d, 0.14, 0.09, 0.022, m, 0.02),
     ]  # fmt: skip
     label = "sofa" if seats > 1 else "armchair"
-    return assemble(label, parts, [Surface(0.46, -free, free, -d / 2 + 0.06, d / 2 - 0.37)])
+    return assemble(label, parts, [RestSurface(0.46, -free, free, -d / 2 + 0.06, d / 2 - 0.37)])
 
 
-def armchair(p: Palette, rng: Rng) -> Model:
-    """A sofa of one seat in an accent colour."""
+def armchair(p: Palette, rng: Rng) -> ObjectModel:
+    """An armchair: a sofa with a single seat in an accent colour."""
     return sofa(replace(p, seat=pick(rng, p.accents)), rng, 1)
 
 
-def coffee_table(p: Palette, rng: Rng) -> Model:
+def coffee_table(p: Palette, rng: Rng) -> ObjectModel:
     m = wood(p, rng)
     h = rng.uniform(0.38, 0.43)
     if rng.random() < 0.4:
@@ -188,18 +188,18 @@ def coffee_table(p: Palette, rng: Rng) -> Model:
             *_legs(1.1 * r + 0.1, 1.1 * r + 0.1, h - 0.03, 0.05, 0.024, m, 0.07),
         ]
         k = 0.70 * r
-        return assemble("coffee table", parts, [Surface(h, -k, k, -k, k)])
+        return assemble("coffee table", parts, [RestSurface(h, -k, k, -k, k)])
     w, d = rng.uniform(0.95, 1.15), rng.uniform(0.55, 0.62)
     parts = [
         block((w, d, 0.034), (0, 0, h - 0.034), m, 0.014, 3),
         block((w - 0.2, d - 0.16, 0.018), (0, 0, 0.14), m, 0.006),
         *_legs(w, d, h - 0.03, 0.07, 0.024, m),
     ]
-    below = Surface(0.158, -w / 2 + 0.14, w / 2 - 0.14, -d / 2 + 0.1, d / 2 - 0.1, h - 0.2)
-    return assemble("coffee table", parts, [Surface(h, -w / 2, w / 2, -d / 2, d / 2), below])
+    below = RestSurface(0.158, -w / 2 + 0.14, w / 2 - 0.14, -d / 2 + 0.1, d / 2 - 0.1, h - 0.2)
+    return assemble("coffee table", parts, [RestSurface(h, -w / 2, w / 2, -d / 2, d / 2), below])
 
 
-def bookshelf(p: Palette, rng: Rng) -> Model:
+def bookshelf(p: Palette, rng: Rng) -> ObjectModel:
     m, back = wood(p, rng), paint(p.painted, 0.05)
     w, d, shelves = rng.uniform(0.82, 0.98), 0.30, 5
     pitch = rng.uniform(0.345, 0.375)
@@ -212,12 +212,12 @@ def bookshelf(p: Palette, rng: Rng) -> Model:
         block((w - 0.06, 0.016, 0.045), (0, -d / 2 + 0.03, 0.003), m, 0.002),
     ]
     x = w / 2 - 0.03
-    top = Surface(levels[-1] + 0.022, -x, x, -d / 2 + 0.03, d / 2 - 0.03)
-    boards = [Surface(z + 0.022, -x, x, -d / 2 + 0.015, d / 2 - 0.015, pitch - 0.03) for z in levels[:-1]]
+    top = RestSurface(levels[-1] + 0.022, -x, x, -d / 2 + 0.03, d / 2 - 0.03)
+    boards = [RestSurface(z + 0.022, -x, x, -d / 2 + 0.015, d / 2 - 0.015, pitch - 0.03) for z in levels[:-1]]
     return assemble("bookshelf", parts, [top, *boards])
 
 
-def cabinet(p: Palette, rng: Rng, width: float = 1.5, height: float = 0.74) -> Model:
+def cabinet(p: Palette, rng: Rng, width: float = 1.5, height: float = 0.74) -> ObjectModel:
     """A sideboard on legs with doors and a bank of drawers."""
     m, front = wood(p, rng), paint(p.painted)
     w, d, foot = width, 0.43, 0.15
@@ -238,10 +238,10 @@ def cabinet(p: Palette, rng: Rng, width: float = 1.5, height: float = 0.74) -> M
                 block((bay - 0.012, 0.018, height - foot - 0.06), (x, -d / 2 - 0.006, foot + 0.03), front, 0.004),
                 block((0.010, 0.018, 0.14), (handle, -d / 2 - 0.020, (foot + height) / 2 - 0.05), BRASS, 0.004),
             ]
-    return assemble("cabinet", parts, [Surface(height, -w / 2 + 0.01, w / 2 - 0.01, -d / 2 + 0.01, d / 2 - 0.01)])
+    return assemble("cabinet", parts, [RestSurface(height, -w / 2 + 0.01, w / 2 - 0.01, -d / 2 + 0.01, d / 2 - 0.01)])
 
 
-def wardrobe(p: Palette, rng: Rng) -> Model:
+def wardrobe(p: Palette, rng: Rng) -> ObjectModel:
     m, front = wood(p, rng), paint(p.painted)
     w, d, h = rng.uniform(1.05, 1.2), 0.56, rng.uniform(1.9, 2.0)
     parts = [
@@ -256,10 +256,10 @@ def wardrobe(p: Palette, rng: Rng) -> Model:
             block((0.012, 0.022, 0.22), (s * 0.05, -d / 2 - 0.024, 0.92), BRASS, 0.005),
         )),
     ]  # fmt: skip
-    return assemble("wardrobe", parts, [Surface(h, -w / 2 + 0.05, w / 2 - 0.05, -d / 2 + 0.08, d / 2 - 0.02)])
+    return assemble("wardrobe", parts, [RestSurface(h, -w / 2 + 0.05, w / 2 - 0.05, -d / 2 + 0.08, d / 2 - 0.02)])
 
 
-def bed(p: Palette, rng: Rng) -> Model:
+def bed(p: Palette, rng: Rng) -> ObjectModel:
     m, sheet = wood(p, rng), Material(rgb("#f3efe8"), ("fabric",), 0.3)
     quilt = cloth(pick(rng, p.accents), 0.5)
     w, d = rng.uniform(1.45, 1.62), 2.05
@@ -271,11 +271,11 @@ def bed(p: Palette, rng: Rng) -> Model:
         block((w + 0.02, d * 0.62, 0.235), (0, -d * 0.19 - 0.01, 0.265), quilt, 0.07, 5),
         block((w + 0.03, 0.24, 0.25), (0, d * 0.12 - 0.10, 0.262), sheet, 0.07, 5),
     ]
-    pillows = Surface(0.47, -w / 2 + 0.08, w / 2 - 0.08, d / 2 - 0.62, d / 2 - 0.06)
-    return assemble("bed", parts, [pillows, Surface(0.50, -w / 2 + 0.1, w / 2 - 0.1, -d / 2 + 0.1, d * 0.0)])
+    pillows = RestSurface(0.47, -w / 2 + 0.08, w / 2 - 0.08, d / 2 - 0.62, d / 2 - 0.06)
+    return assemble("bed", parts, [pillows, RestSurface(0.50, -w / 2 + 0.1, w / 2 - 0.1, -d / 2 + 0.1, d * 0.0)])
 
 
-def nightstand(p: Palette, rng: Rng) -> Model:
+def nightstand(p: Palette, rng: Rng) -> ObjectModel:
     m, front = wood(p, rng), paint(p.painted)
     w, d, h = rng.uniform(0.42, 0.48), 0.38, rng.uniform(0.50, 0.56)
     tall = (h - 0.20) / 2
@@ -287,10 +287,10 @@ def nightstand(p: Palette, rng: Rng) -> Model:
             _knob(0.012, (0, -d / 2 - 0.012, z + tall / 2)),
         )),
     ]  # fmt: skip
-    return assemble("nightstand", parts, [Surface(h, -w / 2 + 0.01, w / 2 - 0.01, -d / 2 + 0.02, d / 2 - 0.01)])
+    return assemble("nightstand", parts, [RestSurface(h, -w / 2 + 0.01, w / 2 - 0.01, -d / 2 + 0.02, d / 2 - 0.01)])
 
 
-def wall_shelf(p: Palette, rng: Rng) -> Model:
+def wall_shelf(p: Palette, rng: Rng) -> ObjectModel:
     m, dark = wood(p, rng), metal(p)
     w, d = rng.uniform(0.8, 1.0), 0.21
     parts = [
@@ -300,16 +300,16 @@ def wall_shelf(p: Palette, rng: Rng) -> Model:
             rod((s * w * 0.36, d / 2 - 0.008, 0.01), (s * w * 0.36, -d / 2 + 0.04, 0.10), 0.006, dark),
         )),
     ]  # fmt: skip
-    return assemble("shelf", parts, [Surface(0.13, -w / 2 + 0.02, w / 2 - 0.02, -d / 2 + 0.01, d / 2 - 0.02, 0.6)])
+    return assemble("shelf", parts, [RestSurface(0.13, -w / 2 + 0.02, w / 2 - 0.02, -d / 2 + 0.01, d / 2 - 0.02, 0.6)])
 
 
-def bed_pillow(p: Palette, rng: Rng) -> Model:
+def bed_pillow(p: Palette, rng: Rng) -> ObjectModel:
     """A pillow lying flat."""
     code = ("#f6f2ec", pick(rng, p.accents))[int(rng.random() < 0.35)]
     return assemble("pillow", [pillow((0.60, 0.40, 0.15), (0, 0, 0), cloth(code))])
 
 
-def throw_pillow(p: Palette, rng: Rng) -> Model:
+def throw_pillow(p: Palette, rng: Rng) -> ObjectModel:
     """A square cushion leaning back, as on a sofa."""
     code = pick(rng, p.accents)
     material = cloth(code) if rng.random() < 0.6 else Material((1, 1, 1), ("stripes", 7, code, "#f1e8da"), 0)
@@ -317,8 +317,8 @@ def throw_pillow(p: Palette, rng: Rng) -> Model:
     return assemble("pillow", [part.turned(np.pi / 2 - 0.28, 0)])
 
 
-def rug(p: Palette, rng: Rng, width: float, depth: float) -> Model:
-    """A woven rug, or a round one where width equals depth."""
+def rug(p: Palette, rng: Rng, width: float, depth: float) -> ObjectModel:
+    """A woven rug, round where width equals depth."""
     material = Material((1, 1, 1), ("rug", int(rng.integers(4)), *p.rug), 0)
     if width == depth:
         profile = [(0, 0), (width / 2 - 0.004, 0), (width / 2, 0.006), (width / 2 - 0.004, 0.012), (0, 0.012)]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pipeline.geometry.boxes import Box3D
-from pipeline.synthetic.model import Model, Part, axis_rotation
+from pipeline.synthetic.model import ModelPart, ObjectModel, axis_rotation
 
 FLOOR, WALL = -1, -2
 """What an instance rests on, where that is not another instance."""
@@ -25,7 +25,6 @@ class Instance:
 
     Attributes
     ----------
-    model : Model
     position : (3,) float64
         Where the model's origin (middle of its foot) is, metres, world.
     yaw : float
@@ -34,7 +33,7 @@ class Instance:
         Index of the instance it rests on, or FLOOR, or WALL.
     """
 
-    model: Model
+    model: ObjectModel
     position: np.ndarray
     yaw: float
     support: int
@@ -79,13 +78,8 @@ class Room:
 
     Attributes
     ----------
-    seed : int
-    kind : str
-    width, depth, height : float
-    shell : tuple of Part
+    shell : tuple of ModelPart
         Floor, walls, ceiling, window and door, in world coordinates; not annotated.
-    instances : tuple of Instance
-    focuses : tuple of Focus
     sun : (3,) float64
         Unit vector towards the sun.
     opening : (4,) tuple of float
@@ -97,14 +91,14 @@ class Room:
     width: float
     depth: float
     height: float
-    shell: tuple[Part, ...]
+    shell: tuple[ModelPart, ...]
     instances: tuple[Instance, ...]
     focuses: tuple[Focus, ...]
     sun: np.ndarray
     opening: tuple[float, float, float, float]
 
 
-def part_boxes(model: Model, position: np.ndarray, yaw: float) -> np.ndarray:
+def part_boxes(model: ObjectModel, position: np.ndarray, yaw: float) -> np.ndarray:
     """(P, 7): centre xyz, half size xyz and yaw of the box of each part."""
     low = np.array([part.low for part in model.parts])
     high = np.array([part.high for part in model.parts])
@@ -112,8 +106,8 @@ def part_boxes(model: Model, position: np.ndarray, yaw: float) -> np.ndarray:
     return np.concatenate([centre, (high - low) / 2, np.full((len(low), 1), yaw)], axis=1)
 
 
-def foot_of(model: Model, yaw: float) -> np.ndarray:
-    """(4, 2): the corners of the plan rectangle of the parts that a turned model stands on, about its origin."""
+def foot_of(model: ObjectModel, yaw: float) -> np.ndarray:
+    """Corners (4, 2) of the plan rectangle of a turned model's foot, about the origin."""
     parts = [part for part in model.parts if part.low[2] < 0.01]
     low, high = np.min([part.low[:2] for part in parts], axis=0), np.max([part.high[:2] for part in parts], axis=0)
     corners = np.array([[low[0], low[1]], [low[0], high[1]], [high[0], low[1]], [high[0], high[1]]])
@@ -121,7 +115,7 @@ def foot_of(model: Model, yaw: float) -> np.ndarray:
 
 
 def overlaps(a: np.ndarray, b: np.ndarray, touch: float = TOUCH_M) -> np.ndarray:
-    """(A, B) bool: which upright boxes share more than `touch` metres along every separating axis.
+    """Overlap (A, B) bool of upright boxes by more than `touch` metres along every separating axis.
 
     The separating axis theorem in plan (the two axes of each rectangle) and an interval test in height.
     """
@@ -158,8 +152,8 @@ class Layout:
     rugs: list[int] = field(default_factory=list)
     _boxes: list[np.ndarray] = field(default_factory=list)
 
-    def free(self, model: Model, position: np.ndarray, yaw: float) -> bool:
-        """Whether the model fits there: inside the walls and clear of everything placed."""
+    def free(self, model: ObjectModel, position: np.ndarray, yaw: float) -> bool:
+        """Test whether the model fits inside the walls and clear of everything placed."""
         boxes = part_boxes(model, position, yaw)
         c, s = np.abs(np.cos(yaw)), np.abs(np.sin(yaw))
         middle = position + axis_rotation(yaw, 2) @ ((model.low + model.high) / 2)
@@ -171,14 +165,14 @@ class Layout:
             return False
         return not self._boxes or not overlaps(boxes, np.concatenate(self._boxes)).any()
 
-    def add(self, model: Model, position: np.ndarray, yaw: float, support: int) -> int:
-        """Put the model there without asking; returns its index."""
+    def add(self, model: ObjectModel, position: np.ndarray, yaw: float, support: int) -> int:
+        """Add the model unchecked; returns the index."""
         self.instances.append(Instance(model, position, float(yaw), support))
         self._boxes.append(part_boxes(model, position, yaw))
         return len(self.instances) - 1
 
-    def stand(self, model: Model, x: float, y: float, yaw: float = 0.0) -> int | None:
-        """Put the model on the floor, or on the rug it stands wholly on; None where it does not fit."""
+    def stand(self, model: ObjectModel, x: float, y: float, yaw: float = 0.0) -> int | None:
+        """Stand the model on the floor, or on a rug large enough; None without room."""
         z, support = 0.0, FLOOR
         corners = foot_of(model, yaw) + np.array([x, y])
         for index in self.rugs:
@@ -190,9 +184,9 @@ class Layout:
         return self.add(model, position, yaw, support) if self.free(model, position, yaw) else None
 
     def stand_near(
-        self, model: Model, x: float, y: float, yaw: float = 0.0, wander: float = 0.15, tries: int = 40
+        self, model: ObjectModel, x: float, y: float, yaw: float = 0.0, wander: float = 0.15, tries: int = 40
     ) -> int | None:
-        """`stand` at the first place that is free, searching ever farther around (x, y)."""
+        """Stand at the first free place, searching outwards from (x, y)."""
         for k in range(tries):
             dx, dy = self.rng.uniform(-wander, wander, 2) * (k / 8)
             index = self.stand(model, x + dx, y + dy, yaw)
@@ -202,7 +196,7 @@ class Layout:
 
     def put(
         self,
-        model: Model,
+        model: ObjectModel,
         on: int | None,
         at: tuple[float, float] | None = None,
         yaw: float = 0.0,
@@ -238,8 +232,8 @@ class Layout:
                 return self.add(model, position, base.yaw + yaw, on)
         return None
 
-    def stack(self, model: Model, on: int | None, yaw: float = 0.0) -> int | None:
-        """Rest the model in the middle of the flat top of instance `on`, which is at least as large."""
+    def stack(self, model: ObjectModel, on: int | None, yaw: float = 0.0) -> int | None:
+        """Rest the model on the middle of the top of instance `on`."""
         if on is None:
             return None
         base = self.instances[on]
@@ -247,8 +241,8 @@ class Layout:
         turn = base.yaw + yaw
         return self.add(model, position, turn, on) if self.free(model, position, turn) else None
 
-    def hang(self, model: Model, wall: str, along: float, z: float) -> int | None:
-        """Hang the model on a wall ("back", "left", "right", "front"), its foot at height z."""
+    def hang(self, model: ObjectModel, wall: str, along: float, z: float) -> int | None:
+        """Hang the model on a wall ("back", "left", "right", "front") at height z."""
         x, y, yaw = self._at_wall(wall, along, float(model.high[1]), 0.001)
         position = np.array([x, y, z])
         boxes = part_boxes(model, position, yaw)
@@ -256,13 +250,13 @@ class Layout:
             return None
         return self.add(model, position, yaw, WALL)
 
-    def against(self, model: Model, wall: str, along: float, gap: float = 0.03) -> int | None:
+    def against(self, model: ObjectModel, wall: str, along: float, gap: float = 0.03) -> int | None:
         """Stand the model with its back to a wall."""
         x, y, yaw = self._at_wall(wall, along, float(model.high[1]) + SKIRTING_M + gap, 0.0)
         return self.stand(model, x, y, yaw)
 
     def _at_wall(self, wall: str, along: float, reach: float, gap: float) -> tuple[float, float, float]:
-        """x, y and yaw of what reaches so far back from its origin, and leaves a gap to the wall."""
+        """Position x, y and yaw at a wall for a model of depth `reach`, with a gap."""
         return {
             "back": (along, self.depth - reach - gap, 0.0),
             "left": (reach + gap, along, np.pi / 2),
@@ -270,8 +264,8 @@ class Layout:
             "front": (along, reach + gap, np.pi),
         }[wall]
 
-    def lay_rug(self, model: Model, x: float, y: float, yaw: float = 0.0) -> int | None:
-        """Lay a rug on the floor; what comes later may stand on it."""
+    def lay_rug(self, model: ObjectModel, x: float, y: float, yaw: float = 0.0) -> int | None:
+        """Lay a rug on the floor; later models may stand on the rug."""
         index = self.stand(model, x, y, yaw)
         if index is not None:
             self.rugs.append(index)

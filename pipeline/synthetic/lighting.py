@@ -1,6 +1,5 @@
-"""Light in a room (the sun through the window, a ceiling lamp, one bounce from everything else), and the colour of what
-it falls on: textured and partly glossy surfaces, antialiased and developed for display.
-"""
+"""Lighting of a room (sun through the window, ceiling lamp, a single bounce) and shading: textured, partly glossy,
+antialiased, developed for display."""
 
 from __future__ import annotations
 
@@ -14,8 +13,8 @@ from pipeline.geometry.camera import Camera
 from pipeline.synthetic.raycast import (
     OFFSET_M,
     Looks,
-    Scene,
     Surfaces,
+    TracedRoom,
     find_surfaces,
     looks,
     pixel_rays,
@@ -47,8 +46,8 @@ class LightMap:
     columns: int
 
 
-def sunlight(scene: Scene, s: Surfaces) -> np.ndarray:
-    """Irradiance of the sun: only the window lets it in, so most points are in shade."""
+def sunlight(scene: TracedRoom, s: Surfaces) -> np.ndarray:
+    """Irradiance of the sun through the window."""
     room = scene.room
     sun = room.sun.astype(np.float32)
     cosine = s.normal @ sun
@@ -68,13 +67,13 @@ def sunlight(scene: Scene, s: Surfaces) -> np.ndarray:
     return out
 
 
-def _lamp_place(scene: Scene) -> np.ndarray:
+def _lamp_place(scene: TracedRoom) -> np.ndarray:
     room = scene.room
     return np.array([room.width * 0.48, room.depth * 0.42, room.height - 0.12], dtype=np.float32)
 
 
-def radiance(scene: Scene, look: Looks, start: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Radiance ((N, 3)) that comes back along rays, from mean colours and unshadowed lamp light."""
+def radiance(scene: TracedRoom, look: Looks, start: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Radiance ((N, 3)) along rays, from mean colours and unshadowed lamp light."""
     found = resolve(scene, scene.trace(start, directions), start, directions, round_off=False)
     to_lamp = _lamp_place(scene) - found.position
     square = np.maximum(np.einsum("ij,ij->i", to_lamp, to_lamp), 0.25)
@@ -98,7 +97,7 @@ def sky(directions: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=1)
 def _directions() -> np.ndarray:
-    """(16, BOUNCES, 3) cosine-distributed directions about +z: one set for each cell of a 4x4 tile.
+    """Cosine-distributed directions (16, BOUNCES, 3) about +z: a set per cell of a 4x4 tile.
 
     The points are the R2 low-discrepancy sequence (Roberts 2018); consecutive
     points go to different cells, so any 4x4 window holds the whole sequence.
@@ -110,7 +109,7 @@ def _directions() -> np.ndarray:
     return points.reshape(BOUNCES, 16, 3).transpose(1, 0, 2).astype(np.float32)
 
 
-def light_map(scene: Scene, s: Surfaces, h: int, w: int) -> LightMap:
+def light_map(scene: TracedRoom, s: Surfaces, h: int, w: int) -> LightMap:
     look = looks(scene)
     keep = np.zeros((h, w), dtype=bool)
     keep[::2, ::2] = True
@@ -156,7 +155,7 @@ def light_map(scene: Scene, s: Surfaces, h: int, w: int) -> LightMap:
 
 
 def _tame(light: np.ndarray, position: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """Bring entries much darker or brighter than what is about them closer to it.
+    """Clip entries much darker or brighter than the neighbourhood.
 
     On folds finer than the map no neighbour lies on the same smooth surface,
     so that the noise of an entry's few rays would stay.
@@ -185,7 +184,7 @@ def _smooth(
     reach: tuple[int, int],
     likeness: float,
 ) -> np.ndarray:
-    """Mean over neighbours `step` apart that lie on the same smooth surface.
+    """Mean over neighbours `step` apart on the same smooth surface.
 
     With a `likeness` above 0, only over those whose light is within that share of its own.
     """
@@ -242,8 +241,8 @@ CHUNK = 1 << 16
 """Samples shaded at once: few enough to stay in the processor's cache."""
 
 
-def render_colour(scene: Scene, camera: Camera, surfaces: Surfaces, directions: np.ndarray) -> np.ndarray:
-    """(H, W, 3) uint8 sRGB of what the central rays found, with antialiased edges."""
+def render_colour(scene: TracedRoom, camera: Camera, surfaces: Surfaces, directions: np.ndarray) -> np.ndarray:
+    """Colour (H, W, 3) uint8 sRGB of the central rays, with antialiased edges."""
     h, w = camera.height, camera.width
     lights = light_map(scene, surfaces, h, w)
     v, u = (g.ravel() for g in np.meshgrid(np.arange(h), np.arange(w), indexing="ij"))
@@ -274,7 +273,13 @@ def render_colour(scene: Scene, camera: Camera, surfaces: Surfaces, directions: 
 
 
 def _shade(
-    scene: Scene, camera: Camera, s: Surfaces, directions: np.ndarray, lights: LightMap, v: np.ndarray, u: np.ndarray
+    scene: TracedRoom,
+    camera: Camera,
+    s: Surfaces,
+    directions: np.ndarray,
+    lights: LightMap,
+    v: np.ndarray,
+    u: np.ndarray,
 ) -> np.ndarray:
     """Display colours ((N, 3) float32, sRGB 0..1) of samples at pixels (u, v)."""
     look = looks(scene)

@@ -1,4 +1,4 @@
-"""What a synthetic object is made of: parts, the model that joins them, and the colour schemes of rooms."""
+"""Synthetic objects: parts, models, and colour schemes of rooms."""
 
 from __future__ import annotations
 
@@ -14,37 +14,17 @@ WOODS = {"oak": "#c59a6b", "walnut": "#7d5638", "birch": "#dcbf94", "teak": "#a6
 
 @dataclass(frozen=True)
 class Palette:
-    """One scheme.
-
-    Attributes
-    ----------
-    wall, feature : str
-        sRGB of the walls and of the one wall that differs.
-    floor : str
-        Texture of the floor: planks, herringbone or tiles.
-    floor_tint : str
-    wood : str
-        A key of WOODS.
-    painted : str
-        Painted furniture.
-    seat : str
-        The large upholstered piece.
-    accents : tuple of str
-        Cushions, mugs, pictures, books.
-    rug : tuple of (str, str, str)
-        Ground, figure, accent.
-    metal : str
-    """
+    """A colour scheme."""
 
     wall: str
-    feature: str
-    floor: str
+    feature: str  # sRGB of the walls and of the one wall that differs
+    floor: str  # Texture of the floor: planks, herringbone or tiles
     floor_tint: str
-    wood: str
-    painted: str
-    seat: str
-    accents: tuple[str, ...]
-    rug: tuple[str, str, str]
+    wood: str  # A key of WOODS
+    painted: str  # Painted furniture
+    seat: str  # The large upholstered piece
+    accents: tuple[str, ...]  # Cushions, mugs, pictures, books
+    rug: tuple[str, str, str]  # tuple of (str, str, str): Ground, figure, accent
     metal: str = "#2f3136"
 
 
@@ -108,7 +88,7 @@ PALETTES = (
 
 
 def pick(rng: np.random.Generator, options: tuple[str, ...]) -> str:
-    """One of `options`."""
+    """Random choice of `options`."""
     return options[int(rng.integers(len(options)))]
 
 
@@ -155,42 +135,21 @@ def rgb(hex_code: str) -> tuple[float, float, float]:
 
 @dataclass(frozen=True)
 class Material:
-    """How a part looks.
+    """Appearance of a part."""
 
-    Attributes
-    ----------
-    color : (3,) float
-        Linear reflectance; multiplies the texture.
-    texture : TextureKey or None
-    span : float
-        Metres that one repeat of the texture covers; 0 stretches one copy over the part.
-    gloss : float
-        Strength of the mirror-like highlight, 0..1.
-    emission : float
-        Light given off, as a multiple of the colour.
-    """
-
-    color: tuple[float, float, float]
+    color: tuple[float, float, float]  # (3,) float: Linear reflectance; multiplies the texture
     texture: TextureKey | None = None
-    span: float = 0.5
-    gloss: float = 0.0
-    emission: float = 0.0
+    span: float = 0.5  # Metres that one repeat of the texture covers; 0 stretches one copy over the part
+    gloss: float = 0.0  # Strength of the mirror-like highlight, 0..1
+    emission: float = 0.0  # Light given off, as a multiple of the colour
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """One piece of one material.
+class ModelPart:
+    """A piece of a single material."""
 
-    Attributes
-    ----------
-    vertices : (V, 3) float64
-        Metres, in the model's frame.
-    faces : (F, 3) int32
-    material : Material
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
+    vertices: np.ndarray  # (V, 3) float64: Metres, in the model's frame
+    faces: np.ndarray  # (F, 3) int32
     material: Material
 
     @cached_property
@@ -201,18 +160,18 @@ class Part:
     def high(self) -> np.ndarray:
         return self.vertices.max(axis=0)
 
-    def moved(self, offset: Iterable[float]) -> Part:
-        """The same part shifted by `offset` ((3,), metres)."""
+    def moved(self, offset: Iterable[float]) -> ModelPart:
+        """Part shifted by `offset` ((3,), metres)."""
         return replace(self, vertices=self.vertices + np.asarray(tuple(offset), dtype=np.float64))
 
-    def turned(self, angle: float, axis: int = 2, about: Iterable[float] = (0.0, 0.0, 0.0)) -> Part:
-        """The same part turned by `angle` radians about a coordinate axis through `about`."""
+    def turned(self, angle: float, axis: int = 2, about: Iterable[float] = (0.0, 0.0, 0.0)) -> ModelPart:
+        """Part turned by `angle` radians about a coordinate axis through `about`."""
         origin = np.asarray(tuple(about), dtype=np.float64)
         return replace(self, vertices=(self.vertices - origin) @ axis_rotation(angle, axis).T + origin)
 
 
 @dataclass(frozen=True)
-class Surface:
+class RestSurface:
     """A level rectangle things may rest on, in the model's frame, metres.
 
     `room` is the free height above it.
@@ -227,21 +186,12 @@ class Surface:
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
-    """An object: z up, its front towards -y, standing on z = 0, centred on the z axis.
+class ObjectModel:
+    """An object: z up, front towards -y, standing on z = 0, centred on the z axis."""
 
-    Attributes
-    ----------
-    label : str
-        Class name.
-    parts : tuple of Part
-    surfaces : tuple of Surface
-        Where other things may be put on it, the main one first.
-    """
-
-    label: str
-    parts: tuple[Part, ...]
-    surfaces: tuple[Surface, ...] = ()
+    label: str  # Class name
+    parts: tuple[ModelPart, ...]
+    surfaces: tuple[RestSurface, ...] = ()  # Where other things may be put on it, the main one first
 
     @cached_property
     def low(self) -> np.ndarray:
@@ -267,16 +217,16 @@ class Model:
         return digest.hexdigest()
 
 
-def assemble(label: str, parts: Iterable[Part], surfaces: Iterable[Surface] = ()) -> Model:
+def assemble(label: str, parts: Iterable[ModelPart], surfaces: Iterable[RestSurface] = ()) -> ObjectModel:
     """A model from parts in any frame with z up: recentred over the origin and set on z = 0."""
     parts = tuple(parts)
     low = np.min([part.low for part in parts], axis=0)
     high = np.max([part.high for part in parts], axis=0)
     dx, dy, dz = -(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2]
-    return Model(
+    return ObjectModel(
         label,
         tuple(part.moved((dx, dy, dz)) for part in parts),
-        tuple(Surface(s.z + dz, s.x0 + dx, s.x1 + dx, s.y0 + dy, s.y1 + dy, s.room) for s in surfaces),
+        tuple(RestSurface(s.z + dz, s.x0 + dx, s.x1 + dx, s.y0 + dy, s.y1 + dy, s.room) for s in surfaces),
     )
 
 

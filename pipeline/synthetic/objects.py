@@ -11,9 +11,9 @@ from pipeline.synthetic.model import (
     STEEL,
     WHITE,
     Material,
-    Model,
+    ModelPart,
+    ObjectModel,
     Palette,
-    Part,
     assemble,
     paint,
     pick,
@@ -24,12 +24,12 @@ from pipeline.synthetic.shapes import SIDES, ball, block, cylinder, joined, lath
 Rng = np.random.Generator
 
 
-def _flat(size: tuple[float, float], at: tuple[float, float, float], material: Material) -> Part:
+def _flat(size: tuple[float, float], at: tuple[float, float, float], material: Material) -> ModelPart:
     """A thin printed sheet lying on top of something."""
     return block((*size, 0.0015), at, material, 0.0005)
 
 
-def laptop(p: Palette, rng: Rng) -> Model:
+def laptop(p: Palette, rng: Rng) -> ObjectModel:
     shell = Material(rgb("#b4b7bb"), None, gloss=0.45)
     keys, screen = ("keys", True), ("screen", int(rng.integers(3)))
     w, d = 0.33, 0.23
@@ -52,7 +52,7 @@ def laptop(p: Palette, rng: Rng) -> Model:
     return assemble("laptop", parts)
 
 
-def tv(p: Palette, rng: Rng) -> Model:
+def tv(p: Palette, rng: Rng) -> ObjectModel:
     w = rng.uniform(1.05, 1.22)
     h = w * 0.57
     screen = Material((1, 1, 1), ("screen", 1 + 2 * int(rng.integers(2))), 0, 0.3, 0.5)
@@ -64,7 +64,7 @@ def tv(p: Palette, rng: Rng) -> Model:
     return assemble("tv", parts)
 
 
-def mouse(p: Palette, rng: Rng) -> Model:
+def mouse(p: Palette, rng: Rng) -> ObjectModel:
     body = BLACK if rng.random() < 0.5 else WHITE
     parts = [
         block((0.06, 0.105, 0.036), (0, 0, 0), body, 0.017, 4),
@@ -73,7 +73,7 @@ def mouse(p: Palette, rng: Rng) -> Model:
     return assemble("mouse", parts)
 
 
-def mug(p: Palette, rng: Rng, color: str | None = None) -> Model:
+def mug(p: Palette, rng: Rng, color: str | None = None) -> ObjectModel:
     glaze = Material(rgb(color or pick(rng, p.accents)), ("speckle",), 0.12, gloss=0.5)
     r, h = 0.041, 0.095
     profile = [
@@ -88,14 +88,14 @@ def mug(p: Palette, rng: Rng, color: str | None = None) -> Model:
     ]
     handle = ring(0.027, 0.0062, (0, 0, 0), glaze).turned(np.pi / 2, 0).moved((r + 0.012, 0, h * 0.52))
     keep = handle.vertices[handle.faces][..., 0].max(axis=1) > r - 0.005
-    handle = Part(handle.vertices, handle.faces[keep], glaze)
+    handle = ModelPart(handle.vertices, handle.faces[keep], glaze)
     used = np.unique(handle.faces)
-    handle = Part(handle.vertices[used], np.searchsorted(used, handle.faces).astype(np.int32), glaze)
+    handle = ModelPart(handle.vertices[used], np.searchsorted(used, handle.faces).astype(np.int32), glaze)
     coffee = cylinder(r - 0.0062, 0.002, (0, 0, h * 0.74), Material(rgb("#3a2417"), None, gloss=0.4), 24)
     return assemble("mug", [lathe(profile, (0, 0, 0), glaze), handle, coffee])
 
 
-def bottle(p: Palette, rng: Rng) -> Model:
+def bottle(p: Palette, rng: Rng) -> ObjectModel:
     tint = pick(rng, ("#3f5f49", "#5a3b23", "#33566b", "#7c2f2a"))
     glass = Material(rgb(tint), None, gloss=0.8)
     h = rng.uniform(0.26, 0.31)
@@ -117,7 +117,7 @@ def bottle(p: Palette, rng: Rng) -> Model:
     )
 
 
-def bowl(p: Palette, rng: Rng) -> Model:
+def bowl(p: Palette, rng: Rng) -> ObjectModel:
     """A shallow bowl holding fruit."""
     glaze = Material(rgb(pick(rng, p.accents)), ("speckle",), 0.2, gloss=0.45)
     r, h = rng.uniform(0.125, 0.15), 0.075
@@ -135,15 +135,15 @@ def bowl(p: Palette, rng: Rng) -> Model:
     return assemble("bowl", parts)
 
 
-def plate(p: Palette, rng: Rng) -> Model:
+def plate(p: Palette, rng: Rng) -> ObjectModel:
     r = 0.125
     profile = [(0, 0), (0.07, 0), (0.075, 0.004), (r, 0.018), (r - 0.002, 0.021), (0.078, 0.009), (0, 0.007)]
     band = lathe([(r - 0.016, 0.0195), (r - 0.006, 0.0212)], (0, 0, 0), paint(pick(rng, p.accents), 0.3), 36)
     return assemble("plate", [lathe(profile, (0, 0, 0), WHITE, 36), band])
 
 
-def vase(p: Palette, rng: Rng) -> Model:
-    """A vase with a few stems in it."""
+def vase(p: Palette, rng: Rng) -> ObjectModel:
+    """A vase with a few stems."""
     glaze = Material(rgb(pick(rng, (*p.accents, "#efe9dd"))), ("plaster",), 0.2, gloss=0.35)
     h, r = rng.uniform(0.19, 0.25), rng.uniform(0.055, 0.07)
     profile = [
@@ -175,7 +175,7 @@ def vase(p: Palette, rng: Rng) -> Model:
 BOOK_CODES = ("#7a3b2e", "#2f4b57", "#c9a227", "#56704f", "#e6dcc6", "#a8552f", "#3c3f58", "#8e9aa0", "#b98d7a")
 
 
-def _book_parts(p: Palette, rng: Rng, w: float, d: float, t: float) -> list[Part]:
+def _book_parts(p: Palette, rng: Rng, w: float, d: float, t: float) -> list[ModelPart]:
     """A closed book lying down: spine at -x, cover upwards."""
     code = pick(rng, (*BOOK_CODES, *p.accents))
     cover = Material(
@@ -190,14 +190,14 @@ def _book_parts(p: Palette, rng: Rng, w: float, d: float, t: float) -> list[Part
     ]
 
 
-def book(p: Palette, rng: Rng) -> Model:
+def book(p: Palette, rng: Rng) -> ObjectModel:
     """A book lying flat."""
     w, d, t = rng.uniform(0.14, 0.19), rng.uniform(0.20, 0.26), rng.uniform(0.018, 0.04)
     return assemble("book", _book_parts(p, rng, w, d, t))
 
 
-def standing_book(p: Palette, rng: Rng, tallest: float = 0.27) -> Model:
-    """A book upright on a shelf, its spine to the front."""
+def standing_book(p: Palette, rng: Rng, tallest: float = 0.27) -> ObjectModel:
+    """A book upright on a shelf, spine to the front."""
     w, t = rng.uniform(0.13, 0.19), rng.uniform(0.018, 0.045)
     d = min(rng.uniform(0.18, 0.27), tallest)
     parts = [part.turned(np.pi / 2, 0).turned(np.pi / 2, 2) for part in _book_parts(p, rng, w, d, t)]

@@ -1,4 +1,4 @@
-"""A room as one triangle mesh in Embree, and what rays see in it: where, which way it faces, and of what colour."""
+"""A room as a triangle mesh in Embree, and ray hits: position, normal, colour."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.geometry.camera import Camera
 from pipeline.synthetic import textures
 from pipeline.synthetic.layout import Room
-from pipeline.synthetic.model import Material, Model
+from pipeline.synthetic.model import Material, ObjectModel
 from pipeline.system.errors import MissingExtra, needed
 
 SMOOTH_COS = float(np.cos(np.deg2rad(50)))
@@ -20,54 +20,29 @@ SMOOTH_COS = float(np.cos(np.deg2rad(50)))
 
 @dataclass(frozen=True)
 class Hits:
-    """First hits of N rays.
+    """First hits of N rays."""
 
-    Attributes
-    ----------
-    t : (N,) float32
-        Ray parameter, in lengths of the direction; inf where nothing was hit.
-    face : (N,) int32
-        Index into the scene's triangles, -1 where nothing was hit.
-    u, v : (N,) float32
-        Barycentric weights of the triangle's second and third corner.
-    """
-
-    t: np.ndarray
-    face: np.ndarray
+    t: np.ndarray  # (N,) float32: Ray parameter, in lengths of the direction; inf where nothing was hit
+    face: np.ndarray  # (N,) int32: Index into the scene's triangles, -1 where nothing was hit
     u: np.ndarray
-    v: np.ndarray
+    v: np.ndarray  # (N,) float32: Barycentric weights of the triangle's second and third corner
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
-    """The room ready to be traced. P parts, F triangles.
-
-    Attributes
-    ----------
-    vertices : (V, 3) float64
-        World.
-    faces : (F, 3) int
-    face_part : (F,) int32
-    part_instance : (P,) int32
-        -1 for the shell.
-    part_R, part_t : (P, 3, 3), (P, 3) float32
-        World-from-model pose of the part's instance.
-    part_low, part_high : (P, 3) float32
-        Bounds in the model's frame.
-    materials : tuple of Material, one a part
-    """
+class TracedRoom:
+    """The room ready to be traced. P parts, F triangles."""
 
     room: Room
-    vertices: np.ndarray
-    faces: np.ndarray
-    face_part: np.ndarray
-    part_instance: np.ndarray
+    vertices: np.ndarray  # (V, 3) float64: World
+    faces: np.ndarray  # (F, 3) int
+    face_part: np.ndarray  # (F,) int32
+    part_instance: np.ndarray  # (P,) int32: -1 for the shell
     part_R: np.ndarray
-    part_t: np.ndarray
+    part_t: np.ndarray  # (P, 3, 3), (P, 3) float32: World-from-model pose of the part's instance
     part_low: np.ndarray
-    part_high: np.ndarray
+    part_high: np.ndarray  # (P, 3) float32: Bounds in the model's frame
     materials: tuple[Material, ...]
-    tracer: Tracer
+    tracer: EmbreeScene
 
     @cached_property
     def normals(self) -> tuple[np.ndarray, np.ndarray]:
@@ -86,14 +61,8 @@ class Scene:
         return self.tracer.blocked(origins, directions)
 
 
-class Tracer:
-    """An Embree scene of one triangle mesh.
-
-    Raises
-    ------
-    MissingExtra
-        embreex is not installed.
-    """
+class EmbreeScene:
+    """An Embree scene of a triangle mesh."""
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
         try:
@@ -126,7 +95,7 @@ def _rays(origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 @lru_cache(maxsize=4)
-def build_scene(room: Room) -> Scene:
+def build_scene(room: Room) -> TracedRoom:
     """The room's triangles in world coordinates with everything shading needs; kept for the last rooms."""
     placed = [(-1, part, np.eye(3), np.zeros(3)) for part in room.shell]
     placed += [
@@ -138,7 +107,7 @@ def build_scene(room: Room) -> Scene:
     world = [part.vertices @ R.T + position for _, part, R, position in placed]
     starts = np.cumsum([0, *(len(points) for points in world[:-1])])
     mesh = np.concatenate(world), np.concatenate([p.faces + start for p, start in zip(parts, starts, strict=True)])
-    return Scene(
+    return TracedRoom(
         room,
         *mesh,
         np.repeat(np.arange(len(parts), dtype=np.int32), [len(part.faces) for part in parts]),
@@ -148,7 +117,7 @@ def build_scene(room: Room) -> Scene:
         np.array([part.low for part in parts], dtype=np.float32),
         np.array([part.high for part in parts], dtype=np.float32),
         tuple(part.material for part in parts),
-        Tracer(*mesh),
+        EmbreeScene(*mesh),
     )
 
 
@@ -180,7 +149,7 @@ def _normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def pose_of(camera: Camera) -> np.ndarray:
-    """(4, 4) camera to world of what is rendered; InputError without it."""
+    """Camera-to-world pose (4, 4) for rendering; InputError without a pose."""
     return needed(camera.T_world_camera, "a camera must have a pose to be rendered from", got="T_world_camera=None")
 
 
@@ -195,27 +164,21 @@ def pixel_rays(camera: Camera, v: np.ndarray, u: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(maxsize=256)
-def _model_tracer(model: Model) -> Tracer:
+def _model_tracer(model: ObjectModel) -> EmbreeScene:
     starts = np.cumsum([0, *(len(part.vertices) for part in model.parts[:-1])])
-    return Tracer(
+    return EmbreeScene(
         np.concatenate([part.vertices for part in model.parts]),
         np.concatenate([part.faces + start for part, start in zip(model.parts, starts, strict=True)]),
     )
 
 
 def silhouette(room: Room, index: int, camera: Camera, most: int = 60_000) -> tuple[int, np.ndarray, np.ndarray]:
-    """The unoccluded silhouette of one instance.
+    """Unoccluded silhouette of an instance.
 
     As in the BOP toolkit, it also counts what would fall outside the picture,
     here up to one picture size beyond each edge.
 
-    Returns
-    -------
-    step : int
-        Rays were cast at every `step`-th pixel both ways: 1 unless more than
-        `most` would have been needed.
-    v, u : (N,) int
-        The rows and columns of those that hit.
+    `v, u` (N,) int: The rows and columns of those that hit.
     """
     instance = room.instances[index]
     pose = pose_of(camera)
@@ -245,7 +208,7 @@ OFFSET_M = 2e-3
 
 @dataclass(frozen=True)
 class Looks:
-    """The materials of a scene as arrays, one row a part."""
+    """Materials of a scene as arrays, a row per part."""
 
     color: np.ndarray
     mean: np.ndarray
@@ -259,7 +222,7 @@ class Looks:
 
 @dataclass(frozen=True)
 class Surfaces:
-    """What N rays see: float32, world; `normal` is smoothed, `flat` the triangle's own, both towards the viewer."""
+    """Ray hits (N), float32, world; `normal` is smoothed, `flat` the triangle's, both towards the viewer."""
 
     hit: np.ndarray
     part: np.ndarray
@@ -269,12 +232,12 @@ class Surfaces:
     depth: np.ndarray
 
     def part_of(self, k: slice) -> Surfaces:
-        """What some of the rays see."""
+        """Hits of some of the rays."""
         return Surfaces(self.hit[k], self.part[k], self.position[k], self.normal[k], self.flat[k], self.depth[k])
 
 
 @lru_cache(maxsize=4)
-def looks(scene: Scene) -> Looks:
+def looks(scene: TracedRoom) -> Looks:
     """The scene's materials, with the mean colour of each texture for bounced light."""
     keys: dict[tuple[object, ...], int] = {}
     texture, mean = [], []
@@ -299,13 +262,15 @@ def looks(scene: Scene) -> Looks:
     )
 
 
-def find_surfaces(scene: Scene, camera: Camera, directions: np.ndarray) -> Surfaces:
-    """What the rays from the camera's centre ((N, 3) directions) see first."""
+def find_surfaces(scene: TracedRoom, camera: Camera, directions: np.ndarray) -> Surfaces:
+    """First hits of rays ((N, 3) directions) from the camera's centre."""
     origin = pose_of(camera)[:3, 3].astype(np.float32)
     return resolve(scene, scene.trace(origin, directions), origin, directions)
 
 
-def resolve(scene: Scene, hits: Hits, origin: np.ndarray, directions: np.ndarray, round_off: bool = True) -> Surfaces:
+def resolve(
+    scene: TracedRoom, hits: Hits, origin: np.ndarray, directions: np.ndarray, round_off: bool = True
+) -> Surfaces:
     """The surfaces at hits; without `round_off` their normals are the triangles' own."""
     hit = hits.face >= 0
     face = np.where(hit, hits.face, 0)
@@ -323,7 +288,7 @@ def resolve(scene: Scene, hits: Hits, origin: np.ndarray, directions: np.ndarray
     return Surfaces(hit, scene.face_part.take(face), origin + t[:, None] * directions, normal, flat, t)
 
 
-def reflectance(scene: Scene, look: Looks, s: Surfaces, pixel: float) -> np.ndarray:
+def reflectance(scene: TracedRoom, look: Looks, s: Surfaces, pixel: float) -> np.ndarray:
     """Linear reflectance of each sample, textures projected along the nearest axis of the model's frame."""
     part = s.part
     out = look.color[part]
@@ -360,8 +325,8 @@ def reflectance(scene: Scene, look: Looks, s: Surfaces, pixel: float) -> np.ndar
     return np.minimum(out, 0.95)
 
 
-def _into_model(scene: Scene, part: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """World vectors ((N, 3)) in the axes of their parts' models, which only ever turn about z."""
+def _into_model(scene: TracedRoom, part: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """World vectors ((N, 3)) in model axes; models only turn about z."""
     cosine, sine = scene.part_R[part, 0, 0], scene.part_R[part, 1, 0]
     x, y, z = vectors.T
     return np.stack([cosine * x + sine * y, cosine * y - sine * x, z], axis=1)

@@ -1,4 +1,4 @@
-"""One picture of a room: where a robot would look from, colour, sensed and exact depth, instances and exact boxes."""
+"""Rendering of a room: robot's viewpoint, colour, sensed and exact depth, instances and exact boxes."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera, intrinsics
 from pipeline.synthetic.layout import Focus, Room
 from pipeline.synthetic.lighting import render_colour
-from pipeline.synthetic.raycast import Scene, build_scene, find_surfaces, pixel_rays, pose_of
+from pipeline.synthetic.raycast import TracedRoom, build_scene, find_surfaces, pixel_rays, pose_of
 
 
 @dataclass(frozen=True)
 class RenderedFrame:
-    """A synthetic RGB-D frame with its truth.
+    """A synthetic RGB-D frame with ground truth.
 
     Attributes
     ----------
@@ -28,7 +28,6 @@ class RenderedFrame:
         Index into the room's instances; -1 for the shell and the outside.
     boxes : tuple of Box3D
         The exact box of every instance of the room, in the camera frame.
-    camera : Camera
     """
 
     rgb: np.ndarray
@@ -67,7 +66,7 @@ def render_view(room: Room, camera: Camera, rng: np.random.Generator) -> Rendere
 
 
 def sense_view(room: Room, camera: Camera, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Only the `depth` and the `instances` of `render_view`, many times as fast: colour is what costs.
+    """Sensed depth and instances of a view without colour, many times faster than `render_view`.
 
     Raises
     ------
@@ -115,19 +114,17 @@ def noise_sigma(z: np.ndarray) -> np.ndarray:
 
 
 def sense(exact: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """What the sensor would report of an exact depth map.
+    """Simulate a depth sensor on exact depth.
 
     Parameters
     ----------
     exact : (H, W) float32
         Metres along z; 0 where nothing was hit.
-    rng : numpy.random.Generator
 
     Returns
     -------
     (H, W) float32
-        Metres; 0 where nothing came back: at depth edges, beyond the range, at
-        grazing angles now and then.
+        Metres; 0 where nothing came back: at depth edges, beyond the range, at grazing angles now and then.
     """
     exact = np.asarray(exact, dtype=np.float32)
     valid = exact > 0
@@ -178,7 +175,7 @@ def camera_at(
 
 
 def choose_views(room: Room, count: int, rng: np.random.Generator, width: int = 640, height: int = 480) -> list[Camera]:
-    """`count` cameras, each the best of many tried around one of the room's focuses in turn."""
+    """Choose `count` cameras, each the best of many candidates around the room's focuses in turn."""
     scene = build_scene(room)
     cameras: list[Camera] = []
     for k in range(count):
@@ -203,8 +200,8 @@ def _candidate(room: Room, focus: Focus, rng: np.random.Generator) -> tuple[np.n
     return eye, float(heading), pitch, float(np.deg2rad(rng.uniform(-2, 2)))
 
 
-def _score(scene: Scene, candidate: tuple[np.ndarray, float, float, float]) -> float:
-    """How much there is to see: objects of a fair size, none in the lens's way."""
+def _score(scene: TracedRoom, candidate: tuple[np.ndarray, float, float, float]) -> float:
+    """View score: visible objects of fair size, none close to the lens."""
     camera = camera_at(*candidate, width=PROBE[0], height=PROBE[1])
     v, u = (g.ravel() for g in np.meshgrid(np.arange(PROBE[1]), np.arange(PROBE[0]), indexing="ij"))
     hits = scene.trace(candidate[0], pixel_rays(camera, v, u))

@@ -11,7 +11,7 @@ from pipeline.synthetic import decor as c
 from pipeline.synthetic import furniture as f
 from pipeline.synthetic import objects as o
 from pipeline.synthetic.layout import Focus, Layout, Room
-from pipeline.synthetic.model import PALETTES, Model, Palette, Part, Surface, assemble
+from pipeline.synthetic.model import PALETTES, ModelPart, ObjectModel, Palette, RestSurface, assemble
 from pipeline.synthetic.shell import build_shell, window_opening
 from pipeline.system.errors import require
 
@@ -19,7 +19,7 @@ KINDS = ("study", "dining room", "living room", "bedroom")
 
 
 def make_room(seed: int) -> Room:
-    """The room of this seed; its kind is `KINDS[seed % 4]`. Equal seeds give equal rooms.
+    """Make the furnished room of a seed, of kind `KINDS[seed % 4]`. Equal seeds give equal rooms.
 
     Raises
     ------
@@ -57,7 +57,7 @@ Row = tuple[Any, ...]
 
 
 def _place(room: Layout, p: Palette, *rows: Row) -> None:
-    """Make and place things in turn. A function among their places is asked when its turn comes: it draws a number."""
+    """Make and place things in turn; functions among the places are called on their turn, and draw numbers."""
     for how, make, where, *more in rows:
         how(make(p, room.rng, *more), *(w() if callable(w) else w for w in where))
 
@@ -65,7 +65,7 @@ def _place(room: Layout, p: Palette, *rows: Row) -> None:
 def _book_pile(
     room: Layout, p: Palette, on: int | None, at: tuple[float, float], count: int, surface: int = 0
 ) -> int | None:
-    """Books lying on each other, each no larger than the one below; returns the top one."""
+    """Books lying in a pile, largest lowest; returns the top book."""
     books = sorted((o.book(p, room.rng) for _ in range(count)), key=lambda b: -float(b.size[0]))
     top = room.put(books[0], on, at, _turn(room, 14), surface)
     for book in books[1:]:
@@ -309,8 +309,8 @@ THINGS = 3
 """Boards of a bookshelf that hold something of its own beside their books; one more holds a lying book."""
 
 
-def stocked_bookshelf(p: Palette, rng: Rng) -> Model:
-    """A bookshelf whose rows of books are parts of it.
+def stocked_bookshelf(p: Palette, rng: Rng) -> ObjectModel:
+    """A bookshelf with rows of books as parts.
 
     Its surfaces are the top, then what the books leave free of each board from
     the lowest up. The books of one board end in a lying pile.
@@ -329,19 +329,19 @@ def stocked_bookshelf(p: Palette, rng: Rng) -> Model:
     return assemble(empty.label, parts, free)
 
 
-def stocked_wall_shelf(p: Palette, rng: Rng) -> Model:
-    """A wall shelf with a short row of books as parts of it; its surface is what they leave free."""
+def stocked_wall_shelf(p: Palette, rng: Rng) -> ObjectModel:
+    """A wall shelf with a short row of books as parts; the surface is the free rest."""
     empty = f.wall_shelf(p, rng)
     row, rest = _book_row(p, rng, empty.surfaces[0], 5, FREE_M, 0.05, 0.005, False)
     return assemble(empty.label, [*empty.parts, *row], [rest])
 
 
 def furnish_bookshelf(room: Layout, p: Palette, shelf: int | None) -> None:
-    """Put a few things of their own on the boards: something different on each of most, a book on one."""
+    """Put a different thing on each of most boards, and a book on another."""
     if shelf is None:
         return
     rng = room.rng
-    things: list[Model] = [
+    things: list[ObjectModel] = [
         c.plant(p, rng, 0.26),
         o.bowl(p, rng),
         c.candle(p, rng),
@@ -363,20 +363,20 @@ def furnish_bookshelf(room: Layout, p: Palette, shelf: int | None) -> None:
 
 
 def furnish_wall_shelf(room: Layout, p: Palette, shelf: int | None) -> None:
-    """A small plant and a candle beside the books."""
+    """Put a small plant and a candle next to the books."""
     room.put(c.plant(p, room.rng, 0.24), shelf, (-0.25, 0.0))
     room.put(c.candle(p, room.rng), shelf, (0.75, 0.0))
 
 
 def _book_row(
-    p: Palette, rng: Rng, board: Surface, most: int, keep: float, start: float, back: float, from_right: bool
-) -> tuple[list[Part], Surface]:
-    """Up to `most` upright books along a board from one of its ends.
+    p: Palette, rng: Rng, board: RestSurface, most: int, keep: float, start: float, back: float, from_right: bool
+) -> tuple[list[ModelPart], RestSurface]:
+    """Up to `most` upright books along a board from an end.
 
     They begin `start` from that end, stand `back` from the board's rear edge
     and leave at least `keep` metres free, which is the second result.
     """
-    parts: list[Part] = []
+    parts: list[ModelPart] = []
     reach = start
     for _ in range(most):
         book = o.standing_book(p, rng, min(0.27, board.room - 0.02))
@@ -388,13 +388,13 @@ def _book_row(
         reach += float(thick) + 0.002
     gap = reach + 0.01
     x0, x1 = (board.x0, board.x1 - gap) if from_right else (board.x0 + gap, board.x1)
-    return parts, Surface(board.z, x0, x1, board.y0, board.y1, board.room)
+    return parts, RestSurface(board.z, x0, x1, board.y0, board.y1, board.room)
 
 
-def _lying_pile(p: Palette, rng: Rng, place: Surface) -> list[Part]:
+def _lying_pile(p: Palette, rng: Rng, place: RestSurface) -> list[ModelPart]:
     """Three books lying on each other in the middle of a place, the widest lowest."""
     x, z = (place.x0 + place.x1) / 2, place.z
-    parts: list[Part] = []
+    parts: list[ModelPart] = []
     for book in sorted((o.book(p, rng) for _ in range(3)), key=lambda model: -float(model.size[0])):
         parts += [part.moved((x, (place.y0 + place.y1) / 2, z)) for part in book.parts]
         z += float(book.size[2])

@@ -16,13 +16,13 @@ from pipeline.synthetic import decor as c
 from pipeline.synthetic import furniture as f
 from pipeline.synthetic import objects as o
 from pipeline.synthetic.layout import Layout, Room, overlaps, part_boxes
-from pipeline.synthetic.model import PALETTES, Material, Model, Palette, Part, Surface, assemble, rgb
+from pipeline.synthetic.model import PALETTES, Material, ModelPart, ObjectModel, Palette, RestSurface, assemble, rgb
 from pipeline.synthetic.raycast import build_scene, pixel_rays
 from pipeline.synthetic.render import PROBE, camera_at
 from pipeline.synthetic.shapes import ball, block, cylinder, lathe
 
 Rng = np.random.Generator
-Make = Callable[[Palette, Rng], Model]
+Make = Callable[[Palette, Rng], ObjectModel]
 
 LARGE: tuple[Make, ...] = (
     f.dining_table, f.desk, f.coffee_table, f.sofa, f.armchair, f.bed, f.wardrobe, f.bookshelf, f.cabinet,
@@ -95,7 +95,7 @@ def _furnish_floor(room: Layout, p: Palette) -> None:
 
 
 def _company(room: Layout, p: Palette, of: int | None) -> None:
-    """Now and then something on a thing, beside it or leaning on it."""
+    """Sometimes put a thing on, next to or leaning on another."""
     rng = room.rng
     if of is None:
         return
@@ -112,7 +112,7 @@ def _company(room: Layout, p: Palette, of: int | None) -> None:
 
 
 def _side(room: Layout, of: int) -> tuple[np.ndarray, float, np.ndarray]:
-    """A side of a thing: its direction (3,), the turn of what stands before it, half extents (across, outwards)."""
+    """A side of a thing: direction (3,), turn of things in front, half extents (across, outwards)."""
     base, quarter = room.instances[of], int(room.rng.integers(4))
     half = base.model.size[:2] / 2
     turn = base.yaw + quarter * np.pi / 2
@@ -120,7 +120,7 @@ def _side(room: Layout, of: int) -> tuple[np.ndarray, float, np.ndarray]:
     return outwards, turn, half if quarter % 2 == 0 else half[::-1]
 
 
-def _beside(room: Layout, of: int, model: Model) -> None:
+def _beside(room: Layout, of: int, model: ObjectModel) -> None:
     """Put a model next to a thing, at most a centimetre away."""
     rng = room.rng
     outwards, turn, half = _side(room, of)
@@ -133,7 +133,7 @@ def _beside(room: Layout, of: int, model: Model) -> None:
 
 
 def _lean(room: Layout, on: int) -> None:
-    """Lean a board or a box on a side of a thing: over its upper edge where it is the longer."""
+    """Lean a board or a box on a side of a thing, over the upper edge if longer."""
     rng = room.rng
     outwards, turn, half = _side(room, on)
     base = room.instances[on]
@@ -156,31 +156,31 @@ def _lean(room: Layout, on: int) -> None:
         room.add(model, place, turn, base.support)
 
 
-def _small(p: Palette, rng: Rng) -> Model:
+def _small(p: Palette, rng: Rng) -> ObjectModel:
     if rng.random() < SOLID_SHARE:
         return _solid(rng, 0.03, 0.3)
     return _stretched(SMALL[int(rng.integers(len(SMALL)))](p, rng), rng, 0.7, 1.4)
 
 
-def _stretched(model: Model, rng: Rng, least: float, most: float) -> Model:
+def _stretched(model: ObjectModel, rng: Rng, least: float, most: float) -> ObjectModel:
     """The model with each side of another length."""
     by = np.exp(rng.uniform(np.log(least), np.log(most), 3))
-    parts = [Part(part.vertices * by, part.faces, part.material) for part in model.parts]
+    parts = [ModelPart(part.vertices * by, part.faces, part.material) for part in model.parts]
     surfaces = [
-        Surface(s.z * by[2], s.x0 * by[0], s.x1 * by[0], s.y0 * by[1], s.y1 * by[1], s.room * by[2])
+        RestSurface(s.z * by[2], s.x0 * by[0], s.x1 * by[0], s.y0 * by[1], s.y1 * by[1], s.room * by[2])
         for s in model.surfaces
     ]
     return assemble(model.label, parts, surfaces)
 
 
-def _block(rng: Rng, size: tuple[float, float, float]) -> Model:
+def _block(rng: Rng, size: tuple[float, float, float]) -> ObjectModel:
     w, d, h = size
     part = block(size, (0, 0, 0), PLAIN, 0.05 * min(size))
-    return assemble("block", [part], [Surface(h, -w / 2, w / 2, -d / 2, d / 2)])
+    return assemble("block", [part], [RestSurface(h, -w / 2, w / 2, -d / 2, d / 2)])
 
 
-def _solid(rng: Rng, least: float, most: float) -> Model:
-    """A block, a cylinder (standing or lying), a ball or a cone; its sides are drawn evenly in logarithm."""
+def _solid(rng: Rng, least: float, most: float) -> ObjectModel:
+    """A block, a cylinder (standing or lying), a ball or a cone, with log-uniform sides."""
     w, d, h = (float(x) for x in np.exp(rng.uniform(np.log(least), np.log(most), 3)))
     kind = int(rng.integers(6))
     if kind < 3:
@@ -190,13 +190,13 @@ def _solid(rng: Rng, least: float, most: float) -> Model:
         if rng.random() < 0.3:
             return assemble("cylinder", [standing.turned(np.pi / 2, 0)])
         k = 0.35 * w
-        return assemble("cylinder", [standing], [Surface(h, -k, k, -k, k)])
+        return assemble("cylinder", [standing], [RestSurface(h, -k, k, -k, k)])
     if kind == 4:
         return assemble("ball", [ball(w / 2, (0, 0, 0), PLAIN, (1, 1, rng.uniform(0.6, 1.2)))])
     return assemble("cone", [lathe([(0, 0), (w / 2, 0), (rng.uniform(0, 0.3) * w, h), (0, h)], (0, 0, 0), PLAIN, 24)])
 
 
-def _plain_shell(width: float, depth: float, height: float) -> tuple[Part, ...]:
+def _plain_shell(width: float, depth: float, height: float) -> tuple[ModelPart, ...]:
     """A floor and four walls."""
     t = 0.1
     slabs = [((width + 2 * t, depth + 2 * t, t), (width / 2, depth / 2, -t))]

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from pipeline.synthetic.model import Material, Part
+from pipeline.synthetic.model import Material, ModelPart
 
 Vec = Sequence[float]
 Value = TypeVar("Value")
@@ -35,8 +35,8 @@ def _shell_grid(n: int) -> tuple[np.ndarray, np.ndarray]:
     return np.array(list(index), dtype=np.int64), np.array(faces, dtype=np.int32)
 
 
-def block(size: Vec, at: Vec, material: Material, radius: float = 0.006, steps: int = 1) -> Part:
-    """A box of `size` with rounded edges, its centre in plan at `at[:2]` and its BOTTOM at `at[2]`.
+def block(size: Vec, at: Vec, material: Material, radius: float = 0.006, steps: int = 1) -> ModelPart:
+    """A box of `size` with rounded edges; centre in plan at `at[:2]`, BOTTOM at `at[2]`.
 
     Round edges catch the light, which is what tells furniture from crates; a
     large radius with more steps makes a cushion.
@@ -52,11 +52,11 @@ def block(size: Vec, at: Vec, material: Material, radius: float = 0.006, steps: 
     inner = np.clip(points, -(half - radius), half - radius)
     out = points - inner
     points = inner + radius * out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12)
-    return Part(points + np.array([at[0], at[1], at[2] + half[2]]), faces, material)
+    return ModelPart(points + np.array([at[0], at[1], at[2] + half[2]]), faces, material)
 
 
-def pillow(size: Vec, at: Vec, material: Material) -> Part:
-    """A stuffed cushion: plump in the middle, thin at its seam, its corners drawn out. Placed like `block`."""
+def pillow(size: Vec, at: Vec, material: Material) -> ModelPart:
+    """A stuffed cushion, thin at the seam. Placed like `block`."""
     grid, faces = _shell_grid(15)
     v = grid / 7.0 - 1.0
     x, y = v[:, 0].copy(), v[:, 1].copy()
@@ -65,7 +65,7 @@ def pillow(size: Vec, at: Vec, material: Material) -> Part:
     v[:, 0] = x * (1 - 0.07 * (1 - y**2))
     v[:, 1] = y * (1 - 0.07 * (1 - x**2))
     v = v * np.asarray(size) / 2
-    return Part(v + np.array([at[0], at[1], at[2] + size[2] / 2]), faces, material)
+    return ModelPart(v + np.array([at[0], at[1], at[2] + size[2] / 2]), faces, material)
 
 
 @lru_cache(maxsize=64)
@@ -79,12 +79,12 @@ def _turned_faces(rows: int, sections: int) -> np.ndarray:
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(..., 3): what `np.cross` gives, which takes most of its time to look at the shapes of so few numbers."""
+    """Cross product (..., 3), faster than `np.cross` for few vectors."""
     (ax, ay, az), (bx, by, bz) = (np.moveaxis(v, -1, 0) if v.ndim > 1 else v for v in (a, b))
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], -1)
 
 
-def lathe(profile: Sequence[tuple[float, float]], at: Vec, material: Material, sections: int = 28) -> Part:
+def lathe(profile: Sequence[tuple[float, float]], at: Vec, material: Material, sections: int = 28) -> ModelPart:
     """A body of revolution about the z axis at `at`; `profile` lists (radius, height), metres."""
     rz = np.asarray(profile, dtype=np.float64)
     angles = np.linspace(0, 2 * np.pi, sections, endpoint=False)
@@ -96,11 +96,11 @@ def lathe(profile: Sequence[tuple[float, float]], at: Vec, material: Material, s
     flat = points.reshape(-1, 3)
     first, second, third = flat[faces.T]
     area = np.linalg.norm(_cross(second - first, third - first), axis=1)
-    return Part(flat + np.asarray(at, dtype=np.float64), faces[area > 1e-12].astype(np.int32), material)
+    return ModelPart(flat + np.asarray(at, dtype=np.float64), faces[area > 1e-12].astype(np.int32), material)
 
 
-def cylinder(radius: float, height: float, at: Vec, material: Material, sections: int = 28) -> Part:
-    """An upright cylinder with a softened rim, its bottom centre at `at`."""
+def cylinder(radius: float, height: float, at: Vec, material: Material, sections: int = 28) -> ModelPart:
+    """An upright cylinder with a softened rim and the bottom centre at `at`."""
     bevel = min(0.006, 0.3 * radius, 0.3 * height)
     profile = [
         (0.0, 0.0),
@@ -113,7 +113,7 @@ def cylinder(radius: float, height: float, at: Vec, material: Material, sections
     return lathe(profile, at, material, sections)
 
 
-def rod(start: Vec, end: Vec, radius: float, material: Material, end_radius: float | None = None) -> Part:
+def rod(start: Vec, end: Vec, radius: float, material: Material, end_radius: float | None = None) -> ModelPart:
     """A round bar from `start` to `end`, tapering to `end_radius`."""
     a, b = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
     length = float(np.linalg.norm(b - a))
@@ -122,19 +122,19 @@ def rod(start: Vec, end: Vec, radius: float, material: Material, end_radius: flo
     z = (b - a) / length
     x = _cross(np.array([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [1.0, 0.0, 0.0]), z)
     x /= np.linalg.norm(x)
-    return Part(part.vertices @ np.stack([x, _cross(z, x), z]) + a, part.faces, material)
+    return ModelPart(part.vertices @ np.stack([x, _cross(z, x), z]) + a, part.faces, material)
 
 
-def ball(radius: float, at: Vec, material: Material, squash: Vec = (1, 1, 1)) -> Part:
+def ball(radius: float, at: Vec, material: Material, squash: Vec = (1, 1, 1)) -> ModelPart:
     """A sphere, or an ellipsoid with radii `radius * squash`, centred at `at`: an inflated cube lattice."""
     grid, faces = _shell_grid(11)
     # The tangent evens out the triangles between the middle and the corners of each side.
     points = np.tan((grid / 5.0 - 1.0) * np.pi / 4)
     points /= np.linalg.norm(points, axis=1, keepdims=True)
-    return Part(radius * points * np.asarray(squash) + np.asarray(at), faces, material)
+    return ModelPart(radius * points * np.asarray(squash) + np.asarray(at), faces, material)
 
 
-def ring(major: float, minor: float, at: Vec, material: Material, sections: int = 28, around: int = 10) -> Part:
+def ring(major: float, minor: float, at: Vec, material: Material, sections: int = 28, around: int = 10) -> ModelPart:
     """A torus lying level, centred at `at`."""
     turn = np.linspace(0, 2 * np.pi, sections, endpoint=False)[None, :]
     bend = np.linspace(0, 2 * np.pi, around, endpoint=False)[:, None]
@@ -145,20 +145,22 @@ def ring(major: float, minor: float, at: Vec, material: Material, sections: int 
     after = (column + 1) % sections
     a, b, c, d = (x.ravel() for x in (below + column, below + after, above + after, above + column))
     faces = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])
-    return Part(points.reshape(-1, 3) + np.asarray(at, dtype=np.float64), faces.astype(np.int32), material)
+    return ModelPart(points.reshape(-1, 3) + np.asarray(at, dtype=np.float64), faces.astype(np.int32), material)
 
 
-def sheet(points: np.ndarray, material: Material) -> Part:
+def sheet(points: np.ndarray, material: Material) -> ModelPart:
     """A surface through a grid of points ((M, N, 3), metres), seen from both sides."""
     m, n = points.shape[:2]
     row, column = np.meshgrid(np.arange(m - 1), np.arange(n - 1), indexing="ij")
     a = (row * n + column).ravel()
     faces = np.concatenate([np.stack([a, a + 1, a + n + 1], -1), np.stack([a, a + n + 1, a + n], -1)])
-    return Part(points.reshape(-1, 3).astype(np.float64), faces.astype(np.int32), material)
+    return ModelPart(points.reshape(-1, 3).astype(np.float64), faces.astype(np.int32), material)
 
 
-def leaf(base: Vec, azimuth: float, length: float, width: float, rise: float, droop: float, material: Material) -> Part:
-    """A bent leaf growing from `base`: it leaves at slope `rise` radians and bends down by `droop`."""
+def leaf(
+    base: Vec, azimuth: float, length: float, width: float, rise: float, droop: float, material: Material
+) -> ModelPart:
+    """A bent leaf growing from `base`, starting at slope `rise` radians and bending by `droop`."""
     s = np.linspace(0, 1, 9)
     slope = rise - droop * s
     reach = np.concatenate([[0], np.cumsum(np.cos(slope[:-1]))]) * length / 8
@@ -177,15 +179,15 @@ def leaf(base: Vec, azimuth: float, length: float, width: float, rise: float, dr
     return sheet(points, material)
 
 
-def each(values: Iterable[Value], make: Callable[[Value], Iterable[Part]]) -> list[Part]:
-    """The parts that are made for each value in turn, such as for the left side (-1) and the right one (1)."""
+def each(values: Iterable[Value], make: Callable[[Value], Iterable[ModelPart]]) -> list[ModelPart]:
+    """Parts made for each value in turn, such as the left side (-1) and the right side (1)."""
     return [part for value in values for part in make(value)]
 
 
-def joined(parts: Sequence[Part]) -> Part:
-    """Many pieces of one material as a single part."""
+def joined(parts: Sequence[ModelPart]) -> ModelPart:
+    """Pieces of a single material as a single part."""
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
-    return Part(
+    return ModelPart(
         np.concatenate([part.vertices for part in parts]),
         np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)]).astype(np.int32),
         parts[0].material,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.synthetic.model import BRASS, Material, Palette, Part, rgb
+from pipeline.synthetic.model import BRASS, Material, ModelPart, Palette, rgb
 from pipeline.synthetic.shapes import SIDES, block, cylinder, each, rod, sheet
 
 Rng = np.random.Generator
@@ -22,15 +22,11 @@ def build_shell(
     height: float,
     window: tuple[float, float],
     door: tuple[str, float] | None,
-) -> tuple[Part, ...]:
+) -> tuple[ModelPart, ...]:
     """The unannotated parts of a room.
 
-    Parameters
-    ----------
-    window : (float, float)
-        Middle of the window along the right-hand wall (y, metres) and its width.
-    door : (str, float) or None
-        The wall ("front" or "left") and the place along it.
+    `window` (float, float): Middle of the window along the right-hand wall (y, metres) and its width; `door` (str,
+    float) or None: The wall ("front" or "left") and the place along it.
     """
     w, d, h, t = width, depth, height, WALL_M
     wall = Material(rgb(palette.wall), ("plaster",), 1.3)
@@ -62,8 +58,8 @@ def window_opening(window: tuple[float, float]) -> tuple[float, float, float, fl
 
 def _window_wall(
     w: float, d: float, h: float, window: tuple[float, float], wall: Material, white: Material
-) -> list[Part]:
-    """The right-hand wall around its opening, and the frame in it."""
+) -> list[ModelPart]:
+    """The right-hand wall around the window, with the frame."""
     y, wide = window
     y0, y1, low, high = window_opening(window)
     t, bar = WALL_M, 0.05
@@ -80,7 +76,7 @@ def _window_wall(
     ]
 
 
-def _curtains(w: float, h: float, window: tuple[float, float], palette: Palette) -> list[Part]:
+def _curtains(w: float, h: float, window: tuple[float, float], palette: Palette) -> list[ModelPart]:
     """A rail with a gathered curtain at either side."""
     y, wide = window
     linen = Material(rgb(palette.rug[0]), ("fabric",), 0.2)
@@ -98,8 +94,8 @@ def _curtains(w: float, h: float, window: tuple[float, float], palette: Palette)
     return parts
 
 
-def _door(door: tuple[str, float], white: Material) -> list[Part]:
-    """A panelled door with its frame."""
+def _door(door: tuple[str, float], white: Material) -> list[ModelPart]:
+    """A panelled door with a frame."""
     side, along = door
     wide, tall = 0.86, 2.04
     knob = cylinder(0.022, 0.05, (0, 0, 0), BRASS, 18).turned(np.pi / 2, 0)

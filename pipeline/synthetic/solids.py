@@ -1,4 +1,4 @@
-"""Rooms of another make, to calibrate on: solids met by rays in closed form, with another sensor's errors.
+"""Rooms of analytic solids for calibration: closed-form ray hits, and another sensor's errors.
 
 Nothing of the furnished or scattered rooms is used: neither meshes nor ray caster nor cameras nor noise nor masks.
 A network's probabilities are fitted here, because on rooms of its own training it is surer than anywhere else.
@@ -26,17 +26,11 @@ class Solid:
     """A unit solid under an affine map, world frame with z up, metres.
 
     box: the cube of side 1; cylinder: radius 1 about z, height 1; ball: radius 1. All around the origin.
-
-    Attributes
-    ----------
-    kind : str
-    A : (3, 3) float64
-    t : (3,) float64
     """
 
     kind: Literal["box", "cylinder", "ball"]
-    A: np.ndarray
-    t: np.ndarray
+    A: np.ndarray  # (3, 3) float64
+    t: np.ndarray  # (3,) float64
 
     def reach(self, axes: np.ndarray) -> np.ndarray:
         """(K,) half extents along unit directions ((K, 3)): the support function about `t`."""
@@ -48,7 +42,7 @@ class Solid:
         return np.hypot(along[:, 0], along[:, 1]) + np.abs(along[:, 2]) / 2
 
     def window(self, camera: Camera) -> tuple[slice, slice]:
-        """Rows and columns of the image outside of which the solid cannot be seen."""
+        """Rows and columns of the image bounding the solid."""
         T = pose_of(camera)
         half = {"box": (0.5, 0.5, 0.5), "cylinder": (1, 1, 0.5), "ball": (1, 1, 1)}[self.kind]
         corners = (_CORNERS * half @ self.A.T + self.t - T[:3, 3]) @ T[:3, :3]
@@ -63,7 +57,7 @@ class Solid:
         return slice(low[0], high[0]), slice(low[1], high[1])
 
     def met(self, origin: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """(N,) ray parameter at which each ray enters the solid, inf where it does not."""
+        """Ray parameters (N,) of entry into the solid, inf for misses."""
         inverse = np.linalg.inv(self.A)
         start, along = inverse @ (origin - self.t), directions @ inverse.T
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -95,7 +89,7 @@ def solid(
     kind: Literal["box", "cylinder", "ball"], size: tuple[float, float, float], foot: np.ndarray, yaw: float,
     at: tuple[float, float, float] = (0, 0, 0), lean: float = 0.0,
 ) -> Solid:  # fmt: skip
-    """A solid of that size (along its own axes), its lowest point `at` in the frame of a thing that stands on `foot`.
+    """A solid of a size along own axes, with the lowest point `at` in the frame of a thing on `foot`.
 
     `lean` tilts it backwards (towards +y of the thing), radians.
     """
@@ -141,22 +135,12 @@ def _lump(rng: Rng, foot: np.ndarray, yaw: float, least: float, most: float) -> 
 
 @dataclass(frozen=True, eq=False)
 class SolidView:
-    """A view of a room of solids.
+    """A view of a room of solids."""
 
-    Attributes
-    ----------
-    depth : (H, W) float32
-        Metres with the sensor's errors; 0 where nothing came back.
-    masks : tuple of (H, W) bool
-    camera : Camera
-    things : tuple of Thing
-        That belong to the masks.
-    """
-
-    depth: np.ndarray
-    masks: tuple[np.ndarray, ...]
+    depth: np.ndarray  # (H, W) float32: Metres with the sensor's errors; 0 where nothing came back
+    masks: tuple[np.ndarray, ...]  # tuple of (H, W) bool
     camera: Camera
-    things: tuple[Thing, ...]
+    things: tuple[Thing, ...]  # That belong to the masks
 
     def exact(self, axes: np.ndarray) -> np.ndarray:
         """(N, 2, 3) lo and hi of the whole things along axes ((3, 3), rows, camera frame), from the camera, metres."""
@@ -171,7 +155,7 @@ class SolidView:
 
 
 def solid_view(seed: int, number: int, width: int = 320, height: int = 240, least_pixels: int = 200) -> SolidView:
-    """View `number` of this seed, each of a room of its own; equal arguments give equal views."""
+    """View `number` of the seed, each of a separate room; equal arguments give equal views."""
     rng = np.random.default_rng([seed, 37, number])
     close = rng.random() < 0.35
     things = _table_top(rng) if close else _room(rng)
@@ -196,7 +180,7 @@ def solid_view(seed: int, number: int, width: int = 320, height: int = 240, leas
 
 
 def _apart(thing: Thing, others: list[Thing], share: float = 0.02) -> bool:
-    """Whether the thing's upright box shares less than `share` metres with every other along some axis."""
+    """Test whether upright boxes share less than `share` metres along some axis with every other."""
     low, high = _bounds(thing)
     return all(
         (np.minimum(high, b) - np.maximum(low, a)).min() < share for a, b in (_bounds(other) for other in others)
@@ -232,7 +216,7 @@ def _table_top(rng: Rng) -> list[Thing]:
 
 
 def _on_top(rng: Rng, things: list[Thing], foot: np.ndarray, base: int) -> None:
-    """A thing on another one, which may have a third on it or leaning on it."""
+    """Put a thing on another, perhaps with a third on top or leaning."""
     yaw = rng.uniform(0, np.pi)
     thing, h = _lump(rng, foot, yaw, 0.03, 0.3)
     others = [t for k, t in enumerate(things) if k != base]
@@ -278,7 +262,7 @@ def _camera(rng: Rng, things: list[Thing], close: bool, width: int, height: int)
 
 
 def _sensed(depth: np.ndarray, camera: Camera, rng: Rng) -> np.ndarray:
-    """As a stereo camera gives it: an error of disparity that neighbours share, steps, smeared edges, lost patches."""
+    """Stereo depth: disparity errors shared by neighbours, steps, smeared edges, lost patches."""
     product = camera.fx * 2 * rng.uniform(0.05, 0.1)
     shared = cv2.GaussianBlur(rng.standard_normal(depth.shape), (0, 0), 2.0) * rng.uniform(0.1, 0.6)
     disparity = product / np.maximum(depth, 0.1) + shared + rng.normal(0, 0.05, depth.shape)
@@ -293,7 +277,7 @@ def _sensed(depth: np.ndarray, camera: Camera, rng: Rng) -> np.ndarray:
 
 
 def _outlined(mask: np.ndarray, rng: Rng) -> np.ndarray:
-    """A mask drawn again by its outline, each corner of which is off by a pixel or three."""
+    """Mask redrawn by the outline, with corners off by one to three pixels."""
     contours, _ = cv2.findContours(mask.view(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     grown, jitter = rng.normal(0, 1.2), rng.uniform(0.2, 1.0)
     outlines = [cv2.approxPolyDP(contour, rng.uniform(0.3, 1.5), True) for contour in contours]

@@ -1,4 +1,4 @@
-"""Procedural textures as small periodic pictures with mip levels, and how they are looked up."""
+"""Procedural periodic textures with mip levels, and lookup."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SIZE = 512
 
 @lru_cache(maxsize=256)
 def pyramid(key: TextureKey) -> tuple[np.ndarray, ...]:
-    """The texture named by `key` and its halvings down to 4 pixels: (S, S, 3) float32, linear.
+    """Texture of `key` and halvings down to 4 pixels: (S, S, 3) float32, linear.
 
     Tinted kinds (wood, fabric, ...) have a mean near 1; painted kinds (rug,
     picture, screen, ...) hold the final colours.
@@ -30,7 +30,7 @@ def pyramid(key: TextureKey) -> tuple[np.ndarray, ...]:
 
 
 def sample(key: TextureKey, uv: np.ndarray, footprint: np.ndarray) -> np.ndarray:
-    """Colours ((N, 3) float32) at texture coordinates `uv` ((N, 2), one repeat = 1).
+    """Colours ((N, 3) float32) at texture coordinates `uv` ((N, 2) in repeats).
 
     `footprint` ((N,)) is the width of a pixel in repeats; it selects the mip
     level, so that far floors do not shimmer.
@@ -85,7 +85,7 @@ def _wood() -> np.ndarray:
 
 
 def _planks() -> np.ndarray:
-    """Eight boards across, with staggered ends; one repeat is meant to span 1.2 m."""
+    """Eight boards across, with staggered ends, for a span of 1.2 m."""
     rng = _rng("planks")
     size = SIZE
     out = np.empty((size, size, 3))
@@ -107,7 +107,7 @@ def _planks() -> np.ndarray:
 
 
 def _herringbone() -> np.ndarray:
-    """Blocks of 4 to 1 laid at right angles; one repeat is meant to span 0.9 m."""
+    """Blocks of 4 to 1 at right angles, for a span of 0.9 m."""
     rng = _rng("herringbone")
     n = 8
     cell = SIZE // n
@@ -124,7 +124,7 @@ def _herringbone() -> np.ndarray:
 
 
 def _tiles() -> np.ndarray:
-    """Four by four square tiles with pale joints; one repeat is meant to span 1.6 m."""
+    """Four by four square tiles with pale joints, for a span of 1.6 m."""
     rng = _rng("tiles")
     cell = SIZE // 4
     tone = np.kron(1 + 0.05 * rng.standard_normal((4, 4)), np.ones((cell, cell)))
@@ -140,7 +140,7 @@ def _plaster() -> np.ndarray:
 
 
 def _fabric() -> np.ndarray:
-    """A plain weave; one repeat is meant to span 0.25 m."""
+    """A plain weave, for a span of 0.25 m."""
     rng = _rng("fabric")
     k = np.arange(SIZE)
     weave = np.sin(2 * np.pi * k * 48 / SIZE)[:, None] * np.sin(2 * np.pi * k * 48 / SIZE)[None, :]
@@ -148,7 +148,7 @@ def _fabric() -> np.ndarray:
 
 
 def _basket() -> np.ndarray:
-    """Woven cane; one repeat is meant to span 0.16 m."""
+    """Woven cane, for a span of 0.16 m."""
     rng = _rng("basket")
     n = 8
     cell = SIZE // n
@@ -239,7 +239,7 @@ def _picture(style: int, seed: int, *colours: str) -> np.ndarray:
 
 
 def _screen(seed: int) -> np.ndarray:
-    """A desktop: a graded wallpaper with two windows on it, or hills at dusk."""
+    """A desktop: a graded wallpaper with two windows, or hills at dusk."""
     rng = _rng("screen", seed)
     y, x = np.meshgrid(np.linspace(0, 1, SIZE), np.linspace(0, 1, SIZE), indexing="ij")
     top, bottom = (("#2b4a78", "#d88a6a"), ("#1f5d6b", "#9ccbb5"), ("#39386b", "#c97b94"))[seed % 3]

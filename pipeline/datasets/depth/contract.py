@@ -1,4 +1,4 @@
-"""What a TOML file says of a network that estimates depth, the networks that are known, and which one a file is."""
+"""Contracts of depth networks in TOML: known networks, and recognition of a model file."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
-from pipeline.geometry.picture_input import PictureInput, Side, Table, read_description
+from pipeline.geometry.picture_input import ContractTable, PictureInput, Side, read_description
 from pipeline.system.errors import InputError, needed
 from pipeline.system.model_files import known_models, parse_hub_id, resolve_model
 from pipeline.system.onnx_session import open_session, signature
@@ -30,7 +30,7 @@ REFUSED = {
 
 
 class DepthInput(PictureInput):
-    """The input of the picture; a side that neither the model nor `size` fixes follows the picture's."""
+    """Input of the picture; a side fixed by neither model nor `size` follows the picture."""
 
     shortest: Side | None = None
     """The shorter side is made so long."""
@@ -42,8 +42,8 @@ class DepthInput(PictureInput):
     """More inputs, each one number; one that the model does not have is left out."""
 
 
-class DepthOutput(Table):
-    """The outputs, and what makes metres of them: nothing, `canonical_focal`, `focal`, or `scale` with `points`."""
+class DepthOutput(ContractTable):
+    """Outputs, and the way to metres: none, `canonical_focal`, `focal`, or `scale` with `points`."""
 
     depth: str | None = None
     """Depth along the camera's z axis."""
@@ -71,7 +71,7 @@ class DepthOutput(Table):
         return self
 
 
-class DepthContract(Table):
+class DepthContract(ContractTable):
     """The whole of the file."""
 
     input: DepthInput = DepthInput()
@@ -81,13 +81,13 @@ class DepthContract(Table):
 
     @property
     def gives_focal(self) -> bool:
-        """Whether the network says the focal length too."""
+        """Test whether the network estimates the focal length."""
         return self.output.points is not None or self.output.focal is not None
 
 
 @dataclass(frozen=True)
 class NamedContract:
-    """A network's name, its file, and what is known of it; `described` is the TOML file to blame."""
+    """A network by name: model file, contract, and the TOML file for errors."""
 
     name: str
     path: Path
@@ -96,29 +96,23 @@ class NamedContract:
 
 
 def network_names() -> tuple[str, ...]:
-    """The networks that are known."""
+    """Names of the known depth networks."""
     return tuple(sorted(path.stem for path in CONTRACTS.glob("*.toml")))
 
 
 @lru_cache(maxsize=16)
 def known_contract(name: str) -> DepthContract:
-    """What is known of a network."""
+    """Contract of a known depth network."""
     return read_contract(CONTRACTS / f"{name}.toml")
 
 
 def read_contract(path: Path) -> DepthContract:
-    """What a TOML file says of a network; InputError where it cannot be read, or a key is unknown, missing or wrong."""
+    """Read a network's TOML file; InputError for an unknown, missing or wrong key."""
     return read_description(path, DepthContract, "depth model")
 
 
 def find_network(given: str) -> NamedContract:
-    """The network that a person means: NAME, NAME=FILE, FILE or an id of the model hub; fetched where it must be.
-
-    Raises
-    ------
-    InputError
-        It is not used (and why), cannot be had, or nothing says what its tensors mean.
-    """
+    """Find a depth network from NAME, NAME=FILE, FILE or a model hub id, fetched if needed."""
     asked = (given if parse_hub_id(given) else Path(given).name).lower()
     for part, why in REFUSED.items():
         if part in asked:
@@ -160,14 +154,14 @@ def _fetched(name: str) -> Path:
 
 
 def recognised(session: Any) -> str | None:
-    """The known network whose outputs an open file has, and no other has."""
+    """Known network with outputs unlike any other network's."""
     outputs = {o.name for o in session.get_outputs()}
     found = (n for n in network_names() if (by := known_contract(n).recognised_by) and outputs.issuperset(by))
     return next(found, None)
 
 
 def _recognised(path: Path) -> str:
-    """The network whose outputs no other has; InputError where it is none."""
+    """Known network by unique outputs; InputError without a match."""
     session = open_session(path)
     return needed(
         recognised(session),

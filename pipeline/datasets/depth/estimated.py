@@ -1,4 +1,4 @@
-"""A dataset whose depth a network estimates: in place of what a sensor measured, or where there is colour alone."""
+"""Depth estimated by a network in place of, or without, measured depth."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import xxhash
 
 from pipeline.datasets.base import ChangedFrames, Dataset, dataset_notes, readable_frames
-from pipeline.datasets.depth.estimator import DepthModel, Estimate
+from pipeline.datasets.depth.estimator import DepthEstimate, DepthModel
 from pipeline.datasets.settings import INTRINSICS
 from pipeline.geometry.frame import Frame
 from pipeline.system.errors import InputError
@@ -20,21 +20,7 @@ from pipeline.system.whole_files import keep_whole
 
 
 class EstimatedDepth(ChangedFrames):
-    """A dataset with estimated depth, kept on disk by the picture, the network and the camera.
-
-    Parameters
-    ----------
-    inner : Dataset
-        Opened with `Settings.estimated`: of frames without depth it gives a stand-in.
-    model : DepthModel
-    browse : bool
-        Frames are only looked at: a camera that nothing tells stays one that is made up.
-
-    Raises
-    ------
-    InputError
-        Nothing tells the focal length: no file, no EXIF, no option, nor the network.
-    """
+    """A dataset with estimated depth, kept on disk by the picture, the network and the camera."""
 
     def __init__(self, inner: Dataset, model: DepthModel, browse: bool) -> None:
         super().__init__(inner)
@@ -46,7 +32,7 @@ class EstimatedDepth(ChangedFrames):
                 self._known(frame)
 
     def changed(self, frame: Frame) -> Frame:
-        """A frame of the reader with its depth estimated; raises as `DepthModel.estimate`."""
+        """Frame with estimated depth."""
         camera, K = frame.camera, self._known(frame)
         made_up = K is None and not self.model.contract.gives_focal
         found = self._estimate(frame, camera.K if made_up else K)
@@ -65,7 +51,7 @@ class EstimatedDepth(ChangedFrames):
             raise InputError(str(error), path=self.model.path) from error
 
     def _known(self, frame: Frame) -> np.ndarray | None:
-        """The camera that is known without the network; InputError where nobody can tell it."""
+        """Camera known without the network; InputError where unknown."""
         if INTRINSICS not in frame.camera.untold:
             return frame.camera.K
         if not self.browse and not self.model.contract.gives_focal:
@@ -77,8 +63,8 @@ class EstimatedDepth(ChangedFrames):
             )
         return None
 
-    def _estimate(self, frame: Frame, K: np.ndarray | None) -> Estimate:
-        """The estimate, from the disk where it was made before."""
+    def _estimate(self, frame: Frame, K: np.ndarray | None) -> DepthEstimate:
+        """Depth estimate, from disk where cached."""
         parts = (frame.content_hash, self.model.fingerprint, "" if K is None else K.tobytes().hex())
         key = xxhash.xxh3_128_hexdigest("\x1f".join(parts).encode())
         path = cache_folder() / "depth" / key[:2] / f"{key}.npz"
@@ -89,13 +75,13 @@ class EstimatedDepth(ChangedFrames):
         return found
 
 
-def _store(file: Any, found: Estimate) -> None:
+def _store(file: Any, found: DepthEstimate) -> None:
     np.savez_compressed(file, depth=found.depth, K=np.zeros(0) if found.K is None else found.K)
 
 
-def _load(path: Path) -> Estimate | None:
+def _load(path: Path) -> DepthEstimate | None:
     try:
         with np.load(path, allow_pickle=False) as data:
-            return Estimate(data["depth"], data["K"] if data["K"].size else None)
+            return DepthEstimate(data["depth"], data["K"] if data["K"].size else None)
     except Exception:  # A file may be missing; damaged ones fail in zipfile, zlib, tokenize or NumPy, each in its way.
         return None

@@ -1,4 +1,4 @@
-"""One network that estimates depth: a picture through it, and metres of what it gives."""
+"""A depth network: inference, and conversion to metres."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.datasets.depth.contract import NamedContract, find_network
 from pipeline.geometry.camera import intrinsics
-from pipeline.geometry.picture_input import Placement, checked_input, checked_outputs, place_picture
+from pipeline.geometry.picture_input import InputPlacement, checked_input, checked_outputs, place_picture
 from pipeline.system.errors import require
 from pipeline.system.onnx_session import model_hash, open_session, run_session
 
@@ -22,29 +22,17 @@ SAMPLES = 64
 
 
 @dataclass(frozen=True)
-class Estimate:
-    """What a network makes of a picture.
+class DepthEstimate:
+    """Depth estimate of a picture."""
 
-    Attributes
-    ----------
-    depth : (H, W) float32
-        Metres along the camera's z axis; 0 where the network sees nothing.
-    K : (3, 3) float64 or None
-        The network's own camera, pixels of the picture, where it was not told one and gives one.
-    """
-
-    depth: np.ndarray
+    depth: np.ndarray  # (H, W) float32: Metres along the camera's z axis; 0 where the network sees nothing
     K: np.ndarray | None
+    """(3, 3) float64 or None: The network's own camera, pixels of the picture, where it was not told one and gives
+    one."""
 
 
 class DepthModel:
-    """A network as its TOML file describes it.
-
-    Raises
-    ------
-    InputError
-        The file is no such network: the input or output that it lacks.
-    """
+    """A depth network described by a TOML file."""
 
     def __init__(self, network: NamedContract) -> None:
         self.name, self.path, self.contract = network.name, network.path, network.contract
@@ -64,28 +52,19 @@ class DepthModel:
 
     @cached_property
     def fingerprint(self) -> str:
-        """What its estimates depend on, besides the picture and the camera."""
+        """Cache key of the estimates, besides picture and camera."""
         return f"{VERSION}:{model_hash(self.path)}:{self.contract.model_dump_json()}"
 
     @property
     def metres_by(self) -> str:
-        """Where the metres come from, in words."""
+        """Origin of the metres, in words."""
         by_focal = self.contract.output.canonical_focal is not None
         return "metres by the focal length" if by_focal else "metres as it learnt them"
 
-    def estimate(self, rgb: np.ndarray, K: np.ndarray | None) -> Estimate:
+    def estimate(self, rgb: np.ndarray, K: np.ndarray | None) -> DepthEstimate:
         """The depth of a picture.
 
-        Parameters
-        ----------
-        rgb : (H, W, 3) uint8
-        K : (3, 3) float64 or None
-            Its camera, where it is known.
-
-        Raises
-        ------
-        InputError
-            The network cannot be run, gives NaN or other shapes than it should, or needs a camera.
+        `rgb` (H, W, 3) uint8; `K` (3, 3) float64 or None: Its camera, where it is known.
         """
         height, width = rgb.shape[:2]
         tensor, placement = place_picture(rgb, *self._size(height, width), self.contract.input)
@@ -117,11 +96,11 @@ class DepthModel:
             focal = self._number(found["focal"]) / placement.scale_x
             own = _centred(focal, height, width) if K is None else None
             metres = metres if K is None else metres * (K[0, 0] / focal)
-        return Estimate(_resized(metres, seen, height, width), own)
+        return DepthEstimate(_resized(metres, seen, height, width), own)
 
     def _of_points(
         self, points: np.ndarray, seen: np.ndarray, scale: float, size: tuple[int, int], K: np.ndarray | None
-    ) -> Estimate:
+    ) -> DepthEstimate:
         height, width = size
         rows, columns = points.shape[:2]
         seen = np.isfinite(points).all(axis=2) & seen
@@ -134,7 +113,7 @@ class DepthModel:
         usable = np.isfinite(focal) and focal > 0
         require(usable, "the network's points are of no camera", got=f"focal length {focal:.3g}", path=self.path)
         depth = _resized((points[..., 2] + shift) * scale, seen, height, width)
-        return Estimate(depth, _centred(focal, height, width) if K is None else None)
+        return DepthEstimate(depth, _centred(focal, height, width) if K is None else None)
 
     def _size(self, height: int, width: int) -> tuple[int, int]:
         """Height and width of the input for a picture."""
@@ -151,8 +130,8 @@ class DepthModel:
             fixed_width or max(step, round(width * scale / step) * step),
         )
 
-    def _inside(self, value: np.ndarray, placement: Placement, size: tuple[int, int]) -> np.ndarray:
-        """The part of an output map, (H, W) or (H, W, 3), that shows the picture, in the map's own pixels."""
+    def _inside(self, value: np.ndarray, placement: InputPlacement, size: tuple[int, int]) -> np.ndarray:
+        """Crop of an output map, (H, W) or (H, W, 3), to the picture, in pixels of the map."""
         shape = value.shape[-3:] if value.shape[-1] == 3 and value.ndim > 3 else value.shape[-2:]
         require(
             len(shape) >= 2 and value.size == np.prod(shape), "the network's output is no map of the picture",
@@ -175,24 +154,11 @@ class DepthModel:
 
 
 def focal_and_shift(points: np.ndarray, away: np.ndarray, focal: float | None) -> tuple[float, float]:
-    """Focal length, and what z lacks, with which points are seen where they are: the least squares over the pixels of
-    focal * xy / (z + shift) - away, as `moge/utils/geometry_numpy.py` of microsoft/MoGe (MIT) poses it.
+    """Focal length and shift of z by least squares of focal * xy / (z + shift) - away, as in
+    `moge/utils/geometry_numpy.py` of microsoft/MoGe (MIT).
 
-    Parameters
-    ----------
-    points : (N, 3) float
-        Right up to the shift of z, and a scale.
-    away : (N, 2) float
-        Where they are seen, pixels from the principal point.
-    focal : float or None
-        Where it is known, pixels; only the shift is then found.
-
-    Returns
-    -------
-    focal : float
-        NaN where there are too few points.
-    shift : float
-        In the points' unit.
+    `points` (N, 3) float: Right up to the shift of z, and a scale; `away` (N, 2) float: Where they are seen, pixels
+    from the principal point; `focal`: where it is known, pixels; only the shift is then found.
     """
     if len(points) < 3:
         return float("nan") if focal is None else focal, 0.0
@@ -218,7 +184,7 @@ def _centred(focal: float, height: int, width: int) -> np.ndarray:
 
 
 def _resized(metres: np.ndarray, seen: np.ndarray, height: int, width: int) -> np.ndarray:
-    """(height, width) float32 depth, linear between the pixels that have one; 0 where most of the weight has none."""
+    """Resized depth (height, width) float32, linear between valid pixels; 0 where mostly invalid."""
     with np.errstate(invalid="ignore"):
         good = np.isfinite(metres) & (metres > 0) & seen
     weight = cv2.resize(good.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
@@ -233,7 +199,7 @@ def _opened(given: str, path: Path, changed: int) -> DepthModel:
 
 
 def open_depth_model(given: str) -> DepthModel:
-    """The network of `--depth-model`, opened once while its file is the same; raises as `find_network`."""
+    """Open the network of `--depth-model`, once per file version."""
     network = find_network(given)
     require(network.path.is_file(), "there is no model file", path=network.path)
     return _opened(given, network.path.absolute(), network.path.stat().st_mtime_ns)

@@ -1,1 +1,1 @@
-"""What may be wrong with a recording's unit of depth, camera, poses, registration and up, and what mends it."""
+"""Diagnosis of a recording's depth unit, camera, poses, registration and up, with fixes."""

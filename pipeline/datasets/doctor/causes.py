@@ -1,4 +1,4 @@
-"""What may be wrong with a camera or with poses and is no number: the list of what is tried.
+"""Candidate causes other than numbers: pose conventions and principal points.
 
 A cause is what is kept where it is true. Frames are read with it (`Seen.mended`), and their views compared with those
 that were read, so that what is tried is what is mended. Another one, such as pictures that are mirrored, is one more
@@ -26,28 +26,18 @@ SWAPPED, MIDDLE = "cx and cy swapped", "principal point in the middle"
 
 @dataclass(frozen=True)
 class Cause:
-    """One thing that may be wrong.
+    """A candidate fault and the settings to fix it."""
 
-    Attributes
-    ----------
-    about : str
-        What it is of, one of `trying.SUBJECTS`; "" where nothing is wrong.
-    words : str
-        What is true then.
-    mend : dict
-        What `Seen.mended` takes.
-    """
-
-    about: str
-    words: str
-    mend: Mapping[str, Any] = field(default_factory=dict, compare=False)
+    about: str  # What it is of, one of `trying.SUBJECTS`; "" where nothing is wrong
+    words: str  # What is true then
+    mend: Mapping[str, Any] = field(default_factory=dict, compare=False)  # What `Seen.mended` takes
 
 
 AS_READ = Cause("", "")
 
 
 def causes(seen: Seen) -> tuple[Cause, ...]:
-    """All that are tried of frames, but for the time of their poses."""
+    """Candidate causes for frames, except pose time shifts."""
     K, (height, width) = seen.intrinsics, seen.frames[0].depth.shape
     found = [] if K is None else other_centers(K, (height, width))
     found += [Cause("poses", f"poses are {name}", {"poses": name}) for name in CONVENTIONS if name != STANDARD]
@@ -55,7 +45,7 @@ def causes(seen: Seen) -> tuple[Cause, ...]:
 
 
 def other_centers(K: np.ndarray, size: tuple[int, int]) -> list[Cause]:
-    """What else (3, 3) intrinsics may mean for pictures of (height, width) by their principal point."""
+    """Other readings of (3, 3) intrinsics by principal point, for pictures of (height, width)."""
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     middle = (size[1] - 1) / 2, (size[0] - 1) / 2
     found = [(SWAPPED, (fx, fy, cy, cx)), (MIDDLE, (fx, fy, *middle))]
@@ -66,6 +56,6 @@ def other_centers(K: np.ndarray, size: tuple[int, int]) -> list[Cause]:
 
 
 def late(shift: int) -> Cause:
-    """Poses that stand some places later."""
+    """Cause of poses shifted by `shift` places."""
     when = f"poses are of frames {counted(abs(shift), 'place')} {'later' if shift > 0 else 'earlier'}"
     return Cause("time", when, {"pose_shift": shift})

@@ -1,4 +1,4 @@
-"""Examining a recording: its frames chosen and read, every subject judged, and what would mend it."""
+"""Examination of a recording: choice of frames, judgement of every subject, fixes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.datasets.base import Dataset, load_picture, readable_frames, scene_of
 from pipeline.datasets.doctor.landing import OfLanding
 from pipeline.datasets.doctor.registering import OfOutlines
-from pipeline.datasets.doctor.search import Search
+from pipeline.datasets.doctor.search import PosedViews
 from pipeline.datasets.doctor.seen import Seen
 from pipeline.datasets.doctor.trying import Opinion, Suspicion, diagnosed
 from pipeline.datasets.doctor.units import OfSizes
@@ -39,30 +39,19 @@ registration of what is mended so far, and up, which mended poses carry."""
 
 @dataclass(frozen=True)
 class Ranked:
-    """A hypothesis that was tried.
+    """A tried hypothesis."""
 
-    Attributes
-    ----------
-    words : str
-        What it says is wrong.
-    score : float
-        Share of the points that land.
-    as_good : bool
-        Whether the best is not surely better.
-    """
-
-    words: str
-    score: float
-    as_good: bool
+    words: str  # What it says is wrong
+    score: float  # Share of the points that land
+    as_good: bool  # Whether the best is not surely better
 
 
 @dataclass(frozen=True)
 class Examination:
-    """What was found.
+    """Findings on a recording.
 
     Attributes
     ----------
-    root : Path
     frames : tuple of str
         Those that were looked at.
     pairs : int
@@ -85,12 +74,12 @@ class Examination:
 
     @property
     def mends(self) -> dict[str, Any]:
-        """What `write_settings` is to keep."""
+        """Settings for `write_settings`."""
         return {key: value for opinion in self.opinions for key, value in opinion.mend.items()}
 
     @property
     def wrong(self) -> tuple[Opinion, ...]:
-        """What is wrong."""
+        """Opinions with state "wrong"."""
         return tuple(opinion for opinion in self.opinions if opinion.state == "wrong")
 
     def of(self, about: str) -> Opinion:
@@ -98,7 +87,7 @@ class Examination:
         return next(opinion for opinion in self.opinions if opinion.about == about)
 
     def record(self) -> dict[str, Any]:
-        """What `spatialviz doctor --json` prints."""
+        """Findings as JSON, for `spatialviz doctor --json`."""
         tried = [
             {"hypothesis": one.words, "score": round(one.score, 4), "as_good": one.as_good} for one in self.hypotheses
         ]
@@ -110,11 +99,10 @@ class Examination:
 
 
 def examine(path: str | Path, **camera: Any) -> Examination:
-    """Look for what is wrong with a recording; nothing is written.
+    """Examine a recording for faults, without writing.
 
     Parameters
     ----------
-    path : str or Path
     camera : dict
         What `open_dataset` takes of it, from `intrinsics` to `registration`.
 
@@ -145,7 +133,7 @@ def examine(path: str | Path, **camera: Any) -> Examination:
 
 
 def _units(path: str | Path, told: dict[str, Any], frame: Frame) -> float | None:
-    """Depth units in a metre as a reader takes them, found by telling it others; None where it takes no telling."""
+    """Depth units per metre of the reader, found by trial settings; None where the reader ignores them."""
     for unit in TRIED_UNITS:
         try:
             other = open_dataset(path, **{**told, "depth_scale": unit}).load(frame.id).depth
@@ -158,7 +146,7 @@ def _units(path: str | Path, told: dict[str, Any], frame: Frame) -> float | None
 
 
 def chosen_frames(dataset: Dataset) -> list[Frame]:
-    """Some frames of some scenes, spread so that near and far ones are among them; broken ones are left out."""
+    """Choose frames of some scenes, near and far apart; broken frames are left out."""
     scenes: defaultdict[str, list[str]] = defaultdict(list)
     for frame_id in dataset.frame_ids:
         scenes[scene_of(dataset, frame_id)].append(frame_id)
@@ -170,7 +158,7 @@ def chosen_frames(dataset: Dataset) -> list[Frame]:
 
 
 def _spread(count: int, wanted: int) -> list[int]:
-    """Indices of `wanted` of `count` frames: all, or two runs whose gaps grow."""
+    """Indices of `wanted` of `count` frames: all, or two runs with growing gaps."""
     if count <= wanted:
         return list(range(count))
     half = max(wanted // 2, 1)
@@ -188,12 +176,9 @@ def _spread(count: int, wanted: int) -> list[int]:
 def examine_frames(
     dataset: Dataset, frames: Sequence[Frame], units: float | None, settings: Settings | None = None
 ) -> Examination:
-    """The same of frames that are at hand.
+    """Examine frames in memory.
 
-    Parameters
-    ----------
-    units : float or None
-        Depth units in a metre as read, None where unknown.
+    `units`: depth units in a metre as read, None where unknown.
     """
     settings = settings or Settings()
     size = Counter(frame.depth.shape for frame in frames).most_common(1)[0][0]
@@ -206,8 +191,8 @@ def examine_frames(
     return Examination(dataset.root, ids, len(search.fine.pairs), kept, _ranked(search), seen.frames, mended.frames)
 
 
-def _ranked(search: Search) -> tuple[Ranked, ...]:
-    """What was tried, the best first: the best, what was read, and the best of each cause."""
+def _ranked(search: PosedViews) -> tuple[Ranked, ...]:
+    """Tried hypotheses, best first: the best, the recording as read, and the best of each cause."""
     if not len(search.fine.pairs):
         return ()
     best = search.best
@@ -217,7 +202,7 @@ def _ranked(search: Search) -> tuple[Ranked, ...]:
 
 
 def _as_kept(opinion: Opinion, settings: Settings) -> Opinion:
-    """An opinion whose mend is told as `write_settings` keeps it, in place of what is declared already."""
+    """Opinion with the fix relative to declared settings."""
     mend = dict(opinion.mend)
     if "pose_shift" in mend:
         mend["pose_shift"] += settings.pose_shift or 0
@@ -237,7 +222,7 @@ def _as_kept(opinion: Opinion, settings: Settings) -> Opinion:
 
 
 def apply(found: Examination) -> Path | None:
-    """Keep what mends a recording in its `spatialviz.toml`, whole or not at all; None where there is nothing to mend.
+    """Write the fixes into the recording's `spatialviz.toml`, atomically; None without fixes.
 
     Raises
     ------

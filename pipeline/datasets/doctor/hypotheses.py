@@ -1,4 +1,4 @@
-"""One explanation of a recording: what is wrong, and by what depth and focal length differ from what was read."""
+"""An explanation of a recording: cause, scale of depth and of focal length relative to the files."""
 
 from __future__ import annotations
 
@@ -18,35 +18,25 @@ LEAST_MET = 0.1
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """What is true, relative to what was read.
+    """A hypothesis relative to the recording as read."""
 
-    Attributes
-    ----------
-    scale : float
-        True depth by depth as read.
-    focal : float
-        True focal length by the one read, or by the cause's.
-    cause : Cause
-        What else is wrong.
-    """
-
-    scale: float = 1.0
-    focal: float = 1.0
-    cause: Cause = AS_READ
+    scale: float = 1.0  # True depth by depth as read
+    focal: float = 1.0  # True focal length by the one read, or by the cause's
+    cause: Cause = AS_READ  # What else is wrong
 
     def intrinsics(self, K: np.ndarray) -> np.ndarray:
-        """(..., 3, 3) intrinsics under it, of those of its cause."""
+        """Intrinsics (..., 3, 3) under the hypothesis."""
         out = np.array(K, np.float64)
         out[..., [0, 1], [0, 1]] *= self.focal
         return out
 
     def landing(self, views: Views, tolerance: float, colour: bool = False) -> Landing:
-        """Where the points of views, which are those of its cause, land under it; see `land`."""
+        """Landing of points of views under the hypothesis; see `land`."""
         return land(views, self.intrinsics(views.K), views.poses, self.scale, tolerance, colour)
 
     @property
     def words(self) -> str:
-        """What it says is wrong."""
+        """Fault in words."""
         parts = [
             f"depth {self.scale:.3g} times as far" if abs(self.scale - 1) > 1e-6 else "",
             f"focal length {self.focal:.3g} times as long" if abs(self.focal - 1) > 1e-6 else "",
@@ -56,19 +46,19 @@ class Hypothesis:
 
     @property
     def deviations(self) -> float:
-        """How much it claims to be wrong: the number of things, and then by how much."""
+        """Complexity: number of faults, then magnitude."""
         numbers = [abs(np.log(self.scale)), abs(np.log(self.focal))]
         return sum(n > 1e-9 for n in numbers) + (self.cause != AS_READ) + min(sum(numbers), 9.0) / 10
 
 
 def score(landing: Landing) -> float:
-    """0..1: the share of the points that meet a surface and land on it."""
+    """Share of points landing on a surface, 0..1, among points meeting a surface."""
     met = max(float(landing.met.sum()), LEAST_MET * float(landing.lifted.sum()), 1.0)
     return float(landing.landed.sum()) / met
 
 
 def by_block(landing: Landing, views: Views) -> np.ndarray:
-    """(P * B,) 0..1: of each block of each pair, the share of the points that meet a surface and land on it.
+    """Score 0..1 of each block of each pair, (P * B,).
 
     NaN where a pair has no pose.
     """
@@ -83,7 +73,7 @@ def posed(poses: np.ndarray, pairs: np.ndarray) -> np.ndarray:
 
 
 def surely_positive(lead: np.ndarray, sure: float = SURE) -> bool:
-    """Whether what one hypothesis has before another in each block ((N,), NaN unknown) is more than chance."""
+    """Test whether a lead per block ((N,), NaN unknown) exceeds chance."""
     lead = lead[np.isfinite(lead)]
     error = lead.std(ddof=1) / np.sqrt(len(lead)) if len(lead) > 1 else np.inf
     return bool(len(lead) and lead.mean() > max(sure * error, LEAST_LEAD))

@@ -1,4 +1,4 @@
-"""What landing says of poses, their time, depth scale, focal length and principal point, tried as one explanation."""
+"""Opinions by landing on poses, time, depth scale, focal length and principal point, as a single explanation."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 from pipeline.datasets.doctor.causes import MIDDLE, SWAPPED
 from pipeline.datasets.doctor.hypotheses import Hypothesis
 from pipeline.datasets.doctor.principal_point import center_by_middle
-from pipeline.datasets.doctor.search import FINE, Range, Search
+from pipeline.datasets.doctor.search import FINE, PosedViews, Range
 from pipeline.datasets.doctor.seen import Seen
-from pipeline.datasets.doctor.trying import SUBJECTS, Measured, Opinion
+from pipeline.datasets.doctor.trying import SUBJECTS, Agreement, Opinion
 from pipeline.datasets.doctor.units import UNITS, only_unit
 from pipeline.datasets.settings import FILE_NAME
 from pipeline.geometry.pose_convention import STANDARD
@@ -39,19 +39,19 @@ NEAR_SURE = 2.0
 
 
 class OfLanding:
-    """Whether the points of one frame land on the depth of another: five subjects, one explanation."""
+    """Landing test: five subjects, a single explanation."""
 
     def __init__(self) -> None:
-        self._search: Search | None = None
+        self._search: PosedViews | None = None
 
-    def search(self, seen: Seen) -> Search:
-        """What explains these frames, looked for once."""
+    def search(self, seen: Seen) -> PosedViews:
+        """Search for the explanation of these frames, cached."""
         if self._search is None or self._search.seen is not seen:
-            self._search = Search(seen)
+            self._search = PosedViews(seen)
         return self._search
 
     def opinions(self, seen: Seen, known: Sequence[Opinion]) -> list[Opinion]:
-        search = Search(seen) if seen.mends else self.search(seen)
+        search = PosedViews(seen) if seen.mends else self.search(seen)
         pairs = len(search.fine.pairs)
         if pairs >= LEAST_PAIRS and search.at(search.best) >= LEAST_SCORE:
             found = [_poses(search), _time(search), _scale(search, seen.units), _focal(search), _center(search)]
@@ -70,29 +70,31 @@ class OfLanding:
         found[-1] = shown[0] or found[-1]
         return _with_intrinsics(found, Hypothesis(cause=shown[1]), search)
 
-    def measured(self, seen: Seen, mended: Seen) -> tuple[Measured, ...]:
+    def measured(self, seen: Seen, mended: Seen) -> tuple[Agreement, ...]:
         search = self.search(seen)
         if len(search.fine.pairs) < LEAST_PAIRS:
             # A principal point of one picture has nothing else that speaks for it.
             return ()
-        return (Measured(*search.of_regions(mended), LEAST_GAIN),)
+        return (Agreement(*search.of_regions(mended), LEAST_GAIN),)
 
 
-def _against(search: Search, left: Callable[[Hypothesis], bool], otherwise: Hypothesis) -> tuple[str, dict[str, float]]:
-    """How the best compares with the best of the explanations that leave a thing as it is, as told."""
+def _against(
+    search: PosedViews, left: Callable[[Hypothesis], bool], otherwise: Hypothesis
+) -> tuple[str, dict[str, float]]:
+    """Comparison of the best explanation with the best alternative leaving the subject unchanged."""
     others = [h for h in search.explanations if left(h) and h != search.best] or [otherwise]
     best, second = search.at(search.best), max(map(search.at, others))
     told = {"lands": round(best, 4), "otherwise": round(second, 4), "pairs": float(len(search.fine.pairs))}
     return f"{best:.0%} of the points land on the depth (within {FINE:.1%}) and colour of another frame", told
 
 
-def _either(about: str, search: Search, others: Sequence[Hypothesis]) -> Opinion:
-    """Abstains: what was read would do with something else mended."""
+def _either(about: str, search: PosedViews, others: Sequence[Hypothesis]) -> Opinion:
+    """Abstention between explanations with the same landing."""
     words = " or ".join(dict.fromkeys(h.words for h in (search.best, *others[:2])))
     return Opinion(about, "unknown", f"what was read does not land; it does with {words}, and nothing tells which")
 
 
-def _poses(search: Search) -> Opinion:
+def _poses(search: PosedViews) -> Opinion:
     cause = search.best.cause
     best = cause.mend.get("poses", STANDARD)
 
@@ -112,8 +114,8 @@ def _poses(search: Search) -> Opinion:
     return Opinion("poses", "wrong", text, dict(cause.mend), f'--poses "{best}"', evidence)
 
 
-def _caused(about: str, search: Search) -> Opinion:
-    """Of a subject that is nothing but its causes."""
+def _caused(about: str, search: PosedViews) -> Opinion:
+    """Opinion on a subject with causes alone."""
     best = search.best
 
     def own(h: Hypothesis) -> bool:
@@ -130,7 +132,7 @@ def _caused(about: str, search: Search) -> Opinion:
     return Opinion(about, "wrong", text, dict(best.cause.mend), f"{option} in {FILE_NAME}", evidence)
 
 
-def _time(search: Search) -> Opinion:
+def _time(search: PosedViews) -> Opinion:
     late, best = search.late, search.best
     if not late:
         return Opinion("time", "unknown", "no three frames of a scene have poses, and neighbours with others")
@@ -162,7 +164,7 @@ def _between(found: Range) -> str:
     return f"from {found.low:.3g} to {high} times"
 
 
-def _scale(search: Search, units: float | None) -> Opinion:
+def _scale(search: PosedViews, units: float | None) -> Opinion:
     def left(h: Hypothesis) -> bool:
         return abs(np.log(h.scale)) < OFF_UNIT
 
@@ -188,13 +190,13 @@ def _scale(search: Search, units: float | None) -> Opinion:
 
 
 def _known_unit(units: float, found: Range) -> float | None:
-    """The unit, of those known, that the scale is; None where it is none."""
+    """Known unit nearest to the scale; None without a match."""
     near = [unit for unit in UNITS if abs(np.log(units / unit / found.value)) < OFF_UNIT]
     sure = found.sharp <= SHARP or (found.sharp <= NEAR_UNIT and only_unit(units, found.low, found.high))
     return near[0] if near and sure else None
 
 
-def _focal(search: Search) -> Opinion:
+def _focal(search: PosedViews) -> Opinion:
     by_cause = _by_cause(search.best, search)
 
     def left(h: Hypothesis) -> bool:
@@ -217,12 +219,12 @@ def _focal(search: Search) -> Opinion:
     return Opinion("focal length", "wrong", text, evidence=evidence)
 
 
-def _by_cause(h: Hypothesis, search: Search) -> float:
-    """Focal length under the cause of a hypothesis, by the one read."""
+def _by_cause(h: Hypothesis, search: PosedViews) -> float:
+    """Focal length under the hypothesis' cause, relative to the file's."""
     return float(search.views(h.cause, coarse=True).K[0, 0, 0] / search.coarse.K[0, 0, 0])
 
 
-def _center(search: Search) -> Opinion:
+def _center(search: PosedViews) -> Opinion:
     size, best, told = search.fine.size, search.best, search.coarse.K[0, :2, 2]
 
     def center(h: Hypothesis) -> np.ndarray:
@@ -246,8 +248,8 @@ def _center(search: Search) -> Opinion:
     return Opinion("principal point", "wrong", f"{text}: {best.cause.words}", evidence=evidence)
 
 
-def _with_intrinsics(found: list[Opinion], best: Hypothesis, search: Search) -> list[Opinion]:
-    """The opinions with the intrinsics that those on focal length and principal point ask for, both in one."""
+def _with_intrinsics(found: list[Opinion], best: Hypothesis, search: PosedViews) -> list[Opinion]:
+    """Opinions with joint intrinsics for focal length and principal point."""
     *_, focal, center = found
     K, views = search.seen.intrinsics, search.coarse
     mend, option = {}, "mend it where it stands: frames have intrinsics of their own, or a declared registration"

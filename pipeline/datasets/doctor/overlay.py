@@ -1,4 +1,4 @@
-"""Colour with the outlines of depth on it, as a recording is read and with what mends it, side by side."""
+"""Depth outlines over colour, before and after the fixes, side by side."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FADED = 0.55
 
 
 def overlay(found: Examination, most: int = MOST_FRAMES) -> np.ndarray:
-    """Picture of frames that were looked at, one a row: on the left as they are read, on the right as mended.
+    """Draw examined frames with depth outlines: left as read, right with the fixes applied.
 
     Where nothing is mended, the right is as the left.
 
@@ -40,7 +40,7 @@ def overlay(found: Examination, most: int = MOST_FRAMES) -> np.ndarray:
 
 
 def outlined(frame: Frame) -> np.ndarray:
-    """(H, W, 3) uint8 the colour of a frame, faded, with the outlines of its depth on it."""
+    """Faded colour (H, W, 3) uint8 of a frame with depth outlines."""
     out = cv2.addWeighted(frame.rgb, FADED, np.full_like(frame.rgb, 255), 1 - FADED, 0)
     found = Outlines.of([frame])
     near = found.near(Registration.none(frame.camera))

@@ -1,4 +1,4 @@
-"""What a principal point itself says: cameras have it near the middle of their pictures."""
+"""Principal point check against the middle of the picture."""
 
 from __future__ import annotations
 
@@ -12,13 +12,9 @@ ODD, EVEN = 0.08, 0.04
 
 
 def center_by_middle(K: np.ndarray, size: tuple[int, int]) -> tuple[Opinion | None, Cause]:
-    """An opinion on it, None where it tells nothing, and the cause: two numbers swapped, or those of another size.
+    """Opinion on the principal point, None without evidence, and the cause: swapped numbers or another image size.
 
-    Parameters
-    ----------
-    K : (3, 3) float64
-    size : (int, int)
-        Height and width, pixels.
+    `K` (3, 3) float64; `size` (int, int): Height and width, pixels.
     """
     middle = np.array([(size[1] - 1) / 2, (size[0] - 1) / 2])
     told = float(np.abs(K[:2, 2] - middle).max())

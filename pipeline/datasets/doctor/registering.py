@@ -1,4 +1,4 @@
-"""Whether colour and depth are registered, by outlines of depth on edges of colour, region by region of the picture."""
+"""Registration of colour and depth, by depth outlines on colour edges, region by region."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pipeline.datasets.doctor.seen import Seen
-from pipeline.datasets.doctor.trying import MOST_LOSS, Measured, Opinion
+from pipeline.datasets.doctor.trying import MOST_LOSS, Agreement, Opinion
 from pipeline.geometry.outlines import REGIONS, WIDE, Outlines, mean_known
 from pipeline.geometry.registration import Registration
 from pipeline.geometry.warp_search import Fitted, estimated
@@ -29,19 +29,19 @@ WORTH_PX = 3.0
 
 
 class OfOutlines:
-    """Whether depth is of the colour's camera."""
+    """Registration test by outlines."""
 
     def opinions(self, seen: Seen, known: Sequence[Opinion]) -> list[Opinion]:
         return [_opinion(seen)]
 
-    def measured(self, seen: Seen, mended: Seen) -> tuple[Measured, ...]:
+    def measured(self, seen: Seen, mended: Seen) -> tuple[Agreement, ...]:
         own, other = ((o, Registration.none(o.camera)) for o in (seen.outlines, mended.outlines))
         plain = [o.by_region(o.near(none)) for o, none in (own, other)]
         above = [o.by_region(o.above_chance(none)) for o, none in (own, other)]
         peaked = np.nan_to_num(above[0]) > REGION_PEAK
         # A region that is registered as it is may lose nothing to speak of.
         kept = np.where(peaked & (plain[1] - plain[0] < -KEPT), plain[0] - 2 * MOST_LOSS, plain[1])
-        return Measured(plain[0], kept, LEAST_GAIN), Measured(above[0], above[1], LEAST_GAIN_ABOVE)
+        return Agreement(plain[0], kept, LEAST_GAIN), Agreement(above[0], above[1], LEAST_GAIN_ABOVE)
 
 
 def _opinion(seen: Seen) -> Opinion:
@@ -86,7 +86,7 @@ def _opinion(seen: Seen) -> Opinion:
 
 
 def _holds_elsewhere(outlines: Outlines, fitted: Fitted) -> bool:
-    """Whether a warp that is found without a row or column of regions is also theirs, for each."""
+    """Cross-validate a warp on each row and column of regions left out of the fit."""
     near = outlines.near(Registration.none(outlines.camera))
     grid = np.arange(REGIONS[0] * REGIONS[1]).reshape(REGIONS)
     for left_out in (*grid, *grid.T):
@@ -98,7 +98,7 @@ def _holds_elsewhere(outlines: Outlines, fitted: Fitted) -> bool:
 
 
 def displacement(warp: Registration, outlines: Outlines) -> float:
-    """By how many pixels, at a width of 640, a warp moves the outlines: more than nine of ten of them by less."""
+    """Displacement of outlines by a warp, 0.9 quantile, pixels at a width of 640."""
     columns, rows, _ = warp.pixels(outlines.u, outlines.v, outlines.z, outlines.camera)
     moved = np.hypot(columns - outlines.u, rows - outlines.v)
     return float(np.quantile(moved, 0.9) * WIDE / outlines.away.shape[3])

@@ -1,4 +1,4 @@
-"""The hypothesis under which the depth of posed views lands best on each other, and which others do as well."""
+"""Search for the hypothesis with the best landing of posed views, and equally good ones."""
 
 from __future__ import annotations
 
@@ -29,30 +29,23 @@ REFINED = 4
 
 @dataclass(frozen=True)
 class Range:
-    """What a number of the best hypothesis may be.
-
-    Attributes
-    ----------
-    value : float
-    low, high : float
-        Between these the views land as well; 0 or infinity where nothing tells.
-    """
+    """Plausible range of a number of the best hypothesis."""
 
     value: float
     low: float
-    high: float
+    high: float  # Between these the views land as well; 0 or infinity where nothing tells
 
     def holds(self, other: float) -> bool:
         return self.low <= other <= self.high
 
     @property
     def sharp(self) -> float:
-        """How far it may be off, as a share."""
+        """Relative uncertainty."""
         return max(self.high / self.value, self.value / max(self.low, 1e-9)) - 1
 
 
-class Search:
-    """Posed views of one size, and what explains them."""
+class PosedViews:
+    """Posed views of equal size, and explanations of them."""
 
     def __init__(self, seen: Seen) -> None:
         frames, scenes = seen.frames, seen.scenes
@@ -70,7 +63,7 @@ class Search:
         self._views: dict[tuple[Cause, bool], Views] = {}
 
     def views(self, cause: Cause, coarse: bool = False) -> Views:
-        """The views of the frames as they are read with a cause."""
+        """Views of the frames under a cause."""
         key = cause, coarse
         if key not in self._views:
             like = self.coarse if coarse else self.fine
@@ -94,7 +87,7 @@ class Search:
 
     @cached_property
     def fine(self) -> Views:
-        """Pairs that overlap under any of the best explanations: those that overlap most, and some of the others."""
+        """Views with pairs overlapping under any of the best explanations."""
         best = np.zeros(len(self._fine.pairs))
         for hypothesis in (*self.looked_around[:2], Hypothesis()):
             landing = hypothesis.landing(self.views(hypothesis.cause, coarse=True), COARSE)
@@ -108,7 +101,7 @@ class Search:
 
     @cached_property
     def late(self) -> dict[int, Hypothesis]:
-        """{places: poses that are so many places late} of all that are tried."""
+        """Hypotheses by pose shift, in places."""
         found: dict[int, Hypothesis] = {}
 
         def add(shifts: Sequence[int]) -> None:
@@ -130,14 +123,14 @@ class Search:
 
     @cached_property
     def best(self) -> Hypothesis:
-        """The best of all, the simplest of those that are as good."""
+        """Best explanation, the simplest among equals."""
         best = max(self.explanations, key=self.at)
         simpler = sorted(self.explanations, key=lambda h: h.deviations)
         return next((h for h in simpler if not self.beats(best, h)), best)
 
     @cached_property
     def explanations(self) -> tuple[Hypothesis, ...]:
-        """All that are compared: what was read, each number wrong alone and both, each cause alone and with numbers."""
+        """Explanations compared: as read, numbers alone and together, causes alone and with numbers."""
         plain = Hypothesis()
         starts = [*self.looked_around[:REFINED], Hypothesis(self.looked_around[0].scale)]
         refined = [self.refined(h) for h in starts]
@@ -152,7 +145,7 @@ class Search:
         return tuple(dict.fromkeys((plain, *by_number, *of_causes, *timed, *mixed, *refined)))
 
     def refined(self, start: Hypothesis, names: tuple[str, ...] = ("scale", "focal")) -> Hypothesis:
-        """The nearest best of its cause, changing the numbers of these names alone."""
+        """Local optimum of a hypothesis over the given numbers."""
         if (start, names) not in self._refined:
             self._refined[start, names] = self._climbed(start, names)
         return self._refined[start, names]
@@ -177,7 +170,7 @@ class Search:
     # How well
 
     def at(self, hypothesis: Hypothesis, tolerance: float = FINE) -> float:
-        """The share of the points that meet a surface and land on it, by default when deciding.
+        """Score of a hypothesis, by default at the deciding tolerance.
 
         Where some poses are missing, what it has before the views as read on the other pairs counts.
         """
@@ -188,7 +181,7 @@ class Search:
         return self.at(Hypothesis(), tolerance) + (float(np.nanmean(lead)) if np.isfinite(lead).any() else -1.0)
 
     def beats(self, one: Hypothesis, other: Hypothesis, sure: float = SURE) -> bool:
-        """Whether the first is surely better than the other, block by block."""
+        """Test whether the first hypothesis surely beats the other, block by block."""
         return surely_positive(self._of_blocks(one) - self._of_blocks(other), sure)
 
     def _of_blocks(self, hypothesis: Hypothesis, tolerance: float = FINE) -> np.ndarray:
@@ -200,7 +193,7 @@ class Search:
         return self._blocks[key]
 
     def range_of(self, name: str, other: str) -> Range:
-        """How far a number of the best hypothesis can be told, while another one gives way."""
+        """Range of a number of the best hypothesis, with another number free."""
         value = getattr(self.best, name)
         ends = []
         for way in (-1, 1):
@@ -214,11 +207,11 @@ class Search:
         return Range(value, ends[0], ends[1])
 
     def as_good(self, differs: Callable[[Hypothesis], bool]) -> tuple[Hypothesis, ...]:
-        """The explanations of this kind that the best does not surely beat."""
+        """Explanations passing the test and not surely beaten by the best."""
         return tuple(h for h in self.explanations if differs(h) and not self.beats(self.best, h))
 
     def of_regions(self, mended: Seen) -> tuple[np.ndarray, np.ndarray]:
-        """(B,) shares of the points that land, of each block of the pictures, as read and with the frames mended."""
+        """Landing shares (B,) per block of the pictures, as read and with fixes."""
         other = views_like(self.fine, self.seen, mended)
         pairs = other.pairs[posed(other.poses, other.pairs)]
         if not len(pairs):
@@ -232,7 +225,7 @@ class Search:
 
 
 def views_of(seen: Seen, pairs: np.ndarray, grid: tuple[int, int]) -> Views:
-    """Views of frames, with pairs and points; a pose that is missing is NaN."""
+    """Views of frames with pairs and points; missing poses are NaN."""
     cameras = [frame.camera for frame in seen.frames]
     missing = np.array([camera.T_world_camera is None for camera in cameras])
     views = Views.of([frame.depth for frame in seen.frames], cameras, pairs, grid)
@@ -240,7 +233,7 @@ def views_of(seen: Seen, pairs: np.ndarray, grid: tuple[int, int]) -> Views:
 
 
 def views_like(like: Views, seen: Seen, mended: Seen) -> Views:
-    """The views of the same frames mended, with the same pairs and points; one that cannot be read has no pose."""
+    """Views of the fixed frames, with the same pairs and points; unreadable frames have no pose."""
     by_id = {frame.id: frame for frame in mended.frames}
     frames = [by_id.get(f.id, replace(f, camera=replace(f.camera, T_world_camera=None))) for f in seen.frames]
     views = views_of(replace(mended, frames=tuple(frames)), like.pairs, (1, 1))

@@ -1,4 +1,4 @@
-"""The frames of a recording that are looked at, as they are read and as they would be with a mend."""
+"""Examined frames as read, and re-read with fixes."""
 
 from __future__ import annotations
 
@@ -24,27 +24,15 @@ SAME_UP = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """Frames of one size, with what mends them so far.
-
-    Attributes
-    ----------
-    dataset : Dataset
-    frames : tuple of Frame
-        As they are read with `mends`.
-    units : float or None
-        Depth units in a metre as read, None where unknown.
-    settings : Settings
-        What is declared already.
-    mends : dict
-        What was mended, as `write_settings` takes it, but relative to what is declared: poses and their shift of those
-        that were read, a registration of the frames as they were.
-    """
+    """Frames of equal size, with the fixes so far."""
 
     dataset: Dataset
-    frames: tuple[Frame, ...]
-    units: float | None
-    settings: Settings = field(default_factory=Settings)
+    frames: tuple[Frame, ...]  # As they are read with `mends`
+    units: float | None  # Depth units in a metre as read, None where unknown
+    settings: Settings = field(default_factory=Settings)  # What is declared already
     mends: Mapping[str, Any] = field(default_factory=dict)
+    """What was mended, as `write_settings` takes it, but relative to what is declared: poses and their shift of those
+    that were read, a registration of the frames as they were."""
 
     @cached_property
     def scenes(self) -> list[str]:
@@ -53,18 +41,18 @@ class Seen:
 
     @cached_property
     def intrinsics(self) -> np.ndarray | None:
-        """(3, 3) those of all frames; None where they differ, or are of the colour that depth is warped to."""
+        """Common intrinsics (3, 3) of all frames; None where different, or of the warped colour camera."""
         first = self.frames[0].camera.K
         alike = all(np.allclose(frame.camera.K, first) for frame in self.frames)
         return first if alike and not self.settings.registration else None
 
     @cached_property
     def outlines(self) -> Outlines:
-        """Those of the depth of the frames."""
+        """Depth outlines of the frames."""
         return Outlines.of(self.frames)
 
     def mended(self, mend: Mapping[str, Any]) -> Seen:
-        """The frames as they are read with one more mend; a frame that cannot be read with it is left out."""
+        """Frames re-read with another fix; unreadable frames are left out."""
         scale = self.units / mend["depth_scale"] if self.units is not None and "depth_scale" in mend else 1.0
         shift = self.poses_at(mend["pose_shift"]) if "pose_shift" in mend else None
         found = []
@@ -86,7 +74,7 @@ class Seen:
         return replace(self, frames=tuple(found) or self.frames, units=units, mends={**self.mends, **mend})
 
     def poses_at(self, shift: int) -> np.ndarray:
-        """(F, 4, 4) poses that stand so many places later in the scene of each frame, NaN where there is none."""
+        """Poses (F, 4, 4) of frames so many places later in the scene, NaN where missing."""
         out = np.full((len(self.frames), 4, 4), np.nan)
         for k, frame in enumerate(self.frames):
             ids, index = self._order[self.scenes[k]]
@@ -98,7 +86,7 @@ class Seen:
 
     @cached_property
     def _order(self) -> dict[str, tuple[list[str], dict[str, int]]]:
-        """{scene: its frames in order, and the place of each}, of the scenes that are looked at."""
+        """Frames by scene in order, with their places."""
         found: dict[str, list[str]] = {scene: [] for scene in self.scenes}
         for frame_id in self.dataset.frame_ids:
             if (scene := scene_of(self.dataset, frame_id)) in found:
@@ -114,7 +102,7 @@ class Seen:
 
     @cached_property
     def world_up(self) -> dict[str, np.ndarray]:
-        """{scene: (3,) up of its world}, where that is what its frames' declared up comes of."""
+        """World up (3,) by scene, where the frames' declared up comes from the world."""
         found: dict[str, list[np.ndarray]] = {}
         for frame, scene in zip(self.frames, self.scenes, strict=True):
             up, T = frame.camera.up, frame.camera.T_world_camera
@@ -123,7 +111,7 @@ class Seen:
         return {scene: ups[0] for scene, ups in found.items() if np.ptp(ups, axis=0).max() < SAME_UP}
 
     def _upright(self, k: int, camera: Camera) -> Camera:
-        """The camera with the up that its world declares, by its pose."""
+        """Camera with the world's declared up, by pose."""
         up, T = self.world_up.get(self.scenes[k]), camera.T_world_camera
         if up is None or camera.up is None:
             return camera
@@ -133,7 +121,7 @@ class Seen:
 
 
 def _with_up(camera: Camera, told: str | None) -> Camera:
-    """The camera with an up of the world that is told as "world:X,Y,Z"."""
+    """Camera with a world up "world:X,Y,Z"."""
     T = camera.T_world_camera
     if told is None or T is None:
         return camera

@@ -1,4 +1,4 @@
-"""A thing that may be wrong, the mend for it, and the mend tried: measured again with itself applied, or withdrawn.
+"""Suspicions, opinions and their fixes; each fix is measured, then kept or withdrawn.
 
 What is looked for is a list of `Suspicion`. Each in turn says what it thinks of its subjects, on the frames as they are
 with what was mended before. Where it has a mend, the frames are read with it, and what speaks for it is measured again,
@@ -27,49 +27,28 @@ MOST_LOSS = 0.08
 
 @dataclass(frozen=True)
 class Opinion:
-    """What is thought of one thing.
+    """Opinion on a subject."""
 
-    Attributes
-    ----------
-    about : str
-        One of `SUBJECTS`.
-    state : str
-    text : str
-        One sentence with its evidence.
-    mend : dict
-        What `write_settings` is to keep: intrinsics, depth_scale, poses, pose_shift, registration, up.
-    option : str or None
-        The same as a person tells it.
-    evidence : dict of str to float
-    """
-
-    about: str
+    about: str  # One of `SUBJECTS`
     state: State
-    text: str
+    text: str  # One sentence with its evidence
     mend: dict[str, Any] = field(default_factory=dict)
-    option: str | None = None
+    """What `write_settings` is to keep: intrinsics, depth_scale, poses, pose_shift, registration, up."""
+    option: str | None = None  # The same as a person tells it
     evidence: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
-class Measured:
-    """How well frames agree as they are and with a mend, region by region.
-
-    Attributes
-    ----------
-    before, after : (R,) float64
-        0..1; NaN where a region says nothing.
-    least : float
-        So much must be gained on average.
-    """
+class Agreement:
+    """Agreement of frames before and after a fix, region by region."""
 
     before: np.ndarray
-    after: np.ndarray
-    least: float
+    after: np.ndarray  # (R,) float64: 0..1; NaN where a region says nothing
+    least: float  # So much must be gained on average
 
     @property
     def refusal(self) -> str | None:
-        """Why the mend is not to be had, None where it is."""
+        """Reason against the fix, or None."""
         gains = (self.after - self.before)[np.isfinite(self.before) & np.isfinite(self.after)]
         if not len(gains):
             return "no region of the picture shows what it does"
@@ -83,19 +62,19 @@ class Measured:
 
 
 class Suspicion(Protocol):
-    """Something that may be wrong with a recording."""
+    """A possible fault of a recording."""
 
     def opinions(self, seen: Seen, known: Sequence[Opinion]) -> list[Opinion]:
-        """What is thought of its subjects, with what mends them; `known` is what is thought of others."""
+        """Opinions on the subjects, with fixes; `known` are earlier opinions."""
         ...
 
-    def measured(self, seen: Seen, mended: Seen) -> tuple[Measured, ...]:
-        """What speaks for the mend: how well frames agree as they are and mended."""
+    def measured(self, seen: Seen, mended: Seen) -> tuple[Agreement, ...]:
+        """Measured agreement before and after the fix."""
         ...
 
 
 def diagnosed(seen: Seen, suspicions: Sequence[Suspicion]) -> tuple[list[Opinion], Seen]:
-    """What is thought of each subject, in the order of suspicions, and the frames with what mends them."""
+    """Opinions on each subject in order of suspicions, and the frames with fixes."""
     known: list[Opinion] = []
     for suspicion in suspicions:
         found = suspicion.opinions(seen, known)
@@ -112,12 +91,12 @@ def diagnosed(seen: Seen, suspicions: Sequence[Suspicion]) -> tuple[list[Opinion
 
 
 def mends_of(opinions: Sequence[Opinion]) -> dict[str, Any]:
-    """What all of them mend."""
+    """Fixes of all opinions."""
     return {key: value for opinion in opinions for key, value in opinion.mend.items()}
 
 
 def withdrawn(opinion: Opinion, why: str) -> Opinion:
-    """An opinion without its mend, which was tried."""
+    """Opinion without the fix, after a failed trial."""
     if not opinion.mend:
         return opinion
     text = f"{opinion.text}; tried and withdrawn: {why}"

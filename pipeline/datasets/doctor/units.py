@@ -1,4 +1,4 @@
-"""Units of depth that recordings are known to have, and what the sizes of known things say of the one that was read."""
+"""Known depth units, and the depth scale by sizes of known things."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from pipeline.datasets.base import readable_frames
 from pipeline.datasets.doctor.seen import Seen
-from pipeline.datasets.doctor.trying import Measured, Opinion
+from pipeline.datasets.doctor.trying import Agreement, Opinion
 from pipeline.datasets.plausible import annotated_sizes
 
 UNITS = {
@@ -22,13 +22,13 @@ LOOKED_AT = 4
 
 
 def only_unit(units: float, low: float, high: float) -> float | None:
-    """The only unit, of those known, that scales between two numbers allow; None where there is none, or several."""
+    """Single known unit with a scale in the range; None for none or several."""
     allowed = [unit for unit in UNITS if low <= units / unit <= high]
     return allowed[0] if len(allowed) == 1 else None
 
 
 class OfSizes:
-    """Whether annotated things of known classes have the size of their class, where landing does not tell the scale."""
+    """Size test: annotated things of known classes against their class sizes."""
 
     def opinions(self, seen: Seen, known: Sequence[Opinion]) -> list[Opinion]:
         landed = next(opinion for opinion in known if opinion.about == "depth scale")
@@ -52,6 +52,6 @@ class OfSizes:
         evidence = {"things": float(things), "fitting": float(fitting), "low": 1 / high, "high": 1 / low}
         return [Opinion("depth scale", "wrong", text, {"depth_scale": unit}, f"--depth-scale {unit:g}", evidence)]
 
-    def measured(self, seen: Seen, mended: Seen) -> tuple[Measured, ...]:
+    def measured(self, seen: Seen, mended: Seen) -> tuple[Agreement, ...]:
         # With its mend the same sizes are looked at again: none may speak for another unit.
         return ()

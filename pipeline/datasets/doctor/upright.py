@@ -1,4 +1,4 @@
-"""Whether the up that a dataset declares is the one that level planes of its frames show."""
+"""Declared up against level planes of the frames."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pipeline.datasets.doctor.seen import Seen
-from pipeline.datasets.doctor.trying import Measured, Opinion
+from pipeline.datasets.doctor.trying import Agreement, Opinion
 from pipeline.datasets.up import Voter, vote
 from pipeline.geometry.level_plane import decided, up_hypotheses
 
@@ -21,13 +21,13 @@ AXES = {f"{sign}{name}": np.eye(3)[k] * (1 if sign == "+" else -1) for k, name i
 
 
 class OfLevel:
-    """Whether level planes contradict the up that is declared; where it is the world's, only with poses that hold."""
+    """Level-plane test of the declared up."""
 
     def opinions(self, seen: Seen, known: Sequence[Opinion]) -> list[Opinion]:
         return [_opinion(seen, known)]
 
-    def measured(self, seen: Seen, mended: Seen) -> tuple[Measured, ...]:
-        return (Measured(1 - _off(seen) / 180, 1 - _off(mended) / 180, LEAST_GAIN),)
+    def measured(self, seen: Seen, mended: Seen) -> tuple[Agreement, ...]:
+        return (Agreement(1 - _off(seen) / 180, 1 - _off(mended) / 180, LEAST_GAIN),)
 
 
 def _opinion(seen: Seen, known: Sequence[Opinion]) -> Opinion:
@@ -52,7 +52,7 @@ def _opinion(seen: Seen, known: Sequence[Opinion]) -> Opinion:
 
 
 def _off(seen: Seen) -> np.ndarray:
-    """(F,) degrees between the declared up and that of the level planes, NaN where a frame does not tell."""
+    """Angles (F,) in degrees between declared up and level planes, NaN where unknown."""
     found = np.full(len(seen.frames), np.nan)
     for k, frame in enumerate(seen.frames):
         own = None if frame.camera.up is None else decided(up_hypotheses(frame.depth, frame.camera))
@@ -62,7 +62,7 @@ def _off(seen: Seen) -> np.ndarray:
 
 
 def _agreed(seen: Seen) -> tuple[str | None, str | None]:
-    """What the posed frames of each scene agree on, in words, and "world:X,Y,Z" where it is an axis of all worlds."""
+    """Agreed up of each scene's posed frames, in words, and "world:X,Y,Z" for a common axis."""
     scenes: defaultdict[str, list[Voter]] = defaultdict(list)
     for frame, scene in zip(seen.frames, seen.scenes, strict=True):
         pose = frame.camera.T_world_camera
