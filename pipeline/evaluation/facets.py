@@ -15,14 +15,13 @@ from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.comparing import CHANGE, CHANGES, SECOND
 from pipeline.evaluation.run_notes import MARKS
 from pipeline.evaluation.search import find_rows, terms_of
-from pipeline.evaluation.search_words import Term, Value, quote, read_terms
-from pipeline.evaluation.slices import DIMENSIONS, Dimension, part_of
+from pipeline.evaluation.search_words import Term, Value, read_terms
+from pipeline.evaluation.slices import DIMENSIONS, YES_NO, Coded, Dimension, coded
 from pipeline.language.expression import UNREAD
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import QUERY_KINDS
 from pipeline.system.arrow import pa
 
-_YES_NO = ("yes", "no")
 _VERDICT, _CHANGE, _SECOND, _MARKS = (Dimension(name, title, name) for name, title in (
     ("verdict", "verdict"), (CHANGE, "in the second run"), (f"{SECOND}verdict", "verdict of the second run"),
     (MARKS, "marks"),
@@ -39,7 +38,7 @@ FACETS = (
 """What a run is looked at by, in this order; what it has no column for is left out."""
 _ORDERS = {"verdict": VERDICTS, f"{SECOND}verdict": VERDICTS, CHANGE: tuple(CHANGES), "relation": PAIRWISE,
            "kind": (*QUERY_KINDS, UNREAD), "mends": ALL_ORACLES,
-           "lucky": _YES_NO, "parse_ok": _YES_NO, "ambiguous": _YES_NO}  # fmt: skip
+           "lucky": YES_NO, "parse_ok": YES_NO, "ambiguous": YES_NO}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -86,20 +85,6 @@ class Facet:
         return asdict(self)
 
 
-@dataclass(frozen=True)
-class _Coded:
-    """A column as numbers: expression `row[k]` has value `code[k]`."""
-
-    cut: Dimension
-    parts: tuple[tuple[str, str], ...]
-    row: np.ndarray
-    code: np.ndarray
-
-    def counts(self, chosen: np.ndarray) -> np.ndarray:
-        """(V,) int64: how many of the chosen expressions ((N,) bool) have each value."""
-        return np.bincount(self.code[chosen[self.row]], minlength=len(self.parts))
-
-
 class Facets:
     """Counts the facets of one run.
 
@@ -130,64 +115,31 @@ class Facets:
         terms = terms_of(query, self._records.schema)
         left: dict[str, np.ndarray] = {}
         found = []
-        for coded in self._coded.values():
-            own = [term for column, term in terms if column == coded.cut.column]
-            rest = " ".join(t.written for column, t in terms if column not in ("", coded.cut.column))
+        for one in self._coded.values():
+            own = [term for column, term in terms if column == one.cut.column]
+            rest = " ".join(t.written for column, t in terms if column not in ("", one.cut.column))
             if rest not in left:
                 left[rest] = np.zeros(self._records.num_rows, np.bool_)
                 left[rest][find_rows(self._records, rest)] = True
             # What is the same of all says nothing.
-            if len(coded.parts) > 1 or coded.cut is _MARKS:
-                found.append(_facet(coded, coded.counts(left[rest]), own))
+            if len(one.parts) > 1 or one.cut is _MARKS:
+                found.append(_facet(one, one.counts(left[rest]), own))
         return tuple(f for f in found if f.values)
 
 
-def _facet(coded: _Coded, counts: np.ndarray, own: Sequence[Term]) -> Facet:
+def _coded(records: pa.Table, cut: Dimension) -> Coded:
+    return coded(records, cut, known=_ORDERS.get(cut.name, ()))
+
+
+def _facet(found: Coded, counts: np.ndarray, own: Sequence[Term]) -> Facet:
     values = [
         FacetValue(name, term, int(n), _state(term, own))
-        for (name, term), n in zip(coded.parts, counts, strict=True)
+        for (name, term), n in zip(found.parts, counts, strict=True)
     ]  # fmt: skip
-    cut = coded.cut
+    cut = found.cut
     if not cut.edges and cut.name not in _ORDERS and cut.order == "count":
         values.sort(key=lambda v: (-v.count, v.name))
     return Facet(cut.name, cut.title, tuple(v for v in values if v.count or v.state), bool(cut.edges))
-
-
-def _coded(records: pa.Table, cut: Dimension) -> _Coded:
-    column = records.column(cut.column).combine_chunks()
-    kind = str(column.type)
-    row = np.arange(len(column))
-    if cut.edges:
-        numbers = column.cast("float64").to_numpy(zero_copy_only=False)
-        # An edge means the number nearest to it that the column can hold, as in a search.
-        code = np.searchsorted(np.array(cut.edges, np.float32).astype(np.float64), numbers, side="right")
-        known = np.isfinite(numbers)
-        keys: list[Any] = [*range(len(cut.edges) + 1), -1]
-        return _Coded(cut, tuple(part_of(cut, k, "") for k in keys), row, np.where(known, code, len(keys) - 1))
-    if "list" in kind:
-        lengths = np.diff(column.offsets.to_numpy())
-        row = np.repeat(row, lengths)
-        column = column.flatten()
-    elif kind == "bool":
-        words = np.array(_YES_NO, object)[1 - column.fill_null(False).to_numpy(zero_copy_only=False).astype(int)]
-        words[column.is_null().to_numpy(zero_copy_only=False)] = None
-        column = pa.array(words.tolist(), pa.string())
-    encoded = column.dictionary_encode(null_encoding="encode")
-    keys = encoded.dictionary.to_pylist()
-    rank = {name: k for k, name in enumerate(_ORDERS.get(cut.name, ()))}
-    by: list[int] = sorted(
-        range(len(keys)), key=lambda k: (keys[k] is None, rank.get(keys[k], len(rank)), str(keys[k]))
-    )
-    place = np.zeros(len(keys) + 1, np.int64)
-    place[by] = np.arange(len(by))
-    code = place[encoded.indices.to_numpy(zero_copy_only=False).astype(np.int64)]
-    return _Coded(cut, tuple(_named(cut, keys[k]) for k in by), row, code)
-
-
-def _named(cut: Dimension, key: str | None) -> tuple[str, str]:
-    if key is not None and cut.name in _ORDERS and cut.name != "relation":
-        return key, f"{cut.name}:{key}"
-    return (key, f"{cut.name}:{quote(key)}") if key is not None and cut.name == MARKS else part_of(cut, key, "")
 
 
 def _state(term: str, own: Sequence[Term]) -> int:

@@ -15,7 +15,7 @@ from pipeline.evaluation.summary import has_verdicts
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, ratio
 from pipeline.metrics.tables import Cell, Row, Table
-from pipeline.system.arrow import pa
+from pipeline.system.arrow import pa, pc
 from pipeline.system.errors import InputError
 
 UNKNOWN = "unknown"
@@ -203,39 +203,29 @@ def _sliced(
     if not records.num_rows:
         return []
     judged = has_verdicts(records)
-    keys, names, queries, sums = _sums(system, records, clusters, cut, judged)
+    found = coded(records, cut, system)
+    _, index = np.unique(clusters, return_inverse=True)
+    flags: list[np.ndarray | None] = [None]
+    flags += [_is_true(records.column(m)) if judged or m != "lucky" else np.zeros(len(index)) for m in MEASURES]
+    verdicts = np.array(records.column("verdict").to_pylist() if judged else [None] * len(index), object)
+    flags += [verdicts == v for v in VERDICTS]
     # (C, V, M): of each cluster and value how many expressions, and how many of each kind.
-    counts = sums.sum(axis=0)
-    order = _order(cut, keys, names, counts[:, 0])
+    shape = int(index.max()) + 1, len(found.parts)
+    cell = index * shape[1] + found.code
+    sums = np.stack([np.bincount(cell, f, shape[0] * shape[1]).reshape(shape) for f in flags], axis=2).astype(float)
+    counts, names, queries = sums.sum(axis=0), [n for n, _ in found.parts], [q for _, q in found.parts]
+    order = [k for k in range(shape[1]) if counts[k, 0]]
+    if not cut.edges and cut.order == "count":
+        order.sort(key=lambda k: (found.keys[k] is None, -counts[k, 0], names[k]))
+    parts: list[tuple[str, str | None, np.ndarray]] = [(names[k], queries[k], sums[:, k]) for k in order]
     if most is not None and not cut.edges and len(order) > most:
         ranked = sorted(order, key=lambda k: (-counts[k, 0], names[k]))
-        kept, rest = [k for k in order if k in set(ranked[:most])], ranked[most:]
-        sums = np.concatenate([sums, sums[:, rest].sum(axis=1, keepdims=True)], axis=1)
-        counts = sums.sum(axis=0)
-        names, queries = [*names, f"{len(rest)} others"], [*queries, None]
-        order = [*kept, len(names) - 1]
+        kept, rest = set(ranked[:most]), ranked[most:]
+        parts = [part for k, part in zip(order, parts, strict=True) if k in kept]
+        parts.append((f"{len(rest)} others", None, sums[:, rest].sum(axis=1)))
     occurring = [v for v, n in zip(VERDICTS, counts[:, 1 + len(MEASURES) :].sum(axis=0), strict=True) if n]
     kinds = shown_verdicts(occurring) if judged else ()
-    return [_slice(system, names[k], queries[k], counts[k], _estimates(sums[:, k], config), kinds) for k in order]
-
-
-def _sums(
-    system: str, records: pa.Table, clusters: np.ndarray, cut: Dimension, judged: bool
-) -> tuple[list[Any], list[str], list[str | None], np.ndarray]:
-    """Values, their names and searches, and (C, V, 1 + measures + verdicts) float64 sums by cluster."""
-    _, index = np.unique(clusters, return_inverse=True)
-    keys, place = _parts(records, cut)
-    none = np.zeros(records.num_rows, np.bool_)
-    flags = [_is_true(records.column(m)) if judged or m != "lucky" else none for m in MEASURES]
-    said = records.column("verdict").to_numpy(zero_copy_only=False) if judged else None
-    flags += [none if said is None else said == v for v in VERDICTS]
-    count = int(index.max()) + 1
-    # One cell for each cluster and value, counted over all rows and over those with each flag.
-    cell = index * len(keys) + place
-    sums = [np.bincount(cell, flag, count * len(keys)) for flag in (None, *flags)]
-    parts = [part_of(cut, key, system) for key in keys]
-    found = np.stack(sums, axis=1).reshape(count, len(keys), len(sums)).astype(np.float64)
-    return keys, [name for name, _ in parts], [query for _, query in parts], found
+    return [_slice(system, *part, kinds, config) for part in parts]
 
 
 def _is_true(flags: pa.ChunkedArray) -> np.ndarray:
@@ -243,31 +233,63 @@ def _is_true(flags: pa.ChunkedArray) -> np.ndarray:
     return flags.fill_null(False).to_numpy(zero_copy_only=False).astype(np.bool_)
 
 
-def _parts(records: pa.Table, cut: Dimension) -> tuple[list[Any], np.ndarray]:
-    """The values that occur, in order, the unknown one last, and the index of that of each row: (N,) int64.
+@dataclass(frozen=True)
+class Coded:
+    """A column as numbers: expression `row[k]` has value `code[k]`.
 
-    Of numbers the value is the bin, -1 for unknown ones.
+    Attributes
+    ----------
+    keys : list
+        Values, or of a number its bins, in the order in which they are shown; unknown ones, None or -1, come last.
+    parts : tuple of (str, str)
+        The name of each value, and the search that finds it.
+    row, code : (N,) int64
     """
+
+    cut: Dimension
+    keys: list[Any]
+    parts: tuple[tuple[str, str], ...]
+    row: np.ndarray
+    code: np.ndarray
+
+    def counts(self, chosen: np.ndarray) -> np.ndarray:
+        """(V,) int64: how many of the chosen expressions ((N,) bool) have each value."""
+        return np.bincount(self.code[chosen[self.row]], minlength=len(self.parts))
+
+
+YES_NO = ("yes", "no")
+
+
+def coded(records: pa.Table, cut: Dimension, system: str = "", known: Sequence[str] = ()) -> Coded:
+    """The values of a column and who has which; `known` ones come first, of a list each expression has several."""
+    row = np.arange(records.num_rows)
     if not cut.column:
-        return [""], np.zeros(records.num_rows, np.int64)
-    column = records.column(cut.column)
+        return Coded(cut, [""], ((system, ""),), row, np.zeros(len(row), np.int64))
+    column = records.column(cut.column).combine_chunks()
     if cut.edges:
+        numbers = column.cast("float64").to_numpy(zero_copy_only=False)
         # An edge means the number nearest to it that the column can hold, as in a search.
-        edges = np.array(cut.edges, np.float32).astype(np.float64)
-        numbers = column.cast("float64").fill_null(np.nan).to_numpy(zero_copy_only=False)
-        bins = np.where(np.isnan(numbers), -1, np.searchsorted(edges, numbers, side="right"))
-        keys, place = np.unique(bins, return_inverse=True)
-        return keys.tolist(), place
-    coded = column.cast("string").combine_chunks().dictionary_encode()
-    values = coded.dictionary.to_pylist()
-    order = sorted(range(len(values)), key=values.__getitem__)
-    rank = np.empty(len(values) + 1, np.int64)
-    rank[[*order, -1]] = np.arange(len(values) + 1)
-    place = rank[coded.indices.fill_null(len(values)).to_numpy(zero_copy_only=False)]
-    return [*(values[k] for k in order), *([None] if column.null_count else [])], place
+        code = np.searchsorted(np.array(cut.edges, np.float32).astype(np.float64), numbers, side="right")
+        keys: list[Any] = [*range(len(cut.edges) + 1), -1]
+        code = np.where(np.isnan(numbers), len(keys) - 1, code)
+        return Coded(cut, keys, tuple(part_of(cut, k, system) for k in keys), row, code)
+    several = "list" in str(column.type)
+    if several:
+        row = np.repeat(row, np.diff(column.offsets.to_numpy()))
+        column = column.flatten()
+    elif str(column.type) == "bool":
+        column = pc.if_else(column, *YES_NO)  # pyright: ignore[reportAttributeAccessIssue]
+    encoded = column.cast("string").dictionary_encode(null_encoding="encode")
+    keys = encoded.dictionary.to_pylist()
+    rank = {name: k for k, name in enumerate(known or (PAIRWISE if cut.order == "relation" else ()))}
+    order = sorted(range(len(keys)), key=lambda k: (keys[k] is None, rank.get(keys[k], len(rank)), str(keys[k])))
+    place = np.argsort(order)[encoded.indices.to_numpy(zero_copy_only=False)]
+    operator = ":" if several or known else "="
+    parts = tuple(part_of(cut, keys[k], system, operator) for k in order)
+    return Coded(cut, [keys[k] for k in order], parts, row, place)
 
 
-def part_of(cut: Dimension, key: Any, system: str) -> tuple[str, str]:
+def part_of(cut: Dimension, key: Any, system: str, operator: str = "=") -> tuple[str, str]:
     """The name of a value, and the search that finds it."""
     if not cut.column:
         return system, ""
@@ -276,7 +298,7 @@ def part_of(cut: Dimension, key: Any, system: str) -> tuple[str, str]:
     if cut.order == "relation":
         return str(PHRASE.get(key, key)), f"{cut.name}:{key}"
     if not cut.edges:
-        return str(key), f"{cut.name}={quote(key)}"
+        return str(key), f"{cut.name}{operator}{quote(key)}"
     unit, bounds = f" {cut.unit}" if cut.unit else "", (None, *cut.edges, None)
     low, high = bounds[key], bounds[key + 1]
     if low is None:
@@ -288,39 +310,24 @@ def part_of(cut: Dimension, key: Any, system: str) -> tuple[str, str]:
     return f"{low:g}" if low == last else f"{low:g}-{last:g}{unit}", f"{cut.name}>={low:g} {cut.name}<{high:g}"
 
 
-def _order(cut: Dimension, keys: Sequence[Any], names: Sequence[str], counts: np.ndarray) -> list[int]:
-    """Indices of the values as they are shown; the unknown one comes last."""
-    if cut.edges:
-        return sorted(range(len(keys)), key=lambda k: keys[k] if keys[k] >= 0 else len(cut.edges) + 1)
-    rank = {r: k for k, r in enumerate(PAIRWISE)}
-    by = {"relation": lambda k: rank.get(keys[k], len(rank)), "name": lambda k: 0, "count": lambda k: -counts[k]}
-    return sorted(range(len(keys)), key=lambda k: (keys[k] is None, by[cut.order](k), names[k]))
-
-
-def _estimates(sums: np.ndarray, config: BootstrapConfig | None) -> list[Estimate]:
-    """Of one value's (C, 1 + K) sums the K ratios, by resamples of the clusters that it occurs in."""
-    own = sums[sums[:, 0] > 0]
-    found = bootstrap(own, np.arange(len(own)), lambda total: ratio(total[:, 1:], total[:, :1]), config=config)
-    return [replace(e, n=int(own[:, 0].sum())) for e in found]
-
-
 def _slice(
-    system: str, name: str, query: str | None, counts: np.ndarray, own: list[Estimate], kinds: Sequence[str]
+    system: str,
+    name: str,
+    query: str | None,
+    sums: np.ndarray,
+    kinds: Sequence[str],
+    config: BootstrapConfig | None,
 ) -> Slice:
-    first = len(MEASURES)
-    shares = dict(zip(VERDICTS, own[first:], strict=True))
-    numbers = dict(zip(VERDICTS, counts[1 + first :].astype(int).tolist(), strict=True))
+    """One value's (C, 1 + K) sums as K ratios, by resamples of the clusters that it occurs in."""
+    own = sums[sums[:, 0] > 0]
+    count, *numbers = own.sum(axis=0).astype(int).tolist()
+    found = bootstrap(own, np.arange(len(own)), lambda total: ratio(total[:, 1:], total[:, :1]), config=config)
+    shares, first = [replace(e, n=count) for e in found], len(MEASURES)
+    of_verdicts = [(v, e, n) for v, e, n in zip(VERDICTS, shares[first:], numbers[first:], strict=True) if v in kinds]
     return Slice(
-        system,
-        name,
-        query,
-        int(counts[0]),
-        own[0],
-        own[1],
-        own[2] if kinds else None,
-        {v: shares[v] for v in kinds},
-        {v: numbers[v] for v in kinds},
-    )
+        system, name, query, count, shares[0], shares[1], shares[2] if kinds else None,
+        {v: e for v, e, _ in of_verdicts}, {v: n for v, _, n in of_verdicts},
+    )  # fmt: skip
 
 
 def slice_table(found: Slices, intervals: bool = True) -> Table:
