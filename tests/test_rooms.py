@@ -99,7 +99,6 @@ HEAVY = frozenset(
         "trimesh",
         "cv2",
         "PIL",
-        "sqlalchemy",
         "torch",
         "onnx",
         "embreex",

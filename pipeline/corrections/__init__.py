@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     )
     from pipeline.corrections.drawing.gestures import Canvas, Gesture, gesture_of, read_gesture
     from pipeline.corrections.journal.batch import actions_of, apply_actions, needs_pictures, read_actions
-    from pipeline.corrections.journal.connection import back_up, check_journal, recover, writing
+    from pipeline.corrections.journal.connection import back_up, check_journal, recover
     from pipeline.corrections.journal.edits import (
         judge_relation,
         set_box,

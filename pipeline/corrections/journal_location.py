@@ -20,12 +20,10 @@ from itertools import count
 from pathlib import Path
 from threading import Lock, Thread
 
-import sqlalchemy as sa
-from sqlalchemy.exc import ArgumentError
-
 from pipeline.corrections.journal.connection import is_url
 from pipeline.corrections.journal.examining import DamagedJournal
 from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, journal_of
+from pipeline.corrections.journal.postgres import without_password
 from pipeline.corrections.review.label_jobs import LabelJobs
 from pipeline.corrections.unsaved import Unsaved, unsaved_actions
 from pipeline.labels.reading import Labels
@@ -71,7 +69,7 @@ class JournalLocation:
     @property
     def address(self) -> str:
         """What `--journal` takes to open it again; of a URL without the password."""
-        return "" if self.where is None else address_without_password(self.where)
+        return "" if self.where is None else without_password(self.where)
 
     @property
     def words(self) -> tuple[str, ...]:
@@ -158,23 +156,9 @@ class JournalLocation:
             self._journal = self._opening = None
 
 
-def address_without_password(where: str | Path) -> str:
-    """What `--journal` takes to open a journal again."""
-    if not is_url(where):
-        return str(where)
-    try:
-        url = sa.make_url(str(where))
-    except (ArgumentError, ValueError):
-        return str(where).rpartition("@")[2].partition("?")[0]
-    # `set` takes no password away.
-    url = url._replace(password=None)
-    secret = [name for name in url.query if "password" in name.lower()]
-    return url.difference_update_query(secret).render_as_string(hide_password=True)
-
-
 def journal_words(where: str | Path | None, project: str | None = None) -> tuple[str, ...]:
     """The options by which a command finds a journal, without a password."""
-    words = () if where is None else ("--journal", address_without_password(where))
+    words = () if where is None else ("--journal", without_password(where))
     return words if project is None else (*words, "--project", project)
 
 

@@ -12,10 +12,9 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-import sqlalchemy as sa
-from sqlalchemy import event as on
-
 from pipeline.corrections import Event, open_journal
+from pipeline.corrections.journal import sqlite_file
+from pipeline.corrections.journal.postgres import PostgresStore
 
 _STEPS = ("sqlite3.connect", "os.rename", "os.remove", "os.link")
 """Audit events that are steps of opening a journal, beside its statements."""
@@ -75,8 +74,18 @@ def _open_and_die(where: str | Path, at: int) -> None:
 
     status = 1
     try:
-        on.listen(sa.Engine, "before_cursor_execute", step)
-        on.listen(sa.Engine, "commit", step)
+        connected, run = sqlite_file.connected, PostgresStore._run
+
+        def traced(*given: Any) -> Any:
+            connection = connected(*given)
+            connection.set_trace_callback(step)
+            return connection
+
+        def watched(self: PostgresStore, link: Any, statement: str, *values: Any) -> list[Any]:
+            step()
+            return run(self, link, statement, *values)
+
+        sqlite_file.connected, PostgresStore._run = traced, watched
         sys.addaudithook(audit)
         open_journal(where)
         status = 0

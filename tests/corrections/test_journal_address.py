@@ -15,15 +15,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import sqlalchemy as sa
 from postgres_cluster import Cluster, missing, started_cluster
-from sqlalchemy import event
 from waiting import LONG_S, wait_until
 
 from pipeline.corrections import Edit, Journal, NotSaved, Saved, object_ref, open_journal, redo, undo
 from pipeline.corrections.journal import postgres
 from pipeline.corrections.journal.connection import likely_cause, reason_of
-from pipeline.corrections.journal.postgres import address_of, password_in_file
+from pipeline.corrections.journal.postgres import PostgresStore, address_of, password_in_file, without_password
 from pipeline.system import InputError
 
 NAME = object_ref("f", 1, "label")
@@ -38,17 +36,27 @@ def _plain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 
 def test_a_url_and_what_it_leaves_open(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = address_of(sa.make_url("postgresql://ann:a%2Fb@db.lab:6000/labels?sslmode=disable&application_name=x"))
+    found = address_of("postgresql://ann:a%2Fb@db.lab:6000/labels?sslmode=disable&application_name=x")
     assert (found.host, found.port, found.user, found.database) == ("db.lab", 6000, "ann", "labels")
     assert (found.password, found.ssl, found.application) == ("a/b", False, "x")
     assert "a/b" not in repr(found)
     monkeypatch.setenv("PGUSER", "bob")
     monkeypatch.setenv("PGPASSWORD", "hidden")
     monkeypatch.setenv("PGPORT", "7000")
-    found = address_of(sa.make_url("postgresql://db.lab"))
+    found = address_of("postgresql://db.lab")
     assert (found.port, found.user, found.database, found.password, found.ssl) == (7000, "bob", "bob", "hidden", None)
-    socket = address_of(sa.make_url("postgresql:///labels?host=/run/pg&sslmode=verify-full"))
+    socket = address_of("postgresql:///labels?host=/run/pg&sslmode=verify-full")
     assert (socket.host, socket.ssl) == ("/run/pg", False)
+
+
+@pytest.mark.parametrize(
+    ("where", "shown"),
+    [("postgresql://ann:a%2Fb@db.lab:6000/labels?sslmode=disable", "postgresql://ann@db.lab:6000/labels?sslmode=disable"),
+     ("postgresql://ann:a/b?c@db", "postgresql://ann@db"), ("postgresql:///x?password=a&port=3", "postgresql:///x?port=3"),
+     ("postgresql://[::1]:6/x?sslpassword=a", "postgresql://[::1]:6/x"), ("/a/b:c@d?e.sqlite", "/a/b:c@d?e.sqlite")],
+)  # fmt: skip
+def test_a_password_is_never_shown(where: str, shown: str) -> None:
+    assert without_password(where) == shown
 
 
 @pytest.mark.parametrize(
@@ -57,7 +65,7 @@ def test_a_url_and_what_it_leaves_open(monkeypatch: pytest.MonkeyPatch) -> None:
      ("verify-full", ssl.CERT_REQUIRED, True)],
 )  # fmt: skip
 def test_modes_of_encryption(mode: str, checks: ssl.VerifyMode, names: bool) -> None:
-    found = address_of(sa.make_url(f"postgresql://a@b/c?sslmode={mode}")).ssl
+    found = address_of(f"postgresql://a@b/c?sslmode={mode}").ssl
     assert isinstance(found, ssl.SSLContext)
     assert (found.verify_mode, found.check_hostname) == (checks, names)
 
@@ -152,24 +160,24 @@ def test_a_taken_back_action_whose_answer_was_lost_is_taken_back_once(
 
 def _cut_after_commit(journal: Journal, cluster: Cluster, action: Callable[[], object]) -> None:
     """The server commits what the action writes, and dies before it has said so."""
-    commit, writes = journal.engine.dialect.do_commit, []
+    commit, run, writes = PostgresStore._commit, PostgresStore._run, []
 
-    def lost(connection: Any) -> None:
-        commit(connection)
+    def lost(store: PostgresStore, link: Any) -> None:
+        commit(store, link)
         if writes:
             cluster.crash()
-            connection.cursor().execute("SELECT 1")
+            run(store, link, "SELECT 1")
 
-    def watch(_: Any, __: Any, statement: str, *___: Any) -> None:
+    def watch(store: PostgresStore, link: Any, statement: str, *values: Any) -> list[Any]:
         writes.extend([statement] if statement.startswith("INSERT") else [])
+        return run(store, link, statement, *values)
 
-    event.listen(journal.engine, "before_cursor_execute", watch)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(journal.engine.dialect, "do_commit", lost)
+        patch.setattr(PostgresStore, "_commit", lost)
+        patch.setattr(PostgresStore, "_run", watch)
         try:
             action()
         finally:
-            event.remove(journal.engine, "before_cursor_execute", watch)
             if writes:
                 cluster.start()
 

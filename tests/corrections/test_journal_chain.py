@@ -27,7 +27,7 @@ from pipeline.corrections import (
     recover,
     undo,
 )
-from pipeline.corrections.journal import connection, sqlite_file
+from pipeline.corrections.journal import sqlite_file
 from pipeline.corrections.journal.chain import CONTENT, FIRST, Head, chained, judged, link
 from pipeline.corrections.journal.examining import examine
 from pipeline.system import InputError
@@ -202,8 +202,7 @@ def test_a_journal_of_the_release_before_is_chained_and_kept(tmp_path: Path) -> 
 def test_where_nothing_can_be_written_a_journal_is_checked_and_read(
     tmp_path: Path, sound: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in (connection, sqlite_file):
-        monkeypatch.setattr(module, "can_be_written", lambda _: False)
+    monkeypatch.setattr(sqlite_file, "can_be_written", lambda _: False)
     for name, made, count in (("old", BEFORE, 7), ("new", sound, examine(sound).events)):
         folder = tmp_path / name
         folder.mkdir()

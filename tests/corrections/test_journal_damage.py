@@ -14,7 +14,7 @@ import pytest
 from journal_world import work_of
 from waiting import LONG_S
 
-from pipeline.corrections import JOURNAL_FILE, DamagedJournal, Edit, Event, Saved, object_ref, open_journal, writing
+from pipeline.corrections import JOURNAL_FILE, DamagedJournal, Edit, Event, Saved, object_ref, open_journal
 from pipeline.corrections.journal import sqlite_file
 from pipeline.corrections.journal.examining import examine
 from pipeline.corrections.journal.sqlite_file import lost_in_log
@@ -166,7 +166,7 @@ def test_who_looks_at_a_journal_leaves_the_writers_turn_alone(tmp_path: Path) ->
         return done.stderr
 
     with open_journal(path) as journal:
-        with writing(journal.engine):
+        with journal.store.writing():
             assert examine(path).damage == ()
             open_journal(path).close()
             assert "database is locked" in another()

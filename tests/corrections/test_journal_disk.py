@@ -16,6 +16,8 @@ from postgres_cluster import missing, started_cluster
 from waiting import LONG_S
 
 from pipeline.corrections import JOURNAL_FILE, Edit, Journal, NotSaved, Saved, object_ref, open_journal
+from pipeline.corrections.journal import journal as journal_module
+from pipeline.corrections.journal.tables import write_rows
 from pipeline.system import InputError
 
 LONG = "x" * 1500
@@ -199,9 +201,7 @@ def test_a_folder_that_goes_while_the_journal_is_open(tmp_path: Path, how: str) 
     _save_again(journal, error.value, 1)
 
 
-def test_a_file_that_goes_while_an_edit_is_saved(tmp_path: Path) -> None:
-    from sqlalchemy import event
-
+def test_a_file_that_goes_while_an_edit_is_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     journal = open_journal(tmp_path / JOURNAL_FILE)
     assert isinstance(journal.append(_edits(0), "ann"), Saved)
     names = [JOURNAL_FILE + suffix for suffix in ("", "-wal", "-shm")]
@@ -210,9 +210,10 @@ def test_a_file_that_goes_while_an_edit_is_saved(tmp_path: Path) -> None:
         for name in names:
             (tmp_path / name).rename(tmp_path / f"kept-{name}")
 
-    event.listen(journal.engine, "after_cursor_execute", take, once=True)
+    monkeypatch.setattr(journal_module, "write_rows", lambda *given: (write_rows(*given), take())[0])
     with pytest.raises(NotSaved, match=r"the journal's file is gone.*put the journal back") as error:
         journal.append(_edits(1), "ann")
+    monkeypatch.undo()
     for name in names:
         if (tmp_path / f"kept-{name}").exists():
             (tmp_path / f"kept-{name}").rename(tmp_path / name)
@@ -242,9 +243,8 @@ def test_a_server_whose_disk_is_full_or_read_only() -> None:
                 _check_refused(error, number, journal)
                 ballast.unlink()
                 _save_again(journal, error, number)
-                with journal.engine.connect() as connection:
-                    connection.exec_driver_sql("ALTER DATABASE postgres SET default_transaction_read_only = on")
-                    connection.commit()
+                with journal.store.writing() as run:
+                    run("ALTER DATABASE postgres SET default_transaction_read_only = on")
                 journal.close()
                 with pytest.raises(NotSaved, match="the database takes no edits now") as refused:
                     journal.append(_edits(9_999), "ann")

@@ -22,7 +22,6 @@ from pipeline.corrections import (
     check_journal,
     object_ref,
     open_journal,
-    writing,
 )
 
 FIXTURE = Path(__file__).parents[1] / "fixtures" / "2026-11-26"
@@ -84,9 +83,9 @@ def test_a_dump_opens_with_all_events_and_reading_writes_nothing(database: str, 
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are forked on POSIX alone")
 def test_a_killed_change_of_format_leaves_the_old_journal(database: str) -> None:
-    with open_journal(database) as journal, writing(journal.engine) as connection:
+    with open_journal(database) as journal, journal.store.writing() as run:
         for statement in OLDER:
-            connection.exec_driver_sql(statement)
+            run(statement)
     events, left = check_journal(database).events, list[bool]()
     for step in killed_openings(database):
         found = check_journal(database)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import sqlite3
@@ -15,19 +14,17 @@ import pytest
 from journal_checks import NAME, journal  # noqa: F401
 from waiting import LONG_S
 
-from pipeline.corrections import JOURNAL_FILE, Edit, Journal, NotSaved, Saved, object_ref, open_journal, writing
+from pipeline.corrections import JOURNAL_FILE, Edit, Journal, NotSaved, Saved, object_ref, open_journal
 from pipeline.corrections.journal.sqlite_file import network_file_system
 from pipeline.system import InputError
 
 
 def test_a_full_disk_is_told_and_hands_the_edit_back(journal: Journal) -> None:
-    with writing(journal.engine) as connection:
-        pages = connection.exec_driver_sql("PRAGMA page_count").scalar()
     limited = open_journal(journal.location)
-    # SQLite reports this limit as it does a disk without space: SQLITE_FULL.
-    from sqlalchemy import event
-
-    event.listen(limited.engine, "begin", lambda c: c.exec_driver_sql(f"PRAGMA max_page_count = {pages}"))
+    # SQLite reports this limit as it does a disk without space: SQLITE_FULL. It is of a connection, which is kept.
+    with limited.store.reading() as run:
+        ((pages,),) = run("PRAGMA page_count")
+        run(f"PRAGMA max_page_count = {pages}")
 
     def fill() -> None:
         for k in range(400):
@@ -50,7 +47,7 @@ from pipeline.system.errors import InputError
 from pipeline.corrections.journal.field_refs import object_ref
 from pipeline.corrections.journal.events import Edit, NotSaved
 from pipeline.corrections.journal.journal import open_journal
-import sqlalchemy.dialects.sqlite.pysqlite, sqlite3
+import sqlite3
 if os.getuid() == 0:
     os.setgroups([]); os.setgid(65534); os.setuid(65534)
 try:
@@ -114,9 +111,9 @@ def test_a_journal_of_a_newer_release_and_other_files_are_refused(tmp_path: Path
 
 
 def test_saved_means_on_the_disk(journal: Journal) -> None:
-    with writing(journal.engine) as connection:
-        assert connection.exec_driver_sql("PRAGMA journal_mode").scalar() == "wal"
-        assert connection.exec_driver_sql("PRAGMA synchronous").scalar() == 2  # FULL
+    with journal.store.writing() as run:
+        assert run("PRAGMA journal_mode") == [("wal",)]
+        assert run("PRAGMA synchronous") == [(2,)]  # FULL
 
 
 def test_network_file_systems_are_told_apart(tmp_path: Path) -> None:
@@ -131,14 +128,11 @@ def test_network_file_systems_are_told_apart(tmp_path: Path) -> None:
     assert network_file_system("/mnt/x", tmp_path / "absent") is None
 
 
-def test_the_migration_makes_the_table_that_the_code_expects(journal: Journal) -> None:
-    from sqlalchemy import inspect
-
-    from pipeline.corrections.journal.chain import EVENTS
-
-    found = {c["name"]: (str(c["type"]), c["nullable"]) for c in inspect(journal.engine).get_columns("events")}
-    dialect = journal.engine.dialect
-    assert found == {c.name: (c.type.compile(dialect), bool(c.nullable)) for c in EVENTS.columns}
-    assert json.dumps(sorted(i["name"] or "" for i in inspect(journal.engine).get_indexes("events"))) == json.dumps(
-        sorted(str(i.name) for i in EVENTS.indexes)
-    )
+def test_a_new_journal_has_the_tables_of_earlier_ones(journal: Journal) -> None:
+    """An older release opens it too; the statements that made them are hashed in the head."""
+    kept = Path(__file__).parents[1] / "fixtures" / "2026-11-26" / "labels" / JOURNAL_FILE
+    made = "SELECT name, sql FROM sqlite_master ORDER BY name"
+    with sqlite3.connect(f"{kept.as_uri()}?immutable=1", uri=True) as old, journal.store.reading() as run:
+        assert run(made) == old.execute(made).fetchall()
+        tables = "SELECT tables, version FROM journal_head"
+        assert run(tables) == old.execute(tables).fetchall()

@@ -13,7 +13,6 @@ import pytest
 from benchmarks.journal_writers import prove, read_report, ready_processes, write_many
 from journal_world import work_of
 from postgres_cluster import missing, running_cluster
-from sqlalchemy.exc import DBAPIError
 from waiting import wait_until
 
 from pipeline.corrections import (
@@ -29,10 +28,9 @@ from pipeline.corrections import (
     redo,
     relation_ref,
     undo,
-    writing,
 )
-from pipeline.corrections.journal import connection, postgres
-from pipeline.corrections.journal.connection import reading
+from pipeline.corrections.journal import postgres
+from pipeline.corrections.journal.postgres import ServerError
 from pipeline.system import InputError
 
 LEFT = relation_ref("scene/0", 1, 2, "left")
@@ -63,8 +61,8 @@ def test_events_conflicts_undo_and_redo(database: str) -> None:
     assert isinstance(redo(ann, "ann"), Saved)
     assert undo(bob, "bob") is None
     assert [e.action for e in bob.events()] == ["edit", "edit", "undo", "undo", "redo", "redo"]
-    with pytest.raises(DBAPIError, match="can only grow"), writing(ann.engine) as connection:
-        connection.exec_driver_sql("DELETE FROM events")
+    with pytest.raises(ServerError, match="can only grow"), ann.store.writing() as run:
+        run("DELETE FROM events")
     assert len(open_journal(database, project="story").events()) == 6
     assert open_journal(database, project="another").events() == ()
     ann.close()
@@ -92,9 +90,9 @@ def test_a_change_in_the_server_is_noticed(tmp_path: Path) -> None:
         with open_journal(url, project="kitchen") as journal:
             for k in range(4):
                 journal.append([Edit(object_ref("f", k, "label"), "mug", "cup")], "ann")
-            with writing(journal.engine) as connection:
-                connection.exec_driver_sql("ALTER TABLE events DISABLE TRIGGER ALL")
-                connection.exec_driver_sql("UPDATE events SET author = 'eve' WHERE id = 2")
+            with journal.store.writing() as run:
+                run("ALTER TABLE events DISABLE TRIGGER ALL")
+                run("UPDATE events SET author = 'eve' WHERE id = 2")
         with pytest.raises(DamagedJournal, match="event 2 is not as it was saved; events 1, 3 to 4 of 4 are intact"):
             open_journal(url)
         assert check_journal(url).ranges == ((1, 1), (3, 4))
@@ -110,21 +108,20 @@ def test_a_journal_of_the_release_before_is_chained_and_kept() -> None:
             work_of(journal, 30)
             saved = journal.events()
             # As it was before: no hashes, no head, and a table of Alembic's.
-            with writing(journal.engine) as connection:
+            with journal.store.writing() as run:
                 for statement in (
                     "CREATE TABLE alembic_version (version_num VARCHAR(32) NOT NULL)",
                     "INSERT INTO alembic_version VALUES ('0001')",
                     "ALTER TABLE events DROP COLUMN hash",
                     "DROP TABLE journal_head",
                 ):
-                    connection.exec_driver_sql(statement)
+                    run(statement)
         assert not check_journal(url).chained
         with open_journal(url) as journal:
             assert journal.events() == saved
             assert isinstance(journal.append([Edit(LEFT, -1, 1)], "ann"), Saved)
-            with reading(journal.engine) as connection:
-                kept = connection.exec_driver_sql("SELECT count(*) FROM events_before_chain").scalar()
-            assert kept == len(saved)
+            with journal.store.reading() as run:
+                assert run("SELECT count(*) FROM events_before_chain") == [[len(saved)]]
         assert check_journal(url).damage == ()
 
 
@@ -133,13 +130,13 @@ def test_a_writer_whose_turn_does_not_come_asks_again(database: str, monkeypatch
     monkeypatch.setattr(postgres, "TURN_S", 0.02)
     with open_journal(database, project="turns") as ann, open_journal(database, project="turns") as bob:
         with ThreadPoolExecutor() as pool:
-            with writing(ann.engine):
+            with ann.store.writing():
                 done = pool.submit(bob.append, [Edit(LEFT, -1, 1)], "bob")
                 with pytest.raises(NotYet):
                     done.result(0.1)
             assert isinstance(done.result(60), Saved)
-        monkeypatch.setattr(connection, "BUSY_S", 0.0)
-        with writing(ann.engine), pytest.raises(NotSaved, match="locked by another program"):
+        monkeypatch.setattr(postgres, "BUSY_S", 0.0)
+        with ann.store.writing(), pytest.raises(NotSaved, match="locked by another program"):
             bob.append([Edit(LEFT, 1, 0, 1)], "bob")
 
 
@@ -150,11 +147,11 @@ def test_a_writer_that_says_nothing_loses_its_turn(database: str, monkeypatch: p
 
         def lost() -> None:
             monkeypatch.setattr(postgres, "IDLE_S", 0.3)
-            with writing(ann.engine):
+            with ann.store.writing():
                 monkeypatch.setattr(postgres, "IDLE_S", usual)
                 assert isinstance(bob.append([Edit(LEFT, -1, 1)], "bob"), Saved)
 
-        with pytest.raises(DBAPIError):
+        with pytest.raises(ServerError):
             lost()
         assert isinstance(ann.append([Edit(LEFT, 1, 0, 1)], "ann"), Saved)
 

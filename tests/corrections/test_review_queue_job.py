@@ -41,7 +41,7 @@ def test_what_people_said_is_in_the_queue_and_its_figures(
     for author, state in (("ann", T), ("ben", F)):
         saved(journal, judge_relation(frame, a, b, "left", state, author), author)
         saved(journal, judge_relation(frame, a, c, "left", T, author), author)
-    where = str(journal.engine.url.database)
+    where = journal.location
     job = QueueJob(demo_labels.root, tmp_path / "q.parquet", where, networks=False)
     made = make_queue(job, lambda step: None)
     (pair,) = made["agreement"]

@@ -9,26 +9,14 @@ import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
-from datetime import datetime, timezone
 from functools import lru_cache
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from pipeline.corrections.journal.chain import (
-    BEFORE,
-    CONTENT,
-    REVISION,
-    STATEMENTS,
-    TABLES,
-    VERSION,
-    Head,
-    Row,
-    fingerprint,
-    judged,
-    judged_alone,
-)
-from pipeline.corrections.journal.sqlite_file import connected, lost_in_log, plain_reason, read_plainly
+from pipeline.corrections.journal.chain import CONTENT, Head, Row, judged, judged_alone
+from pipeline.corrections.journal.sqlite_file import STATEMENTS, connected, lost_in_log, plain_reason, read_plainly
+from pipeline.corrections.journal.tables import BEFORE, REVISION, STORED, TABLES, VERSION, fingerprint, row_of
 from pipeline.system.errors import InputError, require
 from pipeline.system.safe_files import limits_of
 from pipeline.system.whole_files import scratch_folder
@@ -299,7 +287,7 @@ def _with_head(path: Path, connection: sqlite3.Connection, kept: int, damage: li
     made = fingerprint(str(text) for (text,) in connection.execute(STATEMENTS))
     if row is not None and row[4] != made:
         damage.append("its tables are not those that were made")
-    rows = _rows(connection, (*CONTENT, "hash"), damage)
+    rows = _rows(connection, STORED, damage)
     sound = row is not None and isinstance(row[1], int) and isinstance(row[2], int) and isinstance(row[3], str)
     head = Head(*row[1:4]) if sound and row is not None else None
     found = judged(rows, head)
@@ -357,16 +345,11 @@ def _rows(connection: sqlite3.Connection, names: Sequence[str], damage: list[str
 
 
 def _row(names: Sequence[str], values: Sequence[Any]) -> Row | None:
-    """An event as `chain.EVENTS` reads it; None where a column holds what is no value of it."""
-    row = dict(zip(names, values, strict=True))
+    """An event; None where a column holds what is no value of it."""
     try:
-        for name in ("before", "after", "anchor"):
-            # SQLite keeps JSON's numbers as numbers.
-            row[name] = row[name] if type(row[name]) in (int, float) else _parsed(row[name])
-        row["time"] = datetime.fromisoformat(row["time"]).replace(tzinfo=timezone.utc)
+        return row_of(names, values, _parsed)
     except (TypeError, ValueError, RecursionError):
         return None
-    return row
 
 
 _parsed = lru_cache(maxsize=4_096)(json.loads)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sqlite3
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
@@ -11,32 +12,29 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import sqlalchemy as sa
-from sqlalchemy.exc import IntegrityError
-
-from pipeline.corrections.journal.chain import CONTENT, EVENTS, HEAD, Head, link
+from pipeline.corrections.journal.chain import Head, link
 from pipeline.corrections.journal.connection import (
     DATABASE_ERRORS,
     is_url,
     likely_cause,
-    location_of,
-    make_engine,
     prepare,
     reading,
     reason_of,
-    write_rows,
-    writing,
+    store_at,
 )
 from pipeline.corrections.journal.events import Action, Conflict, Edit, Event, NotSaved, Rival, Saved, new_ulid
 from pipeline.corrections.journal.examining import DamagedJournal, empty_file, examine, is_empty
 from pipeline.corrections.journal.field_refs import LONGEST_NAME, FieldRef, Kind, plain_text
+from pipeline.corrections.journal.postgres import state_of
 from pipeline.corrections.journal.sqlite_file import network_file_system
+from pipeline.corrections.journal.tables import STORED, Run, Store, head_of, rows, write_rows
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import labels_version
 from pipeline.system.errors import InputError, require
 
 JOURNAL_FILE = "journal.sqlite"
-_CONTENT = tuple(EVENTS.c[name] for name in CONTENT)
+_TAKEN = "23"
+"""SQLSTATE class of what a constraint refuses."""
 _AT_ONCE = 500
 """Cells asked for in one query: databases bound the number of a query's values."""
 _PLAIN = [f.name for f in fields(Event) if f.name != "ref"]
@@ -48,7 +46,7 @@ class Journal:
 
     Attributes
     ----------
-    engine : sqlalchemy.Engine
+    store : Store
     project : str
         Journals of several datasets may share a database; each sees its own project.
     labels : str
@@ -57,7 +55,7 @@ class Journal:
         What the user should know of the place where it is kept.
     """
 
-    engine: sa.Engine
+    store: Store
     project: str = ""
     labels: str = ""
     warnings: tuple[str, ...] = ()
@@ -65,11 +63,11 @@ class Journal:
     @property
     def location(self) -> str:
         """Where it is, without a password."""
-        return location_of(self.engine)
+        return self.store.location
 
     def close(self) -> None:
         """Let go of the database."""
-        self.engine.dispose()
+        self.store.close()
 
     def __enter__(self) -> Journal:
         return self
@@ -120,16 +118,16 @@ class Journal:
         """`append`, `undo` and `redo` come down to this; raises as `append`."""
         author = plain_text(author, "an author", LONGEST_NAME).strip()
         again, group = group is not None, group or new_ulid()
-        rows = [
+        wanted = [
             self._row(edit, author, action, group, taken_back)
             for edit, taken_back in zip(edits, undo_of or [None] * len(edits), strict=True)
         ]
         try:
-            with writing(self.engine) as connection:
-                saved = self._select(connection, EVENTS.c.group == group) if again else ()
+            with self.store.writing() as run:
+                saved = self._select(run, 'AND "group" = ? ORDER BY id', group) if again else ()
                 if saved:
                     return Saved(saved)
-                heads = self._heads(connection, [e.ref for e in edits])
+                heads = self._heads(run, [e.ref for e in edits])
                 rivals = tuple(
                     Rival(e, heads.get(e.ref))
                     for e in edits
@@ -137,14 +135,16 @@ class Journal:
                 )
                 if rivals:
                     return Conflict(rivals, tuple(edits))
-                last = _last(connection)
-                made = write_rows(connection, ({**row, "id": last.last + k} for k, row in enumerate(rows, 1)), last)
+                last = _last(run)
+                made = write_rows(
+                    self.store, run, ({**row, "id": last.last + k} for k, row in enumerate(wanted, 1)), last
+                )
             return Saved(self._read_back(group, last.hash, [row["hash"] for row in made]))
-        except IntegrityError:
-            # Writers take turns; a writer that does not, for it is of another program, is caught here.
-            heads = self.heads([e.ref for e in edits])
-            return Conflict(tuple(Rival(e, heads.get(e.ref)) for e in edits), tuple(edits))
         except (*DATABASE_ERRORS, InputError) as error:
+            if isinstance(error, sqlite3.IntegrityError) or state_of(error).get("C", "").startswith(_TAKEN):
+                # Writers take turns; a writer that does not, for it is of another program, is caught here.
+                heads = self.heads([e.ref for e in edits])
+                return Conflict(tuple(Rival(e, heads.get(e.ref)) for e in edits), tuple(edits))
             reason = error.what if isinstance(error, InputError) else reason_of(error, self.location)
             cause = error.examined.help if isinstance(error, DamagedJournal) else likely_cause(reason)
             raise NotSaved(
@@ -154,19 +154,17 @@ class Journal:
 
     def _read_back(self, group: str, previous: str, hashes: Sequence[str]) -> tuple[Event, ...]:
         """An action that was saved, read anew; InputError where it is not what was written."""
-        with reading(self.engine) as connection:
-            if self.engine.dialect.name == "sqlite":
-                # What is kept in memory would say what was written, and not what is there.
-                connection.exec_driver_sql("PRAGMA shrink_memory")
-            wanted = sa.select(EVENTS).where(EVENTS.c.project == self.project, EVENTS.c.group == group)
-            rows = connection.execute(wanted.order_by(EVENTS.c.id)).mappings().all()
-        for row, made in zip(rows, hashes, strict=False):
-            previous = link(previous, dict(row))
+        # What is kept in memory would say what was written, and not what is there.
+        with reading(self.store, fresh=True) as run:
+            where = 'WHERE project = ? AND "group" = ? ORDER BY id'
+            found = rows(self.store, run, where, self.project, group, names=STORED)
+        for row, made in zip(found, hashes, strict=False):
+            previous = link(previous, row)
             if not previous == made == row["hash"]:
                 break
         else:
-            if len(rows) == len(hashes):
-                return tuple(_event(row) for row in rows)
+            if len(found) == len(hashes):
+                return tuple([_event(row) for row in found])
         raise InputError("what was written cannot be read back: the disk, or the journal, is damaged")
 
     def _row(self, edit: Edit, author: str, action: Action, group: str, undo_of: str | None) -> dict[str, Any]:
@@ -221,61 +219,52 @@ class Journal:
             The journal cannot be read.
         """
         named = {"author": author, "kind": kind, "frame": frame, "key": key, "field": field, "group": group}
-        wanted = [EVENTS.c[name] == value for name, value in named.items() if value is not None]
+        wanted: dict[str, Any] = {f'AND "{name}" = ?': value for name, value in named.items() if value is not None}
+        wanted["AND id > ?"] = after
         if before is not None:
-            wanted.append(EVENTS.c.id < before)
-        with reading(self.engine) as connection:
-            return self._select(connection, EVENTS.c.id > after, *wanted, last=last)
+            wanted["AND id < ?"] = before
+        wanted["ORDER BY id" if last is None else "ORDER BY id DESC LIMIT ?"] = last
+        values = [value for value in wanted.values() if value is not None]
+        with reading(self.store) as run:
+            return self._select(run, " ".join(wanted), *values)[:: 1 if last is None else -1]
 
     def count(self) -> int:
         """How many events there are; InputError where the journal cannot be read."""
-        with reading(self.engine) as connection:
-            wanted = sa.select(sa.func.count()).select_from(EVENTS).where(EVENTS.c.project == self.project)
-            return int(connection.execute(wanted).scalar_one())
+        with reading(self.store) as run:
+            return int(run("SELECT count(*) FROM events WHERE project = ?", self.project)[0][0])
 
     def heads(self, refs: Sequence[FieldRef]) -> dict[FieldRef, Event]:
         """The newest event of each of the cells that has any; InputError where the journal cannot be read."""
-        with reading(self.engine) as connection:
-            return self._heads(connection, refs)
+        with reading(self.store) as run:
+            return self._heads(run, refs)
 
-    def _heads(self, connection: sa.Connection, refs: Sequence[FieldRef]) -> dict[FieldRef, Event]:
-        named = sa.tuple_(EVENTS.c.kind, EVENTS.c.frame, EVENTS.c.key, EVENTS.c.field)
+    def _heads(self, run: Run, refs: Sequence[FieldRef]) -> dict[FieldRef, Event]:
         found: dict[FieldRef, Event] = {}
         for first in range(0, len(refs), _AT_ONCE):
-            wanted = [(c.kind, c.frame, c.key, c.field) for c in refs[first : first + _AT_ONCE]]
+            some = refs[first : first + _AT_ONCE]
             newest = (
-                sa.select(sa.func.max(EVENTS.c.id))
-                .where(EVENTS.c.project == self.project, named.in_(wanted))
-                .group_by(EVENTS.c.kind, EVENTS.c.frame, EVENTS.c.key, EVENTS.c.field)
+                'AND id IN (SELECT max(id) FROM events WHERE project = ? AND (kind, frame, "key", field) IN '
+                f'(VALUES {", ".join(["(?, ?, ?, ?)"] * len(some))}) GROUP BY kind, frame, "key", field)'
             )
-            found |= {e.ref: e for e in self._select(connection, EVENTS.c.id.in_(newest))}
+            cells = [value for c in some for value in (c.kind, c.frame, c.key, c.field)]
+            found |= {e.ref: e for e in self._select(run, newest, self.project, *cells)}
         return found
 
-    def _select(
-        self, connection: sa.Connection, *conditions: sa.ColumnElement[bool], last: int | None = None
-    ) -> tuple[Event, ...]:
-        query = sa.select(*_CONTENT).where(EVENTS.c.project == self.project, *conditions)
-        newest_first = query.order_by(EVENTS.c.id.desc()).limit(last)
-        rows = connection.execute(query.order_by(EVENTS.c.id) if last is None else newest_first).mappings()
-        return tuple(_event(row) for row in rows)[:: 1 if last is None else -1]
+    def _select(self, run: Run, more: str, *values: Any) -> tuple[Event, ...]:
+        found = rows(self.store, run, f"WHERE project = ? {more}", self.project, *values)
+        return tuple([_event(row) for row in found])
 
 
-_TIP = sa.select(
-    HEAD.c.events, HEAD.c.last, HEAD.c.hash, EVENTS.c.hash.label("kept"),
-    sa.select(sa.func.max(EVENTS.c.id)).scalar_subquery().label("newest"),
-).select_from(HEAD.outerjoin(EVENTS, EVENTS.c.id == HEAD.c.last))  # fmt: skip
-
-
-def _last(connection: sa.Connection) -> Head:
+def _last(run: Run) -> Head:
     """What the next event is chained to; InputError where the journal is not as it was left."""
-    row = connection.execute(_TIP).one_or_none()
-    if row is None or (row.kept, row.newest) != ((row.hash, row.last) if row.events else (None, None)):
+    head, newest = head_of(run), run("SELECT id, hash FROM events ORDER BY id DESC LIMIT 1")
+    if head is None or [tuple(row) for row in newest] != ([(head.last, head.hash)] if head.events else []):
         raise InputError("the journal is damaged: its last event is not the one that was saved last")
-    return Head(row.events, row.last, row.hash)
+    return head
 
 
-def _event(row: sa.RowMapping) -> Event:
-    ref = FieldRef(row["kind"], row["frame"], row["key"], row["field"])
+def _event(row: dict[str, Any]) -> Event:
+    ref = FieldRef(row.pop("kind"), row.pop("frame"), row.pop("key"), row.pop("field"))
     return Event(ref=ref, **{name: row[name] for name in _PLAIN})
 
 
@@ -322,13 +311,13 @@ def open_journal(where: str | Path, *, project: str = "", labels: str = "", must
                             "put a copy in its place")  # fmt: skip
         elif path.exists():
             examine(path).believe()
-    engine = make_engine(where)
+    store = store_at(where)
     try:
-        warnings += prepare(engine)
+        warnings += prepare(store)
     except BaseException:
-        engine.dispose()
+        store.close()
         raise
-    return Journal(engine, project, labels, tuple(warnings))
+    return Journal(store, project, labels, tuple(warnings))
 
 
 def journal_of(

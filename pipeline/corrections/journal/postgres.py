@@ -17,23 +17,23 @@ import ssl
 import stat
 import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from copy import copy
 from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeVar
+from urllib.parse import parse_qsl, unquote
 
-import sqlalchemy as sa
-from sqlalchemy import event
-from sqlalchemy.exc import ArgumentError, DBAPIError, InvalidatePoolError
-
-from pipeline.system.errors import as_input_error, extra_module, require
+from pipeline.corrections.journal.tables import FORBIDDEN, Run, begin, made
+from pipeline.system.errors import as_input_error, extra_module, needed, require
 
 CONNECT_S = 5.0
 PING_S = 3.0
 """A connection that says nothing for so long when it is taken up again is broken."""
+BUSY_S = 60.0
+"""How long a writer waits for its turn."""
 SILENCE_S = 10.0
 """A server that has not answered a query for so long is taken to be away."""
 TURN_S = 2.0
@@ -47,7 +47,14 @@ _GONE = ("57P", "08")
 """SQLSTATE classes of a server that shuts down or starts, and of a connection that broke."""
 _LOCKED = "55P03"
 """SQLSTATE of a lock that was not given in time."""
-_ANSWERED = "spatialviz_answered"
+_ADVISORY = 0x5350_4A4C
+"""Key of the lock by which writers take turns: events are numbered in the order of their saving."""
+KEPT = "events_before_chain"
+_URL = re.compile(
+    r"(?P<scheme>[\w+]+)://(?:(?P<user>[^:/@]*)(?::(?P<password>[^@]*))?@)?"
+    r"(?P<place>(?:\[(?P<v6>[^/?]+)\]|(?P<host>[^/:?]+))?(?::(?P<port>[^/?]*))?(?:/(?P<database>[^?]*))?)"
+    r"(?:\?(?P<query>.*))?"
+)
 _FIELD = re.compile(r"((?:\\.|[^:\\])*)(?::|$)")
 SLOW_S = 1.0
 """A server that fails after a longer time is not waited for again until it is known to answer."""
@@ -83,8 +90,12 @@ class Address:
     application: str = "spatialviz"
 
 
-def postgres_engine(where: str) -> sa.Engine:
-    """An engine for a URL "postgresql://...".
+class ServerError(OSError):
+    """What the driver says: of the server's word its fields (`state_of`), else a text."""
+
+
+class PostgresStore:
+    """A `Store` at a URL "postgresql://...".
 
     Raises
     ------
@@ -93,65 +104,168 @@ def postgres_engine(where: str) -> sa.Engine:
     MissingExtra
         The driver is not installed.
     """
-    with as_input_error(
-        "the journal's URL cannot be read", ArgumentError, ValueError, expected="postgresql://user@host/database"
-    ):
-        url = sa.make_url(where)
-        port = url.port
-    require(
-        url.drivername in ("postgresql", "postgres", "postgresql+pg8000"),
-        "no such kind of journal",
-        got=url.drivername,
-        expected="a path, or postgresql://...",
-    )
-    extra_module("pg8000", "a journal in PostgreSQL", "postgres")
-    address = address_of(url)
-    plain = url.set(drivername="postgresql+pg8000", port=port)
-    engine = sa.create_engine(plain, creator=lambda: _connect(address))
 
-    def check(link: Any, record: Any, _: Any) -> None:
-        # One that was just made answers.
-        if record.info.setdefault(_ANSWERED, None) is None:
-            record.info[_ANSWERED] = True
-            return
+    server, selected, zone, writable = True, "{}::text", "+00", True
+
+    def __init__(self, where: str) -> None:
+        scheme = where.partition("://")[0]
+        require(
+            scheme in ("postgresql", "postgres", "postgresql+pg8000"),
+            "no such kind of journal",
+            got=scheme,
+            expected="a path, or postgresql://...",
+        )
+        extra_module("pg8000", "a journal in PostgreSQL", "postgres")
+        self.location = without_password(where)
+        self._address = address_of(where)
+        self._idle: list[Any] = []
+
+    def settle(self) -> None:
+        pass
+
+    def _taken(self) -> Any:
+        """One that answers."""
+        address = self._address
+        with suppress(IndexError):
+            link = self._idle.pop()
+            try:
+                server_at(address.host, address.port).ask(link.ping, lambda: _opened(address))
+                return link
+            except Exception:
+                link.close()
+                self.close()
+        return _connect(address)
+
+    @contextmanager
+    def reading(self, fresh: bool = False) -> Iterator[Run]:
+        link = self._taken()
+        with self._given_back(link):
+            self._run(link, "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY")
+            yield partial(self._run, link)
+            self._commit(link)
+
+    @contextmanager
+    def writing(self) -> Iterator[Run]:
+        link, until = self._taken(), time.monotonic() + BUSY_S
+        with self._given_back(link):
+            while not self._turn(link):
+                if time.monotonic() > until:
+                    raise TimeoutError("locked by another program, which goes on writing")
+            yield partial(self._run, link)
+            self._commit(link)
+
+    def _turn(self, link: Any) -> bool:
+        """Begin a transaction and wait for a writer's turn; False where it did not come within TURN_S.
+
+        The settings are those of the transaction alone (postgresql.org/docs/current/runtime-config-client.html). They
+        are made in the same query, whose columns are computed from left to right.
+        """
+        waits = (f"'{name}', '{int(1000 * seconds)}'" for name, seconds in
+                 (("lock_timeout", TURN_S), ("idle_in_transaction_session_timeout", IDLE_S)))  # fmt: skip
+        settings = ", ".join(f"set_config({wait}, true)" for wait in waits)
+        self._run(link, "BEGIN")
         try:
-            server_at(address.host, address.port).ask(link.ping, lambda: _opened(address))
-        except Exception as error:
-            # The pool lets go of all that it holds, and connects, or fails, anew.
-            raise InvalidatePoolError(str(error)) from error
+            self._run(link, f"SELECT {settings}, pg_advisory_xact_lock({_ADVISORY})")
+        except ServerError as error:
+            if state_of(error).get("C") != _LOCKED:
+                raise
+            self._run(link, "ROLLBACK")
+            return False
+        return True
 
-    event.listen(engine, "checkout", check)
+    def _run(self, link: Any, statement: str, *values: Any) -> list[Any]:
+        import pg8000
 
-    def drop_what_broke(context: sa.engine.ExceptionContext) -> None:
-        # A server that shut down, and a socket that failed, leave connections that cannot be used again.
-        error = context.original_exception
-        if isinstance(error, OSError) or state_of(error).get("C", "").startswith(_GONE):
-            context.is_disconnect = True
-        if isinstance(error, TimeoutError):
-            server_at(address.host, address.port).know(error)
+        parts = statement.split("?")
+        numbered = "".join(f"{part}${number}" for number, part in enumerate(parts[:-1], 1)) + parts[-1]
+        try:
+            return (
+                link.execute_unnamed(numbered, vals=values) if values else link.execute_simple(statement)
+            ).rows or []
+        except pg8000.Error as error:
+            raise ServerError(*error.args) from error
+        except AttributeError as error:
+            # The driver looks into a socket that it has let go of.
+            raise ServerError("the connection is closed") from error
 
-    event.listen(engine, "handle_error", drop_what_broke)
-    return engine
+    def _commit(self, link: Any) -> None:
+        self._run(link, "COMMIT")
+
+    @contextmanager
+    def _given_back(self, link: Any) -> Iterator[None]:
+        """A connection goes back to the others when the block ends, unless it broke."""
+        try:
+            yield
+        except BaseException as error:
+            # A server that shut down, and a socket that failed, leave connections that cannot be used again.
+            state = state_of(error).get("C", "")
+            broken = (isinstance(error, OSError) and not state) or state.startswith(_GONE)
+            try:
+                if not broken:
+                    self._run(link, "ROLLBACK")
+            except OSError:
+                broken = True
+            if broken:
+                link.close()
+                self.close()
+                raise
+            self._idle.append(link)
+            raise
+        self._idle.append(link)
+
+    def tables(self, run: Run) -> set[str]:
+        return {name for (name,) in run("SELECT tablename FROM pg_tables WHERE schemaname = current_schema()")}
+
+    def create(self, run: Run, first: str) -> None:
+        for statement in made("BIGINT", "TIMESTAMP WITH TIME ZONE"):
+            run(statement)
+        refused = f"$$ BEGIN RAISE EXCEPTION '{FORBIDDEN}'; END $$"
+        run(f"CREATE OR REPLACE FUNCTION refuse_change() RETURNS trigger LANGUAGE plpgsql AS {refused}")
+        run(
+            "CREATE TRIGGER events_only_grow BEFORE UPDATE OR DELETE OR TRUNCATE ON events "
+            "FOR EACH STATEMENT EXECUTE FUNCTION refuse_change()"
+        )
+        begin(run, first)
+
+    def keep(self, run: Run) -> str:
+        run(f"CREATE TABLE IF NOT EXISTS {KEPT} AS TABLE events")
+        return KEPT
+
+    def close(self) -> None:
+        while self._idle:
+            with suppress(IndexError):
+                self._idle.pop().close()
 
 
-def address_of(url: sa.URL) -> Address:
+def without_password(where: str | Path) -> str:
+    """What opens a journal again, without what is secret."""
+    found = _URL.fullmatch(str(where))
+    if found is None:
+        return str(where).rpartition("@")[2].partition("?")[0] if "://" in str(where) else str(where)
+    plain = [part for part in (found["query"] or "").split("&") if "password" not in part.partition("=")[0].lower()]
+    user = "" if found["user"] is None else f"{found['user']}@"
+    return f"{found['scheme']}://{user}{found['place']}{'?' if any(plain) else ''}{'&'.join(plain)}"
+
+
+def address_of(where: str) -> Address:
     """What a URL leaves open is taken from the environment and the password file, as libpq does.
 
     Raises
     ------
     InputError
-        An option that is not understood, or a certificate that cannot be read.
+        No URL, an option that is not understood, or a certificate that cannot be read.
     """
-    query = {name: value if isinstance(value, str) else value[-1] for name, value in url.query.items()}
+    url = needed(_URL.fullmatch(where), "the journal's URL cannot be read", expected="postgresql://user@host/database")
+    query = dict(parse_qsl(url["query"] or "", keep_blank_values=True))
     unknown = sorted(set(query) - set(OPTIONS))
     require(not unknown, "no such option in the journal's URL", got=", ".join(unknown), expected=" | ".join(OPTIONS))
     sockets = _SOCKETS if os.path.isdir(_SOCKETS) else "localhost"
-    host = url.host or query.get("host") or os.environ.get("PGHOST") or sockets
+    host = url["host"] or url["v6"] or query.get("host") or os.environ.get("PGHOST") or sockets
     require("," not in host, "a journal is in one database", got=host, expected="one host")
-    port = url.port or _number("port", query.get("port") or os.environ.get("PGPORT") or "5432")
-    user = url.username or os.environ.get("PGUSER") or getpass.getuser()
-    database = url.database or os.environ.get("PGDATABASE") or user
-    password = url.password or os.environ.get("PGPASSWORD")
+    port = _number("port", url["port"] or query.get("port") or os.environ.get("PGPORT") or "5432")
+    user = unquote(url["user"] or "") or os.environ.get("PGUSER") or getpass.getuser()
+    database = url["database"] or os.environ.get("PGDATABASE") or user
+    password = unquote(url["password"] or "") or os.environ.get("PGPASSWORD")
     local = host.startswith("/")
     if password is None:
         password = password_in_file(("localhost" if local else host, str(port), database, user))
@@ -204,17 +318,17 @@ def _ssl(mode: str, query: dict[str, str]) -> ssl.SSLContext | bool | None:
 
 
 def _connect(address: Address) -> Any:
-    """A new connection; whatever goes wrong on the way is an error of the driver."""
+    """A new connection; whatever goes wrong on the way is a ServerError."""
     import pg8000
 
     opened = partial(_opened, address)
     try:
         return server_at(address.host, address.port).ask(opened, opened)
-    except pg8000.Error:
-        raise
+    except pg8000.Error as error:
+        raise ServerError(*error.args) from error
     except Exception as error:
         message = (error.strerror if isinstance(error, OSError) else None) or str(error)
-        raise pg8000.InterfaceError(f"cannot connect to {address.host}:{address.port}: {message}") from None
+        raise ServerError(f"cannot connect to {address.host}:{address.port}: {message}") from None
 
 
 def _opened(address: Address) -> Any:
@@ -276,26 +390,6 @@ def has_answered(error: Exception) -> bool:
     """Whether an error is the word of a server that is there, such as that a password is wrong, however late."""
     code = state_of(error).get("C", "")
     return bool(code) and not code.startswith(_GONE)
-
-
-def ask_for_turn(connection: sa.Connection, key: int) -> bool:
-    """Wait for a writer's turn in the transaction that has begun; False where it did not come within TURN_S.
-
-    The settings are those of the transaction alone (postgresql.org/docs/current/runtime-config-client.html). They are
-    made in the same query, whose columns are computed from left to right.
-    """
-    columns = (
-        sa.func.set_config("lock_timeout", str(int(1000 * TURN_S)), True),
-        sa.func.set_config("idle_in_transaction_session_timeout", str(int(1000 * IDLE_S)), True),
-        sa.func.pg_advisory_xact_lock(key),
-    )
-    try:
-        connection.execute(sa.select(*columns))
-    except DBAPIError as error:
-        if state_of(error.orig).get("C") != _LOCKED:
-            raise
-        return False
-    return True
 
 
 class Server:

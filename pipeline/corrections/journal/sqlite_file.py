@@ -15,32 +15,32 @@ import re
 import sqlite3
 import tempfile
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
-from typing import Any, TypeVar
+from typing import TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
-import sqlalchemy as sa
-from sqlalchemy import event
-from sqlalchemy.exc import DisconnectionError
 
+from pipeline.corrections.journal.tables import FORBIDDEN, VERSION, Run, begin, fingerprint, made
 from pipeline.system.limits import shown
 
 BUSY_S = 60.0
 """How long a writer waits for its turn."""
-READING = "spatialviz_reading"
 GONE = "the journal's file is gone"
-_FILE = "spatialviz_file"
 LONGEST_LOG = 64 * 10**6
 """Bytes; SQLite empties a log of a thousand pages into the file."""
 _ROOM = 1 << 17
 """Bytes that saving an edit may need, for pages of the log and its index."""
 _GUARD = Lock()
 _Found = TypeVar("_Found")
+STATEMENTS = (
+    "SELECT sql FROM sqlite_master WHERE tbl_name IN ('events', 'journal_head') AND sql IS NOT NULL ORDER BY name"
+)
+"""Asks for what made the tables: SQLite keeps it as text."""
 _HEADER, _FRAME, _INDEX = 32, 24, 48
 _MAGIC = 0x377F0682
 _TRIES, _PAUSE_S = 20, 0.05
@@ -77,47 +77,125 @@ def read_plainly(file: Path, read: Callable[[], _Found]) -> _Found | None:
         return None if _identity(file) in list(_HELD.values()) else read()
 
 
-def sqlite_engine(path: str | Path, believe: Callable[[Path], object]) -> sa.Engine:
-    """An engine for a file, which is made by the first connection and never again.
+class SqliteStore:
+    """A `Store` in one file, which is made by the first connection and never again.
 
     Parameters
     ----------
+    path : str or Path
     believe : callable
         Examines another file that has come in the place of the first one, which was examined before; raises where it
         is not to be used.
+    copy : callable
+        Copies the file, whole and examined, under a name beside it that nothing has, which it returns.
     """
-    file = Path(path).expanduser().absolute()
-    there = file.exists()
-    known = {_identity(file)} if there else set()
-    mode = "rwc"
-    if there and not can_be_written(file):
-        # Where it has no log, nobody writes to it.
-        mode = "ro" if Path(f"{file}-wal").exists() else "ro&immutable=1"
 
-    def connect() -> sqlite3.Connection:
-        nonlocal mode
-        if known and _identity(file) not in known and file.exists():
-            believe(file)
-        connection = connected(file, mode)
-        known.add(_identity(file))
-        mode = "rw" if mode == "rwc" else mode
+    server, selected, zone = False, "{}", ""
+
+    def __init__(
+        self, path: str | Path, believe: Callable[[Path], object], copy: Callable[[Path], str] | None = None
+    ) -> None:
+        self.file = Path(path).expanduser().absolute()
+        self.location = str(self.file)
+        self._believe, self._copy = believe, copy
+        there = self.file.exists()
+        self._known = {_identity(self.file)} if there else set()
+        self._mode = "rwc"
+        if there and not can_be_written(self.file):
+            # Where it has no log, nobody writes to it.
+            self._mode = "ro" if Path(f"{self.file}-wal").exists() else "ro&immutable=1"
+        self._idle: list[sqlite3.Connection] = []
+
+    @property
+    def writable(self) -> bool:
+        return can_be_written(self.file)
+
+    def settle(self) -> None:
+        """Set the write-ahead log; of two that open a new file at the same time one tries again."""
+        until = time.monotonic() + BUSY_S
+        connection = self._taken()
+        try:
+            while True:
+                try:
+                    connection.execute("PRAGMA journal_mode = WAL")
+                    return
+                except sqlite3.OperationalError as error:
+                    if "locked" not in str(error) or time.monotonic() > until:
+                        raise
+                    time.sleep(0.02)
+        finally:
+            self._idle.append(connection)
+
+    def _taken(self) -> sqlite3.Connection:
+        """One to the file that is there now."""
+        while self._idle:
+            with suppress(IndexError):
+                connection = self._idle.pop()
+                if _HELD.get(connection) == _identity(self.file):  # pyright: ignore[reportArgumentType]
+                    return connection
+                connection.close()
+        if self._known and _identity(self.file) not in self._known and self.file.exists():
+            self._believe(self.file)
+        connection = connected(self.file, self._mode)
+        # The driver's own handling of transactions begins them late, and so lets two writers read the same version.
+        connection.isolation_level = None
+        connection.execute(f"PRAGMA busy_timeout = {int(1000 * BUSY_S)}")
+        # A commit returns when the write-ahead log is on the disk (sqlite.org/pragma.html#pragma_synchronous).
+        connection.execute("PRAGMA synchronous = FULL")
+        self._known.add(_identity(self.file))
+        self._mode = "rw" if self._mode == "rwc" else self._mode
         return connection
 
-    engine = sa.create_engine(sa.URL.create("sqlite", database=str(file)), creator=connect, poolclass=sa.QueuePool)
+    @contextmanager
+    def reading(self, fresh: bool = False) -> Iterator[Run]:
+        with self._transaction("BEGIN", fresh) as run:
+            yield run
 
-    def settle(connection: Any, record: Any) -> None:
-        record.info[_FILE] = _identity(file)
-        _settle(connection)
+    @contextmanager
+    def writing(self) -> Iterator[Run]:
+        if self.file.exists() and not self.writable:
+            raise sqlite3.OperationalError("attempt to write a readonly database")
+        with self._transaction("BEGIN IMMEDIATE") as run:
+            yield run
 
-    def check(_: Any, record: Any, __: Any) -> None:
-        if record.info.get(_FILE) != _identity(file):
-            # The pool closes this connection, and opens the file that is there now, or fails.
-            raise DisconnectionError(GONE)
+    @contextmanager
+    def _transaction(self, begin: str, fresh: bool = False) -> Iterator[Run]:
+        connection = self._taken()
+        try:
+            if fresh:
+                connection.execute("PRAGMA shrink_memory")
+            connection.execute(begin)
+            yield lambda statement, *values: connection.execute(statement, values).fetchall()
+            if begin != "BEGIN" and _HELD.get(connection) != _identity(self.file):  # pyright: ignore[reportArgumentType]
+                raise sqlite3.OperationalError(GONE)
+            connection.execute("COMMIT")
+        except BaseException:
+            with suppress(sqlite3.Error):
+                connection.rollback()
+            raise
+        finally:
+            (connection.close if connection.in_transaction else lambda: self._idle.append(connection))()
 
-    event.listen(engine, "connect", settle)
-    event.listen(engine, "checkout", check)
-    event.listen(engine, "begin", _begin)
-    return engine
+    def tables(self, run: Run) -> set[str]:
+        return {name for (name,) in run("SELECT name FROM sqlite_master WHERE type = 'table'")}
+
+    def create(self, run: Run, first: str) -> None:
+        for statement in made("INTEGER", "DATETIME"):
+            run(statement)
+        for what in ("UPDATE", "DELETE"):
+            refused = f"BEGIN SELECT RAISE(ABORT, '{FORBIDDEN}'); END"
+            run(f"CREATE TRIGGER events_no_{what.lower()} BEFORE {what} ON events {refused}")
+        run(f"PRAGMA user_version = {VERSION}")
+        begin(run, first, fingerprint(text for (text,) in run(STATEMENTS)))
+
+    def keep(self, run: Run) -> str:
+        # Nobody else writes now, so this is what the transaction sees.
+        assert self._copy is not None
+        return self._copy(self.file)
+
+    def close(self) -> None:
+        while self._idle:
+            self._idle.pop().close()
 
 
 def can_be_written(path: Path) -> bool:
@@ -140,32 +218,12 @@ def plain_reason(message: str, path: Path) -> str:
     return message
 
 
-def check_same_file(connection: sa.Connection) -> None:
-    """Raise OperationalError where the file was removed, moved or replaced since the connection was made."""
-    if connection.info.get(_FILE) != _identity(Path(str(connection.engine.url.database))):
-        raise sqlite3.OperationalError(GONE)
-
-
 def _identity(path: Path) -> tuple[int, int] | None:
     """What tells one file from another; None where there is none."""
     with suppress(OSError):
         found = os.stat(path)
         return found.st_dev, found.st_ino
     return None
-
-
-def _settle(connection: Any) -> None:
-    # The driver's own handling of transactions begins them late, and so lets two writers read the same version.
-    connection.isolation_level = None
-    cursor = connection.cursor()
-    cursor.execute(f"PRAGMA busy_timeout = {int(1000 * BUSY_S)}")
-    # With FULL a commit returns when the write-ahead log is on the disk (sqlite.org/pragma.html#pragma_synchronous).
-    cursor.execute("PRAGMA synchronous = FULL")
-    cursor.close()
-
-
-def _begin(connection: sa.Connection) -> None:
-    connection.exec_driver_sql("BEGIN" if connection.get_execution_options().get(READING, False) else "BEGIN IMMEDIATE")
 
 
 def lost_in_log(path: Path) -> str | None:
