@@ -1,4 +1,4 @@
-"""What every room stands on: errors, whole-file writing, jobs, plugins, the cache folder, ONNX sessions."""
+"""Foundation of all rooms: errors, safe files, whole-file writing, jobs, plugins, the cache folder, ONNX, chat."""
 
 from pipeline.system.lazy_exports import lazy_exports
 

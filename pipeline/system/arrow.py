@@ -1,4 +1,4 @@
-"""pyarrow and its modules, each loaded when something of it is first used: what only hands tables on starts without."""
+"""pyarrow and its modules, each imported at its first use."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pipeline.system.errors import as_input_error, require
 
 
 class LazyModule:
-    """A module that is imported when something of it is first used."""
+    """Module with its import at the first use of an attribute."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -29,12 +29,12 @@ else:
 
 
 def typed(rows: pa.Table, schema: pa.Schema, what: str, path: Any) -> pa.Table:
-    """Rows whose columns are of the types of a schema, as far as it has them; `what` names the table.
+    """Cast columns of rows to the types of a schema; `what` names the table.
 
     Raises
     ------
     InputError
-        A column is of another type, or lacks values that it must have.
+        A column of another type, or without values that the schema asks for.
     """
     for place, name in enumerate(rows.column_names):
         field, held = schema.field(name) if name in schema.names else None, rows.column(place)

@@ -1,6 +1,4 @@
-"""Long work in a process of its own, so that whoever waits for it stays responsive and can end it;
-alone, or shared by many who look at it.
-"""
+"""Background jobs: long work in another process, cancelled at any time, alone or shared by several listeners."""
 
 from __future__ import annotations
 
@@ -24,13 +22,7 @@ PATIENCE_S = 20.0
 
 
 class Background:
-    """A function that runs in another process; `start_background` starts one.
-
-    Attributes
-    ----------
-    done : bool
-        It has ended: by itself, by an error, or cancelled.
-    """
+    """Function running in another process; `start_background` starts one. `done` tells its end."""
 
     def __init__(self, process: Any, receiver: Connection) -> None:
         self._process, self._receiver = process, receiver
@@ -38,7 +30,7 @@ class Background:
         self.done = False
 
     def cancel(self) -> None:
-        """End it; what it has not finished writing it takes away first."""
+        """End the job; files half written are taken away first."""
         self._cancelled = True
         self._process.terminate()
         last = threading.Timer(PATIENCE_S, self._process.kill)
@@ -127,7 +119,7 @@ def _tell(function: Callable[..., Any], args: tuple[Any, ...], sender: Connectio
 
 
 def _leave_with_parent() -> None:
-    """End when the process that waits is gone, however that ended: nobody would take the result."""
+    """End with the waiting process, however it ended."""
     parent = multiprocessing.parent_process()
     if parent is None:
         return
@@ -138,7 +130,7 @@ def _leave_with_parent() -> None:
 
 
 def _leave(number: int, _: Any) -> None:
-    """End by the way of an error, so that temporary folders go."""
+    """End by an error, so that temporary folders go."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     raise SystemExit(128 + number)
 
@@ -148,7 +140,7 @@ Seen = TypeVar("Seen")
 
 
 class SharedJob(Generic[Seen]):
-    """Work of one kind on one thing. Any thread may call any of it.
+    """Work of one kind on one thing, shared by many threads.
 
     Parameters
     ----------
@@ -220,24 +212,24 @@ class SharedJob(Generic[Seen]):
         return True
 
     def change(self, change: Callable[[Seen], Seen]) -> None:
-        """Replace what is known, and tell those who listen."""
+        """Replace `seen`, and tell the listeners."""
         with self._lock:
             self.seen = change(self.seen)
         self._tell()
 
     def stop(self) -> None:
-        """End what runs; its problem is then "cancelled"."""
+        """End the running work; the problem is then "cancelled"."""
         with self._lock:
             if self._job is not None and self.running:
                 self._job.cancel()
 
     def end(self) -> None:
-        """End what runs, for good: nothing starts any more."""
+        """End the running work for good: nothing starts any more."""
         self._ended = True
         self.stop()
 
     def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
-        """Have something called, on any thread, whenever `seen` is another; what is returned ends that."""
+        """Call a listener, on any thread, at every change of `seen`; returns the function to end this."""
         with self._lock:
             self._listeners.append(listener)
 

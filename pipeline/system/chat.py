@@ -35,12 +35,7 @@ _VERSION = "1"
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A picture to send, encoded and hashed once.
-
-    Attributes
-    ----------
-    rgb : (H, W, 3) uint8
-    """
+    """Picture to send ((H, W, 3) uint8), encoded and hashed once."""
 
     rgb: np.ndarray
 
@@ -53,7 +48,7 @@ class Picture:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of the pixels and of how they are encoded."""
+        """SHA-256 of pixels and encoding."""
         found = hashlib.sha256(f"jpeg {JPEG_QUALITY} {self.rgb.shape}".encode())
         found.update(np.ascontiguousarray(self.rgb).data)
         return found.hexdigest()
@@ -69,7 +64,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Question:
-    """One question; None stands for the client's own setting. `check` raises for a text of no use: none is kept."""
+    """One question; None stands for the client's own setting. `check` raises for a useless text, never kept."""
 
     prompt: str
     picture: Picture | None
@@ -196,7 +191,7 @@ class ChatClient:
         return self._answer(Question(prompt, None if rgb is None else Picture(rgb), check=check))
 
     def ask_many(self, questions: Iterable[Question], *, workers: int = 4) -> list[Answer]:
-        """Ask many questions, `workers` at a time; answers in their order, those that were asked before from the cache.
+        """Ask many questions, `workers` at a time; answers in order, known ones from the cache.
 
         A question that fails for itself (a timeout, a refusal of its content) leaves only its own answer empty, with
         `failure` set. Ctrl-C ends it at once.
@@ -260,7 +255,7 @@ class ChatClient:
 
 
 def _kept(path: Path, key: str) -> Answer | None:
-    """A kept answer; None where there is none, or a damaged one."""
+    """Answer in the cache; None for a damaged file too."""
     try:
         table = read_json(path)
         return _ANSWER.validate_python({**table["answer"], "cached": True}) if table["key"] == key else None
@@ -276,7 +271,7 @@ def _read(choice: dict[str, Any]) -> Answer:
 
 
 def checked_base(url: str) -> str:
-    """Base address of a server, without a slash or `/chat/completions` at its end.
+    """Base address of a server, without a final slash or `/chat/completions`.
 
     Raises
     ------
@@ -300,7 +295,7 @@ Result = TypeVar("Result")
 
 
 def _in_order(function: Callable[[Item], Result], items: Iterable[Item], workers: int) -> list[Result]:
-    """Results in the order of the items, which are taken one by one as workers come free; the first error is raised.
+    """Results in the order of the items, taken one by one by free workers; the first error is raised.
 
     The threads are daemons: those of `concurrent.futures` would hold Ctrl-C up until the last answer comes.
     """

@@ -24,7 +24,7 @@ _ENDING = "does the base address end in /v1?"
 
 
 class _Useless(openai.OpenAIError):
-    """A reply that no further try would mend: the library hands such errors on at once."""
+    """Reply beyond mending by another try; the library hands such errors on at once."""
 
     def __init__(self, what: str, detail: str, cause: str | None = None) -> None:
         super().__init__(what)
@@ -32,7 +32,7 @@ class _Useless(openai.OpenAIError):
 
 
 class _Transport(httpx2.HTTPTransport):
-    """One try: `begin` before it, its whole reply within seconds and bytes, a broken reply as a broken line."""
+    """One try: `begin` first, then a whole reply within seconds and bytes; a broken reply counts as a broken line."""
 
     def __init__(self, timeout_s: float, begin: Callable[[], None], proxy: str | None) -> None:
         super().__init__(proxy=proxy)
@@ -59,7 +59,7 @@ class _Transport(httpx2.HTTPTransport):
 
 
 def _check_answer(reply: httpx2.Response) -> None:
-    """Raise for a reply without an answer; an error told under status 200 gets the status that it names, else 502."""
+    """Raise for a reply without an answer; an error under status 200 gets its own status, else 502."""
     text = reply.text.lstrip("\ufeff \r\n")
     if "text/event-stream" in reply.headers.get("content-type", "") or text.startswith("data:"):
         raise _Useless("the server streams its answer", text, "it does not honour stream=false")
@@ -85,7 +85,7 @@ def _check_answer(reply: httpx2.Response) -> None:
 
 
 class Endpoint:
-    """A chat server: POST of a question, GET of its models."""
+    """Chat server: POST of a question, GET of its models."""
 
     def __init__(
         self, base_url: str, key: str, key_variable: str, timeout_s: float, retries: int, begin: Callable[[], None]
@@ -106,7 +106,7 @@ class Endpoint:
         )
 
     def post(self, body: dict[str, Any], model: str) -> dict[str, Any]:
-        """The whole reply to a question; ServerError where there is none after all tries."""
+        """Reply to a question; ServerError after the last try."""
         try:
             reply = self._client.post("/chat/completions", cast_to=httpx2.Response, body=body, options=self._options)
             return reply.json()
@@ -114,7 +114,7 @@ class Endpoint:
             raise self._told(error, "chat/completions", self._cause(error, model)) from error
 
     def models(self) -> tuple[str, ...]:
-        """The names of the server's models; ServerError where it does not tell them."""
+        """Names of the server's models; ServerError on a refusal."""
         once = self._client.with_options(max_retries=0, timeout=min(self._timeout_s, _MODELS_TIMEOUT_S))
         try:
             table = once.get("/models", cast_to=httpx2.Response, options=self._options).json()
@@ -125,7 +125,7 @@ class Endpoint:
             return ()
 
     def _cause(self, error: openai.OpenAIError, model: str) -> str | None:
-        """The likely cause of a status."""
+        """Likely cause of a status."""
         if not isinstance(error, openai.APIStatusError):
             return None
         status, headers = error.status_code, error.response.headers
@@ -183,7 +183,7 @@ class Endpoint:
 
 
 def _proxy(url: str) -> str | None:
-    """The proxy of the environment: never one before this machine itself."""
+    """Proxy of the environment; none before this machine itself."""
     parts = urlsplit(url)
     host = parts.hostname or ""
     try:

@@ -1,6 +1,6 @@
-"""The detector that is asked for, as plain values: the same for the command line, a run, labels, a case and a job.
+"""Detector options as plain values: the same for the command line, a run, labels, a case and a job.
 
-Nothing is made here: `pipeline.proposals.registry.open_detector` makes the detector. Importing it costs nothing.
+`pipeline.proposals.registry.open_detector` makes the detector; importing this costs nothing.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Fusion = Literal["wbf", "nms"]
 
 @dataclass(frozen=True)
 class DetectorSetup:
-    """A detector, and those that are fused with it; picklable, which a detector need not be."""
+    """Detector and its fused companions, picklable."""
 
     detector: str | None = None
     """annotations | recorded | yolo-seg | grounding-dino | owlv2 | owlvit | detic | boxes | simulated. Default:
@@ -42,12 +42,12 @@ class DetectorSetup:
 
 
 def named_model(text: str) -> tuple[str, Path | None]:
-    """A detector and its model as the command line names them together: "yolo-seg=FILE.onnx", or "simulated" alone.
+    """Split "yolo-seg=FILE.onnx" into detector and model; a bare "simulated" has no model.
 
     Raises
     ------
     InputError
-        There is no name, or nothing behind the sign.
+        No name, or nothing behind the sign.
     """
     name, sign, model = text.partition("=")
     require(
@@ -60,14 +60,13 @@ def named_model(text: str) -> tuple[str, Path | None]:
 
 
 def with_model(text: str, change: Callable[[Path], Any]) -> str:
-    """The same text with its model's path changed."""
+    """Change the model's path in such a text."""
     name, model = named_model(text)
     return name if model is None else f"{name}={change(model)}"
 
 
 def with_files(options: Mapping[str, Any], change: Callable[[Any], Any]) -> dict[str, Any]:
-    """Arguments of `open_pipeline`, as runs and labels hold them, with every file in them changed: one, an encoder and
-    a decoder, the models that are fused."""
+    """Change every file in arguments of `open_pipeline`, as runs and labels hold them."""
     found = dict(options)
     for name in FILES:
         value = options.get(name)

@@ -1,4 +1,4 @@
-"""Pictures as bytes for whoever shows them: encoded, made smaller, and cut out around a thing."""
+"""Encode pictures as JPEG and PNG bytes, scale them, and cut thumbnails."""
 
 from __future__ import annotations
 
@@ -10,30 +10,23 @@ THUMB, THUMB_QUALITY = 68, 78
 
 
 def jpeg(rgb: np.ndarray, quality: int = 82) -> bytes:
-    """A picture ((H, W, 3) uint8, RGB), encoded."""
+    """Encode a picture ((H, W, 3) uint8, RGB) as JPEG."""
     return cv2.imencode(".jpg", np.ascontiguousarray(rgb[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 
 
 def png(image: np.ndarray, level: int = 1) -> bytes:
-    """A picture as OpenCV has it ((H, W) or (H, W, 3 or 4), BGR or BGRA, uint8 or uint16), packed by 0 to 9."""
+    """Encode a picture of OpenCV ((H, W) or (H, W, 3 or 4), BGR or BGRA, uint8 or uint16) as PNG; level 0 to 9."""
     return cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, level])[1].tobytes()
 
 
 def resized(rgb: np.ndarray, width: float) -> np.ndarray:
-    """A picture made smaller, in its own shape, to whole pixels."""
+    """Scale a picture down to a width, in pixels."""
     size = max(1, round(width)), max(1, round(rgb.shape[0] * width / rgb.shape[1]))
     return cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
 
 
 def thumbnail(rgb: np.ndarray, bbox: np.ndarray) -> bytes:
-    """A square picture around an object as JPEG; empty where it lies outside the picture.
-
-    Parameters
-    ----------
-    rgb : (H, W, 3) uint8
-    bbox : (4,) float
-        x0, y0, x1, y1, pixels.
-    """
+    """Cut a square JPEG around a box ((4,) x0, y0, x1, y1, pixels); empty for a box outside the picture."""
     low, high = np.asarray(bbox, np.float64).reshape(2, 2)
     half, center = (high - low).max() * 0.58 + 2, (low + high) / 2
     left, top = np.maximum(center - half, 0).astype(int)

@@ -1,4 +1,4 @@
-"""The errors the core raises on purpose."""
+"""Errors of the core."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Thing = TypeVar("Thing")
 
 
 class InputError(ValueError):
-    """Something given from outside cannot be used.
+    """Unusable input from outside.
 
     The message is one line: what was wrong, what was got, what was expected,
     the likely cause, and the file.
@@ -64,7 +64,7 @@ def require(
     path: str | PathLike[str] | None = None,
     error: type[InputError] = InputError,
 ) -> None:
-    """Raise InputError (or another `error`) with these words where something does not hold.
+    """Raise InputError (or another `error`) with these words unless a condition holds.
 
     `got` and `expected` may be functions that give them, where they cost time or only exist then.
     """
@@ -74,7 +74,7 @@ def require(
 
 
 def needed(value: Thing | None, what: str, *, error: type[InputError] = InputError, **words: Any) -> Thing:
-    """A value that must not be None; `error` with these words (those of `require`) where it is."""
+    """Return a value unless it is None; else raise `error` with these words (as `require`)."""
     if value is None:
         raise error(what, **words)
     return value
@@ -82,7 +82,7 @@ def needed(value: Thing | None, what: str, *, error: type[InputError] = InputErr
 
 @contextmanager
 def as_input_error(what: str, *errors: type[Exception], got: object = None, **words: Any) -> Iterator[None]:
-    """Errors of these kinds in the block, told as InputError with these words (those of `require`).
+    """Turn errors of these kinds in the block into InputError with these words (as `require`).
 
     `got` may be a function of the error. An InputError, which is a ValueError, goes through as it is.
     """
@@ -95,17 +95,17 @@ def as_input_error(what: str, *errors: type[Exception], got: object = None, **wo
 
 
 def first_line(error: Exception) -> str:
-    """What an error says in its first line."""
+    """First line of an error."""
     return str(error).split("\n")[0]
 
 
 def kind_and_text(error: Exception) -> str:
-    """An error by its kind and what it says."""
+    """Kind and text of an error."""
     return f"{type(error).__name__}: {error}"
 
 
 class Shown(NamedTuple):
-    """A value as a message quotes it: its first characters, written out only where there is a message."""
+    """Value as quoted in a message: its first characters, written out only for a message."""
 
     value: object
     longest: int = 60
@@ -115,7 +115,7 @@ class Shown(NamedTuple):
 
 
 def extra_module(module: str, feature: str, extra: str) -> Any:
-    """The module; MissingExtra for the feature where it is not installed."""
+    """Import a module of an extra; MissingExtra for the feature without it."""
     try:
         return import_module(module)
     except ImportError as error:
@@ -123,23 +123,23 @@ def extra_module(module: str, feature: str, extra: str) -> Any:
 
 
 class UnknownFormat(InputError):
-    """A folder that no reader recognises as a dataset."""
+    """Folder recognised by no reader as a dataset."""
 
 
 class FrameUnusable(InputError):
-    """One frame cannot be used, and that says nothing about the others."""
+    """One unusable frame, without a word on the others."""
 
 
 class UnknownClass(InputError):
-    """A class name that a detector or dataset of limited vocabulary does not know."""
+    """Class name outside a detector's or dataset's vocabulary."""
 
 
 class Unsupported(InputError):
-    """Words that were understood ask for what is not judged: `facing`, an action, `it`, a relation not on offer."""
+    """Understood words with a meaning beyond judging: `facing`, an action, `it`, a relation not on offer."""
 
 
 class MissingExtra(ImportError):
-    """A feature needs an optional dependency that is not installed."""
+    """Optional dependency missing for a feature."""
 
     def __init__(self, feature: str, extra: str) -> None:
         super().__init__(f"{feature} needs an optional dependency: pip install 'spatialviz[{extra}]'")
@@ -148,7 +148,7 @@ class MissingExtra(ImportError):
 
     @classmethod
     def missing(cls, need: Callable[[], None]) -> str:
-        """Why what `need` checks has to be left out; empty where it is there."""
+        """Message of the MissingExtra raised by `need`; empty without one."""
         try:
             need()
         except cls as error:

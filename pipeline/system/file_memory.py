@@ -1,4 +1,4 @@
-"""What was once read of a large file of vectors, kept in the user's cache folder."""
+"""Cache of vectors read from a large file, in the user's cache folder."""
 
 from __future__ import annotations
 
@@ -23,16 +23,7 @@ _SAMPLE = 1 << 16
 
 @dataclass
 class FileMemory:
-    """What is known of one file.
-
-    Attributes
-    ----------
-    fingerprint : str or None
-    vectors : dict of str to (D,) float32
-        The words that the file was found to hold.
-    absent : set of str
-        The words that it was found not to hold.
-    """
+    """Known words of one file: `vectors` ((D,) float32 each) and `absent` ones, and the file's fingerprint."""
 
     fingerprint: str | None = None
     vectors: dict[str, np.ndarray] = field(default_factory=dict)
@@ -40,7 +31,7 @@ class FileMemory:
 
 
 def memory_path(path: Path, cache: Path | None) -> Path:
-    """Where what is known of a file lives: by its size, its time and samples of its content, not by its name.
+    """Path in the cache by a file's size, time and samples of its content, not by its name.
 
     To read all of several gigabytes would cost what the cache is to save.
     """
@@ -57,7 +48,7 @@ def memory_path(path: Path, cache: Path | None) -> Path:
 
 
 def recall(path: Path, dimension: int) -> FileMemory:
-    """What was kept there; nothing where it is missing or damaged."""
+    """Kept memory of a file; empty if missing or damaged."""
     if not path.is_file():
         return FileMemory()
     try:
@@ -75,7 +66,7 @@ def recall(path: Path, dimension: int) -> FileMemory:
 
 
 def keep(path: Path, memory: FileMemory, dimension: int) -> None:
-    """Keep it there, whole or not at all; a folder that cannot be written only means that nothing is kept."""
+    """Keep a memory whole, or nothing in a folder without write access."""
     words = list(memory.vectors)
     header = {"words": words, "absent": sorted(memory.absent), "fingerprint": memory.fingerprint}
     vectors = np.stack([memory.vectors[w] for w in words]) if words else np.zeros((0, dimension), np.float32)
@@ -84,7 +75,7 @@ def keep(path: Path, memory: FileMemory, dimension: int) -> None:
 
 
 def remembered_fingerprint(path: Path, cache: Path | None, dimension: int, compute: Callable[[], str]) -> str:
-    """The fingerprint of a file, computed once."""
+    """Fingerprint of a file, computed once."""
     location = memory_path(path, cache)
     memory = recall(location, dimension)
     if memory.fingerprint is None:

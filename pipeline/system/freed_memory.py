@@ -1,4 +1,4 @@
-"""Memory that was freed goes back to the system: glibc keeps what lies between blocks that are in use."""
+"""Give freed memory back to the system; glibc keeps free pages between used blocks."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _trimmed = 0.0
 
 
 def return_freed_memory() -> None:
-    """Ask glibc to hand large freed blocks back to the system and to keep few arenas; elsewhere nothing happens.
+    """Ask glibc to return large freed blocks and to keep few arenas; no effect elsewhere.
 
     By default glibc raises its threshold to the largest block that was ever
     freed, and from then on keeps such blocks in one pool for each thread.
@@ -26,7 +26,7 @@ def return_freed_memory() -> None:
 
 
 def trim() -> None:
-    """Hand back also the pages that lie free between blocks in use; called often, it does so now and then."""
+    """Return free pages between used blocks, at most every `TRIM_SECONDS`."""
     global _trimmed
     if time.monotonic() - _trimmed > TRIM_SECONDS and _trimming.acquire(blocking=False):
         try:
@@ -37,7 +37,7 @@ def trim() -> None:
 
 
 def collect() -> None:
-    """Find what refers to itself, such as pages that are closed, and hand back what it held."""
+    """Collect reference cycles, such as closed pages, and return their memory."""
     gc.collect()
     _glibc("malloc_trim", 0)
 

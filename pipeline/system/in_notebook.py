@@ -1,6 +1,6 @@
-"""How a result looks in a notebook. The core makes no HTML: a face that does names the function here.
+"""Notebook display of a result, by a function of the face.
 
-Importing the core must not bring in a face, so the function is named, and imported when something is first shown.
+The function is named, and imported at the first display: the core makes no HTML and imports no face.
 """
 
 from __future__ import annotations
@@ -10,12 +10,9 @@ from typing import ClassVar
 
 
 class InNotebook:
-    """A result that shows itself where a notebook asks it to; as its `repr` where there is no face.
+    """Result with HTML in a notebook, or its `repr` without a face.
 
-    Attributes
-    ----------
-    html_by : str
-        The function, a result -> HTML, as "module:name"; empty for none.
+    `html_by` names the function from a result to HTML as "module:name"; empty for none.
     """
 
     html_by: ClassVar[str] = ""

@@ -1,4 +1,4 @@
-"""Names that a package hands on from its modules, each loaded when it is first used."""
+"""Names handed on by a package, each loaded at its first use."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def lazy_exports(package: str, file: str) -> Callable[[str], Any]:
-    """`__getattr__` of a package, for the names that the `if TYPE_CHECKING:` block of its file imports.
+    """`__getattr__` of a package for the names imported in the `if TYPE_CHECKING:` block of its file.
 
     The block is what type checkers read, so that names stand in one place. It is read when a name is first asked for:
     importing the package, or a module in it, costs nothing.
@@ -46,7 +46,7 @@ def lazy_exports(package: str, file: str) -> Callable[[str], Any]:
 
 
 def declared(file: str) -> dict[str, str]:
-    """Modules by the names that a file imports from them for type checkers."""
+    """Modules by names, from a file's imports for type checkers."""
     import ast
     from pathlib import Path
 

@@ -1,6 +1,6 @@
-"""How large what others made may be, in one table: docs/limits.md prints it, `--limits NAME=VALUE,...` changes it.
+"""Limits of size for files of others: docs/limits.md prints the table, `--limits NAME=VALUE,...` changes it.
 
-The limits stand in the environment, so that worker processes keep to those of their parent.
+Limits stand in the environment, so that worker processes keep to those of their parent.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ _UNITS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
 
 
 def _limit(default: int, meaning: str, own: bool = False) -> Any:
-    """A limit; with `own` a dataset may raise it for itself."""
+    """Limit; with `own` a dataset may raise it for itself."""
     return field(default=default, metadata={"meaning": meaning, "own": own})
 
 
 @dataclass(frozen=True)
 class Limits:
-    """The most that is taken of one thing. Each field's `meaning` is its line in docs/limits.md."""
+    """Upper limits of everything read. Each field's `meaning` is its line in docs/limits.md."""
 
     pixels: int = _limit(64 * 10**6, "pixels of a picture, mask or depth map, by its header", True)
     bytes: int = _limit(256 * 10**6, "bytes of a file, archive member or message that is read whole", True)
@@ -47,7 +47,7 @@ class Limits:
     links: int = _limit(0, "1 follows links that lead out of the folder that was opened")
 
     def changed(self, values: Mapping[str, Any], own: bool = False) -> Limits:
-        """These with other values by name: numbers, or texts such as "500M".
+        """Change limits by name: numbers, or texts such as "500M".
 
         With `own` a dataset asks: it may raise some of them, and none by more than `FACTOR_OF_A_DATASET`.
 
@@ -80,13 +80,13 @@ def _number(name: str, value: Any) -> int:
 
 
 def shown(number: float) -> str:
-    """A number as a limit is written: 500M."""
+    """Write a number as a limit: 500M."""
     unit = next((u for u in ("T", "G", "M", "k") if number >= _UNITS[u]), "")
     return f"{number / _UNITS[unit]:.4g}{unit}"
 
 
 def current_limits() -> Limits:
-    """Those of this process: the table's, changed by the environment; InputError where that is none."""
+    """Limits of this process: the table, changed by the environment; InputError for a malformed change."""
     return _told(os.environ.get(LIMITS_VARIABLE, ""))
 
 
@@ -97,14 +97,14 @@ def _told(text: str) -> Limits:
 
 
 def set_limits(text: str) -> None:
-    """Change limits in this process and in those it starts: "pixels=500M,bytes=2G"; InputError where it is none."""
+    """Change limits in this process and its children: "pixels=500M,bytes=2G"; InputError if malformed."""
     whole = ",".join(part for part in (os.environ.get(LIMITS_VARIABLE), text) if part)
     _told(whole)
     os.environ[LIMITS_VARIABLE] = whole
 
 
 def within(number: float, name: str, what: str, path: Any, limits: Limits) -> None:
-    """Raise InputError where a number is above the limit of that name; `what` says of what it is."""
+    """Raise InputError for a number above the limit of this name; `what` names the measured thing."""
     most = getattr(limits, name)
     if number > most:
         raise InputError(
@@ -117,7 +117,7 @@ def within(number: float, name: str, what: str, path: Any, limits: Limits) -> No
 
 
 def shown_above(number: float) -> str:
-    """A limit that lets a number pass: two digits, rounded up."""
+    """Limit above a number: two digits, rounded up."""
     unit = next((u for u in ("T", "G", "M", "k") if number >= _UNITS[u]), "")
     scaled = int(number / _UNITS[unit]) + 1
     step = 10 ** max(len(str(scaled)) - 2, 0)

@@ -50,7 +50,7 @@ class HubId:
 
 
 def parse_hub_id(given: str | Path) -> HubId | None:
-    """Id on the hub; None for a path: one that is there, or that looks like one."""
+    """Id on the hub; None for a path, existing or by its look."""
     text = given.as_posix() if isinstance(given, Path) else given
     found = _ID.fullmatch(text)
     if found is None or Path(given).exists():
@@ -64,7 +64,7 @@ def parse_hub_id(given: str | Path) -> HubId | None:
 
 
 def resolve_model(given: str | Path) -> Path:
-    """File of a model, fetched from the hub where it is named by its id and was not fetched before.
+    """File of a model, fetched from the hub at the first use of its id.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def model_folder() -> Path:
 
 
 def fetched(hub_id: HubId) -> Path | None:
-    """File that was fetched before; None if it was not."""
+    """Fetched file; None before its first fetch."""
     folder = _folder(hub_id.repo)
     revision = _revision(hub_id)
     if not _COMMIT.fullmatch(revision):
@@ -119,7 +119,7 @@ def fetched(hub_id: HubId) -> Path | None:
 
 
 def all_fetched() -> Iterator[tuple[HubId, Path]]:
-    """ONNX files that were fetched."""
+    """Fetched ONNX files."""
     root = model_folder()
     for path in sorted(root.glob("*--*/*/**/*.onnx")) if root.is_dir() else ():
         owner_repo, commit, *parts = path.relative_to(root).parts
@@ -128,7 +128,7 @@ def all_fetched() -> Iterator[tuple[HubId, Path]]:
 
 
 def fetch(hub_id: HubId) -> Path:
-    """Fetch a file with what belongs to it; raises as `resolve_model`."""
+    """Fetch a file with its companions; raises as `resolve_model`."""
     hub = extra_module("huggingface_hub", f"the model {hub_id}", "hub")
     repo, folder, revision, endpoint = (
         hub_id.repo,
@@ -167,7 +167,7 @@ def fetch(hub_id: HubId) -> Path:
 
 
 def _take(path: Path, target: Path, what: str, sha256: str | None) -> None:
-    """Move a file to where it is found, if it has the expected hash; remove it if not."""
+    """Move a file into place if its hash is the expected one; else remove it."""
     found = sha256_of(path) if sha256 else None
     if found != sha256:
         path.unlink()
@@ -179,7 +179,7 @@ def _take(path: Path, target: Path, what: str, sha256: str | None) -> None:
 
 @contextmanager
 def _quiet(log: Any) -> Iterator[None]:
-    """Without the library's own lines for each of its tries, unless they are asked for."""
+    """Silence the library's line for each try, unless asked for."""
     before = log.get_verbosity()
     if not is_verbose():
         log.set_verbosity_error()
@@ -214,7 +214,7 @@ _MISSING = {
 
 @contextmanager
 def _reached(hub_id: HubId) -> Iterator[None]:
-    """What the hub's library says in many lines, in one."""
+    """Turn the hub library's many lines into one."""
     try:
         yield
     except Exception as error:  # The library raises its own classes and those of the HTTP library below it.

@@ -1,4 +1,4 @@
-"""What an ONNX file declares, read from its protobuf without loading it: its tensors, and where their values are."""
+"""Tensors declared in an ONNX file, and the files of their values, read from protobuf without loading."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _BYTES = {1: 4, 4: 2, 5: 2, 6: 4, 7: 8, 8: 8, 10: 2, 11: 8, 12: 4, 13: 8, 14: 8,
 
 @dataclass(frozen=True)
 class Declared:
-    """A tensor of a file: its dimensions, the bytes that it needs, and the file that its values are in, "" for this."""
+    """Tensor of a file: dimensions, bytes, and the file of its values ("" for this one)."""
 
     dims: tuple[int, ...]
     bytes: int
@@ -36,7 +36,7 @@ class Declared:
 
 
 def declared_tensors(path: Path) -> Iterator[Declared]:
-    """The tensors of an ONNX file, as far as it can be read; raises as `opened`."""
+    """Tensors of an ONNX file, up to any damage; raises as `opened`."""
     limits = limits_of(path)
     most = limits.members + 1
     with opened(path, "model") as file:
@@ -74,9 +74,9 @@ def declared_tensors(path: Path) -> Iterator[Declared]:
 
 
 def check_network(path: Path) -> None:
-    """Raise InputError where an ONNX file, or one of its weights, is no regular file, too large, or outside its folder.
+    """Raise InputError for an ONNX file or weights too large, outside its folder, or no regular file.
 
-    A tensor that would be larger than the limit is refused here too, whatever is there of it.
+    A declared tensor above the limit is refused too, whatever its file holds.
     """
     limits = limits_of(path)
     tensors = list(declared_tensors(path))
@@ -96,12 +96,12 @@ def check_network(path: Path) -> None:
 
 
 def weight_files(path: Path) -> list[str]:
-    """The files, relative to the model's folder, that its tensors name."""
+    """Files of weights, relative to the model's folder."""
     return sorted({tensor.location for tensor in declared_tensors(path)} - {""})
 
 
 def _fields(content: mmap.mmap, start: int, end: int) -> Iterator[tuple[int, int | tuple[int, int]]]:
-    """The fields of a message: number, and the value of a varint or where the bytes of a longer one begin and end."""
+    """Fields of a message: number, and value of a varint or (start, end) of longer bytes."""
     while start < end:
         key, start = _varint(content, start)
         wire = key & 7

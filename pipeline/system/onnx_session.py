@@ -1,7 +1,6 @@
-"""Open an ONNX file with ONNX Runtime, and say plainly what is wrong with it.
+"""ONNX Runtime sessions: opened, run within limits, and errors in one line.
 
-Where it computes, and whether its own messages are shown, is asked of the environment, so that worker processes do
-as their parent does.
+Provider and verbosity stand in the environment, so that worker processes do as their parent does.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from pipeline.system.time_limit import stopped_after
 
 
 def open_session(path: Path, threads: int | None = None) -> Any:
-    """An `onnxruntime.InferenceSession`, where `pipeline.system.onnx_session` says.
+    """Open an `onnxruntime.InferenceSession` on the wanted provider.
 
     A graph that ONNX Runtime cannot load with its optimisations, as happens with half-precision files, is loaded
     without them.
@@ -79,7 +78,7 @@ def open_session(path: Path, threads: int | None = None) -> Any:
 
 @lru_cache(maxsize=1)
 def _limited_memory() -> bool:
-    """Let the networks of this process share one arena of limited size on the CPU; False where it is not to be had."""
+    """Share one arena of limited size among the networks of this process on the CPU; False if unsupported."""
     import onnxruntime as ort
 
     try:
@@ -98,9 +97,9 @@ def _endless(what: str, seconds: float, path: Path) -> InputError:
 
 
 def run_limited(session: Any, outputs: Sequence[str] | None, feed: Mapping[str, np.ndarray], path: Path) -> list[Any]:
-    """What the session computes; what ONNX Runtime raises, and InputError where it takes longer than the limit.
+    """Run a session; errors are ONNX Runtime's, and InputError beyond the limit of seconds.
 
-    ONNX Runtime looks between two operators whether it was told to stop: a loop ends, a single operator does not.
+    ONNX Runtime looks between two operators for the order to stop: a loop ends, a single operator does not.
     """
     import onnxruntime as ort
 
@@ -115,7 +114,7 @@ def run_limited(session: Any, outputs: Sequence[str] | None, feed: Mapping[str, 
 
 
 def _legible(session: Any, path: Path) -> Any:
-    """The session, where what it declares can be read at all."""
+    """Check the session's declared names and shapes for text."""
     try:
         for value in (*session.get_inputs(), *session.get_outputs()):
             _ = value.name, value.shape
@@ -125,7 +124,7 @@ def _legible(session: Any, path: Path) -> Any:
 
 
 def metadata(session: Any) -> dict[str, str]:
-    """What the file says of itself; nothing where that is no text."""
+    """Metadata of the file; empty if no text."""
     try:
         return dict(session.get_modelmeta().custom_metadata_map)
     except UnicodeDecodeError:
@@ -147,26 +146,26 @@ _CAUSES = (
 
 
 def _no_model(path: Path) -> str | None:
-    """What stands where a download failed, where the file is that."""
+    """Cause for a failed download in the file's place."""
     with opened(path, "model") as file:
         begin = file.read(64).lstrip().lower()
     return next((cause for begins, cause in _NO_MODEL if begin.startswith(begins)), None)
 
 
 def _likely_cause(message: str) -> str | None:
-    """What ONNX Runtime's words for a file that it cannot load come from."""
+    """Likely cause of ONNX Runtime's words."""
     words = message.lower()
     return next((cause for parts, cause in _CAUSES if any(part in words for part in parts)), None)
 
 
 def first_line(error: object) -> str:
-    """The first line of an error without ONNX Runtime's own numbering, or its class where it says nothing."""
+    """First line of an error without ONNX Runtime's own numbering, or its class."""
     lines = re.sub(r"\[ONNXRuntimeError\] : \d+ : \w+ : |Load model from .*? failed:", "", str(error)).splitlines()
     return (lines[0][:200] if lines else "") or type(error).__name__
 
 
 def run_session(session: Any, outputs: Sequence[str], feed: Mapping[str, np.ndarray], path: Path) -> list[np.ndarray]:
-    """The outputs asked for, floating-point ones as float32, of inputs cast to the types that the file declares.
+    """Run a session on inputs cast to the declared types; floating-point outputs are float32.
 
     Raises
     ------
@@ -198,7 +197,7 @@ def run_session(session: Any, outputs: Sequence[str], feed: Mapping[str, np.ndar
 
 
 def as_declared(session: Any, feed: Mapping[str, np.ndarray], path: Path) -> dict[str, np.ndarray]:
-    """Inputs as the types that the file declares.
+    """Cast inputs to the types declared by the file.
 
     Raises
     ------
@@ -238,7 +237,7 @@ NUMPY_TYPES: dict[str, type[np.generic]] = {
 
 
 def signature(session: Any) -> str:
-    """The declared inputs and outputs in one line, for messages."""
+    """Declared inputs and outputs in one line, for messages."""
 
     def line(values: Any) -> str:
         return ", ".join(f"{v.name} {list(v.shape)}" for v in values)
@@ -247,7 +246,7 @@ def signature(session: Any) -> str:
 
 
 def file_hash(path: Path) -> str:
-    """Hash of a file's content."""
+    """XXH3 hash of a file's content."""
     digest = xxhash.xxh3_128()
     with opened(path, "model") as file:
         while block := file.read(1 << 20):
@@ -256,7 +255,7 @@ def file_hash(path: Path) -> str:
 
 
 def model_hash(path: Path) -> str:
-    """Hash of a model file and of the files that its weights are in, where they are in files of their own."""
+    """XXH3 hash of a model file and of its separate files of weights."""
     companions = {path.with_name(path.name + ending): None for ending in ("_data", ".data")}
     companions |= {path.parent / name: None for name in weight_files(path)}
     return "+".join(file_hash(p) for p in (path, *companions) if p.is_file())
@@ -277,11 +276,11 @@ PACKAGES = {"cuda": "onnxruntime-gpu", "directml": "onnxruntime-directml", "core
 
 
 class ProviderWarning(UserWarning):
-    """What was asked for cannot compute here, and the CPU does."""
+    """Wanted provider missing: the CPU computes."""
 
 
 def use_execution(provider: str | None = None, verbose: bool = False) -> None:
-    """Set where models that are opened from now on compute, in this process and in those it starts.
+    """Set provider and verbosity of models opened from now on, in this process and its children.
 
     Parameters
     ----------
@@ -293,7 +292,7 @@ def use_execution(provider: str | None = None, verbose: bool = False) -> None:
     Raises
     ------
     InputError
-        For another provider.
+        Another provider.
     """
     if provider is not None:
         os.environ[PROVIDER_VARIABLE] = _checked(provider)
@@ -302,7 +301,7 @@ def use_execution(provider: str | None = None, verbose: bool = False) -> None:
 
 
 def is_verbose() -> bool:
-    """Whether ONNX Runtime's own messages are shown."""
+    """Return True if ONNX Runtime's own messages are shown."""
     return os.environ.get(VERBOSE_VARIABLE, "") not in ("", "0")
 
 
@@ -313,13 +312,7 @@ def _checked(provider: str) -> str:
 
 
 def wanted_accelerator(available: list[str]) -> str | None:
-    """ONNX Runtime's name of what computes besides the CPU; None for nothing, with one warning where it was asked for.
-
-    Parameters
-    ----------
-    available : list of str
-        What this ONNX Runtime was built with.
-    """
+    """ONNX Runtime's name of the wanted accelerator among the `available` ones; None, with a warning, for the CPU."""
     provider = _checked(os.environ.get(PROVIDER_VARIABLE) or "auto")
     if provider == "cpu":
         return None

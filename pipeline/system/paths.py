@@ -1,6 +1,4 @@
-"""Where the files that come with the program lie (beside the package in a checkout, inside it when installed), and the
-folder in which what was computed once is kept.
-"""
+"""Paths of shipped files (beside the package in a checkout, inside it when installed) and of the cache folder."""
 
 from __future__ import annotations
 
@@ -13,7 +11,7 @@ from pipeline.system.errors import InputError
 
 
 def asset_path(*parts: str) -> Path:
-    """The path of a shipped file or folder, for example ("srm", "rel14.onnx").
+    """Path of a shipped file or folder, for example ("srm", "rel14.onnx").
 
     Raises
     ------
@@ -29,5 +27,5 @@ def asset_path(*parts: str) -> Path:
 
 
 def cache_folder() -> Path:
-    """Where cached results live: SPATIALVIZ_CACHE, or the user's cache folder."""
+    """Folder of cached results: SPATIALVIZ_CACHE, or the user's cache folder."""
     return Path(os.environ.get("SPATIALVIZ_CACHE") or platformdirs.user_cache_dir("spatialviz"))

@@ -35,7 +35,7 @@ _DTYPE = re.compile(r"[<>|=]?([biufcSU][0-9]{1,5})")
 
 
 class Passed:
-    """Something of a known library, of which nothing is kept."""
+    """Object of a known library, passed over."""
 
     def __init__(self, *given: Any) -> None: ...
 
@@ -47,7 +47,7 @@ class Passed:
 
 
 class _Type:
-    """A numpy type, told by its letter and size."""
+    """numpy type by letter and size."""
 
     def __init__(self, text: str, *more: Any) -> None:
         self._code = _DTYPE.fullmatch(text)
@@ -64,13 +64,7 @@ class _Type:
 
 
 class Array:
-    """An array as a file has it.
-
-    Attributes
-    ----------
-    value : Any
-        What `keep` of `read_plain_pickle` made of it; None until it was read.
-    """
+    """Array of a file; `value` is the result of `keep` of `read_plain_pickle`, None before the reading."""
 
     def __init__(self, keep: Callable[[np.ndarray], Any]) -> None:
         self.value: Any = None
@@ -100,7 +94,7 @@ class Array:
 
 
 class _Let:
-    """What stands for the bytes of an array that were let go."""
+    """Placeholder of an array's freed bytes."""
 
 
 def _scalar(kind: _Type, data: bytes = b"") -> Any:
@@ -133,7 +127,7 @@ _KNOWN: dict[tuple[str, str], Any] = {
 
 
 class _Reader(pickle._Unpickler):
-    """The unpickler in Python: that in C gives a file as much memory as it asks for."""
+    """Unpickler in Python: the one in C gives a file as much memory as it asks for."""
 
     stack: list[Any]
     memo: dict[int, Any]
@@ -191,7 +185,7 @@ class _Reader(pickle._Unpickler):
 
 
 class _Bounded:
-    """A file that gives no more than a reader may hold."""
+    """File with a limit on the bytes given to a reader."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
@@ -218,23 +212,18 @@ class _Bounded:
 
 
 def read_plain_pickle(path: Path, keep: Callable[[np.ndarray], Any] = np.asarray) -> Any:
-    """What a pickle holds, also one within gzip.
+    """Read a pickle, also one within gzip: numbers, text (paths too), containers, `Array` and `Passed`.
 
     Parameters
     ----------
     path : Path
     keep : callable
-        What is kept of each array: the array itself, or something smaller. It stands as `Array.value`.
-
-    Returns
-    -------
-    Any
-        Numbers, text (paths too), dict, list, tuple, set, `Array` and, for what is passed over, `Passed`.
+        Keeps of each array the array itself or something smaller, as `Array.value`.
 
     Raises
     ------
     InputError
-        It is no pickle, names something that is not read, or asks for too much memory.
+        No pickle, an unread name in it, or too much memory asked for.
     """
     try:
         with opened(path) as raw:
@@ -249,5 +238,5 @@ def read_plain_pickle(path: Path, keep: Callable[[np.ndarray], Any] = np.asarray
 
 
 def plain(value: Any) -> Any:
-    """An array's value; anything else as it is."""
+    """Value of an array; anything else as it is."""
     return value.value if isinstance(value, Array) else value

@@ -1,4 +1,4 @@
-"""Installed packages: their versions, and the readers, detectors, segmenters and exports that entry points add."""
+"""Installed packages: versions, and readers, detectors, segmenters and exports added by entry points."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ from typing import Any
 
 
 def entry_points(group: str) -> EntryPoints:
-    """The entry points of a group, as `importlib.metadata` finds them.
+    """Find the entry points of a group, again only after a change in a folder of the search path.
 
-    That reads a file of every installed package, which takes longer than to open a small dataset. It is done once,
-    and again where a folder of the search path has changed: whatever is installed or removed changes its folder.
+    `importlib.metadata` reads a file of every installed package, slower than opening a small dataset.
     """
     return _entry_points(group, tuple((folder, _last_change(folder)) for folder in sys.path))
 
@@ -27,7 +26,7 @@ def _entry_points(group: str, _folders: tuple[tuple[str, int], ...]) -> EntryPoi
 
 
 def _last_change(folder: str) -> int:
-    """When anything was put into a folder, or taken out of it, nanoseconds; -1 where there is none."""
+    """Time of the last file put into or taken out of a folder, nanoseconds; -1 without the folder."""
     try:
         return os.stat(folder or ".").st_mtime_ns
     except OSError:
@@ -35,7 +34,7 @@ def _last_change(folder: str) -> int:
 
 
 def load_plugins(group: str, what: str, kind: Any) -> tuple[tuple[str, Any], ...]:
-    """The plugins of an entry point group. One that fails to load is warned of and left out.
+    """Load the plugins of an entry point group; a failing one is left out with a warning.
 
     Parameters
     ----------
@@ -65,7 +64,7 @@ def load_plugins(group: str, what: str, kind: Any) -> tuple[tuple[str, Any], ...
 
 
 def versions_of(*packages: str) -> dict[str, str]:
-    """The versions of those packages that are installed."""
+    """Versions of the installed ones among packages."""
     found = {}
     for package in packages:
         with suppress(PackageNotFoundError):

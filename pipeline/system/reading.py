@@ -1,4 +1,4 @@
-"""What people and other programs write, checked: where it is wrong, one line says so."""
+"""Checked reading of files by people and other programs, with one line for a fault."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Checked = TypeVar("Checked")
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """A table of TOML; ValueError where it is none."""
+    """Parse TOML; ValueError on malformed text."""
     try:
         return tomllib.loads(text)
     except RecursionError as error:
@@ -41,7 +41,7 @@ def checked(
     inside: Iterable[str] = (),
     keys: Iterable[str] | Callable[[tuple[Any, ...]], Iterable[str]] = (),
 ) -> Checked:
-    """What `check` (a validating method of pydantic) makes of a content.
+    """Validate a content by `check`, a validating method of pydantic.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def _quoted(value: Any) -> str:
 
 
 def asked(fault: Any) -> str:
-    """What is asked for in place of a value that one kind does not fit: of one of pydantic's `errors()`."""
+    """Wanted value in words, for one of pydantic's `errors()`."""
     kind, told = fault["type"], fault.get("ctx", {})
     if kind == "json_invalid":
         return f"JSON ({told['error']})"
@@ -131,7 +131,7 @@ def asked(fault: Any) -> str:
 
 
 def _place(content: Any, location: tuple[Any, ...], missing: bool) -> tuple[Any, ...]:
-    """A location without what is neither a key nor a number of the content, but the name of one of several kinds."""
+    """Location reduced to keys and numbers of the content, without names of kinds."""
 
     def leads(inside: Any, k: int) -> bool:
         if isinstance(inside, dict):
@@ -152,7 +152,7 @@ def _place(content: Any, location: tuple[Any, ...], missing: bool) -> tuple[Any,
 
 @dataclass(frozen=True)
 class Content:
-    """What a text file holds.
+    """Content of a text file.
 
     Attributes
     ----------
@@ -160,7 +160,7 @@ class Content:
         The JSON value; of JSON lines and of CSV a list of the rows.
     path : Path
     numbers : tuple of int or None
-        The rows' lines, from 1; None of one JSON value.
+        Lines of the rows, from 1; None for one JSON value.
     """
 
     value: Any
@@ -168,23 +168,23 @@ class Content:
     numbers: tuple[int, ...] | None = None
 
     def where(self, k: int) -> str:
-        """How a message names row `k`: "line 3", or "entry 2" of a list."""
+        """Name row `k` for a message: "line 3", or "entry 2" of a list."""
         return f"entry {k}" if self.numbers is None else f"line {self.numbers[k]}"
 
     @property
     def first(self) -> dict[str, Any]:
-        """The value or the first row, where it is an object; else an empty one."""
+        """First row or the value itself, if an object; else an empty one."""
         found = self.value[0] if isinstance(self.value, list) and self.value else self.value
         return found if isinstance(found, dict) else {}
 
     def rows(self, check: Callable[[Any], Checked], wrong: str) -> list[Checked]:
-        """Every row as `check` (a validating method of pydantic) has it; InputError with its line or entry."""
+        """Validate every row by `check`, a validating method of pydantic; InputError with line or entry."""
         require(isinstance(self.value, list), f"{wrong}: a list of entries is asked for", path=self.path)
         return [checked(check, row, f"{self.where(k)}, {{}}: {wrong}", self.path) for k, row in enumerate(self.value)]
 
 
 def read_content(path: Path, what: str = "the file") -> Content:
-    """A file of JSON, JSON lines, or (by its ending) CSV; `what` names it in messages.
+    """Read a file of JSON, JSON lines, or (by its ending) CSV; `what` names it in messages.
 
     Raises
     ------

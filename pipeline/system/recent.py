@@ -1,4 +1,4 @@
-"""The last few values that were found, by key: one bounded memory for all that is read or computed again."""
+"""Bounded memory of recent values by key."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ _LOCK = Lock()
 
 
 class Recent(Generic[Key, Value]):
-    """At most `most` values; the one that was asked for longest ago makes room."""
+    """Memory of at most `most` values; the least recently used makes room."""
 
     def __init__(self, most: int) -> None:
         self._most = most
         self._kept: dict[Key, Value] = {}
 
     def get(self, key: Key, find: Callable[[], Value]) -> Value:
-        """The value of a key, which is never None; `find` gives it where it is not known (any more)."""
+        """Value of a key, never None; `find` gives an unknown one."""
         found = self._kept.get(key)
         if found is None:
             found = find()

@@ -1,8 +1,8 @@
-"""Recordings at a URL (s3://, gs://, hf://, https://; extra: remote): listed once, each file fetched when it is opened.
+"""Recordings at a URL (s3://, gs://, hf://, https://; extra: remote): listed once, files fetched when opened.
 
-The user's cache holds the whole tree. A file that was not fetched yet has its size, no content, and a mode that lets
-nobody read it; `safe_files` fetches it before anything opens it. The time of change stands for the file's version
-there, and stays the same when it is fetched.
+The user's cache holds the whole tree. A file before its fetch has its size, no content, and a mode without read access;
+`safe_files` fetches it before anything opens it. Its time of change stands for the file's version there, and stays the
+same at the fetch.
 """
 
 from __future__ import annotations
@@ -35,17 +35,17 @@ Entry = tuple[int | None, str]
 
 
 def is_url(path: str | Path) -> bool:
-    """Whether it is a URL and no path."""
+    """Return True for a URL, False for a path."""
     return _URL.match(str(path)) is not None
 
 
 def local_path(path: str | Path) -> Path:
-    """Where a dataset stands on this machine: a path as it is, the copy of what is at a URL (listed once a process).
+    """Path of a dataset on this machine: a path as it is, the copy of a URL (listed once a process).
 
     Raises
     ------
     InputError
-        Nothing is there, it cannot be reached, or nothing of it can be kept in the cache.
+        Nothing at the URL, no connection, or no room in the cache.
     MissingExtra
         fsspec is not installed.
     """
@@ -58,7 +58,7 @@ def local_path(path: str | Path) -> Path:
 
 
 def named_before(path: str) -> str:
-    """A dataset as a run or labels name it; InputError where that is a URL that nobody opened on this machine."""
+    """Dataset as named by a run or labels; InputError for a URL never opened on this machine."""
     if is_url(path):
         known = (_copy_of(path, _copies()) / _INDEX).is_file()
         require(known, "the dataset is at a URL that was not opened here", got=path, expected="its URL or path, given")
@@ -106,7 +106,7 @@ def _mirrored(url: str, cache: Path) -> Path:
 
 
 def _connected(url: str) -> tuple[Any, str]:
-    """The file system of a URL, and what it calls the place."""
+    """File system of a URL, and the place's name there."""
     fsspec = extra_module("fsspec", f"reading {url}", "remote")
     package = "pip install 'spatialviz[remote]' for HTTP; s3fs, gcsfs or huggingface_hub for their own"
     with (
@@ -118,7 +118,7 @@ def _connected(url: str) -> tuple[Any, str]:
 
 
 def _listed(system: Any, root: str, url: str) -> Iterator[tuple[str, Entry]]:
-    """The files below a place, by their names relative to it, without hidden ones; "" where it is a file itself."""
+    """Visible files below a place by relative name; "" for a file itself."""
     web = url.startswith(("http:", "https:"))
     # A web server says "file" of everything: there a name with an ending is one.
     ending = bool(PurePosixPath(urlsplit(url).path).suffix) and not url.endswith("/")
@@ -143,7 +143,7 @@ def _entry(info: dict[str, Any]) -> Entry:
 
 
 def _mark(path: Path, entry: Entry, unchanged: bool) -> None:
-    """Put a file without content in place of a file of this version, unless that is there."""
+    """Put a file without content in place of a file of this version, unless present."""
     told = int(hashlib.sha256(repr(entry).encode()).hexdigest()[:16], 16) % 10**9 * 10**9
     try:
         descriptor = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0)
@@ -158,12 +158,12 @@ def _mark(path: Path, entry: Entry, unchanged: bool) -> None:
 
 
 def fetch(path: Path, state: os.stat_result, limit: str, limits: Limits) -> None:
-    """Fetch a file of a copy that is not there yet; nothing for any other file.
+    """Fetch a file of a copy before its first use; nothing for any other file.
 
     Raises
     ------
     InputError
-        It cannot be fetched, is not as it was listed, or is larger than the limit of this name.
+        No connection, another size than listed, or above the limit of this name.
     """
     cache = _copies()
     if not path.is_relative_to(cache):

@@ -1,8 +1,7 @@
-"""The one way in for files that others made: datasets, labels, runs, cases and models.
+"""Safe opening of files of others: datasets, labels, runs, cases and models.
 
-What is no regular file is refused before it is opened, what lies outside the folder that was opened (a link, a name
-with "..") before it is read, and what is larger than `limits` allows before it is decoded; each with one line. Errors
-of the system (a missing file) go through as they are.
+A special file is refused before it is opened, a file outside the opened folder (by a link or "..") before it is read,
+and a file above `limits` before it is decoded; each with one line. Errors of the system (a missing file) go through.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from pipeline.system.picture_headers import array_shape, header_size
 
 
 class _Root(NamedTuple):
-    """A folder that was opened: where it really is, and by what its own settings change the limits."""
+    """Opened folder: its real path, and the limits changed by its own settings."""
 
     real: str
     told: tuple[tuple[str, Any], ...]
@@ -48,14 +47,9 @@ _KINDS = {stat.S_IFIFO: "a FIFO", stat.S_IFSOCK: "a socket", stat.S_IFCHR: "a de
 
 
 def enter(root: Path, told: Mapping[str, Any] | None = None) -> Path:
-    """From now on what is read below this folder must lie in it, with links followed; returns it.
+    """Confine reading below this folder, or a file with everything in it, with links followed; returns the folder.
 
-    Parameters
-    ----------
-    root : Path
-        A folder, or a file that holds all.
-    told : mapping, optional
-        Limits that the folder's own `spatialviz.toml` raises; raises InputError as `Limits.changed`.
+    `told` are limits raised by the folder's own `spatialviz.toml`; raises InputError as `Limits.changed`.
     """
     values = tuple((told or {}).items())
     current_limits().changed(dict(values), own=True)
@@ -64,7 +58,7 @@ def enter(root: Path, told: Mapping[str, Any] | None = None) -> Path:
 
 
 def _home(root: Path) -> Path:
-    """The folder that files may lie in: the cache of a hub keeps the content of `snapshots/COMMIT` in `blobs` above."""
+    """Folder of a root's files: a hub's cache keeps the content of `snapshots/COMMIT` in `blobs` above."""
     real = Path(os.path.realpath(root))
     for folder in (real, *real.parents):
         if folder.parent.name == "snapshots" and (folder.parent.parent / "blobs").is_dir():
@@ -73,13 +67,13 @@ def _home(root: Path) -> Path:
 
 
 def _absolute(path: Any) -> str:
-    """An absolute path in which ".." stands as it was written."""
+    """Absolute path with ".." kept as written."""
     text = os.fspath(path)
     return text if os.path.isabs(text) else os.path.join(os.getcwd(), "" if text == "." else text).rstrip(os.sep)
 
 
 def _roots(path: Any) -> Iterator[_Root]:
-    """The folders that were opened and are above a path as it is written, the innermost first."""
+    """Opened folders above a path as written, the innermost first."""
     text = _absolute(path)
     while True:
         if text in _ROOTS:
@@ -91,7 +85,7 @@ def _roots(path: Any) -> Iterator[_Root]:
 
 
 def limits_of(path: Any) -> Limits:
-    """The limits of a file: of this process, and where the folder that it is in raises some, those."""
+    """Limits of a file: of this process, raised by its folder's own."""
     limits = current_limits()
     told = next(_roots(path), None)
     return limits if told is None or not told.told else limits.changed(dict(told.told), own=True)
@@ -99,13 +93,7 @@ def limits_of(path: Any) -> Limits:
 
 @contextmanager
 def opened(path: Path, limit: str = "bytes") -> Iterator[IO[bytes]]:
-    """A file to read, at its start.
-
-    Parameters
-    ----------
-    path : Path
-    limit : str
-        The name of the limit of its size.
+    """Open a file to read, at its start; `limit` names the limit of its size.
 
     Raises
     ------
@@ -135,13 +123,13 @@ def opened(path: Path, limit: str = "bytes") -> Iterator[IO[bytes]]:
 
 
 def checked_path(path: Path, limit: str = "bytes") -> Path:
-    """The path, for a library that opens it itself; raises as `opened`."""
+    """Check a path for a library with its own opening; raises as `opened`."""
     with opened(path, limit):
         return path
 
 
 class _BoundedReader(io.BufferedReader):
-    """Reads no more at a time than the limit `bytes`, whatever length the file itself declares."""
+    """Reader of at most the limit `bytes` at a time, whatever length the file declares."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(io.FileIO(path))
@@ -159,7 +147,7 @@ class _BoundedReader(io.BufferedReader):
 
 
 class BoundedPath(type(Path())):
-    """A checked path for a library that opens it by its `open` and takes the lengths in the file at their word."""
+    """Checked path for a library with its own `open` and trust in the file's lengths."""
 
     def open(self, mode: str = "r", *rest: Any, **options: Any) -> Any:
         if mode != "rb":
@@ -168,7 +156,7 @@ class BoundedPath(type(Path())):
 
 
 def open_archive(file: IO[bytes], path: Any) -> ZipFile:
-    """An archive of an open file; InputError where its list of members is longer than it can be, before it is read."""
+    """Open an archive of an open file; InputError for too long a list of members, before reading the list."""
     # What zipfile itself goes by: the number of members, and how many bytes their list has.
     end = zipfile._EndRecData(file)  # pyright: ignore[reportAttributeAccessIssue]
     if end is not None:
@@ -193,7 +181,7 @@ def _check(path: Path, state: os.stat_result, limit: str) -> None:
 
 
 def _check_place(path: Path, descriptor: int) -> None:
-    """Raise InputError where a file lies outside of every folder that was opened and is above it as it is written."""
+    """Raise InputError for a file outside of every opened folder above it as written."""
     above = tuple(_roots(path))
     if not above:
         return
@@ -210,23 +198,23 @@ def _check_place(path: Path, descriptor: int) -> None:
 
 
 def read_bytes(path: Path, limit: str = "bytes") -> bytes:
-    """The whole file; raises as `opened`."""
+    """Read a whole file; raises as `opened`."""
     with opened(path, limit) as file:
         return file.read()
 
 
 def read_text(path: Path, encoding: str = "utf-8") -> str:
-    """The whole text, with its ends of lines as "\\n"; raises as `opened`, and UnicodeDecodeError."""
+    """Read a whole text, with "\\n" for ends of lines; raises as `opened`, and UnicodeDecodeError."""
     return read_bytes(path, "text").decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
 
 
 def read_json(path: Path, **options: Any) -> Any:
-    """What a JSON file holds; raises as `opened` and `parse_json`."""
+    """Read a JSON file; raises as `opened` and `parse_json`."""
     return parse_json(read_bytes(path, "text"), path, **options)
 
 
 def parse_json(data: bytes | str, path: Any = None, **options: Any) -> Any:
-    """What JSON holds; `options` are those of `json.loads`.
+    """Parse JSON; `options` are those of `json.loads`.
 
     Raises
     ------
@@ -250,7 +238,7 @@ _NO_BRACKETS = bytes(set(range(256)) - set(b"[]{}"))
 
 
 def _deeper(data: bytes, depth: int) -> bool:
-    """Whether brackets stand inside one another more than `depth` levels deep: pairs are taken away level by level."""
+    """Return True for brackets nested deeper than `depth` levels; pairs are removed level by level."""
     left = data.translate(_ALIKE, _NO_BRACKETS)
     for _ in range(depth):
         shorter = left.replace(b"[]", b"")
@@ -265,7 +253,7 @@ def _deeper(data: bytes, depth: int) -> bool:
 
 
 def check_pixels(data: bytes, path: Any) -> None:
-    """Raise InputError where an encoded picture would have more pixels than the limit, or its header tells no size."""
+    """Raise InputError for an encoded picture above the limit of pixels, or without a size in its header."""
     size = header_size(data)
     if size is None or min(size) < 0:
         raise InputError("a picture whose header tells no size", cause="is it cut off or damaged?", path=path)
@@ -274,7 +262,7 @@ def check_pixels(data: bytes, path: Any) -> None:
 
 
 def read_picture(path: Path) -> np.ndarray | None:
-    """A picture as it is stored, (H, W) or (H, W, C) in OpenCV's order; None where it cannot be decoded.
+    """Read a picture as stored, (H, W) or (H, W, C) in OpenCV's order; None if it cannot be decoded.
 
     Raises as `opened` and `check_pixels`.
     """
@@ -288,7 +276,7 @@ def read_picture(path: Path) -> np.ndarray | None:
 
 
 def load_arrays(source: bytes | IO[bytes], path: Any) -> Any:
-    """The array of an NPY, or those of an NPZ by name, each read when it is asked for; nothing is unpickled.
+    """Load the array of an NPY, or lazily by name those of an NPZ, without unpickling.
 
     Raises
     ------
@@ -311,15 +299,15 @@ def load_arrays(source: bytes | IO[bytes], path: Any) -> Any:
 
 @contextmanager
 def opened_arrays(path: Path) -> Iterator[Any]:
-    """The same of a file; raises as `opened` too."""
+    """Load arrays of a file; raises as `opened` and `load_arrays`."""
     with opened(path) as file, load_arrays(file, path) as arrays:
         yield arrays
 
 
 def check_members(archive: ZipFile, path: Any) -> None:
-    """Raise InputError where an archive has too many members, too large ones, or one whose name climbs out of it.
+    """Raise InputError for an archive with too many or too large members, or a name climbing out.
 
-    No more is ever unpacked of a member than it declares.
+    No more is ever unpacked of a member than declared.
     """
     limits, members = limits_of(path), archive.infolist()
     within(len(members), "members", "an archive", path, limits)
@@ -334,14 +322,14 @@ def check_members(archive: ZipFile, path: Any) -> None:
 
 
 def open_zip(path: Path) -> ZipFile:
-    """An archive whose members are read in place; raises as `opened` (of its size `unpacked`) and `check_members`."""
+    """Open an archive to read members in place; raises as `opened` (of its size `unpacked`) and `check_members`."""
     with opened(path, "unpacked") as file:
         check_members(open_archive(file, path), path)
     return ZipFile(path)
 
 
 def open_parquet(source: Any, path: Any = None, **options: Any) -> Any:
-    """A `pyarrow.parquet.ParquetFile` of a path or an open file (then `path` names it); `options` are those of it.
+    """Open a `pyarrow.parquet.ParquetFile` of a path or an open file (named by `path`), with its `options`.
 
     Raises
     ------
@@ -363,13 +351,13 @@ def open_parquet(source: Any, path: Any = None, **options: Any) -> Any:
 
 
 def parquet_columns(path: Path) -> list[str]:
-    """The names of a table's columns; raises as `open_parquet`."""
+    """Names of a table's columns; raises as `open_parquet`."""
     with open_parquet(path) as file:
         return file.schema_arrow.names
 
 
 def check_footer(path: Path) -> None:
-    """Raise InputError where what stands at the end of a table about it is too large; raises as `opened`."""
+    """Raise InputError for a Parquet footer above the limit; raises as `opened`."""
     with opened(path, "unpacked") as file:
         size = os.fstat(file.fileno()).st_size
         if size > 8:
@@ -380,7 +368,7 @@ def check_footer(path: Path) -> None:
 
 
 def read_parquet(path: Path, columns: list[str] | None = None, filters: Any = None) -> Any:
-    """A `pyarrow.Table`, whole or of the rows that `filters` of pyarrow leave; raises as `open_parquet`."""
+    """Read a `pyarrow.Table`, whole or filtered by pyarrow's `filters`; raises as `open_parquet`."""
     if filters is not None:
         check_footer(path)
         return pq.read_table(path, columns=columns, filters=filters)

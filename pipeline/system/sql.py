@@ -1,8 +1,8 @@
-"""Databases in memory that hold no more than the limit `query`, and a process of its own for what strangers ask in SQL.
+"""Databases in memory within the limit `query`, and a process for strangers' SQL.
 
-DuckDB counts most of what it holds, and not all; some functions look neither at its limit nor at an interrupt. So a
-query that somebody typed runs in another process (`python -c` of `COMMAND`), which the system itself bounds and which
-can be killed. The two talk in pickled messages: the settings, then a question for each answer.
+DuckDB counts most of its memory, and not all; some functions look neither at its limit nor at an interrupt. So a typed
+query runs in another process (`python -c` of `COMMAND`), bounded by the system and killed at need. The two talk in
+pickled messages: the settings, then a question for each answer.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _SHUT = ("python_enable_replacements", "autoinstall_known_extensions", "autoload
 
 
 def database_settings(spill: str) -> dict[str, Any]:
-    """What DuckDB is opened with, to keep to the limit `query`; `spill` is the folder of what does not fit."""
+    """Settings of DuckDB within the limit `query`; `spill` is the folder for the overflow."""
     most = current_limits().query
     return {
         "memory_limit": f"{most}B", "max_temp_directory_size": f"{SPILLED * most}B", "temp_directory": spill,
@@ -53,7 +53,7 @@ def database_settings(spill: str) -> dict[str, Any]:
 
 @contextmanager
 def bounded_database() -> Iterator[duckdb.DuckDBPyConnection]:
-    """An empty database in memory; what does not fit goes to a folder that is removed at the end of the block."""
+    """Open an empty database in memory, with a folder for the overflow, removed at the end of the block."""
     import duckdb
 
     with (
@@ -64,7 +64,7 @@ def bounded_database() -> Iterator[duckdb.DuckDBPyConnection]:
 
 
 def answer_queries() -> None:
-    """Answer on standard output what is asked on standard input, to the end of it or of the process that asks."""
+    """Answer questions of standard input on standard output, to its end or that of the asking process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     out = os.fdopen(os.dup(1), "wb")
     # Nothing else may come between the answers.
@@ -91,7 +91,7 @@ def answer_queries() -> None:
 
 
 def _questions(source: BinaryIO) -> Iterator[tuple[str | None, Sequence[Any]]]:
-    """Each SELECT with its parameters; without one, more rows of the last."""
+    """Each SELECT with its parameters; None for more rows of the last."""
     with suppress(EOFError):
         while True:
             yield pickle.load(source)
@@ -110,7 +110,7 @@ def _tell(out: BinaryIO, answer: tuple[str, Any]) -> None:
 
 
 def _opened(tables: Mapping[str, Path], held: Collection[str], spill: str) -> duckdb.DuckDBPyConnection:
-    """A database of Parquet files as views, some of them held in memory; it can touch nothing else."""
+    """Database of Parquet files as views, some held in memory, without access to anything else."""
     import duckdb
     from pyarrow import dataset
 
@@ -128,7 +128,7 @@ def _opened(tables: Mapping[str, Path], held: Collection[str], spill: str) -> du
 
 
 def _bound_by_the_system() -> None:
-    """Let this process take no more than the limit above what it holds, where the system can (Linux)."""
+    """Bound this process's memory above its present size, on Linux."""
     if sys.platform != "linux":
         return
     with open("/proc/self/status", encoding="ascii", errors="replace") as status:
@@ -150,7 +150,7 @@ def _selected(connection: duckdb.DuckDBPyConnection, sql: str, parameters: Seque
 
 
 def _words(error: Exception) -> str:
-    """What went wrong, in one line."""
+    """Error in one line."""
     import duckdb
 
     most = current_limits().query

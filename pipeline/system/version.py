@@ -1,3 +1,3 @@
-"""The version of this program: what a release changes."""
+"""Version of this program, changed by a release."""
 
 __version__ = "0.1.0"

@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all (written under a hidden name, synced, renamed into place), and their hashes."""
+"""Whole-file writing (under a hidden name, synced, renamed into place), and hashes of files."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ _ABANDONED_S = 86_400
 
 
 def temporary_sibling(path: Path) -> Path:
-    """A hidden name beside a file or folder that is this writer's alone, also where machines share the folder."""
+    """Hidden name beside a file or folder for this writer alone, also in folders shared by machines."""
     host = socket.gethostname().replace(".", "-")
     return path.with_name(f".{path.name}.{host}.{os.getpid()}.{uuid4().hex[:8]}.tmp")
 
 
 def clear_abandoned(folder: Path, ours: bool = True) -> None:
-    """Remove what killed writers left in a folder; what another process is writing stays.
+    """Remove leftovers of killed writers from a folder, without the files of living ones.
 
-    In a folder that is not `ours` only what bears the number of a process of this machine is known to be left.
+    In a folder that is not `ours` only numbers of this machine's processes tell a leftover.
     """
     for left in folder.glob(".*.tmp"):
         if not (ours or _of_this_machine(left)) or not is_abandoned(left):
@@ -58,7 +58,7 @@ def _of_this_machine(temporary: Path) -> re.Match[str] | None:
 
 
 def is_abandoned(temporary: Path) -> bool:
-    """Whether nobody writes under this temporary name any more: its process is gone, or it is a day old."""
+    """Return True for a temporary name of a dead process, or one a day old."""
     found = _of_this_machine(temporary)
     # On Windows os.kill would end the process instead of asking for it.
     if os.name == "posix" and found is not None:
@@ -77,10 +77,7 @@ def is_abandoned(temporary: Path) -> bool:
 
 @contextmanager
 def alone(folder: Path) -> Iterator[None]:
-    """Nobody else, of any process of this machine, changes the files of a folder meanwhile; it is made if missing.
-
-    On Windows only nobody else of this process: of others the last writer wins.
-    """
+    """Lock a folder, made if missing, against other processes of this machine; on Windows of this process only."""
     folder.mkdir(parents=True, exist_ok=True)
     with _ALONE, open(folder / ".lock", "w") as lock:
         if sys.platform != "win32":
@@ -104,7 +101,7 @@ def write_synced(path: Path, data: bytes) -> None:
 
 @contextmanager
 def whole_file(path: Path, what: str, make_folder: bool = True) -> Iterator[Path]:
-    """Hidden name beside a new file, which takes the file's name when the block ends well, and is removed if not.
+    """Hidden name beside a new file, renamed to it at the good end of the block, else removed.
 
     Raises
     ------
@@ -124,9 +121,9 @@ def whole_file(path: Path, what: str, make_folder: bool = True) -> Iterator[Path
 
 
 def take_places(made: Path, out: Path) -> None:
-    """Move all files of a folder beside `out`, and `made`, which is one of them, to `out` itself.
+    """Move all files of a folder beside `out`, and `made`, one of them, to `out` itself.
 
-    It comes last, and one that was there goes first: whichever is there has what belongs to it, also after a kill.
+    It comes last, and an earlier one goes first: either has its companions, also after a kill.
     """
     files = [*(file for file in made.parent.iterdir() if file.is_file() and file != made), made]
     for file in files:
@@ -139,7 +136,7 @@ def take_places(made: Path, out: Path) -> None:
 
 @contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """A new folder of one's own where the system keeps temporary files; what killed processes left there is removed."""
+    """Make a private folder among the system's temporary files; leftovers of killed processes go."""
     place = Path(tempfile.gettempdir()) / "spatialviz"
     clear_abandoned(place.parent, ours=False)
     with temporary_folder(place, 0o700) as folder:
@@ -148,7 +145,7 @@ def scratch_folder() -> Iterator[Path]:
 
 @contextmanager
 def temporary_folder(path: Path, mode: int = 0o777) -> Iterator[Path]:
-    """A new folder under a hidden name beside `path`; what is left of it at the end of the block is removed."""
+    """Make a folder under a hidden name beside `path`, removed at the end of the block."""
     folder = temporary_sibling(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     folder.mkdir(mode)
@@ -159,7 +156,7 @@ def temporary_folder(path: Path, mode: int = 0o777) -> Iterator[Path]:
 
 
 def sha256_of(source: Path | IO[bytes]) -> str:
-    """Of a file's content, by its path or open for reading, in hexadecimal."""
+    """SHA-256 of a file, by path or open for reading, in hexadecimal."""
     digest = hashlib.sha256()
     with opened(source, "unpacked") if isinstance(source, Path) else nullcontext(source) as file:
         while block := file.read(1 << 20):
@@ -168,7 +165,7 @@ def sha256_of(source: Path | IO[bytes]) -> str:
 
 
 def keep_whole(path: Path, write: Callable[[Any], object]) -> None:
-    """Keep in the cache what `write` writes into an open binary file, whole; nothing where the folder is read-only."""
+    """Keep a result of `write` (into an open binary file) in the cache, whole, or not at all in a read-only folder."""
     with (
         suppress(InputError),
         whole_file(path, "the cache") as temporary,
@@ -179,14 +176,13 @@ def keep_whole(path: Path, write: Callable[[Any], object]) -> None:
 
 @contextmanager
 def staged_folder(out: Path, *, overwrite: bool, mark: str) -> Iterator[Path]:
-    """A hidden folder beside `out` that takes its name when the block ends well, and is removed when it does not.
+    """Hidden folder beside `out`, renamed to it at the good end of the block, else removed.
 
     Raises
     ------
     InputError
-        `out` is a file, is not empty, or cannot be written. With `overwrite`, what
-        an earlier run wrote is replaced (told by the file `mark`), and a folder of
-        anything else still refused.
+        `out` is a file, is not empty, or cannot be written. With `overwrite`, the folder of an earlier run (told by the
+        file `mark`) is replaced, and one of anything else still refused.
     """
     final = out.absolute()
     _bring_back(final)
@@ -208,7 +204,7 @@ def staged_folder(out: Path, *, overwrite: bool, mark: str) -> Iterator[Path]:
 
 
 def _bring_back(final: Path) -> None:
-    """What a kill left while a folder was replaced: the folder as it was is there again, or goes where there is one."""
+    """Mend a folder's replacement after a kill: the old folder returns, or goes beside a new one."""
     for old in final.parent.glob(f".{escape(final.name)}.*.old"):
         if not is_abandoned(old.with_suffix(".tmp")):
             continue
@@ -254,7 +250,7 @@ def _take_name(staging: Path, final: Path, *, overwrite: bool, mark: str) -> Non
 
 @contextmanager
 def text_file(path: Path) -> Iterator[TextIO]:
-    """A new UTF-8 file with "\\n" line ends, on the disk when the block ends."""
+    """Open a new UTF-8 file with "\\n" line ends, synced at the end of the block."""
     with open(path, "w", encoding="utf-8", newline="\n") as file:
         yield file
         file.flush()
@@ -262,6 +258,6 @@ def text_file(path: Path) -> Iterator[TextIO]:
 
 
 def write_json(path: Path, content: object) -> None:
-    """A small JSON file, indented."""
+    """Write a small JSON file, indented."""
     with text_file(path) as file:
         file.write(json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n")

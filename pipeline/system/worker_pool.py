@@ -1,6 +1,6 @@
-"""Jobs in many processes: each opens once what its jobs need, and none outlives the one that started it.
+"""Jobs in worker processes: each opens once the needs of its jobs, and none outlives its parent.
 
-Each computes on one thread: sums of a matrix product come out in an order that depends on how many share it.
+Each computes on one thread: sums of a matrix product depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def results_of(
     ordered: bool = True,
     cause: str = "out of memory? use fewer workers",
 ) -> Generator[Result, None, None]:
-    """`do(job, *opened)` of each job, with one thread of arithmetic; processes are spawned.
+    """Run `do(job, *opened)` for each job, with one thread of arithmetic, in spawned processes.
 
     Parameters
     ----------
@@ -110,9 +110,9 @@ def _start(do: Callable[..., Any], prepare: Callable[..., tuple[Any, ...]], argu
 
 @contextmanager
 def without_ctrl_c() -> Iterator[None]:
-    """Processes that are started meanwhile are not reached by Ctrl-C: the parent alone decides what to do.
+    """Keep Ctrl-C from processes started in the block: the parent alone decides.
 
-    Only to ignore it themselves would come too late: while they import they would die of it, with a traceback.
+    Ignoring it themselves would come too late: while they import they would die of it, with a traceback.
     """
     if not hasattr(signal, "pthread_sigmask"):  # Windows.
         yield
@@ -127,7 +127,7 @@ def without_ctrl_c() -> Iterator[None]:
 
 
 def _end_with_parent() -> None:
-    """A worker whose parent was killed would wait for jobs for ever."""
+    """End a worker with its parent."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
@@ -145,7 +145,7 @@ THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Arithmetic of this process on one thread: so that sums come out the same everywhere."""
+    """Run arithmetic of this process on one thread, for equal sums everywhere."""
     import cv2
     from threadpoolctl import threadpool_limits
 
@@ -160,7 +160,7 @@ def one_thread() -> Iterator[None]:
 
 @contextmanager
 def threads_in_children() -> Iterator[None]:
-    """Thread counts are read when numpy is loaded, so that they must be set before a child starts."""
+    """Set one thread in the environment of children: numpy reads the count when it is loaded."""
     before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
     try:
