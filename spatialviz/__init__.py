@@ -1,4 +1,4 @@
-"""See why an RGB-D spatial-reasoning pipeline answered what it answered.
+"""Debugger of RGB-D spatial-reasoning pipelines: see the reason of every answer.
 
     import spatialviz as sp
 

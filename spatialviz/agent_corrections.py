@@ -1,4 +1,4 @@
-"""What agents can call where corrections are allowed: the commands of the same names, by the author that was named."""
+"""Correction verbs for agents: the commands of the same names, by the named author."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ Group = Annotated[str | None, Field(description="The group of that action, and n
 
 
 def allowed(session: Session) -> tuple[Correcting, dict[str, Any]]:
-    """Whose labels are corrected, and the options that all commands on a journal take."""
+    """Author and labels of corrections, with the options of every command on a journal."""
     found = needed(session.correcting, "nothing may be written here", expected="spatialviz mcp --allow-corrections")
     return found, {"labels": found.labels, "journal": found.journal, "json": True}
 
 
 def pictures(found: Correcting) -> DatasetOptions:
-    """Where the pictures are."""
+    """Dataset of the pictures."""
     return DatasetOptions(
         dataset=found.dataset, **{f.name: getattr(found.source, f.name) for f in fields(CameraOptions)}
     )
 
 
 def printed(run: Callable[[Any], object], command: object, limit: int | None = None) -> Reply:
-    """What a command prints with --json: its object, or with a limit its objects as "entries"."""
+    """Reply from a command's --json output: its object, or with a limit its objects as "entries"."""
     # Calls are answered one at a time, and the transport writes to a stream of its own.
     with redirect_stdout(StringIO()) as out:
         run(command)

@@ -1,4 +1,4 @@
-"""The verbs as tools of the Model Context Protocol (extra: mcp), over standard input and output."""
+"""Model Context Protocol server of the verbs (extra: mcp), over standard input and output."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ says which module failed, `whatif` answers under edits."""
 
 
 def serve(session: Session) -> None:
-    """Answer until the client goes away."""
+    """Answer until the client closes."""
     verbs = {**VERBS, **({} if session.correcting is None else {**READING, **WRITING})}
     tools = [tool for name, kind in verbs.items() if (tool := tool_of(name, kind, session)) is not None]
     one_at_a_time = anyio.CapacityLimiter(1)
@@ -54,7 +54,7 @@ def serve(session: Session) -> None:
 
 
 def tool_of(name: str, kind: type[Verb], session: Session) -> Tool | None:
-    """A verb as a client sees it; None where nothing was named that it could be asked of."""
+    """Tool of a verb; None where nothing named suits the verb."""
     names = {
         "source": [*session.datasets, *session.runs],
         "run": list(session.runs),
@@ -80,7 +80,7 @@ def tool_of(name: str, kind: type[Verb], session: Session) -> Tool | None:
 
 
 def call(session: Session, verbs: dict[str, type[Verb]], name: str, arguments: dict[str, Any]) -> CallToolResult:
-    """The answer of a verb, as text that is JSON and pictures; or the one line of its error."""
+    """Reply of a verb, as JSON text and pictures; or the single line of its error."""
     try:
         kind = needed(verbs.get(name), "there is no such tool", got=name, expected=", ".join(verbs))
         reply = validated(kind, arguments, name).reply(session)
@@ -96,5 +96,5 @@ def call(session: Session, verbs: dict[str, type[Verb]], name: str, arguments: d
 
 
 def image(rgb: np.ndarray) -> ImageContent:
-    """A picture, small."""
+    """Picture, reduced in size."""
     return ImageContent(data=jpeg_url(rgb, WIDEST, QUALITY).partition(",")[2], mime_type="image/jpeg")

@@ -1,4 +1,4 @@
-"""What agents can call: what each verb takes, and the JSON that the command of the same name prints with --json."""
+"""Verbs for agents: their arguments, and the JSON printed by the command of the same name with --json."""
 
 from __future__ import annotations
 
@@ -47,23 +47,23 @@ Picture = Annotated[bool, Field(description="With a small picture of the answer.
 
 @dataclass(frozen=True)
 class OpenRun:
-    """A run that stays open."""
+    """Run kept open."""
 
     run: Run
     keep: ExitStack  # Closes its database when the server ends
 
     @cached_property
     def opened(self) -> Opened:
-        """The dataset with the run's detector, judged by the run's labels; raises as `Run.source` and `Run.labels`."""
+        """Dataset with the run's detector, judged by the run's labels."""
         return Opened(self.run.source, self.run.labels)
 
     @cached_property
     def database(self) -> RunDatabase:
-        """As `open_database`."""
+        """Database as by `open_database`."""
         return self.keep.enter_context(open_database(self.run.folder))
 
     def why(self, id: str) -> Answer:
-        """An expression of the run answered and judged again as the run did; InputError where it has none such."""
+        """Expression of the run answered and judged again as in the run; InputError for an unknown id."""
         opened, records = self.opened, self.run.records
         rows = (row for row in records.select(["id", "frame", "text"]).to_pylist() if row["id"] == id)
         found = needed(
@@ -85,7 +85,7 @@ class OpenRun:
 
 @dataclass(frozen=True)
 class Correcting:
-    """Whose labels are corrected, and by whom; as the options of `spatialviz correct`."""
+    """Labels to correct, and the author; as the options of `spatialviz correct`."""
 
     dataset: str
     labels: Path
@@ -96,7 +96,7 @@ class Correcting:
 
 @dataclass(frozen=True)
 class Session:
-    """What was named when the server was started; all of it stays open, and nothing else is opened."""
+    """Everything named at the start of the server, kept open; nothing else is opened."""
 
     datasets: Mapping[str, Opened]
     runs: Mapping[str, OpenRun]
@@ -104,13 +104,13 @@ class Session:
     correcting: Correcting | None = None  # None where nothing may be written
 
     def source(self, name: str | None) -> Opened:
-        """What answers under a name; InputError where nothing has it."""
+        """Pipeline of a name; InputError for an unknown name."""
         found = chosen({**self.datasets, **self.runs}, name, "dataset or run")
         return found.opened if isinstance(found, OpenRun) else found
 
 
 def chosen(of: Mapping[str, Thing], name: str | None, what: str) -> Thing:
-    """What has a name, the first without one; InputError where nothing has it."""
+    """Entry of a name, the first without a name; InputError for an unknown name."""
     require(of, f"no {what} was named when the server was started", expected="spatialviz mcp PATH...")
     name = next(iter(of)) if name is None else name
     if name not in of:
@@ -120,14 +120,14 @@ def chosen(of: Mapping[str, Thing], name: str | None, what: str) -> Thing:
 
 @dataclass(frozen=True)
 class Reply:
-    """What a verb gives: one JSON object, and pictures, (H, W, 3) uint8."""
+    """Reply of a verb: a JSON object, and pictures, (H, W, 3) uint8."""
 
     record: dict[str, Any]
     pictures: tuple[np.ndarray, ...] = ()
 
 
 def cut(record: dict[str, Any], limit: int, *keys: str) -> dict[str, Any]:
-    """A record whose lists under `keys` have at most `limit` entries; "left_out" says what is not there."""
+    """Record with at most `limit` entries in lists under `keys`; "left_out" counts the rest."""
     lists = {key: record[key] for key in keys if len(record.get(key) or ()) > limit}
     if not lists:
         return record
@@ -138,17 +138,17 @@ def cut(record: dict[str, Any], limit: int, *keys: str) -> dict[str, Any]:
 
 
 def pictures_of(trace: Trace | None, asked: bool) -> tuple[np.ndarray, ...]:
-    """The picture of an answer, where it is asked for and there is one."""
+    """Picture of an answer, on request and if any."""
     return (answer_picture(trace),) if asked and trace is not None else ()
 
 
 class Verb:
-    """The arguments of a verb, as a client gives them."""
+    """Verb with the arguments given by a client."""
 
     __pydantic_config__ = ConfigDict(extra="forbid")
 
     def reply(self, session: Session) -> Reply:
-        """What is answered; raises InputError in one line."""
+        """Reply to the client; raises InputError in one line."""
         raise NotImplementedError
 
 

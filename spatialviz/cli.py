@@ -1,4 +1,4 @@
-"""The command line: it parses, hands the command to what runs it, and tells what went wrong.
+"""Command line: parses the arguments, runs the command, and reports errors.
 
 Commands are declared in `cli_*.py`, which import next to nothing, so that --help is fast. The function `run_NAME` in
 the module that the table names does the work and prints it; it returns the exit status, or None where all is fine.
@@ -166,7 +166,7 @@ ABOUT = "See why an RGB-D spatial-reasoning pipeline answered what it answered."
 
 
 def listing() -> str:
-    """What `spatialviz --help` prints: the commands in groups; tyro can list them in one row only."""
+    """Text of `spatialviz --help`: commands in groups; tyro lists them ungrouped."""
     width, about_at = shutil.get_terminal_size().columns, max(map(len, COMMANDS)) + 4
     lines = ["usage: spatialviz [-h] [--version] COMMAND ...", "", *textwrap.wrap(ABOUT, width)]
     lines += ["Without COMMAND: view. `spatialviz COMMAND --help` lists its arguments and options."]
@@ -211,7 +211,7 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def _with_limits(arguments: list[str]) -> list[str]:
-    """The arguments without `--limits`, which every command takes; the limits are set."""
+    """Arguments without `--limits`, common to all commands; the limits are set."""
     left: list[str] = []
     words = iter(arguments)
     for word in words:
@@ -224,7 +224,7 @@ def _with_limits(arguments: list[str]) -> list[str]:
 
 @contextmanager
 def _own_settings() -> Iterator[None]:
-    """What a command sets for itself and for the processes it starts ends with it: a program may run several."""
+    """Undo settings of a command, for itself and its child processes, at its end: a program may run several."""
     before = {name: os.environ.get(name) for name in (LIMITS_VARIABLE, PROVIDER_VARIABLE, VERBOSE_VARIABLE)}
     with warnings.catch_warnings():
         one_line_warnings()
@@ -238,7 +238,7 @@ def _own_settings() -> Iterator[None]:
 
 
 def _drop_unwritten() -> None:
-    """Drop what a closed pipe or a full disk did not take: at its end the interpreter would try again, and complain."""
+    """Drop output refused by a closed pipe or a full disk: at its end the interpreter would try again, and complain."""
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
@@ -259,7 +259,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _status(arguments: list[str]) -> int:
-    """The exit status of a command that is run; BrokenPipeError where nobody reads what it says."""
+    """Run a command for its exit status; BrokenPipeError for a closed output."""
     try:
         with _own_settings():
             status = _run_words(arguments)
@@ -279,7 +279,7 @@ def _status(arguments: list[str]) -> int:
 
 
 def _run_words(arguments: list[str]) -> int:
-    """Do what the words of a command line say; returns the exit status."""
+    """Run the words of a command line; returns the exit status."""
     if arguments in (["--version"], ["-V"], ["--help"], ["-h"]):
         print(listing() if "h" in arguments[0] else f"spatialviz {__version__}")
         return FINE

@@ -1,4 +1,4 @@
-"""What the public face adds to the core's: opened pipelines and answers that can be shown, the page on arrays."""
+"""Public face: opened pipelines and answers with a page, and the page on arrays."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 
 
 def open(dataset: Source, **options: Any) -> Opened:
-    """As `pipeline.open`; what it gives, and its answers, have a page to be shown in."""
+    """Open a dataset as `pipeline.open`, with a page for the pipeline and its answers."""
     return replace(core.open(dataset, **options), viewer=show)
 
 
 def ask(dataset: Opened | Source, frame: int | str | Frame, text: str, **options: Any) -> Answer:
-    """As `pipeline.ask`; the answer can be shown."""
+    """Answer an expression as `pipeline.ask`, with a page for the answer."""
     opened = dataset if isinstance(dataset, Opened) else open(dataset, **options)
     return opened.ask(frame, text)
 
@@ -121,7 +121,7 @@ def _name(pipeline: Pipeline) -> str:
 
 
 def _is_of(frame: Frame, opened: Opened) -> bool:
-    """Whether a frame is the dataset's own, and not one at hand that may have its id."""
+    """True for a frame of the dataset itself, unlike one at hand with the same id."""
     if frame.id not in opened.frames.ids:
         return False
     own = opened.frames[frame.id]
@@ -129,7 +129,7 @@ def _is_of(frame: Frame, opened: Opened) -> bool:
 
 
 def _of_answer(answer: Answer) -> tuple[Opened, dict[str, Any]]:
-    """What an answer was given by, and the view of it; InputError where it does not know."""
+    """Pipeline behind an answer, and its view; InputError for an answer without one."""
     opened, frame = answer.origin, answer.needed_trace().frame
     if not isinstance(opened, Opened):
         raise InputError("this answer does not know what answered it", expected="one that `ask` of `open` gave")

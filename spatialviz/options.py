@@ -1,4 +1,4 @@
-"""What several commands share: groups of options, arguments that mean the same everywhere, and output."""
+"""Options shared by commands, arguments of equal meaning everywhere, and output."""
 
 from __future__ import annotations
 
@@ -65,13 +65,13 @@ ALL_FRAMES = "all"
 
 @dataclass(frozen=True, kw_only=True)
 class Output:
-    """A command that prints for people, or as JSON."""
+    """Command with output for people, or as JSON."""
 
     json: Flag = False
     """Print JSON in place of text: one object, or one a line for each of several."""
 
     def write(self, record: dict[str, Any] | Iterator[dict[str, Any]], show: Callable[..., object], *of: Any) -> None:
-        """Print one JSON object or several; or `show` the same to a person, called with `of` or else the record."""
+        """Print a JSON object or several; or `show` the same to a person, called with `of` or else the record."""
         if not self.json:
             show(*(of or (record,)))
             return
@@ -81,18 +81,18 @@ class Output:
 
 @dataclass(frozen=True, kw_only=True)
 class OnLabels(Output):
-    """A command on a labels folder."""
+    """Command on a labels folder."""
 
     labels: LabelsArg
 
 
 def print_json(record: dict[str, Any]) -> None:
-    """One JSON object on a line."""
+    """Print a JSON object on a line."""
     print(json.dumps(record, ensure_ascii=False, allow_nan=False))
 
 
 def warn(text: object) -> None:
-    """A line beside the output."""
+    """Print a line beside the output."""
     print(f"spatialviz: {one_line(str(text))}", file=sys.stderr)
 
 
@@ -105,7 +105,7 @@ _NO_MEMORY = re.compile(
 
 
 def error_line(error: Exception) -> str:
-    """The one line that a person or an agent is told of an error."""
+    """Single line of an error, for a person or an agent."""
     if isinstance(error, MemoryError) or _NO_MEMORY.search(str(error)):
         return "error: there is not enough memory (is it limited, as by ulimit -v, or does something else need it?)"
     if isinstance(error, OSError):  # A full disk, a folder that cannot be written.
@@ -120,12 +120,12 @@ def error_line(error: Exception) -> str:
 
 
 def warn_skipped(frame_id: str, reason: str) -> None:
-    """Tell of a frame that is left out."""
+    """Report a frame left out."""
     warn(f"skipped frame {frame_id}: {reason}")
 
 
 def one_line_warnings() -> None:
-    """What computes in place of what was asked for is told in a line, without the place in the code."""
+    """Print warnings as single lines, without the place in the code."""
     shown = warnings.showwarning
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
@@ -138,7 +138,7 @@ def one_line_warnings() -> None:
 
 
 def numbers(text: str, form: str, kind: Callable[[str], Any], problem: str, example: str = "") -> tuple[Any, ...]:
-    """The numbers of a text in the form "A,B" or "k/N"; InputError of `problem` where it is otherwise."""
+    """Numbers of a text in the form "A,B" or "k/N"; InputError of `problem` otherwise."""
     between = "/" if "/" in form else ","
     try:
         found = tuple(kind(part) for part in text.split(between))
@@ -149,7 +149,7 @@ def numbers(text: str, form: str, kind: Callable[[str], Any], problem: str, exam
 
 
 def task_of(text: str | None) -> tuple[int, int] | None:
-    """k/N, both from 1."""
+    """Shard k/N, both from 1."""
     if text is None:
         return None
     k, n = numbers(text, "k/N", int, "--shard must be two numbers", ", such as 1/8")
@@ -158,7 +158,7 @@ def task_of(text: str | None) -> tuple[int, int] | None:
 
 
 def one_frame(ids: Sequence[str], text: str, root: Path) -> str:
-    """The id of the one frame that FRAME means, its id or its index, among all ids in order."""
+    """Frame id meant by FRAME, its id or its index, among all ids in order."""
     from pipeline.datasets.base import named_frame
 
     require(
@@ -173,7 +173,7 @@ def one_frame(ids: Sequence[str], text: str, root: Path) -> str:
 
 @dataclass(frozen=True)
 class CameraOptions:
-    """What a person knows of the camera of a recording, and of where up is."""
+    """Known facts on the camera of a recording, and on up."""
 
     intrinsics: str | None = None
     """fx,fy,cx,cy in pixels, for recordings without a camera file; a fifth number stands for --depth-scale."""
@@ -196,7 +196,7 @@ class CameraOptions:
     the model hub; `spatialviz models` lists the names."""
 
     def camera(self, frame: str | None = None) -> dict[str, Any]:
-        """The same as arguments of `open_dataset`; `frame` is the one that a bare --level-at is of."""
+        """Arguments of `open_dataset`; `frame` is that of a bare --level-at."""
         from pipeline.datasets.settings import parse_level_at
 
         level_at, found, scale, warp = self.level_at, None, self.depth_scale, None
@@ -217,13 +217,13 @@ class CameraOptions:
 
 @dataclass(frozen=True)
 class DatasetOptions(CameraOptions):
-    """Where the pictures are, for corrections of masks and boxes."""
+    """Dataset of the pictures, for corrections of masks and boxes."""
 
     dataset: str | None = None
     """Dataset folder, or "demo". Default: where the labels say it was, if it is still there."""
 
     def open(self, labels: Labels) -> Dataset | None:
-        """The dataset that was labelled; None, with a warning, where it is not there and none was named."""
+        """Labelled dataset; None, with a warning, for a missing one not named."""
         from pipeline.labels.reading import labelled_dataset
 
         try:
@@ -237,7 +237,7 @@ class DatasetOptions(CameraOptions):
 
 @dataclass(frozen=True)
 class JournalOptions:
-    """Which journal."""
+    """Journal of corrections."""
 
     journal: str | None = None
     """Path, or postgresql://user@host/database for a team. Default: journal.sqlite beside the labels."""
@@ -245,7 +245,7 @@ class JournalOptions:
     """Whose corrections, where several datasets share a database. Default: the name of the dataset's folder."""
 
     def open(self, labels: Labels, *, must_exist: bool = False) -> Journal:
-        """The journal of these labels; what must be known of it is told."""
+        """Journal of these labels, with its warnings printed."""
         from pipeline.corrections.journal.journal import journal_of
 
         opened = journal_of(labels, self.journal, project=self.project, must_exist=must_exist)
@@ -256,21 +256,21 @@ class JournalOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class OnJournal(OnLabels):
-    """A command on a labels folder and what people corrected in it."""
+    """Command on a labels folder and its corrections."""
 
     journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
 
 
 @dataclass(frozen=True, kw_only=True)
 class OnPictures(OnJournal):
-    """One that may need the pictures too."""
+    """Command on corrections with possible need of the pictures."""
 
     source: OmitArgPrefixes[DatasetOptions] = DatasetOptions()
 
 
 @dataclass(frozen=True)
 class DetectorOptions(DetectorSetup):
-    """A detector, and those that are fused with it."""
+    """Detector, and further ones fused with it."""
 
     provider: Provider | None = None
     """What networks compute on. Default: cuda, directml or coreml where ONNX Runtime has it, else the CPU."""
@@ -278,7 +278,7 @@ class DetectorOptions(DetectorSetup):
 
 @dataclass(frozen=True)
 class ProposalOptions(DetectorOptions, CameraOptions):
-    """What is opened, and what finds objects in it."""
+    """Dataset, and the finder of its objects."""
 
     segmenter: str | None = None
     """Makes masks for boxes that have none: depth | recorded | yolo-seg | sam | sam2 | efficientsam.
@@ -289,7 +289,7 @@ class ProposalOptions(DetectorOptions, CameraOptions):
     """Show ONNX Runtime's own messages."""
 
     def arguments(self, frame: str | None = None) -> dict[str, Any]:
-        """The same as arguments of `open_pipeline`; `frame` is the one that is asked. Sets what networks compute on."""
+        """Arguments of `open_pipeline`; `frame` is the asked one. Sets the device of networks."""
 
         use_execution(self.provider, self.verbose)
         names = ("detector", "model", "model_config", "min_score", "segmenter", "segmenter_model", "synonyms")
@@ -299,7 +299,7 @@ class ProposalOptions(DetectorOptions, CameraOptions):
 
 @dataclass(frozen=True)
 class FramesOptions(ProposalOptions):
-    """Which detector is run, how, and on which frames."""
+    """Detector with its settings, and the frames to run on."""
 
     k: int = 10
     """Proposals of each name."""
@@ -307,7 +307,7 @@ class FramesOptions(ProposalOptions):
     """all, FROM:TO by index (FROM is in, TO is not), or a frame's id or index."""
 
     def open(self, dataset: str) -> tuple[Pipeline, tuple[str, ...]]:
-        """The dataset with the detector, and the frames that are meant."""
+        """Dataset with the detector, and the ids of the frames."""
         from pipeline.answering.ask import AskConfig
         from pipeline.answering.opening import frame_range, open_pipeline
 
@@ -317,13 +317,13 @@ class FramesOptions(ProposalOptions):
 
 @dataclass(frozen=True)
 class LabelledOptions(ProposalOptions):
-    """What is labelled, and what finds the objects."""
+    """Dataset to label, and the finder of its objects."""
 
     segmenter: str | None = "depth"
     """depth | recorded | yolo-seg | sam | sam2 | efficientsam: masks for the boxes that have none."""
 
     def spec(self, dataset: str) -> SourceSpec:
-        """The same as the core takes it."""
+        """Specification for the core."""
         from pipeline.labels.plan import SourceSpec
 
         return SourceSpec(dataset, with_files(self.arguments(), str))
@@ -331,7 +331,7 @@ class LabelledOptions(ProposalOptions):
 
 @dataclass(frozen=True)
 class ReaderOptions:
-    """What reads expressions."""
+    """Reader of expressions."""
 
     reader: Literal["grammar", "llm"] = "grammar"
     """grammar | llm: a language model behind an OpenAI-compatible server is asked for the same tree, once for each
@@ -344,7 +344,7 @@ class ReaderOptions:
 
 @dataclass(frozen=True)
 class SourceOptions(ReaderOptions, ProposalOptions):
-    """What is opened, and with which models."""
+    """Dataset with its models."""
 
     srm: str = "trained"
     """What scores relations: trained (the network that comes with the program) | rule | an ONNX file."""
@@ -359,7 +359,7 @@ class SourceOptions(ReaderOptions, ProposalOptions):
     """Use it although it was fitted for another detector or setting."""
 
     def arguments(self, frame: str | None = None) -> dict[str, Any]:
-        """As of `ProposalOptions`, with the relation scorer and the settings of an answer."""
+        """Arguments as of `ProposalOptions`, with the relation scorer and the settings of an answer."""
         from pipeline.answering.ask import AskConfig
         from pipeline.geometry.lifting import LiftConfig
         from pipeline.proposals.score_calibration import load_calibration
@@ -374,7 +374,7 @@ class SourceOptions(ReaderOptions, ProposalOptions):
         return {**super().arguments(frame), **reading, "srm": self.srm, "vectors": self.vectors, "config": config}
 
     def words(self) -> list[str]:
-        """Those that are not as they are by default, as words of a command line."""
+        """Options other than the defaults, as words of a command line."""
         words: list[str] = []
         for field in fields(self):
             value = getattr(self, field.name)
@@ -384,7 +384,7 @@ class SourceOptions(ReaderOptions, ProposalOptions):
         return words
 
     def open(self, dataset: str, frame: str | None = None, labels: Labels | None = None) -> Pipeline:
-        """The dataset with its models; `frame` is the one that is asked, `labels` judge what is answered."""
+        """Dataset with its models; `frame` is the asked one, `labels` judge the answers."""
         from pipeline.answering.opening import open_pipeline
         from pipeline.datasets.up import told_doubts
         from pipeline.labels.reading import labelled_up

@@ -1,6 +1,7 @@
-"""What the shell and the log print without the control codes of strangers: of names of classes, files, tensors, keys.
+r"""Plain output: control codes in names of strangers (classes, files, tensors, keys) are escaped in the shell and the
+log.
 
-Such a code stands as its escape, which in JSON means the same: `\\u202e`. The colours of the terminal are rich's own.
+Such a code stands as its escape, which in JSON means the same: `\u202e`. The colours of the terminal are rich's own.
 """
 
 from __future__ import annotations
@@ -23,17 +24,17 @@ _ERRORS = 2
 
 
 def plain(text: str) -> str:
-    """The text with its control codes as escapes; ends of lines stay."""
+    """Text with control codes escaped; ends of lines stay."""
     return _CODES.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
 def one_line(text: str) -> str:
-    """The same on one line: its ends of lines are escapes too."""
+    """Text on a single line, with ends of lines escaped too."""
     return plain(text).replace("\n", "\\u000a")
 
 
 class PlainStream:
-    """A text stream that everything is written to plainly; all else is the stream's own.
+    """Text stream with plain output; everything else is the stream's own.
 
     `rich_proxied_file`: the stream itself, under the name by which rich finds it.
     """
@@ -54,7 +55,7 @@ class PlainStream:
 
 
 def unfiltered(stream: Any) -> Any:
-    """The stream below, for what filters by itself."""
+    """Stream below, for code with a filter of its own."""
     while (below := getattr(stream, "rich_proxied_file", None)) is not None:
         stream = below
     return stream
@@ -62,8 +63,8 @@ def unfiltered(stream: Any) -> Any:
 
 @contextmanager
 def plain_streams() -> Iterator[None]:
-    """What is printed meanwhile is plain; a character that a terminal lacks is a question mark, and what goes to a
-    closed stream goes nowhere."""
+    """Make output plain meanwhile; a missing character of a terminal is a question mark, and output to a closed stream
+    is dropped."""
     before = sys.stdout, sys.stderr
     with _libraries_silent():
         _make_plain()
@@ -85,7 +86,7 @@ def _make_plain() -> None:
 
 @contextmanager
 def _libraries_silent() -> Iterator[None]:
-    """What libraries of other languages write of a damaged picture, past Python, goes nowhere: we say it ourselves.
+    """Silence native libraries writing past Python about a damaged picture: we say it ourselves.
 
     Where the program is looked into, or ONNX Runtime's own messages are asked for, all of it is shown.
     """

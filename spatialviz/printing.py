@@ -1,4 +1,4 @@
-"""What is printed for people on the terminal: lines, tables, progress, statistics of labels and of datasets."""
+"""Terminal output for people: lines, tables, progress, statistics of labels and of datasets."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ NAME_WIDTH = 32
 
 
 class _PipeConsole(Console):
-    """Prints what it is given plainly, and leaves a closed pipe to the command line, which knows the right status."""
+    """Console with plain output, leaving a closed pipe to the command line with its exit status."""
 
     @property
     def file(self) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -43,7 +43,7 @@ class _PipeConsole(Console):
 
 @lru_cache(maxsize=1)
 def console() -> Console:
-    """The console; it neither wraps in a pipe nor dies of a closed one."""
+    """Console without wrapping in a pipe, robust to a closed one."""
     made = _PipeConsole(highlight=False, soft_wrap=True)
     if not made.is_terminal:
         # In a pipe there is no edge to wrap at.
@@ -52,7 +52,7 @@ def console() -> Console:
 
 
 def say(*parts: str | Text | tuple[str, str], style: str = "") -> None:
-    """A line of parts: text, not markup, or (text, style)."""
+    """Print a line of parts: text, not markup, or (text, style)."""
     console().print(Text.assemble(*map(_on_one_line, parts), style=style))
 
 
@@ -63,7 +63,7 @@ def _on_one_line(part: str | Text | tuple[str, str]) -> str | Text | tuple[str, 
 
 
 def table(columns: Iterable[str], rows: Iterable[Iterable[str | Text]], **each: Any) -> Table:
-    """Rows under their heads; a head that begins with ">" is of figures, which stand to the right.
+    """Table of rows under heads; a head beginning with ">" is right-aligned.
 
     Cells are text, not markup. `each` is for every column, as `rich.table.Table.add_column` takes it.
     """
@@ -81,13 +81,13 @@ def print_rows(columns: Iterable[str], rows: Iterable[Iterable[str | Text]], **e
 
 
 def figure(value: float | None, form: str = ".4f", none: str = "-") -> str:
-    """A number in its form; a dash where there is none."""
+    """Number in a format; a dash for none."""
     return none if value is None else format(value, form)
 
 
 @contextmanager
 def progress_bars() -> Iterator[Callable[..., None]]:
-    """Bars that appear when first told of, on a terminal; yields a function of (what, done, total, note="")."""
+    """Progress bars on a terminal, shown on first use; yields a function of (what, done, total, note="")."""
     if not sys.stderr.isatty():
         yield lambda what, done, total, note="": None
         return
@@ -106,14 +106,14 @@ def progress_bars() -> Iterator[Callable[..., None]]:
 
 @contextmanager
 def rate_bar(what: str, unit: str) -> Iterator[Callable[[int, int], None]]:
-    """A bar with rate and time left, as `progress_bars`; yields a function of (done, total)."""
+    """Progress bar with rate and time left, as `progress_bars`; yields a function of (done, total)."""
     start = time.monotonic()
     with progress_bars() as tell:
         yield lambda done, of: tell(what, done, of, f"{done / max(time.monotonic() - start, 1e-9):.1f} {unit}/s")
 
 
 def print_table(found: ResultTable, caveats: bool = True) -> None:
-    """A table under its title, and what must be known of it."""
+    """Print a table with its title and caveats."""
     say(found.title, style="bold")
     console().print(rich_table(found))
     if found.note:
@@ -123,17 +123,17 @@ def print_table(found: ResultTable, caveats: bool = True) -> None:
 
 
 def table_record(found: ResultTable) -> dict[str, Any]:
-    """A table as JSON: by row and column; an estimate as {value, low, high, n, clusters, note}."""
+    """JSON record of a table: by row and column; an estimate as {value, low, high, n, clusters, note}."""
     return {row.name: dict(zip(found.columns, map(_plain, row.cells), strict=True)) for row in found.rows}
 
 
 def rows_record(tables: Iterable[ResultTable]) -> dict[str, Any]:
-    """Where the rows of tables come from: by table and row, `source` and `shares` of `tables.Row`."""
+    """Sources of table rows: by table and row, `source` and `shares` of `tables.Row`."""
     return {t.key: {row.name: {"source": row.source, "shares": row.shares} for row in t.rows} for t in tables}
 
 
 def rich_table(found: ResultTable) -> Table:
-    """A table of figures for the terminal; where it is too wide, intervals stand below their figures."""
+    """Table of figures for the terminal; a too wide one has intervals below their figures."""
     texts = [found.shown(row) for row in found.rows]
     names = [row.name if row.source == "measured" else f"{row.name} ({row.source})" for row in found.rows]
     longest = max(map(len, names), default=0)
@@ -160,7 +160,7 @@ LONGEST_NAME = 28
 
 
 def print_statistics(statistics: dict[str, Any], labels: Labels) -> None:
-    """What labels contain: counts, relations, classes, distance and ambiguity. 100 columns are enough."""
+    """Print the contents of labels: counts, relations, classes, distance and ambiguity, in 100 columns."""
     counts, cells, text = statistics["counts"], statistics["cells"], statistics["text"]
     ambiguity, occlusion = statistics["ambiguity"], statistics["occlusion"]
     candidates = counts["candidates"]
@@ -250,7 +250,7 @@ def _set_sizes(ambiguity: dict[str, Any]) -> Table:
 
 
 def print_summary(summary: dict[str, Any]) -> None:
-    """Counts over the frames of a dataset."""
+    """Print counts over the frames of a dataset."""
     frames, usable = summary["frames"], summary["frames_usable"]
     say(f"{usable:,} of {counted(frames, 'frame')} can be used")
     for note in summary["notes"]:
@@ -287,7 +287,7 @@ def _table(first: str, titles: Iterable[str], rows: Iterable[Sequence[str]]) -> 
 
 
 def _listed(counts: Mapping[str, int], most: int | None = None) -> str:
-    """Names with their counts, the rest as one."""
+    """Names with their counts, the rest summed up."""
     names = list(counts)
     listed = [f"{_short(name)} {counts[name]:,}" for name in names[:most]]
     if rest := names[len(listed) :]:

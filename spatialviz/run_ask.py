@@ -1,4 +1,4 @@
-"""Answers, relations and frames, as a person reads them."""
+"""Commands on answers, relations and frames, with their output for people."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def run_ask(command: AskCommand) -> int:
 
 
 def _opened(command: AskCommand) -> tuple[Pipeline, Labels | None, EvalSpec | None]:
-    """What answers, by what it is judged, and the run that is asked."""
+    """Pipeline of a command, its labels, and the specification of an asked run."""
     labels = None if command.labels is None else open_labels(command.labels)
     if command.run_folder is None:
         if command.dataset == DEMO_NAME and not command.json:
@@ -97,7 +97,7 @@ def _opened(command: AskCommand) -> tuple[Pipeline, Labels | None, EvalSpec | No
 
 
 def _complete(command: AskCommand) -> int:
-    """Print what may come next of an expression."""
+    """Print completions of an expression."""
     source, labels, _ = _opened(command)
     context = source.prepare(one_frame(source.dataset.frame_ids, command.frame, source.dataset.root))
     objects = all_objects(context, source.needed_detector())
@@ -143,7 +143,7 @@ def run_frames(command: FramesCommand) -> int:
 
 
 def _survey_frames(command: FramesCommand, dataset: Dataset, camera: dict[str, Any], named: dict[str, str]) -> int:
-    """Tell what is in one dataset; returns how many of its frames can be used."""
+    """Report the contents of a dataset; returns the number of usable frames."""
     if command.remember:
         more = {key: camera[key] for key in ("poses", "registration")}
         write_settings(dataset.root, camera["intrinsics"], camera["depth_scale"], *told_up(dataset), **more)
@@ -189,7 +189,7 @@ def run_import_recording(command: ImportRecordingCommand) -> int:
 
 
 def print_plan(plan: CameraPlan) -> None:
-    """The cameras of a scene, from above: metres, and degrees counted to the left from the first axis."""
+    """Print the cameras of a scene, from above: metres, and degrees counted to the left from the first axis."""
     say(f"scene {plan.scene}: {counted(len(plan.frame_ids), 'camera')}; metres along the longest spread and across it")
     for frame, (x, y), (a, b) in zip(plan.frame_ids, plan.positions, plan.headings, strict=True):
         say(f"  {frame}  {x:7.2f} {y:7.2f}  looks {math.degrees(math.atan2(b, a)):4.0f}°")
@@ -205,7 +205,7 @@ def run_glossary(command: GlossaryCommand) -> None:
 
 
 def print_terms(terms: Iterable[GlossaryTerm]) -> None:
-    """Words with what they mean."""
+    """Print words with their meaning."""
     for term in terms:
         say((term.name, "bold"), f" ({term.group}): {term.hint}")
 
@@ -238,7 +238,7 @@ def run_render(command: RenderCommand) -> None:
 
 
 def print_answer(answer: Answer, trace: Trace) -> None:
-    """The answer, the ranked pairs with their factors, the doubts, what each stage cost, and the verdict."""
+    """Print the answer, the ranked pairs with their factors, the doubts, the cost of each stage, and the verdict."""
     say(("frame ", "dim"), trace.frame.id, "  ", (trace.query.text, "bold"))
     no_answer = why_no_answer(trace)
     if no_answer is not None:
@@ -259,7 +259,7 @@ def print_answer(answer: Answer, trace: Trace) -> None:
 
 
 def print_ranking(trace: Trace) -> None:
-    """The best pair, why it does not hold where it does not, and the first pairs with their factors."""
+    """Print the best pair, the reason where it does not hold, and the first pairs with their factors."""
 
     def name(index: int | None) -> str:
         assert index is not None
@@ -314,13 +314,13 @@ def print_ranking(trace: Trace) -> None:
 
 
 def print_measurement(found: Measurement, context: PreparedFrame) -> None:
-    """The distance, and its parts along the viewer's axes."""
+    """Print the distance, and its parts along the viewer's axes."""
     say((f"{found.distance:.3f} m", "bold"), "  " + "  ".join(found.words))
     _warn_assumed(context.viewer, context.frame.depth_source)
 
 
 def _warn_assumed(viewer: ViewerAxes | None, depth_source: str) -> None:
-    """What all geometry rests on and nobody measured: an up vector, the depth."""
+    """Warn of unmeasured bases of all geometry: an assumed up vector, an estimated depth."""
     if depth_source:
         say(f"depth is {depth_source}", style="yellow")
     if viewer is not None and viewer.up_source == "assumed":
@@ -330,7 +330,7 @@ def _warn_assumed(viewer: ViewerAxes | None, depth_source: str) -> None:
 
 
 def print_overlooked(found: MissedNames) -> None:
-    """What the detector sees of names that were not found, and what else: a line each."""
+    """Print the detector's other findings for missing names, a line each."""
     for name, score in found.below.items():
         least = math.floor(score * 100) / 100
         if least:
@@ -343,7 +343,7 @@ def print_overlooked(found: MissedNames) -> None:
 
 
 def print_relations(found: FrameRelations, relations: Sequence[str]) -> None:
-    """The relations of a frame that hold (T) or are undecided (U), a line for each pair."""
+    """Print relations of a frame held (T) or undecided (U), a line for each pair."""
     up = "" if found.viewer is None else f"  up {found.viewer.up_source}"
     say(("frame ", "dim"), found.frame_id, (f"  {counted(len(found.objects), 'object')}{up}", "dim"))
     _warn_assumed(found.viewer, found.depth_source)
@@ -361,7 +361,7 @@ def print_relations(found: FrameRelations, relations: Sequence[str]) -> None:
 
 
 def print_frame(report: FrameReport) -> None:
-    """A line or two for a frame."""
+    """Print a line or two for a frame."""
     if not report.ok:
         say(f"{report.index:>5}  {report.id}  broken: {report.problem}", style="red")
         return

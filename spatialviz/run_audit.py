@@ -1,4 +1,4 @@
-"""The audit of a benchmark or of labels, and what a person reads of it."""
+"""Command auditing a benchmark or labels, with its output for people."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def run_audit(command: AuditCommand) -> None:
 
 
 def print_audit(report: AuditReport, command: AuditCommand) -> None:
-    """What speaks against the items, the first of them, and where all lie."""
+    """Print the evidence against the items, the first of them, and the path of all."""
     if report.systems is not None:
         print_table(report.systems)
         say()

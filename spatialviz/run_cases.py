@@ -1,4 +1,4 @@
-"""One answer under edits, kept as a case, run again, and as a page."""
+"""Commands on a single answer: under edits, saved as a case, run again, and as a page."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def whatif_answer(
     move: str | None = None,
     cells: int | None = None,
 ) -> tuple[dict[str, Any], Outcome, np.ndarray | None]:
-    """All of `whatif --json`, the answer under edits, and the picture of its decision map where `cells` are given."""
+    """Record of `whatif --json`, the answer under edits, and with `cells` the picture of its decision map."""
     source, context = baseline.source, baseline.context
     if unknown := foreign_keys(baseline, edits):
         known = ", ".join(sorted(baseline.all_keys)[:30])
@@ -174,7 +174,7 @@ def run_report(command: ReportCommand) -> None:
 def whatif_record(
     baseline: Baseline, after: Outcome, edits: Edits, verdicts: tuple[str | None, str | None] | None = None
 ) -> dict[str, Any]:
-    """The whole of `whatif --json`."""
+    """Record of `whatif --json`."""
     trace = after.trace
     record: dict[str, Any] = {
         "frame": trace.frame.id,
@@ -217,7 +217,7 @@ _FACTORS = {
 
 
 def print_change(record: dict[str, Any]) -> None:
-    """Before and after side by side, what moved, and where the winner falls in the relation's region."""
+    """Print before and after side by side, moved pairs, and the winner's place in the relation's region."""
     say(("frame ", "dim"), record["frame"], "  ", (record["expression"], "bold"))
     sides = record["before"], record["after"]
     roles = (role for role in ("target", "reference", "second_reference") if any(role in side for side in sides))
@@ -253,7 +253,7 @@ def _object(entry: dict[str, str] | None) -> str:
 
 
 def print_saved(now: Answer, folder: Path) -> None:
-    """What was kept, and how it is run again."""
+    """Print the saved files, and the command to run the case again."""
     if now.diagnosis is not None:
         say((now.diagnosis.verdict, "bold"), "  ", now.diagnosis.text)
     elif now.problem or now.unjudged:
@@ -262,7 +262,7 @@ def print_saved(now: Answer, folder: Path) -> None:
 
 
 def print_replay(result: Result) -> None:
-    """Before and after of one case."""
+    """Print before and after of a case."""
     say((f"{result.status:<8}", _STYLE[result.status]), " ", (str(result.path), "bold"))
     if result.replay is None:
         say(f"         {result.problem}", style="red")
@@ -280,7 +280,7 @@ def print_replay(result: Result) -> None:
 
 
 def in_words(state: ExpectedRecord) -> str:
-    """An answer and its verdict on one line."""
+    """Answer and its verdict on a line."""
     verdict = "" if state.judgement is None else f"   {state.judgement.verdict}: {state.judgement.said}"
     if state.answer is None:
         return f"no answer ({state.reason}){verdict}"
@@ -291,14 +291,14 @@ def in_words(state: ExpectedRecord) -> str:
 
 
 def print_totals(totals: dict[str, int]) -> None:
-    """The last line of a run."""
+    """Print the last line of a run."""
     shown = ", ".join(f"{n} {status}" for status, n in totals.items() if n or status in ("same", "changed"))
     count = sum(totals.values())
     say(f"{counted(count, 'case')}: {shown}")
 
 
 def replay_record(result: Result) -> dict[str, Any]:
-    """One line of `replay --json`."""
+    """Record of a line of `replay --json`."""
     replay = result.replay
     if replay is None:
         return {"case": str(result.path), "status": result.status, "problem": result.problem}

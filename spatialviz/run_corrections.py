@@ -1,4 +1,4 @@
-"""Corrections of labels: shown, saved, taken back, and written as labels."""
+"""Commands showing, saving, undoing and applying corrections of labels."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def run_correct(command: CorrectCommand) -> int:
 
 
 def apply_edits(command: CorrectCommand, actions: list[Any]) -> int:
-    """`correct` with edits that were read already."""
+    """Apply edits read already."""
     labels = open_labels(command.labels)
     dataset = command.source.open(labels) if needs_pictures(actions) or grows(labels) else None
     if grows(labels) and dataset is not None:
@@ -169,7 +169,8 @@ def run_effective(command: EffectiveCommand) -> None:
 
 @contextmanager
 def _told_how_to_try_again() -> Iterator[None]:
-    """A database that could not answer may have saved all the same: the next try says which one it repeats."""
+    """Tell how to repeat after a database error: it may have saved all the same, and the next try names the repeated
+    one."""
     try:
         yield
     except NotSaved as error:
@@ -184,7 +185,7 @@ def _told(command: Output, done: Saved | Conflict | None, verb: str, frame_of: F
 
 
 def print_events(events: Sequence[Event]) -> None:
-    """One line an event."""
+    """Print an event on each line."""
     if not events:
         say("nothing was corrected")
         return
@@ -208,7 +209,7 @@ def print_events(events: Sequence[Event]) -> None:
 
 
 def print_outcome(done: Saved | Conflict | None, verb: str, frame_of: FrameOf) -> None:
-    """What was saved, or who had been there."""
+    """Print the saved events, or the conflicting ones."""
     if done is None:
         say("there is nothing of this person's left to take back or bring back")
     elif isinstance(done, Saved):
@@ -222,7 +223,7 @@ def print_outcome(done: Saved | Conflict | None, verb: str, frame_of: FrameOf) -
 
 
 def print_effective(labels: Labels, found: EffectiveLabels, out: Path, show: int) -> None:
-    """Whose the values are, and what no longer applies."""
+    """Print the makers of the values, and corrections no longer applicable."""
     counts = found.counts
     say(
         f"{counted(found.events, 'event')}: {counted(counts['human'], 'value')} by people, {counts['recomputed']} "
@@ -240,7 +241,7 @@ def print_effective(labels: Labels, found: EffectiveLabels, out: Path, show: int
 
 
 def print_examined(found: Examined) -> None:
-    """Whether a journal is as it was saved, and what is intact of one that is not."""
+    """Print the check of a journal, and the intact part of a damaged one."""
     for line in found.damage:
         say(f"damaged: {line}", style="red")
     if found.damage:
@@ -253,7 +254,7 @@ def print_examined(found: Examined) -> None:
 
 
 def print_written(found: Examined, made: Examined) -> None:
-    """What is in a copy, or in a new journal."""
+    """Print the contents of a copy, or of a new journal."""
     intact = len(made.intact)
     events = counted(intact, "event") if found.events is None else f"{intact:,} of {counted(found.events, 'event')}"
     say(f"{events} written and checked")
@@ -269,7 +270,7 @@ def print_written(found: Examined, made: Examined) -> None:
 
 
 def frames_of(corrector: Corrector, journal: Journal | Sequence[Event]) -> FrameOf:
-    """Frames by name, for the classes of objects in what is told; None for one that the labels do not have."""
+    """Look-up of frames by name, for the classes of objects in messages; None for a frame outside the labels."""
 
     def frame_of(frame: str) -> EffectiveFrame | None:
         try:
@@ -281,12 +282,12 @@ def frames_of(corrector: Corrector, journal: Journal | Sequence[Event]) -> Frame
 
 
 def _text(event: Event, frame_of: FrameOf) -> str:
-    """An event in words, with its frame."""
+    """Event in words, with its frame."""
     return f"{event.ref.frame}: {event_text(event, frame_of(event.ref.frame))}"
 
 
 def print_objects(cards: Sequence[ObjectCard], whole: bool) -> None:
-    """One line an object; of a single one, where `whole`, every field with where it comes from."""
+    """Print a line for each object; for a single one with `whole` every field with its source."""
     print_rows(
         ("object", "class", "status", "size (m)", "away (m)", "T U F", "not the labeller's"),
         (
@@ -321,7 +322,7 @@ def print_objects(cards: Sequence[ObjectCard], whole: bool) -> None:
 
 
 def print_pair(card: PairCard) -> None:
-    """One line a relation."""
+    """Print a line for each relation."""
     away = "" if card.distance is None else f", {card.distance:.2f} m apart"
     say(f"{card.names[0]}·{card.a} ... {card.names[1]}·{card.b}{away}")
     if card.why_none:
@@ -344,7 +345,7 @@ def print_pair(card: PairCard) -> None:
 
 
 def print_support(frame: EffectiveFrame, support: Support, gap: float) -> None:
-    """What an object stands on."""
+    """Print the supports of an object."""
     where = f"{abs(gap) * 100:.1f} cm {'above' if gap > 0 else 'below the top of'} {support_name(frame, support)}"
     points = f"{counted(support.points, 'point')}, {support.spread * 1000:.1f} mm"
     fitted = points if support.points else "its upper extent"

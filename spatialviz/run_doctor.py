@@ -1,4 +1,4 @@
-"""What is wrong with a recording, as a person reads it."""
+"""Command examining a recording, with its output for people."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def run_doctor(command: DoctorCommand) -> int:
 
 
 def print_examination(found: Examination, written: Path | None) -> None:
-    """The opinions with their evidence, what mends what is wrong, and what else was tried."""
+    """Print the opinions with their evidence, the mending settings, and other attempts."""
     overlapping = counted(found.pairs, "pair") + " of them overlap"
     say((f"{counted(len(found.frames), 'frame')} looked at, {overlapping}", "dim"))
     for opinion in found.opinions:

@@ -1,4 +1,4 @@
-"""Labels carried out, and corrections made elsewhere in."""
+"""Commands exporting labels, and importing corrections made elsewhere."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def run_export(command: ExportCommand) -> None:
 
 @contextmanager
 def _labels(command: ExportCommand, automatic: Labels) -> Iterator[Labels]:
-    """What is exported: the labels as they are, or with the journal applied, in a folder that does not stay."""
+    """Labels to export: as they are, or with the journal applied, in a temporary folder."""
     if not command.corrected:
         yield automatic
         return
@@ -129,7 +129,7 @@ def run_import(command: ImportCommand) -> int:
 
 @contextmanager
 def _journal(command: ImportCommand, labels: Labels) -> Iterator[Journal | None]:
-    """The journal; a dry run makes none where there is none."""
+    """Journal of an import; a dry run creates none."""
     text = command.journal.journal
     missing = not (text is not None and is_url(text)) and not Path(text or labels.root / JOURNAL_FILE).exists()
     if command.dry_run and missing:
@@ -140,7 +140,7 @@ def _journal(command: ImportCommand, labels: Labels) -> Iterator[Journal | None]
 
 
 def print_import(report: ImportReport, show: int) -> None:
-    """What a file changes, and what stands against it."""
+    """Print the changes of a file, and objections to them."""
     for edit in report.edits[:show]:
         values = (shown_value(edit.ref, value) for value in (edit.before, edit.after))
         say(f"{edit.ref}: {' -> '.join(values)}")

@@ -132,7 +132,6 @@ def run_check(command: CheckCommand) -> int:
 
 
 def _selection(options: Selection) -> SelectConfig:
-    """The same as the core takes it."""
     telling = not options.keep_vague
     return SelectConfig(
         options.expressions, options.per_frame, options.balance or None, options.selection_seed, telling
@@ -140,7 +139,7 @@ def _selection(options: Selection) -> SelectConfig:
 
 
 def print_labelled(report: LabelReport, out: str) -> None:
-    """Counts, speed, and what to do next."""
+    """Print counts, speed, and the next step."""
     new = report.frames - report.reused
     rate = f", {new / report.seconds:.1f} frames/s" if new and report.seconds else ""
     reused = f" ({report.reused} were there already)" if report.reused else ""
@@ -158,7 +157,7 @@ def print_labelled(report: LabelReport, out: str) -> None:
 
 
 def print_manifest(manifest: Manifest, out: str) -> None:
-    """What was merged, and its hashes."""
+    """Print counts and hashes of merged labels."""
     say(
         f"{manifest.counts['expressions']} of {manifest.counts['candidates']} candidate expressions kept, "
         f"rules {manifest.profile['name']} {manifest.profile_hash[:12]}, settings {manifest.config_hash[:12]}"
@@ -176,7 +175,7 @@ def print_manifest(manifest: Manifest, out: str) -> None:
 
 
 def print_findings(findings: Iterable[Finding], show: int) -> int:
-    """How much was found by each rule, then up to `show` findings of each, errors first; returns how many are errors.
+    """Count findings by rule, then show up to `show` of each, errors first; returns the number of errors.
 
     Findings may be many: those that are not shown are counted and let go.
     """

@@ -1,4 +1,4 @@
-"""Opens what agents may ask, and serves it."""
+"""Command serving agents: opens the named datasets, runs and cases."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def run_mcp(command: McpCommand) -> None:
 
 
 def open_session(command: McpCommand, keep: ExitStack) -> Session:
-    """What the command names, opened; `keep` closes it."""
+    """Open everything named by the command; `keep` closes it."""
     require(command.paths, "nothing was named to be served", expected="spatialviz mcp demo, or the paths of your own")
     require(
         command.allow_corrections == (command.author is not None),

@@ -1,4 +1,4 @@
-"""Detectors run, compared and calibrated; which networks can be used."""
+"""Commands running, comparing and calibrating detectors; and the catalogue of networks."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def run_detect(command: DetectCommand) -> None:
 
 
 def print_recorded(report: RecordingReport, command: DetectCommand, names: Sequence[str]) -> None:
-    """What was found, by class, and what was asked for where nothing was."""
+    """Print the detections by class, and the asked names without any."""
     say(f"{report.detections} detections in {report.frames} frames, {report.seconds:.1f} s -> {command.out}")
     if report.classes:
         say(", ".join(f"{name} {count}" for name, count in report.classes.items()))
@@ -137,7 +137,7 @@ def run_models(command: ModelsCommand) -> int:
 
 
 def print_frame_agreement(frame_id: str, found: FrameAgreement) -> None:
-    """What the two detectors disagree on in one frame, row by row."""
+    """Print the disagreements of two detectors in a frame, row by row."""
     say(("frame ", "dim"), frame_id, (f"  {int(found.same.sum())} things alike", ""))
     pairs = ((p, *found.pairs[p].tolist()) for p in found.named_otherwise.tolist())
     a = [(Text(name), f"{score:.2f}") for name, score in zip(found.labels_a, found.scores_a, strict=True)]
@@ -153,7 +153,7 @@ def print_frame_agreement(frame_id: str, found: FrameAgreement) -> None:
 
 
 def print_agreement(sums: dict[str, Any], detectors: Sequence[str]) -> None:
-    """The figures of all frames, and the table of classes."""
+    """Print the figures of all frames, and the table of classes."""
     a, b = detectors
     say(("A ", "dim"), a, ("   B ", "dim"), b, (f"   {sums['frames']} frames", "dim"))
     say("{both} things alike, {otherwise} named otherwise, {only_a} only A, {only_b} only B".format(**sums))
@@ -190,12 +190,12 @@ def print_agreement(sums: dict[str, Any], detectors: Sequence[str]) -> None:
 
 
 def shown(value: float | None) -> str:
-    """Two decimals; a dash where there is no figure."""
+    """Number with two decimals; a dash for none."""
     return figure(value, ".2f", "–")
 
 
 def print_calibration(calibration: ScoreCalibration, report: dict[str, Any], out: Path) -> None:
-    """The sigmoid, and how well scores say how often they are right, before and after it."""
+    """Print the sigmoid, and the calibration figures before and after."""
     say(
         f"{report['detections']} detections in {report['frames']} frames, {report['hits']} of them hits: "
         f"a = {calibration.a:.3f}, b = {calibration.b:+.3f}"
@@ -227,7 +227,7 @@ def print_calibration(calibration: ScoreCalibration, report: dict[str, Any], out
 
 
 def catalogue_record(known: Sequence[Adapter], here: Here) -> dict[str, Any]:
-    """As JSON."""
+    """JSON record of the catalogue."""
     return {
         "adapters": [
             {
@@ -246,7 +246,7 @@ def catalogue_record(known: Sequence[Adapter], here: Here) -> dict[str, Any]:
 
 
 def print_catalogue(known: Sequence[Adapter], here: Here) -> None:
-    """Adapters with their contracts and public files, then what this machine has."""
+    """Print adapters with their contracts and public files, then the inventory of this machine."""
     for adapter in known:
         say(adapter.option, style="bold")
         if adapter.needs:
@@ -270,7 +270,7 @@ def print_catalogue(known: Sequence[Adapter], here: Here) -> None:
 
 
 def _model_lines(model: KnownModel) -> list[str]:
-    """A model and its files, a line each."""
+    """Lines of a model and its files."""
     state = " (fetched)" if is_fetched(model) else ""
     lines = [f"{model.name}, {model.licence}{state}" + (f". {model.note}" if model.note else "")]
     for file in model.files:
@@ -281,7 +281,7 @@ def _model_lines(model: KnownModel) -> list[str]:
 
 
 def file_record(report: FileReport) -> dict[str, Any]:
-    """As JSON."""
+    """JSON record of a file."""
     return {
         "path": str(report.path),
         "megabytes": report.megabytes,
@@ -298,7 +298,7 @@ def file_record(report: FileReport) -> dict[str, Any]:
 
 
 def print_files(reports: Sequence[FileReport]) -> None:
-    """What each file is, in a few lines."""
+    """Print the identification of each file in a few lines."""
     for report in reports:
         megabytes = report.megabytes or 0.0
         size = f", {megabytes:.1f} MB" if megabytes >= 0.1 else f", {megabytes * 1000:.1f} kB"
@@ -320,7 +320,7 @@ def print_files(reports: Sequence[FileReport]) -> None:
 
 
 def _commands(report: FileReport) -> list[str]:
-    """The options that use a file, to be copied."""
+    """Options using a file, ready to copy."""
     assert report.kind is not None
     path, lines = shlex.quote(str(report.path)), []
     for option in report.kind.options:

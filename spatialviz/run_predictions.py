@@ -1,4 +1,4 @@
-"""Predictions of other pipelines judged as runs, and runs written as predictions."""
+"""Commands judging predictions of other pipelines as runs, and writing runs as predictions."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from pipeline.evaluation.adapters import import_published
-from pipeline.evaluation.imported_rows import PREDICTIONS_FILE
 from pipeline.evaluation.importing import export_run
 from pipeline.evaluation.job import RunReport
 from pipeline.evaluation.judging_again import judge_again
 from pipeline.evaluation.run_folder import open_run
+from pipeline.evaluation.systems import PREDICTIONS_FILE
 from pipeline.language.counted import counted
 from pipeline.paper.systems import recorded_system
 from spatialviz.cli_ask import ExportRunCommand, ImportRunCommand, JudgeAgainCommand
@@ -45,7 +45,7 @@ def run_import_run(command: ImportRunCommand) -> None:
 
 
 def print_imported(report: RunReport, imported: Mapping[str, Any]) -> None:
-    """The tables, and whose answers they are of."""
+    """Print the tables, and the system behind the answers."""
     print_run(report, 0)
     lines, lacks = counted(imported["lines"], "line"), imported["lacks"]
     say(f"{imported['system']}: imported, level {imported['level']} of 3, {lines} as they stand in the file")

@@ -71,7 +71,6 @@ def run_review(command: ReviewCommand) -> int:
 
 
 def _accept(command: ReviewCommand, labels: Labels, shown: pa.Table) -> int:
-    """Accept what is shown, as one action."""
     author = needed(command.author, "--accept needs --author", cause="who accepts them?")
     corrector = Corrector(labels, command.source.open(labels))
     with command.journal.open(labels) as journal:
@@ -86,7 +85,6 @@ def _accept(command: ReviewCommand, labels: Labels, shown: pa.Table) -> int:
 
 
 def _pace(command: ReviewCommand, labels: Labels) -> dict[str, Any]:
-    """How fast the author worked today; nothing without one, or where nothing was saved."""
     if command.author is None or (command.journal.journal is None and not (labels.root / JOURNAL_FILE).exists()):
         return {}
     with command.journal.open(labels, must_exist=True) as journal:
@@ -145,7 +143,7 @@ def _shown(command: ReviewCommand, queue: pa.Table, reviewed: Reviewed, states: 
 
 
 def print_queue(queue: pa.Table, first: list[dict[str, Any]], out: Path | None, settled: int) -> None:
-    """The first items with their reasons, and how many there are; `settled` of them are not shown."""
+    """Print the first items with reasons, and the counts; `settled` are hidden."""
     if queue.num_rows:
         print_rows(
             (">wrong", "frame", "label", "reasons"),
@@ -175,7 +173,7 @@ def _label(row: dict[str, Any]) -> str:
 
 
 def print_agreement(pairs: Sequence[PairAgreement], limit: int) -> None:
-    """Kappa of each two reviewers by kind, the table, and the first items on which they differ."""
+    """Kappa of each two reviewers by kind, the table, and the first differing items."""
     if not pairs:
         say("no two reviewers have judged the same item")
     for pair in pairs:
@@ -196,7 +194,7 @@ def print_agreement(pairs: Sequence[PairAgreement], limit: int) -> None:
 
 
 def print_progress(record: dict[str, Any]) -> None:
-    """How many items are in each state, by kind and by reviewer, and what is left."""
+    """Print items by state, by kind and by reviewer."""
     parts = (("queue", record), *record["kinds"].items(), *record["reviewers"].items())
     print_rows(
         ("", *(f">{state}" for state in STATES)),

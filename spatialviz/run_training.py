@@ -124,7 +124,7 @@ def sparkline(values: list[float]) -> str:
 
 
 def print_label_training(card: dict[str, Any], out: Path) -> None:
-    """The curve of a training on labels, and its figures on frames it has not seen."""
+    """Print the training curve on labels, and figures on held-out frames."""
     training, split, report = card["training"], card["split"], card["held_out"]
     frames = split["frames"]
     say(
@@ -163,7 +163,7 @@ def print_label_training(card: dict[str, Any], out: Path) -> None:
 
 
 def print_training(card: dict[str, Any], out: Path) -> None:
-    """The figures of a trained network on rooms it has not seen, beside those of the rule and of always saying no."""
+    """Print figures on held-out rooms, beside the rule's and always-no's."""
     network, rule = card["held_out"]["network"], card["held_out"]["rule"]
     rooms, training = card["rooms"], card["training"]
     say(
@@ -217,7 +217,7 @@ def print_retraining(found: Retraining, out: Path) -> None:
 
 
 def print_retraining_run(done: RetrainingRun) -> None:
-    """What the corrections did: to the labels, to the network, to the answers."""
+    """Print the effect of corrections on labels, network and answers."""
     say(f"{counted(done.corrections['events'], 'event')} of the journal")
     print_retraining(done.retraining, done.network)
     if done.in_use is not None:

@@ -1,4 +1,4 @@
-"""Opens the page."""
+"""Command opening the page."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def run_view(command: ViewCommand) -> None:
 
 
 def _is_new(folder: Path) -> bool:
-    """Whether labels are to be begun in a folder: it is empty. One that is missing may be a slip of the hand."""
+    """True for an empty folder, where labels can begin. A missing folder may be a typing error."""
     folder = folder.expanduser()
     require(
         folder.exists(), "there are no labels here", path=folder,
@@ -101,7 +101,7 @@ def _is_new(folder: Path) -> bool:
 
 
 def _by_hand(command: ViewCommand, sources: Mapping[str, Pipeline]) -> dict[str, Labels]:
-    """Labels that people may begin: in the folder that was named, or beside recordings that have no annotations."""
+    """Labels open to begin by hand: in the named folder, or beside recordings without annotations."""
     if command.run_folder is not None or (command.labels is not None and not _is_new(command.labels)):
         return {}
     found: dict[str, Labels] = {}
@@ -118,7 +118,7 @@ def _by_hand(command: ViewCommand, sources: Mapping[str, Pipeline]) -> dict[str,
 
 
 def _journal(command: ViewCommand, labels: Labels) -> JournalLocation:
-    """Where corrections are kept; those of the built-in demo with the user's own data, not in the installation."""
+    """Location of the journal; of the built-in demo among the user's own data, not in the installation."""
     where: str | Path | None = command.journal.journal
     if grows(labels):
         warn(f"what is labelled by hand is kept in {labels.root}")
@@ -131,7 +131,7 @@ def _journal(command: ViewCommand, labels: Labels) -> JournalLocation:
 
 
 def _named(command: ViewCommand, view: ViewState) -> tuple[str, Path | None]:
-    """The dataset and the run to open: those of the command line, else those that the view names."""
+    """Dataset and run to open: those of the command line, else those of the view."""
     if command.run_folder is not None or command.dataset != DEMO_NAME:
         return command.dataset, command.run_folder
     if view.run is not None:
@@ -149,7 +149,7 @@ def _named(command: ViewCommand, view: ViewState) -> tuple[str, Path | None]:
 
 
 def _words(command: ViewCommand, dataset: str, folder: Path | None) -> list[str]:
-    """The command line that opens this page again; without a password."""
+    """Command line reopening this page, without a password."""
     words = ["view"]
     if folder is None or command.dataset != "demo":
         words.append(dataset)
@@ -161,7 +161,7 @@ def _words(command: ViewCommand, dataset: str, folder: Path | None) -> list[str]
 
 
 def _check_labels(labels: Labels, source: Pipeline) -> None:
-    """Raise InputError where labels know none of the frames."""
+    """Raise InputError for labels knowing none of the frames."""
     require(
         not set(source.dataset.frame_ids).isdisjoint(labels.frames.column("frame").to_pylist()),
         "the labels are of other frames than the dataset has",
@@ -170,7 +170,7 @@ def _check_labels(labels: Labels, source: Pipeline) -> None:
 
 
 def _in(view: ViewState, sources: Mapping[str, Pipeline]) -> ViewState:
-    """The view as one of these sources; InputError where it is of none."""
+    """View as one of these sources; InputError for none."""
     name = view.dataset
     if name not in sources and len(sources) == 1:
         # A folder may have another name here.

@@ -1,4 +1,4 @@
-"""An expression and a frame to ranked pairs: the opened pipeline, objects, the table of pairs, the answer."""
+"""Answering: from an expression and a frame to ranked pairs."""
 
 from pipeline.system.lazy_exports import lazy_exports
 

@@ -1,4 +1,4 @@
-"""Answers told in words: the best pair, whether it is all that was asked, and why there is none."""
+"""Answers in words: the best pair, its fit to the question, or the reason for none."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ TIED = 5e-4
 
 @dataclass(frozen=True)
 class ToldAnswer:
-    """The best pair in words."""
+    """Best pair in words."""
 
     # holds: Every relation of the answer has a probability of at least a half; None where that is so of a question that
     # was asked in part
@@ -38,30 +38,30 @@ class ToldAnswer:
     fails: tuple[str, ...]  # Each relation that does not hold, where the expression has several
 
     def sentence(self, pair: str) -> str:
-        """All of it on one line, around the pair in words."""
+        """All words on a line, around the pair in words."""
         return f"{self.lead}{pair}: {', '.join((self.numbers, *self.fails))}"
 
 
 def best_pair(trace: Trace) -> ScoredPair | None:
-    """The answer; None where there is none: a name was not found, or all candidates are one thing."""
+    """Best pair; None for a missing name, or candidates all of the same object."""
     ranking = trace.ranking
     none = ranking is None or ranking.degenerate or not ranking.pairs or len(trace.tied) > 1
     return None if none or ranking is None else ranking.pairs[0]
 
 
 def holds(trace: Trace) -> bool | None:
-    """Whether there is an answer that is all that was asked; None where it is, of a question that was asked in part."""
+    """True for an answer fulfilling all of the question; None for the same with parts of the question unused."""
     best = best_pair(trace)
     return best is not None and stands(trace, best)
 
 
 def stands(trace: Trace, pair: ScoredPair) -> bool | None:
-    """`holds` of any pair of a trace."""
+    """True for a pair of a trace fulfilling the question; None as in `holds`."""
     return None if pair.holds and asked_in_part(trace) else pair.holds
 
 
 def asked_in_part(trace: Trace) -> bool:
-    """Whether words that tell things apart were left out of what was asked: nobody knows then what holds of them."""
+    """True with distinguishing words left out of the question, which may not hold."""
     if why_unused(trace.query) is not None:
         return True
     # A detector that was asked for the whole phrase has judged `striped` by it.
@@ -70,7 +70,7 @@ def asked_in_part(trace: Trace) -> bool:
 
 
 def why_no_answer(trace: Trace) -> str | None:
-    """One line saying why there is no answer; None where there is one."""
+    """Reason for no answer, a line; None with an answer."""
     if trace.answered is not None and trace.ranking is None:
         return trace.answered
     if trace.missing:
@@ -87,12 +87,12 @@ def why_no_answer(trace: Trace) -> str | None:
 
 
 def failing_links(pair: ScoredPair) -> tuple[Link, ...]:
-    """The relations of an answer in which it does not stand."""
+    """Relations of an answer that do not hold."""
     return tuple(link for link in pair.links if link.probability < HOLDS)
 
 
 def told(trace: Trace, name: Callable[[int], str], pair: ScoredPair | None = None) -> ToldAnswer:
-    """The words of an answer, or of another of its pairs.
+    """Words of an answer, or of another pair.
 
     Parameters
     ----------
@@ -120,9 +120,9 @@ def told(trace: Trace, name: Callable[[int], str], pair: ScoredPair | None = Non
 
 
 def headline(pair: ScoredPair, own_scores: bool = False) -> tuple[tuple[str, float], ...]:
-    """The numbers at the top of an answer: of its relation, of its attributes and choices, and the product.
+    """Top numbers of an answer: of its relation, of its attributes and choices, and the product.
 
-    Without the product where a pair's score is another (`Trace.own_scores`), unless there is nothing else.
+    Without the product where a pair's score is another (`Trace.own_scores`), unless nothing else is left.
     """
     relation = "weakest relation" if len(pair.links) > 1 else "relation"
     asked = ((relation, pair.relation_probability),) if pair.reference is not None else ()
@@ -132,7 +132,7 @@ def headline(pair: ScoredPair, own_scores: bool = False) -> tuple[tuple[str, flo
 
 
 def pair_words(trace: Trace, pair: ScoredPair, name: Callable[[int], str]) -> str:
-    """A pair as a sentence: "mug·4 left of laptop·2"; without a relation the thing alone."""
+    """Pair as a sentence: "mug·4 left of laptop·2"; without a relation a single object."""
     ends = " and ".join(name(k) for k in (pair.reference, pair.second_reference) if k is not None)
     return f"{name(pair.target)} {trace.phrase} {ends}" if ends else name(pair.target)
 
@@ -164,13 +164,13 @@ def _below(ranking: Ranking, pair: ScoredPair) -> str:
 
 
 def link_words(link: Link, name: Callable[[int], str]) -> str:
-    """A relation of an answer: "mug·4 left of laptop·2"."""
+    """Relation of an answer: "mug·4 left of laptop·2"."""
     second = "" if link.c is None else f" and {name(link.c)}"
     return f"{name(link.a)} {wording(link.relation, inverse=link.inverse)} {name(link.b)}{second}"
 
 
 def probability(value: float) -> str:
-    """Two digits; a small one with so many that it is not 0."""
+    """Probability with two digits; a small number with enough digits to differ from 0."""
     if 0 < value < 0.005:
         return f"{value:.1g}" if value >= 1e-4 else "<0.0001"
     return f"{value:.2f}"

@@ -1,4 +1,4 @@
-"""Answering many expressions of one frame: detections, lifting and relations once, then a ranking for each.
+"""Batch of expressions on a frame: detections, lifting and relations once, then a ranking for each.
 
 The winner is that of `pipeline.answering.ranking.rank`; only what is shared between the
 expressions of a frame is computed once.
@@ -24,7 +24,7 @@ from pipeline.system.errors import InputError
 
 
 class FrameAnswers:
-    """A frame with everything detected in it for a set of class names.
+    """Frame with all detections for a set of class names.
 
     Parameters
     ----------
@@ -92,22 +92,22 @@ class FrameAnswers:
 
     @classmethod
     def of_trace(cls, source: Pipeline, context: PreparedFrame, trace: Trace) -> FrameAnswers:
-        """The answers that a trace holds: its own objects, candidates and relations, edited or not."""
+        """Answers of a trace: its own objects, candidates and relations, edited or not."""
         found = cls.__new__(cls)
         found.clock = StageClock()
         found._set(source, context, trace.objects, dict(trace.candidates), trace.scores, {})
         return found
 
     def probabilities(self, relation: str) -> np.ndarray | None:
-        """(D, D) float64: P("a RELATION b") of all detections; None where nothing was detected."""
+        """(D, D) float64: P("a RELATION b") of all detections; None without detections."""
         return None if self._scores is None else self._scores.of(relation)
 
     def worked_out(self, relation: str, a: int, b: int) -> bool:
-        """Whether P("a RELATION b") is not given by the file that the answers are of."""
+        """True for P("a RELATION b") missing in the file of the answers."""
         return self._scores is not None and relation in self._scores.worked_out(a, b)
 
     def score(self, target: str, relation: str, reference: str) -> PairTable | None:
-        """All candidate pairs of an expression; None where a class was not found."""
+        """Candidate pairs of an expression; None for a class without detections."""
         targets, references = self.candidates[target], self.candidates[reference]
         if self._scores is None or not len(targets.index) or not len(references.index):
             return None
@@ -124,7 +124,7 @@ class FrameAnswers:
 
 
 class StageClock:
-    """Processor seconds of this process by stage; time within an inner stage does not count for the outer one."""
+    """Processor seconds of this process by stage; an inner stage's time does not count for the outer."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
@@ -132,7 +132,7 @@ class StageClock:
         self._since = 0.0
 
     def stage(self, name: str) -> _Stage:
-        """A context: what runs in it is time of this stage."""
+        """Context timed as this stage."""
         return _Stage(self, name)
 
     def enter(self, name: str) -> None:

@@ -1,4 +1,4 @@
-"""Ask a frame: one expression through all four stages, with everything that was computed kept."""
+"""Ask a frame: an expression through all four stages, keeping every intermediate result."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from pipeline.system.errors import Unsupported, require
 
 @dataclass(frozen=True)
 class AskConfig:
-    """How a question is answered."""
+    """Settings of an answer."""
 
     k: int = 10  # Proposals that go on for each name; a detector whose detections are the truth is not cut
     lift: LiftConfig = field(default_factory=LiftConfig)
@@ -51,7 +51,7 @@ class AskConfig:
 
 @dataclass(frozen=True)
 class Trace:
-    """Every stage's input and output for one question."""
+    """Trace of a question: every stage's input and output."""
 
     frame: Frame  # With the up vector that was used
     viewer: ViewerAxes
@@ -81,14 +81,14 @@ class Trace:
         return f"<Trace {self.query.text!r} on {self.frame.id!r}: {len(self.objects)} objects, {pairs} pairs>"
 
     def name(self, index: int) -> str:
-        """An object as tables call it: "mug·4"."""
+        """Name of an object in tables: "mug·4"."""
         entry = self.objects[index]
         return entry.name(self.numbers.get(entry.id, index), self.exact)
 
     def under(self, name: str, index: int) -> SceneObject:
-        """An object with the label and the score that it has under one name of the question.
+        """Object with its label and score under a name of the question.
 
-        A detector may know one and the same thing as a cup and, less surely, as a bowl.
+        A detector may take the same object for a cup and, less surely, for a bowl.
         """
         found = self.candidates[name]
         at = int(np.flatnonzero(found.index == index)[0])
@@ -96,7 +96,7 @@ class Trace:
         return replace(self.objects[index], label=label, score=float(found.told[at]))
 
     def names_in(self, pair: ScoredPair) -> dict[int, str]:
-        """The objects of a pair, as places in `objects`, with the names of the question that they are asked for by."""
+        """Names of the question for the objects of a pair, by place in `objects`."""
         found, links = {pair.target: self.root.label}, iter(pair.links)
 
         def below(node: Node) -> None:
@@ -117,37 +117,37 @@ class Trace:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Class names that were not found, of what there has to be."""
+        """Class names that were not found, among the required ones."""
         return tuple(name for name in self.query.needed if not len(self.candidates[name].index))
 
     @property
     def root(self) -> Node:
-        """The target with all that is said of it, in the reading that was taken."""
+        """Target with its whole description, in the chosen reading."""
         return (self.query.default if self.ranking is None else self.ranking.reading).root
 
     @property
     def asked(self) -> Attachment | None:
-        """The target's first relation to another object: that of the ranked pairs; None without one."""
+        """Target's first relation to another object, that of the ranked pairs; None without a relation."""
         return self.root.pairwise
 
     @property
     def relation(self) -> str:
-        """The canonical name of that relation; empty without one."""
+        """Canonical name of the ranked relation; empty without one."""
         return "" if self.asked is None else self.asked.relation
 
     @property
     def inverse(self) -> bool:
-        """Whether that relation holds from the reference to the target."""
+        """True for a relation held from the reference to the target."""
         return self.asked is not None and self.asked.inverse
 
     @property
     def phrase(self) -> str:
-        """How that relation is said between two nouns; empty without one."""
+        """Words of the ranked relation between two nouns; empty without one."""
         return "" if self.asked is None else wording(self.asked.relation, inverse=self.asked.inverse)
 
     @property
     def tied(self) -> tuple[int, ...]:
-        """Places of the objects that fit a question without a relation equally well, where several do fit it."""
+        """Places of the objects equally fit for a question without a relation, if several fit."""
         if self.ranking is None or self.asked is not None:
             return ()
         best, *others = self.ranking.pairs
@@ -219,7 +219,7 @@ def ranked(
     same: Callable[[tuple[SceneObject, ...]], np.ndarray],
     edited: Callable[[RelationLookup], RelationLookup] = lambda lookup: lookup,
 ) -> Trace:
-    """A trace with its ranking; as it is where a class was not found.
+    """Rank a trace; without candidates of a class unchanged.
 
     `same`: gives (N, N) bool, which of the objects are one and the same thing; `edited`: changes the relation
     probabilities that the ranking asks for.
@@ -239,39 +239,39 @@ def ranked(
 
 
 def scene_evidence(trace: Trace) -> SceneEvidence:
-    """What the noun phrases of a question may say of its objects."""
+    """Evidence on noun phrases of a question."""
     return SceneEvidence(trace.objects, trace.frame, trace.viewer)
 
 
 @contextmanager
 def timed(timings: dict[str, float], stage: str) -> Iterator[None]:
-    """Add the seconds of a block to those of its stage."""
+    """Add the seconds of a block to a stage."""
     start = perf_counter()
     yield
     timings[stage] = timings.get(stage, 0.0) + perf_counter() - start
 
 
 def propose(context: PreparedFrame, detector: Detector, name: str, k: int) -> Proposals:
-    """What goes on of a detector's run for one class name: the best K, or all where they are the truth."""
+    """Proposals of a class name: the best K, or all of an exact detector."""
     return of_run(detector.detect(context.frame, [name]), detector, k)
 
 
 def of_run(proposals: Proposals, detector: Detector, k: int) -> Proposals:
-    """What goes on of a whole run: the best K, or all where they are the truth."""
+    """Proposals of a whole run: the best K, or all of an exact detector."""
     return proposals if is_final(detector) else top_k(proposals, k)
 
 
 def merged(
     context: PreparedFrame, detector: Detector, found: dict[str, Proposals], calibration: ScoreCalibration | None
 ) -> tuple[tuple[SceneObject, ...], dict[str, Candidates]]:
-    """All proposals as one list in which a detection stands once for each label that it was given."""
+    """Merge proposals into a list with each detection once for each of its labels."""
     return joined({name: (p, context.lift(p, detector)) for name, p in found.items()}, calibration)
 
 
 def joined(
     found: Mapping[str, tuple[Proposals, Sequence[SceneObject]]], calibration: ScoreCalibration | None
 ) -> tuple[tuple[SceneObject, ...], dict[str, Candidates]]:
-    """`merged` of proposals that are lifted already, each name's in the order of its proposals."""
+    """Join lifted proposals as `merged` does, each name's in the order of its proposals."""
     objects: list[SceneObject] = []
     # By label too: a network that knows names must score a thing as the question calls it, whatever else is asked.
     known: dict[tuple[int, str], int] = {}
@@ -295,7 +295,7 @@ def joined(
 
 
 def relation_lookup(scores: RelationScores, objects: Sequence[SceneObject], same: np.ndarray) -> RelationLookup:
-    """The relation probabilities of a list of objects as the ranking asks for them."""
+    """Relation probabilities of a list of objects, in the form of the ranking."""
     lifted, ids = [o.lifted for o in objects], [o.id for o in objects]
 
     def lookup(attachment: Attachment, heads: np.ndarray, ends: Sequence[np.ndarray]) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What a detector is asked for: each noun phrase of a question as a name that the detector knows."""
+"""Detector prompts: each noun phrase of a question as a name known to the detector."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from pipeline.system.errors import UnknownClass
 
 
 def name_for(node: Node, detector: Detector, synonyms: Synonyms | None = None) -> str | None:
-    """What a detector is asked for: the whole phrase, or the thing without its attributes; None for everything.
+    """Name asked of a detector: the whole phrase, or the noun without its attributes; None for everything.
 
-    A detector of open vocabulary is given the phrase as it stands. One that knows only its own names is asked for the
-    phrase if that is one of them (`red bull`), else for the thing alone (`red mug`); where that is misspelt, for the
-    one that it is a letter away from (`chiar`), which `taken_as` tells.
+    A detector of open vocabulary is given the phrase as it stands. One of its own names only is asked for the phrase if
+    known (`red bull`), else for the noun alone (`red mug`); if misspelt, for the name a letter away (`chiar`), as
+    `taken_as` tells.
     """
     if detector.vocabulary is None:
         return node.label
@@ -41,10 +41,10 @@ def name_for(node: Node, detector: Detector, synonyms: Synonyms | None = None) -
 def detections(
     frame: Frame, detector: Detector, query: Query, synonyms: Synonyms | None = None
 ) -> tuple[dict[str, Proposals], Query]:
-    """The detector's whole run for each noun phrase, and the question without what it cannot be asked.
+    """Detector's whole run for each noun phrase, and the question without parts it cannot be asked.
 
-    A reference that the detector cannot know is left out together with its relation where the rest still says which
-    thing is meant: where there are other relations, choices or attributes, or only one thing of the name.
+    A reference unknown to the detector is left out together with its relation where the rest still tells the target:
+    with other relations, choices or attributes, or a single object of the name.
     """
     query = whole_names(query, detector, synonyms)
     query = replace(query, asked=tuple((n.label, name_for(n, detector, synonyms)) for n in query.nodes))
@@ -69,7 +69,7 @@ def detections(
 
 
 def whole_names(query: Query, detector: Detector, synonyms: Synonyms | None = None) -> Query:
-    """The question, in which a phrase that a detector of limited vocabulary knows whole has no attributes."""
+    """Question with phrases known whole to a detector of limited vocabulary stripped of attributes."""
 
     def whole(node: Node) -> bool:
         return bool(node.attributes and node.head) and name_for(node, detector, synonyms) == node.label
@@ -94,8 +94,8 @@ STRANGER = "no name that the detector knows has it"
 
 
 def without_strangers(query: Query, detector: Detector, synonyms: Synonyms | None = None) -> Query:
-    """The question with those words marked as unused that its names have and no name of the detector's: `zorb` of
-    `zorb mug`, `with a lid` of `jar with a lid`. A detector of open vocabulary is asked for all of them."""
+    """Question with words marked unused if in no name of the detector: `zorb` of `zorb mug`, `with a lid` of `jar with
+    a lid`. A detector of open vocabulary is asked for all of them."""
     if detector.vocabulary is None:
         return query
     spans = query.spans
@@ -113,7 +113,7 @@ def without_strangers(query: Query, detector: Detector, synonyms: Synonyms | Non
 
 
 def _marked(text: str, spans: Sequence[Span], mention: int, words: list[str], after: int) -> tuple[Span, ...]:
-    """The spans, those of one noun cut where some words and so many last ones stand, which are not used."""
+    """Spans, those of a noun cut at its unused words and last words."""
     found: list[Span] = []
     for span in spans:
         if span.role not in ("target", "reference") or span.index != mention:
@@ -136,7 +136,7 @@ def _marked(text: str, spans: Sequence[Span], mention: int, words: list[str], af
 
 
 def without(query: Query, reasons: dict[str, str]) -> Query:
-    """The question without the relations to the things of some labels, whose words are then not used, and why."""
+    """Question without relations to the objects of some labels, their words marked unused with the reason."""
     readings: list[Reading] = []
     for reading in query.readings:
         root = _pruned(reading.root, reasons)
@@ -155,7 +155,7 @@ def without(query: Query, reasons: dict[str, str]) -> Query:
 
 
 def _pruned(node: Node, gone: Collection[str]) -> Node:
-    """A node without what is not known; what is said of that is said of the node: `on the wall above the bed`."""
+    """Node without unknown nouns; their descriptions pass to the node: `on the wall above the bed`."""
     kept: list[Attachment] = []
     choices = node.choices
     for attachment in node.attachments:
@@ -172,14 +172,14 @@ def _pruned(node: Node, gone: Collection[str]) -> Node:
 
 
 def unused_words(query: Query) -> tuple[tuple[str, str], ...]:
-    """The words of a question that were not used, each with the reason."""
+    """Unused words of a question, each with the reason."""
     told = [(query.text[s.start : s.end], s.note) for s in query.unused]
     attributes = dict.fromkeys(a for n in query.nodes for a in n.attributes if not a.judged)
     return (*told, *((str(a), "is not judged here, and left to the detector") for a in attributes))
 
 
 def taken_as(query: Query, found: Mapping[str, Sequence[str]]) -> tuple[tuple[str, Meaning], ...]:
-    """The names of a question that stand for things which the detector calls something else.
+    """Names of a question replaced by other names of the detector.
 
     `found`: what the detector calls what it found, by label of the question.
     """

@@ -1,4 +1,4 @@
-"""Detections of annotated frames as hits and misses, and a calibration fitted on them."""
+"""Score calibration on detections of annotated frames, as hits and misses."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ ClassNames = Callable[[Frame], Sequence[str]]
 
 
 def annotated_names(frame: Frame) -> tuple[str, ...]:
-    """The classes that are in a frame: what expressions about it ask for."""
+    """Classes in a frame, the names asked by expressions about it."""
     return tuple(dict.fromkeys(a.label for a in frame.annotations))
 
 
@@ -49,7 +49,7 @@ def collect_hits(
     skipped: Callable[[str, str], None] | None = None,
     used: Callable[[Frame], None] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Detections as `ask` gets them, and which of them are hits.
+    """Collect detections as `ask` gets them, with their hits.
 
     `source`: A dataset with annotations, and a detector; `frame_ids`: broken frames are left out, with their reason to
     `skipped`; `class_names`: the names to be asked for in a frame, each by itself; names that the detector does not
@@ -101,7 +101,7 @@ def calibrate_scores(
     progress: Callable[[int, int], None] | None = None,
     skipped: Callable[[str, str], None] | None = None,
 ) -> tuple[ScoreCalibration, dict[str, Any]]:
-    """Fit a detector's calibration on frames, and measure honestly what it does.
+    """Fit a detector's calibration on frames, and measure its effect by halves.
 
     The figures `after` are of each half of the frames, in their order, under the sigmoid that was fitted on the
     other half; the calibration itself is fitted on all.
@@ -145,7 +145,7 @@ def calibrate_scores(
 
 
 def reliability(p: np.ndarray, hits: np.ndarray) -> dict[str, Any]:
-    """How well scores (N,) in 0..1 say how often they are right, given the hits (N,) bool."""
+    """Calibration figures of scores (N,) in 0..1, given the hits (N,) bool."""
     diagram = reliability_diagram(p, hits, RELIABILITY_BINS)
     rows = [
         {

@@ -1,4 +1,4 @@
-"""What a noun phrase says of one object alone: attributes, choices among its like, what it is not, where the viewer is.
+"""Evidence on single objects from a noun phrase: attributes, choices, negations, relations to the viewer.
 
 Each is a probability, a factor of P(x | e) beside the detector's score. A choice depends on which other things fit:
 the probability that a thing is the k-th in some order is that it fits, times that of k - 1 fitting things before it.
@@ -37,7 +37,7 @@ _VIEWER_CHOICES = {
 
 @dataclass(frozen=True)
 class Factor:
-    """One thing that a noun phrase says of an object alone."""
+    """Statement of a noun phrase about a single object."""
 
     kind: Kind
     text: str  # The words that said it
@@ -47,18 +47,18 @@ class Factor:
 
     @property
     def holds(self) -> bool:
-        """Whether the object is what was said, as far as can be seen."""
+        """True for a statement at least as probable as not."""
         return self.probability >= (ATTRIBUTE_HOLDS if self.kind == "attribute" else HOLDS)
 
 
 class SceneEvidence:
-    """The objects of a question, as their attributes and choices see them; computed where it is asked."""
+    """Evidence on the objects of a question, computed on demand."""
 
     def __init__(self, objects: Sequence[SceneObject], frame: Frame, viewer: ViewerAxes) -> None:
         self.objects, self.frame, self.viewer = objects, frame, viewer
 
     def attribute(self, attribute: Attribute, index: np.ndarray) -> np.ndarray | None:
-        """(K,) float64: P(attribute | x) of some objects, compared with each other; None where it is not judged."""
+        """(K,) float64: P(attribute | x) of some objects, compared with each other; None where not judged."""
         some = [self.objects[i] for i in index]
         alike = np.ones((len(some), len(some)), np.bool_)
         given = np.array([o.told.get(str(attribute), np.nan) for o in some], np.float64)
@@ -71,7 +71,7 @@ class SceneEvidence:
 
     @cached_property
     def _positions(self) -> dict[str, np.ndarray]:
-        """(N,) float64 by order: what is first in it is smallest; NaN where it cannot be said."""
+        """(N,) float64 by order, smallest first; NaN for unknown."""
         bbox = np.array([o.bbox for o in self.objects], np.float64).reshape(-1, 4)
         centers = np.array(
             [np.full(3, np.nan) if o.box is None else o.box.center for o in self.objects], np.float64
@@ -89,7 +89,7 @@ class SceneEvidence:
         return size_keys([o.box for o in self.objects], self.viewer)
 
     def order(self, order: str, index: np.ndarray, belief: np.ndarray) -> np.ndarray:
-        """(K,) float64: where some objects stand in an order; the first is the smallest, NaN is in none."""
+        """(K,) float64: sort keys of some objects in an order, smallest first, NaN for none."""
         if order in SIZES:
             key, sign = SIZES[order]
             return -sign * self._sizes[key][index]
@@ -100,7 +100,7 @@ class SceneEvidence:
         return np.abs(before)
 
     def side(self, order: str, index: np.ndarray) -> np.ndarray | None:
-        """(K,) float64: how surely some objects are in that part of the picture; None for what is no part of it."""
+        """(K,) float64: belief of some objects lying in a part of the picture; None for no such part."""
         bbox = np.array([self.objects[i].bbox for i in index], np.float64).reshape(-1, 4)
         u, v = bbox[:, [0, 2]].mean(axis=1) / self.frame.width, bbox[:, [1, 3]].mean(axis=1) / self.frame.height
         if order == "middle":
@@ -109,7 +109,7 @@ class SceneEvidence:
         return None if along is None else 1 / (1 + np.exp(-along / SOFT_EDGE))
 
     def choice(self, choice: Choice, index: np.ndarray, belief: np.ndarray) -> np.ndarray:
-        """(K,) float64: P(x is the one chosen), given how surely each fits all the rest.
+        """(K,) float64: P(x is chosen), given how surely each fits the rest.
 
         `index`: (K,) int64; `belief`: (K,) float64.
         """
@@ -124,7 +124,7 @@ class SceneEvidence:
         return np.maximum(SIDE_AT_MOST * share, first)
 
     def of_viewer(self, relation: str, index: np.ndarray, belief: np.ndarray) -> np.ndarray | None:
-        """(K,) float64: a relation to who looks, as `closest to me`; None where it says nothing."""
+        """(K,) float64: relation to the viewer, as `closest to me`; None where not judged."""
         found = _VIEWER_CHOICES.get(relation)
         if found is None:
             return None
@@ -133,7 +133,7 @@ class SceneEvidence:
 
 
 def ranked_probability(keys: np.ndarray, belief: np.ndarray, rank: int) -> np.ndarray:
-    """(K,) float64: P(exactly rank - 1 of the fitting things come before x) of each x.
+    """(K,) float64: P(exactly rank - 1 of the fitting objects come before x) of each x.
 
     `keys`: (K,) float64: the smallest is first; NaN is in no order and never chosen; `belief`: (K,) float64: how surely
     each fits, independently of the others (a Poisson-binomial count); `rank`: from 1.

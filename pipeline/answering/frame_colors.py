@@ -1,4 +1,4 @@
-"""The colours in which a frame's pixels are shown: as they are, by object, by depth, or by what became of them."""
+"""Colours of a frame's pixels: of the picture, by object, by depth, or by fate in lifting."""
 
 from __future__ import annotations
 

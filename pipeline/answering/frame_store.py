@@ -1,4 +1,4 @@
-"""Frames that several may look at: loaded once with their objects and points, a few kept, the next made ready."""
+"""Frame store shared by several viewers: frames with objects and points, loaded once, a few kept, the next prepared."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ Key: TypeAlias = tuple[str, str]
 
 @dataclass(frozen=True)
 class ToldUp:
-    """A surface that somebody says is level: its pixel, and up there in the camera frame."""
+    """Level surface pointed out by a person: its pixel, and up there in the camera frame."""
 
     frame_id: str
     pixel: tuple[int, int]
@@ -54,13 +54,13 @@ class ToldUp:
 
     @property
     def words(self) -> str:
-        """The same for `--level-at`."""
+        """Pixel for `--level-at`."""
         return f"{self.frame_id}:{self.pixel[0]},{self.pixel[1]}"
 
 
 @dataclass(frozen=True)
 class LoadedFrame:
-    """A frame with all its objects."""
+    """Frame with all its objects."""
 
     context: PreparedFrame
     objects: tuple[SceneObject, ...]  # Everything the detector finds in it; empty without a detector
@@ -73,7 +73,7 @@ class LoadedFrame:
     )
 
     def thumb(self, bbox: np.ndarray) -> bytes:
-        """A small picture of an object as JPEG, made when it is first needed; empty where it lies outside."""
+        """Small picture of an object as JPEG, made on first use; empty outside the frame."""
         where = bbox.tobytes()
         if where not in self._thumbs:
             self._thumbs[where] = thumbnail(self.context.frame.rgb, bbox)
@@ -81,17 +81,17 @@ class LoadedFrame:
 
     @property
     def nbytes(self) -> int:
-        """What it holds, about."""
+        """Approximate memory, bytes."""
         masks = len(self.context.frame.annotations) + len(self.objects)
         return self.context.frame.depth.size * (PIXEL_BYTES + masks)
 
     @cached_property
     def cloud(self) -> Cloud:
-        """Its points, made when they are first needed."""
+        """Points, made on first use."""
         return cloud_of(self.context.frame, self.context.viewer)
 
     def painted(self, key: Hashable, colors: Callable[[], np.ndarray]) -> np.ndarray:
-        """(N, 3) uint8 of its points in colours ((H, W, 3)) of a key: one array for all who show them."""
+        """(N, 3) uint8: points in colours ((H, W, 3)) of a key, a single array shared by all viewers."""
         found = self._painted.get(key)
         if found is None:
             found = self._painted[key] = self.cloud.painted(colors())
@@ -99,14 +99,14 @@ class LoadedFrame:
 
 
 def _doubt(frame: Frame, root: Path) -> str:
-    """What speaks against the depth of a frame of the dataset in `root`, with the command that looks into it."""
+    """Doubt about the depth of a frame of the dataset in `root`, with the command to examine it."""
     found, command = depth_doubt(frame), "`spatialviz doctor"
     return "" if found is None else found.text.replace(command, f"{command} {shlex.quote(str(root))}")
 
 
 @dataclass(eq=False)
 class _Making:
-    """A frame that is being made, by whoever asked first; `wanted` where somebody waits for it."""
+    """Frame in the making, by its first caller; `wanted` while somebody waits."""
 
     opened: Pipeline
     frame: Future[LoadedFrame] = field(default_factory=Future)
@@ -114,7 +114,7 @@ class _Making:
 
 
 class FrameStore:
-    """Loads frames of named sources and keeps the latest few; what is likely to be opened next it makes ready ahead.
+    """Store of frames of named pipelines: keeps the latest few, and prepares likely next ones.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ class FrameStore:
         self._untold: dict[str, Dataset] = {}
 
     def load(self, source: str, frame_id: str) -> LoadedFrame:
-        """The frame, from memory where it is there.
+        """Load a frame, from memory if kept; InputError for a broken frame.
 
         Raises
         ------
@@ -145,14 +145,14 @@ class FrameStore:
         return self._load((source, frame_id), wanted=True)
 
     def kept(self, source: str, frame_id: str) -> LoadedFrame | None:
-        """The frame where it is in memory; None where it would have to be loaded."""
+        """Frame in memory; None if not loaded."""
         with self._lock:
             return self._loaded.get((source, frame_id)) or self._shown.get((source, frame_id))
 
     def prepare(
         self, source: str, frame_ids: Iterable[str], then: Callable[[LoadedFrame], object] | None = None
     ) -> None:
-        """Make frames ready that may be opened next, the likeliest first, on one thread and while nobody waits."""
+        """Prepare likely next frames, the likeliest first, on a single thread and while nobody waits."""
         with self._lock:
             for frame_id in frame_ids:
                 self._ahead[source, frame_id] = self._ahead.pop((source, frame_id), None) or then
@@ -212,7 +212,7 @@ class FrameStore:
             self._loaded.popitem(last=False)
 
     def let_go(self) -> None:
-        """Keep no frame but those that somebody holds."""
+        """Drop all frames but those in use."""
         with self._lock:
             self._loaded.clear()
 
@@ -233,12 +233,12 @@ class FrameStore:
         return LoadedFrame(context, objects, problem, self.told.get(key[0]), doubt)
 
     def _give_way(self, making: _Making | None = None) -> None:
-        """What nobody waits for waits itself while somebody is being answered."""
+        """Pause unawaited work while somebody is being answered."""
         while (making is None or not making.wanted) and self._busy() and threading.main_thread().is_alive():
             time.sleep(YIELD_SECONDS)
 
     def tell_up(self, source: str, told: ToldUp | None) -> None:
-        """Take what is said of a source's up, for whoever loads from here; None takes back all that was said."""
+        """Set up of a pipeline, for every later load; None takes back all."""
         with self._lock:
             opened = self.sources[source]
             if told is None:
@@ -258,7 +258,7 @@ KEPT_PICTURES, KEPT_PLANS = 600, 16
 
 
 class PicturesBehind:
-    """Small pictures of frames, and plans of cameras, of several sources: made on threads of their own, a few kept."""
+    """Thumbnails of frames and plans of cameras, of several pipelines: made on own threads, a few kept."""
 
     def __init__(self, sources: Mapping[str, Pipeline]) -> None:
         self._sources = sources
@@ -267,7 +267,7 @@ class PicturesBehind:
         self._plans: Recent[tuple[str, str], tuple[CameraPlan | None]] = Recent(KEPT_PLANS)
 
     def picture(self, source: str, frame_id: str, width: int) -> Future[bytes]:
-        """The picture of a frame as JPEG, so many pixels wide; empty for a broken frame."""
+        """Thumbnail of a frame as JPEG of a width in pixels; empty for a broken frame."""
         key = source, frame_id, width
         return self._behind.submit(lambda: self._pictures.get(key, lambda: self._draw(*key)))
 
@@ -277,7 +277,7 @@ class PicturesBehind:
         return b""
 
     def plan(self, source: str, frame_id: str, then: Callable[[CameraPlan | None], object]) -> None:
-        """Find where the cameras of a frame's scene stand, and tell."""
+        """Find the cameras of a frame's scene, and call back."""
         dataset = self._sources[source].dataset
         key = (source, scene_of(dataset, frame_id))
         self._behind.submit(lambda: then(self._plans.get(key, lambda: (camera_plan(dataset, frame_id),))[0]))

@@ -1,4 +1,4 @@
-"""Whether predictions of other pipelines are in the coordinates, units and orders that their header says."""
+"""Check of the coordinates, units and orders declared by the header of predictions."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ FEW_MEET, MOST_MEET = 0.5, 0.7
 
 
 def check_places(frames: Sequence[tuple[ImportedPipeline, str]]) -> None:
-    """Look whether 2D boxes lie in the picture, and 3D boxes where their pixels are.
+    """Check 2D boxes against the picture, and 3D boxes against their pixels.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def check_places(frames: Sequence[tuple[ImportedPipeline, str]]) -> None:
 
 
 def _answered_spot(line: Prediction, header: Header, width: int, height: int) -> np.ndarray | None:
-    """(2,) float64: the point that was answered, or the centre of the box, pixels; None for another answer."""
+    """(2,) float64: answered point, or centre of the box, pixels; None for another answer."""
     if line.answer is None or (line.answer.point is None and line.answer.box is None):
         return None
     if line.answer.point is not None:
@@ -142,7 +142,7 @@ def _answered_spot(line: Prediction, header: Header, width: int, height: int) ->
 
 
 class _Plain:
-    """A detector by name only, whose objects are lifted here from their pixels, whatever boxes the file has."""
+    """Detector by name alone, with objects lifted here from their pixels, ignoring boxes of the file."""
 
     exact, reads_annotations, vocabulary = False, False, None
 
@@ -165,7 +165,7 @@ def _placed(given: GivenBox, source: ImportedPipeline, context: PreparedFrame, l
 
 
 def _judge_flat(flat: dict[str, list[float]], header: Header, predictions: Predictions) -> None:
-    """InputError where 2D boxes, read in another order, lie on their objects and, as the header says, do not."""
+    """Raise InputError for 2D boxes on their objects in another order, but not in the header's."""
     if len(flat[header.boxes]) < 3:
         return
     found = {order: float(np.median(values)) for order, values in flat.items()}

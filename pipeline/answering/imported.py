@@ -1,8 +1,8 @@
-"""Predictions of another pipeline as a source of ours: its proposals, boxes, probabilities and scores as they stand.
+"""Imported predictions as a pipeline: given proposals, boxes, probabilities and scores, unchanged.
 
-A detector that gives its proposals, a relation scorer that gives its probabilities, a ranking that gives its scores.
-What was given is never computed anew. Where the truth is put in place of a part of it, the relations of what is new are
-scored by the scorer that the file names, else by the rule, as a stand-in that is told as such.
+A detector with given proposals, a relation scorer with given probabilities, a ranking with given scores: none is
+computed anew. Where the truth replaces a part, relations of new objects are scored by the scorer named in the file,
+else by the rule, a stand-in named as such.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ from pipeline.system.reading import checked
 
 
 def label_of(predictions: Predictions) -> str:
-    """Whose and how much, as it stands wherever something of theirs is shown."""
+    """Label of predictions, shown with any part of them: system and level."""
     return f"{predictions.header.system} (imported, level {predictions.level})"
 
 
 class GivenDetector:
-    """Gives the proposals of a line; without a line those of all lines of the frame.
+    """Detector giving the proposals of a line; without a line those of all lines of the frame.
 
     `below`: `detect_with_dropped` holds also what was below the minimum score; `final`: what is given goes on as it is:
     nothing is suppressed, cut off or calibrated; `told_by_ids`: only one id is one thing.
@@ -83,7 +83,7 @@ class GivenDetector:
         return self._found(frame, labels, lambda p: p.dropped is None)
 
     def detect_with_dropped(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
-        """As `detect`, with what did not go on."""
+        """Detections with the dropped ones."""
         return self._found(frame, labels, lambda p: p.dropped is None or p.dropped in self._drops)
 
     def _found(self, frame: Frame, labels: Sequence[str] | None, keep: Callable[[Proposal], bool]) -> Proposals:
@@ -131,12 +131,12 @@ class GivenDetector:
         )
 
     def box(self, frame: Frame, i: int) -> Box3D | None:
-        """The 3D box of an object; None where none is given."""
+        """3D box of an object; None if not given."""
         given = self.predictions.box_of(frame.id, i)
         return None if given is None else box_3d(given, self.predictions.header, frame.camera)
 
     def finished(self, entry: SceneObject, context: PreparedFrame) -> SceneObject:
-        """An object as it was lifted here, with their box, to which its points are moved, and their attributes."""
+        """Object as lifted here, with the given box, its points moved to match, and given attributes."""
         told = {} if self.line is None else {
             name: p for name, rows in (self.line.attributes or {}).items() for i, p in rows if i == entry.id
         }  # fmt: skip
@@ -148,33 +148,32 @@ class GivenDetector:
 
 
 def alike(a: Box3D, b: Box3D) -> bool:
-    """Whether two boxes are one, up to rounding."""
+    """True for equal boxes, up to rounding."""
     return all(np.allclose(x, y, atol=1e-6) for x, y in ((a.center, b.center), (a.R, b.R), (a.size, b.size)))
 
 
 def scorer_of(predictions: Predictions, line: Prediction | None, stand_in: RelationScorer) -> GivenRelations:
-    """The relation probabilities of a line, and for pairs that it does not have those of a stand-in, which may be asked
-    again where it is what made them."""
+    """Relation probabilities of a line, and for missing pairs those of a stand-in, asked again if their origin."""
     relations = {} if line is None or line.relations is None else line.relations
     name = stand_in.name if line is not None and line.relations is None else label_of(predictions)
     return GivenRelations(relations, stand_in, name, predictions.header.scorer is not None)
 
 
 def file_of(source: Pipeline) -> Predictions:
-    """The predictions that a pipeline reads its answers from."""
+    """Predictions read by a pipeline."""
     assert source.predictions is not None
     return source.predictions
 
 
 def line_of(source: Pipeline) -> Prediction:
-    """The prediction that a pipeline of one expression is about."""
+    """Prediction behind a pipeline of a single expression."""
     assert source.line is not None
     return source.line
 
 
 @dataclass(frozen=True)
 class ImportedPipeline(Pipeline):
-    """A dataset with the predictions of another pipeline, of the whole file or of one `line`."""
+    """Dataset with the predictions of another pipeline, of the whole file or of a single `line`."""
 
     predictions: Predictions = field(kw_only=True)
     rescore: Rescore | None = None  # Asks the other pipeline's ranking again; see `pair_rules.Rescore`
@@ -182,11 +181,11 @@ class ImportedPipeline(Pipeline):
 
     @cached_property
     def rules(self) -> RunRules:
-        """What the file shows of its ranking."""
+        """Ranking rules shown by the file."""
         return self.shown or RunRules.of(self.predictions)
 
     def asked(self, frame_id: str, text: str) -> Pipeline:
-        """The source of one expression; InputError where the file has no line for it."""
+        """Pipeline of a single expression; InputError for an expression without a line."""
         file = self.predictions
         line = file.line(frame_id, text)
         if line is None:
@@ -221,7 +220,7 @@ class ImportedPipeline(Pipeline):
 
 
 def _given_reader(line: Prediction, system: str) -> Callable[..., Query]:
-    """Reads the expression as the line says that it was read."""
+    """Reader giving the parse of the line."""
 
     def read(text: str, **options: Any) -> Query:
         phrase = PHRASE.get(line.relation or "", line.relation)
@@ -234,7 +233,7 @@ def _given_reader(line: Prediction, system: str) -> Callable[..., Query]:
 
 
 def open_imported(predictions: Path, dataset: Any, **options: Any) -> ImportedPipeline:
-    """A dataset with the predictions of a file.
+    """Open a dataset with the predictions of a file.
 
     `dataset`, `options`: as for `open_pipeline`; what names models is refused.
     """
@@ -271,7 +270,7 @@ def open_imported(predictions: Path, dataset: Any, **options: Any) -> ImportedPi
 
 
 def config_of(predictions: Predictions) -> AskConfig:
-    """How the header says that answers were found; InputError where its settings are none."""
+    """Settings of the header; InputError for invalid settings."""
     config, header = AskConfig(), predictions.header
     if header.settings is not None:
         check, wrong = TypeAdapter(AskConfig).validate_python, "line 1, {}: not the settings of a run"
@@ -281,14 +280,14 @@ def config_of(predictions: Predictions) -> AskConfig:
 
 
 def open_source(dataset: Any, **options: Any) -> Pipeline:
-    """`open_pipeline`, or with `predictions` what another pipeline gave: `open_imported`."""
+    """Open a pipeline, with `predictions` an imported one."""
     if options.get("predictions") is None:
         return open_pipeline(dataset, **{k: v for k, v in options.items() if k != "predictions"})
     return open_imported(dataset=dataset, **options)
 
 
 def needed_names(line: Prediction, names: Collection[str], predictions: Predictions) -> None:
-    """InputError where a line with proposals has none, not even an empty list, for a name that the expression asks."""
+    """Raise InputError for a line with proposals but none, not even an empty list, for an asked name."""
     for name in names:
         require(
             line.proposals is None or name in (line.unknown or {}) or given_names(name, line),
@@ -300,8 +299,10 @@ def needed_names(line: Prediction, names: Collection[str], predictions: Predicti
 
 
 def needed_rows(line: Prediction, predictions: Predictions, gold: tuple[str, str, str] | None = None) -> None:
-    """InputError where a line with relations lacks the probability of a pair that it asks for: none is made up; or
-    answers with another pair than one of these. `gold` is target, relation and reference, where they are known."""
+    """Raise InputError for a line with relations but no probability of an asked pair, or answering another pair.
+
+    `gold` is target, relation and reference, where known.
+    """
     missing = missing_row(line, gold) if line.ranked else None
     if missing is not None and missing[0] in PAIRWISE:
         relation, a, b = missing

@@ -1,4 +1,4 @@
-"""Traces, relations and frame reports as the stable keys of `--json`."""
+"""JSON records of traces, relations and frame reports, with stable keys."""
 
 from __future__ import annotations
 
@@ -60,22 +60,21 @@ def object_record(entry: SceneObject) -> Record:
 
 
 def present(**values: Any) -> Record:
-    """What is not None."""
+    """Arguments other than None."""
     return {name: value for name, value in values.items() if value is not None}
 
 
 def viewer_record(viewer: ViewerAxes) -> Record:
-    """The up vector that was used, how it is known, and with "up_doubt" what the frame says against it."""
+    """Up vector used, its source, and with "up_doubt" evidence against it."""
     return {"up": _numbers(viewer.up, 6), "up_source": viewer.up_source} | present(up_doubt=viewer.up_doubt or None)
 
 
 def expression_record(query: Query) -> Record:
-    """target, relation, reference (null without a relation), the tree, and, where there are several, the readings.
+    """Target, relation, reference (null without a relation), the tree, and the readings if several.
 
     With "inverse" the relation holds from the reference to the target: "table holding a lamp" is lamp on table.
-    "unused" lists the words that say something and could not be used, each with the reason; "mended" the misspelt words
-    with what each was read as; "asked" of each thing the phrase that the detector was asked for, null where that was
-    everything; "reader" what read it, where it was not the grammar.
+    "unused" lists words left out, each with the reason; "mended" the misspelt words with their readings; "asked" the
+    phrase asked of the detector for each noun, null for everything; "reader" the reader, if not the grammar.
     """
     e = query.expression
     record: Record = {
@@ -98,7 +97,7 @@ def expression_record(query: Query) -> Record:
 
 
 def noun_record(node: Node) -> Record:
-    """A noun phrase with all that is said of it; only what is said stands there."""
+    """Noun phrase with its description, without empty fields."""
     return {"label": node.label} | present(
         head=node.head or None,
         viewer=node.viewer or None,
@@ -117,7 +116,7 @@ def noun_record(node: Node) -> Record:
 
 
 def pair_record(trace: Trace, pair: ScoredPair) -> Record:
-    """One ranked pair; target and reference are places in "proposals"."""
+    """Ranked pair; target and reference are places in "proposals"."""
     return {
         "target": pair.target,
         "reference": pair.reference,
@@ -148,7 +147,7 @@ def _link_record(link: Link) -> Record:
 
 
 def trace_record(trace: Trace) -> Record:
-    """The whole of `ask --json` for one expression on one frame.
+    """Record of `ask --json` for an expression on a frame.
 
     "answer" is the best pair, null without any: "holds" says whether every relation of the expression is at least as
     probable as not, null where words of it were not used and the rest holds, "relation_probability" is that of the
@@ -197,13 +196,13 @@ def trace_record(trace: Trace) -> Record:
 
 
 def _asked_probability(trace: Trace, pair: ScoredPair) -> float | None:
-    """That a pair stands in what was asked; None where the only relation of the question was left out of it."""
+    """Probability of the asked relation for a pair; None where the only relation was left out."""
     lost = pair.reference is None and asked_in_part(trace)
     return None if lost else _probability(pair.relation_probability)
 
 
 def _name_record(text: str, meant: Meaning) -> Record:
-    """A name of the question that stands for what the detector calls something else."""
+    """Name of the question replaced by the detector's name."""
     return {"said": text, "taken_as": meant.name, "how": meant.how, "score": meant.score}
 
 
@@ -240,7 +239,7 @@ def _relations_of_pairs(trace: Trace, pairs: Sequence[ScoredPair]) -> Record:
 
 
 def relation_records(found: FrameRelations, relations: Sequence[str] = PAIRWISE) -> Iterator[Record]:
-    """One record for each ordered pair of objects; the sentence is "a RELATION b".
+    """Records of all ordered pairs of objects; the sentence is "a RELATION b".
 
     An object's index is its place in the dataset's own list where the objects
     are the dataset's, else its place among the detections.
@@ -266,7 +265,7 @@ def relation_records(found: FrameRelations, relations: Sequence[str] = PAIRWISE)
 
 
 def frame_record(report: FrameReport) -> Record:
-    """One record of `frames --json`; "moves" only where the dataset has moves. "dataset_notes" are the same in all."""
+    """Record of `frames --json`; "moves" only where the dataset has moves. "dataset_notes" are equal in all."""
     return {
         "index": report.index,
         "frame": report.id,

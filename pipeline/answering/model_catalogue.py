@@ -1,4 +1,4 @@
-"""What networks can be used: the contracts of the adapters, public files, what is here; and what a file is."""
+"""Catalogue of usable networks: contracts of the adapters, public and installed files; and identification of a file."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ BOXES_CONTRACT = DetectorContract(
 
 
 def depth_contracts() -> tuple[DetectorContract, ...]:
-    """Those of the networks that estimate depth, as their TOML files say them."""
+    """Contracts of the depth networks, by their TOML files."""
     return tuple(_depth_contract(name) for name in network_names())
 
 
@@ -55,7 +55,7 @@ def _depth_contract(name: str) -> DetectorContract:
 
 @dataclass(frozen=True)
 class Adapter:
-    """What an option reads."""
+    """Option reading a network."""
 
     option: str  # "--detector grounding-dino"
     contracts: tuple[DetectorContract, ...]  # Any of them, or an encoder and a decoder of them
@@ -65,7 +65,7 @@ class Adapter:
 
 @dataclass(frozen=True)
 class FileReport:
-    """What a file is."""
+    """Identification of a model file."""
 
     path: Path
     megabytes: float | None  # In 10**6 bytes
@@ -79,7 +79,7 @@ class FileReport:
 
 @dataclass(frozen=True)
 class Here:
-    """What this machine has."""
+    """Inventory of this machine."""
 
     version: str  # Of ONNX Runtime
     providers: tuple[str, ...]  # What it was built with
@@ -88,7 +88,7 @@ class Here:
 
 
 def adapters() -> tuple[Adapter, ...]:
-    """Every option that reads a network."""
+    """Options reading networks."""
     contracts = (*DETECTORS, BOXES_CONTRACT, *SEGMENTERS, *depth_contracts())
     options = dict.fromkeys(c.option for c in contracts)
     text = {c.option for c in contracts if any(s.name == "input_ids" for s in c.inputs)}
@@ -105,7 +105,7 @@ def adapters() -> tuple[Adapter, ...]:
 
 
 def is_fetched(model: KnownModel) -> bool:
-    """Whether a public model was fetched by its id."""
+    """True for a public model fetched by its id."""
     return any(
         fetched(HubId(model.repo, f.file, model.revision)) is not None
         for f in model.files
@@ -114,7 +114,7 @@ def is_fetched(model: KnownModel) -> bool:
 
 
 def look_around() -> Here:
-    """What this machine has."""
+    """Take the inventory of this machine."""
     import onnxruntime as ort
 
     return Here(
@@ -126,9 +126,9 @@ def look_around() -> Here:
 
 
 def describe_file(path: Path) -> FileReport:
-    """What an ONNX file is; a file that cannot be opened is described by its problem.
+    """Identify an ONNX file; an unreadable file is described by its problem.
 
-    A file of the hub may be named by its id, where it was fetched before: nothing is fetched here.
+    A file of the hub may be named by its id if fetched before: nothing is fetched here.
     """
     hub_id = parse_hub_id(path)
     try:
@@ -173,7 +173,7 @@ def _missing(path: Path, kind: FileKind, names: tuple[str, ...]) -> tuple[str, .
 
 
 def _need_companions(path: Path, option: str, names: tuple[str, ...]) -> None:
-    """Find what an option needs beside the file; raises as the option itself would."""
+    """Find the companion files of an option; raises as the option itself would."""
     require(
         not (option == "--detector yolo-seg" and not names),
         "its metadata hold no class names: --model-config FILE gives them",

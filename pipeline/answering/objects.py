@@ -1,4 +1,4 @@
-"""A frame made ready for questions, and its objects: proposals lifted to 3D once each."""
+"""Prepared frame, and its objects: proposals lifted to 3D once each."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ BOX_MARGIN_M = 0.02
 
 @dataclass(frozen=True)
 class SceneObject:
-    """One proposal in 3D."""
+    """Proposal in 3D."""
 
     id: int  # The detector's own identity; the annotation's index for `annotations`, -1 where it has none
     label: str
@@ -45,16 +45,16 @@ class SceneObject:
 
     @property
     def box(self) -> Box3D | None:
-        """In the camera frame, metres; None where no point has a depth."""
+        """3D box in the camera frame, metres; None without depth."""
         return self.lifted.box
 
     def name(self, index: int, exact: bool) -> str:
-        """As tables call it: by the dataset's own number where it is the dataset's, else by its place in the list."""
+        """Name in tables: by the dataset's own number for exact objects, else by place in the list."""
         return f"{self.label}·{self.id if exact else index}"
 
 
 class PreparedFrame:
-    """A frame with everything that does not depend on the question, computed once.
+    """Frame with every result independent of the question, computed once.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class PreparedFrame:
         return f"<PreparedFrame {self.frame.id!r}, up {self.viewer.up_source}>"
 
     def lift(self, proposals: Proposals, detector: Detector) -> tuple[SceneObject, ...]:
-        """The proposals in 3D; one that was lifted before is not lifted again."""
+        """Lift proposals to 3D, each once."""
         found = []
         fingerprint = detector.fingerprint()
         for i in range(len(proposals)):
@@ -120,12 +120,12 @@ class PreparedFrame:
         return tuple(found)
 
     def _with_fixed_box(self, lifted: LiftedObject, index: int) -> LiftedObject:
-        """An annotated object with the 3D box that is to stand, if there is one, and its points moved with it."""
+        """Annotated object with a fixed 3D box, if any, and its points moved along."""
         box = next((a.box for a in self.frame.annotations if a.index == index and a.fixed), None)
         return lifted if box is None else lifted.moved_to(box, self.viewer)
 
     def _mask(self, proposals: Proposals, i: int, exact: bool) -> tuple[np.ndarray, MaskSource]:
-        """The pixels of a proposal, and whose they are."""
+        """Pixels of a proposal, and their source."""
         masked = proposals.masks is not None and (proposals.has_mask is None or bool(proposals.has_mask[i]))
         segmented = masked and proposals.segmented is not None and bool(proposals.segmented[i])
         if proposals.masks is not None and masked and not segmented:
@@ -147,14 +147,14 @@ class PreparedFrame:
 def prepare_frame(
     dataset: Dataset, frame: Frame, config: LiftConfig | None = None, *, boxes: bool = True
 ) -> PreparedFrame:
-    """A frame of a dataset made ready: where it has a pose and no up vector of its own, its scene's is taken."""
+    """Prepare a frame of a dataset: with a pose but no up vector of its own, its scene's is taken."""
     camera = resolved_camera(dataset, frame)
     doubt = "" if camera.untold else scene_doubt(dataset, frame, camera)
     return PreparedFrame(replace(frame, camera=camera), config, boxes=boxes, up_doubt=doubt)
 
 
 def pixels_inside(box: Box3D, mask: np.ndarray, frame: Frame, margin: float = BOX_MARGIN_M) -> np.ndarray:
-    """(H, W) bool: the pixels of a mask whose points lie in a 3D box (camera frame) or at most `margin` m beyond."""
+    """(H, W) bool: pixels of a mask with points in a 3D box (camera frame) or at most `margin` m beyond."""
     v, u = np.nonzero(mask & (frame.depth > 0))
     points = backproject(frame.depth, frame.camera, v, u)
     inside = (np.abs((points - box.center) @ box.R) <= box.size / 2 + margin).all(axis=1)
@@ -164,13 +164,13 @@ def pixels_inside(box: Box3D, mask: np.ndarray, frame: Frame, margin: float = BO
 
 
 def all_objects(context: PreparedFrame, detector: Detector) -> tuple[SceneObject, ...]:
-    """Everything the detector finds in the frame, in the order of its identities."""
+    """Detect everything in the frame, in the order of identities."""
     proposals = detector.detect(context.frame, None)
     return context.lift(proposals.take(np.argsort(proposals.ids, kind="stable")), detector)
 
 
 def same_object(objects: Sequence[SceneObject], exact: bool) -> np.ndarray:
-    """Which entries are one and the same thing, seen by separate detector runs.
+    """Pairs of entries of the same object, seen by separate detector runs.
 
     Parameters
     ----------
@@ -222,7 +222,7 @@ def mask_iou(masks: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def appearance_of(objects: Sequence[SceneObject], frame: Frame) -> Appearance:
-    """How the objects look in the frame they were lifted from."""
+    """Appearance of objects in the frame of their lifting."""
     bboxes = np.array([o.bbox for o in objects], np.float64).reshape(-1, 4)
     labels, ids = tuple(o.label for o in objects), tuple(o.id for o in objects)
     return Appearance(bboxes, labels, frame.width, frame.height, ids)

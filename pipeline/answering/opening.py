@@ -1,4 +1,4 @@
-"""The jobs of the command line as functions: ask, relations, frames, on one frame or on all."""
+"""Pipeline of a dataset and its models; ask, relations and frames, on a single frame or on all."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Skipped = Callable[[str, str], None]
 
 @dataclass(frozen=True)
 class Pipeline:
-    """A dataset with the models to be used on it."""
+    """Dataset with the models to use on it."""
 
     dataset: Dataset
     detector: Detector | None  # None where the dataset has no annotations and no detector was named
@@ -55,17 +55,17 @@ class Pipeline:
 
     @property
     def frames(self) -> Frames:
-        """The frames of the dataset, decoded one by one."""
+        """Frames of the dataset, decoded on access."""
         return Frames(self.dataset)
 
     def prepare(self, frame: int | str | Frame) -> PreparedFrame:
-        """A frame ready for questions: by its number, its id, or one that is at hand; InputError where it is broken."""
+        """Prepare a frame for questions: by its number, its id, or at hand; InputError for a broken frame."""
         if not isinstance(frame, Frame):
             frame = self.dataset.load(resolve_frame(self.dataset, frame))
         return prepare_frame(self.dataset, frame, self.config.lift)
 
     def unfiltered_detector(self) -> Detector:
-        """The detector without a minimum score, for what it sees and does not say; itself where it has none."""
+        """Detector without a minimum score; itself without any."""
         return self._unfiltered or self.needed_detector()
 
     @cached_property
@@ -73,7 +73,7 @@ class Pipeline:
         return None if self.open_unfiltered is None else self.open_unfiltered()
 
     def needed_detector(self) -> Detector:
-        """The detector.
+        """Detector; InputError for none.
 
         Raises
         ------
@@ -91,25 +91,25 @@ class Pipeline:
     def score(
         self, context: PreparedFrame, objects: Sequence[SceneObject], relations: Collection[str] = PAIRWISE
     ) -> RelationScores:
-        """The relations of every ordered pair of the frame's objects; InputError where the scorer lacks a class."""
+        """Relations of every ordered pair of the frame's objects; InputError for a class unknown to the scorer."""
         appearance = appearance_of(objects, context.frame)
         return self.scorer.score([o.lifted for o in objects], context.viewer, appearance, relations)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names that are kept whole in an expression: the dataset's, else those that the detector knows."""
+        """Names kept whole in an expression: the dataset's, else the detector's."""
         return tuple(self.dataset.class_names) or tuple(self.needed_detector().vocabulary or ())
 
     def read(self, text: str) -> Query:
-        """An expression as it is read here; InputError where it cannot be."""
+        """Read an expression; InputError if unreadable."""
         return self.reader(text, class_names=self.names, relations=self.config.relations, synonyms=self.synonyms)
 
     def asked(self, frame_id: str, text: str) -> Pipeline:
-        """What answers one expression: itself, unless the answers were given elsewhere, each with what led to it."""
+        """Pipeline of a single expression: itself, or of imported predictions that of its line."""
         return self
 
     def ask(self, frame: Frame | PreparedFrame, text: str) -> Trace:
-        """Answer an expression on a frame with these models; raises as `pipeline.answering.ask.ask`."""
+        """Answer an expression on a frame with these models."""
         own = self.asked(frame.id if isinstance(frame, Frame) else frame.frame.id, text)
         return ask(
             frame,
@@ -224,7 +224,7 @@ def open_pipeline(
 
 
 def make_reader(reader: str | Reader, url: str | None, model: str | None) -> Reader:
-    """What reads expressions, by its name or as it is; InputError where the server or its model is missing."""
+    """Reader by name or as given; InputError for a missing server or model."""
     if not isinstance(reader, str):
         return reader
     if reader == "grammar":
@@ -237,14 +237,14 @@ def make_reader(reader: str | Reader, url: str | None, model: str | None) -> Rea
 
 
 def _refuse(options: Mapping[str, object], what: str) -> None:
-    """InputError where one of the options is given."""
+    """Raise InputError for any of these options."""
     given = [name for name, value in options.items() if value is not None]
     if given:
         raise InputError(f"{given[0]} is not for {what}", got=options[given[0]], expected="leave it out")
 
 
 def open_sources(path: str | Path, **options: Any) -> tuple[dict[str, Pipeline], dict[str, str]]:
-    """A dataset, or all datasets in the folders of a folder.
+    """Open a dataset, or all datasets in the folders of a folder.
 
     Parameters
     ----------
@@ -284,14 +284,14 @@ def open_sources(path: str | Path, **options: Any) -> tuple[dict[str, Pipeline],
 
 
 def frame_ids(dataset: Dataset, key: str | int | None) -> tuple[str, ...]:
-    """The frames that a FRAME argument means: an id, an index, "all" (or None)."""
+    """Frames of a FRAME argument: an id, an index, "all" (or None)."""
     if key is None or key == ALL_FRAMES:
         return dataset.frame_ids
     return (resolve_frame(dataset, key),)
 
 
 def frame_range(dataset: Dataset, text: str) -> tuple[str, ...]:
-    """The frames that a --frames option means: "all", FROM:TO by index with FROM in and TO out, an id, an index.
+    """Frames of a --frames option: "all", FROM:TO by index with FROM in and TO out, an id, an index.
 
     Raises
     ------
@@ -307,7 +307,7 @@ def frame_range(dataset: Dataset, text: str) -> tuple[str, ...]:
 
 
 def contexts(source: Pipeline, key: str | int | None, skipped: Skipped | None = None) -> Iterator[PreparedFrame]:
-    """The frames, ready for questions, one at a time.
+    """Prepared frames, lazily.
 
     A broken frame that was asked for by name is an error; among all frames it is skipped with its reason.
     """
@@ -321,7 +321,7 @@ def contexts(source: Pipeline, key: str | int | None, skipped: Skipped | None = 
 
 
 def skip_or_raise(error: InputError, key: str | int | None, frame_id: str, skipped: Skipped | None) -> None:
-    """Raise the error where the frame was asked for by name; among all frames, tell of it and go on."""
+    """Raise the error of a frame asked by name; among all frames, report and go on."""
     if key is not None and key != ALL_FRAMES:
         raise error
     if skipped is not None:
@@ -330,8 +330,8 @@ def skip_or_raise(error: InputError, key: str | int | None, frame_id: str, skipp
 
 @dataclass(frozen=True)
 class FrameRelations:
-    """All objects of a frame and every relation between them; `exact` where the objects are the dataset's own, `viewer`
-    the axes in which they were judged, `depth_source` that of the frame."""
+    """Objects of a frame with every relation between them; `exact` for the dataset's own objects, `viewer` the judged
+    axes, `depth_source` of the frame."""
 
     frame_id: str
     objects: tuple[SceneObject, ...]
@@ -342,7 +342,7 @@ class FrameRelations:
 
 
 def relate_frames(source: Pipeline, key: str | int | None, skipped: Skipped | None = None) -> Iterator[FrameRelations]:
-    """Every pair of objects of every frame that `key` means."""
+    """Score every pair of objects of every frame of `key`."""
     detector = source.needed_detector()
     for context in contexts(source, key, skipped):
         try:

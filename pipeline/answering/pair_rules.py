@@ -1,9 +1,9 @@
-"""Rankings that are not a product of ours: known by the scores that they gave, and not by how they come about.
+"""Ranking rules of imported predictions: known by the given scores, not by their derivation.
 
-What a pair scored is taken as it stands. With other factors, P(target), P(reference) and P(relation), it scores by so
-much more or less as a model of the ranking says: the pipeline where it can be asked again (`Rescore`), the product that
-the header names, else what the file shows (`shown_ranking`). A ranking that its factors do not explain has none: it is
-not separable into modules, and nothing is said of them.
+Given scores of pairs are kept. With other factors, P(target), P(reference) and P(relation), a pair scores by so much
+more or less as a model of the ranking says: the pipeline where it can be asked again (`Rescore`), the product named by
+the header, else the fit of the file (`shown_ranking`). A ranking not explained by its factors has no model: it is not
+separable into modules, and nothing is said of them.
 """
 
 from __future__ import annotations
@@ -34,22 +34,22 @@ STEP = 1e-6
 
 
 def factors_of(line: Prediction) -> Factors:
-    """P(target), P(reference), P(relation) of the pairs of a line that says one relation of two names, by ids."""
+    """P(target), P(reference), P(relation) of the pairs of a line with a single relation of two names, by ids."""
     relation, (first, second) = _ends(line, _asked(line))
     rows = (line.relations or {}).get(relation, ())
     return {(r[0], r[1]): (first[r[0]], second[r[1]], r[-1]) for r in rows if r[0] in first and r[1] in second}
 
 
 def given_names(name: str, line: Prediction) -> tuple[str, ...]:
-    """The names of a line's proposals that a name of its expression means: the very same alone, where it is there."""
+    """Names of a line's proposals meant by a name of its expression: an equal name alone, if present."""
     names = tuple(line.proposals or ())
     return (name,) if name in names else match(name, names)
 
 
 def missing_row(line: Prediction, gold: tuple[str, str, str] | None = None) -> tuple[str, int, int] | None:
-    """The relation that a line asks, and the first pair of candidates that it has no probability for; None for none.
+    """Asked relation of a line, and the first candidate pair without a probability; None for none.
 
-    `gold` is what is asked (target, relation, reference), where that is known.
+    `gold` is the asked triple (target, relation, reference), where known.
     """
     return _lacking(line, gold or _asked(line))
 
@@ -61,7 +61,7 @@ def _lacking(line: Prediction, asked: tuple[str, str, str] | None) -> tuple[str,
 
 
 def _ends(line: Prediction, asked: tuple[str, str, str] | None) -> tuple[str, list[dict[int, float]]]:
-    """The relation that is asked, and the scores by id of what is proposed for its target and its reference."""
+    """Asked relation, and scores by id of the proposals of its target and its reference."""
     scores: list[dict[int, float]] = [{}, {}]
     for asked_name, found in zip((asked[0], asked[2]) if asked else (), scores, strict=False):
         for p in (p for name in given_names(asked_name, line) for p in (line.proposals or {})[name]):
@@ -71,9 +71,9 @@ def _ends(line: Prediction, asked: tuple[str, str, str] | None) -> tuple[str, li
 
 
 def _asked(line: Prediction) -> tuple[str, str, str] | None:
-    """Target, relation and reference of a line that says no more; None for others, and where it cannot be read.
+    """Target, relation and reference of a plain line; None for others, and unreadable ones.
 
-    Words that are not read here, or as another relation than the only one that the line has, say what that one says.
+    Unreadable words, or a reading other than the line's only relation, take this relation's meaning.
     """
     if line.target and line.relation and line.reference:
         return line.target, line.relation, line.reference
@@ -86,7 +86,7 @@ def _asked(line: Prediction) -> tuple[str, str, str] | None:
 
 
 def _fits(line: Prediction, asked: tuple[str, str, str]) -> bool:
-    """Whether a line has all rows of a reading, and its pairs and answer are of its names."""
+    """True for a line with all rows of a reading, and pairs and answer of its names."""
     first, second = _ends(line, asked)[1]
     answer = line.answer
     pairs = [row[:2] for row in line.pairs or ()] + ([] if answer is None else [(answer.object, answer.reference)])
@@ -107,7 +107,7 @@ def _read(text: str, names: tuple[str, ...]) -> tuple[str, str, str] | None:
 
 @dataclass(frozen=True)
 class RunRules:
-    """What the lines of a file say together of the rule that ranks."""
+    """Ranking rule shown by the lines of a file together."""
 
     shown: ShownRanking | None
     # true_scores: What is high and low for a thing by this file: of what nothing ever had, no score is known
@@ -115,7 +115,7 @@ class RunRules:
 
     @staticmethod
     def of(predictions: Predictions) -> RunRules:
-        """What a file shows whose lines say what pairs scored, or which pair was answered."""
+        """Rule of a file with scores of pairs, or answered pairs."""
         compared = []
         for line in predictions.lines.values():
             factors = factors_of(line)
@@ -131,7 +131,7 @@ class RunRules:
 
 
 def _told_scores(header: Header, line: Prediction, factors: Factors) -> dict[Pair, float]:
-    """What pairs scored, -1 for no reference; where that is not told 1 for those of the answer, and 0."""
+    """Scores of pairs, -1 for no reference; without any 1 for the answer's, and 0."""
     if header.ranking == "pair_scores":
         return {(a, -1 if b is None else b): s for a, b, s in line.pairs or ()}
     answer = line.answer
@@ -142,7 +142,7 @@ def _told_scores(header: Header, line: Prediction, factors: Factors) -> dict[Pai
 
 @dataclass(frozen=True, eq=False)
 class PairRule:
-    """How the pairs of one line score."""
+    """Scores of the pairs of a line."""
 
     # given: dict of (target id, reference id) to float: as the line says, or by the model where it says no scores
     given: dict[Pair, float]
@@ -167,7 +167,11 @@ class PairRule:
     ids: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def among(self, ids: Sequence[int], same: np.ndarray) -> PairRule | None:
-        """With the answer before all others of a list of objects; None where the header's product says so by itself."""
+        """Rule with the answer before all others of a list of objects; None where the header's product agrees already.
+
+        Raises InputError where target and reference of the answer are a single object by `same`, (N, N) bool, and
+        others are not.
+        """
         known = np.array(ids, np.int64)
         apart = {(int(known[i]), int(known[j])) for i, j in np.argwhere(~same)}
         scores = {pair: score for pair, score in self.given.items() if pair in apart or pair[1] < 0}
@@ -182,7 +186,7 @@ class PairRule:
 
     @cached_property
     def _known(self) -> tuple[dict[Pair, int], np.ndarray, np.ndarray, np.ndarray]:
-        """The place of each pair that has both, their factors, scores on the scale, and what the model says of them."""
+        """Place of each pair with factors and score, its factors, scores on the scale, and modelled scores."""
         pairs = [pair for pair in self.given if pair in self.factors]
         factors = np.array([self.factors[pair] for pair in pairs]).reshape(-1, 3)
         ids = np.array(pairs, np.int64).reshape(-1, 2)
@@ -199,8 +203,8 @@ class PairRule:
     def scores(self, target: Side, ends: Sequence[Side], p: np.ndarray, regular: bool = False) -> np.ndarray:
         """S of a table of pairs, of the shape of `p` with all axes of scenes.
 
-        What the line gives, and as much more or less as the model says of other factors; `regular` is by the model
-        alone, on its scale. Parameters else as for `pair_table`; of two ends it is known which target was answered.
+        Given scores, and as much more or less as the model says of other factors; `regular` is by the model alone, on
+        its scale. Parameters else as for `pair_table`; of two ends the answered target is known.
         """
         if len(ends) > 1:
             own = np.isin(self.ids[target.index], [a for a, _ in self.given])
@@ -240,13 +244,13 @@ class PairRule:
 
 @dataclass(frozen=True)
 class RuledConfig(RankConfig):
-    """Weights that a rule stands in for."""
+    """Weights replaced by a rule."""
 
     pairs: PairRule | None = field(default=None, compare=False)
 
     @property
     def rule(self) -> PairRule | None:
-        """What scores pairs in place of the product."""
+        """Rule scoring pairs in place of the product."""
         return self.pairs
 
     @property
@@ -254,13 +258,13 @@ class RuledConfig(RankConfig):
         return super().true_scores if self.pairs is None else self.pairs.true_scores
 
     def of(self, ids: Sequence[int], same: np.ndarray | None = None) -> RuledConfig:
-        """The same for a list of objects with these ids, of which some are one thing ((N, N) bool)."""
+        """Config for a list of objects with these ids, some identical ((N, N) bool)."""
         rule = self.pairs if self.pairs is None or same is None else self.pairs.among(ids, same)
         return replace(self, pairs=None if rule is None else replace(rule, ids=np.array(ids, np.int64)))
 
 
 def line_rule(run: RunRules, header: Header, line: Prediction, rescore: Rescore | None) -> PairRule | None:
-    """The rule of a line; None where its ranking is the header's product, and says the answer."""
+    """Rule of a line; None for the header's product agreeing with the answer."""
     known, model = PairRule({}), run.shown and partial(_shown, run.shown)
     if header.ranking == "product":
         known, model = replace(known, told=False), partial(_product, header)
@@ -292,8 +296,7 @@ def line_rule(run: RunRules, header: Header, line: Prediction, rescore: Rescore 
 
 
 def _unscored_last(told: dict[Pair, float], factors: Factors) -> dict[Pair, float]:
-    """Scores with those of pairs that a line has factors of and no scores: it did not rank them, and so they stand
-    below all that it did."""
+    """Scores with unranked pairs of known factors below all ranked ones."""
     if not told or factors.keys() <= told.keys():
         return told
     least = min(told.values())
@@ -301,13 +304,13 @@ def _unscored_last(told: dict[Pair, float], factors: Factors) -> dict[Pair, floa
 
 
 def _answers(answer: GivenAnswer, pair: Pair) -> bool:
-    """Whether an answer is a pair."""
+    """True for an answer meaning a pair."""
     return pair[0] == answer.object and (answer.reference is None or pair[1] in (-1, answer.reference))
 
 
 def _answered_first(answer: GivenAnswer, scores: dict[Pair, float], ahead: float) -> dict[Pair, float]:
-    """Scores by which the answer stands first: as they are, or that of its best pair raised over a tie, and by so much
-    `ahead` where it stood below others. Which of equal pairs was answered only the system knows."""
+    """Scores with the answer first: its best pair raised over a tie, and by `ahead` from below others. Only the system
+    knows the answered one of equal pairs."""
     own = [pair for pair in scores if _answers(answer, pair)]
     others = [s for p, s in scores.items() if p not in own]
     if not others:
@@ -336,7 +339,7 @@ def _shown(shown: ShownRanking, ids: np.ndarray, factors: np.ndarray) -> np.ndar
 
 
 def _rescored(rescore: Rescore, line: Prediction, ids: np.ndarray, factors: np.ndarray) -> np.ndarray:
-    """Scene by scene: a ranking may compare the pairs of one line with each other."""
+    """Scene by scene: a ranking may compare the pairs of a line with each other."""
     pairs = ids.reshape(-1, 2)
     every = (rescore(line, pairs, scene) for scene in _scenes(factors, len(pairs)))
     return np.concatenate([[], *every]).reshape(factors.shape[:-1])
@@ -347,7 +350,7 @@ def _scenes(factors: np.ndarray, pairs: int) -> np.ndarray:
 
 
 def _unranked(header: Header, line: Prediction) -> dict[str, Any]:
-    """What is known of a line that does not tell what ranked: its answer, which stands above all else."""
+    """Rule of a line without a known ranking: its answer, above all else."""
     answer, found, words = line.answer, {}, f"{header.system} gave no answer"
     if answer is None and line.problem:
         words += f": {line.problem}"

@@ -1,4 +1,4 @@
-"""PRM's arithmetic: the score of every candidate pair, which pairs are none, and which of them comes first.
+"""Pair scores of PRM: the score of every candidate pair, excluded pairs, and the order.
 
 S = target_weight log P(target) + reference_weight log P(reference) + relation_weight log P(relation). The ranking, an
 evaluation, a diagnosis and a decision map all build this table, with as many axes of scenes in front as they need.
@@ -25,7 +25,7 @@ TIE = 1e-9
 
 @dataclass(frozen=True)
 class RankConfig:
-    """Weights of the three log factors, and how references are aggregated.
+    """Weights of the three log factors, and the aggregation of references.
 
     `max` takes the best pair, as the paper; `marginal` first takes the target
     whose pairs together are most probable.
@@ -38,25 +38,25 @@ class RankConfig:
 
     @property
     def rule(self) -> Any:
-        """What scores pairs in place of the product: a `pair_rules.PairRule` of an imported ranking, or None."""
+        """Rule scoring pairs in place of the product: a `pair_rules.PairRule` of an imported ranking, or None."""
         return None
 
     @property
     def true_scores(self) -> tuple[float, float]:
-        """What counts as the confidence of a thing of the asked class, and of any other."""
+        """Confidence of an object of the asked class, and of any other."""
         return RIGHT_SCORE, WRONG_SCORE
 
     def of(self, ids: Sequence[int], same: np.ndarray | None = None) -> RankConfig:
-        """The same for a list of objects with these identities, of which some are one thing ((N, N) bool)."""
+        """Config for a list of objects with these identities, some identical ((N, N) bool)."""
         return self
 
 
 @dataclass(frozen=True)
 class Link:
-    """One relation of the answer: object `a` RELATION object `b` (and `c`, for between), with its probability.
+    """Relation of the answer: object `a` RELATION object `b` (and `c`, for between), with its probability.
 
-    Where `inverse` is set the relation holds the other way round: "table holding
-    a lamp" has the table as `a`, and says that `b` is on it.
+    With `inverse` the relation holds the other way round: "table holding a lamp" has the table as `a`, and says that
+    `b` is on it.
     """
 
     relation: str
@@ -69,7 +69,7 @@ class Link:
 
 @dataclass(frozen=True)
 class ScoredPair:
-    """One candidate answer."""
+    """Candidate answer."""
 
     target: int
     # reference: Places in the list of objects; None where no pair was allowed, or no relation to another object was
@@ -94,27 +94,27 @@ class ScoredPair:
 
     @property
     def weakest(self) -> Link | None:
-        """The least probable relation of the answer; None where its links are not kept."""
+        """Least probable relation of the answer; None without links."""
         return min(self.links, key=lambda link: link.probability, default=None)
 
     @property
     def relation_probability(self) -> float:
-        """That the pair stands in what was asked: of several relations, the probability of the weakest."""
+        """Probability of the asked relation, of several the weakest."""
         return self.p_relation if self.weakest is None else self.weakest.probability
 
     @property
     def holds(self) -> bool:
-        """All that the expression says is so, as far as the scorers say: every relation, attribute and choice."""
+        """True with every relation, attribute and choice at least as probable as not."""
         return self.relation_probability >= HOLDS and all(f.holds for f in self.factors)
 
     @property
     def p_attributes(self) -> float:
-        """P(attributes, choices | x): what the expression says of the objects alone; 1 where it says nothing."""
+        """P(attributes, choices | x): product of statements on single objects; 1 without any."""
         return math.prod(f.probability for f in self.factors)
 
     @property
     def log_factors(self) -> dict[str, float]:
-        """Each factor's contribution to S, unweighted: what a pair loses where."""
+        """Contribution of each factor to S, unweighted."""
         return {
             "target": float(np.log(max(self.p_target, MIN_SCORE))),
             "reference": float(np.log(max(self.p_reference, MIN_SCORE))),
@@ -124,7 +124,7 @@ class ScoredPair:
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """What may fill one place of a pair."""
+    """Candidates of a place of a pair."""
 
     index: np.ndarray  # (K,) int64: places in the list of objects
     scores: np.ndarray  # (..., K) float64: P(x | name), 0..1
@@ -134,15 +134,15 @@ class Side:
 
 
 def side(index: np.ndarray, scores: np.ndarray, weight: float) -> Side:
-    """One place of a pair on which nothing else hangs."""
+    """Candidates of a place without further relations."""
     # Not np.clip, which costs as much as all the rest.
     return Side(index, scores, weight * np.log(np.minimum(np.maximum(scores, MIN_SCORE), 1 - MIN_SCORE)))
 
 
 def one_object_twice(indices: Sequence[np.ndarray], same: np.ndarray) -> np.ndarray:
-    """Bool array with one axis a place: combinations in which two places are one and the same object.
+    """Bool array with an axis for each place: combinations with two places of the same object.
 
-    `indices` are those into `same`, (N, N) bool: pairs that are one and the same object.
+    `indices` are those into `same`, (N, N) bool: pairs of the same object.
     """
     if len(indices) == 2:
         return same[indices[0][:, None], indices[1]]
@@ -156,7 +156,7 @@ def one_object_twice(indices: Sequence[np.ndarray], same: np.ndarray) -> np.ndar
 
 
 def attached(p: np.ndarray, ends: Sequence[Side], forbidden: np.ndarray, config: RankConfig) -> np.ndarray:
-    """(..., T, R) or (..., T, R, R): what a relation and its ends add to S; -inf where that is forbidden."""
+    """(..., T, R) or (..., T, R, R): contribution of a relation and its ends to S; -inf where forbidden."""
     total = config.relation_weight * np.log(np.maximum(p, MIN_RELATION))
     for axis, end in enumerate(ends, start=1):
         total = total + _along(end.log, axis, 1 + len(ends))
@@ -166,7 +166,7 @@ def attached(p: np.ndarray, ends: Sequence[Side], forbidden: np.ndarray, config:
 def pair_table(
     target: Side, ends: Sequence[Side], p: np.ndarray, forbidden: np.ndarray, sizes: np.ndarray, config: RankConfig
 ) -> PairTable:
-    """The score of all pairs, of one scene or of many at once.
+    """Score all pairs, of a single scene or of many at once.
 
     `ends`: the reference; with "between" both; `p`: (..., T, R) or (..., T, R, R) float64: probability of the relation;
     `forbidden`: no pairs: see `one_object_twice`; `sizes`: (N,) int64: pixels of the mask of every object; the larger
@@ -181,13 +181,13 @@ def pair_table(
 
 
 def _along(values: np.ndarray, axis: int, axes: int) -> np.ndarray:
-    """(..., K) laid along one of the last `axes` axes."""
+    """(..., K) along a single axis of the last `axes` axes."""
     return values.reshape(values.shape[:-1] + tuple(values.shape[-1] if a == axis else 1 for a in range(axes)))
 
 
 @dataclass(frozen=True, eq=False)
 class PairTable:
-    """All pairs of a question. Pairs are counted through: the place of one is that in its scene's flattened table."""
+    """Pairs of a question, numbered by place in their scene's flattened table."""
 
     target: Side
     ends: tuple[Side, ...]
@@ -209,7 +209,7 @@ class PairTable:
         return self.log_score.reshape(math.prod(scenes), math.prod(self.shape))
 
     def scene(self, k: int) -> PairTable:
-        """One scene of a table with one axis of scenes."""
+        """Scene of a table with a single axis of scenes."""
 
         def own(part: Side) -> Side:
             return Side(part.index, *(values[k] if values.ndim > 1 else values for values in (part.scores, part.log)))
@@ -219,12 +219,12 @@ class PairTable:
         return PairTable(own(self.target), ends, p, self.log_score[k], self.sizes, self.config)
 
     def with_relation(self, p: np.ndarray) -> PairTable:
-        """The same pairs with other probabilities of the relation, of the same shape."""
+        """Pairs with other probabilities of the relation, of equal shape."""
         return pair_table(self.target, self.ends, p, np.isneginf(self.log_score), self.sizes, self.config)
 
     @cached_property
     def posterior(self) -> np.ndarray:
-        """(B, P) float64: of each scene's pairs; 0 where there is none."""
+        """(B, P) float64: posterior of each scene's pairs; 0 for no pair."""
         top = self.flat.max(axis=1, keepdims=True, initial=-np.inf)
         top[np.isneginf(top)] = 0
         weight = np.exp(self.flat - top)
@@ -234,15 +234,15 @@ class PairTable:
 
     @cached_property
     def target_posterior(self) -> np.ndarray:
-        """(B, T) float64: of all pairs of a target together."""
+        """(B, T) float64: posterior of all pairs of a target together."""
         return self.posterior.reshape(len(self.flat), self.shape[0], -1).sum(axis=2)
 
     def _mass(self) -> np.ndarray:
-        """(B, P) float64: what `marginal` compares first, in steps of a tie."""
+        """(B, P) float64: first sort key of `marginal`, in steps of a tie."""
         return np.repeat(np.round(self.target_posterior / TIE), self.flat.shape[1] // self.shape[0], axis=1)
 
     def _ties(self, scene: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, ...]:
-        """What decides between pairs of one S, the last first: relation, target's score, its mask, lower places."""
+        """Tie-breakers between pairs of equal S, the last first: relation, target's score, its mask, lower places."""
         i, rest = np.divmod(at, math.prod(self.shape[1:]))
         target = self.target.index[i]
         reference = self.ends[0].index[rest // math.prod(self.shape[2:])] if self.ends else np.zeros_like(target)
@@ -257,7 +257,7 @@ class PairTable:
         )
 
     def order(self) -> np.ndarray:
-        """(K,) int64: the pairs of the only scene, best first."""
+        """(K,) int64: pairs of the only scene, best first."""
         at = np.flatnonzero(np.isfinite(self.flat[0]))
         if not len(at):
             return at
@@ -267,7 +267,7 @@ class PairTable:
         return at[np.lexsort(keys)]
 
     def first(self, allowed: np.ndarray | None = None) -> np.ndarray:
-        """(B,) int64: the pair that comes first in each scene, as in `order`; -1 where there is none.
+        """(B,) int64: first pair of each scene, as in `order`; -1 for none.
 
         Parameters
         ----------
@@ -299,13 +299,13 @@ class PairTable:
         return found
 
     def second(self, first: np.ndarray) -> np.ndarray:
-        """(B,) int64: the pair that comes after the first; -1 where there is none."""
+        """(B,) int64: pair after the first; -1 for none."""
         others = np.isfinite(self.flat)
         others[np.flatnonzero(first >= 0), first[first >= 0]] = False
         return self.first(others)
 
     def lead(self, first: int) -> float:
-        """S of the first pair of the only scene less that of the one after it; inf where it is the only one."""
+        """S of the first pair of the only scene less that of the next; inf for a single pair."""
         scores = self.flat[0]
         if self.config.aggregate == "max":
             # The pair after it is the second largest, or in a tie with that.
@@ -314,7 +314,7 @@ class PairTable:
         return math.inf if second < 0 else float(scores[first] - scores[second])
 
     def pair(self, at: int) -> ScoredPair:
-        """A pair of the only scene, where one relation of two objects is asked; without a relation an object alone."""
+        """Pair of the only scene, for a single relation of two objects; without a relation a single object."""
         i, *ends = (int(x) for x in np.unravel_index(at, self.shape))
         p_target, p = float(self.target.scores[i]), float(self.p_relation.flat[at])
         reference, second = (*(int(e.index[k]) for e, k in zip(self.ends, ends, strict=True)), None, None)[:2]

@@ -1,4 +1,4 @@
-"""Coordinates of predictions: by the header's conventions into ours, and whether they can be what it says."""
+"""Coordinate conventions of predictions: conversion by the header, and checks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ IN_ORDER = ("xyxy", "xywh", "cxcywh", "yxyx")
 
 
 def box_2d(box: tuple[float, ...], header: Header, width: int, height: int) -> np.ndarray:
-    """(4,) float64: x0, y0, x1, y1 in pixels, of a box as the header writes them."""
+    """(4,) float64: x0, y0, x1, y1 in pixels, of a box in the header's convention."""
     a, b, c, d = box
     found = {"xyxy": (a, b, c, d), "xywh": (a, b, a + c, b + d), "yxyx": (b, a, d, c),
              "cxcywh": (a - c / 2, b - d / 2, a + c / 2, b + d / 2)}[header.boxes]  # fmt: skip
@@ -32,13 +32,13 @@ def box_2d(box: tuple[float, ...], header: Header, width: int, height: int) -> n
 
 
 def pixel_scale(header: Header, width: int, height: int) -> np.ndarray:
-    """(2,) float64: pixels in one unit of the header's 2D boxes, along x and y."""
+    """(2,) float64: pixels in a unit of the header's 2D boxes, along x and y."""
     whole = {"pixels": None, "shares": 1.0, "thousandths": 1000.0}[header.box_unit]
     return np.ones(2) if whole is None else np.array([width, height]) / whole
 
 
 def box_3d(given: GivenBox, header: Header, camera: Camera | None) -> Box3D:
-    """A 3D box in the camera frame, metres."""
+    """3D box in the camera frame, metres; InputError for an invalid rotation, invalid corners, or a missing pose."""
     if given.corners is not None:
         box = box_of_corners(np.array(given.corners))
     else:
@@ -59,8 +59,8 @@ def box_3d(given: GivenBox, header: Header, camera: Camera | None) -> Box3D:
 
 
 def box_at_hand(box: Any, where: str) -> Box3D | None:
-    """A 3D box of an array or mapping: (8, 3) corners, or `center`, `size` and `rotation`, (3, 3) or nine numbers, by
-    default along the axes; a Box3D or None as it is. InputError where it is none."""
+    """3D box of an array or mapping: (8, 3) corners, or `center`, `size` and `rotation`, (3, 3) or nine numbers, by
+    default along the axes; a Box3D or None unchanged. InputError for anything else."""
     if box is None or isinstance(box, Box3D):
         return box
     try:
@@ -74,7 +74,7 @@ def box_at_hand(box: Any, where: str) -> Box3D | None:
 
 
 def box_of_corners(corners: np.ndarray) -> Box3D:
-    """The box of eight corners in any order; InputError where there is none."""
+    """Box of eight corners in any order; InputError for no box."""
     from_first = corners[1:] - corners[0]
     size = float(np.abs(from_first).max(initial=0.0))
     for edges in combinations(from_first, 3):
@@ -93,13 +93,13 @@ def box_of_corners(corners: np.ndarray) -> Box3D:
 
 
 def holds(box: Box3D, points: np.ndarray) -> float:
-    """The share of an object's points ((N, 3), camera frame) in a box, or a little beyond."""
+    """Share of an object's points ((N, 3), camera frame) in a box, or slightly beyond."""
     local = np.abs((points - box.center) @ box.R)
     return float((local <= box.size / 2 * (1 + MARGIN_SHARE) + MARGIN_M).all(axis=1).mean()) if len(points) else 0.0
 
 
 def other_conventions(header: Header) -> Iterator[tuple[str, Header, bool]]:
-    """What else the 3D boxes may be: in words, as a header, and whether center and size are swapped."""
+    """Other conventions of 3D boxes: in words, as a header, and with center and size swapped or not."""
     lengths = [n for n in METRES if n != header.length]
     frames = [n for n in ("camera_opencv", "camera_opengl", "world") if n != header.coordinates]
     yield from ((f'"length": "{n}"', replace(header, length=n), False) for n in lengths)
@@ -111,7 +111,7 @@ def other_conventions(header: Header) -> Iterator[tuple[str, Header, bool]]:
 
 
 def try_box(given: GivenBox, header: Header, camera: Camera | None, swapped: bool) -> Box3D | None:
-    """`box_3d` by another convention; None where it is none."""
+    """3D box by another convention; None for no box."""
     if swapped and (given.center is None or min(given.center) < 0):
         return None
     try:
@@ -121,13 +121,13 @@ def try_box(given: GivenBox, header: Header, camera: Camera | None, swapped: boo
 
 
 def box_overlap(given: tuple[float, ...], header: Header, seen: np.ndarray, width: int, height: int) -> float:
-    """IoU of a 2D box, read by a header, with where its object is seen ((4,) pixels)."""
+    """IoU of a 2D box, read by a header, with its object's seen box ((4,) pixels)."""
     box = box_2d(given, header, width, height)
     return float(iou_2d(box[None], seen[None])[0, 0]) if (box[2:] > box[:2]).all() else 0.0
 
 
 def seen_box(box: Box3D, camera: Camera) -> np.ndarray | None:
-    """(4,) float64: where a 3D box is seen, pixels; None where a part of it is behind the camera."""
+    """(4,) float64: 2D box of a 3D box, pixels; None for a part behind the camera."""
     if (box.corners[:, 2] <= 0.05).any():
         return None
     uv = project(box.corners, camera)
@@ -136,7 +136,7 @@ def seen_box(box: Box3D, camera: Camera) -> np.ndarray | None:
 
 
 def checked_box(box: tuple[float, ...], header: Header, width: int, height: int, where: str, path: Any) -> None:
-    """InputError where a 2D box cannot be one by the header: upside down, or mostly outside the picture."""
+    """Raise InputError for a 2D box invalid by the header: upside down, or mostly outside the picture."""
     found = box_2d(box, header, width, height)
     require(
         (found[2:] >= found[:2]).all(),

@@ -1,4 +1,4 @@
-"""Events of a trace: parts of predictions, written as a pipeline runs, joined to one line an expression.
+"""Events of a trace: parts of predictions, written during a run, joined to a line for each expression.
 
 An event has `frame`, `text` and any further fields of a line. One that only says what is asked, and how its words are
 read, begins an expression: anew, where it was asked before. Its answer, or the problem why there is none, ends it.
@@ -22,9 +22,10 @@ Numbered = tuple[int, Any]
 
 
 def joined_events(events: Iterable[Numbered], path: Path) -> Iterator[Numbered]:
-    """The predictions that events tell, in the order of the file, with the numbers of the lines that begin them.
+    """Join events to predictions, in the order of the file, with the numbers of their first lines.
 
-    One that has no end keeps its proposals, and has the problem `OPEN`: what else was told of it may be half of it.
+    An expression without an end keeps its proposals, and has the problem `OPEN`: the rest may be incomplete. InputError
+    for a field given twice and differently names both lines.
     """
     lines: dict[tuple[str, str], Numbered] = {}
     for number, event in events:
@@ -52,7 +53,7 @@ def joined_events(events: Iterable[Numbered], path: Path) -> Iterator[Numbered]:
 
 
 def _both(known: Any, more: Any) -> Any:
-    """What two events tell of one field: lists go on; `...` where the second contradicts the first."""
+    """Field of two events: lists are joined; `...` for a contradiction."""
     if known is None or known == more:
         return more
     return [*known, *more] if isinstance(known, list) and isinstance(more, list) else ...

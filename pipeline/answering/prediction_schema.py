@@ -1,4 +1,4 @@
-"""What a file of predictions holds: its header, and a line an expression, as plain values (`docs/predictions.md`)."""
+"""Schema of prediction files: a header, and a line for each expression, as plain values (`docs/predictions.md`)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _STRICT = ConfigDict(extra="forbid")
 
 
 def _no_text(value: Any) -> Any:
-    """3.0 is a whole number, as tables write it; "3" and true are none."""
+    """Whole number from 3.0, as tables write; "3" and true are none."""
     if isinstance(value, str | bool):
         raise InputError("no whole number", got=json.dumps(value))
     return value
@@ -39,7 +39,7 @@ Row = Annotated[tuple[Id, Id, Share] | tuple[Id, Id, Id, Share], Field(union_mod
 
 @dataclass(frozen=True)
 class Weights:
-    """Exponents of the three factors of a ranking by their product."""
+    """Exponents of the three factors of a ranking by product."""
 
     __pydantic_config__ = _STRICT
 
@@ -50,7 +50,7 @@ class Weights:
 
 @dataclass(frozen=True)
 class Header:
-    """Whose predictions a file holds, and by which conventions; as JSON the file's first line."""
+    """Header of a file of predictions, with its conventions; as JSON the first line."""
 
     __pydantic_config__ = _STRICT
 
@@ -83,7 +83,7 @@ class Header:
 
 @dataclass(frozen=True)
 class Proposal:
-    """One detection for a name."""
+    """Detection for a name."""
 
     __pydantic_config__ = _STRICT
 
@@ -99,7 +99,7 @@ class Proposal:
 
 @dataclass(frozen=True)
 class GivenBox:
-    """A 3D box: center, size and rotation, or its eight corners in any order; in the header's frame and unit."""
+    """3D box: center, size and rotation, or eight corners in any order; in the header's frame and unit."""
 
     __pydantic_config__ = _STRICT
 
@@ -113,7 +113,7 @@ class GivenBox:
 
 @dataclass(frozen=True)
 class GivenAnswer:
-    """What was answered: one of these; with an object also the reference that it was found by."""
+    """Answer in a single form; with an object also its reference."""
 
     __pydantic_config__ = _STRICT
 
@@ -128,7 +128,7 @@ class GivenAnswer:
 
 @dataclass(frozen=True)
 class Prediction:
-    """One expression on a frame; as JSON a line of the file."""
+    """Prediction for an expression on a frame; as JSON a line of the file."""
 
     __pydantic_config__ = _STRICT
 
@@ -152,20 +152,22 @@ class Prediction:
 
     @property
     def level(self) -> int:
-        """0 the answer, 1 with proposals, 2 with their 3D boxes, 3 with relation probabilities (boxes or not)."""
+        """Level: 0 the answer, 1 with proposals, 2 with 3D boxes, 3 with relation probabilities (boxes or not)."""
         given = (self.relations, self.boxes_3d, self.proposals)
         return next((3 - k for k, part in enumerate(given) if part is not None), 0)
 
     @property
     def ranked(self) -> bool:
-        """Whether the pairs and their probabilities are told, and the answer, if any, is an object of them, so that
-        modules can be put in place of each other. An answer of another kind stands by itself."""
+        """True for lines with pairs and their probabilities, and the answer, if any, among them.
+
+        Modules can then be replaced by the truth. An answer of another kind stands by itself.
+        """
         answered = self.answer is None or self.answer.object is not None
         return self.relations is not None and self.problem is None and answered
 
     @cached_property
     def objects(self) -> dict[int, Proposal]:
-        """The proposals that went on, by id; of one id under several names the first."""
+        """Proposals kept for the ranking, by id; of an id under several names the first."""
         every = [p for found in (self.proposals or {}).values() for p in found if p.dropped is None]
         return {p.id: p for p in reversed(every)}
 
@@ -174,7 +176,7 @@ _INSIDE = {"weights": Weights, "answer": GivenAnswer, "proposals": Proposal, "bo
 
 
 def fields_beside(kind: type, place: tuple[Any, ...]) -> Iterable[str]:
-    """The fields there are where a header or line (`kind`) has another one."""
+    """Known fields of a header or line (`kind`), for messages on unknown ones."""
     if len(place) > 1:
         kind = _INSIDE.get(place[-2], _INSIDE.get(place[0], kind))
     return kind.__dataclass_fields__

@@ -1,4 +1,4 @@
-"""Predictions of a pipeline that is not ours: one documented file of JSON lines, read and written here.
+"""Predictions of other pipelines: a documented file of JSON lines, read and written here.
 
 The first line is a `Header`, each further one a `Prediction`: an expression on a frame with what was answered, and as
 much of what led there as is known. `docs/predictions.md` is its description. Nothing here looks at a dataset.
@@ -58,7 +58,7 @@ _HEADER, _LINE = TypeAdapter(Header), TypeAdapter(Prediction)
 
 @dataclass(frozen=True)
 class Predictions:
-    """A file of predictions, read and checked."""
+    """File of predictions, read and checked."""
 
     path: Path
     header: Header
@@ -72,7 +72,7 @@ class Predictions:
 
     @property
     def level(self) -> int:
-        """What all lines with an answer have: the least of their levels; where none has one, what lines reach."""
+        """Level of the file: the least of all lines with an answer; without answers the lines' highest."""
         if self.least is not None:
             return self.least
         most = max((p.level for p in self.lines.values()), default=0)
@@ -80,13 +80,13 @@ class Predictions:
 
     @property
     def lacking(self) -> tuple[str, list[int]]:
-        """The field that would raise the level, and the numbers of the lines that keep it as it is; at level 3 none."""
+        """Field missing for a higher level, and the numbers of the lines without; at level 3 none."""
         level, fields = self.level, ("proposals", "boxes_3d", "relations", "")
         found = {self.numbers[key]: p.problem for key, p in self.lines.items() if p.level == level < 3}
         return fields[level], [n for n, problem in found.items() if problem is None] or [*found]
 
     def record(self) -> dict[str, Any]:
-        """As JSON: whose they are, for a run's manifest."""
+        """JSON record of the system, for a run's manifest."""
         field_, lines = self.lacking
         lacks = {"field": field_, "line": min(lines), "lines": len(lines)} if lines else None
         told = {"system": self.header.system, "level": self.level, "lacks": lacks}
@@ -94,26 +94,26 @@ class Predictions:
 
     @property
     def unread(self) -> str | None:
-        """What to tell of a line that is not read."""
+        """Warning about an unread line."""
         if not self.cut_off:
             return None
         return f"line {self.cut_off} is cut off, as a killed writer leaves it, and is not read"
 
     def line(self, frame: str, text: str) -> Prediction | None:
-        """The line of an expression, whatever its spaces and capitals; None where there is none."""
+        """Line of an expression, ignoring spaces and capitals; None for none."""
         return self._by_words.get(_words_of(frame, text))
 
     def of_frame(self, frame: str) -> tuple[Prediction, ...]:
-        """The lines of a frame, in order."""
+        """Lines of a frame, in order."""
         return tuple(self._by_frame.get(frame, ()))
 
     def box_of(self, frame: str, i: int) -> GivenBox | None:
-        """The 3D box of an object, by whichever line of its frame gives it."""
+        """3D box of an object, by any line of its frame."""
         return self._boxes.get((frame, i))
 
     @cached_property
     def content_hash(self) -> str:
-        """Of the file."""
+        """Hash of the file."""
         return sha256_of(self.path)
 
     @cached_property
@@ -132,12 +132,12 @@ class Predictions:
         return {(line.frame, i): box for line in self.lines.values() for i, box in (line.boxes_3d or {}).items()}
 
     def where(self, line: Prediction, field: str) -> str:
-        """How a message names a field of a line: "line 7, boxes_3d.3"."""
+        """Field of a line in messages: "line 7, boxes_3d.3"."""
         return f"line {self.numbers[line.frame, line.text]}, {field}"
 
 
 def read_predictions(path: str | Path) -> Predictions:
-    """Read a whole file and check that its lines agree with each other.
+    """Read a whole file, and check the lines against each other.
 
     Raises
     ------
@@ -169,12 +169,15 @@ def read_predictions(path: str | Path) -> Predictions:
 
 
 def _words_of(frame: str, text: str) -> tuple[str, str]:
-    """What an expression is told by, whatever its spaces and capitals."""
+    """Key of an expression, ignoring spaces and capitals."""
     return frame, " ".join(text.casefold().split())
 
 
 def read_lines(path: Path, cut: list[int] | None = None) -> Iterator[tuple[int, Header | Prediction]]:
-    """The header and each line, or what events tell of an expression, by itself, with its number from 1."""
+    """Header and each line, or joined events of an expression, with its number from 1.
+
+    A last line without its end, no JSON, was left by a killed writer: skipped, and its number added to `cut`.
+    """
     contents = read_contents(path, cut)
     header = parse_header(next(contents)[1], path)
     yield 1, header
@@ -185,7 +188,7 @@ def read_lines(path: Path, cut: list[int] | None = None) -> Iterator[tuple[int, 
 
 
 def read_contents(path: Path, cut: list[int] | None = None) -> Iterator[tuple[int, Any]]:
-    """The JSON of each line that is not empty, with its number from 1; `cut` and what is raised as of `read_lines`."""
+    """JSON of each line that is not empty, with its number from 1; `cut` as in `read_lines`."""
     try:
         with opened(path, "unpacked") as file:
             number = 0
@@ -212,7 +215,7 @@ def read_contents(path: Path, cut: list[int] | None = None) -> Iterator[tuple[in
 
 
 def _each_once(number: int, path: Path, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """An object of JSON; InputError where a key stands in it twice, of which only the last would count."""
+    """JSON object; InputError for a repeated key, of which only the last would count."""
     if len(found := dict(pairs)) < len(pairs):
         twice = next(name for k, (name, _) in enumerate(pairs) if name in dict(pairs[:k]))
         raise InputError(f"line {number}: the key {twice!r} stands twice in one object", path=path)
@@ -220,7 +223,7 @@ def _each_once(number: int, path: Path, pairs: list[tuple[str, Any]]) -> dict[st
 
 
 def parse_header(content: Any, path: Path) -> Header:
-    """The first line; InputError where it is none of ours, or of a later version."""
+    """Parse the first line; InputError for a foreign header, or a later version."""
     version = content.get("spatialviz_predictions") if isinstance(content, dict) else None
     require(
         version is not None,
@@ -241,13 +244,13 @@ def parse_header(content: Any, path: Path) -> Header:
 
 
 def parse_line(content: Any, number: int, path: Path) -> Prediction:
-    """One further line; InputError where it does not follow the schema."""
+    """Parse a further line; InputError for a violation of the schema."""
     wrong = f"line {number}, {{}}: not as the schema has it"
     return checked(_LINE.validate_python, content, wrong, path, keys=partial(fields_beside, Prediction))
 
 
 def faults(line: Prediction, header: Header) -> Iterator[tuple[str, str, str]]:
-    """What of a line does not fit together: its field, what is wrong, and the likely cause or nothing."""
+    """Contradictions within a line: field, fault, and likely cause or nothing."""
     known = line.objects
     answer = line.answer
     kinds = ("object", "box", "point", "mask", "yes")
@@ -304,7 +307,7 @@ def faults(line: Prediction, header: Header) -> Iterator[tuple[str, str, str]]:
 
 
 def _twice(field_: str, ids: Sequence[tuple[Any, ...]]) -> Iterator[tuple[str, str, str]]:
-    """The first row whose ids an earlier one has."""
+    """First row repeating the ids of an earlier row."""
     if len(set(ids)) < len(ids):
         k = next(k for k, one in enumerate(ids) if one in ids[:k])
         yield f"{field_}.{k}", f"{', '.join(map(str, ids[k]))} stands in two rows", "which of the two counts?"
@@ -317,7 +320,7 @@ def _agree(
     boxes: dict[tuple[str, int], tuple[int, GivenBox | None]],
     path: Path,
 ) -> None:
-    """Add what a line tells of its objects to what other lines of its frame do; InputError where the two differ."""
+    """Add a line's statements on objects to those of its frame; InputError for a contradiction."""
     for name, found in (line.proposals or {}).items():
         for k, p in enumerate(found):
             before, known = seen.setdefault((line.frame, p.id), (number, p))
@@ -340,7 +343,7 @@ def _agree(
 def _filled(
     line: Prediction, number: int, seen: Mapping[tuple[str, int], tuple[int, Proposal]], path: Path
 ) -> Prediction:
-    """A line with the boxes and masks that any line of its frame gives of its objects; InputError where none does."""
+    """Line with boxes and masks filled in from any line of its frame; InputError for none."""
     if line.proposals is None:
         return line
     proposals = {name: list(found) for name, found in line.proposals.items()}
@@ -354,7 +357,7 @@ def _filled(
 
 
 class PredictionWriter:
-    """Writes predictions as they come; each line is whole on the disk before the next begins.
+    """Writer of predictions as they come; each line is whole on the disk before the next begins.
 
     `append`: go on with a file that has this very header; else the file must be new.
     """
@@ -377,11 +380,11 @@ class PredictionWriter:
             self._write(as_json(header))
 
     def write(self, line: Prediction) -> None:
-        """Append a line; InputError where it does not follow the schema (arrays of 3 instead of 4 numbers, NaN, …)."""
+        """Append a line; InputError for a violation of the schema (arrays of 3 instead of 4 numbers, NaN, …)."""
         self.write_json(as_json(line))
 
     def write_json(self, content: str) -> None:
-        """Append a line that is JSON already; raises as `write`."""
+        """Append a line of JSON; raises as `write`."""
         parse_line(parse_json(content), 0, self.path)
         self._write(content)
 
@@ -402,7 +405,7 @@ class PredictionWriter:
 
 
 def write_predictions(path: str | Path, header: Header, lines: Iterable[Prediction]) -> None:
-    """Write a new file; raises as `PredictionWriter`."""
+    """Write a new file."""
     require(not Path(path).exists(), "the file exists", expected="another name", path=path)
     with whole_file(Path(path), "the predictions") as temporary, PredictionWriter(temporary, header) as writer:
         for line in lines:
@@ -410,7 +413,7 @@ def write_predictions(path: str | Path, header: Header, lines: Iterable[Predicti
 
 
 def as_json(thing: Header | Prediction) -> str:
-    """One line of JSON, without what is not given."""
+    """JSON line, without absent fields."""
     record = _without_nothing(asdict(thing))
     if isinstance(thing, Prediction) and thing.answer is None:
         record["answer"] = None

@@ -35,7 +35,7 @@ RelationLookup = Callable[[Attachment, np.ndarray, Sequence[np.ndarray]], np.nda
 
 @dataclass(frozen=True)
 class Candidates:
-    """The objects that may fill one place of the expression."""
+    """Candidates of a place of the expression."""
 
     index: np.ndarray  # (K,) int64: places in the list of objects
     scores: np.ndarray  # (K,) float64: P(x | name), 0..1
@@ -45,7 +45,7 @@ class Candidates:
 
     @property
     def told(self) -> np.ndarray:
-        """(K,) float64: the detector's own scores."""
+        """(K,) float64: detector's own scores."""
         return self.scores if self.raw_scores is None else self.raw_scores
 
     def __repr__(self) -> str:
@@ -54,7 +54,7 @@ class Candidates:
 
 @dataclass(frozen=True)
 class Ranking:
-    """All allowed pairs, best first."""
+    """Allowed pairs, best first."""
 
     pairs: tuple[ScoredPair, ...]
     reading: Reading  # The reading of the expression that was taken
@@ -121,9 +121,9 @@ def rank(
 
 @dataclass(frozen=True)
 class _Solved:
-    """A node: what each candidate adds to S by itself, and with the best of its subtree.
+    """Solved node: contribution of each candidate to S by itself, and with the best of its subtree.
 
-    `belief` is how surely each is what the noun phrase says, 0..1; `factors` are what it says of each alone.
+    `belief`: fit of each candidate to the noun phrase, 0..1; `factors`: statements on each alone.
     """
 
     own: np.ndarray
@@ -136,7 +136,7 @@ class _Solved:
 
 @dataclass(frozen=True)
 class _Branch:
-    """One attachment: its probability for every combination of ends, and which of these are none."""
+    """Attachment: probability of every combination of ends, and the forbidden ones."""
 
     attachment: Attachment
     ends: tuple[_Solved, ...]
@@ -146,7 +146,7 @@ class _Branch:
 
     @property
     def belief(self) -> np.ndarray:
-        """(K,) float64: how surely each head stands in the relation to something that is what its end says."""
+        """(K,) float64: belief of each head standing in the relation to a fitting end."""
         if not self.probability.size:
             return np.zeros(len(self.probability))
         found = np.where(self.forbidden, 0.0, self.probability)
@@ -157,7 +157,7 @@ class _Branch:
 
 @dataclass(frozen=True)
 class _Solver:
-    """What all nodes of an expression are solved with."""
+    """Inputs shared by all nodes of an expression."""
 
     candidates: Mapping[str, Candidates]
     lookup: RelationLookup
@@ -166,7 +166,7 @@ class _Solver:
     evidence: SceneEvidence | None
 
     def solve(self, node: Node, weight: float) -> _Solved:
-        """A node with all below it."""
+        """Solve a node with all below."""
         here = self.candidates[node.label]
         own = side(here.index, here.scores, weight)
         factors = self._attributes(node, here.index)
@@ -202,7 +202,7 @@ class _Solver:
         return [("attribute", str(a), p) for a, p in told if p is not None]
 
     def _negations(self, node: Node, index: np.ndarray) -> list[tuple[Kind, str, np.ndarray]]:
-        """What must not hold of any reference, and what the thing is not."""
+        """Negated relations to any reference, and negated names."""
         found: list[tuple[Kind, str, np.ndarray]] = []
         for attachment in node.attachments:
             if attachment.negated and not any(n.viewer for n in attachment.nodes):
@@ -240,7 +240,7 @@ def _max_over_ends(total: np.ndarray) -> np.ndarray:
 
 
 def _table(root: _Solved, mask_sizes: np.ndarray, config: RankConfig) -> PairTable:
-    """The pairs of the first relation, each with the best of all that hangs on its ends; objects alone without one."""
+    """Pairs of the first relation, each with the best completion of its ends; single objects without a relation."""
     if not root.branches:
         count = len(root.own)
         return pair_table(root.side, (), np.ones(count), np.zeros(count, np.bool_), mask_sizes, config)
@@ -252,13 +252,13 @@ def _table(root: _Solved, mask_sizes: np.ndarray, config: RankConfig) -> PairTab
 
 @dataclass(frozen=True, eq=False)
 class SolvedReading:
-    """The table of a reading's pairs, with all that the expression says of them."""
+    """Pairs of a reading, with all statements of the expression."""
 
     root: _Solved  # The target with all below it
     table: PairTable  # The pairs of its first relation; without one the targets alone
 
     def pair(self, at: int) -> ScoredPair:
-        """A pair of the table with its links and factors."""
+        """Pair of the table with its links and factors."""
         i, *ends = (int(x) for x in np.unravel_index(at, self.table.shape))
         links, factors, product = _links(self.root, i, tuple(ends))
         return replace(self.table.pair(at), product=product, links=links, factors=factors)
@@ -273,7 +273,7 @@ def solve(
     config: RankConfig,
     evidence: SceneEvidence | None = None,
 ) -> SolvedReading:
-    """All pairs of one reading; arguments as for `rank`."""
+    """Score all pairs of a single reading; arguments as for `rank`."""
     solved = _Solver(candidates, lookup, same, config, evidence).solve(root, config.target_weight)
     return SolvedReading(solved, _table(solved, mask_sizes, config))
 
@@ -281,7 +281,7 @@ def solve(
 def _links(
     solved: _Solved, at: int, first_ends: tuple[int, ...] | None
 ) -> tuple[tuple[Link, ...], tuple[Factor, ...], float]:
-    """All relations below candidate number `at`, each at its best, what is said of each object, and the product."""
+    """Relations below candidate number `at`, each at its best, statements on each object, and the product."""
     links: list[Link] = []
     here = int(solved.side.index[at])
     factors = [Factor(kind, text, solved.mention, here, float(p[at])) for kind, text, p in solved.factors]
@@ -304,7 +304,7 @@ def _links(
 
 
 def alone(candidates: Candidates) -> int | None:
-    """The best target without any relation (OPM only), as a place in the list of objects; None where there is none."""
+    """Best target without any relation (OPM only), as a place in the list of objects; None for none."""
     return int(candidates.index[int(np.argmax(candidates.scores))]) if len(candidates.index) else None
 
 

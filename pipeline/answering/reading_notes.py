@@ -1,4 +1,4 @@
-"""What an answer took for granted about the words of its question: comparisons among several, sizes of what is seen."""
+"""Notes on assumptions about the words of a question: comparisons among several, sizes of seen parts."""
 
 from __future__ import annotations
 
@@ -18,12 +18,10 @@ _FIRST = {
 
 
 def reading_notes(trace: Trace) -> tuple[str, ...]:
-    """What is to be said beside an answer, one line each, without repeats.
+    """Notes for an answer, a line each, without repeats.
 
-    A comparison decides between two; of more the first in its order is taken, and how many there were is told. Sizes
-    and heights are those of the part of each thing that the camera saw.
-
-    `trace`: of a question that was read.
+    A comparison decides between two; of more the first in order is taken, with their number told. Sizes and heights are
+    those of the part of each object seen by the camera.
     """
     return tuple(dict.fromkeys(note for node in trace.root.walk() for note in _of_node(trace, node)))
 

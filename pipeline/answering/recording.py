@@ -1,4 +1,4 @@
-"""Write what a detector finds in a dataset as a recording, which `--detector recorded` plays back."""
+"""Record a detector's output on a dataset, for `--detector recorded`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from pipeline.system.whole_files import temporary_folder, text_file, whole_file
 
 @dataclass(frozen=True)
 class RecordingReport:
-    """What was recorded."""
+    """Report of a recording."""
 
     frames: int
     detections: int
@@ -37,7 +37,7 @@ class RecordingReport:
 
 @dataclass(frozen=True)
 class RecordedDetection:
-    """One detection as it is written; a thing that was found under several labels has one id."""
+    """Detection as written; an object found under several labels has a single id."""
 
     id: int
     label: str
@@ -54,7 +54,7 @@ def record_detections(
     *,
     frame_ids: Sequence[str] | None = None,
 ) -> RecordingReport:
-    """Run a detector over a dataset and write what it finds.
+    """Run a detector over a dataset and write its detections.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def record_detections(
 def findings(
     frame: Frame, detector: Detector, class_names: Sequence[str] | None, k: int, unknown: dict[str, int] | None = None
 ) -> list[RecordedDetection]:
-    """What a detector finds in a frame: for each name the K best; `unknown` counts the names that it refuses."""
+    """Detections of a frame: for each name the K best; `unknown` counts the refused names."""
     queries: list[list[str] | None] = [None] if class_names is None else [[name] for name in class_names]
     best: dict[tuple[int, str], RecordedDetection] = {}
     codes: dict[int, str | None] = {}
@@ -138,7 +138,7 @@ def findings(
 
 
 def finding_of(found: Proposals, i: int) -> RecordedDetection:
-    """A detection of a detector's run."""
+    """Detection of a detector's run."""
     masked = found.masks is not None and (found.has_mask is None or found.has_mask[i])
     code = encode_run_length(found.masks[i]) if found.masks is not None and masked else None
     return RecordedDetection(
@@ -147,7 +147,7 @@ def finding_of(found: Proposals, i: int) -> RecordedDetection:
 
 
 def detection_record(frame: Frame, finding: RecordedDetection, segmented: bool = False) -> dict[str, Any]:
-    """A detection as JSON; `segmented` says that a segmenter made its mask, where it has one."""
+    """Detection as JSON; `segmented` marks a mask made by a segmenter."""
     record: dict[str, Any] = {"label": finding.label, "score": finding.score, "bbox": finding.bbox}
     if finding.counts is not None:
         record["mask"] = {"size": (frame.height, frame.width), "counts": finding.counts}
@@ -159,7 +159,7 @@ def detection_record(frame: Frame, finding: RecordedDetection, segmented: bool =
 
 @contextmanager
 def _json_file(out: Path, made_by: str) -> Iterator[Callable[[Frame, list[RecordedDetection]], None]]:
-    """A JSON file that is written frame by frame and appears when all are."""
+    """Write a JSON file frame by frame, visible once complete."""
     require(not out.is_dir(), "the recording would replace a folder", expected="the name of a file", path=out)
     with whole_file(out, "the recording") as temporary, text_file(temporary) as file:
         file.write(f'{{"{MADE_BY}": {json.dumps(made_by)}, "frames": {{')
@@ -177,7 +177,7 @@ def _json_file(out: Path, made_by: str) -> Iterator[Callable[[Frame, list[Record
 
 @contextmanager
 def _npz_folder(out: Path, made_by: str) -> Iterator[Callable[[Frame, list[RecordedDetection]], None]]:
-    """A folder of NPZ files that appears when all are written."""
+    """Write a folder of NPZ files, visible once complete."""
     require(
         not (out.exists() and not (out.is_dir() and not any(out.iterdir()))),
         "the folder for the recording is not empty",

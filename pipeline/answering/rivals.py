@@ -1,4 +1,4 @@
-"""How the target, the reference and the relation of a pair stand among those of the other pairs of its line.
+"""Standing of the target, the reference and the relation of a pair among the other pairs of its line.
 
 Many rankings go by no factor alone: by the rank of a thing, by a softmax over the references of a target, by how far
 the best is before the next, by values brought between 0 and 1 within the line. Each column here is one such view; none
@@ -21,8 +21,8 @@ def standing(factors: np.ndarray, ids: np.ndarray) -> np.ndarray:
     """(..., P, K) float64 of the factors (..., P, 3) of the P pairs of a line with these ids (P, 2).
 
     Of target, reference and relation the share that is not surer, whether among the first few, and how many pairs it is
-    above; `_shares`; where each stands between the least and the most of the line, and from its mean in standard
-    deviations. What was not proposed (an id below 0) is no rival.
+    above; `_shares`; the place between the least and the most of the line, and from the mean in standard deviations.
+    Objects not proposed (an id below 0) are no rivals.
     """
     lines = factors.reshape(int(np.prod(factors.shape[:-2])), *factors.shape[-2:])
     found, known = [], ids.min(axis=1) >= 0
@@ -50,10 +50,12 @@ def standing(factors: np.ndarray, ids: np.ndarray) -> np.ndarray:
 
 
 def _shares(clear: np.ndarray, ids: np.ndarray, known: np.ndarray) -> list[np.ndarray]:
-    """(L, P) float64 each, of lines (L, P, 3): what share of its like a pair has, in logarithms and by itself, whether
-    it is the first, how far it is before or behind the best of the others (as a share of the more), the first and the
-    mean of them: among the pairs of its target, of its reference, and all. Then the less of its shares among those of
-    its target and of its reference."""
+    """(L, P) float64 each, of lines (L, P, 3), among the pairs of the target, of the reference, and all.
+
+    Share of a pair in its like, in logarithms and by itself, whether first, the distance to the best of the others (as
+    a share of the more), the first and the mean of them. Then the less of its shares among those of its target and of
+    its reference.
+    """
     t, r, p = np.moveaxis(clear, -1, 0)
     odds, steep, whole = p / (1 - p), np.exp(_STEEP * p), t * r * p
     groups = (
@@ -67,7 +69,7 @@ def _shares(clear: np.ndarray, ids: np.ndarray, known: np.ndarray) -> list[np.nd
 
 
 def _share(v: np.ndarray, numbers: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Six views (L, P) of values (L, P) above 0 among those of the pairs with the same number (P,)."""
+    """Six views (L, P) of values (L, P) above 0 among those of the pairs with equal number (P,)."""
     others, best, count = np.zeros_like(v), np.zeros_like(v), np.zeros(len(numbers))
     for number in np.unique(numbers):
         group = numbers == number

@@ -1,4 +1,4 @@
-"""A ranking that cannot be asked again, as far as the scores of its file show what it goes by.
+"""Fitted model of a ranking that cannot be asked again, from the scores of its file.
 
 Of two pairs of one line the file says which scored more. How probable that is follows from P(target), P(reference) and
 P(relation) of both: a sum of curves, each of which rises with these factors, is fitted to all such comparisons of the
@@ -62,7 +62,7 @@ SCALES: dict[Scale, tuple[Callable[[np.ndarray], np.ndarray], Callable[[np.ndarr
 
 
 def curves(factors: np.ndarray) -> np.ndarray:
-    """(..., K) float64: of factors (..., 3), each no less where a factor is more: bent, joined, and by thresholds."""
+    """(..., K) float64: rising functions of factors (..., 3): bent, joined, and by thresholds."""
     clear = np.clip(factors, 0.01, 0.99)
     bends = [np.minimum(clear, bend) for bend in _BENDS]
     odds = np.log(clear / (1 - clear))
@@ -75,7 +75,7 @@ def curves(factors: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class ShownRanking:
-    """What the file shows of its ranking."""
+    """Fitted model of a file's ranking."""
 
     # weights: (K,) float64: of `curves` and `standing`; the difference of two sums is how much more the one pair
     # scores, about, on `scale`
@@ -84,7 +84,7 @@ class ShownRanking:
     scale: Scale = "values"  # In what scores are sums
 
     def sums(self, factors: np.ndarray, ids: np.ndarray | None = None) -> np.ndarray:
-        """(..., P) float64: of factors (..., P, 3) of the pairs of a line with these ids (P, 2)."""
+        """(..., P) float64: sums of factors (..., P, 3) of the pairs of a line with these ids (P, 2)."""
         told = curves(factors)
         # Cases of before were kept with the first curves only.
         if ids is not None and len(self.weights) > told.shape[-1]:
@@ -94,7 +94,7 @@ class ShownRanking:
 
     @staticmethod
     def of(lines: Sequence[Compared]) -> ShownRanking | None:
-        """What lines show together; None where that is nothing, or nothing that their factors explain."""
+        """Fit lines together; None where their factors explain nothing."""
         above, below, start = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], 0
         for _, scores, _ in lines:
             a, b = np.nonzero(scores[:, None] > scores[None] + 1e-9)
@@ -132,8 +132,11 @@ class ShownRanking:
 
 
 def _scaled(x: np.ndarray, scores: np.ndarray, every: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, Scale]:
-    """Weights (K,) of the first columns of x (N, C) that give the differences (N,) of the pairs `every` (N, 2); these;
-    which of them (N,) are near; and the scale on which the least is left of those."""
+    """Weights of the first columns of x (N, C), and the scale on which they fit best.
+
+    Weights (K,) give the differences (N,) of the pairs `every` (N, 2); then these, the near ones of them (N,), and the
+    scale on which the least is left of those.
+    """
     best: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
     scale: Scale = "values"
     left, alone = np.inf, curves(np.zeros((1, 3))).shape[1]
@@ -157,15 +160,15 @@ def _scaled(x: np.ndarray, scores: np.ndarray, every: np.ndarray) -> tuple[np.nd
 
 
 def _regressed(x: np.ndarray, more: np.ndarray) -> np.ndarray:
-    """(K,) float64, none below 0: weights of x ((N, K)) that give differences of scores ((N,)) best."""
+    """(K,) float64, none below 0: least-squares weights of x ((N, K)) for differences of scores ((N,))."""
     scale = np.maximum(np.sqrt((x**2).mean(axis=0)), 1e-6)
     z = x / scale
     return _least(z.T @ z + _RIDGE / 5 * np.eye(z.shape[1]), z.T @ more, True) / scale
 
 
 def fitted(x: np.ndarray, p: np.ndarray | float = 1.0, rising: bool = False) -> np.ndarray:
-    """(K,) float64: weights of x ((N, K)) that give log odds under which p ((N,)) is most probable; with `rising` none
-    below 0. By Newton's method."""
+    """(K,) float64: logistic weights of x ((N, K)) for probabilities p ((N,)), by Newton's method; with `rising` none
+    below 0."""
     scale = np.maximum(np.sqrt((x**2).mean(axis=0)), 1e-6)
     z = x / scale
 
@@ -188,7 +191,7 @@ def fitted(x: np.ndarray, p: np.ndarray | float = 1.0, rising: bool = False) -> 
 
 
 def _least(a: np.ndarray, b: np.ndarray, rising: bool) -> np.ndarray:
-    """(K,) float64: where w A w / 2 - b w is least, A (K, K) positive; with `rising` for w of which none is below 0."""
+    """(K,) float64: minimiser of w A w / 2 - b w, A (K, K) positive; with `rising` over w with none below 0."""
     if not rising:
         return np.linalg.solve(a, b)
     from scipy.optimize import nnls

@@ -1,4 +1,4 @@
-"""A relation scorer that cannot be asked again, as far as the pairs of its file show what it goes by.
+"""Fitted model of a relation scorer that cannot be asked again, from the pairs of its file.
 
 Where the truth takes the place of a box, somebody has to say what the scorer would have said. For each relation that
 the file has enough pairs of, their probabilities are fitted by where the one box lies from the other, as the viewer
@@ -35,9 +35,11 @@ _SURE = 0.99
 
 
 def described(boxes: Sequence[Box3D], viewer: ViewerAxes) -> np.ndarray:
-    """(N, N, K) float64: where each box lies from each other along the viewer's axes: in metres, in their own extents,
-    by how they look from the camera and how far from it, in which direction, how far aside of each axis, and how far
-    apart. What has one bound saturates: far to the left is not more to the left."""
+    """(N, N, K) float64: position of each box relative to each other along the viewer's axes.
+
+    In metres, in their own extents, by how they look from the camera and how far from it, in which direction, how far
+    aside of each axis, and how far apart. Bounded measures saturate: far to the left is not more to the left.
+    """
     center = np.array([box.center for box in boxes]).reshape(-1, 3) @ viewer.matrix.T
     half = np.array([np.abs(viewer.matrix @ box.R) @ box.size / 2 for box in boxes]).reshape(-1, 3)
     seen = np.array([box.center / max(float(box.center[2]), 0.1) for box in boxes]).reshape(-1, 3)[:, :2]
@@ -56,7 +58,7 @@ def described(boxes: Sequence[Box3D], viewer: ViewerAxes) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class ShownScorer:
-    """The rule, and in its place what the file shows."""
+    """Rule scorer, replaced by the fit of the file where reliable."""
 
     predictions: Predictions
     dataset: Dataset = field(repr=False)
@@ -67,7 +69,7 @@ class ShownScorer:
 
     @cached_property
     def weights(self) -> dict[str, np.ndarray | None]:
-        """(K,) float64 by relation: of `described`, giving the log odds; None where nothing explains its pairs."""
+        """(K,) float64 by relation: weights of `described` for the log odds; None where nothing explains its pairs."""
         if self.kept is not None:
             return self.kept
         predictions, rows = self.predictions, dict[str, list[tuple[np.ndarray, float]]]()
@@ -88,7 +90,7 @@ class ShownScorer:
         return {relation: _weights(samples) for relation, samples in rows.items() if len(samples) >= LEAST_PAIRS}
 
     def follows(self, relation: str) -> bool:
-        """Whether probabilities may follow from the boxes: not where many pairs show that they do not."""
+        """True unless many pairs show independence of probabilities and boxes."""
         return self.weights.get(relation, ()) is not None
 
     def score(
@@ -113,7 +115,7 @@ class ShownScorer:
 
 
 def _weights(samples: Sequence[tuple[np.ndarray, float]]) -> np.ndarray | None:
-    """What the pairs of a relation show; None where that is nothing.
+    """Fit the pairs of a relation; None without a fit.
 
     A pair whose probability is wrong says the opposite of all others, and the second fit leaves it out.
     """

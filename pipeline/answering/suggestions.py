@@ -1,5 +1,4 @@
-"""What to ask of a frame: expressions that are true and clear-cut, words to go on with, what is seen where a name was
-not found."""
+"""Suggestions for a frame: true and clear-cut expressions, completions, and seen objects for a name not found."""
 
 from __future__ import annotations
 
@@ -26,7 +25,7 @@ from pipeline.system.errors import InputError
 def suggest_expressions(
     objects: Sequence[SceneObject], scores: RelationScores, viewer: ViewerAxes, count: int = 3
 ) -> tuple[str, ...]:
-    """Up to `count` expressions that have exactly one right answer in the frame; none where up is only assumed.
+    """Suggest up to `count` expressions with exactly one right answer in the frame; none with up only assumed.
 
     Those whose target's class stands in the frame several times come first:
     there the relation decides. No class and no relation is repeated while there are others.
@@ -68,8 +67,10 @@ def suggest_expressions(
 
 
 def _worded(target: str, relation: str, reference: str, class_names: tuple[str, ...]) -> str | None:
-    """The expression in words (`potted plant` for `potted_plant`), else with the names as they are spelled; None
-    where the parser would understand neither as it is meant: class names may hold anything."""
+    """Expression in words (`potted plant` for `potted_plant`), else with names as spelled; None for a misread.
+
+    Class names may hold anything.
+    """
     for a, b in ((readable(target, brief=False), readable(reference, brief=False)), (target, reference)):
         text = f"{a} {PHRASE[relation]} the {b}"
         try:
@@ -92,7 +93,7 @@ SURE = 0.5
 def completions(
     typed: str, labels: Iterable[str], examples: Sequence[str] = (), asked: Sequence[str] = ()
 ) -> list[dict[str, str]]:
-    """What may come next of an expression that is typed, the best first, at most `OFFERED`.
+    """Completions of a typed expression, the best first, at most `OFFERED`.
 
     Parameters
     ----------
@@ -123,14 +124,14 @@ def completions(
 
 
 def _begins(text: str, word: str) -> bool:
-    """Whether the end of a text, from the beginning of a word of it, begins this word."""
+    """True where the end of a text, from the beginning of a word, begins this word."""
     starts = (k for k in range(max(0, len(text) - len(word) + 1), len(text)) if k == 0 or text[k - 1] == " ")
     return any(word.startswith(text[k:]) for k in starts)
 
 
 @dataclass(frozen=True)
 class MissedNames:
-    """What may help where a name was not found."""
+    """Help for names not found."""
 
     below: dict[str, float]  # Names that were not found, with the best score below the detector's minimum
     # seen: What the detector finds in the frame, with a score of at least SURE, where it is asked for all that it
@@ -139,7 +140,7 @@ class MissedNames:
 
 
 def missed_names(source: Pipeline, trace: Trace) -> MissedNames:
-    """What stands below the detector's minimum score of the names that a trace misses, and what else is there.
+    """Find missed names below the detector's minimum score, and other seen objects.
 
     The detector runs again on the frame, once for each missing name and once for everything.
 

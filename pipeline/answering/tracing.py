@@ -1,4 +1,4 @@
-"""Predictions written by a pipeline of one's own as it runs: every call appends one event to a file.
+"""Tracer of a user's pipeline: every call appends an event to a file of predictions.
 
 The file is one of predictions whose header says `events`; `import-run` reads it, also while it grows and after a kill.
 """
@@ -25,7 +25,7 @@ Rows = Mapping[Any, float] | Iterable[Sequence[float]]
 
 
 class Tracer:
-    """What a pipeline calls as it runs; see `trace`. Threads and tasks may each have an expression open.
+    """Tracer called by a pipeline as it runs; see `trace`. Threads and tasks may each have an expression open.
 
     `path`: the file.
     """
@@ -50,7 +50,7 @@ class Tracer:
         relation: str | None = None,
         reference: str | None = None,
     ) -> None:
-        """Begin an expression on a frame: what follows belongs to it. Asked once more it begins anew.
+        """Begin an expression on a frame, or begin anew.
 
         `frame`: id of the dataset's frame; `text`: as the labels have it; `target`, `relation`, `reference`: how the
         pipeline reads the words; else spatialviz reads them.
@@ -70,7 +70,7 @@ class Tracer:
         names: Sequence[str] | None = None,
         dropped: Sequence[str | None] | None = None,
     ) -> list[int]:
-        """What the detector found for a name.
+        """Record the detections of a name.
 
         `name`: that was asked; `boxes`: (N, 4) float: as the header's `boxes` and `box_unit` say; `scores`: (N,) float:
         0..1; `masks`: N of (H, W) bool or of COCO's run-length code; `ids`: (N,) int: which objects of the frame they
@@ -91,7 +91,7 @@ class Tracer:
         return numbers
 
     def boxes(self, boxes: Mapping[int, Any]) -> None:
-        """3D boxes by id, in the header's `coordinates` and `length`.
+        """Record 3D boxes by id, in the header's `coordinates` and `length`.
 
         Each is (8, 3) corners in any order, a mapping of `center`, `size` and `rotation` (columns are the box's axes),
         an object with `center`, `size` and `R` such as `Box3D`, or None where an object has none.
@@ -99,17 +99,17 @@ class Tracer:
         self._event(boxes, boxes_3d={str(number): given_box(box) for number, box in boxes.items()})
 
     def relations(self, relations: Mapping[str, Rows]) -> None:
-        """P("a RELATION b") by relation, of every ordered pair of candidates: {"left": {(3, 7): 0.93}}."""
+        """Record P("a RELATION b") by relation, of every ordered pair of candidates: {"left": {(3, 7): 0.93}}."""
         rows = {relation: _rows(found) for relation, found in relations.items()}
         self._event((i for found in rows.values() for row in found for i in row[:-1]), relations=rows)
 
     def attributes(self, attributes: Mapping[str, Rows]) -> None:
-        """P(attribute | object) by attribute: {"red": {3: 0.8}}."""
+        """Record P(attribute | object) by attribute: {"red": {3: 0.8}}."""
         rows = {name: _rows(found) for name, found in attributes.items()}
         self._event((row[0] for found in rows.values() for row in found), attributes=rows)
 
     def pairs(self, scores: Rows) -> None:
-        """The pipeline's own scores of pairs, higher is better: {(3, 7): 4.1}; with `ranking="pair_scores"`."""
+        """Record the pipeline's own scores of pairs, higher is better: {(3, 7): 4.1}; with `ranking="pair_scores"`."""
         rows = _rows(scores)
         self._event((i for row in rows for i in row[:2]), pairs=rows)
 
@@ -124,7 +124,7 @@ class Tracer:
         yes: bool | None = None,
         problem: str | None = None,
     ) -> None:
-        """What is answered: one of these, with an object also the reference it was found by; or why nothing is."""
+        """Record the answer in a single form, with an object also its reference; or the problem."""
         parts = {"object": object, "reference": reference, "box": box, "point": point, "yes": yes}
         answer = {part: plain(value) for part, value in parts.items() if value is not None}
         if mask is not None:
@@ -135,7 +135,7 @@ class Tracer:
         )
 
     def close(self) -> None:
-        """End the file; expressions without an answer stay as they are."""
+        """Close the file; expressions without an answer stay open."""
         self._writer.close()
 
     def __enter__(self) -> Tracer:
@@ -148,7 +148,7 @@ class Tracer:
         return needed(self._open.get(None), "no expression is open", expected="expression(frame, text) first")
 
     def _event(self, named: Iterable[int | None], **fields: Any) -> None:
-        """Append an event of the open expression; InputError where it names an object that was not proposed."""
+        """Append an event of the open expression; InputError for an object that was not proposed."""
         frame, text, known = self._expression()
         unknown = {number for number in named if number is not None} - known
         require(not unknown, f"{next(iter(fields), text)}: no such object among the proposals", got=_listed(unknown))
@@ -160,7 +160,7 @@ class Tracer:
 
 
 def trace(path: str | Path, *, append: bool = False, **conventions: Any) -> Tracer:
-    """Write the predictions of a pipeline as it runs, for `spatialviz import-run`.
+    """Trace the predictions of a pipeline as it runs, for `spatialviz import-run`.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def trace(path: str | Path, *, append: bool = False, **conventions: Any) -> Trac
 
 
 def plain(value: Any) -> Any:
-    """An array, of numpy or another library, or a number of one, as JSON knows it."""
+    """JSON value of an array or number, of numpy or another library."""
     if isinstance(value, (list, tuple)):
         return [plain(part) for part in value]
     return value.tolist() if hasattr(value, "tolist") else value
@@ -193,7 +193,7 @@ def _rows(rows: Rows) -> list[list[Any]]:
 
 
 def given_box(box: Any) -> Any:
-    """A 3D box in one of the forms of `Tracer.boxes` as a line of predictions has it."""
+    """3D box of `Tracer.boxes` in the form of a line of predictions."""
     if box is None or isinstance(box, Mapping):
         parts = box
     elif hasattr(box, "center"):
@@ -209,7 +209,7 @@ def given_box(box: Any) -> Any:
 
 
 def _run_length(mask: Any) -> Any:
-    """A mask in COCO's code, as it is given or of an array."""
+    """Mask in COCO's code, as given or from an array."""
     if isinstance(mask, RunLength) or mask is None:
         return None if mask is None else asdict(mask)
     if isinstance(mask, Mapping):

@@ -1,4 +1,4 @@
-"""Which numbers of an imported answer are not its file's, and so are worked out here in their place."""
+"""Numbers of an imported answer missing in its file, and computed here."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ ALWAYS = ("product", "probability", "log_factors")
 
 
 def worked_out(trace: Trace, pair: ScoredPair) -> tuple[str, ...] | None:
-    """The names of a pair's numbers in `ask --json` that are worked out; None where nothing is imported."""
+    """Names of a pair's computed numbers in `ask --json`; None without imported predictions."""
     if trace.scores.given is None:
         return None
     weakest, first = pair.weakest, relation_given(trace, pair)
@@ -19,7 +19,7 @@ def worked_out(trace: Trace, pair: ScoredPair) -> tuple[str, ...] | None:
 
 
 def relation_given(trace: Trace, pair: ScoredPair) -> bool:
-    """Whether a file gives the relation between a pair's objects; so where nothing is imported, or none is asked."""
+    """True for a relation given by the file, and for nothing imported or no relation."""
     if pair.reference is None or not trace.relation:
         return True
     return _link_given(

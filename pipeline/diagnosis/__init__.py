@@ -1,4 +1,4 @@
-"""Which module failed, why, and what smallest change would mend it.
+"""Diagnosis of answers: the module that failed, the reason, and the smallest change to mend it.
 
 `frame_evidence` joins what was detected in a frame with what is true of it,
 `substitution` ranks again with parts of the pipeline replaced by the truth,

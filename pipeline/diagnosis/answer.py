@@ -1,4 +1,4 @@
-"""An answer with its verdict: what is asked of it from Python, and as JSON."""
+"""Answer with its verdict, for Python and as JSON."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Edited = Mapping[str, Any]
 
 
 class AnswerSource(Protocol):
-    """What answered: it can answer under edits, and may have a screen."""
+    """Pipeline behind an answer, able to answer under edits, with or without a screen."""
 
     def what_if(self, answer: Answer, edits: Edited) -> Answer: ...
 
@@ -34,7 +34,7 @@ class AnswerSource(Protocol):
 
 @dataclass(frozen=True)
 class Answer(InNotebook):
-    """An answer, with what is known of it; positions in `pairs` are those in `objects`."""
+    """Answer to an expression, with its trace and verdict; positions in `pairs` are those in `objects`."""
 
     text: str  # The expression as it was asked
     trace: Trace | None = None  # Every stage's input and output; None where the expression cannot be read or asked
@@ -51,40 +51,39 @@ class Answer(InNotebook):
 
     @property
     def objects(self) -> tuple[SceneObject, ...]:
-        """All that was detected for the names of the expression, lifted."""
+        """Detections of all names of the expression, lifted."""
         return () if self.trace is None else self.trace.objects
 
     @property
     def pairs(self) -> tuple[ScoredPair, ...]:
-        """All candidate pairs, the best first; empty where a name was not found."""
+        """Candidate pairs, best first; empty where a name was not found."""
         ranking = None if self.trace is None else self.trace.ranking
         return () if ranking is None or ranking.degenerate else ranking.pairs
 
     @property
     def target(self) -> SceneObject | None:
-        """What the answer is; None where there is none."""
+        """Answered object; None without an answer."""
         return self.objects[self.pairs[0].target] if self.pairs else None
 
     @property
     def reference(self) -> SceneObject | None:
-        """What it stands in relation to; of "between" the first end."""
+        """Reference of the answered object; of "between" the first end."""
         number = self.pairs[0].reference if self.pairs else None
         return None if number is None else self.objects[number]
 
     @property
     def holds(self) -> bool | None:
-        """Whether there is an answer that is all that was asked; None where it is, of a question that was asked in
-        part."""
+        """True for an answer fulfilling all of the question; None for the same with parts of the question unused."""
         return self.trace is not None and holds(self.trace)
 
     @property
     def relation_probability(self) -> float | None:
-        """That the best pair stands in what was asked, of several relations in the weakest; None without a pair."""
+        """Probability of the asked relation for the best pair, of several the weakest; None without a pair."""
         return self.pairs[0].relation_probability if self.pairs else None
 
     @property
     def sentence(self) -> str:
-        """The answer in words, or why there is none."""
+        """Answer in words, or the reason for none."""
         trace = self.trace
         if trace is None:
             return self.problem or "no answer"
@@ -94,23 +93,23 @@ class Answer(InNotebook):
 
     @property
     def verdict(self) -> str | None:
-        """CORRECT, or the module that failed; None where nothing says what is true."""
+        """CORRECT, or the module that failed; None without a known truth."""
         return None if self.diagnosis is None else self.diagnosis.verdict
 
     @property
     def why(self) -> str | None:
-        """The verdict in words with the smallest change that would mend it; else why there is none, if it is known."""
+        """Verdict in words with the smallest mending change; else the reason for none, if known."""
         return self.unjudged if self.diagnosis is None else self.diagnosis.text
 
     def needed_trace(self) -> Trace:
-        """`trace`; InputError where the expression could not be asked."""
+        """Trace; InputError where the expression could not be asked."""
         if self.trace is None:
             raise InputError(f"there is no trace of {self.text!r}: {self.problem}")
         return self.trace
 
     def record(self) -> dict[str, Any]:
-        """All of `ask --json`: `trace_record`, "stages" with how each fared in words, and where truth is known
-        "verdict", or null with "verdict_reason"."""
+        """Record of `ask --json`: `trace_record`, "stages" in words, and with a known truth "verdict", or null with
+        "verdict_reason"."""
         record, judged, trace = _answer_record(self), self.diagnosis or self.unjudged, self.trace
         if trace is not None:
             odd = depth_doubt(trace.frame) is not None
@@ -120,7 +119,7 @@ class Answer(InNotebook):
         return record | ({} if self.unjudged is None else {"verdict": None, "verdict_reason": self.unjudged})
 
     def what_if(self, edits: Edited) -> Answer:
-        """The answer under edits, written as for `whatif --edits`; its verdict is by the same truth.
+        """Answer under edits, written as for `whatif --edits`; judged by the same truth.
 
         Raises
         ------
@@ -140,7 +139,7 @@ class Answer(InNotebook):
 
 
 def answer_record(answered: Answer) -> dict[str, Any]:
-    """What a case keeps: the answer as in `ask --json`, without times; "judgement" as in `diagnosis_record`."""
+    """Record kept by a case: the answer as in `ask --json`, without times; "judgement" as in `diagnosis_record`."""
     record = _answer_record(answered)
     record.pop("timings_ms", None)
     record["judgement"] = None if answered.diagnosis is None else diagnosis_record(answered.diagnosis)
@@ -154,7 +153,7 @@ def _answer_record(answer: Answer) -> dict[str, Any]:
 
 
 def diagnosis_record(d: Diagnosis) -> dict[str, Any]:
-    """As in `ask --json`: objects are indices of "proposals", those of `truth` the numbers of the labels."""
+    """Diagnosis as in `ask --json`: objects are indices of "proposals", those of `truth` the labels' numbers."""
     case, numbers = d.case, d.truth.numbers
     missed = None if d.missed is None else {
         "name": d.missed_name, "kind": d.missed.kind, "overlap": round(d.missed.overlap, 4),
@@ -180,7 +179,7 @@ def diagnosis_record(d: Diagnosis) -> dict[str, Any]:
 
 
 def _shown(d: Diagnosis) -> tuple[int, ...]:
-    """The subsets of oracles whose margins are told: none, each alone that is no RECALL, these together, and all."""
+    """Subsets of oracles with printed margins: none, each alone but RECALL, these together, and all."""
     last = len(d.margins) - 1
     return (0, *(1 << k for k in range(1, len(d.oracles))), last - RECALL, last)
 

@@ -1,4 +1,4 @@
-"""Expressions answered and judged, on frames whose truth is known: as asked, with edits, or as a case keeps them."""
+"""Answers with verdicts on frames of known truth: as asked, with edits, or as kept in a case."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from pipeline.system.errors import InputError, ServerError, require
 
 
 class JudgedAs(Protocol):
-    """What of an `EvalSpec` its verdicts depend on."""
+    """Settings of an `EvalSpec` relevant to verdicts."""
 
     @property
     def marks(self) -> Mapping[tuple[str, str], str]: ...
@@ -48,7 +48,7 @@ class JudgedAs(Protocol):
 
 
 def known_truth(source: Pipeline, context: PreparedFrame, labels: Labels | None = None) -> FrameCases | None:
-    """What is true of a frame: by labels where they are given, else by its annotations; None without annotations.
+    """Truth of a frame: by labels where given, else by its annotations; None without annotations.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def ask_and_judge(
     skipped: Skipped | None = None,
     of_run: JudgedAs | None = None,
 ) -> Iterator[Answer]:
-    """Every expression on every frame that `key` means, with verdicts; the truth of a frame is worked out once.
+    """Answer and judge every expression on every frame of `key`; the truth of a frame is computed once.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def ask_and_judge(
 
 
 def truth_or_reason(source: Pipeline, context: PreparedFrame, labels: Labels | None) -> FrameCases | str | None:
-    """`known_truth`, or why it cannot be had."""
+    """Truth of a frame by `known_truth`, or the reason for none."""
     try:
         return known_truth(source, context, labels)
     except InputError as error:
@@ -114,8 +114,10 @@ def judged(
     rank: RankConfig | None = None,
     of_run: JudgedAs | None = None,
 ) -> Answer:
-    """A trace as an answer with its verdict, or the reason for none; `rank` are the weights of an edited one, `of_run`
-    the run whose marks and confidence it is judged with."""
+    """Answer of a trace with its verdict, or the reason for none.
+
+    `rank`: weights of an edited trace; `of_run`: run providing marks and confidence.
+    """
     found: Diagnosis | str | None = None if isinstance(truth, FrameCases) else truth
     if isinstance(truth, FrameCases):
         try:
@@ -144,7 +146,7 @@ def edited_verdicts(
     rank: RankConfig,
     labels: Labels | None = None,
 ) -> tuple[str | None, str | None]:
-    """The verdicts on an answer without and with edits, by one truth; None where there is none.
+    """Verdicts without and with edits, by the same truth; None where missing.
 
     Parameters
     ----------
@@ -200,9 +202,9 @@ def judge_refused(
     mark: str | None = None,
     confidence: float | None = None,
 ) -> Diagnosis:
-    """The verdict on a labelled expression that could not be asked: PARSE, or OPM where the detector lacks a name.
+    """Verdict on a labelled expression that could not be asked: PARSE, or OPM where the detector lacks a name.
 
-    Parameters as for `judge_trace`; `problem` says why it could not.
+    Parameters as for `judge_trace`; `problem` is the reason.
     """
     with suppress(InputError):  # A file without a line for it.
         source = source.asked(context.frame.id, case.text)
@@ -212,13 +214,13 @@ def judge_refused(
 
 
 def edited_trace(source: Pipeline, context: PreparedFrame, text: str, edits: Edited) -> tuple[Trace, RankConfig]:
-    """The answer under edits, and the weights it was ranked with."""
+    """Answer under edits, with the weights of its ranking."""
     read = pathless_edits(edits)
     return rerun(Baseline(source, context, text), read).trace, replace(source.config.rank, **read.rank)
 
 
 def pathless_edits(edits: Edited) -> Edits:
-    """Edits of JSON that open no file; raises as `edited_trace`."""
+    """Edits of JSON naming no file; InputError otherwise."""
     read = read_edits(dict(edits))
     require(
         is_named(read.scorer),
@@ -235,7 +237,7 @@ def _second_opinion() -> OnnxScorer | None:
 
 
 def annotated_truth(context: PreparedFrame, source: Pipeline) -> FrameCases | None:
-    """The truth of an annotated frame, labelled now by the default profile; None where nothing is annotated."""
+    """Truth of an annotated frame, labelled now by the default profile; None without annotations."""
     if not context.frame.annotations:
         return None
     config = LabelConfig(vocabulary="all", lift=context.config)
@@ -256,7 +258,7 @@ def annotated_truth(context: PreparedFrame, source: Pipeline) -> FrameCases | No
 
 
 def labelled_truth(frame_id: str, source: Pipeline, labels: Labels) -> FrameCases | None:
-    """The truth of a frame as labels have it, with their expressions; None where they have none of it."""
+    """Truth of a frame by labels, with their expressions; None for a frame outside the labels."""
     if frame_id not in source.dataset.frame_ids:
         return None
     index = source.dataset.frame_ids.index(frame_id)
@@ -264,18 +266,18 @@ def labelled_truth(frame_id: str, source: Pipeline, labels: Labels) -> FrameCase
 
 
 def labelled_case(truth: FrameCases, text: str) -> Case | None:
-    """The expression of the labels that has these words, if there is one."""
+    """Labelled expression with these words, if any."""
     wanted = " ".join(text.casefold().split())
     return next((c for c in truth.cases if " ".join(c.text.casefold().split()) == wanted), None)
 
 
 def case_of(truth: FrameCases, trace: Trace, source: Pipeline, context: PreparedFrame) -> tuple[FrameCases, Case] | str:
-    """A typed expression with its truth by the relations of the frame, or why there is none.
+    """Truth of a typed expression by the frame's relations, or the reason for none.
 
-    One that says more than a relation between two names is a `sentence_case`.
+    Expressions of more than a relation between two names become a `sentence_case`.
 
-    Nobody has labelled one pair as meant: of those of which it is true beyond doubt, it is the one that was answered,
-    else the one with the answered target, else with the answered reference, else the first in the order of the objects.
+    Nobody has labelled a pair as meant: among the surely true pairs the answered one is taken, else one with the
+    answered target, else with the answered reference, else the first in the order of the objects.
     """
     query = trace.query
     if asked_in_part(trace):
@@ -318,7 +320,7 @@ def judge_trace(
     confidence: float | None = None,
     rank: RankConfig | None = None,
 ) -> Diagnosis | str:
-    """The verdict on a trace, or why there can be none.
+    """Verdict on a trace, or the reason for none.
 
     Parameters
     ----------
@@ -357,7 +359,7 @@ def judge_trace(
 def judge_sentence(
     trace: Trace, source: Pipeline, context: PreparedFrame, truth: FrameCases, right: np.ndarray
 ) -> Diagnosis | str:
-    """The verdict on a trace whose right answers are given, (K,) int64 labelled objects; or why there can be none."""
+    """Verdict on a trace with given right answers, (K,) int64 labelled objects; or the reason for none."""
     case = sentence_case(truth, trace, source, context, right)
     if isinstance(case, str):
         return case
@@ -374,7 +376,7 @@ def judge_answers(
     confidence: float | None = None,
     problem: InputError | None = None,
 ) -> Diagnosis:
-    """The verdict on one expression by what was detected; `problem` says why it could not be read or asked."""
+    """Verdict on an expression by the detections of its frame; `problem`: reason for not reading or asking it."""
     evidence = FrameEvidence(truth, answers, DEFAULT_CONFIDENCE if confidence is None else confidence, (case,))
     gold = query is not None and is_gold(query, case)
     return diagnose(evidence, case, parse_ok=gold, mark=mark, query=query, problem=problem)

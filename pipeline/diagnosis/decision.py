@@ -1,4 +1,4 @@
-"""The verdict on one expression: exclusive, exhaustive, decided in a fixed order.
+"""Verdict on an expression: exclusive, exhaustive, decided in a fixed order.
 
 CORRECT      the answer's target overlaps the labelled one by half (LUCKY where the pair is not an acceptable one)
 PARSE        the parsed triple is not the gold triple: WORDS, a name is not known or was read as another; GRAMMAR, it
@@ -71,7 +71,7 @@ def diagnose(
     query: Query | None = None,
     problem: InputError | None = None,
 ) -> Diagnosis:
-    """Name the module that failed on one expression, and say why.
+    """Name the module that failed on an expression, and the reason.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def _needed(found: OracleScores, case: Case, right: int) -> tuple[Needed, ...]:
 
 
 def _flipped(found: OracleScores, diagnosis: Diagnosis, flips: list[int]) -> tuple[str, str | None, int]:
-    """Verdict, detail and repair where an acceptable pair lost; `flips` are the oracles that alone mend it."""
+    """Verdict, detail and repair of an acceptable pair that lost; `flips` are the oracles mending it alone."""
     if not flips:
         several = [s for s in range(found.subsets) if not s & RECALL and s.bit_count() > 1]
         smallest = _smallest(found, several)
@@ -189,7 +189,7 @@ def _flipped(found: OracleScores, diagnosis: Diagnosis, flips: list[int]) -> tup
 
 
 def _smallest(found: OracleScores, subsets: range | list[int]) -> int | None:
-    """The smallest of these subsets with which an acceptable pair wins; of equal ones that with the largest margin."""
+    """Smallest of these subsets with an acceptable winner; of equal ones the largest margin."""
     able = [s for s in subsets if found.accepted[s]]
     return min(able, key=lambda s: (s.bit_count(), -found.margins[s], s)) if able else None
 

@@ -1,4 +1,4 @@
-"""What was detected in a frame joined with what is true of it: who is who, and the relations of all of them."""
+"""Detections of a frame matched with its labelled objects, and the relations of all of both."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ BEYOND_USUAL = 2.0
 
 
 def matched(overlap: np.ndarray, alike: np.ndarray | bool = True) -> np.ndarray:
-    """(D,) int64: the labelled object that each detection is, by the best overlap of at least 0.5; -1 where none.
+    """(D,) int64: labelled object of each detection, by the best overlap of at least 0.5; -1 for none.
 
-    `overlap` is (D, N) float64; `alike` (D, N) bool: which labelled objects are of the class that was asked.
+    `overlap` is (D, N) float64; `alike` (D, N) bool: labelled objects of the asked class.
     """
     if not overlap.size:
         return np.full(len(overlap), -1, np.int64)
@@ -49,7 +49,7 @@ def matched(overlap: np.ndarray, alike: np.ndarray | bool = True) -> np.ndarray:
 
 
 class FrameEvidence:
-    """A frame's detections and its labelled objects, in one list: first the D detections, then the N labelled ones.
+    """Detections and labelled objects of a frame in a single list: first D detections, then N labelled objects.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ class FrameEvidence:
         self._stand_ins: dict[str, np.ndarray] = {}
 
     def object_at(self, index: int) -> SceneObject:
-        """A detection, or from index D on a labelled object with its own pixels; none where it has only a box."""
+        """Detection at an index, from D on a labelled object with its own pixels; no pixels for a mere box."""
         if index < self.detections:
             return self.answers.objects[index]
         found = self.objects.get(index - self.detections, points=True)
@@ -116,11 +116,11 @@ class FrameEvidence:
         return found if found.mask.size else replace(found, mask=np.zeros((frame.height, frame.width), np.bool_))
 
     def match_at(self, indices: np.ndarray) -> np.ndarray:
-        """(K,) int64: the labelled object, of whatever class, at each index of the list; -1 for none."""
+        """(K,) int64: labelled object, of whatever class, at each index of the list; -1 for none."""
         return np.asarray(np.concatenate([self.match, np.arange(self.labelled)])[indices], np.int64)
 
     def probabilities(self, relation: str) -> np.ndarray:
-        """(D + N, D + N) float64: the scorer's word on every pair that the cases of this relation are about.
+        """(D + N, D + N) float64: scored relation of every pair of interest to the cases.
 
         Among detections these are the very numbers of the answer. NaN for other pairs, and where geometry is not known.
         """
@@ -133,14 +133,15 @@ class FrameEvidence:
 
     @property
     def asked_again(self) -> bool:
-        """Whether what gave the relations can be asked again, of other geometry."""
+        """True where the relation scorer can score other geometry."""
         return bool(getattr(getattr(self.answers.source, "scorer", None), "asked_again", True))
 
     def off(self, indices: np.ndarray, shapes: np.ndarray) -> np.ndarray:
-        """(K,) bool: whether the extents of a detection of the list are not those of the labelled object that it is, by
-        more than a quarter of the larger and OFF_M; `shapes` (K,) are these objects, -1 for none.
+        """(K,) bool: detections with extents off their labelled object's by more than a quarter of the larger and
+        OFF_M.
 
-        Of predictions only where the file gives 3D boxes: they are those that its relations go by.
+        `shapes` (K,) are the labelled objects, -1 for none. Of predictions only where the file gives 3D boxes: the
+        basis of its relations.
         """
         source = self.answers.source
         line, predictions = getattr(source, "line", None), getattr(source, "predictions", None)
@@ -156,8 +157,8 @@ class FrameEvidence:
         return found
 
     def unusual(self, indices: np.ndarray) -> np.ndarray:
-        """(K,) bool: whether the 3D box of a detection is much farther from the labelled object that it is than the
-        boxes that other lines of the frame give of the same."""
+        """(K,) bool: detections with a 3D box much farther from the labelled object than other lines' boxes of the
+        frame."""
         line, predictions = (getattr(self.answers.source, name, None) for name in ("line", "predictions"))
         found, known = np.zeros(len(indices), np.bool_), enumerate(indices.tolist())
         own = [(k, int(self.match[i])) for k, i in known if i < self.detections and self.match[i] >= 0]
@@ -180,7 +181,7 @@ class FrameEvidence:
         return found
 
     def _error(self, predictions: Predictions, i: int, n: int) -> float | None:
-        """How far the extents of a given 3D box are from those of a labelled object at most, metres."""
+        """Largest distance in metres between the extents of a given 3D box and of a labelled object."""
         context = self.answers.context
         given = predictions.box_of(context.frame.id, i)
         box = None if given is None else try_box(given, predictions.header, context.frame.camera, False)
@@ -192,8 +193,7 @@ class FrameEvidence:
 
     @cached_property
     def words(self) -> np.ndarray:
-        """(K,) float64, rising: the few probabilities that a scorer gives, as one does that chooses among words; none
-        where they are many, or are not told."""
+        """(K,) float64, rising: distinct probabilities of a scorer that chooses among a few words; else none."""
         source = self.answers.source
         line, predictions = getattr(source, "line", None), getattr(source, "predictions", None)
         lines = () if line is None or predictions is None else predictions.of_frame(line.frame)
@@ -202,12 +202,13 @@ class FrameEvidence:
         return found if len(found) <= MOST_WORDS and len(every) >= FEWEST_SAID * len(found) else found[:0]
 
     def follows(self, relation: str) -> bool:
-        """Whether a scorer that cannot be asked again may go by its boxes, as far as its file shows."""
+        """True where a scorer that cannot be asked again may depend on its boxes, by the evidence of its file."""
         told = getattr(getattr(self.answers.source.scorer, "stand_in", None), "follows", None)
         return told is None or told(relation)
 
     def stand_in(self, relation: str) -> np.ndarray | None:
-        """As `probabilities`, all by what stands in for a scorer that cannot be asked again; None where ours can."""
+        """Relation matrix as `probabilities`, all by the stand-in of a scorer that cannot be asked again; None for
+        ours."""
         if self.asked_again:
             return None
         self.probabilities(relation)
@@ -236,7 +237,7 @@ class FrameEvidence:
                 self._probabilities[relation][:d, :d] = told
 
     def _involved(self, relations: Sequence[str]) -> np.ndarray:
-        """Indices of the candidates and labelled objects that the cases of these relations are about, rising."""
+        """Indices of the candidates and labelled objects in the cases of these relations, rising."""
         candidates = [np.zeros(0, np.int64)]
         labelled = np.zeros(self.labelled, np.bool_)
         for case in self._cases:
@@ -252,7 +253,7 @@ class FrameEvidence:
 
 
 class TrueObjects:
-    """What LIFT and RECALL put in place of detections; each object is made when it is first needed.
+    """Labelled objects as replacements by LIFT and RECALL, each made on first use.
 
     `known`: (N,) bool: objects whose geometry is known; `pseudo`: (N,) bool: those of which the label has a box and no
     pixels: points are not to be had.
@@ -267,7 +268,7 @@ class TrueObjects:
         self._lifted: dict[int, SceneObject] = {}
 
     def get(self, k: int, points: bool) -> SceneObject | None:
-        """An object, with its points where they are asked for; None where its geometry is not known."""
+        """Object, with points on request; None for unknown geometry."""
         if not self.known[k]:
             return None
         if not points or self.pseudo[k]:
@@ -275,7 +276,7 @@ class TrueObjects:
         return self._lifted.setdefault(k, self._lifted.get(k) or self._lift(k))
 
     def _mask(self, k: int) -> np.ndarray:
-        """(H, W) bool: the labelled pixels; all of the 2D box where there are none."""
+        """(H, W) bool: labelled pixels; the whole 2D box without any."""
         frame, code = self._context.frame, self._truth.masks[k]
         if code is None:
             return box_mask(self._truth.boxes[k], frame.height, frame.width)
@@ -306,7 +307,7 @@ class TrueObjects:
 
 
 def needs_points(scorer: RelationScorer, relation: str) -> bool:
-    """Whether a scorer looks at the points of objects for a relation, and not only at their extents."""
+    """True for a scorer reading points of objects for a relation, and not extents alone."""
     if relation not in DIRECTIONAL:
         return True
     scorer = getattr(scorer, "stand_in", scorer)

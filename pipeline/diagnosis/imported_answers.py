@@ -1,4 +1,4 @@
-"""Verdicts on imported predictions: as far as the file goes, by the answer as it is, or by a ranking not of ours."""
+"""Verdicts on imported predictions: by the answer alone, by its parts, or by a foreign ranking."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ FEWEST_ALIKE, ALIKE = 3, 0.05
 
 
 def untold(evidence: FrameEvidence, case: Case, gold: bool) -> dict[str, str]:
-    """The oracles that cannot be put in place by what a line gives, and why; none of an answer of ours."""
+    """Oracles without a basis in a line of predictions, with the reasons; none for our own answers."""
     source = evidence.answers.source
     line: Prediction | None = getattr(source, "line", None)
     if line is None:
@@ -54,12 +54,12 @@ def untold(evidence: FrameEvidence, case: Case, gold: bool) -> dict[str, str]:
 
 
 def answers_nothing(line: Prediction) -> bool:
-    """Whether a line has no answer because it has no pair: with more things it would have been ranked."""
+    """True for a line without an answer for lack of any pair: more objects would have given a ranking."""
     return line.relations is not None and line.answer is None and not any(line.relations.values())
 
 
 def answered_box(line: Prediction, predictions: Predictions, frame: Frame, end: str = "object") -> np.ndarray | None:
-    """(4,) float64: where the answer, or the "reference" that it was found by, is, pixels; None for a point or none."""
+    """(4,) float64: 2D box of the answer, or of its "reference", pixels; None for a point or nothing."""
     answer, size = line.answer, (frame.width, frame.height)
     number = None if answer is None else getattr(answer, end)
     if number is not None:
@@ -76,7 +76,7 @@ def answered_box(line: Prediction, predictions: Predictions, frame: Frame, end: 
 
 
 def answered_overlap(line: Prediction, predictions: Predictions, truth: FrameCases, frame: Frame) -> np.ndarray:
-    """(N,) float64: IoU of the answer with each labelled object; of a point 1 for those whose pixels it is among."""
+    """(N,) float64: IoU of the answer with each labelled object; of a point 1 for objects containing the pixel."""
     box = answered_box(line, predictions, frame)
     if box is not None:
         return iou_2d(box[None], truth.boxes)[0]
@@ -92,7 +92,7 @@ def answered_overlap(line: Prediction, predictions: Predictions, truth: FrameCas
 
 
 def decided_given(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | None) -> Diagnosis:
-    """The verdict on an answer whose ranking is not told: levels 0 to 2, and lines without an answer."""
+    """Verdict on an answer without a ranking: levels 0 to 2, and lines without an answer."""
     source = evidence.answers.source
     line: Prediction = source.line  # type: ignore[attr-defined]
     predictions: Predictions = source.predictions  # type: ignore[attr-defined]
@@ -136,7 +136,7 @@ def decided_given(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str
 
 
 def _one_for_both(evidence: FrameEvidence, case: Case, found: OracleScores, diagnosis: Diagnosis) -> Diagnosis | None:
-    """OPM-REF where one thing covers both ends of every right pair, as of "book above another book"; else None."""
+    """OPM-REF where a single object covers both ends of every right pair ("book above another book"); else None."""
     t, r = found.target.found, found.reference.found
     two = found.target.index[:t, None] != found.reference.index[None, :r]
     if not case.reference or (found.covered[:t, :r] & two).any():
@@ -150,7 +150,7 @@ def _one_for_both(evidence: FrameEvidence, case: Case, found: OracleScores, diag
 
 
 def _misplaced(evidence: FrameEvidence, found: OracleScores, line: Prediction) -> bool:
-    """Whether by their boxes no right pair is one, or the answer is, and by true boxes the opposite; by the rule."""
+    """True for wrong 3D boxes: given boxes deny every right pair or allow the answer, true boxes the opposite."""
     t, r = found.target.found, found.reference.found
     theirs, true = found.pair_relations[[0, LIFT], :t, :r]
     right = found.covered[:t, :r]
@@ -167,9 +167,8 @@ def _misplaced(evidence: FrameEvidence, found: OracleScores, line: Prediction) -
 
 
 def by_rule(found: OracleScores, diagnosis: Diagnosis) -> Diagnosis | None:
-    """The verdict where a right pair stood among the candidates and lost by a ranking that is not ours, and the ranking
-    is to blame, or nothing can be said; None where the oracles say which module is.
-    """
+    """Verdict on a right pair that lost by a foreign ranking at fault, or beyond judgement; None leaves the decision to
+    the oracles."""
     rule, table = found.table.config.rule, found.table
     shown = [s for s in range(found.subsets) if not s & RECALL]
     if not np.isfinite(found.table.flat[shown][:, found.covered.ravel()]).any():
@@ -195,8 +194,7 @@ def by_rule(found: OracleScores, diagnosis: Diagnosis) -> Diagnosis | None:
 
 
 def _says_nothing(found: OracleScores) -> bool:
-    """Whether the relation is about as probable of every pair, by true boxes too, and true of the right one and not of
-    the answer: no ranking can go by it, and in a file of such lines none is seen to."""
+    """True for an uninformative relation: about equal for all pairs, and true of the right pair, not of the answer."""
     p = found.pair_relations[[0, LIFT, SRM]].reshape(3, -1)
     ranked = p[:2, np.isfinite(found.plain.flat[0])]
     mine, its = p[2, int(found.winners[0])], p[2, int(found.plain.first(found.covered)[0])]
@@ -204,8 +202,7 @@ def _says_nothing(found: OracleScores) -> bool:
 
 
 def _outdone(found: OracleScores) -> bool:
-    """Whether a right pair was no worse in any factor than the answer, and better in one, so that no ranking that rises
-    with them would put it below."""
+    """True where a right pair beats the answer in some factor and loses in none: no rising ranking puts it lower."""
     plain, ends = found.plain, found.reference.scores
     p = plain.p_relation.reshape(found.covered.shape)
     parts = np.broadcast_arrays(found.target.scores[:, None], ends if len(ends) else np.ones(1), p)
@@ -216,12 +213,11 @@ def _outdone(found: OracleScores) -> bool:
 
 
 def against(found: OracleScores, diagnosis: Diagnosis, bits: Sequence[int]) -> list[int]:
-    """Of the oracles that only together mend an answer of an imported ranking those that may name a module: not the
-    confidences where they spoke for the right pair, nor what gave its relation where that did. Of geometry and relation
-    the first.
+    """Oracles to blame, among those mending an imported answer only together.
 
-    The truth is at times less sure of a right pair than a scorer (.50 where the label says U), and so takes true
-    confidences, too, to mend what the scorer alone did.
+    Confidences in favour of the right pair are left out, and so is the source of its relation where in favour; of
+    geometry and relation the first is kept. The truth is at times less sure of a right pair than a scorer (.50 where
+    the label says U), and so takes true confidences, too, to mend the scorer's error.
     """
     winner, right = diagnosis.winner, diagnosis.right
     if diagnosis.evidence.asked_again or winner is None or right is None:
@@ -236,7 +232,7 @@ def against(found: OracleScores, diagnosis: Diagnosis, bits: Sequence[int]) -> l
 
 
 def _denied(found: OracleScores) -> bool:
-    """Whether the relation spoke for the answer, or is wrong of the right pair or of the answer."""
+    """True where the relation favoured the answer, or is wrong of the right pair or of the answer."""
     p = found.pair_relations[[0, SRM]].reshape(2, -1)
     (mine, true_mine), (its, true_its) = (
         p[:, k] for k in (int(found.winners[0]), int(found.plain.first(found.covered)[0]))
@@ -245,11 +241,11 @@ def _denied(found: OracleScores) -> bool:
 
 
 def to_blame(found: OracleScores, diagnosis: Diagnosis, flips: Sequence[int]) -> list[int]:
-    """Of the oracles that alone mend an answer those that may name the module; of an imported ranking one.
+    """Oracles to blame, among those mending an answer alone; of an imported ranking a single one.
 
-    What spoke for the right pair is not to blame for its losing, though a truth that is surer still would have helped
-    it. Of the others it is the first of the chain: a thing that is none of the class and was surer than the right one;
-    a box that is off and explains the probability that was given; that probability; the confidences of real things.
+    A factor in favour of the right pair is not to blame, though a surer truth would have helped. Of the others the
+    first of the chain is taken: an object of no such class, surer than the right one; a box that is off and explains
+    the given probability; that probability; the confidences of real objects.
     """
     winner, right = diagnosis.winner, diagnosis.right
     if diagnosis.evidence.asked_again or winner is None or right is None:
@@ -264,8 +260,7 @@ def to_blame(found: OracleScores, diagnosis: Diagnosis, flips: Sequence[int]) ->
 
 
 def _misled(found: OracleScores, diagnosis: Diagnosis) -> bool:
-    """Whether a box of the answer or of the right pair is farther off than is usual in its frame: what is said of boxes
-    like those is not what the scorer says of others."""
+    """True where a box of the answer or of the right pair is unusually far off for the frame."""
     r = found.covered.shape[1]
     pairs = (int(found.winners[0]), int(found.plain.first(found.covered)[0]))
     ends = np.array([(found.target.index[k // r], found.reference.index[k % r]) for k in pairs]).ravel()
@@ -273,8 +268,7 @@ def _misled(found: OracleScores, diagnosis: Diagnosis) -> bool:
 
 
 def _follows(found: OracleScores) -> bool:
-    """Whether true boxes take the relation of the right pair at least half the way to that of the answer, which was
-    likelier: what is wrong with it is that of a box."""
+    """True where true boxes move the relation of the right pair at least half the way to the answer's likelier one."""
     p = np.clip(found.pair_relations[[0, LIFT]].reshape(2, -1), 0.01, 0.99)
     odds = np.log(p / (1 - p))
     right = int(found.plain.first(found.covered)[0])

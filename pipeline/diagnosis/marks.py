@@ -1,4 +1,4 @@
-"""What a person said of labelled expressions: that the label, or its box, is wrong."""
+"""Marks of people on labelled expressions: a wrong label, or a wrong box."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MARKS = ("BAD_LABEL", "BAD_BOX")
 
 
 def read_marks(path: Path) -> dict[tuple[str, str], str]:
-    """Marks by (frame, id of the expression), from JSON: a list of {"frame", "id", "mark"} and whatever else.
+    """Read marks by (frame, expression id) from JSON: a list of {"frame", "id", "mark"} with any other keys.
 
     Raises
     ------

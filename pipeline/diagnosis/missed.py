@@ -1,4 +1,4 @@
-"""Why a right thing is not among the candidates: cut off, below the threshold, badly placed, or not seen."""
+"""Reasons for a right object missing among the candidates: cut off, below the threshold, badly placed, or not seen."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pipeline.system.errors import InputError
 
 
 def not_proposed(evidence: FrameEvidence, case: Case, found: OracleScores, diagnosis: Diagnosis) -> Diagnosis | None:
-    """OPM-TARGET or OPM-REF, where no candidate is a right target, or no candidate pair a right one; else None."""
+    """OPM-TARGET or OPM-REF, without a right target or a right pair among the candidates; else None."""
     if not found.right[: found.target.found].any():
         missed = missed_of(evidence, case.target, case.acceptable)
         return replace(diagnosis, verdict="OPM-TARGET", detail=missed.kind, missed=missed, missed_name=case.target)
@@ -49,7 +49,7 @@ def why_missed(
     detector: Detector,
     unfiltered: Callable[[], Detector],
 ) -> Missed:
-    """Look for a right box among all that the detector gives, then among what it drops.
+    """Look for a right box among all detections, then among the dropped ones.
 
     `name`: the class name that was asked; `right`: (M, 4) float: boxes of the objects that would have been right,
     pixels; `unfiltered`: gives the same detector without a minimum score; called only when it is needed.
@@ -84,7 +84,7 @@ def why_missed(
 
 
 def _detections(detector: Detector, frame: Frame, name: str) -> Proposals | None:
-    """All detections of a name; None where the detector cannot know it."""
+    """Detections of a name; None for a name unknown to the detector."""
     try:
         # An imported file also tells of what did not go on.
         return getattr(detector, "detect_with_dropped", detector.detect)(frame, [name])

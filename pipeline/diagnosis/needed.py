@@ -1,4 +1,4 @@
-"""What one factor alone would have to be for the right pair to win: exact, on the table of all pairs."""
+"""Minimal repair: value of a single factor at which the right pair wins, exact on the table of all pairs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FACTORS = ("target", "reference", "relation", "attributes")
 
 @dataclass(frozen=True)
 class Needed:
-    """What one factor would have to be, all else as it is."""
+    """Needed value of a factor, all else unchanged."""
 
     factor: str  # target, reference or relation; attributes, what is said of the target alone
     # right, winner: The factor of the best acceptable pair and of the answer now
@@ -31,7 +31,7 @@ class Needed:
 def needed_changes(
     table: PairTable, winner: int, right: int, looks: tuple[float, float] | None = None
 ) -> tuple[Needed, ...]:
-    """For each factor of weight above 0 the change that alone would put the right pair first, the smallest first.
+    """Changes of single factors putting the right pair first, smallest first, for factors of weight above 0.
 
     `table`: of one scene, with one reference or none; `winner`, `right`: the pair that comes first, and the one that
     should; `looks`: P(attributes | x) of the right pair's target and of the answer's, where the expression has any.
@@ -60,7 +60,7 @@ def needed_changes(
 
 
 def _touched(table: PairTable, factor: str, pair: int) -> np.ndarray:
-    """(P,) bool: the pairs of which a pair's factor is a factor."""
+    """(P,) bool: pairs sharing a pair's factor."""
     columns = prod(table.shape[1:])
     at = np.arange(table.flat.shape[1])
     if factor == "relation":
@@ -69,13 +69,13 @@ def _touched(table: PairTable, factor: str, pair: int) -> np.ndarray:
 
 
 def _least_rise(table: PairTable, factor: str, right: int, ahead: np.ndarray) -> float:
-    """By how much the weighted log factor of the right pair has to rise; inf where that cannot put it first."""
+    """Least rise of the right pair's weighted log factor; inf where no rise puts the pair first."""
     low, _ = _bounds(table, _touched(table, factor, right), right, ahead)
     return log(low) if low < inf else inf
 
 
 def _least_fall(table: PairTable, factor: str, winner: int, right: int, ahead: np.ndarray) -> float:
-    """By how much the weighted log factor of the answer has to fall; inf where that cannot put the right pair first."""
+    """Least fall of the answer's weighted log factor; inf where no fall puts the right pair first."""
     touched = _touched(table, factor, winner)
     if touched[right]:
         return inf
@@ -86,10 +86,10 @@ def _least_fall(table: PairTable, factor: str, winner: int, right: int, ahead: n
 def _bounds(
     table: PairTable, touched: np.ndarray, right: int, ahead: np.ndarray, rising: bool = True
 ) -> tuple[float, float]:
-    """Between which factors on the weights (e to the S) of the touched pairs the right pair comes first.
+    """Bounds of a factor on the touched pairs' weights (e to the S) with the right pair first.
 
-    `ahead`, (P,) bool, are the pairs that now come before it. Rising from 1 the least such factor comes first, inf for
-    none; falling from 1 the greatest comes second, 0 for none.
+    `ahead`, (P,) bool: pairs now before the right one. First the least rising factor from 1, inf for none; second the
+    greatest falling factor from 1, 0 for none.
     """
     scores = table.flat[0]
     weight = np.exp(np.minimum(scores - scores[right], 700.0))
@@ -119,7 +119,7 @@ def _bounds(
 
 
 def smallest_change(changes: Sequence[Needed]) -> str:
-    """In words: the smallest change of one factor that would put the right pair first, or that there is none."""
+    """Smallest change of a single factor putting the right pair first, in words, or that none exists."""
     names = {
         "relation": "relation",
         "target": "target score",
@@ -148,7 +148,7 @@ def smallest_change(changes: Sequence[Needed]) -> str:
 
 
 def threshold(value: float, now: float) -> tuple[str, str]:
-    """What a factor has to pass, with so many digits that it is another number than it is now, and neither 0 nor 1."""
+    """Threshold of a factor, with enough digits to differ from its present value, and from 0 and 1."""
     shown = is_now = ""
     for digits in range(2, 10):
         shown, is_now = f"{value:.{digits}f}", f"{now:.{digits}f}"

@@ -1,4 +1,4 @@
-"""What a frame offers to be asked: names of things that are there, and questions that have an answer."""
+"""Suggested questions of a frame: names of present objects, and questions with an answer."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from pipeline.system.errors import InputError
 
 @dataclass(frozen=True)
 class Offers:
-    """What can be asked of a frame."""
+    """Names and questions suggested for a frame."""
 
     names: tuple[str, ...] = ()
     # questions: At most so many as were wanted; none where up is only assumed, unless they are labelled
@@ -32,7 +32,7 @@ class Offers:
 
     @property
     def words(self) -> str:
-        """The names, and by whom they are known."""
+        """Names, and their source."""
         return f"In this frame by {self.by}: {', '.join(self.names)}" if self.names else ""
 
 
@@ -43,7 +43,7 @@ def offers_of(
     truth: FrameCases | None = None,
     count: int = 3,
 ) -> Offers:
-    """What can be asked of a frame, by its labels, its annotations, an imported file, or sure detections.
+    """Suggest questions about a frame, by its labels, its annotations, an imported file, or sure detections.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def offers_of(
 
 
 def _labelled(source: Pipeline, cases: Sequence[Case], count: int) -> tuple[str, ...]:
-    """Clear-cut expressions of the labels about different things, of names that the detector knows."""
+    """Clear-cut expressions of the labels about different objects, of names known to the detector."""
     known = None if source.detector is None else source.detector.vocabulary
     fit = [c for c in cases if known is None or all(match(n, known, source.synonyms) for n in (c.target, c.reference))]
     chosen: list[Case] = []
@@ -88,7 +88,7 @@ def _labelled(source: Pipeline, cases: Sequence[Case], count: int) -> tuple[str,
 
 
 def first_question(source: Pipeline, context: PreparedFrame, questions: Sequence[str]) -> str:
-    """The first of some questions that has an answer; empty where none has."""
+    """First question with an answer; empty for none."""
     for text in questions:
         try:
             trace = source.asked(context.frame.id, text).ask(context, text)

@@ -1,4 +1,4 @@
-"""A pipeline opened for questions from Python: what `open` and `ask` of the public face are."""
+"""Pipeline opened for questions from Python: `open` and `ask` of the public face."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Source = str | Path | Dataset | Frame | Sequence[Frame]
 
 @dataclass(frozen=True)
 class Opened:
-    """A pipeline opened for questions from Python, with what says what is true of its frames."""
+    """Pipeline opened for questions from Python, with the truth of its frames."""
 
     pipeline: Pipeline
     labels: Labels | None = None  # What is true; without them the frames' annotations say it, where there are any
@@ -44,7 +44,7 @@ class Opened:
 
     @property
     def frames(self) -> Frames:
-        """The frames of the dataset, decoded one by one: `for frame in opened.frames`, `opened.frames[0]`."""
+        """Frames of the dataset, decoded on access: `for frame in opened.frames`, `opened.frames[0]`."""
         return self.pipeline.frames
 
     @cached_property
@@ -77,7 +77,7 @@ class Opened:
         return replace(judged(self.pipeline.ask(context, text), self.pipeline, context, truth), origin=self)
 
     def what_if(self, answer: Answer, edits: Mapping[str, Any]) -> Answer:
-        """An answer of this pipeline under edits; see `Answer.what_if`."""
+        """Answer of this pipeline under edits; see `Answer.what_if`."""
         context, truth = self._with_truth(self.pipeline.prepare(answer.needed_trace().frame))
         trace, rank = edited_trace(self.pipeline, context, answer.text, edits)
         return replace(judged(trace, self.pipeline, context, truth, rank), origin=self, edits=edits)
@@ -87,7 +87,7 @@ class Opened:
         return self.view(self, **options)
 
     def view(self, what: Opened | Answer, **options: Any) -> Any:
-        """Show this, or an answer of it.
+        """Show this pipeline, or an answer of it.
 
         Raises
         ------
@@ -107,7 +107,7 @@ def open(
     model: str | Path | None = None,
     **options: Any,
 ) -> Opened:
-    """Open a dataset and the models for it, for questions.
+    """Open a dataset and the models for questions.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def open_arrays(
     relations: Mapping[str, Any] | None = None,
     **arrays: Any,
 ) -> Opened:
-    """Open arrays that are at hand, for questions: what is given of boxes and relations stands, the rest is made here.
+    """Open arrays for questions: given boxes and relations are kept, the rest is computed.
 
     `rgb`, `depth`, `K`: as for `Frame.of_arrays`, from numpy or another library; `boxes`: A 3D box or None for each
     mask, camera frame, metres: a Box3D, its (8, 3) corners, or a mapping of `center`, `size` and `rotation`;
@@ -157,5 +157,5 @@ def open_arrays(
 
 
 def ask(dataset: Opened | Source, frame: int | str | Frame, text: str, **options: Any) -> Answer:
-    """Answer one expression; for several open the dataset once. `options` as for `open`."""
+    """Answer an expression; for several open the dataset once. `options` as for `open`."""
     return (dataset if isinstance(dataset, Opened) else open(dataset, **options)).ask(frame, text)

@@ -1,5 +1,4 @@
-"""One expression ranked with every subset of the oracles in place of what the modules gave: sixteen times, and where it
-speaks of attributes thirty-two times.
+"""Oracle subsets: an expression ranked with every subset of modules replaced by the truth, 16 or with attributes 32.
 
 Each oracle replaces what one module gave by the truth, and nothing else.
 
@@ -69,7 +68,7 @@ side of a half, follows from the box."""
 
 @dataclass(frozen=True, eq=False)
 class CandidateSet:
-    """What may fill one place of the expression: its candidates, then the labelled objects that RECALL adds."""
+    """Candidates of a place of the expression, then the labelled objects added by RECALL."""
 
     index: np.ndarray  # (K,) int64: in the list of the frame's evidence
     found: int  # How many of them are candidates
@@ -83,7 +82,7 @@ class CandidateSet:
 
 @dataclass(frozen=True, eq=False)
 class OracleScores:
-    """All candidate pairs of one expression under all subsets of the oracles."""
+    """Candidate pairs of an expression under all subsets of the oracles."""
 
     target: CandidateSet
     reference: CandidateSet
@@ -97,11 +96,11 @@ class OracleScores:
 
     @property
     def subsets(self) -> int:
-        """How many subsets there are."""
+        """Number of subsets."""
         return len(self.table.flat)
 
     def pair_at(self, at: int) -> ScoredPair:
-        """A pair of `plain`, with all that a sentence says of it."""
+        """Pair of `plain`, with all statements of a sentence about it."""
         return self.plain.pair(at)
 
     @property
@@ -111,22 +110,22 @@ class OracleScores:
 
     @cached_property
     def plain(self) -> PairTable:
-        """The pairs without any oracle, as they were ranked."""
+        """Pairs without any oracle, as ranked."""
         return self.table.scene(0)
 
     @cached_property
     def winners(self) -> np.ndarray:
-        """(S,) int64: the winning pair under each subset as i * R + j; -1 where there is no pair."""
+        """(S,) int64: winning pair under each subset as i * R + j; -1 without a pair."""
         return self.table.first()
 
     @cached_property
     def best_acceptable(self) -> tuple[int, int] | None:
-        """The acceptable pair among the candidates that stands highest, by the ranking's order, without any oracle."""
+        """Highest acceptable pair among the candidates, by the ranking's order, without any oracle."""
         at = int(self.plain.first(self.covered)[0])
         return None if at < 0 else divmod(at, self.covered.shape[1])
 
     def pair(self, subset: int = 0) -> tuple[int, int] | None:
-        """The winner under a subset as indices in the two roles."""
+        """Winner under a subset as indices in the two roles."""
         at = int(self.winners[subset])
         return None if at < 0 else divmod(at, self.covered.shape[1])
 
@@ -137,7 +136,7 @@ class OracleScores:
         return np.array([w >= 0 and bool(flat[w]) for w in self.winners])
 
     def mends(self, subset: int) -> bool:
-        """Whether an acceptable pair wins under a subset, or comes to nearly tie by a ranking that was only fitted."""
+        """True where an acceptable pair wins under a subset, or nearly ties by a merely fitted ranking."""
         rule, behind = self.table.config.rule, self.margins[0]
         # Of two pairs that are both true an oracle says the same, and so leaves a tie.
         near = rule is not None and self.margins[subset] > min(max(-NEARLY * rule.unit, behind / 2), behind * TIED)
@@ -145,13 +144,13 @@ class OracleScores:
 
     @cached_property
     def right_target(self) -> np.ndarray:
-        """(S,) bool: the answer's target is right by set-valued accuracy; without any pair the best target answers."""
+        """(S,) bool: right target by set-valued accuracy; without any pair the best target answers."""
         columns = self.covered.shape[1]
         answers = [self.alone(s) if w < 0 else w // columns for s, w in enumerate(self.winners.tolist())]
         return np.array([target is not None and bool(self.right[target]) for target in answers])
 
     def alone(self, subset: int = 0) -> int | None:
-        """The target that answers where all pairs are one thing; None where a role has no candidate at all."""
+        """Answering target where all pairs are a single object; None for a role without candidates."""
         t, r = ((len(x.index) if subset & RECALL else x.found) for x in (self.target, self.reference))
         if self.winners[subset] >= 0 or not t or not r:
             return None
@@ -159,24 +158,24 @@ class OracleScores:
 
     @cached_property
     def margins(self) -> np.ndarray:
-        """(S,) float64: how far the best acceptable pair stands above the best other one; -inf, inf where one lacks.
+        """(S,) float64: margin of the best acceptable pair over the best other; -inf, inf where either is missing.
 
-        Their difference in S; where the probabilities of a target's pairs are summed up and the two have different
-        targets, that of the logs of these sums.
+        Difference in S; where the probabilities of a target's pairs are summed up and the targets differ, that of the
+        logs of these sums.
         """
         return margins_of(_levelled(self.table), self.covered)
 
     def decided_margin(self, subset: int) -> float:
-        """The margin by what is decided: a relation above .5 counts as the truth's .99, one below as .01.
+        """Margin by decided relations: above .5 counts as the truth's .99, below as .01.
 
-        An attribute likewise from where it holds on.
+        An attribute likewise from its threshold on.
         """
         table = self.table.scene(subset)
         return float(margins_of(_levelled(table.with_relation(decided(table.p_relation, HOLDS))), self.covered)[0])
 
 
 def _levelled(table: PairTable) -> PairTable:
-    """With the scores of a fitted ranking on the scale on which they were fitted."""
+    """Table with the scores of a fitted ranking on their fitted scale."""
     rule = table.config.rule
     if rule is None or rule.scale == "values":
         return table
@@ -204,9 +203,9 @@ def margins_of(table: PairTable, covered: np.ndarray) -> np.ndarray:
 
 
 def role_of(evidence: FrameEvidence, name: str, asked: np.ndarray) -> CandidateSet:
-    """The candidates of a name and the labelled objects ((N,) bool, those of the asked class) that are missing there.
+    """Candidates of a name, and the missing labelled objects ((N,) bool, of the asked class).
 
-    Made once for all expressions of the frame that ask for it.
+    Made once for all expressions of the frame with this name.
     """
     key, candidates = (name, asked.tobytes()), evidence.answers.candidates[name]
     if key in evidence.roles:
@@ -275,12 +274,12 @@ def relation_of(evidence: FrameEvidence, relation: str, target: CandidateSet, re
 
 
 def names_of(subset: int) -> tuple[str, ...]:
-    """The oracles of a subset, which is a number with one bit for each."""
+    """Oracles of a subset, a number with a bit for each."""
     return tuple(name for k, name in enumerate(ALL_ORACLES) if subset >> k & 1)
 
 
 def shown_oracle(name: str) -> str:
-    """What people are told an oracle by: the verdicts that it takes away."""
+    """Printed name of an oracle: the verdicts taken away by it."""
     return ", ".join(NAMED_BY.get(name, (name,)))
 
 

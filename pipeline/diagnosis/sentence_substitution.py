@@ -1,4 +1,4 @@
-"""A sentence of more than two names and a relation, ranked with every subset of the oracles: its whole tree anew."""
+"""Oracle subsets of a sentence of more than two names and a relation: the whole tree solved anew."""
 
 from __future__ import annotations
 
@@ -38,18 +38,18 @@ from pipeline.relations.scorer import probabilities_beyond
 
 @dataclass(frozen=True, eq=False)
 class SentenceScores(OracleScores):
-    """As `OracleScores`, with the tree that it was solved with."""
+    """Sentence pairs under all subsets of the oracles, with the solved tree."""
 
     tree: SubstitutedTree
 
     def pair_at(self, at: int) -> ScoredPair:
-        """A pair of `plain` with its links and factors."""
+        """Pair of `plain` with links and factors."""
         solved, columns = self.tree.solved(0), self.covered.shape[1]
         pair = solved.pair(at // columns * prod(solved.table.shape[1:]) + at % columns)
         return self.tree.of_frame(replace(self.plain.pair(at), links=pair.links, factors=pair.factors))
 
     def decided_margin(self, subset: int) -> float:
-        """As for a plain expression; attributes count likewise, from where they hold on."""
+        """Margin by decided relations and attributes."""
         table = self.tree.solved(subset, decide=True).table
         return float(margins_of(table, self.covered[: table.shape[0], : prod(table.shape[1:])])[0])
 
@@ -87,11 +87,9 @@ def substitute_sentence(evidence: FrameEvidence, case: Case, meant: Meant) -> Se
 
 
 class SubstitutedTree:
-    """All that is said in a sentence, solved with some modules replaced by the truth.
+    """Sentence solved with some modules replaced by the truth.
 
-    The candidates of all its names stand in one list of G entries, those of each name under its own.
-
-    `roles`: by name.
+    Candidates of all names stand in a single list of G entries, those of each name under its own.
     """
 
     def __init__(self, evidence: FrameEvidence, meant: Meant) -> None:
@@ -114,7 +112,7 @@ class SubstitutedTree:
         self._judged: tuple[dict, dict] = ({}, {})
 
     def solved(self, subset: int, decide: bool = False) -> SolvedReading:
-        """The tree under a subset of the oracles; with `decide` relations and attributes as `decided_margin` says."""
+        """Tree under a subset of the oracles; with `decide` relations and attributes as in `decided_margin`."""
         recall, lift, srm, conf, attribute = (subset >> k & 1 for k in range(len(ALL_ORACLES)))
         every = self._all
         true = self._evidence.answers.source.config.rank.true_scores
@@ -152,7 +150,7 @@ class SubstitutedTree:
     def _still_given(
         self, given: Mapping[tuple[int, ...], float] | None, ids: Sequence[int]
     ) -> Mapping[tuple[int, ...], float] | None:
-        """What was given of things whose boxes are as they truly are: true boxes say nothing else of them."""
+        """Given probabilities of objects with true boxes: true boxes say nothing else of them."""
         if not given:
             return given
         off = self._evidence.off(self._all.index, self._all.shape_of)
@@ -160,11 +158,11 @@ class SubstitutedTree:
         return {row: p for row, p in given.items() if wrong.isdisjoint(row)}
 
     def attribute(self, name: str, attribute: Attribute) -> np.ndarray | None:
-        """(K,) float64: what true pixels and boxes say of all that may fill a name; None where nothing can judge it."""
+        """(K,) float64: attribute of all candidates of a name by true pixels and boxes; None where not judged."""
         return self._scene(1, False, False).attribute(attribute, self._entries[name])
 
     def of_frame(self, pair: ScoredPair) -> ScoredPair:
-        """A pair whose links and factors number the entries of this list, with the numbers of the evidence's."""
+        """Pair with entries of this list renumbered as in the evidence."""
         index = self._all.index.tolist()
         return replace(
             pair,
@@ -196,11 +194,10 @@ class SubstitutedTree:
 
 
 class SubstitutedEvidence(SceneEvidence):
-    """What noun phrases say of the candidates of a sentence, with attributes as they are told to be.
+    """Attributes of a sentence's candidates, with some replaced by the truth.
 
-    `objects`, `frame`, `viewer`: as for `SceneEvidence`; `judged`: keeps what the pixels and boxes of these objects
-    say; `told`: dict of str to (G,) float64: by attribute: what is put in its place; NaN for what stays; `decide`:
-    attributes count as .99 where they hold and .01 where not.
+    `told`: (G,) float64 by attribute, NaN for kept values; `decide`: attributes count as .99 where present and .01
+    elsewhere; `judged`: cache of judgements by pixels and boxes.
     """
 
     def __init__(
@@ -216,7 +213,7 @@ class SubstitutedEvidence(SceneEvidence):
         self._judged, self._told, self._decides = judged, told, decide
 
     def attribute(self, attribute: Attribute, index: np.ndarray) -> np.ndarray | None:
-        """As `SceneEvidence.attribute`; of one that nothing judges only where it is told."""
+        """Attribute as by `SceneEvidence.attribute`, replaced where told."""
         text = str(attribute)
         key = text, index.tobytes()
         if key not in self._judged:
@@ -229,6 +226,6 @@ class SubstitutedEvidence(SceneEvidence):
 
 
 def _no_one(evidence: FrameEvidence) -> CandidateSet:
-    """In place of a reference where there is none."""
+    """Empty reference."""
     none = np.array([-1])
     return CandidateSet(none, 1, np.ones(1), none, none, np.zeros((1, evidence.labelled)))

@@ -1,4 +1,4 @@
-"""What is true of a sentence as people say them: which things it means, and which have the attributes it names.
+"""Truth of free sentences: the objects meant, and the attributes of labelled objects.
 
 Nobody labels attributes. What is known of them comes from one of two sources:
 
@@ -45,7 +45,7 @@ _TRUE, _FALSE = STATE_PROBABILITY[1], STATE_PROBABILITY[-1]
 def sentence_case(
     truth: FrameCases, trace: Trace, source: Pipeline, context: PreparedFrame, right: np.ndarray | None = None
 ) -> Case | str:
-    """A sentence with what is true of it, or why that cannot be told.
+    """Case of a sentence with its truth, or the reason for none.
 
     Parameters
     ----------
@@ -98,14 +98,14 @@ def sentence_case(
 
 
 def _of_class(node: Node, truth: FrameCases, names: tuple[str, ...], source: Pipeline) -> np.ndarray:
-    """(N,) bool: the labelled objects that a noun phrase means by its name."""
+    """(N,) bool: labelled objects meant by the name of a noun phrase."""
     name = spelt(node.name, names, source.synonyms)
     meant = truth.labels if node.anything else match(name, names, source.synonyms)
     return np.array([label in meant for label in truth.labels], np.bool_)
 
 
 class _LabelledWorld:
-    """The labelled things alone, as the candidates of a sentence."""
+    """Labelled objects alone, as the candidates of a sentence."""
 
     def __init__(self, truth: FrameCases, trace: Trace, source: Pipeline, context: PreparedFrame, case: Case) -> None:
         answers = FrameAnswers.of_trace(source, context, trace)
@@ -118,12 +118,12 @@ class _LabelledWorld:
         return found
 
     def belief(self, meant: Meant) -> np.ndarray:
-        """(N,) float64: how surely each thing is what the sentence says, by the truth; 0 for those of other classes."""
+        """(N,) float64: truth of the sentence for each object; 0 for other classes."""
         tree = SubstitutedTree(self._evidence, meant)
         return self._spread(tree, meant.root.label, tree.solved(_EVERY_ORACLE).root.belief, 0.0)
 
     def looks(self, node: Node) -> dict[str, np.ndarray | None]:
-        """(N,) float64 by attribute: what the true pixels and boxes say of each thing; None where nothing can."""
+        """(N,) float64 by attribute, from true pixels and boxes; None where not judged."""
         assert self.case.meant is not None
         tree = SubstitutedTree(self._evidence, self.case.meant)
         told = {str(a): tree.attribute(node.label, a) for a in node.attributes}
@@ -131,7 +131,7 @@ class _LabelledWorld:
 
 
 def _seen(world: _LabelledWorld, nodes: list[Node]) -> dict[tuple[str, str], np.ndarray] | str:
-    """The attributes of labelled things by their pixels and boxes, or why they cannot be told."""
+    """Attributes of labelled objects by pixels and boxes, or the reason for none."""
     found = {}
     for node in nodes:
         for text, p in world.looks(node).items():
@@ -144,7 +144,7 @@ def _seen(world: _LabelledWorld, nodes: list[Node]) -> dict[tuple[str, str], np.
 
 
 def _inferred(world: _LabelledWorld, nodes: list[Node], right: np.ndarray) -> dict[tuple[str, str], np.ndarray]:
-    """The attributes that follow from which answers are right; NaN where nobody knows."""
+    """Attributes inferred from the right answers; NaN where unknown."""
     truth, case = world.truth, world.case
     assert case.meant is not None
     root, classes = case.meant.root, case.meant.classes
@@ -170,7 +170,7 @@ def _inferred(world: _LabelledWorld, nodes: list[Node], right: np.ndarray) -> di
 
 
 def closest_pair(pairs: np.ndarray, trace: Trace, truth: FrameCases) -> int:
-    """Which of the pairs was answered: by the overlap with the target, and of equal ones with the reference."""
+    """Index of the answered pair: by overlap with the target, of equal ones with the reference."""
     if trace.ranking is None or not trace.ranking.pairs:
         return 0
     best = trace.ranking.pairs[0]

@@ -1,4 +1,4 @@
-"""The pipeline stage by stage, as people read it: how each fared in one answer, and which failed."""
+"""Pipeline stages of an answer in words, and the failed ones."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Judged: TypeAlias = "Diagnosis | str | None"
 
 @dataclass(frozen=True)
 class Stage:
-    """How a stage fared: by a mark ("idle": it says nothing), in plain words, and what it took, in words."""
+    """Stage of an answer: a mark ("idle" for nothing to say), words, and the time taken."""
 
     name: str
     mark: Mark
@@ -31,12 +31,12 @@ class Stage:
     cost: str = ""
 
     def record(self) -> dict[str, Any]:
-        """As JSON, without what it took."""
+        """JSON record, without the time."""
         return {"name": self.name, "mark": self.mark, "words": self.words}
 
 
 def failed_stages(trace: Trace | None, judged: Judged, refused: str = "PARSE") -> tuple[str, ...]:
-    """The stages that failed: by the verdict, else where the question stopped, `refused` where there is no trace.
+    """Failed stages: by the verdict, else where the question stopped, `refused` without a trace.
 
     None does where the label is in doubt, and not the answer.
     """
@@ -57,7 +57,7 @@ def stages_of(
     name: Callable[[int], str] | None = None,
     odd_depth: bool = False,
 ) -> tuple[Stage, ...]:
-    """All stages in order: one that failed stands out, and where the answer is right no other is in doubt.
+    """Stages in order: failed ones stand out, and with a right answer no other is in doubt.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def _parse(trace: Trace) -> Stage:
 
 
 def parse_notes(trace: Trace) -> list[str]:
-    """What was taken for something else, and what was not used, each with the reason."""
+    """Notes on replaced and unused words, each with the reason."""
     expression = trace.query.expression
     notes = [expression.note] if expression is not None and expression.note else []
     labels = {label: c.labels for label, c in trace.candidates.items()}
@@ -142,7 +142,7 @@ def _srm(trace: Trace, pair: ScoredPair | None) -> Stage:
 
 
 def _attribute(trace: Trace, pair: ScoredPair | None) -> Stage | None:
-    """Of questions that say something of an object alone."""
+    """Stage of questions about attributes."""
     ranking = trace.ranking
     if ranking is None or ranking.degenerate or not any(p.factors for p in ranking.pairs):
         return None
@@ -164,8 +164,7 @@ def _prm(trace: Trace) -> Stage:
 
 
 def unasked_stages(judged: Judged, annotated: int, refused: str) -> tuple[Stage, ...]:
-    """The stages of a frame with so many annotated objects of which nothing was asked, or what was is `refused`, and
-    by which stage."""
+    """Stages of a frame with `annotated` objects and no question, or a question `refused` at a stage."""
     failed = failed_stages(None, judged, refused) if refused else ()
     found = [Stage(name, "idle", glossary()[name].short) for name in ALWAYS]
     found = [Stage(s.name, "bad", "could not be asked") if s.name in failed else s for s in found]
@@ -173,7 +172,7 @@ def unasked_stages(judged: Judged, annotated: int, refused: str) -> tuple[Stage,
 
 
 def _label(judged: Judged, annotated: int) -> Stage:
-    """What is known of the truth."""
+    """Stage of the label: the known truth."""
     if isinstance(judged, Diagnosis):
         mark: Mark = "good" if judged.correct else "doubt" if judged.verdict == "LABEL" else "idle"
         return Stage("LABEL", mark, glossary()[judged.verdict].verdict)

@@ -1,4 +1,4 @@
-"""One expression ranked with every subset of the oracles; `oracles` says what they are."""
+"""Rank an expression with every subset of the oracles (see `oracles`)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from pipeline.labels.cases import HIT, Case
 
 
 def substitute(evidence: FrameEvidence, case: Case) -> OracleScores:
-    """Rank an expression's pairs with every subset of the oracles, on its gold triple; a sentence as it was read."""
+    """Rank an expression's pairs with every subset of the oracles, on its gold triple; a sentence as read."""
     if case.meant is not None:
         return substitute_sentence(evidence, case, case.meant)
     truth, answers = evidence.truth, evidence.answers
@@ -68,7 +68,7 @@ def substitute(evidence: FrameEvidence, case: Case) -> OracleScores:
 
 
 def _side(role: CandidateSet, conf: np.ndarray, weight: float, scores: tuple[float, float]) -> Side:
-    """A role under every subset; `conf` says which of them give true confidences, `scores` what these are."""
+    """Role under every subset; `conf` marks the subsets with true confidences, `scores` are these."""
     true = np.where(role.object >= 0, *scores)
     both = side(role.index, np.stack([role.scores, true]), weight)
     return Side(both.index, both.scores[conf], both.log[conf])

@@ -1,10 +1,10 @@
-"""What is said of a wrong answer that was imported, where the file does not tell which module failed."""
+"""Words on a wrong imported answer without a known failed module."""
 
 from __future__ import annotations
 
 
 def unexplained(detail: str | None, target: str, answered: bool = True) -> str:
-    """The verdict UNEXPLAINED in words: what is known, and what would tell more.
+    """Verdict UNEXPLAINED in words: known facts, and data that would tell more.
 
     `detail`: ANSWER, PROPOSALS, BOXES: what the file gives; or NOT-SEPARABLE; `target`: the name that was asked for;
     `answered`: there is an answer.

@@ -1,4 +1,4 @@
-"""What a verdict is, and how it is told in one or two plain sentences; `decision` says how it is found."""
+"""Verdict of an answer, and its explanation in a sentence or two; `decision` finds it."""
 
 from __future__ import annotations
 
@@ -35,15 +35,14 @@ predictions."""
 
 
 def shown_detail(detail: str | None, lucky: bool = False) -> str:
-    """What a verdict says more, as people read it; modules by the names that verdicts have: `SRM+CONF` is
-    SRM+OPM-CONF."""
+    """Detail of a verdict as printed; modules by the names of verdicts: `SRM+CONF` is SRM+OPM-CONF."""
     if lucky:
         return "LUCKY"
     return "+".join({"RECALL": "OPM", "CONF": "OPM-CONF"}.get(part, part) for part in (detail or "").split("+"))
 
 
 def shown_verdict(verdict: str, detail: str | None, lucky: bool = False) -> str:
-    """A verdict in a line: `OPM-TARGET RANK`, `CORRECT LUCKY`."""
+    """Verdict in a line: `OPM-TARGET RANK`, `CORRECT LUCKY`."""
     return f"{verdict} {shown_detail(detail, lucky)}".strip()
 
 
@@ -52,7 +51,7 @@ RULES_VERSION = 2
 
 
 def shown_verdicts(occurring: Collection[str]) -> tuple[str, ...]:
-    """VERDICTS; ATTRIBUTE and UNEXPLAINED only where they occur: plain expressions of our own cannot have them.
+    """VERDICTS; ATTRIBUTE and UNEXPLAINED only where present: plain expressions of our own never have them.
 
     Where some are unexplained, a module that none names is not known to cost nothing, and is left out.
     """
@@ -69,7 +68,7 @@ MODULE_OF = {
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What failed and what would mend it, with all that it was judged by."""
+    """Verdict with the repair, and the evidence behind both."""
 
     verdict: str  # One of VERDICTS
     # detail: WORDS, GRAMMAR, UNSUPPORTED (not in files of earlier versions); AMBIGUOUS, BAD_LABEL, BAD_BOX, SUSPECT;
@@ -111,22 +110,22 @@ class Diagnosis:
 
     @property
     def oracles(self) -> tuple[str, ...]:
-        """Those of `margins` and `right_with`, in the order of their bits."""
+        """Oracles of `margins` and `right_with`, in the order of their bits."""
         return names_of(len(self.margins) - 1)
 
     @property
     def truth(self) -> FrameCases:
-        """What is true of the frame."""
+        """Truth of the frame."""
         return self.evidence.truth
 
     @property
     def correct(self) -> bool:
-        """The verdict is CORRECT."""
+        """True for the verdict CORRECT."""
         return self.verdict == "CORRECT"
 
     @property
     def contributions(self) -> dict[str, float] | None:
-        """Each factor's share of S(winner) - S(right), unweighted logs; positive favours the winner.
+        """Share of each factor in S(winner) - S(right), unweighted logs; positive favours the winner.
 
         "attributes" only where something is said of the objects alone.
         """
@@ -136,7 +135,7 @@ class Diagnosis:
         return {name: ours[name] - theirs[name] for name in ours}
 
     def acceptable_pairs(self) -> set[tuple[int, int]]:
-        """Candidate pairs that are acceptable, as indices of the trace's objects; none without a relation."""
+        """Acceptable candidate pairs, as indices of the trace's objects; none without a relation."""
         if not self.gold or not self.case.reference:
             return set()
         found = substitute(self.evidence, self.case)
@@ -146,7 +145,7 @@ class Diagnosis:
         return {(int(targets[i]), int(references[j])) for i, j in here}
 
     def labelled_boxes(self) -> dict[str, Box3D]:
-        """The labelled target and reference in 3D, as far as their geometry is known."""
+        """Labelled target and reference in 3D, with known geometry."""
         ends = (("target", self.case.target_object), ("reference", self.case.reference_object))
         found = ((n, self.evidence.objects.get(k, points=False)) for n, k in ends[: 2 if self.case.reference else 1])
         return {name: o.lifted.box for name, o in found if o is not None and o.lifted.box is not None}
@@ -154,7 +153,7 @@ class Diagnosis:
 
 @dataclass(frozen=True)
 class Missed:
-    """Why a thing is not among the candidates."""
+    """Reason for an object missing among the candidates."""
 
     # kind: RANK: the detector gave it, but others stood before it (K) or over it (suppression of overlapping boxes).
     # THRESHOLD: it gave it with less than the minimum score. LOCALISATION: the best box overlaps it by .1 to .5.
@@ -174,7 +173,7 @@ def explain(
     problem: InputError | None = None,
     unknown: Collection[str] = (),
 ) -> str:
-    """Why the answer is what it is, and the smallest change that would mend it.
+    """Explain the answer, and the smallest change to mend it.
 
     `query`: what the parser read; `problem`: why it could not be read, or could not be asked; `unknown`: names that the
     detector does not know.
@@ -340,7 +339,7 @@ def _confidences(d: Diagnosis, winner: ScoredPair, right: ScoredPair, case: Case
 
 
 def _said_of_both(verdict: str, winner: ScoredPair, right: ScoredPair, case: Case) -> str:
-    """What of the expression speaks most for the answer, by kind where that is to blame, with both probabilities."""
+    """Part of the expression speaking most for the answer, by kind where to blame, with both probabilities."""
     relations = [(PHRASE.get(k.relation, k.relation), k.probability) for k in winner.links]
     theirs = [k.probability for k in right.links]
     if case.meant is None:
@@ -358,7 +357,7 @@ def _said_of_both(verdict: str, winner: ScoredPair, right: ScoredPair, case: Cas
 
 
 def _relation(winner: float, right: float, case: Case) -> str:
-    """What the relation gave to the answer and to the right pair, and whether either stands in it."""
+    """Relation probabilities of the answer and of the right pair, and its truth of either."""
     ours, theirs = apart(winner, right)
     both = f"both the answer and the right pair {ours}"
     given = both if ours == theirs else f"the answer {ours} and the right pair {theirs}"
@@ -367,12 +366,12 @@ def _relation(winner: float, right: float, case: Case) -> str:
 
 
 def _nearest(pair: ScoredPair) -> str:
-    """How a right pair is told whose relation is not believed; empty where it is."""
+    """Words for a right pair with a disbelieved relation; else empty."""
     return "" if pair.p_relation >= HOLDS else f" Below {HOLDS:.2f} it is told as the nearest pair only."
 
 
 def apart(*values: float) -> tuple[str, ...]:
-    """Probabilities with two digits, or with as many more as tell them apart."""
+    """Probabilities with two digits, or with as many more as distinguish them."""
     for digits in range(2, 10):
         shown = tuple(f"{value:.{digits}f}" for value in values)
         if len(set(shown)) == len(set(values)):
@@ -388,7 +387,7 @@ def _repaired(d: Diagnosis) -> str:
 
 
 def _others(d: Diagnosis) -> str:
-    """The other oracles that alone would have done as well."""
+    """Other oracles mending the answer alone."""
     others = [name for name in d.mends if name not in d.repair]
     if not others:
         return ""

@@ -30,7 +30,7 @@ RULE, TRAINED = "rule", "trained"
 
 
 def shipped_network() -> Path:
-    """The file of the network that comes with the program.
+    """File of the network shipped with the program.
 
     Raises
     ------
@@ -41,11 +41,10 @@ def shipped_network() -> Path:
 
 
 def make_scorer(name: str | Path = RULE, vectors: Path | None = None) -> RelationScorer:
-    """The relation scorer of that name: "rule", "trained" (the shipped network), the path of an ONNX file, or the
-    name of an installed network.
+    """Relation scorer by name: "rule", "trained" (the shipped network), the path of an ONNX file, or an installed
+    network's name.
 
-    `vectors` is the file of text vectors that a language network was trained with: it needs it for classes that were
-    not in its training.
+    `vectors`: file of text vectors of a language network, needed for classes outside its training.
 
     Raises
     ------

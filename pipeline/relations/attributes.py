@@ -1,4 +1,4 @@
-"""How well an attribute of a sentence fits each object: colour from pixels, size and shape from boxes and masks."""
+"""Attributes of a sentence judged on each object: colour from pixels, size and shape from boxes and masks."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _LEAST_SHARE = 0.1
 
 
 def size_keys(boxes: Sequence[Box3D | None], viewer: ViewerAxes | None = None) -> dict[str, np.ndarray]:
-    """What sizes and extremes of size sort by.
+    """Sort keys of sizes and extremes of size.
 
     Parameters
     ----------
@@ -103,7 +103,8 @@ def attribute_probabilities(
 def size_probabilities(
     value: str, boxes: Sequence[Box3D | None], alike: np.ndarray, viewer: ViewerAxes | None = None
 ) -> np.ndarray:
-    """(N,) float64: the chance to be told as the bigger (smaller, taller ...) of two, averaged over the same name's."""
+    """(N,) float64: chance of being called the bigger (smaller, taller ...) of two, averaged over objects of the same
+    name."""
     keys = size_keys(boxes, viewer)
     key, sign = SIZES[value]
     # A volume goes with the cube of a length, so the same step of its edges is a step three times as large.
@@ -120,7 +121,7 @@ def size_probabilities(
 def _shapes(
     value: str, masks: Sequence[np.ndarray], boxes: Sequence[Box3D | None], viewer: ViewerAxes
 ) -> np.ndarray | None:
-    """Shapes that do not depend on the other objects: flat, round, square, rectangular."""
+    """Shapes independent of the other objects: flat, round, square, rectangular."""
     edges, plan = np.full((len(boxes), 3), np.nan), np.full((len(boxes), 2), np.nan)
     for n, box in enumerate(boxes):
         if box is not None:
@@ -146,7 +147,7 @@ def _shapes(
 
 
 def _roundness(mask: np.ndarray) -> float:
-    """0..1: how much of a disc a mask is, seen from whatever side; NaN for an empty one.
+    """0..1: likeness of a mask to a disc seen from any side; NaN for an empty mask.
 
     The outline is stretched to equal second moments, which makes a circle of any ellipse: the spread of its radius is
     then 0 for a disc or a ball, and a tenth for a rectangle.

@@ -1,4 +1,4 @@
-"""The phrase vectors of class names that a language network takes with it, and what it does with other names.
+"""Phrase vectors of class names, kept with a language network, and look-up of other names.
 
 A trained network comes with `NAME.vectors.npz` beside `NAME.onnx`: the vectors of
 all classes it was trained on. Its metadata holds their hash, so that neither
@@ -35,13 +35,13 @@ class ClassVectors:
 
     @property
     def hash(self) -> str:
-        """xxh3-128 of names and vectors."""
+        """Hash (xxh3-128) of names and vectors."""
         digest = xxhash.xxh3_128("\0".join(self.names).encode("utf-8", "surrogatepass"))
         digest.update(np.ascontiguousarray(self.vectors, "<f4").tobytes())
         return digest.hexdigest()
 
     def content(self) -> bytes:
-        """As an .npz file that `pipeline.language.vectors.open_vectors` reads too."""
+        """Content of an .npz file, readable by `pipeline.language.vectors.open_vectors` too."""
         file = io.BytesIO()
         np.savez(
             file, names=np.array(self.names, np.str_), vectors=self.vectors.astype(np.float32), kind=np.str_("phrase")
@@ -50,7 +50,7 @@ class ClassVectors:
 
     @classmethod
     def read(cls, path: Path) -> ClassVectors:
-        """Read such a file; InputError where it is not one."""
+        """Read an .npz file of class vectors; InputError for another file."""
         unreadable = "the network's class vectors cannot be read"
         failures = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
         with as_input_error(unreadable, *failures, got=str, path=path), opened_arrays(path) as archive:
@@ -65,15 +65,15 @@ class ClassVectors:
 
 
 def vectors_path(network: Path) -> Path:
-    """Where the class vectors of an ONNX file are."""
+    """Path of the class vectors of an ONNX file."""
     return network.with_suffix(".vectors.npz")
 
 
 class ClassLookup:
-    """The vectors of class names for a network.
+    """Vectors of class names for a network.
 
-    `network`: its ONNX file; `language`: what it says of its text vectors; `expected`: hash of its class vectors;
-    `vectors`: the file of text vectors, for classes the network was not trained on.
+    `language`: text vectors by the network's contract; `expected`: hash of the class vectors; `vectors`: file of text
+    vectors, for classes outside the training.
     """
 
     def __init__(self, network: Path, language: LanguageContract, expected: str, vectors: Path | None = None) -> None:
@@ -105,7 +105,7 @@ class ClassLookup:
 
     @cached_property
     def _by_name(self) -> dict[str, np.ndarray]:
-        """Exact spellings, and normal forms wherever all spellings of one have the same vector."""
+        """Vectors by exact spelling, and by normal form wherever all spellings share one vector."""
         found: dict[str, np.ndarray] = {}
         clashing: set[str] = set()
         for name, vector in zip(self._known.names, self._known.vectors, strict=True):

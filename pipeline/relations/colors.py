@@ -79,7 +79,7 @@ _LINEAR = ((np.arange(256) / 255.0) ** 2.2).astype(np.float32)
 
 @dataclass(frozen=True)
 class ObjectColors:
-    """What colours objects have."""
+    """Colours of objects."""
 
     # shares: (N, 15) float64: of each object's pixels, by BASIC_COLORS and FURTHER_COLORS; the basic ones sum to 1. NaN
     # for an empty mask.
@@ -88,7 +88,7 @@ class ObjectColors:
 
 
 def neutral_gains(rgb: np.ndarray) -> np.ndarray:
-    """(3,) factors of linear RGB that bring the light of a frame ((H, W, 3) uint8) most of the way to white.
+    """(3,) gains of linear RGB bringing the light of a frame ((H, W, 3) uint8) most of the way to white.
 
     Von Kries' scaling by a high percentile of each channel, which stands for a white surface in full light.
     """
@@ -98,7 +98,7 @@ def neutral_gains(rgb: np.ndarray) -> np.ndarray:
 
 
 def color_shares(lab: np.ndarray) -> np.ndarray:
-    """(N, 15): the share of people who call colours ((N, 3) CIELAB) so; of further terms relative to the best."""
+    """(N, 15): share of people naming colours ((N, 3) CIELAB) so; of further terms relative to the best."""
     L, a, b = (lab / np.array((100, 60, 60), np.float32)).T
     forms = np.stack([np.ones_like(L), L, a, b, L * L, a * a, b * b, L * a, L * b, a * b], axis=1)
     logits = forms @ _WEIGHTS
@@ -115,7 +115,7 @@ _PEAKS = np.array([_TERMS[name][10] for name in FURTHER_COLORS], np.float32)
 
 
 def _interior(rgb: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """(P, 3) uint8 pixels of a mask without its border, where it bleeds into what lies behind; none of an empty one."""
+    """(P, 3) uint8 pixels of a mask without its border, blended with the background; none for an empty mask."""
     x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
     inside = mask[y : y + h, x : x + w].view(np.uint8)
     area = cv2.countNonZero(inside)
@@ -129,7 +129,7 @@ def _interior(rgb: np.ndarray, mask: np.ndarray) -> np.ndarray:
 
 
 def object_colors(rgb: np.ndarray, masks: Sequence[np.ndarray]) -> ObjectColors:
-    """What colours the objects of a frame have.
+    """Colours of the objects of a frame.
 
     The frame's light is made nearly neutral, borders of masks are left out, noise is averaged over 3 by 3 pixels,
     shaded parts are brightened towards the lit ones; then every pixel is named and the names are averaged.
@@ -157,7 +157,7 @@ def object_colors(rgb: np.ndarray, masks: Sequence[np.ndarray]) -> ObjectColors:
 
 
 def _unshaded(linear: np.ndarray) -> np.ndarray:
-    """Linear RGB ((P, 3), of one object) with its shaded pixels brightened towards its lit ones."""
+    """Linear RGB ((P, 3), one object) with shaded pixels brightened towards the lit ones."""
     luminance = np.maximum(linear @ _LUMINANCE, 1e-3)
     top = np.maximum(linear.max(axis=1), 1e-3)
     power = UNSHADE_GRAY + (UNSHADE - UNSHADE_GRAY) * (1 - linear.min(axis=1) / top)
@@ -165,7 +165,7 @@ def _unshaded(linear: np.ndarray) -> np.ndarray:
 
 
 def _lab(linear: np.ndarray) -> np.ndarray:
-    """(P, 3) CIELAB of linear RGB; beyond white is white of that hue."""
+    """(P, 3) CIELAB of linear RGB; beyond white is white of the same hue."""
     top = np.maximum(linear.max(axis=1, keepdims=True), 1)
     srgb = (linear / top) ** (1 / 2.2)
     return cv2.cvtColor(srgb.astype(np.float32)[None], cv2.COLOR_RGB2LAB)[0]
@@ -174,9 +174,9 @@ def _lab(linear: np.ndarray) -> np.ndarray:
 def color_probabilities(attribute: Attribute, colors: ObjectColors) -> np.ndarray:
     """(N,) 0..1: how readily each object is called by a colour.
 
-    It goes by the share of the object that has the colour, relative to the share of its main one, so that a thing of
-    two colours has both, and a thing between two names answers to both. A shade is asked of the pixels of that colour
-    alone, and "dark" or "light" without a colour of all. A half where there are no pixels.
+    Goes by the share of the colour relative to that of the main one, so that a thing of two colours has both, and a
+    thing between two names answers to both. A shade is asked of the pixels of that colour alone, and "dark" or "light"
+    without a colour of all. A half where there are no pixels.
     """
     basic = colors.shares[:, : len(BASIC_COLORS)]
     if attribute.value in _NAMES:

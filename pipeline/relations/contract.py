@@ -1,4 +1,4 @@
-"""What a relation network declares about itself in the metadata of its ONNX file."""
+"""Contract of a relation network, declared in the metadata of its ONNX file."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Output = Literal["sigmoid", "softmax"]
 
 @dataclass(frozen=True)
 class NetworkContract:
-    """What a relation network declares about itself."""
+    """Contract of a relation network, as declared by its file."""
 
     features: str  # Name of the feature contract
     columns: tuple[str, ...]
@@ -49,11 +49,11 @@ class NetworkContract:
 
     @property
     def feature_set(self) -> FeatureSet:
-        """What the network is given."""
+        """Features fed to the network."""
         return feature_set(self.features, 0 if self.language is None else self.language.dimension)
 
     def metadata(self) -> dict[str, str]:
-        """As string properties of an ONNX file; floats keep every digit, and defaults are left out."""
+        """String properties for an ONNX file; floats keep every digit, and defaults are left out."""
         values = {
             "contract": CONTRACT,
             "features": self.features,
@@ -76,7 +76,7 @@ class NetworkContract:
 
     @classmethod
     def read(cls, metadata: Mapping[str, str], path: Path | None = None) -> NetworkContract:
-        """From the properties of an ONNX file.
+        """Read the contract from the properties of an ONNX file.
 
         Raises
         ------
@@ -125,7 +125,7 @@ class NetworkContract:
         return contract
 
     def check(self, path: Path | None = None) -> None:
-        """Raise InputError unless this program computes these features and knows these relations."""
+        """Raise InputError for features or relations unknown to this program."""
         base = geometry_of(self.features)
         require(
             base in FEATURES,
@@ -232,7 +232,7 @@ def _differing(got: Sequence[str], expected: Sequence[str]) -> str:
 
 @dataclass(frozen=True)
 class TrainedOn:
-    """The part of a dataset that a network was trained and calibrated on."""
+    """Part of a dataset used to train and calibrate a network."""
 
     dataset: str  # Name of its folder
     input_hash: str  # Of the dataset's files, as the labels' manifest has it
@@ -243,12 +243,12 @@ class TrainedOn:
     scenes: tuple[str, ...]  # Of all frames in either
 
     def to_json(self) -> str:
-        """As one line of JSON."""
+        """One line of JSON."""
         return json.dumps({k: list(v) if isinstance(v, tuple) else v for k, v in vars(self).items()})
 
     @classmethod
     def from_json(cls, text: str) -> TrainedOn:
-        """The reverse; KeyError, TypeError or ValueError where it is something else."""
+        """Read `to_json`; KeyError, TypeError or ValueError for anything else."""
         stored = parse_json(text)
         texts: dict[str, Any] = {k: str(stored[k]) for k in ("dataset", "input_hash", "content_hash", "split")}
         if not all(isinstance(stored[k], list) for k in ("train", "validation", "scenes")):

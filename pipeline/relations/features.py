@@ -1,4 +1,4 @@
-"""What the network is given of a pair: `rel32`, `rel26`, `rel14`, `paper30`, `canon30`, `geom2d8` and `+lang`.
+"""Features of object pairs for the network: `rel32`, `rel26`, `rel14`, `paper30`, `canon30`, `geom2d8` and `+lang`.
 
 Each contract first describes every object by a row of numbers, then every
 ordered pair by a row made from two of them, all pairs at once. `+lang` after
@@ -51,7 +51,7 @@ class Describe(Protocol):
 
 @dataclass(frozen=True)
 class FeatureSet:
-    """A feature contract."""
+    """Feature contract."""
 
     name: str
     columns: tuple[str, ...]  # Name of each feature; their number is the network's input dimension
@@ -76,7 +76,7 @@ class FeatureSet:
 
 
 def feature_set(name: str, language: int = 0) -> FeatureSet:
-    """The contract of that name; `language` is the dimension of phrase vectors, for a name that ends with "+lang".
+    """Feature contract by name; `language` is the dimension of phrase vectors, for a name with "+lang".
 
     Raises
     ------
@@ -96,12 +96,12 @@ def feature_set(name: str, language: int = 0) -> FeatureSet:
 
 
 def cli_features(name: str) -> str:
-    """What the command line calls a contract."""
+    """Command-line name of a contract."""
     return next((short for short, full in CLI_FEATURES.items() if full == name), name)
 
 
 def geometry_of(name: str) -> str:
-    """The name of a contract without its language: "rel14" of "rel14+lang"."""
+    """Name of a contract without language: "rel14" of "rel14+lang"."""
     return name.removesuffix(LANGUAGE)
 
 
@@ -124,7 +124,7 @@ def describe_extents(
 def describe_raw_boxes(
     objects: Sequence[LiftedObject], viewer: ViewerAxes, appearance: Appearance | None = None
 ) -> np.ndarray:
-    """(N, 15): T(3), R row by row (9), D(3) of the paper's PCA box, camera frame, axes as PCA gives them."""
+    """(N, 15): T(3), R row by row (9), D(3) of the paper's PCA box, camera frame, with PCA's own axes."""
     return _rows([_fitted(o, None) for o in objects])
 
 
@@ -197,7 +197,7 @@ def describe_viewed_extents(
 
 
 def pair_viewed(rows: np.ndarray) -> np.ndarray:
-    """`rel26`: `rel14`, and of a and of b where it is seen from the camera, how large, and whether the border cuts it.
+    """`rel26`: `rel14`, and of a and of b the viewing direction, apparent size, and cut by the image border.
 
     A camera sees the near side and, from above, the top: what is hidden of a thing depends on where it stands.
     """
@@ -227,7 +227,8 @@ def with_class_lengths(viewed: np.ndarray, labels: Sequence[str] | np.ndarray) -
 
 
 def pair_named(rows: np.ndarray) -> np.ndarray:
-    """`rel32`: `rel26`, and of a and of b how long its class is: a bed that the border cuts is as long as beds are."""
+    """`rel32`: `rel26`, and of a and of b the usual length of the class: a bed cut by the border is as long as beds
+    are."""
     viewed, lengths = rows[..., :_VIEWED], rows[..., _VIEWED:]
     return np.concatenate([pair_viewed(viewed), pair_side_by_side(lengths)], axis=-1)
 
@@ -277,7 +278,7 @@ FEATURES: dict[str, FeatureSet] = {
 
 @dataclass(frozen=True, eq=False)
 class Appearance:
-    """2D boxes and class names of a list of objects, in its order."""
+    """2D boxes and class names of a list of objects, in order."""
 
     bboxes: np.ndarray  # (N, 4) float64: x0, y0, x1, y1, pixels; right and bottom edges exclusive
     labels: tuple[str, ...]
@@ -296,7 +297,7 @@ class Appearance:
         require(min(self.width, self.height) >= 1, "the image has no size", got=f"{self.width}x{self.height}")
 
     def take(self, index: Sequence[int]) -> Appearance:
-        """Those objects alone, in this order."""
+        """Selected objects alone, in this order."""
         labels = tuple(self.labels[k] for k in index)
         ids = tuple(self.ids[k] for k in index) if self.ids else ()
         return Appearance(self.bboxes[list(index)].reshape(-1, 4), labels, self.width, self.height, ids)

@@ -1,4 +1,4 @@
-"""Relation probabilities that are given, and never computed anew: those of arrays at hand, or of a file."""
+"""Relation probabilities given by arrays or a file, never computed anew."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Rows = Iterable[Sequence[float]]
 
 @dataclass(frozen=True)
 class GivenRelations:
-    """A relation scorer of probabilities at hand."""
+    """Relation scorer of given probabilities."""
 
     relations: Mapping[str, Rows]  # By relation; see `given_relations`
     stand_in: RelationScorer  # Scores what is not given
@@ -54,7 +54,7 @@ class GivenRelations:
 
     @cached_property
     def beyond(self) -> Beyond:
-        """What is given of relations that are about more than the two of a pair."""
+        """Given probabilities of relations among more than two objects."""
         others = {relation: self.relations[relation] for relation in self.relations if relation not in PAIRWISE}
         return {relation: {tuple(map(int, row[:-1])): row[-1] for row in rows} for relation, rows in others.items()}
 
@@ -62,10 +62,10 @@ class GivenRelations:
 def given_relations(
     relations: Mapping[str, np.ndarray | Mapping[tuple[int, int], float]], count: int, rest: RelationScorer
 ) -> GivenRelations:
-    """The scorer of these probabilities.
+    """Relation scorer of given probabilities.
 
-    `relations`: by relation P("a RELATION b"), 0..1: (N, N) float, NaN where it is not known, or {(a, b): p}; `count`:
-    N, how many objects there are.
+    `relations`: by relation P("a RELATION b"), 0..1: (N, N) float, NaN for unknown, or {(a, b): p}; `count`: N, the
+    number of objects.
     """
     rows: dict[str, Rows] = {}
     for relation, told in relations.items():

@@ -1,4 +1,4 @@
-"""Relation networks that a user has installed under a name, beside the shipped one."""
+"""Relation networks installed by a user under a name, beside the shipped one."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ TAKEN = ("rule", "trained")
 
 @dataclass(frozen=True)
 class InstalledNetwork:
-    """A network by its name."""
+    """Network by name."""
 
     name: str  # What `--srm` takes
     path: Path
 
 
 def network_folder() -> Path:
-    """Where networks are installed: of the user, or SPATIALVIZ_NETWORKS."""
+    """Folder of installed networks: the user's, or SPATIALVIZ_NETWORKS."""
     from platformdirs import user_data_path
 
     given = os.environ.get("SPATIALVIZ_NETWORKS")
@@ -32,14 +32,14 @@ def network_folder() -> Path:
 
 
 def installed_networks() -> tuple[InstalledNetwork, ...]:
-    """All of them, by name."""
+    """All installed networks, by name."""
     folder = network_folder()
     files = sorted(folder.glob("*.onnx")) if folder.is_dir() else []
     return tuple(InstalledNetwork(f.stem, f) for f in files if _NAME.fullmatch(f.stem))
 
 
 def installed_network(name: str) -> Path | None:
-    """The file of an installed network; None where there is none of that name."""
+    """File of an installed network; None for an unknown name."""
     if not _NAME.fullmatch(name):
         return None
     path = network_folder() / f"{name}.onnx"
@@ -47,12 +47,12 @@ def installed_network(name: str) -> Path | None:
 
 
 def is_named(scorer: str | None) -> bool:
-    """Whether a relation scorer is told by a name that is known here: None, rule, trained, or an installed network."""
+    """True for a relation scorer named by something known here: None, rule, trained, or an installed network."""
     return scorer in (None, *TAKEN) or (scorer is not None and installed_network(scorer) is not None)
 
 
 def install_network(network: Path, name: str, *, overwrite: bool = False) -> InstalledNetwork:
-    """Copy a network, with its card and its vectors where it has them, to where `--srm NAME` finds it.
+    """Copy a network, with its card and its vectors, to where `--srm NAME` finds it.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The trained relation scorer: an ONNX file, what it declares about itself, and its probabilities.
+"""Trained relation scorer: an ONNX file, its contract, and its probabilities.
 
 The file's graph is the bare network. Its metadata says what goes in (the
 feature contract and its columns, mean and deviation), what comes out (the
@@ -29,7 +29,7 @@ __all__ = ["NetworkContract", "OnnxScorer"]
 
 
 class OnnxScorer:
-    """A trained network by ONNX Runtime; relations it has no output for are scored by the rule.
+    """Relation network run by ONNX Runtime; relations without an output are scored by the rule.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ class OnnxScorer:
     def of_pairs(
         self, objects: Sequence[LiftedObject], viewer: ViewerAxes, appearance: Appearance | None = None
     ) -> np.ndarray:
-        """(N, N, R) float64: the network's probabilities of its vocabulary, for all ordered pairs."""
+        """(N, N, R) float64: network's probabilities of the vocabulary, for all ordered pairs."""
         require(
             not self.features.needs_appearance or appearance is not None,
             f"the relation network's {self.name} needs what objects look like in the image",
@@ -118,7 +118,7 @@ class OnnxScorer:
         return self.probabilities(self.with_words(rows, () if appearance is None else appearance.labels))
 
     def with_words(self, rows: np.ndarray, labels: Sequence[str]) -> np.ndarray:
-        """Rows of geometry, for a language network with the vector of each object's class name after them."""
+        """Rows of geometry, for a language network followed by the vector of each object's class name."""
         return rows if self._classes is None else np.concatenate([rows, self._classes.rows(labels)], axis=1)
 
     def logits(self, rows: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The thresholds of the relation profile, and what it measures of every ordered pair of objects.
+"""Thresholds of the relation profile, and measures of every ordered pair of objects.
 
 on, in and near ask for contact, by extents and by points. "a RELATION b" is entry [a, b]; leading dimensions are a
 batch of scenes. Extents and points are along the viewer's (right, up, forward), metres.
@@ -21,7 +21,7 @@ NOT_JUDGED = -128
 
 @dataclass(frozen=True)
 class Profile:
-    """The thresholds of `viewer-cone-v1`; lengths in metres, angles in degrees."""
+    """Thresholds of `viewer-cone-v1`; lengths in metres, angles in degrees."""
 
     cone: float = 45.0
     doubtful_cone: float = 67.5
@@ -73,12 +73,12 @@ class PairMeasures:
 
 
 def known_extents(lo: np.ndarray, hi: np.ndarray) -> np.ndarray:
-    """(..., N) bool: objects whose extents ((..., N, 3)) are finite."""
+    """(..., N) bool: objects with finite extents ((..., N, 3))."""
     return np.logical_and.reduce(np.isfinite(np.concatenate([lo, hi], axis=-1)), axis=-1)
 
 
 def measure_pairs(lo: np.ndarray, hi: np.ndarray, profile: Profile | None = None) -> PairMeasures:
-    """What the rules measure, and what the network is given: lo and hi are (N, 3), or (..., N, 3), metres."""
+    """Measures of all ordered pairs for rules and network: lo and hi are (N, 3), or (..., N, 3), metres."""
     profile = profile or Profile()
     center, extent = (lo + hi) / 2, np.maximum(hi - lo, profile.min_extent)
     lo_a, hi_a, lo_b, hi_b = lo[..., :, None, :], hi[..., :, None, :], lo[..., None, :, :], hi[..., None, :, :]
@@ -102,7 +102,7 @@ _BEYOND_EXTENTS = 0.1
 
 @dataclass(frozen=True)
 class AllMeasures:
-    """All that is measured of every ordered pair, of points only what is asked for."""
+    """All measures of every ordered pair, those of points only on demand."""
 
     pairs: PairMeasures
     profile: Profile
@@ -113,19 +113,19 @@ class AllMeasures:
 
     @cached_property
     def surface(self) -> np.ndarray:
-        """(..., N, N) float64: the height of b's surface under a, metres."""
+        """(..., N, N) float64: height of b's surface under a, metres."""
         if self.given is not None:
             return self.given[0]
         return supporting_surfaces(self.pairs.lo, self.pairs.hi, self.clouds, self.profile)
 
     @cached_property
     def share(self) -> np.ndarray:
-        """(..., N, N) float64: the share of a that lies in b's inflated extents."""
+        """(..., N, N) float64: share of a within b's inflated extents."""
         return enclosed_shares(self.pairs, self.clouds, self.profile) if self.given is None else self.given[1]
 
 
 def on_measures(measured: AllMeasures) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What decides "a on b".
+    """Measures deciding "a on b".
 
     Returns `covered` (N, N) float64: share of a's footprint that lies over b's; `area_ratio` (N, N) float64: footprint
     of a over that of b; `gap` (N, N) float64: metres between a's bottom and the surface of b under it.
@@ -154,7 +154,7 @@ def on_states(measured: AllMeasures) -> np.ndarray:
 def supporting_surfaces(
     lo: np.ndarray, hi: np.ndarray, clouds: Sequence[np.ndarray] | None, profile: Profile
 ) -> np.ndarray:
-    """(N, N) float64: the height of b's surface under a, metres; extents lo and hi are (N, 3)."""
+    """(N, N) float64: height of b's surface under a, metres; extents lo and hi are (N, 3)."""
     found = np.empty((len(lo), len(lo)))
     for b in range(len(lo)):
         found[:, b] = surface_heights(lo, hi, None if clouds is None else clouds[b], hi[b, 1], profile)
@@ -164,7 +164,7 @@ def supporting_surfaces(
 def surface_heights(
     lo: np.ndarray, hi: np.ndarray, cloud: np.ndarray | None, top: float, profile: Profile
 ) -> np.ndarray:
-    """(N,) height of one object under and around footprints: the 95th percentile of its points there.
+    """(N,) heights of one object under and around footprints: the 95th percentile of the points there.
 
     `lo`, `hi`: (N, 3) float: extents of what may stand on it, metres; `cloud`: (M, 3) float: its points along (right,
     up, forward); `top`: its upper extent, for footprints under which it has no point.
@@ -191,7 +191,7 @@ def surface_heights(
 
 
 def in_measures(measured: AllMeasures) -> tuple[np.ndarray, np.ndarray]:
-    """What decides "a in b".
+    """Measures deciding "a in b".
 
     Returns `share` (N, N) float64: share of a's points, or of its extents where it has none, in b's inflated extents;
     `below_rim` (N, N) float64: how far a's bottom lies below b's top, in heights of a.
@@ -204,7 +204,7 @@ def _below_rim(pairs: PairMeasures) -> np.ndarray:
 
 
 def points_decide(pairs: PairMeasures, profile: Profile) -> tuple[np.ndarray, np.ndarray]:
-    """Where `on`, and where `in`, look at points: elsewhere extents alone say F. Both (..., N, N) bool."""
+    """Pairs ((..., N, N) bool) decided by points for `on` and for `in`: elsewhere extents alone say F."""
     covered, area_ratio, _ = _on_surfaces(pairs, np.zeros(pairs.delta.shape[:-1]))
     surface = (covered >= profile.on_overlap) & (area_ratio < profile.on_area_ratio)
     share = _below_rim(pairs) >= profile.in_below_rim
@@ -214,7 +214,7 @@ def points_decide(pairs: PairMeasures, profile: Profile) -> tuple[np.ndarray, np
 
 
 def enclosed_shares(pairs: PairMeasures, clouds: Sequence[np.ndarray] | None, profile: Profile) -> np.ndarray:
-    """(N, N) float64: the share of a that lies in b's inflated extents."""
+    """(N, N) float64: share of a within b's inflated extents."""
     share = np.zeros(pairs.delta.shape[:2])
     for a in range(len(pairs.lo)):
         cloud = None if clouds is None else clouds[a]
@@ -225,7 +225,7 @@ def enclosed_shares(pairs: PairMeasures, clouds: Sequence[np.ndarray] | None, pr
 def enclosed_share(
     lo_a: np.ndarray, hi_a: np.ndarray, cloud: np.ndarray | None, lo: np.ndarray, hi: np.ndarray, profile: Profile
 ) -> np.ndarray:
-    """(N,) share of one object's points, or of its extents ((3,)) where it has none, in others' ((N, 3)) inflated."""
+    """(N,) share of one object's points, else of its extents ((3,)), within others' ((N, 3)) inflated extents."""
     low, high = lo - profile.in_inflation, hi + profile.in_inflation
     if cloud is not None and len(cloud):
         cloud = cloud[:: max(1, len(cloud) // 500)]
@@ -247,6 +247,6 @@ def in_states(measured: AllMeasures) -> np.ndarray:
 
 
 def near_measures(pairs: PairMeasures) -> tuple[np.ndarray, np.ndarray]:
-    """What decides "a near b": metres between them, and the mean of their diagonals; both (N, N) float64."""
+    """Measures deciding "a near b": distance in metres, and the mean of both diagonals; (N, N) float64 each."""
     diagonal = np.linalg.norm(pairs.extent, axis=-1)
     return np.linalg.norm(pairs.gap, axis=-1), (diagonal[..., :, None] + diagonal[..., None, :]) / 2

@@ -1,4 +1,4 @@
-"""How a declared relation is judged: its predicate, found by the relation's name.
+"""Predicates of declared relations, found by the relation's name.
 
 A relation is declared in `pipeline.language.relation`; `@predicate` over a function of the measures, as in
 `pipeline.relations.relations`, says when it holds. States, margins, regions and checks follow.
@@ -20,7 +20,7 @@ Slacks = Callable[[PairMeasures, Profile], tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True)
 class Predicate:
-    """The rule of one relation, or of several that are judged together."""
+    """Rule of one relation, or of several judged together."""
 
     relations: tuple[str, ...]
     states: Judge  # (..., N, N) states, one array for each of the relations: T, U or F at [a, b] for "a RELATION b"
@@ -33,12 +33,12 @@ PREDICATES: dict[str, Predicate] = {}
 
 
 def register(predicate: Predicate) -> None:
-    """Judge the predicate's relations by it."""
+    """Register a predicate for its relations."""
     PREDICATES.update(dict.fromkeys(predicate.relations, predicate))
 
 
 def predicate(relation: str) -> Callable[[Slacks], Slacks]:
-    """Judge a relation by a function of the measures of all ordered pairs.
+    """Register a function of the measures of all ordered pairs as the rule of a relation.
 
     The function returns two (..., N, N) arrays: how many metres the measures could change before "a RELATION b" were
     no longer sure, and before it were surely false. Where the first is at least 0 the state is T, where only the
@@ -60,7 +60,7 @@ def predicate(relation: str) -> Callable[[Slacks], Slacks]:
 
 
 def predicates_of(relations: Iterable[str]) -> list[Predicate]:
-    """The predicates that judge these relations, each once.
+    """Predicates judging these relations, each once.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def _stacked(relations: Sequence[str], of: Callable[[Predicate], Sequence[np.nda
 
 
 def pair_states(measured: AllMeasures, known: np.ndarray, relations: Sequence[str]) -> np.ndarray:
-    """(..., N, N, R) int8 states of the relations in their order.
+    """(..., N, N, R) int8 states of the relations in order.
 
     U where the extents of either are not known (`known` is (..., N) bool), F of an object to itself.
     """
@@ -106,5 +106,5 @@ def pair_margins(measured: AllMeasures, states: np.ndarray, relations: Sequence[
 
 
 def margin_of(holds: np.ndarray, allows: np.ndarray) -> np.ndarray:
-    """The margin, given the slack of T and that of "T or U"."""
+    """Margin, given the slack of T and the slack of "T or U"."""
     return np.where(holds >= 0, holds, np.where(allows >= 0, 0.0, allows))

@@ -56,7 +56,7 @@ def letter(state: int) -> str:
 
 
 def directional_states(lo: np.ndarray, hi: np.ndarray, profile: Profile | None = None) -> np.ndarray:
-    """The six directional relations of all ordered pairs.
+    """States of the six directional relations of all ordered pairs.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def _horizontal_states(measured: AllMeasures) -> tuple[np.ndarray, ...]:
 
 
 def _horizontal(pairs: PairMeasures, displacement: np.ndarray, profile: Profile) -> np.ndarray:
-    """(..., N, N, 4) states of left, right, front, behind for one reading of the displacement."""
+    """(..., N, N, 4) states of left, right, front, behind for a single reading of the displacement."""
     angle = np.rad2deg(np.arctan2(np.abs(displacement[..., 2]), np.abs(displacement[..., 0])))
     lateral = _overlap_gate(_cone(angle, profile), pairs.overlap_share[..., 0], profile)
     depth = _overlap_gate(_cone(90 - angle, profile), pairs.overlap_share[..., 2], profile)
@@ -147,7 +147,7 @@ def pairwise_states(
     profile: Profile | None = None,
     relations: Collection[str] = PAIRWISE,
 ) -> np.ndarray:
-    """All relations that have a state for every ordered pair.
+    """States of all relations judged for every ordered pair.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def pairwise_states(
 
 
 def judged_relations(relations: Collection[str]) -> tuple[str, ...]:
-    """What `pairwise_states` judges where it is asked for these."""
+    """Relations judged by `pairwise_states` for a request."""
     return tuple(name for name in PAIRWISE if name in DIRECTIONAL or name in relations)
 
 
@@ -290,6 +290,6 @@ register(Predicate(("in",), lambda m: (in_states(m),), lambda m: (in_margins(m),
 
 @predicate("near")
 def near_slacks(pairs: PairMeasures, profile: Profile) -> tuple[np.ndarray, np.ndarray]:
-    """How much farther than allowed, in mean diagonals, the extents could be apart."""
+    """Slack of the distance between extents, in mean diagonals."""
     gap, mean = near_measures(pairs)
     return profile.near_diagonals * mean - gap, profile.near_diagonals_doubtful * mean - gap

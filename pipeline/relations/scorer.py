@@ -1,4 +1,4 @@
-"""SRM: what scores relations. The rule scorer is the first; a trained network has the same interface.
+"""SRM: relation scorers. The rule scorer is the first; a trained network has the same interface.
 
 Relations by rule that involve more than two objects, closest, farthest and between, stand here too.
 """
@@ -25,7 +25,7 @@ Beyond = Mapping[str, Mapping[tuple[int, ...], float]]
 
 @dataclass(frozen=True)
 class RelationScores:
-    """Every relation of every ordered pair of a list of objects."""
+    """Probabilities of every relation of every ordered pair of a list of objects."""
 
     relations: tuple[str, ...]
     states: np.ndarray  # (N, N, R) int8: the rule's verdicts: 1 T, 0 U, -1 F
@@ -40,18 +40,18 @@ class RelationScores:
         return f"<RelationScores of {len(self.probabilities)} objects: {', '.join(self.relations)}>"
 
     def of(self, relation: str) -> np.ndarray:
-        """(N, N) probabilities of one relation."""
+        """(N, N) probabilities of a relation."""
         return self.probabilities[..., self.relations.index(relation)]
 
     def worked_out(self, a: int, b: int) -> tuple[str, ...]:
-        """The relations of which P("a RELATION b") is not given; none where nothing is given at all."""
+        """Relations with P("a RELATION b") computed here and not given; none where nothing is given at all."""
         if self.given is None:
             return ()
         return tuple(r for r, told in zip(self.relations, self.given[a, b], strict=True) if not told)
 
 
 class RelationScorer(Protocol):
-    """Gives each relation of each ordered pair a probability."""
+    """Scorer of each relation of each ordered pair."""
 
     @property
     def name(self) -> str: ...
@@ -63,7 +63,7 @@ class RelationScorer(Protocol):
         appearance: Appearance | None = None,
         relations: Collection[str] = PAIRWISE,
     ) -> RelationScores:
-        """The scores of all ordered pairs; InputError where the scorer needs the appearance and has none.
+        """Scores of all ordered pairs; InputError where a needed appearance is missing.
 
         Only `relations` need be scored: on, in and near look at all points, and cost the most.
         """
@@ -72,7 +72,7 @@ class RelationScorer(Protocol):
 
 @dataclass(frozen=True)
 class RuleScorer:
-    """The geometric rule profile, T .95, U .5, F .05."""
+    """Geometric rule profile, T .95, U .5, F .05."""
 
     profile: str = PROFILE
 
@@ -114,7 +114,7 @@ def probabilities_beyond(
     given: Mapping[tuple[int, ...], float] | None = None,
     ids: Sequence[int] = (),
 ) -> np.ndarray:
-    """closest and farthest (C, R), or between (C, A, B): as they are `given` for these `ids`, else by rule."""
+    """closest and farthest (C, R), or between (C, A, B): `given` for these `ids`, else by rule."""
     if relation == "between":
         found = between_probabilities(objects, heads, ends[0], ends[1])
     else:
@@ -151,7 +151,7 @@ def between_probabilities(
 
 
 def distances(lo: np.ndarray, hi: np.ndarray) -> np.ndarray:
-    """(N, N) float64: metres between the extents of every two objects, 0 where they overlap."""
+    """(N, N) float64: metres between the extents of every two objects, 0 for an overlap."""
     return np.linalg.norm(measure_pairs(lo, hi).gap, axis=2)
 
 
@@ -166,7 +166,7 @@ def superlative_states(
     farthest: bool = False,
     same: np.ndarray | None = None,
 ) -> np.ndarray:
-    """closest or farthest: which candidate is at the end of the row, seen from each reference.
+    """closest or farthest: candidates at the end of the row, seen from each reference.
 
     `candidates`, `references`: objects that compete, and objects they are measured from; `same`: (N, N) bool: entries
     that are one and the same thing; by default each is only itself. Returns (C, R) int8: T for the nearest (farthest)
@@ -190,7 +190,7 @@ def superlative_states(
 
 
 def between_states(lo: np.ndarray, hi: np.ndarray, candidates: Indices, first: Indices, second: Indices) -> np.ndarray:
-    """between: the candidate's centre lies in the corridor from one object to another, in plan.
+    """between: the candidate's centre in the corridor from one object to another, in plan.
 
     T where the centre projects onto the middle 70 % of the line between the two
     centres and lies within a quarter of its length of it; U up to the whole line and half its length.

@@ -1,4 +1,4 @@
-"""One self-contained page of an answer, to attach to an issue: why, the picture, the scene, all numbers.
+"""Failure page: a self-contained page of an answer, to attach to an issue: reason, picture, scene, all numbers.
 
 `picture` says which object plays which role and draws them over the image,
 `tables` holds the numbers, `page` puts all on one page.

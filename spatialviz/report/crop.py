@@ -1,4 +1,4 @@
-"""A small picture of one answer: the part of a frame that it is about, with its boxes in the colours of their roles."""
+"""Crop of an answer: the part of a frame around its boxes, in the colours of their roles."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Stroke = Literal["thick", "thin", "dashed"]
 
 @dataclass(frozen=True)
 class Outline:
-    """A box to draw."""
+    """Box to draw."""
 
     box: np.ndarray  # (4,) float64: x0, y0, x1, y1, pixels of the frame
     color: RGB
@@ -29,9 +29,9 @@ class Outline:
 
 
 def answer_crop(rgb: np.ndarray, outlines: Sequence[Outline], size: tuple[int, int] = (360, 270)) -> np.ndarray:
-    """The part of a picture that holds all boxes, with some of what is around, and the boxes drawn.
+    """Crop a picture to all boxes with a margin, and draw the boxes.
 
-    `rgb`: (H, W, 3) uint8; `outlines`: without any the whole frame is shown; `size`: width and height, pixels; Returns
+    `rgb`: (H, W, 3) uint8; `outlines`: without any the whole frame is shown; `size`: width and height, pixels. Returns
     (size[1], size[0], 3) uint8.
     """
     height, width = rgb.shape[:2]

@@ -1,5 +1,5 @@
-"""Answers, runs and failures as HTML for a notebook: a headline, a picture with the roles, tables with bars; nothing
-is loaded, and no style or script is needed.
+"""Notebook HTML of answers, runs and failures: a headline, a picture with the roles, tables with bars; self-contained,
+without style sheets or scripts.
 
 The elements are built as a tree and written by the standard library, which escapes every text and attribute.
 """
@@ -16,9 +16,8 @@ from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.oracles import shown_oracle
 from pipeline.diagnosis.verdict import Diagnosis
-from pipeline.evaluation.failures import Failure, Failures
 from pipeline.evaluation.loss_plots import LOSS_COLORS, VERDICT_COLORS
-from pipeline.evaluation.run_folder import Run
+from pipeline.evaluation.run_folder import Failure, Failures, Run
 from pipeline.evaluation.summary import cost_words, summarise_run
 from pipeline.geometry.palette import ON_LIGHT, hex_color, ink
 from pipeline.language.counted import counted
@@ -33,13 +32,13 @@ _QUIET = "color:gray"
 
 
 def notebook_html(shown: InNotebook) -> str:
-    """What a notebook shows of an answer, a run, a failure or several."""
+    """HTML for a notebook of an answer, a run, a failure or several."""
     build = next(build for kind, build in _BUILDERS.items() if isinstance(shown, kind))
     return tostring(build(shown), encoding="unicode", method="html")
 
 
 def element(tag: str, *children: Element | str | None, style: str = "", **attributes: str) -> Element:
-    """An element with its children in order; text is text, whatever it holds."""
+    """Element with its children in order; text stays text."""
     found = Element(tag, {**attributes, **({"style": style} if style else {})})
     for child in children:
         if isinstance(child, Element):
@@ -69,13 +68,13 @@ def _answer(answer: Answer) -> Element:
 
 
 def _makers(trace: Trace) -> str:
-    """Whose proposals and relations these are."""
+    """Makers of proposals and relations."""
     asked = trace.scores.scored_by.get(trace.relation, trace.scorer)
     return f"detector {trace.detector} · relations by {asked} · up {trace.viewer.up_source}"
 
 
 def _contributions(judged: Diagnosis, shares: Mapping[str, float]) -> Element | None:
-    """What the answer gains over the best right pair, factor by factor; nothing where it is that pair."""
+    """Gains of the answer over the best right pair, factor by factor; nothing for a right answer."""
     if judged.winner == judged.right:
         return None
     widest = max(map(abs, shares.values())) or 1.0
@@ -155,7 +154,7 @@ def _run(run: Run) -> Element:
 
 
 def _shares(name: str, shares: Mapping[str, Estimate], tones: Mapping[str, str]) -> Element:
-    """Shares of all expressions with their intervals, each with a bar."""
+    """Shares of all expressions with intervals and bars."""
     rows = [
         (
             shown_oracle(key),

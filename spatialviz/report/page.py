@@ -1,4 +1,4 @@
-"""The page itself. It loads nothing, and every string of the dataset is escaped."""
+"""Failure page as HTML, self-contained, with every string of the dataset escaped."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; fr
 def failure_page(
     answered: Answer, source: Pipeline, context: PreparedFrame, subject: Subject, scene: str | None = None
 ) -> str:
-    """The page of one answer as HTML.
+    """HTML page of an answer.
 
-    `source`: what answered; `scene`: A self-contained page of the scene in 3D, which is put into a frame of its own.
+    `scene`: a self-contained page of the scene in 3D, put into a frame of its own.
     """
     cast = answer_roles(answered)
     judged = answered.diagnosis
@@ -75,7 +75,7 @@ def write_page(page: str, path: Path) -> None:
 
 
 def headline(answered: Answer) -> str:
-    """Why, in a sentence or two."""
+    """Reason of the verdict, in a sentence or two."""
     if answered.diagnosis is not None:
         return answered.diagnosis.text
     if answered.trace is None:
@@ -102,13 +102,13 @@ def _header(answered: Answer, subject: Subject, cast: AnswerRoles) -> str:
 
 
 def _caveat(answered: Answer, subject: Subject) -> str:
-    """What the verdict is where answer and truth have a maker in common."""
+    """Meaning of the verdict where answer and truth share a maker."""
     title = title_of(subject.shares) if answered.diagnosis is not None else ""
     return f'<p class="lead caveat">{escape(title[:1].upper() + title[1:])}.</p>' if title else ""
 
 
 def _answer(answered: Answer, cast: AnswerRoles) -> str:
-    """The answer in words, with the numbers at its top."""
+    """Answer in words, with the top numbers."""
     trace = answered.trace
     best = None if trace is None else best_pair(trace)
     if trace is None or best is None:
@@ -119,7 +119,7 @@ def _answer(answered: Answer, cast: AnswerRoles) -> str:
 
 
 def _expression(answered: Answer) -> str:
-    """The expression with its two roles in their colours, where it is one of two names."""
+    """Expression with its two roles in their colours, if made of two names."""
     trace = answered.trace
     e = None if trace is None else trace.query.expression
     if trace is None or e is None or len(trace.query.readings) > 1 or trace.query.default.root.triple is None:
@@ -191,7 +191,7 @@ def _facts(
 
 @dataclass(frozen=True)
 class Subject:
-    """What the page says besides the answer."""
+    """Description of the page's subject, besides the answer."""
 
     dataset: str  # Its name
     frame: str
@@ -202,7 +202,7 @@ class Subject:
 
     @staticmethod
     def of_case(opened: OpenedCase) -> Subject:
-        """A kept case."""
+        """Description of a saved case."""
         m = opened.manifest
         root = str(opened.root)
         facts = [("case", m.name), ("kept", f"{m.created} by {m.tool}")]
@@ -225,7 +225,7 @@ class Subject:
         options: Sequence[str] = (),
         labels: Labels | None = None,
     ) -> Subject:
-        """An expression on a frame of a dataset, judged by labels or its annotations; `options` of the command line."""
+        """Description of an expression on a frame, judged by labels or annotations; `options` of the command line."""
         frame = context.frame.id
         name = source.dataset.root.resolve().name
         commands = (
@@ -237,7 +237,7 @@ class Subject:
 
 
 def view_state(dataset: str, frame: str, text: str, edits: Mapping[str, Any] | None) -> str | None:
-    """The view as a string that `spatialviz view --state` takes; None where it cannot be written."""
+    """View string for `spatialviz view --state`; None where too large."""
     try:
         return encode(ViewState(dataset, frame, text, edits=read_edits(dict(edits)) if edits else Edits()))
     except InputError:

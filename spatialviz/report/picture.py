@@ -1,4 +1,4 @@
-"""A picture of an answer without any screen: masks, boxes and names over the image, as pixels or as one SVG."""
+"""Picture of an answer without any screen: masks, boxes and names over the image, as pixels or as a single SVG."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ TINT = 0.45
 
 
 def tinted(rgb: np.ndarray, objects: Sequence[SceneObject], roles: Mapping[int, Role]) -> np.ndarray:
-    """The picture with the masks of objects in a role tinted in its colour, outlined.
+    """Tint the masks of objects in a role with the role's colour, outlined.
 
-    `rgb`: (H, W, 3) uint8; `roles`: place in `objects` -> role; the rest is left alone. Returns (H, W, 3) uint8.
+    `rgb`: (H, W, 3) uint8; `roles`: place in `objects` -> role; others are left alone. Returns (H, W, 3) uint8.
     """
     image = rgb.copy()
     for index, role in roles.items():
@@ -43,7 +43,7 @@ def tinted(rgb: np.ndarray, objects: Sequence[SceneObject], roles: Mapping[int, 
 
 
 def box_edges_2d(box: Box3D, camera: Camera, near: float = 0.05) -> np.ndarray:
-    """The visible edges of a 3D box in the image, clipped at the image plane.
+    """Visible edges of a 3D box in the image, clipped at the image plane.
 
     Returns (M, 2, 2) float64: start and end of each edge, pixels; M <= 12.
     """
@@ -60,15 +60,14 @@ def box_edges_2d(box: Box3D, camera: Camera, near: float = 0.05) -> np.ndarray:
 
 
 def roles_of(pair: ScoredPair) -> dict[int, Role]:
-    """Index -> target or reference, for the objects of an answer."""
+    """Roles of the objects of an answer: target or reference, by index."""
     roles: dict[int, Role] = {k: "reference" for k in (pair.second_reference, pair.reference) if k is not None}
     roles[pair.target] = "target"
     return roles
 
 
 def answer_picture(trace: Trace, known: AnswerRoles | None = None) -> np.ndarray:
-    """The answer of a trace drawn over its frame, with the boxes and names of what is true where it is `known` and
-    another: (H + caption, W, 3) uint8."""
+    """(H + caption, W, 3) uint8: answer of a trace over its frame, with differing true boxes and names if `known`."""
     roles = roles_of(trace.ranking.pairs[0]) if trace.ranking is not None and trace.ranking.pairs else {}
     image = tinted(trace.frame.rgb, trace.objects, roles)
     scale = max(1.0, trace.frame.width / 640)
@@ -90,7 +89,7 @@ def answer_picture(trace: Trace, known: AnswerRoles | None = None) -> np.ndarray
 
 
 def save_picture(trace: Trace, path: Path) -> None:
-    """Write the picture of an answer; raises as `write_picture`."""
+    """Write the picture of an answer."""
     write_picture(answer_picture(trace), path)
 
 
@@ -144,11 +143,11 @@ def _caption(trace: Trace, width: int, scale: float) -> np.ndarray:
 
 
 def dashed(segments: np.ndarray, period: float, share: float = 0.55) -> np.ndarray:
-    """Line segments cut into dashes.
+    """Cut line segments into dashes.
 
-    `segments`: (N, 2, D) float: start and end of each; `period`: length of a dash with its gap, about: each segment
-    holds a whole number of dashes, and ends with one; `share`: of the dash in it, 0..1. Returns (M, 2, D) float32: in
-    the order of the segments.
+    `segments`: (N, 2, D) float, start and end; `period`: approximate length of a dash with its gap: each segment holds
+    a whole number of dashes, and ends with a dash; `share`: of the dash in it, 0..1. Returns (M, 2, D) float32 in the
+    order of the segments.
     """
     segments = np.asarray(segments, np.float64)
     length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
@@ -171,7 +170,7 @@ _GLYPH = 0.53
 
 
 def picture_svg(frame: Frame, cast: AnswerRoles) -> str:
-    """Masks and 3D boxes of the answer, dashed outlines of what is true, and a tag on each."""
+    """SVG of the answer: masks and 3D boxes, dashed outlines of the truth, and a tag on each."""
     width, height = frame.width, frame.height
     unit = width / 640
     parts = [
@@ -200,7 +199,7 @@ def picture_svg(frame: Frame, cast: AnswerRoles) -> str:
 
 
 def jpeg_url(rgb: np.ndarray, widest: int | None = None, quality: int = 95) -> str:
-    """A picture ((H, W, 3) uint8) as a JPEG in base64, at most so many pixels wide."""
+    """JPEG of a picture ((H, W, 3) uint8) in base64, at most `widest` pixels wide."""
     rgb = rgb if widest is None or rgb.shape[1] <= widest else resized(rgb, widest)
     return "data:image/jpeg;base64," + base64.b64encode(jpeg(rgb, quality)).decode("ascii")
 
@@ -217,7 +216,7 @@ def _outline(mask: np.ndarray) -> str:
 
 
 def edges_path(box: Box3D, camera: Camera, origin: tuple[float, float] = (0.0, 0.0)) -> str:
-    """The visible edges of a 3D box as a path of an SVG, in pixels of the picture from `origin`."""
+    """SVG path of the visible edges of a 3D box, in pixels of the picture from `origin`."""
     reach = 8 * camera.width
     edges = box_edges_2d(box, camera) - np.array(origin)
     edges = np.clip(edges[np.isfinite(edges).all(axis=(1, 2))], -reach, reach)
@@ -227,7 +226,7 @@ def edges_path(box: Box3D, camera: Camera, origin: tuple[float, float] = (0.0, 0
 def _svg_tag(
     text: str, role: Role, bbox: np.ndarray, frame: Frame, taken: list[tuple[float, float, float, float]]
 ) -> str:
-    """A name at its object, moved down where another tag already stands."""
+    """Name tag of an object, moved down below other tags."""
     text = text if len(text) <= 40 else text[:39] + "…"
     unit = frame.width / 640
     size, high = 11.5 * unit, 18 * unit
@@ -252,7 +251,7 @@ def _svg_tag(
 
 @dataclass(frozen=True)
 class AnswerRoles:
-    """The roles of one answer."""
+    """Roles of an answer."""
 
     objects: tuple[SceneObject, ...]  # As detected
     # target, reference: Indices of the answer's objects
@@ -268,12 +267,12 @@ class AnswerRoles:
     numbers: Mapping[int, int]  # as `Trace.numbers`
 
     def name(self, index: int) -> str:
-        """An object as the tables call it."""
+        """Name of an object in tables."""
         return self.objects[index].name(self.numbers.get(self.objects[index].id, index), self.exact)
 
 
 def answer_roles(answered: Answer) -> AnswerRoles:
-    """The roles of an answer."""
+    """Roles of an answer."""
     trace, judged = answered.trace, answered.diagnosis
     objects: tuple[SceneObject, ...] = () if trace is None else trace.objects
     best = None if trace is None or trace.ranking is None else next(iter(trace.ranking.pairs), None)

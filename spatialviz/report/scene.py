@@ -1,4 +1,4 @@
-"""The scene of one answer in 3D as a page of its own, which needs no server and no network."""
+"""3D scene of an answer as a page of its own, without server or network."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ ASPECT = 1.6
 
 
 def scene_html(answered: Answer, context: PreparedFrame) -> str:
-    """The scene as one HTML page of about 1.5 MB, drawn in the viewer's level frame, dark."""
+    """HTML page of the scene, about 1.5 MB, drawn in the viewer's level frame, dark."""
     import viser
 
     # The server says where it listens; nobody is to go there.
@@ -52,7 +52,7 @@ def _with_server(server: viser.ViserServer, answered: Answer, context: PreparedF
 
 
 def _draw_cloud(scene: viser.SceneApi, context: PreparedFrame) -> np.ndarray:
-    """Surfaces in bands of depth, each with its point size; returns the shown points (N, 3)."""
+    """Draw surfaces in bands of depth, each with its point size; returns the shown points (N, 3)."""
     frame = context.frame
     usable = drawn_pixels(frame)
     stride = max(1, int(np.ceil(np.sqrt(usable.sum() / MOST_POINTS))))
@@ -118,7 +118,7 @@ def _add_label(scene: viser.SceneApi, name: str, text: str, box: Box3D, above: f
 
 
 def _place_camera(server: viser.ViserServer, points: np.ndarray, context: PreparedFrame, to_show: np.ndarray) -> None:
-    """Behind, above and to the left of the sensor, turned to the middle of what it saw."""
+    """Place the camera behind, above and to the left of the sensor, turned to the middle of the seen points."""
     forward = to_show @ np.array([0.0, 0.0, 1.0])
     middle = np.median(points, axis=0) if len(points) else forward * 2
     distance = float(np.linalg.norm(middle))

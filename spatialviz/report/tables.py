@@ -1,4 +1,4 @@
-"""The numbers of an answer as HTML: modules, decomposition, ranked pairs, relations. Everything is escaped."""
+"""Tables of an answer as HTML: modules, decomposition, ranked pairs, relations. Everything is escaped."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MODULES = (
 
 
 def modules_html(answered: Answer) -> str:
-    """A strip of the modules with what each took, the blamed one marked."""
+    """Strip of the modules with their times, the blamed one marked."""
     blamed = () if answered.diagnosis is None else failed_stages(answered.trace, answered.diagnosis)
     times = {} if answered.trace is None else answered.trace.timings
     cells = []
@@ -38,7 +38,7 @@ def modules_html(answered: Answer) -> str:
 
 
 def decomposition_html(d: Diagnosis, cast: AnswerRoles) -> str:
-    """The answer against the best right pair, factor by factor, as contributions to the log score."""
+    """Answer against the best right pair, factor by factor, as contributions to the log score."""
     if d.winner is None or d.right is None or d.contributions is None:
         return _missed_html(d)
     if d.winner == d.right:
@@ -105,7 +105,7 @@ def _missed_html(d: Diagnosis) -> str:
 
 
 def pairs_html(answered: Answer, cast: AnswerRoles) -> str:
-    """The ranked pairs with their factors; the best right pair too, where it stands lower."""
+    """Ranked pairs with their factors, and a lower best right pair."""
     trace = answered.trace
     if trace is None or trace.ranking is None or trace.ranking.degenerate:
         return ""
@@ -146,7 +146,7 @@ def pairs_html(answered: Answer, cast: AnswerRoles) -> str:
 
 
 def relations_html(answered: Answer, cast: AnswerRoles) -> str:
-    """Every relation of the answer's pair, and of the best right pair, with the label's word."""
+    """Relations of the answer's pair, and of the best right pair, with the label's word."""
     trace, judged = answered.trace, answered.diagnosis
     if trace is None or cast.target is None or cast.reference is None:
         return ""

@@ -1,4 +1,4 @@
-"""What another pipeline gave, in a case: the lines of its frame, and what the whole file showed of its modules.
+"""Predictions of another pipeline in a case: the lines of its frame, and findings from the whole file.
 
 A ranking and a scorer that cannot be asked again are known by all pairs of their file (`pair_rules`, `shown_scorer`);
 a case has those of one frame, and so keeps what was found.
@@ -39,7 +39,7 @@ class ShownRankingRecord(_StrictModel):
 
 
 class ShownRecord(_StrictModel):
-    """What a whole file of predictions showed."""
+    """Findings from a whole file of predictions."""
 
     level: int
     true_scores: tuple[FiniteFloat, FiniteFloat]
@@ -49,13 +49,13 @@ class ShownRecord(_StrictModel):
 
     @property
     def rules(self) -> RunRules:
-        """As `ImportedPipeline` takes them."""
+        """Rules for `ImportedPipeline`."""
         shown = self.ranking and ShownRanking(np.array(self.ranking.weights), self.ranking.unit, self.ranking.scale)
         return RunRules(shown, self.true_scores)
 
 
 def keep_predictions(source: ImportedPipeline, frame: str) -> tuple[bytes, ShownRecord]:
-    """The lines of a frame as a file of predictions, and what its whole file showed."""
+    """Lines of a frame as a file of predictions, with the findings from the whole file."""
     require(
         source.rescore is None, "the ranking was asked again by a function, which no case holds",
         expected="the run without rescore",
@@ -73,7 +73,7 @@ def keep_predictions(source: ImportedPipeline, frame: str) -> tuple[bytes, Shown
 
 
 def named_scorer(source: ImportedPipeline) -> RelationScorer:
-    """What scores the pairs that the file does not have."""
+    """Scorer of pairs missing in the file."""
     assert isinstance(source.scorer, GivenRelations)
     return source.scorer.stand_in
 
@@ -82,7 +82,7 @@ def kept_source(
     file: Path, shown: ShownRecord, dataset: Dataset, scorer: RelationScorer | None, config: AskConfig,
     synonyms: Synonyms | None,
 ) -> ImportedPipeline:  # fmt: skip
-    """The source of a case, by its own file; `scorer` is the one that its header names; as `read_predictions`."""
+    """Pipeline of a case, by its own file; `scorer` is named by the file's header."""
     read = replace(read_predictions(file), least=shown.level)
     return _source(read, dataset, scorer or _shown_scorer(read, shown, dataset), config, synonyms, shown.rules)
 
@@ -90,10 +90,9 @@ def kept_source(
 def newer_source(
     read: Predictions, shown: ShownRecord | None, before: Pipeline, rules: RunRules | None = None
 ) -> ImportedPipeline:
-    """The source of a case with predictions that were made since.
+    """Pipeline of a case with newer predictions.
 
-    What ranks is found in their file, or given as `rules` where it was found already; what stands in for their scorer
-    is the case's, or the rule where it has none.
+    The ranking is found in their file, or given as `rules`; the stand-in of their scorer is the case's, or the rule.
     """
     scorer = RuleScorer() if shown is None else _shown_scorer(read, shown, before.dataset)
     return _source(read, before.dataset, scorer, config_of(read), before.synonyms, rules)

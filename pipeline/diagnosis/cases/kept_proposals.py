@@ -1,4 +1,4 @@
-"""What a detector gave for each asked name, before K and suppression, with and without its minimum score.
+"""Proposals of a detector for each asked name, before K and suppression, with and without its minimum score.
 
 The file is also a recording of one frame (`pipeline.proposals.recorded`): what
 a recording does not have stands beside its "frames". Scores and boxes are
@@ -28,14 +28,14 @@ from pipeline.system.safe_files import parse_json, read_bytes
 
 
 class KeptDetection(RecordedDetection, extra="forbid"):
-    """One detection; `id` is left out where the detector gives none, `mask` where it gives a box only."""
+    """Detection; `id` is left out without an identity, `mask` for a mere box."""
 
     mask: RunLength | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
     segmented: bool = False
 
 
 class KeptAnswer(BaseModel, extra="forbid"):
-    """Indices of the detections of one name, in the detector's order, or why it refused the name."""
+    """Indices of the detections of a name, in the detector's order, or the reason for refusing the name."""
 
     given: tuple[int, ...] = ()
     unfiltered: tuple[int, ...] = ()
@@ -43,14 +43,14 @@ class KeptAnswer(BaseModel, extra="forbid"):
 
 
 class KeptProposals(BaseModel, extra="forbid"):
-    """The file."""
+    """File of kept proposals."""
 
     frames: dict[str, list[KeptDetection]] = Field(min_length=1, max_length=1)
     asked: dict[str, KeptAnswer]
 
 
 def keep_proposals(frame: Frame, detector: Detector, unfiltered: Detector, names: Sequence[str]) -> dict[str, Any]:
-    """Ask a detector for each name; the file's content."""
+    """Ask a detector for each name, and give the file's content."""
     detections: list[dict[str, Any]] = []
     indices: dict[str, int] = {}
     asked: dict[str, Any] = {}
@@ -83,7 +83,7 @@ def keep_proposals(frame: Frame, detector: Detector, unfiltered: Detector, names
 
 @dataclass(frozen=True)
 class KeptDetector:
-    """Plays back kept proposals."""
+    """Detector playing back kept proposals."""
 
     name: str  # That of the detector they are from
     exact: bool
@@ -124,7 +124,7 @@ class KeptDetector:
 
 
 def read_proposals(path: Path) -> tuple[KeptProposals, str]:
-    """The file, and its hash."""
+    """Read the file, and its hash."""
     data = read_bytes(path, "text")
     unreadable = "the detections of the case are not JSON"
     with as_input_error(unreadable, ValueError, got=lambda e: str(e)[:120], path=path):

@@ -1,4 +1,4 @@
-"""The manifest of a case: what is validated when a case is opened, and what is true of its frame, as JSON."""
+"""Manifest of a case, validated on opening, and the truth of its frame, as JSON."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ class _Strict(BaseModel):
 
 
 class DetectorRecord(_Strict):
-    """What made the kept proposals, and no `DetectorSetup`: a case is opened without its files, elsewhere.
+    """Detector of the kept proposals, unlike a `DetectorSetup`: a case opens without its files, elsewhere.
 
-    The fingerprint is hashed, since it may hold a path of somebody's machine.
+    The fingerprint is hashed: it may hold a path of somebody's machine.
     """
 
     name: str
@@ -51,7 +51,7 @@ class DetectorRecord(_Strict):
 
 
 class ScorerRecord(_Strict):
-    """What scored the relations: the rule, the network that comes with the program, a file, or another pipeline."""
+    """Scorer of the relations: the rule, the shipped network, a file, or another pipeline."""
 
     kind: Literal["rule", "trained", "file", "imported"]
     name: str
@@ -61,7 +61,7 @@ class ScorerRecord(_Strict):
 
 
 def config_record(config: AskConfig) -> dict[str, Any]:
-    """The settings of an answer as JSON."""
+    """Settings of an answer as JSON."""
     record = asdict(config)
     if config.score_calibration is not None:
         del record["score_calibration"]["detector"]
@@ -69,7 +69,7 @@ def config_record(config: AskConfig) -> dict[str, Any]:
 
 
 def _of_any_detector(record: Any) -> Any:
-    """The calibration of a case is for the detections that are kept in it."""
+    """Calibration for the detections kept in the case."""
     calibration = record.get("score_calibration") if isinstance(record, dict) else None
     if not isinstance(calibration, dict):
         return record
@@ -81,7 +81,7 @@ Config = Annotated[AskConfig, BeforeValidator(_of_any_detector)]
 
 
 class ExpectedObject(BaseModel):
-    """An object of the kept answer; what else is kept of it is not compared."""
+    """Object of the kept answer, without keys ignored in comparison."""
 
     id: int
     label: str
@@ -90,7 +90,7 @@ class ExpectedObject(BaseModel):
 
 
 class ExpectedAnswer(BaseModel):
-    """The kept answer."""
+    """Kept answer."""
 
     target: ExpectedObject
     reference: ExpectedObject | None
@@ -103,7 +103,7 @@ class ExpectedAnswer(BaseModel):
 
 
 class ExpectedDiagnosis(BaseModel):
-    """The kept verdict."""
+    """Kept verdict."""
 
     verdict: str
     detail: str | None
@@ -112,7 +112,7 @@ class ExpectedDiagnosis(BaseModel):
 
 
 class ExpectedRecord(BaseModel):
-    """The kept record of `answer_record`, as far as it is compared."""
+    """Compared part of a kept `answer_record`."""
 
     answer: ExpectedAnswer | None
     judgement: ExpectedDiagnosis | None
@@ -146,19 +146,19 @@ class CaseManifest(_Strict):
 
 
 def checked_manifest(root: Path, table: dict[str, Any]) -> tuple[CaseManifest, ExpectedRecord]:
-    """The manifest, validated."""
+    """Validate the manifest."""
     path = root / MANIFEST
     manifest = validated(CaseManifest, table, path)
     return manifest, checked_expected(manifest.expected, path)
 
 
 def checked_expected(record: Any, path: Path) -> ExpectedRecord:
-    """What is compared of an answer's record; InputError where it is none."""
+    """Validate the compared part of an answer's record; InputError for anything else."""
     return validated(ExpectedRecord, record, path, "expected")
 
 
 def validated(model: type[_Model], record: Any, path: Path, *inside: str) -> _Model:
-    """A part of a case's file; InputError where it is damaged, which names the field."""
+    """Validate a part of a case's file; InputError names a damaged field."""
     try:
         return checked(model.model_validate, record, DAMAGED, path, inside=inside)
     except RecursionError as error:
@@ -167,7 +167,7 @@ def validated(model: type[_Model], record: Any, path: Path, *inside: str) -> _Mo
 
 
 class TrueObject(_Strict):
-    """One labelled object; geometry in the frames of the labels, metres, null where there is none."""
+    """Labelled object; geometry in the frames of the labels, metres, null where unknown."""
 
     number: int
     label: str
@@ -184,7 +184,7 @@ class TrueObject(_Strict):
 
 
 class TruthRecord(_Strict):
-    """Rows of letters are tables of ordered pairs: row a, column b; T, U, F, or "." where a pair was not judged.
+    """Truth of a frame; rows of letters are tables of ordered pairs: row a, column b; T, U, F, or "." if not judged.
 
     `expression` is null where the truth of a sentence is worked out from the objects and their relations.
     """
@@ -201,7 +201,7 @@ class TruthRecord(_Strict):
 
 
 def truth_record(truth: FrameCases, case: Case, mark: str | None, confidence: float | None) -> dict[str, Any]:
-    """The truth of one expression as JSON; reading it gives the same numbers."""
+    """Truth of an expression as JSON, exact to the last digit."""
     objects = [
         {"number": int(truth.numbers[k]), "label": label, "bbox": truth.boxes[k].tolist(), "mask": truth.masks[k]}
         | {name: _row(truth.geometry[name][k]) for name in _GEOMETRY}

@@ -1,4 +1,4 @@
-"""Running kept cases again: has the answer changed, by object and by verdict?
+"""Replay of saved cases: changes of the answer, by object and by verdict.
 
 What decides is the target, the reference, whether they stand in the relation, and the verdict. Probabilities that
 move by more than a tolerance, and another detail of the same verdict, are warnings.
@@ -40,7 +40,7 @@ SAME_BOX_PIXELS = 0.05
 
 @dataclass(frozen=True)
 class ReplayedCase:
-    """A case that was run again."""
+    """Case answered again."""
 
     path: Path
     name: str
@@ -57,12 +57,12 @@ class ReplayedCase:
 
     @property
     def same(self) -> bool:
-        """The answer is the kept one."""
+        """True for an unchanged answer."""
         return not self.changes
 
 
 def find_cases(path: str | Path) -> tuple[Path, ...]:
-    """The cases in a folder, or the folder itself where it is one.
+    """Cases in a folder, or the folder itself if a case.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def replay_case(opened: OpenedCase, tolerance: float = TOLERANCE, *, live: bool 
 
 
 def _first_moved(before: dict[str, Any], after: dict[str, Any], tolerance: float) -> str | None:
-    """The first module whose output differs between two records of an answer."""
+    """First module with an output differing between two records of an answer."""
 
     def of_objects(*keys: str) -> Callable[[dict[str, Any]], Any]:
         return lambda record: [[one.get(key) for key in keys] for one in record.get("proposals", ())]
@@ -116,7 +116,7 @@ def _first_moved(before: dict[str, Any], after: dict[str, Any], tolerance: float
 
 
 def _alike(a: Any, b: Any, tolerance: float) -> bool:
-    """Whether two JSON values are the same but for small steps of numbers, and for keys that only one release had."""
+    """True for equal JSON values up to small steps of numbers, and keys known to a single release."""
     if isinstance(a, dict) and isinstance(b, dict):
         return all(_alike(a[key], b[key], tolerance) for key in a.keys() & b.keys())
     if isinstance(a, list) and isinstance(b, list):
@@ -187,7 +187,7 @@ def _moved(what: str, before: float, after: float, tolerance: float) -> list[str
 
 @dataclass(frozen=True)
 class Result:
-    """What came of one case."""
+    """Outcome of a case."""
 
     path: Path
     status: Status  # same, changed, updated (changed, and taken over) or damaged (could not be run)
@@ -196,7 +196,7 @@ class Result:
 
 
 def _check_places(folders: Sequence[Path], predictions: Predictions, rules: RunRules | None) -> None:
-    """`check_places` of the cases that these predictions have lines for."""
+    """Check the coordinates of predictions with lines for these cases."""
     found = {}
     for folder in folders:
         try:
@@ -224,7 +224,7 @@ def replay_all(
     min_score: float | None = None,
     predictions: Predictions | None = None,
 ) -> Iterator[Result]:
-    """Run cases again, one at a time.
+    """Run cases again, lazily.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A case written and read back: a small folder that holds all that its answer depends on, and nothing else."""
+"""Case written and read back: a small folder with everything behind its answer, and nothing else."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def save_case(
     expected: Mapping[str, Any] | None = None,
     copy_network: bool = False,
 ) -> Answer:
-    """Write a case, and run it once from its folder to be sure that it answers as here.
+    """Write a case, and run it once from its folder to check the answer.
 
     Parameters
     ----------
@@ -217,7 +217,7 @@ def _json(record: dict[str, Any]) -> str:
 
 
 def _scorer_record(scorer: RelationScorer, copy: bool) -> tuple[ScorerRecord, bytes | None]:
-    """What scores relations, and its file where it goes into the case."""
+    """Record of the relation scorer, and its file where copied into the case."""
     if isinstance(scorer, GivenRelations):
         return ScorerRecord(kind="imported", name=scorer.name), None
     if isinstance(scorer, RuleScorer):
@@ -244,7 +244,7 @@ def _scorer_record(scorer: RelationScorer, copy: bool) -> tuple[ScorerRecord, by
 
 @dataclass(frozen=True)
 class OpenedCase:
-    """A case that is ready to be answered."""
+    """Case ready to be answered."""
 
     root: Path
     manifest: CaseManifest
@@ -274,7 +274,7 @@ class OpenedCase:
         write_whole(self.root / MANIFEST, _json({**self.table, "expected": record}).encode(), "the case")
 
     def with_detector(self, name: str, model: Path | None, min_score: float | None = None) -> OpenedCase:
-        """The same case with a detector that looks at the picture now; "live" is the one it was made with."""
+        """Case with a live detector; "live" names the original one."""
         require(
             self.manifest.shown is None, "what another pipeline gave cannot be looked at again here",
             expected="--predictions FILE, what it gives now", path=self.root,
@@ -295,7 +295,7 @@ class OpenedCase:
         return replace(self, source=source, notes=(*self.notes, *note))
 
     def with_predictions(self, predictions: Predictions, rules: RunRules | None = None) -> OpenedCase:
-        """The same case as another pipeline answers it, which may be a later version of the one that it is of."""
+        """Case answered by another pipeline, possibly a later version of its own."""
         source = newer_source(predictions, self.manifest.shown, self.source, rules)
         return replace(self, source=source, notes=())
 
@@ -307,7 +307,7 @@ def open_case(
     vectors: Path | None = None,
     scorer: RelationScorer | None = None,
 ) -> OpenedCase:
-    """Read a case. Only files of its own folder are read, and the network that comes with the program.
+    """Read a case, from its own folder and the shipped network alone.
 
     Parameters
     ----------
@@ -355,7 +355,7 @@ def _own_source(root: Path, table: dict[str, Any], manifest: CaseManifest, score
     detector = KeptDetector(d.name, d.exact, d.vocabulary, kept, proposals, mark_of_file)
 
     def read(text: str, **options: Any) -> Query:
-        """As it was read when the case was kept; the grammar reads other texts."""
+        """Read an expression as when the case was kept; other texts by the grammar."""
         kept = manifest.reading
         return kept if kept is not None and text == kept.text else parse(text, **options)
 

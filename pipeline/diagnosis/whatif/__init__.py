@@ -1,4 +1,4 @@
-"""What if: an answer under edits, fast enough to follow the mouse.
+"""What-if: an answer under edits, fast enough to follow the mouse.
 
 `edits` says what is changed, `rerun` answers again with `pair_tables`, which also names objects so that the name
 survives a re-run, `changes` says what came of it, `region` and

@@ -1,4 +1,4 @@
-"""An answer as somebody looks at it: the names of its objects, the chosen pair, what is selected, what edits do."""
+"""View of an answer: names of objects, the chosen pair, the selection, effects of edits."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ View = TypeVar("View", bound="AnswerView")
 
 @dataclass(frozen=True)
 class OtherAnswer:
-    """What another run answers to the same question about the same frame."""
+    """Answer of another run to the same question about the same frame."""
 
     name: str  # Of its system
     trace: Trace | None
@@ -38,7 +38,7 @@ class OtherAnswer:
 
     @property
     def best(self) -> ScoredPair | None:
-        """Its best pair."""
+        """Best pair."""
         if self.trace is None or self.trace.ranking is None or self.trace.ranking.degenerate:
             return None
         return self.trace.ranking.pairs[0]
@@ -46,7 +46,7 @@ class OtherAnswer:
 
 @dataclass(frozen=True)
 class Ghost:
-    """A box beside the answer's: of the label, or of another run's answer."""
+    """Extra box in a view: of the label, or of another run's answer."""
 
     key: str
     text: str
@@ -55,7 +55,7 @@ class Ghost:
 
 
 def same_thing(trace: Trace | None, place: int | None, other: SceneObject) -> bool:
-    """Whether two answers mean one thing, as the comparison of two runs has it."""
+    """True where two answers mean the same object, as in the comparison of two runs."""
     if trace is None or place is None:
         return False
     return float(iou_2d(trace.objects[place].bbox, other.bbox)[0, 0]) >= 0.5
@@ -63,7 +63,7 @@ def same_thing(trace: Trace | None, place: int | None, other: SceneObject) -> bo
 
 @dataclass(frozen=True)
 class BothAnswers:
-    """An answer without edits and with them."""
+    """Answer without and with edits."""
 
     before: Outcome
     after: Outcome
@@ -71,11 +71,11 @@ class BothAnswers:
     seconds: float  # What answering again took the core
 
     def pair_before(self, pair: ScoredPair) -> tuple[int | None, ScoredPair | None]:
-        """A pair of the answer as it was, after the place that it had, from 1; None where it was no candidate."""
+        """Pair of the unedited answer, after its former rank from 1; None for no candidate."""
         return self._ranked.get(pair_keys(self.after, pair), (None, None))
 
     def relation_before(self, a: int, b: int, relation: str) -> float | None:
-        """P("a RELATION b") as it was, for places in the objects of the answer."""
+        """P("a RELATION b") before the edits, for places in the objects of the answer."""
         keys, scores = (self.after.keys[a], self.after.keys[b]), self.before.trace.scores
         if relation not in scores.relations or not set(keys) <= set(self.before.keys):
             return None
@@ -88,7 +88,7 @@ class BothAnswers:
 
 @dataclass(frozen=True, kw_only=True)
 class AnswerView:
-    """What somebody looks at: a frame, and an answer of it."""
+    """View of a frame and an answer."""
 
     loaded: LoadedFrame | None = None  # None where the frame is broken
     trace: Trace | None = None
@@ -105,18 +105,18 @@ class AnswerView:
 
     @cached_property
     def shown(self) -> ShownObjects:
-        """All objects, each of the chosen pair under the name and with the score of its role there."""
+        """Shown objects, each of the chosen pair under the name and with the score of its role."""
         chosen = self.chosen
         return self.found if self.trace is None or chosen is None else self.found.in_roles(self.trace, chosen)
 
     def name_of(self, i: int) -> str:
-        """The name of an object of the trace, by what it was found as."""
+        """Name of an object of the trace, by its detection."""
         assert self.trace is not None
         number = self.found.names[self.found.place[i]].rpartition("·")[2]
         return f"{self.trace.objects[i].label}·{number}"
 
     def key_at(self, place: int, keys: tuple[str, ...]) -> str | None:
-        """The key of the object at a place, with `keys` those of the trace's objects; None where they do not have it.
+        """Key of the object at a place, with `keys` those of the trace's objects; None for an object without key.
 
         Keys are those of `pipeline.diagnosis.whatif.pair_tables`.
         """
@@ -125,7 +125,7 @@ class AnswerView:
         return f"#{entry.id}" if entry.id >= 0 else found
 
     def named(self, key: str) -> str:
-        """The name of an object by its key; the key where it is not shown."""
+        """Name of an object by key; the key itself for a hidden object."""
         if self.edited is not None and key in self.edited.after.keys:
             return self.name_of(self.edited.after.keys.index(key))
         ids = {f"#{o.id}": name for o, name in zip(self.shown.objects, self.shown.names, strict=True) if o.id >= 0}
@@ -133,22 +133,22 @@ class AnswerView:
 
     @property
     def ranked(self) -> tuple[ScoredPair, ...]:
-        """The ranked pairs; without a relation, things alone."""
+        """Ranked pairs; without a relation, single objects."""
         if self.trace is None or self.trace.ranking is None or self.trace.ranking.degenerate:
             return ()
         return self.trace.ranking.pairs
 
     def at(self, pair: ScoredPair) -> tuple[int, ...]:
-        """A ranked pair as places in `shown.objects`: target, reference and, with "between", the other end.
+        """Ranked pair as places in `shown.objects`: target, reference and, with "between", the other end.
 
-        A thing alone stands twice.
+        A single object stands twice.
         """
         ends = (pair.target, pair.target if pair.reference is None else pair.reference, pair.second_reference)
         return tuple(self.found.place[i] for i in ends if i is not None)
 
     @property
     def chosen(self) -> ScoredPair | None:
-        """The ranked pair that is chosen."""
+        """Chosen ranked pair."""
         return next((p for p in self.ranked if self.at(p) == self.pair), None)
 
     @property
@@ -174,7 +174,7 @@ class AnswerView:
 
     @property
     def ghosts(self) -> list[Ghost]:
-        """The labelled target and reference in 3D, and those of the other run where it answers otherwise."""
+        """Labelled target and reference in 3D, and the other run's where different."""
         boxes = self.judged.labelled_boxes() if isinstance(self.judged, Diagnosis) else {}
         found = [Ghost(name, f"labelled {name}", box, "truth") for name, box in boxes.items()]
         other, mine = self.other, self.ranked[0] if self.ranked else None
@@ -192,7 +192,7 @@ class AnswerView:
 
     @property
     def other_pair(self) -> str:
-        """What of the pair is another one in the other run's answer; empty where one of the two has none."""
+        """Difference of the other run's answer from the pair; empty where either is missing."""
         mine, other = self.ranked[0] if self.ranked else None, self.other
         if mine is None or other is None or other.best is None or other.trace is None:
             return ""
@@ -204,9 +204,9 @@ class AnswerView:
     def under(
         self: View, edits: Edits, edited: BothAnswers, judged: Diagnosis | str | None, keys: tuple[str, ...]
     ) -> View:
-        """The same with an answer under edits; `keys` are those of the objects of the trace until now.
+        """View with an answer under edits; `keys` are those of the objects of the trace until now.
 
-        What was selected stays so. The chosen pair stays, too, unless it was the answer: then it is the new one.
+        The selection stays. The chosen pair stays, too, unless it was the answer: then it is the new one.
         """
         assert self.loaded is not None
         outcome, trace = edited.after, edited.after.trace
@@ -233,7 +233,7 @@ class AnswerView:
         return replace(changed, pair=pair, selected=None if selected is None else at.get(selected))
 
     def key_of(self, place: int, detector: Detector | None) -> str | None:
-        """The key of the object at a place; None where the detector does not find it so."""
+        """Key of the object at a place; None for an object not found so by the detector."""
         entry = self.shown.objects[place]
         key = self.key_at(place, () if self.edited is None else self.edited.after.keys)
         if key is not None:
@@ -242,7 +242,7 @@ class AnswerView:
         return next((key for key, same in zip(keys, alike(entry), strict=True) if same), None)
 
     def place_of(self, key: str, detector: Detector | None) -> int | None:
-        """The place of the object of a key; None where there is none."""
+        """Place of the object of a key; None for an unknown key."""
         objects = self.shown.objects
         if key.startswith("#") and "/" not in key:
             return next((i for i, o in enumerate(objects) if key == f"#{o.id}"), None)
@@ -258,7 +258,7 @@ class AnswerView:
     def _detections(
         self, detector: Detector | None, name: str
     ) -> tuple[tuple[str, ...], Callable[[SceneObject], np.ndarray]]:
-        """Keys of all that the detector finds of a name, and which of them an object is."""
+        """Keys of all detections of a name, and a matcher of objects to detections."""
         if self.loaded is None or detector is None:
             return (), lambda _: np.zeros(0, np.bool_)
         found = detector.detect(self.loaded.context.frame, [name])
@@ -270,7 +270,7 @@ class AnswerView:
 
 
 def answer_view(context: PreparedFrame, outcome: Outcome, edits: Edits, key: str | None = None) -> AnswerView:
-    """An answer under edits as one first looks at it: its best pair, and of that the target, or the object of a key."""
+    """Initial view of an answer under edits: the best pair, with the target or the object of a key selected."""
     loaded, trace = LoadedFrame(context, ()), outcome.trace
     view = AnswerView(loaded=loaded, trace=trace, found=shown_objects(loaded, trace, trace.exact), edits=edits)
     pair = next(map(view.at, view.ranked), None)

@@ -1,4 +1,4 @@
-"""One pair of an answer under the relation that was asked: where in its region the target falls, and what that is."""
+"""Pair of an answer under the asked relation: the target's place in the region, and its verdict."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ REACH = 1.0
 
 @dataclass(frozen=True)
 class AskedPair:
-    """What a region is of: "target RELATION reference", in the order in which it is judged."""
+    """Pair of a region: "target RELATION reference", in the judged order."""
 
     trace: Trace
     ends: tuple[int, int]  # Target and reference, indices in the trace's objects
@@ -35,7 +35,7 @@ class AskedPair:
 
     @property
     def region(self) -> Region | None:
-        """Where the relation holds; None where the reference has no place in space."""
+        """Region of the relation; None for a reference without 3D extents."""
         target, reference = self._lifted
         try:
             size = target.hi - target.lo
@@ -45,25 +45,25 @@ class AskedPair:
 
     @property
     def placement(self) -> Placement:
-        """Where the target falls in it, by the rule, and why."""
+        """Place of the target in the region, by the rule, with the reason."""
         return place_in_region(*self._lifted, self.trace.relation, self.trace.viewer, self.profile)
 
     @property
     def middle(self) -> np.ndarray:
-        """(3,) the middle of the target's extents, camera frame, metres; not finite where it has no place in space."""
+        """(3,) middle of the target's extents, camera frame, metres; not finite without 3D extents."""
         target, _ = self._lifted
         return self.trace.viewer.matrix.T @ (target.lo + target.hi) / 2
 
     @property
     def region_key(self) -> tuple[object, ...]:
-        """What the region depends on, to a tenth of a millimetre: a target that is only moved keeps it."""
+        """Cache key of the region, to a tenth of a millimetre: unchanged for a moved target."""
         target, reference = self._lifted
         ends = (tuple(np.round(v, 4).tolist()) for v in (reference.lo, reference.hi, target.hi - target.lo))
         return self.trace.relation, *ends, self.trace.viewer.matrix.tobytes(), self.profile
 
 
 def asked_pair(trace: Trace, pair: ScoredPair | None, edits: Edits) -> AskedPair | None:
-    """A ranked pair under the asked relation; None where the relation is not of two objects."""
+    """Ranked pair under the asked relation; None for a relation of more or fewer than two objects."""
     if pair is None or pair.reference is None or trace.relation not in PAIRWISE:
         return None
     ends = (pair.reference, pair.target) if trace.inverse else (pair.target, pair.reference)

@@ -1,4 +1,4 @@
-"""All edits of a view one by one; and what they changed: the winner, its factors, the order of the pairs."""
+"""Edits of a view listed; and their effects: the winner, its factors, the order of the pairs."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def what_changed(
     verdicts: tuple[str | None, str | None] | None = None,
     most: int = 20,
 ) -> Record:
-    """Two answers to one question side by side.
+    """Compare two answers to a question.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def what_changed(
 
 
 def pair_keys(outcome: Outcome, pair: ScoredPair) -> PairKeys:
-    """The keys of a pair's objects: target, reference, the other end of "between"."""
+    """Keys of a pair's objects: target, reference, the other end of "between"."""
     keys = outcome.keys
     return (
         keys[pair.target],
@@ -125,13 +125,13 @@ def _object(outcome: Outcome, index: int) -> Record:
 
 
 def ranked_pairs(outcome: Outcome) -> dict[PairKeys, tuple[int, ScoredPair]]:
-    """The ranked pairs by the keys of their objects, each after its rank, from 1."""
+    """Ranked pairs by the keys of their objects, each after its rank, from 1."""
     pairs = () if outcome.trace.ranking is None else outcome.trace.ranking.pairs
     return {pair_keys(outcome, pair): (at, pair) for at, pair in enumerate(pairs, start=1)}
 
 
 def _factors(before: Outcome, after: Outcome, names: PairKeys) -> Record:
-    """The log factors of one pair in both answers; null where it is no candidate pair."""
+    """Log factors of a pair in both answers; null for no candidate pair."""
     record: Record = {"target": names[0], "reference": names[1]}
     for when, outcome in (("before", before), ("after", after)):
         at, pair = ranked_pairs(outcome).get(names, (None, None))
@@ -153,7 +153,7 @@ def _moved(before: Outcome, after: Outcome, most: int) -> list[Record]:
 
 @dataclass(frozen=True)
 class EditDescription:
-    """One edit."""
+    """Edit described in words."""
 
     id: str  # Names it among the edits of its view
     text: str  # What is changed, in words
@@ -161,7 +161,7 @@ class EditDescription:
 
 
 def each_edit(edits: Edits, named: Callable[[str], str] = str) -> tuple[EditDescription, ...]:
-    """Every edit in a fixed order; `named` gives the word for an object's key."""
+    """Edits in a fixed order; `named` gives the word for an object's key."""
     found = [EditDescription(_id("boxes", k), f"{named(k)}: its box", k) for k in edits.boxes]
     found += [EditDescription(_id("masks", k), f"{named(k)}: its mask", k) for k in edits.masks]
     found += [EditDescription(_id("hidden", k), f"{named(k)}: hidden", k) for k in sorted(edits.hidden)]
@@ -186,7 +186,7 @@ def each_edit(edits: Edits, named: Callable[[str], str] = str) -> tuple[EditDesc
 
 
 def without_edit(edits: Edits, id: str) -> Edits:
-    """The edits without one; InputError where there is none of this id, or where the other settings need it."""
+    """Edits without the one of this id; InputError for an unknown id, or one needed by other settings."""
     require(id in {edit.id for edit in each_edit(edits)}, "there is no such edit", got=id)
     group, *rest = json.loads(id)
     if group in ("k", "min_score", "scorer"):

@@ -1,4 +1,4 @@
-"""Decision map: which answer would win if one object stood elsewhere, at every cell of the floor.
+"""Decision map: winning answer for each position of an object on the floor.
 
 The object slides on the level plane at its own height. Its pairs with the other
 candidates are scored for all cells at once; everything else stays as it is.
@@ -47,7 +47,7 @@ _AT_ONCE = 512
 
 @dataclass(frozen=True)
 class DecisionMap:
-    """Which answer wins where."""
+    """Winning answers by position of an object."""
 
     key: str  # The object that is moved
     # right, forward: (G,) float64: where the centre of its extents stands in each column and row, metres along the
@@ -66,7 +66,7 @@ class DecisionMap:
 
 
 def decision_map(baseline: Baseline, edits: Edits, key: str, cells: int = CELLS, margin: float = MARGIN) -> DecisionMap:
-    """Who would win if the object stood at each cell of the floor.
+    """Compute the winner with the object at each cell of the floor.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def decision_map(baseline: Baseline, edits: Edits, key: str, cells: int = CELLS,
 
 
 def _simple(readings: tuple) -> bool:
-    """One reading with one relation of two objects, which is what can be ranked for all cells at once."""
+    """True for a single reading with a single relation of two objects, rankable for all cells at once."""
     if len(readings) != 1 or readings[0].root.triple is None:
         return False
     attachment = readings[0].root.triple
@@ -143,7 +143,7 @@ def _simple(readings: tuple) -> bool:
 
 
 def _asked(node: Node) -> set[str]:
-    """All relations of an expression."""
+    """Relations of an expression."""
     return {a.relation for a in node.attachments} | {r for a in node.attachments for n in a.nodes for r in _asked(n)}
 
 
@@ -205,7 +205,7 @@ def _pair_probabilities(
 
 
 def _sliding_rows(outcome: Outcome, moved: int, shift: np.ndarray, scorer: OnnxScorer) -> np.ndarray:
-    """(C, K): what the network is given of the object at each cell. Every contract is affine in a shift."""
+    """(C, K): network's input of the object at each cell. Every contract is affine in a shift."""
     trace, entry = outcome.trace, outcome.trace.objects[moved]
     matrix = trace.viewer.matrix
 
@@ -230,7 +230,7 @@ def _vectorised(
     pairs: _PairTable,
     config: RankConfig,
 ) -> _Found:
-    """The ranking of every cell at once, with its rules for ties."""
+    """Ranking of all cells at once, with its rules for ties."""
     trace = outcome.trace
     root = trace.query.readings[0].root
     attachment = root.triple
@@ -286,7 +286,7 @@ def _one_by_one(
     pairs: _PairTable,
     config: RankConfig,
 ) -> _Found:
-    """The whole ranking cell by cell, for trees of relations, several readings, between and superlatives."""
+    """Ranking cell by cell, for trees of relations, several readings, between and superlatives."""
     trace = outcome.trace
     same = baseline.same(outcome.trace.objects)
     sizes = np.array([o.lifted.quality.mask_pixels for o in trace.objects])
@@ -310,7 +310,7 @@ def _one_by_one(
 
 
 def map_record(found: DecisionMap) -> dict[str, Any]:
-    """A map as a JSON object: the grid, and who wins how much of it."""
+    """Map as a JSON object: the grid, and each winner's share."""
     winners, counts = np.unique(found.winner, return_counts=True)
     return {
         "key": found.key,
@@ -329,7 +329,7 @@ def map_record(found: DecisionMap) -> dict[str, Any]:
 
 
 def map_picture(found: DecisionMap, outcome: Outcome) -> np.ndarray:
-    """(H, W, 3) uint8 RGB: each cell in the colour of its winner, paler where the margin is small.
+    """(H, W, 3) uint8 RGB: each cell in the colour of its winner, paler for a small margin.
 
     The outlines are those of the other objects' extents. Below stand the winners with their share of the floor.
     """

@@ -1,4 +1,4 @@
-"""Edits said in a few words between colons, such as "size:1:0.2" or "k:5": what the Edit tab and `whatif --do` take."""
+"""Edits as short words between colons, such as "size:1:0.2" or "k:5", for the Edit tab and `whatif --do`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ WEIGHTS = ("target_weight", "reference_weight", "relation_weight")
 
 
 def edited_by(said: str, view: AnswerView, source: Pipeline, keys: tuple[str, ...]) -> Edits:
-    """The edits of an answer that is looked at, after one more.
+    """Add an edit in words to the edits of a view.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def edited_by(said: str, view: AnswerView, source: Pipeline, keys: tuple[str, ..
 
 
 def said_edits(baseline: Baseline, edits: Edits, said: Sequence[str], key: str | None = None) -> Edits:
-    """The edits of a question after more that are said one after the other.
+    """Add edits in words to the edits of a question, in order.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def said_edits(baseline: Baseline, edits: Edits, said: Sequence[str], key: str |
 
 
 def number_of(words: Sequence[str]) -> float:
-    """The number that one word says; InputError where it says none."""
+    """Number in a single word; InputError for none."""
     with as_input_error("this must be a number", ValueError, got=repr(":".join(words))):
         (value,) = map(float, words)
     require(np.isfinite(value), "this must be a number", got=repr(words[0]))
@@ -96,7 +96,7 @@ def number_of(words: Sequence[str]) -> float:
 
 
 def box_with(box: Box3D, viewer: ViewerAxes, what: str, numbers: Sequence[str]) -> Box3D:
-    """A box after "center" AXIS METRES, "size" AXIS METRES or "yaw" DEGREES; InputError where it is none of these."""
+    """Box after "center" AXIS METRES, "size" AXIS METRES or "yaw" DEGREES; InputError for anything else."""
     value: Any = number_of(numbers[-1:])
     if what != "yaw":
         known = what in ("center", "size") and len(numbers) == 2 and numbers[0] in ("0", "1", "2")
@@ -112,7 +112,7 @@ def _loaded(view: AnswerView) -> LoadedFrame:
 
 
 def _selected(view: AnswerView, keys: tuple[str, ...]) -> tuple[str, SceneObject]:
-    """The selected object, which must be a candidate."""
+    """Selected object, necessarily a candidate."""
     for trace_place, shown_place in view.shown.place.items():
         if shown_place == view.selected:
             return keys[trace_place], view.shown.objects[shown_place]
@@ -120,7 +120,7 @@ def _selected(view: AnswerView, keys: tuple[str, ...]) -> tuple[str, SceneObject
 
 
 def _relation(view: AnswerView, keys: tuple[str, ...], ends: list[str], p: float) -> Edits:
-    """The probability of the asked relation for two objects by their places; without any for the chosen pair.
+    """Set the probability of the asked relation for two objects by their places; without any for the chosen pair.
 
     A slider names its own pair: what is chosen moves on where the answer does, while the hand still holds the slider.
     """
@@ -138,7 +138,7 @@ def _relation(view: AnswerView, keys: tuple[str, ...], ends: list[str], p: float
 
 
 def _masks(view: AnswerView, keys: tuple[str, ...], way: str, more: list[str]) -> dict[str, np.ndarray]:
-    """By key: "grow" PIXELS, the "label"'s, the other's by "swap", or "rectangle" x0,y0,x1,y1."""
+    """Masks by key: "grow" PIXELS, the "label"'s, the other's by "swap", or "rectangle" x0,y0,x1,y1."""
     (key, entry), frame = _selected(view, keys), _loaded(view).context.frame
     match way:
         case "grow":
@@ -158,7 +158,7 @@ def _masks(view: AnswerView, keys: tuple[str, ...], way: str, more: list[str]) -
 
 
 def partners(view: AnswerView) -> tuple[int, int]:
-    """The two whose masks are swapped: the selected object, and the other end of the chosen pair."""
+    """Partners of a mask swap: the selected object, and the other end of the chosen pair."""
     if view.pair is None or view.selected is None or view.selected not in view.shown.place.values():
         raise InputError("swapping takes a selected candidate and a chosen pair")
     other = view.pair[0] if view.selected != view.pair[0] else view.pair[1]
@@ -167,7 +167,7 @@ def partners(view: AnswerView) -> tuple[int, int]:
 
 
 def _setting(edits: Edits, source: Pipeline, name: str, value: str) -> Edits:
-    """One setting; a value that is that of the source is no edit."""
+    """Set a value; the pipeline's own value is no edit."""
     match name:
         case "scorer":
             expected = "rule, trained, or an installed one"

@@ -1,4 +1,4 @@
-"""Edits: what is changed of a frame's detections, their geometry, their probabilities and the settings.
+"""Edits of a frame's detections, their geometry, their probabilities and the settings.
 
 An edit refers to objects by the keys of `pipeline.diagnosis.whatif.pair_tables`. What it means:
 
@@ -66,12 +66,12 @@ _LIFT_BOUNDS: dict[str, tuple[float, float]] = {
 
 
 def checked_rank(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Fields of RankConfig; InputError for an unknown one, or a weight outside 0..1000."""
+    """Check fields of RankConfig; InputError for an unknown field, or a weight outside 0..1000."""
     return _checked(RankConfig, values, "rank", lambda name: None if name == "aggregate" else (0, 1000))
 
 
 def checked_profile(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Fields of Profile; InputError for an unknown one, one out of range, or bands the wrong way round."""
+    """Check fields of Profile; InputError for an unknown field, a value out of range, or reversed bands."""
     found = _checked(
         Profile,
         values,
@@ -101,7 +101,7 @@ def checked_profile(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def checked_lift(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Fields of LiftConfig; InputError for an unknown one, or one out of range."""
+    """Check fields of LiftConfig; InputError for an unknown field, or a value out of range."""
     found = _checked(LiftConfig, values, "lift", _LIFT_BOUNDS.get)
     whole = LiftConfig(**found)
     require(whole.near < whole.far, "near must be less than far", got=f"{whole.near} and {whole.far}")
@@ -111,7 +111,7 @@ def checked_lift(values: Mapping[str, Any]) -> dict[str, Any]:
 def _checked(
     kind: type, values: Mapping[str, Any], where: str, bounds: Callable[[str], tuple[float, float] | None]
 ) -> dict[str, Any]:
-    """The fields of a dataclass, each within its bounds, if it has any."""
+    """Check the fields of a dataclass, each within its bounds, if any."""
     known = [f.name for f in fields(kind)]
     for name in values:
         require(name in known, f"{where} has no setting {name!r}", expected=", ".join(known))
@@ -144,7 +144,7 @@ CHECKS = {"rank": checked_rank, "profile": checked_profile, "lift": checked_lift
 
 @dataclass(frozen=True)
 class PlacedBox:
-    """A 3D box as plain numbers, camera frame, metres; `R` row by row."""
+    """3D box as plain numbers, camera frame, metres; `R` row by row."""
 
     center: Axis
     R: tuple[Axis, Axis, Axis]
@@ -155,12 +155,12 @@ class PlacedBox:
 
     @staticmethod
     def of(box: Box3D) -> PlacedBox:
-        """The same box."""
+        """Plain numbers of a box."""
         rows = tuple(tuple(row) for row in box.R.tolist())
         return PlacedBox(tuple(box.center.tolist()), rows, tuple(box.size.tolist()))  # pyright: ignore
 
     def box(self) -> Box3D:
-        """The box; InputError where it is none."""
+        """Box of these numbers; InputError for no box."""
         return Box3D(np.array(self.center), np.array(self.R), np.array(self.size))
 
 
@@ -179,7 +179,7 @@ _Mask = Annotated[RunLength, AfterValidator(_of_a_picture)]
 
 @dataclass(frozen=True)
 class _Confidence:
-    """P(object | name), as it stands in a file."""
+    """P(object | name), as in a file."""
 
     name: Key
     object: Key
@@ -188,7 +188,7 @@ class _Confidence:
 
 @dataclass(frozen=True)
 class _Relation:
-    """P("a RELATION b"), as it stands in a file."""
+    """P("a RELATION b"), as in a file."""
 
     relation: Key
     a: Key
@@ -200,7 +200,7 @@ class _Relation:
 
 
 def _each_once(entries: Sequence[_Confidence | _Relation]) -> dict[tuple[str, ...], float]:
-    """The probabilities by what they are of."""
+    """Probabilities by subject, each once."""
     found = {tuple(vars(entry).values())[:-1]: entry.p for entry in entries}
     require(len(found) >= len(entries), "the edits give one and the same probability twice")
     return found
@@ -216,7 +216,7 @@ else:
 
 @dataclass(frozen=True)
 class Edits:
-    """All edits of a view; `Edits()` has none. Made by `read_edits` or by the functions below, which check."""
+    """Edits of a view; `Edits()` is empty. Made by `read_edits` or by the checked methods below."""
 
     __pydantic_config__ = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
@@ -238,62 +238,62 @@ class Edits:
     scorer: Annotated[str, Field(min_length=1, max_length=4096)] | None = None
 
     def __bool__(self) -> bool:
-        """Whether anything is edited."""
+        """True with any edit."""
         return self != Edits()
 
     @property
     def keys(self) -> frozenset[str]:
-        """All objects that an edit names."""
+        """Objects named by any edit."""
         ends = {key for _, a, b in self.relations for key in (a, b)}
         return frozenset({*self.boxes, *self.masks, *self.hidden, *(key for _, key in self.confidences), *ends})
 
     def with_box(self, key: str, box: Box3D) -> Edits:
-        """The object's 3D box is this one (camera frame)."""
+        """Set the object's 3D box (camera frame)."""
         return replace(self, boxes={**self.boxes, key: PlacedBox.of(box)})
 
     def with_mask(self, key: str, mask: np.ndarray) -> Edits:
-        """The object's pixels are these ((H, W) bool)."""
+        """Set the object's pixels ((H, W) bool)."""
         require(
             mask.ndim == 2 and mask.dtype == np.bool_, "a mask must be bool (H, W)", got=f"{mask.dtype} {mask.shape}"
         )
         return replace(self, masks={**self.masks, key: RunLength.of(mask)})
 
     def with_hidden(self, key: str) -> Edits:
-        """The object was not found."""
+        """Hide the object, as if not found."""
         return replace(self, hidden=self.hidden | {key})
 
     def with_shown(self, key: str) -> Edits:
-        """The object is not hidden any more."""
+        """Show a hidden object again."""
         return replace(self, hidden=self.hidden - {key})
 
     def with_confidence(self, name: str, key: str, p: float) -> Edits:
-        """P(object | name) is `p`."""
+        """Set P(object | name)."""
         return replace(self, confidences={**self.confidences, (name, key): probability(p)})
 
     def with_relation(self, relation: str, a: str, b: str, p: float) -> Edits:
-        """P("a RELATION b") is `p`."""
+        """Set P("a RELATION b")."""
         require(a != b, "a relation is between two objects", got=f"{a} twice")
         return replace(self, relations={**self.relations, (relation, a, b): probability(p)})
 
     def with_k(self, k: int | None) -> Edits:
-        """So many proposals of each name go on; None for the setting's own number."""
+        """Set the number of proposals of each name; None for the setting's own number."""
         require(k is None or k >= 1, "at least one proposal must go on for each name", got=f"k={k}")
         return replace(self, k=k)
 
     def with_min_score(self, score: float | None) -> Edits:
-        """Detections below are dropped; None for the detector's own threshold."""
+        """Drop detections below a score; None for the detector's own threshold."""
         return replace(self, min_score=None if score is None else probability(score))
 
     def with_settings(self, group: Literal["rank", "profile", "lift"], **values: Any) -> Edits:
-        """Fields of RankConfig, of `relations.Profile` or of LiftConfig."""
+        """Set fields of RankConfig, of `relations.Profile` or of LiftConfig."""
         return replace(self, **{group: CHECKS[group]({**getattr(self, group), **values})})
 
     def with_scorer(self, scorer: str | None) -> Edits:
-        """What scores relations: "rule", "trained", or the path of a network."""
+        """Set the relation scorer: "rule", "trained", or the path of a network."""
         return replace(self, scorer=scorer)
 
     def without(self, key: str) -> Edits:
-        """Everything that names the object is taken back."""
+        """Take back all edits of an object."""
         return replace(
             self,
             boxes={k: v for k, v in self.boxes.items() if k != key},
@@ -305,13 +305,13 @@ class Edits:
 
 
 def probability(p: float) -> float:
-    """`p` as a float; InputError outside 0..1."""
+    """Check a probability; InputError outside 0..1."""
     require(0.0 <= p <= 1.0, "a probability must lie in 0..1", got=p)
     return float(p)
 
 
 def edits_record(edits: Edits) -> Record:
-    """Edits as a JSON object; what is not edited is left out."""
+    """JSON object of edits, without unedited fields."""
     record: Record = {
         "format": FORMAT,
         "boxes": {
@@ -334,12 +334,12 @@ def edits_record(edits: Edits) -> Record:
 
 
 def read_edits(record: Record | str | bytes) -> Edits:
-    """Edits from a JSON object, or from the text of one."""
+    """Read edits from a JSON object, or from its text."""
     return validated(Edits, record, "the edits")
 
 
 def load_edits(path: str | Path) -> Edits:
-    """Edits from a file; InputError where it cannot be read or holds none."""
+    """Read edits from a file; InputError for an unreadable file, or one without edits."""
     path = Path(path)
     try:
         text = read_bytes(path, "text")
@@ -352,7 +352,7 @@ def load_edits(path: str | Path) -> Edits:
 
 
 def validated(kind: type[_T], record: Record | str | bytes, what: str) -> _T:
-    """A JSON object, or the text of one, as a dataclass; InputError in one line if it is none."""
+    """Validate a JSON object, or its text, as a dataclass; InputError in one line otherwise."""
     try:
         value = parse_json(record) if isinstance(record, str | bytes) else record
         # Once more through JSON: infinities (1e999) and what is not JSON end here.

@@ -1,4 +1,4 @@
-"""Relations of all pairs of a list of objects, of which only the pairs that are new are scored.
+"""Relations of all pairs of a list of objects, scoring only the new pairs.
 
 A pair is scored as a scene of its own with two objects in it, many at once: the
 rule and the network judge each pair by these two alone, and so this gives the
@@ -34,7 +34,7 @@ _Identity = tuple[int, str, bytes]
 
 @dataclass(frozen=True)
 class PairTables:
-    """What was scored, and what it was scored from."""
+    """Scored pairs, with the scorer's inputs."""
 
     objects: tuple[SceneObject, ...]
     index: dict[_Identity, int]  # Identity of an object -> its index
@@ -48,7 +48,7 @@ class PairTables:
 
 
 def identity(entry: SceneObject) -> _Identity:
-    """What an object is to a scorer."""
+    """Identity of an object to a scorer."""
     # `PairTables.objects` keeps the object alive, so that its number stays its own.
     return id(entry.lifted), entry.label, entry.bbox.tobytes()
 
@@ -61,7 +61,7 @@ def score_pairs(
     profile: Profile,
     before: PairTables | None = None,
 ) -> PairTables:
-    """All relations of all ordered pairs.
+    """Score all relations of all ordered pairs.
 
     `before`: scored by the same scorer, profile and viewer; pairs of two objects that are in it are taken from it.
     """
@@ -111,14 +111,14 @@ def _described(
 
 
 def describe(objects: Sequence[SceneObject], viewer: ViewerAxes, frame: Frame, scorer: OnnxScorer) -> np.ndarray:
-    """(N, K) float64: what a network is given of each object."""
+    """(N, K) float64: network's input of each object."""
     appearance = appearance_of(objects, frame)
     lifted: list[LiftedObject] = [o.lifted for o in objects]
     return scorer.with_words(scorer.features.describe(lifted, viewer, appearance), appearance.labels)
 
 
 def combined(states: np.ndarray, network: np.ndarray | None, scorer: RelationScorer) -> RelationScores:
-    """Scores of PAIRWISE, as the scorer itself puts them together; states (..., N, N, 9), network (..., N, N, V)."""
+    """Scores of PAIRWISE, combined as by the scorer; states (..., N, N, 9), network (..., N, N, V)."""
     probabilities = rule_probabilities(states)
     scored_by: dict[str, str] = dict.fromkeys(PAIRWISE, RuleScorer.name)
     if network is not None and isinstance(scorer, OnnxScorer):
@@ -143,7 +143,7 @@ def _renewed(
     profile: Profile,
     before: PairTables,
 ) -> RelationScores:
-    """The pairs (first, second) scored, all others taken from before."""
+    """Score the pairs (first, second), and take all others from before."""
     n, kept = len(old), np.flatnonzero(old >= 0)
     states = np.empty((n, n, len(PAIRWISE)), np.int8)
     probabilities = np.empty((n, n, len(PAIRWISE)))
@@ -170,7 +170,7 @@ def of_pairs(
     scorer: RuleScorer | OnnxScorer,
     profile: Profile,
 ) -> RelationScores:
-    """Scores of pairs of objects, each pair as a scene of two.
+    """Score pairs of objects, each pair as a scene of two.
 
     `pair`: (P, 2) int: indices in the lists; `extents`: ((N, 3), (N, 3)) float64: along (right, up, forward), metres;
     `clouds`: sequence of (M, 3); `rows`: (N, K) float64. Returns arrays (P, 2, 2, R): [p, 0, 1] is "first RELATION
@@ -195,7 +195,7 @@ def of_pairs(
 
 
 def _grouped(indices: np.ndarray, wanted: np.ndarray) -> list[tuple[int, np.ndarray]]:
-    """Each object ((P,) indices) with those of the wanted pairs ((P,) bool) in which it stands."""
+    """Group the wanted pairs ((P,) bool) by object ((P,) indices)."""
     order = np.flatnonzero(wanted)
     order = order[np.argsort(indices[order], kind="stable")]
     if not len(order):
@@ -214,7 +214,7 @@ def _by_any(
     clouds: tuple[np.ndarray, ...],
     profile: Profile,
 ) -> RelationScores:
-    """A scorer of which nothing is known: the whole list, with the profile where the rule scored."""
+    """Score the whole list by an unknown scorer, with the profile where the rule scored."""
     found = scorer.score([o.lifted for o in objects], viewer, appearance_of(objects, frame))
     if profile == Profile() or tuple(found.relations) != PAIRWISE:
         return found
@@ -225,7 +225,7 @@ def _by_any(
 
 
 def detection_keys(name: str, found: Proposals) -> tuple[str, ...]:
-    """The key of each detection of a run for one class name, in the run's order.
+    """Key of each detection of a run for a class name, in the run's order.
 
     A key means the same detection after a change of K, of a threshold, of an edit. "#12" is the detection with the
     detector's own identity 12. Where the detector has none, "chair/3" is the third best by score of all it found when

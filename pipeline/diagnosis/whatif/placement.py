@@ -1,4 +1,4 @@
-"""An object that a person changes: its box in numbers, its pixels, and where it falls in a relation's region."""
+"""Placement of an edited object: its box in numbers, its pixels, and its place in a relation's region."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Measures = dict[str, float]
 
 @dataclass(frozen=True)
 class Placement:
-    """One pair under one relation's rule."""
+    """Pair under a relation's rule."""
 
     relation: str
     state: int  # 1 T, 0 U, -1 F: the rule's own
@@ -40,7 +40,7 @@ def place_in_region(
     viewer: ViewerAxes,
     profile: Profile | None = None,
 ) -> Placement:
-    """Judge "target RELATION reference" by the profile, and say why."""
+    """Judge "target RELATION reference" by the profile, with the reason."""
     require(
         relation in PAIRWISE, "there is no region of this relation", got=repr(relation), expected=", ".join(PAIRWISE)
     )
@@ -57,7 +57,7 @@ def place_in_region(
 
 
 def _first(*reasons: tuple[bool, str]) -> str:
-    """The first reason that is given."""
+    """First applicable reason."""
     return next(text for given, text in reasons if given)
 
 
@@ -189,7 +189,7 @@ def _near(measured: AllMeasures, _relation: str, state: int) -> tuple[Measures, 
 
 
 def _by_margin(measured: AllMeasures, relation: str, state: int) -> tuple[Measures, str]:
-    """For a relation of which only its rule is known."""
+    """Reason for a relation known by its rule alone."""
     states = pair_states(measured, np.ones(2, np.bool_), (relation,))
     margin = float(pair_margins(measured, states, (relation,))[0, 1, 0])
     sure = {1: f"It holds by {margin:.2f} m", -1: f"It fails by {-margin:.2f} m"}
@@ -204,7 +204,7 @@ SMALLEST_SIDE = 0.01
 
 
 def pulled(box: Box3D, axis: int, side: float, by: float) -> Box3D:
-    """A box with one face (`side` 1 or -1 of its own `axis`) pulled outwards by so many metres; the opposite stays."""
+    """Pull a face (`side` 1 or -1 of its own `axis`) of a box outwards by metres; the opposite stays."""
     grown = max(box.size[axis] + by, SMALLEST_SIDE) - box.size[axis]
     outwards = box.R[:, axis] * side
     return Box3D(box.center + outwards * grown / 2, box.R, box.size + grown * (np.arange(3) == axis))
@@ -212,7 +212,7 @@ def pulled(box: Box3D, axis: int, side: float, by: float) -> Box3D:
 
 @dataclass(frozen=True)
 class BoxNumbers:
-    """A box in the viewer's level axes."""
+    """Box in the viewer's level axes."""
 
     center: Three  # Along (right, forward, up), metres
     size: Three  # Along the box's own axes, for an upright box (width, height, depth), metres
@@ -220,7 +220,7 @@ class BoxNumbers:
 
 
 def box_numbers(box: Box3D, viewer: ViewerAxes) -> BoxNumbers:
-    """The numbers of a box (camera frame)."""
+    """Numbers of a box (camera frame)."""
     x, y, z = (_axes(viewer) @ box.center).tolist()
     width, height, depth = box.size.tolist()
     return BoxNumbers((x, y, z), (width, height, depth), float(np.rad2deg(_yaw(box, viewer))))
@@ -234,7 +234,7 @@ def with_numbers(
     size: Three | None = None,
     yaw: float | None = None,
 ) -> Box3D:
-    """The box with some of its numbers changed; None leaves one as it is."""
+    """Change some numbers of a box; None keeps a number."""
     axes = _axes(viewer)
     moved = box.center if center is None else axes.T @ np.array(center, np.float64)
     sides = box.size if size is None else np.maximum(np.array(size, np.float64), SMALLEST_SIDE)
@@ -264,7 +264,7 @@ what another mask is for."""
 
 
 def grown(mask: np.ndarray, pixels: int) -> np.ndarray:
-    """A mask grown by a disc of a radius, or shrunk where it is negative.
+    """Grow a mask by a disc, or shrink it for a negative radius.
 
     `mask`: (H, W) bool; `pixels`: -200..200.
     """
@@ -285,7 +285,7 @@ def grown(mask: np.ndarray, pixels: int) -> np.ndarray:
 
 
 def rectangle(height: int, width: int, corners: tuple[float, float, float, float]) -> np.ndarray:
-    """(H, W) bool: the pixels between two corners, x0, y0, x1, y1 as fractions of width and height in any order."""
+    """(H, W) bool: pixels between two corners, x0, y0, x1, y1 as fractions of width and height in any order."""
     x0, y0, x1, y1 = corners
     require(np.isfinite([x0, y0, x1, y1]).all(), "the corners of a rectangle must be finite", got=corners)
     xs, ys = sorted((x0, x1)), sorted((y0, y1))
@@ -298,7 +298,7 @@ def rectangle(height: int, width: int, corners: tuple[float, float, float, float
 
 
 def labelled_mask(truth: FrameCases, bbox: np.ndarray, height: int, width: int) -> np.ndarray | None:
-    """(H, W) bool: the labelled pixels of the object that a 2D box is of; None where no such object has any."""
+    """(H, W) bool: labelled pixels of the object of a 2D box; None without any."""
     if not len(truth.boxes):
         return None
     overlap = iou_2d(bbox, truth.boxes)[0]

@@ -1,4 +1,4 @@
-"""The region of a relation around a reference, for drawing: where the centre of a target may stand.
+"""Region of a relation around a reference, for drawing: allowed centres of a target.
 
 left, right, front and behind are drawn in the level plane through the
 reference's middle, exactly: all lines on which the rule's verdict can change
@@ -39,7 +39,7 @@ REACH = 1.5
 
 @dataclass(frozen=True)
 class RegionPart:
-    """One part of a region."""
+    """Part of a region."""
 
     label: str  # "T" or "U"
     triangles: np.ndarray  # (M, 3, 3) float64: corners, camera frame, metres; to be drawn translucent
@@ -48,7 +48,7 @@ class RegionPart:
 
 @dataclass(frozen=True)
 class Region:
-    """Where a relation holds (T) and where it is undecided (U), for the centre of a target of one size."""
+    """Region of a relation: T where held, U where undecided, for the centre of a target of a given size."""
 
     relation: str
     patches: tuple[RegionPart, ...]
@@ -69,7 +69,7 @@ def region_of(
     profile: Profile | None = None,
     reach: float = REACH,
 ) -> Region:
-    """The region of "target RELATION reference".
+    """Region of "target RELATION reference".
 
     `relation`: one of PAIRWISE; `size`: (3,) float: the target's extents along (right, up, forward), metres: `hi - lo`
     of its LiftedObject; `reach`: how far beyond the reference it is drawn, metres.
@@ -115,7 +115,7 @@ def region_of(
 def plane_states(
     lo: np.ndarray, hi: np.ndarray, size: np.ndarray, indices: np.ndarray, relation: str, profile: Profile
 ) -> np.ndarray:
-    """(P,) int8: the rule's verdict on a target of a size with its centre at each place ((P, 3), level axes)."""
+    """(P,) int8: rule's verdict on a target of a size, centred at each place ((P, 3), level axes)."""
     count = len(indices)
     both = [
         np.stack([indices + sign * size / 2, np.broadcast_to(own, (count, 3))], axis=1)
@@ -161,7 +161,7 @@ def _plane(
 def _exact_cuts(
     lo: np.ndarray, hi: np.ndarray, size: np.ndarray, axis: int, side: int, far: np.ndarray, profile: Profile
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """All lines on which the verdict can change: sorted s, and c and m of the lines t = c + m s."""
+    """Lines of possible change of the verdict: sorted s, and c and m of the lines t = c + m s."""
     across = 2 - axis
     extent = np.maximum(hi - lo, profile.min_extent)
     half = (size + (hi - lo)) / 2
@@ -185,7 +185,7 @@ def _exact_cuts(
 
 
 def _uprights(axis: int, side: int, half: float, shorter: float, depth: float, profile: Profile) -> list[float]:
-    """Where along the relation's axis the verdict may change at once for every place across it."""
+    """Places along the relation's axis of a possible change for every place across it."""
     found = [half + g for g in (0.0, profile.gap_switch, *profile.gap_switch_band)]
     found += [half - share * shorter for share in (profile.overlap_doubts, profile.overlap_excludes)]
     if axis == 0:
@@ -211,7 +211,7 @@ def _merged(
     side: int,
     middle: np.ndarray,
 ) -> list[tuple[str, np.ndarray, np.ndarray]]:
-    """Triangles and outlines of T and of U; neighbours of one verdict in a strip become one."""
+    """Triangles and outlines of T and of U; neighbours of equal verdict in a strip are merged."""
     first = np.r_[True, (strip[1:] != strip[:-1]) | (state[1:] != state[:-1])]
     start = np.flatnonzero(first)
     last = np.r_[start[1:], len(strip)] - 1
@@ -238,7 +238,7 @@ def _merged(
 
 
 def _walls(a: np.ndarray, b: np.ndarray, edges: np.ndarray, level: _Level) -> np.ndarray:
-    """Outline between strips: where exactly one of two neighbouring strips has the verdict."""
+    """Outline between strips: exactly one of two neighbouring strips has the verdict."""
     found = []
     for s in np.unique(np.concatenate([a, b])):
         ends = np.concatenate([edges[a == s, :2], edges[b == s, 2:]])
@@ -254,7 +254,7 @@ def _walls(a: np.ndarray, b: np.ndarray, edges: np.ndarray, level: _Level) -> np
 def solids(
     lo: np.ndarray, hi: np.ndarray, size: np.ndarray, relation: str, profile: Profile, reach: float
 ) -> list[Solid]:
-    """T and U of a relation around extents lo and hi ((3,)) for a target of a size ((3,))."""
+    """Solids of T and U of a relation around extents lo and hi ((3,)) for a target of a size ((3,))."""
     middle, half = (lo + hi) / 2, (size + (hi - lo)) / 2
     if relation in ("above", "below"):
         return _vertical(middle, half, hi - lo, size, relation, profile, reach)
@@ -299,7 +299,7 @@ def _vertical(
 def _on(
     middle: np.ndarray, half: np.ndarray, hi: np.ndarray, lo: np.ndarray, size: np.ndarray, profile: Profile
 ) -> list[Solid]:
-    """A slab over the upper face; where the reference has points the rule takes their height instead."""
+    """Slab over the upper face; for a reference with points the rule takes their height instead."""
     extent, own = np.maximum(hi - lo, profile.min_extent), np.maximum(size, profile.min_extent)
     if own[0] * own[2] / (extent[0] * extent[2]) >= profile.on_area_ratio:
         return []
@@ -316,7 +316,7 @@ def _on(
 
 
 def _in(middle: np.ndarray, hi: np.ndarray, lo: np.ndarray, size: np.ndarray, profile: Profile) -> list[Solid]:
-    """The box of places at which no axis alone leaves more of the target outside than is allowed."""
+    """Box of places with no axis alone leaving more of the target outside than allowed."""
     own = np.maximum(size, profile.min_extent)
     room = hi - lo + 2 * profile.in_inflation
     found = []
@@ -363,7 +363,7 @@ def _rounded(half: np.ndarray, radius: float) -> np.ndarray:
 
 
 def _overlapping(half: np.ndarray, extent: np.ndarray, own: np.ndarray, share: float) -> np.ndarray:
-    """(K, 2) outline of the places at which the two overlap in plan by a share of the smaller footprint.
+    """(K, 2) outline of the places with a plan overlap of a share of the smaller footprint.
 
     The overlap is the product of two lengths, and so a quarter of the outline is a hyperbola between the places
     where one length is as large as it gets.
@@ -381,7 +381,7 @@ def _overlapping(half: np.ndarray, extent: np.ndarray, own: np.ndarray, share: f
 
 
 def _loft(middle: np.ndarray, rings: Sequence[np.ndarray], heights: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles and segments of a solid with one outline ((K, 2), all of one K) at each height, closed at both ends."""
+    """Triangles and segments of a solid with an outline ((K, 2), of equal K) at each height, closed at both ends."""
     levels = []
     for ring, height in zip(rings, heights, strict=True):
         points = np.empty((len(ring), 3))

@@ -1,4 +1,4 @@
-"""Answering again with edits: what an edit does not touch is not computed again.
+"""Rerun of an answer with edits, computing only the affected parts.
 
 `rerun` gives the trace that the whole pipeline gives with those edits. Kept are
 the detector's whole runs, every lifted object, and the relations of all pairs
@@ -41,7 +41,7 @@ _MOST_KEPT = {"context": 3, "scorer": 3, "tables": 6, "selected": 64, "same": 4}
 
 @dataclass(frozen=True)
 class Outcome:
-    """An answer under edits."""
+    """Answer under edits."""
 
     trace: Trace
     keys: tuple[str, ...]  # Of `trace.objects`, in their order
@@ -49,7 +49,7 @@ class Outcome:
 
 
 class Baseline:
-    """One question about one frame, and everything that edits do not change. Safe to use from several threads.
+    """Question about a frame, with every result independent of edits. Safe to use from several threads.
 
     Parameters
     ----------
@@ -83,20 +83,20 @@ class Baseline:
 
     @property
     def all_keys(self) -> frozenset[str]:
-        """Every detection that an edit of this question may name."""
+        """Keys of all detections open to edits of this question."""
         return frozenset(key for keys in self.keys.values() for key in keys)
 
     def kept(self, kind: str, key: Hashable, make: Callable[[], _T]) -> _T:
-        """What was made under a key before, else made now."""
+        """Value kept under a key, made on first use."""
         shelf = self._shelves[kind]
         return shelf[key] if key in shelf else self.keep(kind, key, make())
 
     def last(self, kind: str, key: Hashable) -> Any:
-        """What is kept under a key; None for nothing."""
+        """Value kept under a key; None for nothing."""
         return self._shelves[kind].get(key)
 
     def keep(self, kind: str, key: Hashable, value: _T) -> _T:
-        """Put something in place of what was kept under a key; of each kind the oldest is forgotten."""
+        """Replace the value under a key; of each kind the oldest is dropped."""
         shelf = self._shelves[kind]
         shelf[key] = value
         shelf.move_to_end(key)
@@ -105,14 +105,14 @@ class Baseline:
         return value
 
     def scorer(self, spec: str | None) -> RelationScorer:
-        """The relation scorer of an edit; InputError for one that cannot be used."""
+        """Relation scorer of an edit; InputError for an unusable scorer."""
         if spec is None:
             return self.source.scorer
         name: str | Path = spec if spec in ("rule", "trained") else Path(spec)
         return self.kept("scorer", spec, lambda: make_scorer(name))
 
     def same(self, objects: tuple[SceneObject, ...]) -> np.ndarray:
-        """Which are one thing; that depends on ids, 2D boxes and masks, and not on where a box was dragged to."""
+        """Pairs of identical objects, by ids, 2D boxes and masks, independent of dragged boxes."""
         marks = tuple((o.id, o.bbox.tobytes(), id(o.mask), o.lifted.quality.mask_source) for o in objects)
         before = self.last("same", len(objects))
         if before is not None and before[0] == marks:
@@ -123,7 +123,7 @@ class Baseline:
 
 
 def foreign_keys(baseline: Baseline, edits: Edits) -> tuple[str, ...]:
-    """The objects that edits name and that the question's detections do not hold; their edits do nothing here."""
+    """Edited objects outside the question's detections; their edits have no effect here."""
     return tuple(sorted(edits.keys - baseline.all_keys))
 
 
@@ -187,7 +187,7 @@ def _rerun(baseline: Baseline, edits: Edits) -> Outcome:
 
 
 def _context(baseline: Baseline, edits: Edits) -> PreparedFrame:
-    """The frame under the edited cleaning; the viewer and the pixels are the same."""
+    """Frame under the edited cleaning; the viewer and the pixels stay."""
     config = replace(baseline.context.config, **edits.lift)
     if config == baseline.context.config:
         return baseline.context
@@ -195,7 +195,7 @@ def _context(baseline: Baseline, edits: Edits) -> PreparedFrame:
 
 
 def _selected(baseline: Baseline, edits: Edits, name: str) -> np.ndarray:
-    """Indices in the whole run of what goes on for a name."""
+    """Indices of a name's detections in the whole run after K and suppression."""
     found, keys = baseline.found[name], baseline.keys[name]
     hidden = frozenset(key for key in edits.hidden if key in keys)
     k = edits.k or baseline.source.config.k
@@ -212,7 +212,7 @@ def _selected(baseline: Baseline, edits: Edits, name: str) -> np.ndarray:
 
 
 def _edited(baseline: Baseline, context: PreparedFrame, edits: Edits, name: str, at: int) -> SceneObject:
-    """A detection in 3D, with the edits of its mask and its box."""
+    """Detection in 3D, with the edits of its mask and its box."""
     key = baseline.keys[name][at]
     config = context.config
     mask, box = edits.masks.get(key), edits.boxes.get(key)
@@ -233,7 +233,7 @@ def _edited(baseline: Baseline, context: PreparedFrame, edits: Edits, name: str,
 
 
 def _last_made(baseline: Baseline, kind: str, slot: Hashable, inputs: tuple[Any, ...], make: Callable[[], _T]) -> _T:
-    """What was made last in a slot, where it was made of the same; else it is made anew."""
+    """Value last made in a slot from equal inputs; else made anew."""
     before = baseline.last(kind, slot)
     if before is not None and all(_alike(a, b) for a, b in zip(before[0], inputs, strict=True)):
         return before[1]
@@ -247,7 +247,7 @@ def _alike(a: Any, b: Any) -> bool:
 def _repainted(
     baseline: Baseline, context: PreparedFrame, entry: SceneObject, key: str, code: RunLength
 ) -> SceneObject:
-    """The object by other pixels; one thing that several names found is lifted once, and stays one thing."""
+    """Object by other pixels; an object found by several names is lifted once, and stays a single object."""
     frame = context.frame
 
     def relift() -> tuple[np.ndarray, LiftedObject]:
@@ -281,7 +281,7 @@ def _tables(
     scorer: RelationScorer,
     objects: tuple[SceneObject, ...],
 ) -> PairTables:
-    """Scores of all pairs, from the last of this kind and from those without edits of objects."""
+    """Scores of all pairs, from the last of this kind and from the unedited ones."""
     profile = replace(Profile(), **edits.profile)
     plain = not edits.boxes and not edits.masks
     kind = (context.config, edits.scorer, profile)
@@ -318,7 +318,7 @@ def _with_relations(scores: RelationScores, keys: tuple[str, ...], edits: Edits)
 
 
 def with_superlatives(lookup: RelationLookup, keys: tuple[str, ...], edits: Edits) -> RelationLookup:
-    """The lookup with the edited probabilities of closest and farthest, which stand in no table."""
+    """Relation look-up with edited probabilities of closest and farthest, absent from the tables."""
     given = {k: p for k, p in edits.relations.items() if k[0] in ("closest", "farthest")}
     index = {key: at for at, key in enumerate(keys)}
 

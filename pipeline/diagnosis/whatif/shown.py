@@ -1,4 +1,4 @@
-"""The objects that are shown with an answer, each with its name: all of the frame, and what only the question found."""
+"""Objects shown with an answer, each with its name: all of the frame, and those found by the question alone."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pipeline.answering.pair_table import ScoredPair
 
 @dataclass(frozen=True)
 class ShownObjects:
-    """The objects that somebody looks at: all of the frame, and those only the question found."""
+    """Objects of a view: all of the frame, and those found by the question alone."""
 
     objects: tuple[SceneObject, ...]
     # "mug·3": the class and the place in the list (the dataset's own where the objects are the dataset's).
@@ -21,9 +21,9 @@ class ShownObjects:
     place: Mapping[int, int]  # place in the trace's objects -> place in `objects`
 
     def in_roles(self, trace: Trace, pair: ScoredPair) -> ShownObjects:
-        """The same, with each object of a pair under the name that it is asked for there, and with that name's score.
+        """Objects with each of a pair under the name and the score of its role.
 
-        A detector may take one thing for a mug and, less surely, for a laptop; its number stays.
+        A detector may take the same object for a mug and, less surely, for a laptop; its number stays.
         """
         objects = list(self.objects)
         for i, name in trace.names_in(pair).items():
@@ -36,11 +36,10 @@ NOTHING = ShownObjects((), (), {})
 
 
 def shown_objects(loaded: LoadedFrame, trace: Trace | None, exact: bool, before: Trace | None = None) -> ShownObjects:
-    """All objects of a frame, then those that only the question's own detector runs found.
+    """Objects of a frame, then those found by the question's own detector runs alone.
 
-    One that was found under several names of the question goes by the one that it is most surely, until it is looked at
-    as a part of a pair (`ShownObjects.in_roles`). What an edit took out of the question keeps the name that the answer
-    `before` gave it.
+    An object found under several names has its surest name, until looked at as a part of a pair
+    (`ShownObjects.in_roles`). An object taken out by an edit keeps its name of the answer `before`.
     """
     objects = list(loaded.objects)
     by_id = {o.id: i for i, o in enumerate(objects) if o.id >= 0}
@@ -55,7 +54,7 @@ def shown_objects(loaded: LoadedFrame, trace: Trace | None, exact: bool, before:
 
 
 def _most_surely(trace: Trace) -> Iterator[tuple[int, SceneObject]]:
-    """The places of a trace's objects, each with its object under the name that the detector is surest of."""
+    """Places of a trace's objects, each with its object under its surest name."""
     best: dict[int, tuple[float, SceneObject]] = {}
     for name, found in trace.candidates.items():
         for i, score in zip(found.index.tolist(), found.scores.tolist(), strict=True):

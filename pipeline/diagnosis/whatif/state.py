@@ -1,4 +1,4 @@
-"""A view as one string: paste it back, and the same view stands there.
+"""View state as a single string: paste it back for the same view.
 
 "sv1:" and then URL-safe base64 of a zlib stream of canonical JSON (keys sorted,
 no white space). zlib's own check sum finds damage; what the JSON may hold is
@@ -35,7 +35,7 @@ Toggle = bool | int | float | Text
 
 @dataclass(frozen=True)
 class CameraView:
-    """Where the page's camera stands, in the frame's camera frame, metres; `up` is a direction."""
+    """Camera of the page, in the frame's camera frame, metres; `up` is a direction."""
 
     position: Vector
     look_at: Vector
@@ -44,7 +44,7 @@ class CameraView:
 
 @dataclass(frozen=True)
 class ViewState:
-    """Everything that makes a view what it is."""
+    """State of a view."""
 
     __pydantic_config__ = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
@@ -64,7 +64,7 @@ class ViewState:
 
 
 def state_record(state: ViewState) -> dict[str, Any]:
-    """A view as a JSON object; what is as at the start is left out."""
+    """JSON object of a view, without defaults."""
     camera = state.camera
     record: dict[str, Any] = {
         "dataset": state.dataset,
@@ -85,12 +85,12 @@ def state_record(state: ViewState) -> dict[str, Any]:
 
 
 def read_state(record: dict[str, Any] | str | bytes) -> ViewState:
-    """A view from a JSON object; InputError where it is none."""
+    """View from a JSON object; InputError for anything else."""
     return validated(ViewState, record, "the state")
 
 
 def encode(state: ViewState) -> str:
-    """The string of a view; equal views give equal strings.
+    """String of a view; equal views give equal strings.
 
     Raises
     ------
@@ -110,7 +110,7 @@ def encode(state: ViewState) -> str:
 
 
 def decode(text: str) -> ViewState:
-    """The view of a string; line breaks and blanks that came in on the way are passed over.
+    """View of a string; line breaks and blanks are ignored.
 
     Raises
     ------
