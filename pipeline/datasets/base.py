@@ -44,6 +44,13 @@ class Dataset(Protocol):
         Every frame the dataset lists, broken ones too, in order.
     class_names : tuple of str
         The annotated classes, known without decoding an image; empty where none.
+
+    Examples
+    --------
+    >>> from pipeline.datasets import InMemoryDataset, demo_path, open_dataset
+    >>> frame = open_dataset(demo_path()).load("000001/000000")
+    >>> InMemoryDataset([frame]).load(frame.id).depth.shape
+    (480, 640)
     """
 
     @property
@@ -81,6 +88,14 @@ class DatasetFormat:
         Whether a folder is of this format. Must be fast and must not raise.
     open : callable
         Opens a folder; what `Settings` gives wins over what the files say.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from pipeline.datasets import DatasetFormat, InMemoryDataset
+    >>> form = DatasetFormat("lab", "lab: index.lab", lambda root: (root / "index.lab").is_file(), InMemoryDataset)
+    >>> form.recognises(Path("nowhere"))
+    False
     """
 
     name: str
@@ -90,7 +105,15 @@ class DatasetFormat:
 
 
 def resolve_frame(dataset: Dataset, key: str | int) -> str:
-    """Resolve a frame id or index to a frame id of the dataset; see `named_frame`."""
+    """Resolve a frame id or index to a frame id of the dataset; see `named_frame`.
+
+    Examples
+    --------
+    >>> from pipeline.datasets import demo_path, open_dataset, resolve_frame
+    >>> demo = open_dataset(demo_path())
+    >>> resolve_frame(demo, 0), resolve_frame(demo, "1/2")
+    ('000001/000000', '000001/000002')
+    """
     return named_frame(dataset.frame_ids, key, dataset.root)
 
 

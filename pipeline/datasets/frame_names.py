@@ -40,6 +40,13 @@ class FrameNames:
     ----------
     ids : sequence of str
         All frames that a picture may mean.
+
+    Examples
+    --------
+    >>> from pipeline.datasets import FrameNames
+    >>> names = FrameNames(["000001/000000", "000001/000001"])
+    >>> names.find("renders/000001/rgb/000001.jpg")
+    '000001/000001'
     """
 
     def __init__(self, ids: Sequence[str]) -> None:

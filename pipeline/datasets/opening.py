@@ -118,6 +118,13 @@ def open_dataset(
     ------
     InputError
         No such folder, an unknown format (with what was looked for), or facts missing that only a person can give.
+
+    Examples
+    --------
+    >>> from pipeline.datasets import demo_path, open_dataset
+    >>> demo = open_dataset(demo_path())
+    >>> demo.format, demo.frame_ids[:2]
+    ('bop', ('000001/000000', '000001/000001'))
     """
     root = local_path(path)
     require(root.exists(), "there is no such dataset", expected="a folder", path=root)

@@ -304,7 +304,14 @@ class GivenUp:
 
 
 def parse_level_at(text: str) -> tuple[str | None, int, int]:
-    """Parse "U,V" or "FRAME:U,V" to (frame or None, u, v), pixels."""
+    """Parse "U,V" or "FRAME:U,V" to (frame or None, u, v), pixels.
+
+    Examples
+    --------
+    >>> from pipeline.datasets import parse_level_at
+    >>> parse_level_at("000001/000002:320,400")
+    ('000001/000002', 320, 400)
+    """
     frame, colon, numbers = text.strip().rpartition(":")
     try:
         u, v = (int(part) for part in numbers.split(","))

@@ -66,7 +66,15 @@ class AnnotationDetector:
 
 
 def box_mask(bbox: np.ndarray, height: int, width: int) -> np.ndarray:
-    """(H, W) bool: the pixels inside a 2D box (x0, y0, x1, y1)."""
+    """(H, W) bool: the pixels inside a 2D box (x0, y0, x1, y1).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pipeline.proposals import box_mask
+    >>> box_mask(np.array([1, 1, 3, 2]), height=4, width=4).astype(int)[1]
+    array([0, 1, 1, 0])
+    """
     mask = np.zeros((height, width), np.bool_)
     x0, y0, x1, y1 = np.clip(np.round(bbox), 0, [width, height, width, height]).astype(int)
     mask[y0:y1, x0:x1] = True

@@ -37,6 +37,15 @@ class Proposals:
         False where the mask is only the filled 2D box; None means all as `masks` says.
     segmented : (N,) bool or None
         True where the mask was made from the box by a segmenter; None means nowhere.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pipeline.proposals import Proposals
+    >>> boxes = np.array([[10, 20, 60, 90], [12, 22, 61, 88]], np.float32)
+    >>> found = Proposals(boxes, np.array([0.9, 0.6], np.float32), np.zeros(2, np.int64), ("mug",), None, np.arange(2))
+    >>> found
+    <Proposals 2: mug 0.90, mug 0.60>
     """
 
     boxes: np.ndarray
@@ -124,6 +133,15 @@ class Detector(Protocol):
         Class names the detector is limited to; None where any name will do.
     exact : bool
         Its detections are the truth: scores are taken as they are, and nothing is suppressed or cut off.
+
+    Examples
+    --------
+    >>> from pipeline.datasets import demo_path, open_dataset
+    >>> from pipeline.proposals import Detector, make_detector
+    >>> demo = open_dataset(demo_path())
+    >>> detector = make_detector("annotations", class_names=demo.class_names)
+    >>> isinstance(detector, Detector), len(detector.detect(demo.load(demo.frame_ids[0]), ["mug"]))
+    (True, 2)
     """
 
     @property
@@ -206,7 +224,15 @@ def top_k_indices(proposals: Proposals, k: int, *, min_score: float = 0.0, nms_i
 
 
 def suppress(boxes: np.ndarray, nms_iou: float = NMS_IOU) -> np.ndarray:
-    """Indices of the boxes surviving non-maximum suppression, for boxes ((N, 4)) by falling score."""
+    """Indices of the boxes surviving non-maximum suppression, for boxes ((N, 4)) by falling score.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pipeline.proposals import suppress
+    >>> suppress(np.array([[0, 0, 10, 10], [1, 0, 10, 10], [20, 0, 30, 10]], float))
+    array([0, 2])
+    """
     overlap = iou_2d(boxes, boxes) > nms_iou
     alive = np.ones(len(boxes), np.bool_)
     for i in range(len(boxes)):

@@ -116,7 +116,14 @@ def knows(names: Sequence[str] | None, label: str, synonyms: Synonyms | None = N
 
 
 def same_name(a: str, b: str, synonyms: Synonyms | None = None) -> bool:
-    """Test whether two names mean the same class, or a kind of the other ("cracker box" and "box")."""
+    """Test whether two names mean the same class, or a kind of the other ("cracker box" and "box").
+
+    Examples
+    --------
+    >>> from pipeline.proposals import same_name
+    >>> same_name("cracker box", "box"), same_name("mug", "laptop")
+    (True, False)
+    """
     return a == b or same_or_kind(a, b, synonyms)
 
 

@@ -63,6 +63,14 @@ class ScoreCalibration:
         Folder name of the dataset it was fitted on.
     frames : tuple of FittedFrame
         What it was fitted on; empty where that is not known.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pipeline.proposals import ScoreCalibration
+    >>> calibration = ScoreCalibration(None, a=2.0, b=1.0, positives=80, negatives=60, k=10)
+    >>> calibration.apply(np.array([0.2, 0.5])).round(3)
+    array([0.145, 0.731])
     """
 
     detector: str | None

@@ -31,6 +31,15 @@ class Segmenter(Protocol):
     ----------
     name : str
         As on the command line.
+
+    Examples
+    --------
+    >>> from pipeline.datasets import demo_path, open_dataset
+    >>> from pipeline.proposals import make_segmenter
+    >>> frame = open_dataset(demo_path()).load("000001/000000")
+    >>> masks, has_mask = make_segmenter("depth").segment(frame, frame.annotations[0].bbox[None], ["laptop"])
+    >>> masks.shape, has_mask
+    ((1, 480, 640), array([ True]))
     """
 
     @property

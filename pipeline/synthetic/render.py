@@ -161,7 +161,16 @@ PROBE = (48, 36)
 def camera_at(
     place: np.ndarray, heading: float, pitch: float, roll: float, width: int = 640, height: int = 480
 ) -> Camera:
-    """A camera at `place` ((3,), world metres); `pitch` is downwards, angles in radians."""
+    """A camera at `place` ((3,), world metres); `pitch` is downwards, angles in radians.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pipeline.synthetic import camera_at
+    >>> camera = camera_at(np.array([2.0, 1.0, 1.4]), heading=0.0, pitch=0.0, roll=0.0)
+    >>> camera.up
+    array([ 0., -1.,  0.])
+    """
     forward = np.array([np.cos(pitch) * np.cos(heading), np.cos(pitch) * np.sin(heading), -np.sin(pitch)])
     right = np.array([np.sin(heading), -np.cos(heading), 0.0])
     down = np.cross(forward, right)

@@ -25,6 +25,13 @@ def make_room(seed: int) -> Room:
     ------
     InputError
         The seed is negative.
+
+    Examples
+    --------
+    >>> from pipeline.synthetic import make_room
+    >>> room = make_room(0)
+    >>> room.kind, room.instances[0].model.label
+    ('study', 'desk')
     """
     require(seed >= 0, "a seed must not be negative", got=seed)
     rng = np.random.default_rng([seed, 7])
