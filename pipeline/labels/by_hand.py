@@ -41,12 +41,12 @@ class NewLabels(Labels):
 
 
 def grows(labels: Labels) -> bool:
-    """Whether frames come into labels when people label them."""
+    """Tell labels that take in frames as people label."""
     return str(labels.manifest.models.get("detector", "")).startswith(f"{BY_HAND}:")
 
 
 def default_folder(dataset: Dataset, otherwise: Path) -> Path:
-    """Where labels of a recording go that says nothing of it: beside its folder, or in `otherwise`."""
+    """Default folder of new labels: beside the recording's folder, or in `otherwise`."""
     root = dataset.root.resolve()
     name = f"{root.name}-labels"
     return root.with_name(name) if os.access(root.parent, os.W_OK) else otherwise / name
@@ -55,7 +55,7 @@ def default_folder(dataset: Dataset, otherwise: Path) -> Path:
 def begun_labels(
     dataset: Dataset, folder: str | Path, options: dict[str, Any] | None = None, config: LabelConfig | None = None
 ) -> Labels:
-    """The labels in a folder, or new ones without frames where it is missing or empty; nothing is written yet.
+    """Open labels, or new ones without frames for a missing or empty folder; nothing is written yet.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def begun_labels(
 
 
 def seen_with(labels: Labels, dataset: Dataset, name: str) -> Labels:
-    """The labels as `with_frames` would make them with one frame more, to be looked at; nothing is written."""
+    """Labels with one frame more, to look at; nothing is written."""
     require(grows(labels), "only labels that were begun by hand take in frames", path=labels.root)
     require(name in dataset.frame_ids, "the dataset has no such frame", got=name, path=dataset.root)
     rows = {table.column("frame")[k].as_py(): table.slice(k, 1)
@@ -166,7 +166,6 @@ def _counts(frames: pa.Table, rows: dict[str, int]) -> dict[str, int]:
 
 
 def _write(labels: Labels, frames: pa.Table) -> None:
-    """Write all tables and what tells of them beside the old ones, then put them in their place, the manifest last."""
     with temporary_folder(labels.root / "tables") as staging:
         tables = {name: frames if name == "frames" else labels.table(name) for name in TABLES}
         files = {name: write_merged(staging, name, iter([table])) for name, table in tables.items()}

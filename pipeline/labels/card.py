@@ -58,7 +58,7 @@ class DataFile:
 
 
 def dataset_name(labels: Labels) -> str:
-    """The source dataset by its last folder: a card must not tell where somebody keeps it."""
+    """Last folder of the source dataset: a card must not tell where somebody keeps it."""
     return PurePosixPath(str(labels.manifest.dataset.get("path", "")).replace("\\", "/")).name or "dataset"
 
 

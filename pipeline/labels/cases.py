@@ -54,7 +54,7 @@ class Meant:
 
     @property
     def chooses(self) -> bool:
-        """Whether what is said of one thing depends on which others fit: choices, what it is not, the viewer's."""
+        """Tell sentences whose answer depends on the other candidates: choices, exclusions, the viewer's sides."""
         return any(n.choices or n.excluded or not all(a.of_pairs for a in n.attachments) for n in self.root.walk())
 
 
@@ -84,7 +84,7 @@ class Case:
 
     @property
     def relations(self) -> set[str]:
-        """All that it asks of pairs of things."""
+        """Relations asked of pairs of things."""
         if self.meant is None:
             return {self.relation}
         return {a.relation for n in self.meant.root.walk() for a in n.attachments if not any(e.viewer for e in a.nodes)}
@@ -121,7 +121,7 @@ class FrameCases:
     """Content hash of the picture that was labelled; None where it is the one at hand."""
 
     def check_picture(self, frame: Frame) -> None:
-        """Refuse a frame whose picture is not the one that was labelled.
+        """Refuse a frame with another picture than the labelled one.
 
         Raises InputError: another dataset has a frame of the same name, or the dataset has changed.
         """
@@ -155,7 +155,7 @@ class FrameCases:
         return np.where(true.any(axis=1, keepdims=True), true, ends)
 
     def roles(self, case: Case) -> list[tuple[str, np.ndarray]]:
-        """All names that an expression asks for, each with the labelled objects of its class, (N,) bool."""
+        """Names asked for by an expression, each with the (N,) bool of its labelled objects."""
         if case.meant is not None:
             return list(case.meant.classes.items())
         ends = ((case.target, case.target_object), (case.reference, case.reference_object))
@@ -196,7 +196,7 @@ def frame_cases(
     names: Sequence[str],
     rgb_hash: str | None = None,
 ) -> FrameCases:
-    """One frame's rows of the tables of labels, as columns, made ready; `names` are the relations that were judged."""
+    """Cases of one frame from its rows of the tables as columns; `names` are the judged relations."""
     numbers = list(objects["object"])
     index_of = {number: k for k, number in enumerate(numbers)}
     states = {name: np.full((len(numbers), len(numbers)), -1, np.int8) for name in names}
@@ -290,7 +290,7 @@ def read_query(
 
 
 def misread(query: Query | None, case: Case, problem: InputError | None = None) -> Unread:
-    """Why an expression was not read as meant; `problem` says why it could not be read or asked at all."""
+    """Reason for reading an expression otherwise than meant; `problem` is the error of reading or asking."""
     if problem is not None:
         return why_unread(problem)
     if query is None:
@@ -303,7 +303,7 @@ def misread(query: Query | None, case: Case, problem: InputError | None = None) 
 
 
 def is_gold(query: Query, case: Case) -> bool:
-    """Whether the parser read the gold triple and nothing else; of a sentence what was read is what is meant."""
+    """Tell queries read as the gold triple and nothing else; of a sentence the reading is the meaning."""
     if case.meant is not None:
         return True
     e = query.expression

@@ -69,7 +69,7 @@ def open_labeller(spec: SourceSpec, config: LabelConfig) -> Labeller:
 
 
 def label_frame(labeller: Labeller, frame_id: str, frame_index: int, found: Proposals | None = None) -> FrameLabels:
-    """The rows of one frame; one that cannot be used is a row with the reason.
+    """Label one frame; a broken one becomes a row with the reason.
 
     `found` is what the detector found in the frame, where another process ran it.
     """
@@ -103,7 +103,7 @@ def label_frame(labeller: Labeller, frame_id: str, frame_index: int, found: Prop
 
 
 def detect_shard(shard: Shard, source: Pipeline) -> dict[str, Proposals]:
-    """What the detector finds in the frames of a shard; frames that cannot be used are left to the labelling."""
+    """Detections in the frames of a shard; broken frames are left to the labelling."""
     detector = source.needed_detector()
     found = {}
     for frame_id in shard.frames:
@@ -128,7 +128,7 @@ def shard_tables(labels: Iterable[FrameLabels], names: Sequence[str] = PART_TABL
 
 
 def finished(shard: Shard, store: Store) -> ShardReport | None:
-    """The report of a shard that is there already, else None."""
+    """Report of a finished shard, else None."""
     if not store.has_part(shard.name):
         return None
     record = store.part_record(shard.name)
@@ -139,7 +139,7 @@ def finished(shard: Shard, store: Store) -> ShardReport | None:
 def label_shard(
     shard: Shard, labeller: Labeller, store: Store, found: Mapping[str, Proposals] | None = None
 ) -> ShardReport:
-    """Label the frames of a shard and write its part; one that is there already is left alone.
+    """Label the frames of a shard and write its part; finished ones are left alone.
 
     The rows depend on the plan alone: not on the engine, nor on what else runs.
     `found` is what the detector found in its frames, where another process ran it.
@@ -202,7 +202,6 @@ LEAST_FRAMES_A_BLOCK = 64
 
 @lru_cache(maxsize=1)
 def _labeller(models: bytes) -> Labeller:
-    """What this process has opened; the next shard that comes to it finds it open."""
     return open_labeller(*pickle.loads(models))
 
 
@@ -231,7 +230,7 @@ def needed_ray() -> None:
 def run_ray(
     plan: Plan, shards: Sequence[Shard], store: Store, workers: int, done: Done, *, gpus_a_detector: float = 0.0
 ) -> None:
-    """Label shards on a Ray cluster: the one that is connected, else one on this machine.
+    """Label shards on the connected Ray cluster, else on one of this machine.
 
     The annotations of a dataset need no detector, and the first stage is left
     out. Where the labels go, and the dataset, must be reachable from every node.

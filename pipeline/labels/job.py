@@ -165,7 +165,7 @@ def label(
     progress: Progress | None = None,
     **options: Any,
 ) -> Labels:
-    """Label a dataset: objects, every relation between them, and sentences that are true of them.
+    """Label a dataset: objects, all pairwise relations, and true sentences.
 
     Parameters
     ----------

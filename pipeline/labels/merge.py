@@ -97,7 +97,6 @@ def merge_labels(where: str | Path, selection: SelectConfig | None = None, out: 
 
 
 def _write_all(out: Path, plan: Plan, store: Store, selection: SelectConfig) -> Manifest:
-    """Write the merged tables, and everything that tells of them, into a new folder."""
     shards = plan.shards
     warnings: list[str] = []
     tables = {
@@ -156,7 +155,7 @@ def _write_all(out: Path, plan: Plan, store: Store, selection: SelectConfig) -> 
 
 
 def write_labels(folder: Path, manifest: Manifest) -> Manifest:
-    """Write what tells of merged tables, with their schemas, and who made them into the manifest."""
+    """Write manifest, card and schemas of merged tables, with the makers."""
     manifest.makers = makers_of(manifest).record()
     write_schemas(folder / "schemas")
     write_manifest(Labels(folder, manifest))
@@ -164,7 +163,6 @@ def write_labels(folder: Path, manifest: Manifest) -> Manifest:
 
 
 def _write_sentences(out: Path, shards: Sequence[Shard], store: Store) -> Counter[str]:
-    """Write the sentences of all shards as `eval --sentences` reads them; how many there are of each kind."""
     found = [store.read_part(shard.name, SENTENCES) for shard in shards]
     lines = (line for part in found for line in part.column("line").to_pylist())
     write_synced(out / SENTENCES_FILE, "".join(f"{line}\n" for line in lines).encode())
@@ -179,7 +177,6 @@ def write_manifest(labels: Labels) -> None:
 
 
 def _move_all(staging: Path, out: Path) -> None:
-    """Put written files in the place of older ones. Meanwhile there is no manifest, and so nothing that can be read."""
     (out / MANIFEST_FILE).unlink(missing_ok=True)
     for file in sorted(filter(Path.is_file, staging.rglob("*")), key=lambda p: (p.name == MANIFEST_FILE, p)):
         final = out / file.relative_to(staging)
@@ -191,7 +188,7 @@ _CHOSEN_BY = ("id", "frame_index", "relation", "target", "reference", "acceptabl
 
 
 def choose(shards: Sequence[Shard], store: Store, selection: SelectConfig) -> tuple[int, dict[str, np.ndarray]]:
-    """How many candidates there are, and by shard which are kept."""
+    """Number of candidates, and the kept ones by shard."""
     codes: dict[str, int] = {}
     columns: list[list[np.ndarray]] = []
     for shard in shards:
@@ -243,7 +240,6 @@ def _worded(
 
 
 def _single(objects: pa.Table) -> set[tuple[int, int]]:
-    """(frame_index, object) of those whose name means no other object of their frame."""
     frames: dict[int, list[tuple[int, str]]] = {}
     columns = (objects.column(n).to_pylist() for n in ("frame_index", "object", "label"))
     for k, number, label in zip(*columns, strict=True):
@@ -257,7 +253,7 @@ def _single(objects: pa.Table) -> set[tuple[int, int]]:
 
 
 def write_merged(out: Path, name: str, parts: Iterator[pa.Table]) -> TableFile:
-    """Write a table from its parts; its rows and hashes."""
+    """Write a table from its parts; returns rows and hashes."""
     path = out / f"{name}.parquet"
     digest = RowHash(name)
     waiting: list[pa.Table] = []
@@ -281,7 +277,7 @@ def _write_group(writer: Any, waiting: list[pa.Table]) -> None:
 
 
 def environment() -> dict[str, str]:
-    """What the run ran on, for the record: nothing of it changes the rows' hashes."""
+    """Versions and platform of the run, for the record; rows' hashes do not depend on them."""
     return {
         "python": platform.python_version(),
         "platform": platform.platform(),
@@ -301,7 +297,7 @@ def select(
     reference: np.ndarray,
     config: SelectConfig,
 ) -> np.ndarray:
-    """Which candidates are kept.
+    """Choose the candidates to keep.
 
     First, one of each question: candidates of a frame with equal target,
     relation and reference say the same sentence. Then `per_frame` of each
@@ -327,7 +323,7 @@ def select(
     kept = _rank((frame, relation, target, reference), order_key) == 0
 
     def keep_few(of: np.ndarray, in_turn: np.ndarray, most: np.ndarray) -> None:
-        """Of the rows of each `of` keep as many as it may have at most, its `in_turn` taking turns."""
+        """Keep at most so many rows of each `of`, its `in_turn` taking turns."""
         rows = np.flatnonzero(kept)
         within = _rank((of[rows], in_turn[rows]), order_key[rows])
         order = np.lexsort((order_key[rows], within, of[rows]))
@@ -365,7 +361,6 @@ def _running_count(*columns: np.ndarray) -> np.ndarray:
 
 
 def _quotas(counts: np.ndarray, config: SelectConfig) -> np.ndarray:
-    """How many of each relation: no more than `balance` times the rarest, and level within `total`."""
     quota = counts.copy()
     present = counts > 0
     if config.balance is not None and present.any():

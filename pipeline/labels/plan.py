@@ -46,7 +46,7 @@ class SourceSpec:
         return open_pipeline(self.path, srm="rule", config=AskConfig(lift=config.lift), **self.options)
 
     def absolute(self) -> SourceSpec:
-        """The same with absolute paths: workers, and later readers of the plan, may stand in another folder."""
+        """Source with absolute paths: workers, and later readers of the plan, may stand in another folder."""
         path = Path(self.path)
         return SourceSpec(str(path.absolute()) if path.exists() else self.path, with_files(self.options, _absolute))
 
@@ -111,7 +111,7 @@ class Plan:
         return tuple(found)
 
     def record(self) -> dict[str, Any]:
-        """As JSON, for `plan.json`."""
+        """JSON of `plan.json`."""
         return {**asdict(self), "config": self.config.settings, "frames": list(self.frames), "key": self.key}
 
 
@@ -179,7 +179,7 @@ def frames_of_splits(dataset: Dataset, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def input_changed(plan: Plan, out: str | Path) -> bool:
-    """Whether the dataset's files are other ones now than when the plan was made; no model is loaded."""
+    """Tell a dataset changed since the plan was made; no model is loaded."""
     return (
         _input_hash(SourceSpec(plan.spec.path, {n: plan.spec.options.get(n) for n in CAMERA}).open(plan.config), out)
         != plan.input_hash
@@ -191,7 +191,6 @@ def _input_hash(source: Pipeline, out: str | Path | None) -> str:
 
 
 def _declared(options: dict[str, Any]) -> dict[str, str]:
-    """What a person declared of the camera and of names, by content: the rows depend on it."""
     found = {n: json.dumps(options[n]) for n in CAMERA if options.get(n) is not None}
     if options.get("depth_model") is not None:
         found["depth_model"] = canonical_hash(open_depth_model(str(options["depth_model"])).fingerprint)
@@ -226,7 +225,7 @@ def _files(folder: Path, prefix: str, leave_out: Path | None) -> Iterator[tuple[
 
 
 def save_plan(plan: Plan, store: Store) -> None:
-    """Write `plan.json`, or check that the one there is of the same labels.
+    """Write `plan.json`, or compare with the plan found in the folder.
 
     Raises InputError: the folder holds labels made otherwise: which setting differs.
     """
@@ -283,7 +282,7 @@ def load_plan(store: Store) -> Plan:
 
 
 def part_of(shards: Sequence[Shard], k: int, n: int) -> tuple[Shard, ...]:
-    """The shards of task k of n (k from 1): every n-th one, so that long scenes are shared evenly.
+    """Shards of task k of n (k from 1): every n-th, so that long scenes are shared evenly.
 
     Raises InputError: k is not 1..n.
     """
@@ -359,7 +358,7 @@ class LabelConfig:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """As JSON; sentences only where there are some, so that other labels keep their hash."""
+        """Settings as JSON; sentences only if wanted, so that other labels keep their hash."""
         found = {**asdict(self), "background": list(self.background), "sentences": list(self.sentences)}
         return {name: value for name, value in found.items() if self.sentences or not name.startswith("sentences")}
 

@@ -55,12 +55,12 @@ class MaskMakers:
         return found + (f", boxes without a mask by {masks}" if masks else "")
 
     def record(self) -> dict[str, Any]:
-        """As JSON."""
+        """Makers as JSON: `makers` of a labels' manifest and of a run."""
         return {"detectors": [asdict(m) for m in self.detectors], "segmenters": [asdict(m) for m in self.segmenters]}
 
 
 def mask_makers(text: str) -> MaskMakers | None:
-    """What a manifest's "name: fingerprint" of a detector means; None where it says nothing.
+    """Makers of masks from a manifest's "name: fingerprint" of a detector; None if empty.
 
     Parameters
     ----------
@@ -87,7 +87,6 @@ def mask_makers(text: str) -> MaskMakers | None:
 
 
 def _played_back(name: str, fingerprint: str) -> MaskMakers:
-    """A detector; of a recording that names it, the one that was recorded."""
     recorded = mask_makers(fingerprint.partition("<")[2]) if name == RECORDED else None
     return recorded or MaskMakers((_model(name, fingerprint),))
 
@@ -136,11 +135,11 @@ class Makers:
 
     @property
     def annotated(self) -> bool:
-        """Whether the masks are the dataset's own annotations."""
+        """Tell masks from the dataset's own annotations."""
         return self.masks is not None and self.masks.detectors == (Model(ANNOTATIONS),)
 
     def lines(self) -> dict[str, str]:
-        """For people: what made the masks, the boxes and the relations, and what people decided."""
+        """Makers of masks, boxes and relations, and people's share, in words."""
         masks = "unknown" if self.masks is None else str(self.masks)
         if self.annotated:
             masks = masks.replace(ANNOTATIONS, "the dataset's annotations", 1)
@@ -159,7 +158,7 @@ class Makers:
         }
 
     def record(self) -> dict[str, Any]:
-        """As JSON: `makers` of a labels' manifest and of a run."""
+        """Makers as JSON: `makers` of a labels' manifest and of a run."""
         return {
             "masks": None if self.masks is None else self.masks.record(),
             "boxes": {"lifted": self.boxes},
@@ -174,7 +173,7 @@ class Makers:
 
 
 def makers_of(manifest: Manifest) -> Makers:
-    """What made the labels of this manifest, of any release; what it does not tell is None."""
+    """Makers of the labels of a manifest of any release; None where it is silent."""
     config, made = manifest.config, manifest.corrections
     lift = config.get("lift")
     counted = (made or {}).get("decided")

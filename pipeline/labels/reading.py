@@ -97,7 +97,7 @@ def table_of_rows(table: str, rows: Collection[Mapping[str, Any]]) -> pa.Table:
 
 
 def write_table(table: pa.Table, path: Path) -> None:
-    """Write Parquet under a temporary name, sync it, and rename it into place."""
+    """Write Parquet under a temporary name, sync, and rename."""
     temporary = temporary_sibling(path)
     try:
         pq.write_table(table, temporary, compression="zstd", row_group_size=ROW_GROUP)
@@ -132,7 +132,7 @@ def read_table(
 def sound_rows(
     rows: pa.Table, table: str, columns: Sequence[str] | None = None, *, path: str | Path | None = None
 ) -> pa.Table:
-    """Rows of a file with the columns that are asked for, each of its type.
+    """Check rows of a file: the wanted columns, each of its type.
 
     The file may be older than the columns in ADDED_COLUMNS: those are null, in their place.
 
@@ -200,7 +200,6 @@ class RowHash:
 
 
 def _plain_bytes(array: Any) -> Iterable[bytes]:
-    """The values as bytes that do not depend on how Arrow lays them out."""
     yield np.asarray(pc.is_valid(array)).astype(np.uint8).tobytes()  # pyright: ignore[reportAttributeAccessIssue]
     if pa.types.is_dictionary(array.type):
         array = array.dictionary_decode()
@@ -378,7 +377,7 @@ def labelled_dataset(
     poses: str | None = None,
     registration: tuple[float, ...] | None = None,
 ) -> Dataset:
-    """Open it where it was when it was labelled, or where it is now; its camera is the one that was declared then.
+    """Open the dataset of labels, at its place then or now, with the declared camera.
 
     Parameters
     ----------

@@ -163,7 +163,6 @@ class _Maker:
         return MadeSentence(kind, text, tree, tuple(answers.tolist())) if self._reads(text, tree) else None
 
     def _reads(self, text: str, tree: Node) -> bool:
-        """Whether the grammar reads a sentence as this tree, in no other way, and leaves no word unused."""
         try:
             query = parse(text, class_names=self.class_names)
         except InputError:
@@ -218,7 +217,6 @@ class _Maker:
                         yield Node(name, (other, replace(relation, negated=True)))
 
     def _bases(self) -> Iterator[Node]:
-        """Names that mean several things, alone and with what they are on or in."""
         for name in self._several:
             yield Node(name)
             yield from (Node(name, (r,)) for r in self._related[name] if r.relation in ("on", "in"))
@@ -231,11 +229,9 @@ class _Maker:
 
     @cached_property
     def _several(self) -> tuple[str, ...]:
-        """Names that mean more than one thing."""
         return tuple(name for name, there in self._sure.items() if len(there) > 1)
 
     def _looking(self, name: str) -> Iterator[Node]:
-        """A name with each attribute that one of its things has."""
         for words in LOOKS:
             word = self._one_of(words, name)
             told = attribute(word)
@@ -274,7 +270,6 @@ _KINDS: dict[str, Callable[[_Maker], Iterator[Node]]] = {
 
 
 def _numbered(tree: Node) -> Node:
-    """The tree with its nouns numbered as they are mentioned."""
     attachments = tuple(
         replace(a, nodes=tuple(replace(n, mention=k) for n in a.nodes)) for k, a in enumerate(tree.attachments, start=1)
     )

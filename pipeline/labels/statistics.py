@@ -97,7 +97,6 @@ def share(part: int, whole: int) -> float | None:
 
 
 def _counted(database: Database, what: str, of: str) -> dict[str, int]:
-    """How many rows have each value, most frequent first."""
     rows = database.rows(f"SELECT {what}, count(*) FROM {of} GROUP BY 1 ORDER BY 2 DESC, 1")
     return {str(name): int(count) for name, count in rows}
 
@@ -135,7 +134,7 @@ def _states(t: int, u: int, f: int) -> dict[str, Any]:
 
 
 def margin_counts(database: Database, relation: str) -> dict[str, np.ndarray]:
-    """How often a relation has which margin.
+    """Histogram of a relation's margins.
 
     Returns
     -------

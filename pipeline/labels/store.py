@@ -65,20 +65,20 @@ class Store:
         require(os.access(self.folder, os.W_OK), "the folder cannot be written", path=self.folder)
 
     def is_empty(self) -> bool:
-        """Whether nothing is there yet."""
+        """Tell an empty or missing place."""
         if self.remote:
             return not self._fs.exists(self._root) or not self._fs.ls(self._root)
         return not self.folder.exists() or (self.folder.is_dir() and not any(self.folder.iterdir()))
 
     def holds_something_else(self) -> bool:
-        """Whether the folder has files of another kind, and no plan: then it is not one of labels."""
+        """Tell folders of other files, without a plan."""
         if self.remote or not self.folder.is_dir():
             return False
         names = {entry.name for entry in self.folder.iterdir()}
         return PLAN_FILE not in names and any(n != PARTS and not n.startswith(".") for n in names)
 
     def clear_unfinished(self) -> None:
-        """Remove what killed runs left behind; what another process is writing stays."""
+        """Remove leftovers of killed runs, but no running process's files."""
         if self.remote:
             return
         clear_abandoned(self.folder / PARTS)
@@ -94,11 +94,10 @@ class Store:
             raise InputError("not a text file", path=self._address(name)) from error
 
     def _address(self, name: str) -> str:
-        """For messages: where something of the folder is."""
         return f"{self.where.rstrip('/')}/{name}"
 
     def write_text(self, name: str, text: str) -> None:
-        """Write a small file whole; one that is there already stays, whoever wrote it first."""
+        """Write a small file whole; an existing one stays, whoever wrote first."""
         if self.remote:
             self._fs.pipe_file(f"{self._root}/{name}", text.encode())
             return
@@ -116,12 +115,12 @@ class Store:
             temporary.unlink(missing_ok=True)
 
     def has_part(self, name: str) -> bool:
-        """Whether a finished part is there."""
+        """Tell finished parts."""
         path = f"{PARTS}/{name}/{DONE_FILE}"
         return self._fs.exists(f"{self._root}/{path}") if self.remote else (self.folder / path).is_file()
 
     def write_part(self, name: str, tables: Mapping[str, pa.Table], record: dict[str, Any]) -> None:
-        """Write the tables of a part, and its record with the row counts and hashes of its files."""
+        """Write the tables of a part, with a record of row counts and hashes."""
         if self.has_part(name):
             return
         contents = {f"{table}.parquet": parquet_bytes(rows) for table, rows in tables.items()}
@@ -170,7 +169,7 @@ class Store:
             raise self._damaged(name, f"an unreadable {DONE_FILE}") from error
 
     def check_part(self, name: str, key: str) -> None:
-        """Check that a part is the one of this key, and its files those that were written.
+        """Check key and file hashes of a part.
 
         Raises InputError: of another key, a file is missing, or its content has changed.
         """

@@ -75,7 +75,7 @@ class TreeTruth:
         self._known: dict[Any, np.ndarray] = {}
 
     def means(self, node: Node) -> np.ndarray:
-        """(N,) int8: the objects that are all that a noun phrase says."""
+        """(N,) int8: state of each object under the whole noun phrase."""
         if node not in self._known:
             found = self._named(node.name)
             alike = found >= U
@@ -137,7 +137,6 @@ class TreeTruth:
         return np.where((p >= SIZED).all(axis=0), T, np.where((p <= UNLIKE).all(axis=0), F, U)).astype(np.int8)
 
     def _chosen(self, choice: Choice, fitting: np.ndarray) -> np.ndarray:
-        """Of the objects that fit all the rest, the one of that rank, or those at that side."""
         if choice.rank is not None:
             before = np.minimum(fitting[:, None], self._before(choice.order))
             sure, may = (before == T).sum(axis=0), (before >= U).sum(axis=0)
@@ -209,7 +208,6 @@ class TreeTruth:
 
     @cached_property
     def _boxes(self) -> tuple[list[Box3D | None], list[Box3D | None]]:
-        """As they were lifted, and as they are known: the dataset's own, else none of what is cut off or hidden."""
         exact = {a.index: a.box for a in self.context.frame.annotations}
         lifted = [o.box for o in self.objects]
         known = []

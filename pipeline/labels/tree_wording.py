@@ -29,7 +29,7 @@ def tree_text(root: Node, several: Collection[int], key: int) -> str:
 
 
 def phrase_text(node: Node, several: Collection[int], *, linked: bool = False) -> str:
-    """A noun phrase in words; `linked` has `that is` before its relations."""
+    """Word a noun phrase; `linked` puts `that is` before its relations."""
     if node.viewer:
         return f"the {node.label}"
     before, after = zip(*(_around(choice) for choice in node.choices), strict=True) if node.choices else ((), ())
@@ -44,7 +44,6 @@ def phrase_text(node: Node, several: Collection[int], *, linked: bool = False) -
 
 
 def _around(choice: Choice) -> tuple[str, str]:
-    """What of a choice stands before the noun, and what after it."""
     if choice.text in EXTREMES:
         return (choice.text if choice.rank == 1 else f"{_NUMBERED[choice.rank or 1]} {choice.text}"), ""
     first, _, rest = choice.text.partition(" ")
@@ -52,7 +51,6 @@ def _around(choice: Choice) -> tuple[str, str]:
 
 
 def _relation(attachment: Attachment, several: Collection[int], number: int, *, linked: bool, verb: str) -> str:
-    """One relation with its reference and what joins it to what stands before."""
     (end,) = attachment.nodes
     link = f"that {verb} " if not number and (linked or attachment.negated) else ""
     joint = "" if not number else "but " if attachment.negated else "and "

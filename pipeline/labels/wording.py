@@ -170,7 +170,7 @@ def question_text(relation: str, target: str, reference: str, key: int, *, class
 
 @lru_cache(maxsize=65536)
 def can_be_worded(name: str) -> bool:
-    """Whether a class name can stand in an expression that is read back as this name."""
+    """Tell class names that an expression can carry and give back."""
     return isinstance(name, str) and bool(_forms(name, _known(())))
 
 
@@ -202,7 +202,6 @@ def _worded(
     class_names: Sequence[str],
     several: Several = (False, False),
 ) -> str:
-    """The sentence of the first template, or the nearest to it that is read back as meant, last of the plain one."""
     known = _known(class_names)
     for name in (target, reference):
         require(
@@ -254,12 +253,10 @@ def _rivals(names: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
 
 
 def _run(words: Sequence[str]) -> str:
-    """Words as one string in which the run of other words is found only as whole words."""
     return f" {'  '.join(words)} "
 
 
 def _holds_a_rival(text: str, rivals: dict[str, tuple[str, ...]], forms: tuple[str, str]) -> bool:
-    """Whether the words of a rival stand in the text other than within its target and its reference."""
     words = words_of(text)
     started = rivals.keys() & set(words)
     if not started:
@@ -270,13 +267,11 @@ def _holds_a_rival(text: str, rivals: dict[str, tuple[str, ...]], forms: tuple[s
 
 @lru_cache(maxsize=256)
 def _by_preference(first: int, second: int) -> tuple[tuple[int, int], ...]:
-    """Which form of the target goes with which of the reference, the most natural first."""
     return tuple(sorted(product(range(first), range(second)), key=lambda p: (p[0] + p[1], p)))
 
 
 @lru_cache(maxsize=65536)
 def _forms(name: str, known: _Known) -> tuple[str, ...]:
-    """At most two ways to say a name that are read back as it beside an ordinary name: as words, and in quotes."""
     spoken = [w for w in dict.fromkeys((readable(name), readable(name, brief=False), " ".join(name.split()))) if w]
     quoted = [f'"{w}"' for w in dict.fromkeys(w.replace('"', " ").strip() for w in spoken) if w]
     partner = "mug" if not same_class(name, "mug") else "lamp"
@@ -295,7 +290,6 @@ def _forms(name: str, known: _Known) -> tuple[str, ...]:
 
 
 def _names_no_other(form: str, name: str, names: tuple[str, ...]) -> bool:
-    """Whether a shortened name (`bat` for `bat (animal)`) brings in no class that the whole name does not mean."""
     if not names or normal_form(form) == normal_form(name):
         return True
     return set(match(form, names)) <= {name, *match(name, names)}
@@ -303,7 +297,6 @@ def _names_no_other(form: str, name: str, names: tuple[str, ...]) -> bool:
 
 @lru_cache(maxsize=65536)
 def _is_settled(name: str, known: _Known) -> bool:
-    """Whether the first form of a name cannot be misread in any sentence, so that it need not be tried."""
     words = words_of(_forms(name, known)[0])
     if words == words_of(name) and (not known.names or name in known.names):
         return words[0] not in _PHRASE_WORDS and words[0] not in _TEMPLATE_WORDS
@@ -312,7 +305,6 @@ def _is_settled(name: str, known: _Known) -> bool:
 
 @lru_cache(maxsize=65536)
 def _reads_back(text: str, target: str, relation: str, reference: str, known: _Known) -> bool:
-    """Whether the parser reads a sentence as this one relation between these two names."""
     try:
         query = parse(text, class_names=known.names or (target, reference))
     except InputError:

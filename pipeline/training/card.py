@@ -142,7 +142,7 @@ def train_on_rooms(
 
 
 def network_path(out: Path) -> Path:
-    """Where a network is written; InputError unless it is an .onnx file."""
+    """Path of a network to write; InputError unless an .onnx file."""
     out = Path(out)
     require(out.suffix.lower() == ".onnx" and not out.is_dir(), "the network is written as an .onnx file", path=out)
     return out
@@ -181,7 +181,7 @@ def _command(out: Path, rooms: RoomConfig, config: TrainConfig) -> str:
 
 
 def versions() -> dict[str, str]:
-    """Of this program, of Python and of what trains."""
+    """Versions of this program, of Python and of the training packages."""
     packages = ("spatialviz", "numpy", "torch", "onnx", "onnxruntime", "embreex", "opencv-python-headless")
     return {"python": platform.python_version(), "machine": platform.machine(), **versions_of(*packages)}
 
@@ -246,7 +246,7 @@ def save_onnx(
     calibration: dict[str, Platt] | None = None,
     trained_on: TrainedOn | None = None,
 ) -> None:
-    """The trained network with its contract, as `OnnxScorer` reads it, and its class vectors beside it."""
+    """Save a trained network with its contract for `OnnxScorer`, and its class vectors beside."""
     write_onnx(path, model.layers, replace(model.contract(calibration), trained_on=trained_on).metadata())
     if model.vectors is not None:
         vectors_path(path).write_bytes(model.vectors.content())
@@ -258,7 +258,7 @@ CLEAR_GAP_M = 0.10
 def evaluate(
     probabilities: Sequence[np.ndarray], truth: Sequence[np.ndarray], rule: Sequence[np.ndarray] | None = None
 ) -> dict[str, Any]:
-    """Every figure of a relation scorer.
+    """Evaluate a relation scorer.
 
     Parameters
     ----------
@@ -310,7 +310,7 @@ def evaluate(
 def evaluate_classes(
     probabilities: Sequence[np.ndarray], truth: Sequence[np.ndarray], prior: Sequence[float], vocabulary: Sequence[str]
 ) -> dict[str, Any]:
-    """Every figure of a network that says which one relation fits a pair.
+    """Evaluate a network of one relation a pair (softmax).
 
     Parameters
     ----------
@@ -365,7 +365,7 @@ def _defined(figure: Any) -> float | None:
 
 
 def differing_cells(p: np.ndarray, truth: np.ndarray, rule: np.ndarray) -> dict[str, int]:
-    """Cells that are T or F in truth and on which the rule, given the noisy view, says something else.
+    """Cells, T or F in truth, with another state by the rule on the noisy view.
 
     Returns
     -------
@@ -385,7 +385,7 @@ def differing_cells(p: np.ndarray, truth: np.ndarray, rule: np.ndarray) -> dict[
 
 
 def clear_cut(lo: np.ndarray, hi: np.ndarray, by_centers: bool = False) -> np.ndarray:
-    """Which relation of each ordered pair is beyond dispute.
+    """Indisputable relation of each ordered pair.
 
     Parameters
     ----------
@@ -414,7 +414,7 @@ def clear_cut_report(
     extents: Sequence[tuple[np.ndarray, np.ndarray]],
     by_centers: bool = False,
 ) -> dict[str, Any]:
-    """Of the clear-cut relations of all views: how many are likely (p > 0.5), how many doubted, how many opposite ones.
+    """Shares of clear-cut relations found likely (p > 0.5), doubted, or opposite.
 
     Returns
     -------

@@ -55,7 +55,7 @@ class LabelledFrame:
     """(N,) int64: their numbers in the labels, rising."""
 
     def single(self) -> np.ndarray:
-        """(N, N) int64: index of the one relation that holds of a pair; -1 where none or several do."""
+        """(N, N) int64: index of a pair's only relation; -1 for none or several."""
         holds = self.states == T
         return np.where(holds.sum(axis=2) == 1, holds.argmax(axis=2), -1)
 
@@ -198,7 +198,7 @@ def _array(column: pa.ChunkedArray, name: str) -> np.ndarray:
 
 
 def rows_of_frame(sorted_index: np.ndarray, value: int) -> slice:
-    """Where a value stands in a sorted column."""
+    """Slice of a value in a sorted column."""
     return slice(int(np.searchsorted(sorted_index, value)), int(np.searchsorted(sorted_index, value, side="right")))
 
 
@@ -260,7 +260,7 @@ def identity(labels: Labels) -> tuple[str, str, str]:
 
 
 def trained_on(labels: Labels, plan: SplitPlan) -> TrainedOn:
-    """What a network of these labels and this split learns from."""
+    """Training data of a network on these labels and this split."""
     name, input_hash, content = identity(labels)
     inside = {part: [plan.frames[k] for k in plan.indices(part)] for part in (TRAIN, VALIDATION)}
     whole = plan.kind == "scene"
@@ -271,7 +271,7 @@ def trained_on(labels: Labels, plan: SplitPlan) -> TrainedOn:
 
 
 def same_dataset(learnt: TrainedOn, labels: Labels) -> bool:
-    """Whether these labels are of the dataset that was learnt from."""
+    """Tell labels of the dataset of training."""
     name, input_hash, content = identity(labels)
     return (
         content == learnt.content_hash
@@ -281,7 +281,7 @@ def same_dataset(learnt: TrainedOn, labels: Labels) -> bool:
 
 
 def parts_seen(learnt: TrainedOn, labels: Labels, frames: Sequence[FrameKey]) -> np.ndarray:
-    """(F,) int8: TRAIN or VALIDATION where the network knows a frame; DROPPED where it has not seen it."""
+    """(F,) int8: TRAIN or VALIDATION of frames known to the network, else DROPPED."""
     known = {**dict.fromkeys(learnt.validation, VALIDATION), **dict.fromkeys(learnt.train, TRAIN)}
     if not same_dataset(learnt, labels):
         known = {}
@@ -318,7 +318,7 @@ class PairSet:
         return 0 if self.vectors is None else self.vectors.vectors.shape[1]
 
     def take(self, which: np.ndarray) -> PairSet:
-        """Those pairs: a mask or indices."""
+        """Select pairs by a mask or indices."""
         classes = None if self.classes is None else self.classes[which]
         return PairSet(self.features[which], self.states[which], classes, self.vectors)
 

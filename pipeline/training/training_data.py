@@ -97,7 +97,7 @@ class FrameSamples:
         return directional_states(self.seen_lo, self.seen_hi)
 
     def scaled(self, factor: float) -> FrameSamples:
-        """The same view of a scene `factor` times as large, whose things are no longer what their names say.
+        """Same view of a scene `factor` times as large, without the sizes of names.
 
         Its labels are judged anew: the rule knows metres.
         """
@@ -290,7 +290,7 @@ def varied_camera(camera: Camera, rng: np.random.Generator) -> Camera:
 
 
 def view_samples(room: Room, camera: Camera, rng: np.random.Generator, *, rough: bool = False) -> FrameSamples:
-    """One view as a sensor and a segmenter give it; the camera has a pose and knows what is up.
+    """Simulate one view by sensor and segmenter; the camera needs a pose and an up vector.
 
     `rough` is for learning: other sensors and worse segmenters now and then.
     """
@@ -328,7 +328,6 @@ def _seen_samples(
 
 
 def _in_steps(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """The depth as a stereo camera would give it: an error of disparity, and steps of it."""
     product, step = rng.uniform(30, 60), float(rng.choice([4, 8, 16]))
     disparity = product / np.maximum(depth, 0.1) + rng.normal(0, rng.uniform(0.02, 0.15), depth.shape)
     stepped = product / np.maximum(np.round(disparity * step) / step, 0.5)
@@ -365,7 +364,7 @@ def _exact_extents(instance: Instance, camera: Camera, viewer: ViewerAxes) -> tu
 
 
 def iterate_pairs(samples: Sequence[FrameSamples], name: str) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """For each view (P, D) features and (P, 6) true states of its ordered pairs of different objects."""
+    """(P, D) features and (P, 6) true states of the pairs of each view."""
     for frame in samples:
         apart = ~np.eye(len(frame.seen_lo), dtype=np.bool_)
         if apart.any():

@@ -62,7 +62,6 @@ def audit_questions(
 
 
 def _statement(question: Question) -> Statement | None:
-    """What a question asks to be true: two names and a relation; None where it is something else."""
     try:
         e = parse(question.text).expression
     except InputError:
@@ -72,7 +71,6 @@ def _statement(question: Question) -> Statement | None:
 
 
 def _contradictions(questions: Sequence[Question]) -> dict[str, list[Evidence]]:
-    """By item, what others of the same picture say that cannot be true together with it."""
     found: dict[str, list[Evidence]] = {q.id: [] for q in questions}
     told: dict[tuple[str, Statement], tuple[Question, bool]] = {}
     for question in questions:
@@ -92,7 +90,6 @@ def _contradictions(questions: Sequence[Question]) -> dict[str, list[Evidence]]:
 
 
 def _implied(statement: Statement, yes: bool) -> Iterator[tuple[Statement, bool]]:
-    """The statements that are true or false with an answer: itself, its mirror, and of a yes the opposite."""
     a, relation, b = statement
     yield statement, yes
     if relation in MIRRORED:
@@ -124,7 +121,6 @@ def _of_region(question: Question) -> list[Evidence]:
 
 
 def _of_geometry(question: Question, source: Pipeline | None) -> tuple[list[Evidence], str | None]:
-    """What detected objects say of a yes/no question, or why they say nothing."""
     statement = _statement(question)
     if statement is None:
         return [], "it is not whether one thing stands in a relation to another"

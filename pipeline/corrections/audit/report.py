@@ -38,17 +38,17 @@ class AuditReport:
 
     @property
     def likely(self) -> int:
-        """How many are more probably wrong than not."""
+        """Number of items more probably wrong than not."""
         return sum(item.score >= LIKELY for item in self.items)
 
     @property
     def suspicious(self) -> tuple[AuditItem, ...]:
-        """Those against whose truth something speaks."""
+        """Items with evidence against their truth."""
         return tuple(item for item in self.items if item.score > PRIOR and item.reasons)
 
     @property
     def kinds(self) -> Table:
-        """How many suspicious items each kind of evidence speaks against, and is the strongest of."""
+        """Suspicious items by kind of evidence, and by the strongest kind."""
         every = Counter(kind for item in self.suspicious for kind in {e.kind for e in item.reasons})
         first = Counter(item.reasons[0].kind for item in self.suspicious)
         rows = tuple(Row(kind, (every[kind], first[kind], words)) for kind, words in KINDS.items() if every[kind])
@@ -60,7 +60,7 @@ class AuditReport:
         return shlex.join(["spatialviz", "view", self.dataset, "--state", view])
 
     def record(self) -> dict[str, Any]:
-        """What is counted, as JSON."""
+        """Counts as JSON."""
         return {
             "items": len(self.items), "suspicious": len(self.suspicious), "likely_wrong": self.likely,
             "expected_wrong": round(sum(item.score for item in self.items), 1),

@@ -65,7 +65,7 @@ def audited(
     known: FrameCases | str | None,
     systems: Sequence[SystemAnswers] = (),
 ) -> AuditItem:
-    """One sentence; `known` are the frame's annotations, or why they cannot be had."""
+    """Audit one sentence; `known` are the frame's annotations, or the reason for their absence."""
     truth = known if isinstance(known, FrameCases) else None
     names = [] if truth is None else object_names(truth)
     right = np.zeros(0, np.int64) if truth is None else sentence.among(truth)
@@ -93,7 +93,7 @@ def audited(
 
 
 def object_names(truth: FrameCases) -> list[str]:
-    """As tables call annotated things: "mug·4"."""
+    """Names of annotated objects in tables: "mug·4"."""
     return [f"{label}·{number}" for label, number in zip(truth.labels, truth.numbers, strict=True)]
 
 
@@ -105,7 +105,6 @@ def _places(sentence: Sentence) -> str:
 def _geometry(
     sentence: Sentence, source: Pipeline, context: PreparedFrame, truth: FrameCases, right: np.ndarray, names: list[str]
 ) -> tuple[list[Evidence], str | None]:
-    """The evidence, and what seems right where that is something else; InputError where geometry says nothing."""
     trace = source.ask(context, sentence.text)
     root, top = trace.root, trace.root.pairwise
     targets = of_name(truth, root.name, source) if not root.anything else np.ones(len(truth.labels), np.bool_)
@@ -139,7 +138,6 @@ def of_name(truth: FrameCases, name: str, source: Pipeline) -> np.ndarray:
 
 
 def _fit(trace: Trace, source: Pipeline, context: PreparedFrame, truth: FrameCases, targets: np.ndarray) -> Fit:
-    """How the sentence fits a frame's things; InputError where nothing tells."""
     e = trace.query.expression
     plain = len(trace.query.readings) == 1 and trace.query.default.root.triple is not None
     if e is not None and plain and not e.second_reference and not e.inverse and e.relation in truth.states:

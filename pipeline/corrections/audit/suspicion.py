@@ -75,7 +75,7 @@ class AuditItem:
 
     @property
     def reasons(self) -> tuple[Evidence, ...]:
-        """What speaks against the truth, the strongest first."""
+        """Evidence against the truth, the strongest first."""
         return tuple(sorted((e for e in self.evidence if e.weight > PRIOR), key=lambda e: -e.weight))
 
     def record(self, look: str = "") -> dict[str, Any]:
@@ -87,7 +87,7 @@ class AuditItem:
 
 
 def wrong_probability(evidence: Iterable[Evidence]) -> float:
-    """The probability that an item's truth is wrong, by all its evidence; PRIOR without any."""
+    """Probability of a wrong truth by all evidence; PRIOR without any."""
     told: dict[str, float] = {}
     total = 0.0
     for piece in evidence:
@@ -106,7 +106,7 @@ def logit(p: float) -> float:
 
 
 def agreement_weight(against: int, agreeing: int) -> float:
-    """The weight of systems' answers: `against` give one and the same other answer, `agreeing` that of the truth.
+    """Weight of systems' answers: `against` agree on another answer, `agreeing` give the truth.
 
     A system that gives the truth's answer speaks for it as one that gives that other answer speaks against it, by the
     ratio of SHARE_RIGHT to SHARE_CHANCE.

@@ -51,7 +51,7 @@ def read_answers(folder: Path) -> SystemAnswers:
 def system_evidence(
     systems: Sequence[SystemAnswers], key: Key, right: np.ndarray, named: Sequence[tuple[str, np.ndarray]] = ()
 ) -> tuple[Evidence, str | None] | None:
-    """What systems say of an item, and which object they mean; None where none answered it.
+    """Evidence by systems' answers and the object meant by most; None without answers.
 
     Parameters
     ----------

@@ -26,7 +26,7 @@ FIRST = timedelta(seconds=30)
 
 
 def status_ref(item: ItemKey) -> FieldRef:
-    """The cell that says of an item whether it is right."""
+    """Cell of the journal with an item's status."""
     if item.kind == "relation":
         return FieldRef("relation", item.frame, f"{item.a},{item.b}", f"{item.what}.status")
     if item.kind == "object":
@@ -35,7 +35,7 @@ def status_ref(item: ItemKey) -> FieldRef:
 
 
 def say_of_item(frame: EffectiveFrame, item: ItemKey, status: str, author: str) -> Edits:
-    """What a reviewer says of an item: "accepted", "rejected" or "unsure"; InputError for a rejected relation."""
+    """Edits of a reviewer's word: "accepted", "rejected" or "unsure"; InputError for a rejected relation."""
     if item.kind == "object" and item.a < 0:
         return judge_missing(frame, item.what, status, author)
     ref = status_ref(item)
@@ -48,7 +48,7 @@ def say_of_item(frame: EffectiveFrame, item: ItemKey, status: str, author: str) 
 def found_items(
     work: Worklist, words: Callable[[dict[str, Any]], str], kind: str | None = None, text: str = ""
 ) -> list[int]:
-    """The places of open items of a kind whose words, reasons or frame hold each word of a text, in their order.
+    """Places of open items of a kind, in order, with each word of a text in words, reasons or frame.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def found_items(
 
 
 def accept_all(items: Collection[ItemKey], frame_of: Callable[[str], EffectiveFrame], author: str) -> Edits:
-    """The edits of one action that accepts all these items, of whatever frames; undo takes all of them back.
+    """Edits of one action for all these items, of whatever frames; undo takes all of them back.
 
     Items that have gone since they were found are left out.
 
@@ -100,12 +100,12 @@ class Pace:
     """What is accepted at once counts as one item; None before there are two."""
 
     def record(self) -> dict[str, Any]:
-        """As JSON."""
+        """The pace as JSON."""
         return asdict(self)
 
 
 def pace_of(events: Iterable[Event], author: str, now: datetime) -> Pace:
-    """The pace of the day of `now`, which says the time zone, from what a person saved; what was taken back too."""
+    """Pace of a person on the day of `now` (with its time zone), undone work included."""
     zone: tzinfo | None = now.tzinfo
     today = [e for e in events if e.author == author and e.time.astimezone(zone).date() == now.date()]
     items = {(key.frame, key.kind, min(key.a, key.b if key.b is not None else key.a),

@@ -43,7 +43,7 @@ class Noise:
 
     @property
     def wrong(self) -> float:
-        """How many labels are wrong, as estimated."""
+        """Estimated number of wrong labels."""
         return float(self.joint[0, 1] + self.joint[1, 0])
 
 
@@ -76,7 +76,7 @@ def estimate_noise(p: np.ndarray, says: np.ndarray) -> Noise:
 
 
 def confident_joint(p: np.ndarray, says: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Thresholds, and the counts of labels that are confidently one or the other (equation 1 of the paper).
+    """Thresholds and the confident joint of given and true labels (equation 1 of the paper).
 
     Parameters
     ----------

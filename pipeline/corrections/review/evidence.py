@@ -68,7 +68,7 @@ class QueueItems:
         self.settled_cells[cells.cells_of(self.settled)[0]] = True
 
     def rows(self, reasons: Iterable[Reason], settled: bool = False) -> Evidence:
-        """Reasons as rows of evidence; those against labels that are settled, or not there, are left out."""
+        """Reasons as rows of evidence, without settled and missing labels."""
         hidden = set() if settled else set(self.settled)
         found = [reason for reason in reasons if reason[0].plain not in hidden]
         cell = dict(zip(*reversed(self.cells.cells_of([key for key, *_ in found])), strict=True))
@@ -80,13 +80,13 @@ class QueueItems:
         return Evidence(np.array(item, np.int64), np.array(weight, np.float64), np.array(reason, object))
 
     def cell_rows(self, item: np.ndarray, weight: np.ndarray, reason: np.ndarray) -> Evidence:
-        """Evidence against cells, without those that are settled."""
+        """Evidence against cells, without settled ones."""
         kept = ~self.settled_cells[item]
         return Evidence(item[kept], weight[kept], reason[kept].astype(object))
 
 
 def network_evidence(items: QueueItems, probability: np.ndarray, wrong: np.ndarray, least: float) -> Evidence:
-    """Labels that networks which have not learnt from them find wrong with at least this probability."""
+    """Labels that out-of-fold networks find wrong with at least this probability."""
     item = np.flatnonzero(wrong >= least)
     states, p = items.cells.states.ravel()[item], probability.ravel()[item]
     reason = _joined(
@@ -97,7 +97,7 @@ def network_evidence(items: QueueItems, probability: np.ndarray, wrong: np.ndarr
 
 
 def undecided_evidence(items: QueueItems, probability: np.ndarray) -> Evidence:
-    """Cells that the rule finds too close to call (U); the surer the networks are, the more is to be gained."""
+    """Undecided cells (U), weighted by the networks' certainty."""
     item = np.flatnonzero(items.cells.states == U)
     p = np.nan_to_num(probability.ravel()[item], nan=0.5)
     reason = _joined(
@@ -108,8 +108,8 @@ def undecided_evidence(items: QueueItems, probability: np.ndarray) -> Evidence:
 
 
 def margin_evidence(items: QueueItems, least: float) -> Evidence:
-    """Labels near a threshold of the rule: half the chance that an error of MARGIN_SIGMA_M crosses it, for it leads to
-    U and not to the opposite."""
+    """Labels near a threshold of the rule: half the chance of an error of MARGIN_SIGMA_M across it, since it leads
+    to U and not to the opposite."""
     from scipy.special import ndtr
 
     near, states = np.abs(items.cells.margins.ravel()), items.cells.states.ravel()
@@ -133,7 +133,6 @@ def linter_evidence(items: QueueItems, findings: Iterable[Finding]) -> tuple[Evi
 
 
 def _blamed(found: Finding, relations: Collection[str]) -> list[tuple[ItemKey, float]]:
-    """Labels of which one is wrong, and the weight for each."""
     frame, group = found.frame, found.rule.split("/")[0]
     if frame is None:
         return []
@@ -151,7 +150,6 @@ def _blamed(found: Finding, relations: Collection[str]) -> list[tuple[ItemKey, f
 
 
 def _blamed_cells(found: Finding) -> list[tuple[int, int, str, float]]:
-    """(a, b, relation, weight) of the labels of which one is wrong."""
     relation = found.figures.get("relation")
     if not isinstance(relation, str) or len(found.objects) < 2:
         return []
@@ -215,7 +213,8 @@ def disputed_evidence(items: QueueItems, labels: Labels, other: Labels) -> tuple
 
 
 def matched_boxes(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """(N,) int64: which of M second boxes each first one is, both (., 4) x0, y0, x1, y1; -1 where none is."""
+    """(N,) int64: index of the matching second box of each first one, both (., 4) x0, y0, x1, y1; -1 without a
+    match."""
     if not len(first) or not len(second):
         return np.full(len(first), -1, np.int64)
     iou = iou_2d(first, second)
@@ -255,7 +254,7 @@ class RelationLabels:
         return len(self.a)
 
     def cells_of(self, keys: Iterable[ItemKey]) -> tuple[np.ndarray, list[ItemKey]]:
-        """Numbers (K,) int64 of the cells (row by row) of those keys that are relations of these labels, and the keys.
+        """Cell numbers (K,) int64, row by row, of the keys of relations of these labels, with the keys.
 
         Keys that the labels lack are left out.
         """
@@ -302,7 +301,7 @@ def read_relation_labels(labels: Labels) -> RelationLabels:
 
 
 def doubts_of_labels(cells: RelationLabels, data: LabelData, doubts: Doubts) -> tuple[np.ndarray, np.ndarray]:
-    """What the networks say of each cell.
+    """Networks' probabilities for each cell.
 
     Returns
     -------

@@ -63,17 +63,17 @@ class ItemKey(NamedTuple):
     earlier versions), its place x0,y0,x1,y1 in pixels."""
 
     def text(self) -> str:
-        """As one line of JSON; equal keys have equal texts."""
+        """One line of JSON; equal keys have equal texts."""
         return json.dumps(list(self), ensure_ascii=False, separators=(",", ":"))
 
     @property
     def plain(self) -> ItemKey:
-        """The same; of an expression without its objects: its id names it, and a journal knows no more."""
+        """Key without the objects of an expression: the id names it, and a journal knows no more."""
         return self._replace(a=NOBODY, b=None) if self.kind == "expression" else self
 
     @classmethod
     def read(cls, text: str) -> ItemKey:
-        """The reverse.
+        """Key from its text.
 
         Raises InputError: it is no key.
         """
@@ -116,7 +116,7 @@ def with_states(queue: pa.Table, states: Mapping[ItemKey, State]) -> pa.Table:
 
 
 def left_to_review(queue: pa.Table, states: Mapping[ItemKey, State]) -> pa.Table:
-    """The rows that are not settled, in the order of the queue; those that someone is unsure of last.
+    """Open rows in the order of the queue; unsure ones last.
 
     What reviewers judge differently is unsure, too, but stays where it is: at the top.
     """
@@ -128,7 +128,7 @@ def left_to_review(queue: pa.Table, states: Mapping[ItemKey, State]) -> pa.Table
 
 
 def disputed_rows(queue: pa.Table) -> np.ndarray:
-    """(N,) bool: what reviewers judge differently, by its score."""
+    """(N,) bool: items judged differently by reviewers, by score."""
     return (
         np.zeros(queue.num_rows, np.bool_)
         if "score" not in queue.column_names
@@ -137,7 +137,7 @@ def disputed_rows(queue: pa.Table) -> np.ndarray:
 
 
 def progress_counts(queue: pa.Table, states: Mapping[ItemKey, State]) -> dict[str, int]:
-    """How many items there are, in each state, settled, and not in the queue any more though they have a state."""
+    """Counts of items, of each state, of settled ones, and of judged items outside the queue."""
     keys = item_keys(queue)
     checked_states(states)
     found = Counter(states.get(key, "unreviewed") for key in keys)
@@ -153,7 +153,7 @@ def key_stands(
     objects: Container[tuple[str, int]],
     expressions: Container[tuple[str, str]],
 ) -> bool:
-    """Whether something is left of an item that could be right or wrong.
+    """Tell items with something left to be right or wrong.
 
     A relation goes with its pair, an expression with its objects, everything with its frame. An object or expression
     that somebody has settled, by leaving it out for one, stays.
@@ -232,15 +232,15 @@ class Judgements:
 
     @property
     def authors(self) -> tuple[str, ...]:
-        """Who said anything, sorted."""
+        """Authors of any judgement, sorted."""
         return tuple(sorted({author for of_item in self.words.values() for author in of_item}))
 
     def of(self, author: str) -> dict[ItemKey, Judgement]:
-        """What one person says."""
+        """Judgements of one person."""
         return {key: words[author] for key, words in self.words.items() if author in words}
 
     def differ(self, key: ItemKey) -> bool:
-        """Whether people say different things of an item, and nobody has settled it."""
+        """Tell items with differing judgements and no settlement."""
         return len({w.verdict for w in self._open_words(key)}) > 1
 
     def state(self, key: ItemKey) -> State:
@@ -253,18 +253,18 @@ class Judgements:
         return max(words, key=lambda w: w.at).status if words else "unreviewed"
 
     def verdict(self, key: ItemKey) -> str | None:
-        """What stands of a settled item, as of `Judgement.verdict`; None where it is open."""
+        """Verdict of a settled item, as of `Judgement.verdict`; None of an open one."""
         return None if self.state(key) not in SETTLED else max(self._open_words(key), key=lambda w: w.at).verdict
 
     def states(self, author: str | None = None) -> dict[ItemKey, State]:
-        """The state of every item that anyone, or this person, has said something of."""
+        """State of every judged item, over all people or of one."""
         if author is not None:
             return {k: w.status for k, w in self.of(author).items() if w.status != "unreviewed"}
         found: dict[ItemKey, State] = {key: self.state(key) for key in {**self.words, **self.settled}}
         return {key: state for key, state in found.items() if state != "unreviewed"}
 
     def states_now(self, now: Callable[[ItemKey], int | None]) -> dict[ItemKey, State]:
-        """The state of each item over all; "unsure" of a relation whose label is not what people said of it.
+        """State of each item over all; "unsure" of a relation whose label differs from its verdict.
 
         That is so where labels were made again, and where the only word on a label is that of a second opinion.
 
@@ -281,7 +281,6 @@ class Judgements:
         return found
 
     def _open_words(self, key: ItemKey) -> list[Judgement]:
-        """Words that count now: a settlement and those after it, or all; of those who are sure."""
         words = [w for w in self.words.get(key, {}).values() if w.status in SETTLED]
         last = self.settled.get(key)
         return words if last is None else [last, *(w for w in words if w.at > last.at)]
@@ -387,6 +386,5 @@ def _status_of(event: Event, automatic: Any) -> tuple[State, int | None]:
 
 
 def _changed_before(event: Event, of_entity: Sequence[FieldRef], refs: Mapping[FieldRef, Sequence[Event]]) -> bool:
-    """Whether people had changed an object or expression when the event was saved."""
     earlier = ((ref, [e for e in refs[ref] if e.id <= event.id]) for ref in of_entity)
     return any(e and (ref.field == "exists" or not same_value(e[-1].after, e[0].before)) for ref, e in earlier)

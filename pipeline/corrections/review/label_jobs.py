@@ -62,7 +62,7 @@ class CorrectedLabelsJob:
     """Of the dataset, for `labelled_dataset`: intrinsics, depth_scale."""
 
     def corrected_dataset(self, labels: Labels) -> Dataset | None:
-        """The labels' dataset; None where it is not at hand, and what follows from new pixels is stale."""
+        """Dataset of the labels; None where it is not at hand, and values by new pixels are stale."""
         try:
             return labelled_dataset(labels.manifest, self.dataset, **self.options)
         except InputError:
@@ -217,7 +217,7 @@ class LabelJobs:
         )  # fmt: skip
 
     def end(self) -> None:
-        """End what runs, for good."""
+        """End running jobs for good."""
         self.queue.end()
         self.training.end()
 
@@ -263,7 +263,7 @@ class RetrainingRun:
         return self.folder / NETWORK
 
     def record(self) -> dict[str, Any]:
-        """As JSON."""
+        """The outcome as JSON."""
         parts = {"in_use": self.in_use, "mended": self.mended, "replay": self.replay}
         return {
             "folder": str(self.folder),
@@ -308,7 +308,7 @@ def run_retraining(job: RetrainingJob, progress: Progress | None = None) -> Retr
 def compare_with(
     current: OnnxScorer, network: Path, before: Labels, after: Labels, config: RetrainConfig, card: dict[str, Any]
 ) -> Retraining | None:
-    """A network that is in use beside a new one, on the pairs that the new one has not seen; see `Retraining`.
+    """Compare the network in use with a new one, on pairs unseen by the new one; see `Retraining`.
 
     None where the two do not judge the same relations, or either knows class names.
     """

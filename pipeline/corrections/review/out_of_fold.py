@@ -287,7 +287,6 @@ def _by_block(frames: Sequence[FrameKey], names: np.ndarray, scenes: Sequence[st
 
 
 def _along(frames: Sequence[FrameKey]) -> tuple[np.ndarray, float | int]:
-    """Where the frames of a scene stand in a row, and the gap: in metres, or in frames where poses do not differ."""
     positions = [f.position for f in frames]
     along = None if None in positions else along_spread(np.array(positions, np.float64))
     if along is not None and np.ptp(along) > 0.1:

@@ -125,7 +125,6 @@ def review_queue(
 def _ranked(
     labels: Labels, items: QueueItems, doubted: Mapping[str, np.ndarray], evidence: Sequence[Evidence]
 ) -> pa.Table:
-    """One row an item: the cells of which something speaks, or that are settled, and all other items."""
     cells, others = items.cells, list(items.others)
     none = Evidence(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, object))
     at, weight, reason = (np.concatenate(parts) for parts in zip(none, *evidence, strict=True))
@@ -194,7 +193,6 @@ def _other_rows(labels: Labels, keys: Sequence[ItemKey]) -> dict[str, np.ndarray
 
 
 def _looked_up(table: pa.Table, values: str | tuple[str, ...], *key: str) -> dict[tuple[Any, ...], Any]:
-    """Columns of a table of labels, by the frame and what names the row there."""
     of = zip(*(table.column(name).to_pylist() for name in ("frame", *key)), strict=True)
     if isinstance(values, str):
         return dict(zip(of, table.column(values).to_pylist(), strict=True))

@@ -108,7 +108,7 @@ class Retraining:
         )
 
     def record(self) -> dict[str, Any]:
-        """As JSON."""
+        """The comparison as JSON."""
 
         def figures(found: RelationEstimates) -> dict[str, Any]:
             by_relation = {r: found.f1[k].record() for k, r in enumerate(found.relations)}
@@ -154,7 +154,7 @@ def retrain(
     *,
     progress: Callable[[str, Epoch], None] | None = None,
 ) -> Retraining:
-    """Train on labels as they were and as they are, compare, and write the network of the latter.
+    """Train on labels before and after, compare, and write the network of the latter.
 
     Writes `out`, its card beside it (.json), and the comparison (.comparison.json and .comparison.md); all of it or
     nothing.
@@ -213,7 +213,6 @@ def shared_split(was: LabelData, now: LabelData, config: RetrainConfig) -> Split
 
 
 def _rows_of(frames: Sequence[LabelledFrame], data: LabelData) -> list[np.ndarray]:
-    """The rows of the same objects of the same frames out of other data; NaN for one that it does not have."""
     known = {(f.key.frame, int(n)): row for f in data.frames for n, row in zip(f.objects, f.rows, strict=True)}
     unknown = np.full(data.frames[0].rows.shape[1], np.nan)
     return [np.stack([known.get((f.key.frame, int(n)), unknown) for n in f.objects]) for f in frames]
@@ -274,7 +273,6 @@ def _tested(test: McNemar) -> tuple[int, int, str]:
 
 
 def _changed(was: LabelData, now: LabelData, plan: SplitPlan) -> dict[str, dict[str, int]]:
-    """Labels of pairs that both have, and that differ; by part and relation."""
     earlier = {f.key.frame: f for f in was.frames}
     parts = plan.for_frames([f.key for f in now.frames]).part
     names = {**dict(enumerate(PARTS)), -1: "dropped"}

@@ -64,7 +64,7 @@ class Reviewed:
 
 
 def reviewed_labels(labels: Labels, journal: Journal, folder: Path, dataset: Dataset | None = None) -> Reviewed:
-    """Apply a journal to labels, and read what people said of them.
+    """Apply a journal to labels, and read the judgements in it.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def reviewed_labels(labels: Labels, journal: Journal, folder: Path, dataset: Dat
 
 
 def relation_states(cells: RelationLabels, keys: set[ItemKey]) -> dict[ItemKey, int]:
-    """T, U or F of those of the items that are relations of the labels and have a state."""
+    """T, U or F of the items with a state in the labels."""
     numbers, known = cells.cells_of(keys)
     states = cells.states.ravel()[numbers].tolist()
     return {key: state for key, state in zip(known, states, strict=True) if state in (T, U, F)}
@@ -101,7 +101,7 @@ def states_on_labels(judgements: Judgements, cells: RelationLabels) -> dict[Item
 
 
 def without_gone(queue: pa.Table, labels: Labels, states: Mapping[ItemKey, State]) -> pa.Table:
-    """A queue that was made before, without items of which nothing is left in the labels as they are now.
+    """A stored queue without items that the labels have lost since.
 
     It is what `worklist.gone_items` finds frame by frame.
 
@@ -138,7 +138,7 @@ def trusted_of_data(cells: RelationLabels, settled: np.ndarray, data: LabelData)
 
 
 def disagreements(judgements: Judgements) -> list[Reason]:
-    """Items on which reviewers say different things, and what each says."""
+    """Items judged differently by reviewers, with each verdict."""
     words = {
         key: sorted((w for w in opinions.values() if w.status in SETTLED), key=lambda w: w.at)
         for key, opinions in judgements.words.items() if judgements.differ(key)
@@ -150,7 +150,7 @@ def disagreements(judgements: Judgements) -> list[Reason]:
 
 
 def automatic_version(manifest: Manifest) -> str:
-    """Which automatic labels these are, or were made from by corrections: see `labels_version`."""
+    """Version of the automatic labels behind these: see `labels_version`."""
     stated = (manifest.corrections or {}).get("automatic")
     return str(stated) if stated else labels_version(manifest)
 
@@ -164,7 +164,7 @@ def left_for(
     overlap: float = 0.0,
     second_opinion_of: str | None = None,
 ) -> pa.Table:
-    """The rows of a queue that a reviewer is to look at, in its order, with a column `state` of their own.
+    """Rows of a queue left for one reviewer, in its order, with a column `state` of their own.
 
     What others said is not shown: a second opinion is worth something where it
     is independent. Items that this person has judged are not asked again, also
@@ -203,14 +203,12 @@ def drawn(key: ItemKey) -> float:
 
 
 def _strewn(first: list[int], again: list[int], keys: list[ItemKey]) -> list[int]:
-    """`again` among `first`, each at a place that hangs on its name: at the end they would be known for others'."""
     where = {k: drawn(keys[k]._replace(frame=f"place {keys[k].frame}")) * len(first) for k in again}
     ranked = [(n + 0.5, 0, k) for n, k in enumerate(first)] + [(where[k], 1, k) for k in again]
     return [k for _, _, k in sorted(ranked)]
 
 
 def _without_others(queue: pa.Table) -> pa.Table:
-    """The queue without the reasons that tell what people said."""
     at = queue.schema.get_field_index("reasons")
     reasons = [[r for r in row if not r.startswith(DISAGREE)] for row in queue.column("reasons").to_pylist()]
     field = queue.schema.field(at)
@@ -231,7 +229,7 @@ class PairAgreement:
     """tuple of (ItemKey, str, str): items that they judge differently, and what each says, by frame and key."""
 
     def record(self) -> dict[str, Any]:
-        """As JSON."""
+        """The agreement as JSON."""
         return {
             "reviewers": [self.first, self.second],
             **self.all.record(),
@@ -279,7 +277,6 @@ def pair_agreements(judgements: Judgements, inverse: Callable[[str], str | None]
 
 
 def _folded(words: Mapping[ItemKey, Judgement], inverse: Callable[[str], str | None]) -> dict[ItemKey, Judgement]:
-    """Words by one key for a relation and its mirror image: of the two the newer."""
     found: dict[ItemKey, Judgement] = {}
     for key, word in words.items():
         mirrored = inverse(key.what) if key.kind == "relation" else None
@@ -333,8 +330,7 @@ def review_progress(queue: pa.Table, judgements: Judgements, states: Mapping[Ite
 
 
 def wrong_left(queue: pa.Table, states: Mapping[ItemKey, State]) -> float | None:
-    """How many relation labels are still wrong: what confident learning estimated when the queue was made, times the
-    share of its doubts that is on labels still open. None where no network was asked."""
+    """Estimated wrong relation labels, times the share of doubts on labels still open; None without networks."""
     estimated = (queue.schema.metadata or {}).get(b"estimated_wrong")
     if estimated is None:
         return None

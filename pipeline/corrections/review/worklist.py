@@ -66,18 +66,18 @@ class Worklist:
 
     @cached_property
     def tally(self) -> tuple[int, ...]:
-        """How many items are in each of STATES, of those that have not gone."""
+        """Number of items in each of STATES, without lost ones."""
         return tuple(np.bincount(self.codes[~self.gone], minlength=len(STATES)).tolist())
 
     @property
     def counts(self) -> dict[str, int]:
-        """`items` that have not gone, those in each state, and `settled`."""
+        """Number of `items`, of each state, and `settled`, without lost items."""
         by_state = dict(zip(STATES, self.tally, strict=True))
         return {"items": sum(self.tally), **by_state, "settled": sum(by_state[s] for s in SETTLED)}
 
     @cached_property
     def frame_counts(self) -> dict[str, tuple[int, int]]:
-        """By frame, how many of its items are settled and how many are not, of those that have not gone."""
+        """Settled and open items of each frame, without lost ones."""
         places = list(self.frames.values())
         number = np.repeat(np.arange(len(places)), [len(indices) for indices in places])
         items = np.concatenate(places or [np.zeros(0, np.int64)])
@@ -91,12 +91,12 @@ class Worklist:
         return STATES[self.codes[self._index(key)]]
 
     def is_disputed(self, key: ItemKey) -> bool:
-        """Whether reviewers differ on an item, and nobody has settled it since."""
+        """Tell items with differing judgements and no settlement since."""
         index = self.indices.get(key.plain)
         return index is not None and bool(self.disputed[index]) and self.codes[index] == _UNSURE
 
     def is_gone(self, key: ItemKey) -> bool:
-        """Whether nothing is left of an item; InputError where the queue has no such item."""
+        """Tell lost items; InputError where the queue has no such item."""
         return bool(self.gone[self._index(key)])
 
     def row(self, key: ItemKey) -> dict:
@@ -134,8 +134,7 @@ class Worklist:
     def next_item(
         self, after: ItemKey | None = None, skip: Collection[ItemKey] = (), kind: str | None = None
     ) -> ItemKey | None:
-        """The next item to review: the first open one behind `after`, else from the top; those that somebody is
-        unsure of come when no other is left, unless reviewers differ on them. None where nothing is.
+        """Next open item behind `after`, else from the top; unsure ones without a dispute come last. None at the end.
 
         Parameters
         ----------
@@ -158,8 +157,7 @@ class Worklist:
         return None
 
     def previous(self, before: ItemKey | None = None) -> ItemKey | None:
-        """The item above that has not gone, whatever its state: to look again at what was settled just now. None above
-        the first.
+        """Item above, whatever its state, to look again at settled work; None above the first.
 
         None, and one that the queue does not hold, stand behind the last.
         """
@@ -207,7 +205,7 @@ def _codes(codes: np.ndarray, indices: Mapping[ItemKey, int], states: Mapping[It
 
 
 def write_queue(queue: pa.Table, path: Path) -> None:
-    """Store a queue as Parquet, whole or not at all; it knows which labels it is of.
+    """Store a queue as Parquet, whole or not at all, with the version of its labels.
 
     Raises InputError: it cannot be written.
     """
@@ -286,7 +284,7 @@ def frame_states(frame: EffectiveFrame, events: Sequence[Event]) -> dict[ItemKey
 
 
 def refreshed_worklist(work: Worklist, corrector: Corrector, journal: Journal, after: Mark) -> tuple[Worklist, Mark]:
-    """A list with what became of its items since an event, whoever saved it: their states, and which of them have gone.
+    """Update states and lost items of a list after an event, whoever saved it.
 
     Parameters
     ----------
@@ -324,7 +322,6 @@ def mark_of(events: Sequence[Event]) -> Mark:
 
 
 def _since(journal: Journal, after: Mark) -> tuple[Sequence[Event], bool]:
-    """The events after one, and whether that one is still there; all events where it is not."""
     if after == NOTHING:
         return journal.events(), True
     # Nothing is ever taken out of a journal: with that event it has all that came before.

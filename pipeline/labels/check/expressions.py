@@ -27,7 +27,7 @@ Triple = tuple[str, str, str]
 
 
 def triple_of(class_names: tuple[str, ...], text: str) -> Triple | str:
-    """What a text says to one who knows the dataset's class names; or why it says no such thing."""
+    """Triple read from a text with the dataset's class names, or the reason for none."""
     try:
         query = parse(text, class_names=class_names)
     except InputError as error:
@@ -70,7 +70,7 @@ def check_expressions(view: FrameView, rules: ExpressionRules) -> Iterator[Findi
 
 
 def says_the(text: str, names: Sequence[str]) -> list[bool]:
-    """Of each name whether the text says `the` right before it, and not before a longer one of the others."""
+    """Tell, of each name, a direct `the` in the text that does not belong to a longer name."""
     words = f" {' '.join(words_of(text))} "
     definite = [{f" the {' '.join(words_of(way))} " for way in (name, readable(name), readable(name, brief=False))}
             for name in names]  # fmt: skip
@@ -88,7 +88,6 @@ Found = tuple[str, str, dict[str, float | int | str]]
 
 
 def _on_its_own(view: FrameView, row: int, rules: ExpressionRules) -> Iterator[Found]:
-    """What the row alone, the frame and the run say."""
     rows = view.expressions
     a, relation, b = int(rows["target_object"][row]), rows["relation"][row], int(rows["reference_object"][row])
     targets, acceptable = rows["targets"][row], rows["acceptable"][row]

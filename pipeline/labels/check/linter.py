@@ -42,7 +42,7 @@ OF_ANSWERS = ("expression/empty", "expression/sets", "expression/ambiguous", "ex
 
 
 def check_labels(labels: Labels, *, rules: Sequence[str] | None = None) -> Iterator[Finding]:
-    """Check labels, also ones that were damaged or edited.
+    """Check labels, damaged or edited ones too.
 
     What people set in corrected labels is not held against the rules.
 
@@ -73,7 +73,6 @@ OF_ROWS = frozenset({"row", "frame", "file", "object"})
 
 
 def _settled(finding: Finding, by_people: Corrections) -> bool:
-    """Whether a finding only tells that a person set something else than the rules say."""
     if finding.frame is None or len(finding.objects) != 2:
         return False
     return (
@@ -178,7 +177,7 @@ class UpRules:
             self._ups.append((view.id, pose[:3, :3] @ view.viewer.up))
 
     def finish(self) -> Iterator[Finding]:
-        """The frames of the scene whose up is not that of most."""
+        """Frames of the scene with another up than most."""
         ups, self._ups = self._ups, []
         if len(ups) < 2:
             return
@@ -198,7 +197,7 @@ def _finding(rule: str, message: str, figures: dict[str, Figure], severity: Seve
 
 
 def check_files(labels: Labels, streams: dict[str, TableStream]) -> Iterator[Finding]:
-    """What is wrong with the tables as files."""
+    """Faults of the tables as files."""
     for name, stream in streams.items():
         if stream.problem is not None:
             yield _finding("file/unreadable", f"{stream.path.name}: {stream.problem}", {"table": name})
@@ -259,7 +258,7 @@ def _counts(manifest: Manifest) -> Iterator[Finding]:
 
 
 def profile_problem(manifest: Manifest) -> str | None:
-    """Why geometry cannot be compared under the manifest's profile; None where it can."""
+    """Reason against comparing geometry under the manifest's profile; None without one."""
     name = str(manifest.profile.get("name"))
     if name not in PROFILES:
         return f"this release has no rule profile {name!r}"
@@ -274,7 +273,7 @@ def profile_problem(manifest: Manifest) -> str | None:
 
 
 def check_profile(manifest: Manifest) -> Iterator[Finding]:
-    """Whether the rules that made the labels are still those of this release."""
+    """Compare the rules of the labels with those of this release."""
     problem = profile_problem(manifest)
     if problem is not None:
         name = str(manifest.profile.get("name"))
@@ -295,7 +294,7 @@ NAMED_OBJECTS = {
 
 
 def check_rows(view: FrameView) -> Iterator[Finding]:
-    """Everything that can be said of rows without knowing what they mean."""
+    """Faults of rows as such, without their meaning."""
     for table, rows in view.tables.items():
         for violation in rows.violations:
             yield view.finding(
@@ -348,7 +347,6 @@ def _order(view: FrameView, table: str, rows: Rows) -> Iterator[Finding]:
 
 
 def _references(view: FrameView, table: str, rows: Rows) -> Iterator[Finding]:
-    """Frames and objects that a row names and that are not there."""
     if table == "frames" or not len(rows):
         return
     frames = view.tables["frames"]

@@ -145,7 +145,7 @@ def _bbox(view: FrameView, sound: np.ndarray, mask_box: np.ndarray) -> Iterator[
 
 
 def shared_share(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(N,) share of each rectangle of `a` ((N, 4)) that lies on that of `b`; 0 for an empty one."""
+    """(N,) share of each rectangle of `a` ((N, 4)) on the one of `b`; 0 for an empty one."""
     low, high = np.maximum(a[:, :2], b[:, :2]), np.minimum(a[:, 2:], b[:, 2:])
     shared = np.clip(high - low, 0, None).prod(axis=1)
     area = np.clip(a[:, 2:] - a[:, :2], 0, None).prod(axis=1)
@@ -322,7 +322,7 @@ def seen_whole(rows: Rows) -> np.ndarray:
 
 
 def check_sizes(view: FrameView, survey: SizeSurvey) -> Iterator[Finding]:
-    """Find objects that are too large or too small for their class, or unlike others of it."""
+    """Find objects too large or too small for their class, or unlike others of it."""
     rows = view.objects
     columns = (*lengths(rows), seen_whole(rows), np.isin(rows["mask_source"].astype(str), ["annotation", "detector"]))
     for k, (label, lifted, exact, whole, own) in enumerate(zip(view.labels, *columns, strict=True)):
@@ -338,7 +338,7 @@ def check_sizes(view: FrameView, survey: SizeSurvey) -> Iterator[Finding]:
 
 
 def check_depth(view: FrameView) -> Iterator[Finding]:
-    """Find a frame whose things are all too large or too small by one factor, as a wrong depth scale makes them."""
+    """Find a frame with things too large or too small by one factor, as by a wrong depth scale."""
     if not view.usable:
         return
     lifted, whole = lengths(view.objects)[0], seen_whole(view.objects)

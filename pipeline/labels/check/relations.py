@@ -139,7 +139,6 @@ def _impossible(relation: str, expected: Expected | None, n: int) -> np.ndarray:
 
 
 def _cycles(view: FrameView, relations: Sequence[str], expected: Expected | None) -> Iterator[Finding]:
-    """Of each knot of objects whose relation leads back to its start, the shortest cycle."""
     n = len(view.ids)
     holds = np.array([view.states[relation] == T for relation in relations]).reshape(-1, n, n)
     # Two ways at once is a finding of its own; without those edges the longer cycles remain.
@@ -351,7 +350,9 @@ def _against_extents(view: FrameView, expected: Expected, relation: str) -> Iter
     yield from view.where(
         "relation/geometry",
         off,
-        lambda a, b: f"{told(a=a, b=b)}: stored {state_letter(states[a, b])}, the extents say {letter(int(nearest[a, b]))}",
+        lambda a, b: (
+            f"{told(a=a, b=b)}: stored {state_letter(states[a, b])}, the extents say {letter(int(nearest[a, b]))}"
+        ),
         lambda a, b: {
             "relation": relation,
             "stored": states[a, b],

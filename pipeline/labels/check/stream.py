@@ -108,7 +108,7 @@ class TableStream:
         return int(self._index[self._at]) if self._at < len(self._index) else None
 
     def take(self, index: int) -> Rows:
-        """All rows of a frame, where it is the next one; else none."""
+        """Rows of a frame, if next; else none."""
         if self.peek() != index:
             return no_rows(self.table)
         start, stop = self._at, int(np.searchsorted(self._index, index, "right"))
@@ -136,7 +136,6 @@ class TableStream:
         self._index, self._at = self._block["frame_index"], 0
 
     def _compare(self, found: pa.Schema) -> None:
-        """What differs from the schema."""
         lacking, other = set(), []
         for field in arrow_schema(self.table):
             if field.name not in found.names:
@@ -182,7 +181,6 @@ class TableStream:
 
 
 def _is_ordered(file: Any) -> bool:
-    """Whether frame_index never falls and is never null; read in batches."""
     last = -1
     for batch in file.iter_batches(BATCH_ROWS, columns=["frame_index"]):
         index = np.append(last, batch.column(0).fill_null(-2).to_numpy(zero_copy_only=False))
@@ -193,7 +191,6 @@ def _is_ordered(file: Any) -> bool:
 
 
 def _alike(found: Any, wanted: Any) -> bool:
-    """One type, but for the width of offsets and for dictionaries: other libraries write those."""
     if pa.types.is_dictionary(found):
         found = found.value_type
     if pa.types.is_large_string(found):
@@ -204,7 +201,6 @@ def _alike(found: Any, wanted: Any) -> bool:
 
 
 def _castable(found: Any, wanted: Any) -> bool:
-    """Whether values of one type can stand for the other's."""
 
     def kind(of: Any) -> str:
         if pa.types.is_integer(of) or pa.types.is_floating(of):
@@ -264,7 +260,7 @@ def no_rows(table: str) -> Rows:
 
 
 def frames_of(streams: dict[str, TableStream]) -> Iterator[tuple[int, dict[str, Rows]]]:
-    """Frame by frame, the rows of all tables; of a frame that a table lacks, none of that table."""
+    """Rows of all tables, frame by frame; none of a table without rows of the frame."""
     while True:
         following = [p for p in (s.peek() for s in streams.values()) if p is not None]
         if not following:

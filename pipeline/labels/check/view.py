@@ -33,7 +33,7 @@ def pairs_where(chosen: np.ndarray) -> list[tuple[int, int]]:
 
 
 def state_letter(state: Any) -> str:
-    """ "T", "U", "F", or a number that is none of the three as it is."""
+    """ "T", "U", "F", or any other number as text."""
     return letter(state) if state in (T, U, F) else str(int(state))
 
 
@@ -118,7 +118,7 @@ class FrameView:
 
     @cached_property
     def usable(self) -> bool:
-        """The frame has a row that says it could be used."""
+        """Frame listed as usable."""
         frames = self.tables["frames"]
         return len(frames) > 0 and bool(frames["ok"][0])
 
@@ -164,7 +164,7 @@ class FrameView:
 
     @cached_property
     def alone(self) -> np.ndarray:
-        """(N,) bool: objects whose name means no other one of the frame."""
+        """(N,) bool: objects with a name of their own in the frame."""
         return alone(self.labels)
 
     @cached_property
@@ -174,7 +174,7 @@ class FrameView:
 
     @cached_property
     def crops(self) -> list[MaskCrop | str | None]:
-        """Each object's mask as its code says, or why it cannot be read; None without a mask or a frame's size."""
+        """Masks of all objects, or the reason for a damaged one; None without a mask or a frame's size."""
         return (
             [None if code is None else read_mask(code, *self.size) for code in self.objects["mask"]]
             if all(self.size)
@@ -235,7 +235,7 @@ class FrameView:
 
 
 def read_mask(code: str, height: int, width: int) -> MaskCrop | str:
-    """A mask, or in words why its code is none of that size."""
+    """Decode a mask, or tell in words why its code is none of this size."""
     counts = run_lengths(code)
     if isinstance(counts, str):
         return counts

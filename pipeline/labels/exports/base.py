@@ -168,7 +168,7 @@ def label_names(labels: Labels) -> list[str]:
 
 
 def iterate_frames(labels: Labels, tell: Progress | None = None) -> Iterator[FrameRows]:
-    """Every frame with its rows, broken ones too; memory does not grow with their number.
+    """Stream all frames with their rows, broken ones too; memory does not grow with their number.
 
     Raises InputError: a table is damaged, out of order, or has rows of a frame that is not listed.
     """

@@ -191,7 +191,6 @@ def _ref(row: Mapping[str, Any], number: int, ids: Mapping[int, int], categories
 
 
 def _relations(rows: FrameRows, ids: Mapping[int, int]) -> dict[str, Any]:
-    """The pairs of a frame as columns; those that are null throughout are left out."""
     found: dict[str, Any] = {"image_id": rows.index}
     for name in rows.relations.column_names:
         column = rows.relations.column(name)

@@ -191,7 +191,6 @@ def write_hub(job: Job) -> Written:
 
 
 def _write_table(job: Job, name: str, rows_a_file: int) -> list[DataFile]:
-    """One table, cut into files of `rows_a_file` rows; of an empty one an empty file."""
     total = job.labels.manifest.tables[name].rows
     count = max(1, -(-total // rows_a_file))
     (job.folder / "data" / name).mkdir(parents=True)
@@ -254,7 +253,7 @@ def write_jsonl(job: Job) -> Written:
 
 
 def copy_images(job: Job) -> tuple[str, ...]:
-    """Copy the pictures of all usable frames to `images/`, where they are wanted; what was written."""
+    """Copy pictures of usable frames to `images/` if wanted; returns the files."""
     if job.images is None:
         return ()
     for rows in iterate_frames(job.labels, job.tell):

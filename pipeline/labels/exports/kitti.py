@@ -116,7 +116,7 @@ def write_kitti(job: Job) -> Written:
 
 
 def class_tokens(job: Job) -> dict[str, str]:
-    """Each class name as one word of its own; `DontCare` means something else in KITTI and is avoided."""
+    """One-word token of each class name; `DontCare` has another meaning in KITTI and is avoided."""
     tokens: dict[str, str] = {}
     taken = {"DontCare", ""}
     for name in label_names(job.labels):
@@ -169,7 +169,6 @@ def _write(path: Path, lines: list[str]) -> None:
 
 
 def _written_id(frame: str) -> str:
-    """A frame id as it is, or as a JSON string where it would not stand on a line by itself."""
     plain = frame and frame.split() == [frame] and frame.isprintable() and not frame.startswith('"')
     return frame if plain else json.dumps(frame)
 

@@ -57,7 +57,7 @@ class ExportedFrom:
 
     @classmethod
     def parse(cls, text: Any) -> ExportedFrom:
-        """From its text; InputError where it is none."""
+        """Parse the text of a state; InputError for anything else."""
         parts = text.split(".") if isinstance(text, str) and len(text) <= 100 and text.isascii() else []
         require(
             len(parts) == 3 and len(parts[0]) == 16 and parts[1].isalnum() and parts[2] in ("0", "1"),
@@ -68,7 +68,7 @@ class ExportedFrom:
 
 
 def exported_from(manifest: Manifest) -> ExportedFrom | None:
-    """The state that labels are in; None of corrected labels of an earlier release, which do not say."""
+    """State of labels; None of corrected labels of an early release, which lack it."""
     made = manifest.corrections
     if made is None:
         return ExportedFrom(labels_version(manifest), None, False)
@@ -99,7 +99,7 @@ class Provenance:
         return self.entries.get((table, frame, key), [])
 
     def known(self, table: str, frame: str, key: str) -> dict[str, Any]:
-        """What reviewers said of a row: the columns of REVIEWED; and its `provenance`."""
+        """Reviews of a row (columns of REVIEWED) and its `provenance`."""
         found = self.reviewed.get((table, frame, key), {})
         entries = {"provenance": self.of(table, frame, key)}
         if table == "relations":
@@ -108,11 +108,11 @@ class Provenance:
         return {**{name: found.get(name) for name in REVIEWED[table]}, **entries}
 
     def row(self, table: str, frame: str, key: str) -> dict[str, Any]:
-        """All columns that a row has beside its own."""
+        """Columns of a row beside its own."""
         return {"base": self.base, "made_by": self.made_by, **self.known(table, frame, key)}
 
     def rows(self, table: str, rows: pa.Table) -> Iterator[dict[str, Any]]:
-        """For each row of a table its further columns; the same dict for all of frames of which nothing is known."""
+        """Further columns of each row of a table; the same dict for all untouched frames."""
         plain, touched = self.row(table, "", ""), self.frames.get(table)
         if not touched:
             yield from repeat(plain, rows.num_rows)
@@ -121,7 +121,7 @@ class Provenance:
             yield self.row(table, frame, ",".join(map(str, key))) if frame in touched else plain
 
     def line_ends(self, table: str, rows: pa.Table) -> Iterator[str]:
-        """For each row the end of its JSON line, from the comma after its own columns."""
+        """End of each row's JSON line, from the comma after its own columns."""
         last, end = None, ""
         for row in self.rows(table, rows):
             if row is not last:
@@ -136,7 +136,7 @@ class Provenance:
 
 
 def open_provenance(labels: Labels) -> Provenance:
-    """Read what stands beside the tables of corrected labels; of others there is nothing to read.
+    """Read provenance and reviews beside the tables of corrected labels; others have none.
 
     Raises InputError: a file is damaged.
     """
@@ -212,7 +212,7 @@ _LINE_ENDS = {ord(c): f"\\u{ord(c):04x}" for c in "\x85\u2028\u2029"}
 
 
 def json_line(content: Any) -> str:
-    """One line of JSON that gives the same values back, floats included.
+    """One line of JSON, lossless for floats.
 
     Raises InputError: a number that JSON has no word for.
     """

@@ -72,7 +72,7 @@ class Depths:
         self.missing, self.problem = 0, ""
 
     def of(self, frame: Mapping[str, Any]) -> np.ndarray | None:
-        """(H, W) float32 metres, exactly as it was labelled; None where it cannot be had."""
+        """(H, W) float32 metres, exactly as labelled; None without it."""
         try:
             if self._dataset is None:
                 self._dataset = needed(self._open, "no dataset is given")()
@@ -89,7 +89,7 @@ class Depths:
 
 
 def figures_of(rows: FrameRows, config: VqaConfig, depths: Depths, human: frozenset[int]) -> list[Figures]:
-    """What is known of each object of a frame.
+    """Geometry of each object of a frame, as far as known.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def _figures(row: Mapping[str, Any], viewer: ViewerAxes, seen: Figures, human: b
 
 
 def seen_whole(row: Mapping[str, Any], config: VqaConfig) -> bool:
-    """Whether all of an object shows that can show from one side: not cut, not covered, and with depth."""
+    """Tell objects seen whole from one side: not cut, not covered, and with depth."""
     return (
         row["mask"] is not None
         and row["mask_source"] in MASKS
@@ -141,7 +141,7 @@ def seen_whole(row: Mapping[str, Any], config: VqaConfig) -> bool:
 
 
 def gap_between(a: Figures, b: Figures) -> float | None:
-    """Metres between the nearest raw points of two objects; None where one of them is not seen whole."""
+    """Gap between the nearest raw points of two objects, metres; None for an object not seen whole."""
     from scipy.spatial import KDTree
 
     return None if not len(a.points) or not len(b.points) else float(KDTree(a.points).query(b.points)[0].min())
@@ -186,7 +186,6 @@ class _Raw:
         )
 
     def _continues(self, z: np.ndarray, kept: np.ndarray) -> np.ndarray:
-        """(h, w) bool: pixels that lie on from the nearest kept one at no more than 45 degrees and a step."""
         from scipy.ndimage import distance_transform_edt
 
         away, (row, column) = distance_transform_edt(~kept, return_indices=True)  # pyright: ignore[reportGeneralTypeIssues]

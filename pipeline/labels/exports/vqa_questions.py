@@ -152,7 +152,6 @@ def frame_questions(
 
 
 def _next_asked(scene: Scene, units: Iterator[Unit]) -> list[Question] | None:
-    """The next questions that can be put into words; None where there are no more."""
     for unit in units:
         try:
             return [scene.question(ask) for ask in unit]
@@ -201,7 +200,7 @@ def relation_units(scene: Scene, relations: Sequence[str]) -> Iterator[Unit]:
 
 
 def which_asks(scene: Scene, relations: Sequence[str]) -> list[Ask]:
-    """Which object has the relation to a reference: where one has, and every other surely has not."""
+    """Questions for the one object with a relation to a reference, where all others surely lack it."""
     found = []
     n = len(scene.number)
     for relation in relations:
@@ -218,7 +217,7 @@ def which_asks(scene: Scene, relations: Sequence[str]) -> list[Ask]:
 
 
 def grounding_asks(scene: Scene) -> list[Ask]:
-    """Where the only object is that an expression is true of."""
+    """Questions for the box of an expression's only object."""
     frame = scene.rows.frame
     index_of = {int(number): k for k, number in enumerate(scene.number)}
     found = []
@@ -236,7 +235,7 @@ def grounding_asks(scene: Scene) -> list[Ask]:
 
 
 def distance_asks(scene: Scene) -> Iterator[Ask]:
-    """How far two objects are apart, by their centres or by the gap between them."""
+    """Questions for the distance of two objects, by centres or by the gap between."""
     found: list[tuple[int, str, int, int]] = []
     for pair in combinations(np.flatnonzero(scene.clear).tolist(), 2):
         for measure in ("center", "gap"):
@@ -260,7 +259,7 @@ def distance(measure: str, a: Figures, b: Figures) -> tuple[float | None, str | 
 
 
 def size_asks(scene: Scene) -> list[Ask]:
-    """How tall and how wide an object is, along the viewer's up and right."""
+    """Questions for the height and width of an object, along the viewer's up and right."""
     found = []
     for a in np.flatnonzero(scene.clear).tolist():
         figures = scene.figures[a]
@@ -309,7 +308,7 @@ _TOKEN = re.compile(r"<[^<>\s]+>")
 
 
 def can_be_asked(name: str) -> bool:
-    """Whether a class name can stand in a question."""
+    """Tell class names that can stand in a question."""
     return can_be_worded(name) and bool(readable(name)) and not _TOKEN.search(name)
 
 
@@ -393,7 +392,6 @@ def boxed_by_people(provenance: Provenance, rows: FrameRows) -> frozenset[int]:
 
 
 def _provenance(job: Job, question: Question) -> list[dict[str, object]]:
-    """Of the rows that a question and its answer were made from: their values that are not the labeller's."""
     known, frame = job.provenance, question.frame
     rows = [("objects", str(n)) for n in question.objects]
     if len(question.objects) == 2 and question.kind in ("relation", "which", "grounding"):

@@ -88,7 +88,7 @@ def distributions(
 def displacements(
     database: Database, relations: Sequence[str], frames: int, sampled: int = SAMPLED_FRAMES
 ) -> dict[str, Displacements]:
-    """Where targets lie from their references, by relation.
+    """Displacements of targets from references, by relation.
 
     Of many frames some are taken, spread evenly by a hash of their index, the
     same ones at every run.
@@ -162,5 +162,5 @@ def _sizes(database: Database, classes: Sequence[str]) -> list[SizeRange]:
 
 
 def in_plan(relation: str) -> bool:
-    """Whether a relation shows from above rather than from the viewer's place."""
+    """Tell relations drawn from above rather than from the viewer's place."""
     return RELATIONS[relation].seen_from == "plan"

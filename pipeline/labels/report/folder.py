@@ -102,7 +102,7 @@ def _draw(statistics: dict[str, Any], found: Distributions, folder: Path) -> lis
 
 
 def check_report_folder(out: Path) -> None:
-    """Whether a report can go there: to be asked before long work.
+    """Check the folder of a report, before long work.
 
     Raises InputError: it is a file, or a folder with anything that is not of a report.
     """
@@ -191,7 +191,7 @@ class Picture:
 
 
 def report_page(manifest: Manifest, statistics: dict[str, Any], pictures: Sequence[Picture]) -> str:
-    """The page as HTML, which names its pictures as files beside it."""
+    """Build the HTML page; pictures are files beside it."""
     dataset = str(manifest.dataset.get("path", "")).rstrip("/\\")
     name = dataset.replace("\\", "/").rsplit("/", 1)[-1] or dataset
     figures = "".join(

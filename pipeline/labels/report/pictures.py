@@ -52,7 +52,7 @@ LARGEST_SET = 8
 
 
 def draw_states(statistics: dict[str, Any]) -> Figure:
-    """Per relation: the shares of T, U and F among all pairs, and how many are T."""
+    """Draw the shares of T, U and F by relation."""
     relations, cells = statistics["relations"], statistics["cells"]
     figure = new_figure(
         HALF,
@@ -84,7 +84,7 @@ def draw_states(statistics: dict[str, Any]) -> Figure:
 
 
 def draw_ambiguity(statistics: dict[str, Any]) -> Figure:
-    """How many objects are an acceptable answer to an expression."""
+    """Draw the number of acceptable objects of expressions."""
     ambiguity = statistics["ambiguity"]
     figure = new_figure(
         HALF,
@@ -112,7 +112,7 @@ def draw_ambiguity(statistics: dict[str, Any]) -> Figure:
 
 
 def draw_distance(statistics: dict[str, Any], found: Distributions) -> Figure:
-    """How far objects are, and how doubt grows with it."""
+    """Draw distances of objects, and doubt by distance."""
     bins = statistics["distance"]
     counts = found.distances
     upto = np.cumsum(counts)
@@ -152,7 +152,7 @@ def draw_distance(statistics: dict[str, Any], found: Distributions) -> Figure:
 
 
 def draw_classes(statistics: dict[str, Any]) -> Figure:
-    """The most frequent classes, and how many of their objects can be asked for."""
+    """Draw the most frequent classes with their usable objects."""
     classes = statistics["classes"]
     shown, others = list(classes)[:CLASSES_SHOWN], list(classes.values())[CLASSES_SHOWN:]
     usable, objects = statistics["counts"]["objects_usable"], statistics["counts"]["objects"]
@@ -187,7 +187,7 @@ def draw_classes(statistics: dict[str, Any]) -> Figure:
 
 
 def draw_heat_map(statistics: dict[str, Any], found: Distributions) -> Figure:
-    """Expressions by relation and class of their target."""
+    """Draw expressions by relation and class of the target."""
     relations = list(statistics["relations"])
     asked = sorted(
         ((name, entry["as_target"]) for name, entry in statistics["classes"].items() if entry["as_target"]),
@@ -259,7 +259,7 @@ LIMITS_M = (0.25, 0.5, 0.75, 1, 1.5, 2, 2.5, 3, 3.5, 4, 4.5, 5, 6, 7, 8, 10)
 
 
 def draw_targets(found: Distributions) -> Figure:
-    """Where the targets of each relation lie, seen from above or from the viewer's place."""
+    """Draw the places of targets by relation, from above or from the viewer's place."""
     plan = [r for r in found.displacements if in_plan(r)]
     upright = [r for r in found.displacements if not in_plan(r)]
     rows = [row for row in (plan, upright) if row]
@@ -305,7 +305,6 @@ def _limit(all_of_them: list[Displacements]) -> float:
 
 
 def _quantile(values: np.ndarray, counts: np.ndarray, share: float) -> float:
-    """The least of counted values up to which there is this share of them."""
     order = np.argsort(values, kind="stable")
     upto = np.cumsum(counts[order])
     return float(values[order][np.searchsorted(upto, share * upto[-1])])
@@ -342,7 +341,7 @@ def _draw_region(axes: Axes, name: str, pairs: Displacements, limit: float) -> N
 
 
 def draw_margins(found: Distributions) -> Figure:
-    """How far each relation's decisions stand from where they would turn."""
+    """Draw margins of each relation's decisions."""
     names = list(found.margins)
     held = [(m["mm"][m["state"] == 1], m["n"][m["state"] == 1]) for m in found.margins.values()]
     total = sum(int(n.sum()) for _, n in held)
@@ -384,7 +383,7 @@ def draw_margins(found: Distributions) -> Figure:
 
 
 def draw_sizes(found: Distributions, statistics: dict[str, Any]) -> Figure:
-    """How large the boxes of each class are."""
+    """Draw box sizes by class."""
     sizes = sorted(found.sizes, key=lambda s: (-s.longest[1], s.label))
     figure = new_figure(
         HALF,

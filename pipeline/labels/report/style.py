@@ -39,7 +39,7 @@ def need_matplotlib() -> None:
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """Figures that are made and saved within look like those of one report."""
+    """Style of matplotlib for all figures of a report."""
     import matplotlib as mpl
     from matplotlib.font_manager import get_font_names
 
@@ -84,7 +84,7 @@ def house_style() -> Iterator[None]:
 
 
 def new_figure(width: int, height: int, title: str, subtitle: str) -> Figure:
-    """A figure of pixels with a sentence on top, and a quieter one that says how to read it."""
+    """New figure of this many pixels with a title sentence and a quieter line on reading."""
     from matplotlib.figure import Figure
 
     title = textwrap.fill(title, width // 9)
@@ -113,7 +113,7 @@ def relation_color(relation: str) -> str:
 
 
 def short(label: str, length: int = 24) -> str:
-    """A class name on one line, cut where it is long."""
+    """Class name on one line, cut if long."""
     label = " ".join(label.split()) or "(blank)"
     return label if len(label) <= length else label[: length - 1] + "…"
 
@@ -143,7 +143,7 @@ def bare(axes: Axes, *spines: str) -> None:
 
 
 def without_data(figure: Figure, axes: Axes, text: str) -> Figure:
-    """The picture, whose empty plot says why it is empty."""
+    """Figure with an empty plot and the reason."""
     axes.set_axis_off()
     axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color=QUIET)
     return figure
