@@ -78,7 +78,8 @@ def results_of(
             raise InputError("a worker process died", cause=cause) from error
         except BaseException:
             ours = list((pool._processes or {}).values())
-            pool.shutdown(wait=False, cancel_futures=True)
+            # Without cancelling: Python's own thread would complain of a cancelled job whose worker is gone.
+            pool.shutdown(wait=False)
             for process in ours:
                 process.terminate()
             for process in ours:

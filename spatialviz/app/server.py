@@ -202,6 +202,8 @@ def _end_in_order() -> None:
     """End by SIGTERM and by a closed terminal as by Ctrl-C: what is not saved yet is kept."""
 
     def end(number: int, frame: object) -> None:
+        # A second one would break into the end itself.
+        signal.signal(number, signal.SIG_IGN)
         raise SystemExit(128 + number)
 
     if threading.current_thread() is threading.main_thread():
