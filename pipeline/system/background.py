@@ -22,40 +22,18 @@ PATIENCE_S = 20.0
 
 
 class Background:
-    """Function running in another process; `start_background` starts one. `done` tells its end."""
+    """Function running in another process; `start_background` starts one."""
 
-    def __init__(self, process: Any, receiver: Connection) -> None:
-        self._process, self._receiver = process, receiver
-        self._cancelled = False
-        self.done = False
+    def __init__(self, process: Any) -> None:
+        self._process, self.cancelled = process, False
 
     def cancel(self) -> None:
         """End the job; files half written are taken away first."""
-        self._cancelled = True
+        self.cancelled = True
         self._process.terminate()
         last = threading.Timer(PATIENCE_S, self._process.kill)
         last.daemon = True
         last.start()
-
-    def _listen(self, on_progress: Callable[[Any], None], on_end: Callable[[Any, str], None]) -> None:
-        result, problem = None, "it ended without a result"
-        try:
-            while True:
-                kind, value = self._receiver.recv()
-                if kind == "progress":
-                    on_progress(value)
-                    continue
-                result, problem = (value, "") if kind == "result" else (None, value)
-                break
-        except (EOFError, OSError):
-            pass
-        self._process.join()
-        if self._cancelled:
-            result, problem = None, "cancelled"
-        elif problem and self._process.exitcode not in (0, None):
-            problem = problem if problem != "it ended without a result" else f"{problem} ({self._process.exitcode})"
-        self.done = True
-        on_end(result, problem)
 
 
 def start_background(
@@ -69,8 +47,7 @@ def start_background(
     Parameters
     ----------
     function : callable
-        Of a module, so that the other process finds it; its arguments, what it
-        reports and what it returns must be picklable.
+        Of a module, so that the other process finds it; its arguments, reports and result must be picklable.
     on_progress : callable
         Called on a thread of this process with each value that the function hands to `progress`.
     on_end : callable
@@ -82,8 +59,25 @@ def start_background(
     with without_ctrl_c():
         process.start()
     sender.close()
-    job = Background(process, receiver)
-    threading.Thread(target=job._listen, args=(on_progress, on_end), daemon=True).start()
+    job = Background(process)
+
+    def listen() -> None:
+        kind, value = "progress", None
+        with suppress(EOFError, OSError):
+            while kind == "progress":
+                kind, value = receiver.recv()
+                if kind == "progress":
+                    on_progress(value)
+        process.join()
+        if kind == "progress":
+            kind, value = (
+                "problem",
+                "it ended without a result" + (f" ({process.exitcode})" if process.exitcode else ""),
+            )
+        result, problem = (value, "") if kind == "result" else (None, str(value))
+        on_end(*((None, "cancelled") if job.cancelled else (result, problem)))
+
+    threading.Thread(target=listen, daemon=True).start()
     return job
 
 
