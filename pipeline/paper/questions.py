@@ -15,7 +15,7 @@ from pipeline.labels.exports.vqa_questions import ask_grounding, ask_relation, c
 from pipeline.language.naming import normal_form
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.paper.view import View, view_of
-from pipeline.system.chat import Answer, ChatClient, Question
+from pipeline.system.chat import ChatAnswer, ChatClient, ChatQuestion
 from pipeline.system.errors import InputError, require
 
 UNKNOWN = 0.5
@@ -81,7 +81,7 @@ def score_pairs(
     # Things of one name ask the same, and are asked about once.
     prompts = [text for text in dict.fromkeys(asked) if text is not None]
     picture = view_of(frame.rgb).picture
-    questions = [Question(text, picture, _YES_NO_TOKENS) for text in prompts]
+    questions = [ChatQuestion(text, picture, _YES_NO_TOKENS) for text in prompts]
     answers = dict(zip(prompts, client.ask_many(questions, workers=workers), strict=True))
     shape = (len(indices), len(relations))
     probabilities, reasons = np.full(shape, UNKNOWN), Counter[str]()
@@ -112,7 +112,7 @@ def _question(relation: str, a: str, b: str) -> str | None:
         return None
 
 
-def _judged(answer: Answer) -> tuple[bool | None, str]:
+def _judged(answer: ChatAnswer) -> tuple[bool | None, str]:
     """Yes or no, or None and the reason."""
     if answer.failure is not None:
         return None, "the server failed"
@@ -181,11 +181,11 @@ def ground_many(
     parse_box("", (1, 1), box_scale)
     require(all(text.strip() for text in texts), "an expression is empty")
     view = view_of(frame.rgb)
-    questions = [Question(ask_grounding(text, 0), view.picture, _BOX_TOKENS) for text in texts]
+    questions = [ChatQuestion(ask_grounding(text, 0), view.picture, _BOX_TOKENS) for text in texts]
     return [_grounding(answer, view, box_scale) for answer in client.ask_many(questions, workers=workers)]
 
 
-def _grounding(answer: Answer, view: View, scale: BoxScale) -> Grounding:
+def _grounding(answer: ChatAnswer, view: View, scale: BoxScale) -> Grounding:
     if answer.failure is not None:
         return Grounding(None, "", answer.failure)
     found = parse_box(answer.text, view.size, scale)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from pipeline.system.chat import Picture
+from pipeline.system.chat import ChatPicture
 
 PADDING = (122, 116, 104)
 """CLIP's mean colour, with which LLaVA-1.5 makes pictures square (llava/mm_utils.py, expand2square)."""
@@ -18,7 +18,7 @@ PADDING = (122, 116, 104)
 class View:
     """Picture of a frame as it is sent."""
 
-    picture: Picture
+    picture: ChatPicture
     offset: tuple[int, int]
     """x and y of the frame's upper left corner, pixels of the picture."""
     frame_size: tuple[int, int]
@@ -49,8 +49,8 @@ def view_of(rgb: np.ndarray) -> View:
     LLaVA-1.5 was trained on pictures padded to a square, and its boxes are shares of that square; some servers pad
     themselves, others cut the middle out. A picture that is square already is treated alike by all.
     """
-    height, width = Picture(rgb).rgb.shape[:2]
+    height, width = ChatPicture(rgb).rgb.shape[:2]
     wide, high = (max(height, width) - inner for inner in (width, height))
     x, y = wide // 2, high // 2
     image = cv2.copyMakeBorder(rgb, y, high - y, x, wide - x, cv2.BORDER_CONSTANT, value=PADDING)
-    return View(Picture(image), (x, y), (width, height))
+    return View(ChatPicture(image), (x, y), (width, height))

@@ -6,7 +6,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from pipeline.system.arrow import pa
     from pipeline.system.background import SharedJob
-    from pipeline.system.chat import ChatClient, Picture, Question
+    from pipeline.system.chat import ChatClient, ChatPicture, ChatQuestion
     from pipeline.system.detector_setup import DetectorSetup, named_model
     from pipeline.system.encoded_pictures import jpeg, png, resized, thumbnail
     from pipeline.system.errors import (

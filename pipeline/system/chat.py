@@ -34,7 +34,7 @@ _VERSION = "1"
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
+class ChatPicture:
     """Picture to send ((H, W, 3) uint8), encoded and hashed once."""
 
     rgb: np.ndarray
@@ -63,17 +63,17 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Question:
+class ChatQuestion:
     """One question; None stands for the client's own setting. `check` raises for a useless text, never kept."""
 
     prompt: str
-    picture: Picture | None
+    picture: ChatPicture | None
     max_tokens: int | None = None
     check: Callable[[str], object] = str
 
 
 @dataclass(frozen=True)
-class Answer:
+class ChatAnswer:
     """Text of a model."""
 
     text: str
@@ -84,7 +84,7 @@ class Answer:
     """Why there is no answer to one of many questions."""
 
 
-_ANSWER = TypeAdapter(Answer)
+_ANSWER = TypeAdapter(ChatAnswer)
 
 
 class ChatClient:
@@ -175,8 +175,8 @@ class ChatClient:
         self._interval, self._clock, self._sleep = 60 / (requests_per_minute or math.inf), clock, sleep
         self._lock, self._free = threading.Lock(), clock()
 
-    def ask(self, prompt: str, rgb: np.ndarray | None, *, check: Callable[[str], object] = str) -> Answer:
-        """Ask one question; as `Question`.
+    def ask(self, prompt: str, rgb: np.ndarray | None, *, check: Callable[[str], object] = str) -> ChatAnswer:
+        """Ask one question; as `ChatQuestion`.
 
         Parameters
         ----------
@@ -188,9 +188,9 @@ class ChatClient:
         ServerError
             There is no answer after all tries: an `InputError` that names address, status and the server's words.
         """
-        return self._answer(Question(prompt, None if rgb is None else Picture(rgb), check=check))
+        return self._answer(ChatQuestion(prompt, None if rgb is None else ChatPicture(rgb), check=check))
 
-    def ask_many(self, questions: Iterable[Question], *, workers: int = 4) -> list[Answer]:
+    def ask_many(self, questions: Iterable[ChatQuestion], *, workers: int = 4) -> list[ChatAnswer]:
         """Ask many questions, `workers` at a time; answers in order, known ones from the cache.
 
         A question that fails for itself (a timeout, a refusal of its content) leaves only its own answer empty, with
@@ -198,7 +198,7 @@ class ChatClient:
 
         Parameters
         ----------
-        questions : iterable of Question
+        questions : iterable of ChatQuestion
             May make its pictures as it goes.
 
         Raises
@@ -208,17 +208,17 @@ class ChatClient:
         """
         require(workers >= 1, "at least one worker is needed", got=workers)
 
-        def answer(question: Question) -> Answer:
+        def answer(question: ChatQuestion) -> ChatAnswer:
             try:
                 return self._answer(question)
             except ServerError as error:
                 if error.everywhere:
                     raise
-                return Answer("", failure=str(error))
+                return ChatAnswer("", failure=str(error))
 
         return _in_order(answer, questions, workers)
 
-    def _answer(self, question: Question) -> Answer:
+    def _answer(self, question: ChatQuestion) -> ChatAnswer:
         require(question.prompt.strip(), "a question without words")
         tokens = self._max_tokens if question.max_tokens is None else question.max_tokens
         request = {"model": self._model, "max_tokens": tokens, "temperature": 0.0, "seed": 0, "stream": False}
@@ -254,7 +254,7 @@ class ChatClient:
             self._sleep(start - now)
 
 
-def _kept(path: Path, key: str) -> Answer | None:
+def _kept(path: Path, key: str) -> ChatAnswer | None:
     """Answer in the cache; None for a damaged file too."""
     try:
         table = read_json(path)
@@ -263,11 +263,11 @@ def _kept(path: Path, key: str) -> Answer | None:
         return None
 
 
-def _read(choice: dict[str, Any]) -> Answer:
+def _read(choice: dict[str, Any]) -> ChatAnswer:
     content, finish = choice["message"].get("content"), choice.get("finish_reason")
     parts = [content] if isinstance(content, str) else [p.get("text") for p in content or () if isinstance(p, dict)]
     text = "".join(part for part in parts if isinstance(part, str))
-    return Answer(text, finish if isinstance(finish, str) else None)
+    return ChatAnswer(text, finish if isinstance(finish, str) else None)
 
 
 def checked_base(url: str) -> str:

@@ -126,7 +126,7 @@ _KNOWN: dict[tuple[str, str], Any] = {
 }
 
 
-class _Reader(pickle._Unpickler):
+class _PlainUnpickler(pickle._Unpickler):
     """Unpickler in Python: the one in C gives a file as much memory as it asks for."""
 
     stack: list[Any]
@@ -230,7 +230,7 @@ def read_plain_pickle(path: Path, keep: Callable[[np.ndarray], Any] = np.asarray
             packed = raw.read(2) == b"\x1f\x8b"
             raw.seek(0)
             source: Any = gzip.GzipFile(fileobj=raw) if packed else raw
-            return _Reader(_Bounded(source), keep).load()
+            return _PlainUnpickler(_Bounded(source), keep).load()
     except InputError as error:
         raise InputError(str(error), path=path) from error
     except (Exception, MemoryError) as error:  # Damaged bytes fail in each part of the reader with another class.

@@ -17,14 +17,14 @@ import pytest
 from chat_server import MODELS, ChatServer, Clock, CutOff, Make, Raw, Script, Slow, Trickle, completion, error, flat
 from waiting import LONG_S
 
-from pipeline.system import InputError, Picture, Question, ServerError
+from pipeline.system import ChatPicture, ChatQuestion, InputError, ServerError
 from pipeline.system.chat import KEY_VARIABLE
 
 
 def test_a_question_is_sent_as_the_protocol_has_it(server: ChatServer, client_of: Make) -> None:
     rgb = np.zeros((48, 64, 3), np.uint8)
     rgb[:, :32, 0], rgb[:, 32:, 2] = 250, 250
-    question = Question("Is it “blau”? 猫 🐱", Picture(rgb), max_tokens=9)
+    question = ChatQuestion("Is it “blau”? 猫 🐱", ChatPicture(rgb), max_tokens=9)
     (answer,) = client_of(api_key="secret", extra={"seed": 3}).ask_many([question])
     (request,) = server.requests
     assert (answer.text, answer.finish, answer.cached) == ("Yes", "stop", False)
@@ -231,7 +231,7 @@ def test_the_usual_cache_is_the_users(
 def test_no_minute_sees_more_requests_than_allowed(server: ChatServer, client_of: Make, clock: Clock) -> None:
     server.script = ["Yes", error(500, "oops")]
     client = client_of(requests_per_minute=30)
-    client.ask_many([Question(str(n), Picture(flat())) for n in range(40)], workers=1)
+    client.ask_many([ChatQuestion(str(n), ChatPicture(flat())) for n in range(40)], workers=1)
     times = np.array([r.at for r in server.requests])
     assert len(times) == 41
     assert max(int(((times >= t - 1e-6) & (times < t + 60 - 1e-6)).sum()) for t in times) == 30
@@ -246,7 +246,7 @@ def test_the_wait_that_a_server_asks_for_holds_for_all_workers(
     server: ChatServer, client_of: Make, clock: Clock
 ) -> None:
     server.script = [RATE_LIMITED]
-    client_of().ask_many([Question(str(n), Picture(flat())) for n in range(6)], workers=1)
+    client_of().ask_many([ChatQuestion(str(n), ChatPicture(flat())) for n in range(6)], workers=1)
     assert [r.at for r in server.requests] == [1000.0] + [1007.0] * 6
 
 
@@ -254,7 +254,7 @@ def test_many_answers_come_in_order(server: ChatServer, client_of: Make) -> None
     server.answer = lambda request: request.prompt[::-1]
     asked = [f"question {n}" for n in range(30)]
     client = client_of()
-    answers = client.ask_many((Question(q, Picture(flat())) for q in asked), workers=5)
+    answers = client.ask_many((ChatQuestion(q, ChatPicture(flat())) for q in asked), workers=5)
     assert [a.text for a in answers] == [q[::-1] for q in asked]
     assert client.requests == 30
     assert client.ask_many([]) == []
@@ -272,7 +272,7 @@ def test_workers_are_bounded_and_do_work_at_once(server: ChatServer, client_of: 
     server.answer = answer
     done: list[Any] = []
     client = client_of()
-    questions = [Question(str(n), Picture(flat())) for n in range(9)]
+    questions = [ChatQuestion(str(n), ChatPicture(flat())) for n in range(9)]
     thread = threading.Thread(target=lambda: done.extend(client.ask_many(questions, workers=3)))
     thread.start()
     assert together.wait(LONG_S)
@@ -283,7 +283,7 @@ def test_workers_are_bounded_and_do_work_at_once(server: ChatServer, client_of: 
 
 
 def test_a_question_that_fails_leaves_its_own_answer_empty(server: ChatServer, client_of: Make) -> None:
-    questions = [Question(str(n), Picture(flat())) for n in range(6)]
+    questions = [ChatQuestion(str(n), ChatPicture(flat())) for n in range(6)]
     server.answer = lambda request: error(400, "refused") if request.prompt == "3" else "Yes"
     client = client_of()
     kept = client.ask_many(questions, workers=1)
@@ -298,7 +298,7 @@ def test_a_question_that_fails_leaves_its_own_answer_empty(server: ChatServer, c
 def test_an_error_of_every_question_ends_a_run_and_the_next_goes_on_from_there(
     server: ChatServer, client_of: Make
 ) -> None:
-    questions = [Question(str(n), Picture(flat())) for n in range(6)]
+    questions = [ChatQuestion(str(n), ChatPicture(flat())) for n in range(6)]
     server.answer = lambda request: error(401, "no more") if request.prompt == "3" else "Yes"
     client = client_of()
     with pytest.raises(ServerError, match="401"):
@@ -309,8 +309,8 @@ def test_an_error_of_every_question_ends_a_run_and_the_next_goes_on_from_there(
 
 
 def test_an_error_in_making_a_question_ends_the_run(client_of: Make) -> None:
-    def questions() -> Iterator[Question]:
-        yield Question("first", Picture(flat()))
+    def questions() -> Iterator[ChatQuestion]:
+        yield ChatQuestion("first", ChatPicture(flat()))
         raise InputError("no picture")
 
     with pytest.raises(InputError, match="no picture"):
@@ -341,7 +341,7 @@ def test_an_interrupt_is_heeded_while_answers_are_awaited(
     server.answer = answer
     client = client_of()
     with pytest.raises(KeyboardInterrupt):
-        client.ask_many((Question(str(n), Picture(flat())) for n in range(50)), workers=1)
+        client.ask_many((ChatQuestion(str(n), ChatPicture(flat())) for n in range(50)), workers=1)
     server.answer = lambda _: "Yes"
     server.gate.set()
     # What was under way is still kept; nothing new is begun.
