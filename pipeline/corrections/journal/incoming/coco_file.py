@@ -5,13 +5,15 @@ anew and keep none of our keys. Pictures are told by `frame`, else by the file
 name that the export gave them; annotations by `object`, also as an attribute.
 Where no annotation of a file has it any more, by where they lie: by the greatest
 overlap of 2D boxes in a picture, of one half at least, or within an object's box
-and with its class name. What is left is new. Polygons and both kinds of
-run-length codes are read without trust.
+and with its class name. What is left is new.
+
+`refs.json` and `relations.json` name annotations: `instances.json` of the same
+export must stand beside them, and say of which object each is. All three become
+rows as those of JSON lines.
 """
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -19,15 +21,25 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
-from pipeline.corrections.journal.effective_frame import EffectiveFrame, Row
-from pipeline.corrections.journal.field_refs import object_ref
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.frame_rows import BOX_COLUMNS, Row
+from pipeline.corrections.journal.incoming.row_claims import no_number, take_row
+from pipeline.corrections.journal.incoming.segmentation import (
+    bounds_of,
+    is_rectangle,
+    mask_of,
+    near,
+    polygons_of,
+    rectangle_of,
+    same_outline,
+)
 from pipeline.corrections.journal.incoming.states import Claims
 from pipeline.geometry.boxes import iou_2d
-from pipeline.geometry.masks import decode_run_length, encode_run_length, fill_polygons, mask_box
+from pipeline.geometry.masks import decode_run_length, encode_run_length, mask_box
 from pipeline.labels.exports.row_provenance import ExportedFrom
+from pipeline.language.relation_names import PAIRWISE
 from pipeline.proposals.segmenter import share_inside
 from pipeline.system.errors import InputError, Shown, as_input_error, needed, require
 from pipeline.system.safe_files import read_json
@@ -37,8 +49,8 @@ WITHIN = 0.9
 ROUNDED = 0.02
 """Pixels by which a 2D box may differ and be the same: tools write two decimals."""
 _NAMED = re.compile(r"(?:.*[/\\])?(\d{6,})\.\w+")
-LONGEST_OUTLINE = 2e6
-"""Pixels that all polygons of an object may run through: rasterising takes memory in proportion."""
+Annotations = dict[int, tuple[str, int]]
+"""Frame and object of annotations, by id."""
 
 
 def load_coco(path: Path) -> Any:
@@ -53,11 +65,6 @@ def load_coco(path: Path) -> Any:
         "not a readable JSON file", OSError, ValueError, MemoryError, got=lambda e: str(e)[:100], path=path
     ):
         return read_json(path, parse_constant=no_number)
-
-
-def no_number(word: str) -> float:
-    """Refuse NaN and infinity in JSON."""
-    raise ValueError(f"{word} is no number")
 
 
 def listed(content: Any, key: str, name: str) -> list[Any]:
@@ -122,18 +129,22 @@ def read_instances(
     bare = all(_stated(row) is None for found in by_image.values() for _, row in found)
     for image, found in by_image.items():
         frame = frames[image]
-        reader = _Reader(claims, claims.states.frame(frame, state), state, categories, crowds, outline)
+        reader = _Reader(claims, claims.states.frame(frame, state), categories, outline)
         numbers = reader.matched_by_overlap(found) if bare else {}
         seen: set[int] = set()
         for index, (where, row) in enumerate(found):
-            claims.compared += 1
             with claims.reading(where):
                 number = numbers.get(index) if bare else number_of(row)
                 require(number not in seen, f"a second annotation of object {number}")
                 if number is not None:
                     # Also one that cannot be read was not deleted.
                     seen.add(number)
-                reader.annotation(where, row, number)
+                if number is None and row.get("iscrowd") == 1 and not crowds:
+                    claims.notes[
+                        "new annotations with iscrowd 1 left out: they may be groups (--crowds takes them)"
+                    ] += 1
+                    continue
+                take_row("objects", where, reader.row_of(row, number), frame, state, claims)
         if reject_deleted:
             claims.say_deleted(f"{name} image {image}", frame, seen, state)
 
@@ -200,28 +211,13 @@ def number_of(row: Row) -> int | None:
     return value
 
 
-def rectangle_of(value: Any) -> list[float]:
-    """x0, y0, x1, y1 of COCO's x, y, width, height; InputError where it is none."""
-    sound = isinstance(value, list) and len(value) == 4 and all(type(x) in (int, float) for x in value)
-    # Beyond 1e9 is no picture; NaN is not below it either.
-    require(
-        sound and all(abs(x) < 1e9 for x in value) and value[2] > 0 and value[3] > 0,
-        "bbox is x, y, width, height above 0",
-        got=Shown(value),
-    )
-    x, y, w, h = map(float, value)
-    return [x, y, x + w, y + h]
-
-
 @dataclass(frozen=True)
 class _Reader:
     """Reads the annotations of one picture."""
 
     claims: Claims
     base: EffectiveFrame
-    state: ExportedFrom
     categories: dict[int, str]
-    crowds: bool
     outline: float
 
     def matched_by_overlap(self, found: list[tuple[str, Row]]) -> dict[int, int]:
@@ -248,31 +244,31 @@ class _Reader:
         self.claims.notes["annotations told by where they lie, for none says which object it is of"] += len(matched)
         return matched
 
-    def annotation(self, where: str, row: Row, number: int | None) -> None:
+    def row_of(self, row: Row, number: int | None) -> Row:
+        """An annotation as a row of objects: of one that was exported, only what is not as it was."""
         category: Any = row.get("category_id")
         require(type(category) is int and category in self.categories, "no such category", got=Shown(category, 40))
         label = self.categories[category]
         pixels = mask_of(row.get("segmentation"), self.base.size)
-        box = _box3d(row["box3d"]) if "box3d" in row else None
+        box = _box3d(row["box3d"]) if "box3d" in row else {}
         if number is None:
-            self._new(where, row, label, pixels, box)
-            return
+            return {"label": label, **self._place(row, pixels, boxed=any(box.values())), **box}
         was = needed(
             self.base.object(number), f"frame {self.base.frame} had no object {number}", cause="a new one has no number"
         )
-        self._say(where, number, "label", label)
-        if "status" in row:
-            self._say(where, number, "status", row["status"])
-        if "box3d" in row:
-            self._say(where, number, "box", box)
+        found = {"object": number, "label": label, **{k: row[k] for k in ("status",) if k in row}, **box}
         drawn = None if pixels is None or self._same_pixels(row, pixels, was) else pixels
         if drawn is not None:
             require(drawn.any(), "the mask is empty")
-            self._say(where, number, "mask", encode_run_length(drawn))
-        self._rectangle(where, row, number, was, drawn)
+            found["mask"] = encode_run_length(drawn)
+        return found | self._rectangle(row, was, drawn)
 
-    def _say(self, where: str, number: int, field: str, value: Any) -> None:
-        self.claims.say(where, object_ref(self.base.frame, number, field), value, self.state)
+    def _place(self, row: Row, pixels: np.ndarray | None, *, boxed: bool) -> Row:
+        """What a new object is made of beside its 3D box."""
+        require(pixels is None or pixels.any(), "the mask is empty")
+        if pixels is not None and not is_rectangle(row["segmentation"]):
+            return {"mask": encode_run_length(pixels)}
+        return {"bbox": rectangle_of(row.get("bbox"))} if row.get("bbox") is not None or not boxed else {}
 
     def _same_pixels(self, row: Row, pixels: np.ndarray, was: Row) -> bool:
         if was["mask"] is None:
@@ -282,53 +278,29 @@ class _Reader:
         polygons = isinstance(row.get("segmentation"), list)
         return same_outline(before, pixels, self.outline) if polygons else bool((before == pixels).all())
 
-    def _rectangle(self, where: str, row: Row, number: int, was: Row, drawn: np.ndarray | None) -> None:
+    def _rectangle(self, row: Row, was: Row, drawn: np.ndarray | None) -> Row:
         """The 2D box, where it was changed on purpose: that of a new mask follows from it."""
         if "bbox" not in row:
-            return
+            return {}
         box, before = rectangle_of(row["bbox"]), list(was["bbox"])
         slack, outline = max(self.outline, 1), row.get("segmentation")
-        if _near(box, before, ROUNDED) and was["mask"] is None and is_rectangle(outline):
+        if near(box, before, ROUNDED) and was["mask"] is None and is_rectangle(outline):
             box = bounds_of(polygons_of(outline)[0])
-        if _near(box, before, ROUNDED):
+        if near(box, before, ROUNDED):
             box = row.get("bbox_xyxy")
             if box is None or box == before:
-                return
+                return {}
         # The box around the pixels that the file has follows from them, and was not moved.
         around: list[Sequence[float]] = [] if drawn is None else [list(mask_box(drawn))]
         if outline and isinstance(outline, list) and was["mask"] is not None:
             around += [before, bounds_of(np.concatenate(polygons_of(outline)))]
-        if not any(_near(box, other, slack) for other in around):
-            self._say(where, number, "bbox", box)
-
-    def _new(self, where: str, row: Row, label: str, pixels: np.ndarray | None, box: Any) -> None:
-        if row.get("iscrowd") == 1 and not self.crowds:
-            self.claims.notes["new annotations with iscrowd 1 left out: they may be groups (--crowds takes them)"] += 1
-            return
-        seed: Row = {"label": label}
-        require(pixels is None or pixels.any(), "the mask is empty")
-        if pixels is not None and not is_rectangle(row["segmentation"]):
-            seed["mask"] = encode_run_length(pixels)
-        elif row.get("bbox") is not None or box is None:
-            seed["bbox"] = rectangle_of(row.get("bbox"))
-        if box is not None:
-            seed["box"] = box
-        self.claims.say_new(where, self.base.frame, seed, self.state)
+        return {} if any(near(box, other, slack) for other in around) else {"bbox": box}
 
 
-def bounds_of(corners: np.ndarray) -> list[float]:
-    """The rectangle around corners, (N, 2)."""
-    return [*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()]
-
-
-def _near(one: Sequence[float], other: Sequence[float], slack: float) -> bool:
-    return all(math.isclose(x, y, abs_tol=slack, rel_tol=0) for x, y in zip(one, other, strict=True))
-
-
-def _box3d(value: Any) -> Any:
-    """As a cell keeps it: R row by row in one list."""
+def _box3d(value: Any) -> Row:
+    """As a row of objects has it: R row by row in one list; null where there is none."""
     if value is None:
-        return None
+        return dict.fromkeys(BOX_COLUMNS)
     require(isinstance(value, dict), "box3d is center, size and R", got=repr(value)[:40])
     R = value.get("R")
     flat = [x for line in R for x in line] if isinstance(R, list) and all(isinstance(x, list) for x in R) else R
@@ -342,87 +314,96 @@ def _box3d(value: Any) -> Any:
     return found
 
 
-def mask_of(segmentation: Any, size: tuple[int, int]) -> np.ndarray | None:
-    """(H, W) bool of COCO's `segmentation`; None where it is empty or absent.
+def annotated(instances: Any, name: str, claims: Claims) -> tuple[dict[int, str], Annotations, Any]:
+    """Frames by image, objects by annotation, and the state that `info` names.
 
     Raises
     ------
     InputError
-        It is neither a run-length code of that size nor a list of polygons.
+        No COCO, or annotations that do not say which object they are of.
     """
-    if segmentation in (None, [], {}):
-        return None
-    if isinstance(segmentation, dict):
-        found, counts = segmentation.get("size"), segmentation.get("counts")
-        require(found == list(size), "the mask has another size", got=repr(found)[:40], expected=list(size))
-        if isinstance(counts, str) or (isinstance(counts, list) and all(type(n) is int for n in counts)):
-            return decode_run_length(size, counts, "the mask")
-        raise InputError("a run-length code is a text or a list of whole numbers", got=repr(counts)[:40])
-    return polygon_mask(polygons_of(segmentation), size)
+    frames = images_of(listed(instances, "images", name), name, claims)
+    found: Annotations = {}
+    for row in listed(instances, "annotations", name):
+        number = number_of(row) if isinstance(row, dict) else None
+        whole = isinstance(row, dict) and all(type(row.get(key)) is int for key in ("id", "image_id"))
+        if number is not None and whole and row["image_id"] in frames:
+            found[row["id"]] = frames[row["image_id"]], number
+    return frames, found, base_of(instances)
 
 
-def polygons_of(segmentation: Any) -> list[np.ndarray]:
-    """(N, 2) float64 corners of each polygon, N >= 3; InputError where it is none."""
-    require(
-        isinstance(segmentation, list),
-        "a segmentation is a run-length code or a list of polygons",
-        got=Shown(segmentation, 40),
-    )
-    found = []
-    for polygon in segmentation:
-        numbers = isinstance(polygon, list) and all(type(x) in (int, float) and abs(x) < 1e9 for x in polygon)
+def read_refs(
+    refs: Any, name: str, frames: dict[int, str], annotations: Annotations, state: ExportedFrom, claims: Claims
+) -> None:
+    """Read `refs.json`: sentences, answers, marks and statuses."""
+    require(isinstance(refs, list), f"{name} is a list", got=type(refs).__name__)
+    seen: set[tuple[str, Any]] = set()
+    for where, ref in entries(refs, f"{name} ref", "ref_id"):
+        with claims.reading(where):
+            listed_image = isinstance(ref, dict) and type(ref.get("image_id")) is int and ref["image_id"] in frames
+            require(listed_image, "it is of no image that instances.json lists")
+            frame, own = frames[ref["image_id"]], str(ref.get("id"))
+            require((frame, own) not in seen, "the second one of its expression")
+            seen.add((frame, own))
+            row = {key: ref[key] for key in ("id", "ambiguous", "mark", "status") if key in ref}
+            if "sentences" in ref:
+                first: Any = ref["sentences"][0] if isinstance(ref["sentences"], list) and ref["sentences"] else None
+                require(isinstance(first, dict), "sentences is a list of sentences", got=Shown(ref["sentences"], 40))
+                row["text"] = first.get("raw")
+            for key, field in (("target_ann_ids", "targets"), ("acceptable_ann_ids", "acceptable")):
+                if key in ref:
+                    row[field] = _objects(ref[key], frame, annotations, key)
+            take_row("expressions", where, row, frame, state, claims)
+
+
+def _objects(ids: Any, frame: str, annotations: Annotations, what: str) -> list[int]:
+    sound = isinstance(ids, list) and all(type(n) is int for n in ids)
+    require(sound, f"{what} is a list of annotations", got=Shown(ids, 40))
+    for n in ids:
         require(
-            numbers and len(polygon) >= 6 and len(polygon) % 2 == 0 and all(map(math.isfinite, polygon)),
-            "a polygon is x, y of three corners or more",
-            got=Shown(polygon, 40),
+            annotations.get(n, ("", 0))[0] == frame,
+            f"{what} names annotation {n}, which instances.json does not give an object of this image",
         )
-        found.append(np.array(polygon, np.float64).reshape(-1, 2))
+    return [annotations[n][1] for n in ids]
+
+
+def read_relations(
+    content: Any, name: str, frames: dict[int, str], annotations: Annotations, state: ExportedFrom, claims: Claims
+) -> None:
+    """Read `relations.json`: columns of states, and statuses."""
+    seen: set[int] = set()
+    for where, image in entries(listed(content, "images", name), f"{name} image", "image_id"):
+        with claims.reading(where):
+            require(isinstance(image, dict) and type(image.get("image_id")) is int, "it has no image_id")
+            known = image["image_id"] in frames and image["image_id"] not in seen
+            require(known, "it is of no image that instances.json lists, or of one a second time")
+            seen.add(image["image_id"])
+            frame = frames[image["image_id"]]
+            for (a, b), row in _pairs(image, claims.states.frame(frame, state), annotations).items():
+                take_row("relations", f"{where}, pair {a},{b}", {"a": a, "b": b, **row}, frame, state, claims)
+
+
+def _pairs(image: Row, base: EffectiveFrame, annotations: Annotations) -> dict[tuple[int, int], Row]:
+    """The columns of an image as rows by pair."""
+    a, b = (_objects(image.get(end), base.frame, annotations, end) for end in ("a", "b"))
+    columns = {r: image[r] for r in PAIRWISE if r in image}
+    for relation, states in columns.items():
+        sound = isinstance(states, list) and len(states) == len(a)
+        require(sound, f"the column {relation!r} has not one state a pair")
+    found: dict[tuple[int, int], Row] = {
+        pair: {r: states[at] for r, states in columns.items()} for at, pair in enumerate(zip(a, b, strict=False))
+    }
+    require(len(a) == len(b) == len(found), "the columns a and b do not give each pair once")
+    if "statuses" in image:
+        # One that was exported and is not listed any more was taken off.
+        for pair in [ref.numbers for ref in base.statuses if ref.kind == "relation"]:
+            found.setdefault(pair, {})  # pyright: ignore[reportArgumentType]
+        for row in found.values():
+            row["statuses"] = []
+        listed_here: list[Any] = image["statuses"] if isinstance(image["statuses"], list) else [None]
+        for entry in listed_here:
+            sound = isinstance(entry, dict) and entry.get("relation") in base.setting.relations
+            require(sound, "statuses is a list of {a, b, relation, status}", got=Shown(entry))
+            m, n = _objects([entry.get("a"), entry.get("b")], base.frame, annotations, "statuses")
+            found.setdefault((m, n), {}).setdefault("statuses", []).append(entry)
     return found
-
-
-def polygon_mask(polygons: list[np.ndarray], size: tuple[int, int]) -> np.ndarray:
-    """(H, W) bool: the pixels inside any of the polygons, as the COCO API has them."""
-    clipped = [np.clip(p, 0, np.array(size[::-1], np.float64)) for p in polygons]
-    length = sum(float(np.abs(np.diff(p, axis=0, append=p[:1])).max(axis=1).sum()) + len(p) for p in clipped)
-    require(
-        length <= LONGEST_OUTLINE, "the polygons are too long", got=f"{length:.3g} pixels",
-        expected=f"{LONGEST_OUTLINE:.3g}",
-    )  # fmt: skip
-    return fill_polygons(size, clipped)
-
-
-def same_outline(mask: np.ndarray, other: np.ndarray, tolerance: float) -> bool:
-    """Whether a mask made from polygons is another mask, but for rounding.
-
-    Polygons know no holes, and what draws them moves edges by up to a pixel:
-    what one has beyond the other, holes filled, must lie within `tolerance`
-    pixels of the other's edge.
-    """
-    rows, columns = np.nonzero(mask | other)
-    if not len(rows):
-        return True
-    index = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
-    # The picture ends where its pixels do: beyond it is outside.
-    one, two = (np.pad(m[index], 1) for m in (mask, other))
-    more, less = two & ~_filled(one), one & ~_filled(two)
-    beyond = cv2.distanceTransform((~one).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    within = cv2.distanceTransform(one.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    return bool((beyond[more] <= tolerance).all() and (within[less] <= tolerance).all())
-
-
-def _filled(mask: np.ndarray) -> np.ndarray:
-    outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    found = np.zeros(mask.shape, np.uint8)
-    cv2.drawContours(found, outlines, -1, 1, cv2.FILLED)
-    return found.astype(np.bool_)
-
-
-def is_rectangle(segmentation: Any) -> bool:
-    """Whether it is one polygon, an upright rectangle: how a 2D box is exported where there is no mask."""
-    if not isinstance(segmentation, list) or len(segmentation) != 1:
-        return False
-    (corners,) = polygons_of(segmentation)
-    if len(corners) == 5 and (corners[0] == corners[4]).all():
-        corners = corners[:4]
-    sides = [len(np.unique(line)) for line in corners.T]
-    return len(corners) == 4 and sides == [2, 2] and len(np.unique(corners, axis=0)) == 4

@@ -5,9 +5,7 @@ must be there, and what names the row:
 `object`; `a` and `b`; `id`. A row of objects whose `object` is absent or null is a
 new one: `label`, and `mask`, `bbox`, or `center`, `R` and `size`.
 
-The two other files of a COCO export, `refs.json` and `relations.json`, are read
-here, too. Both name annotations: `instances.json` of the same export must stand
-beside them, and say of which object each is.
+Those of COCO are taken as such rows: see `coco_file`.
 """
 
 from __future__ import annotations
@@ -18,16 +16,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from pipeline.corrections.journal.effective_frame import BOX_COLUMNS, EffectiveFrame, Row
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.field_refs import FieldRef, object_ref, relation_ref, same_value
-from pipeline.corrections.journal.incoming.coco_file import (
-    base_of,
-    entries,
-    images_of,
-    listed,
-    no_number,
-    number_of,
-)
+from pipeline.corrections.journal.frame_rows import BOX_COLUMNS, Row
 from pipeline.corrections.journal.incoming.states import Claims
 from pipeline.geometry.masks import decode_run_length
 from pipeline.labels.exports.exporting import BLOCK
@@ -41,8 +32,6 @@ StateOf = Callable[[Any], ExportedFrom]
 """The state that a row's `base` names; InputError where it is not to be used."""
 _TEXTS = ("text", "targets", "acceptable", "ambiguous", "status", "mark")
 _CONTEXT = {"frame", "frame_index", "base", "made_by", "provenance"}
-Annotations = dict[int, tuple[str, int]]
-"""Frame and object of annotations, by id."""
 
 
 def read_lines(path: Path, claims: Claims, state_of: StateOf, *, reject_deleted: bool) -> None:
@@ -71,19 +60,25 @@ def read_lines(path: Path, claims: Claims, state_of: StateOf, *, reject_deleted:
             new = kind == "objects" and row.get("object") is None
             require(new or name not in twice, "the second row of the same")
             twice.add(name)
-            claims.compared += 1
-            if kind == "objects":
-                numbers, _ = seen.setdefault(frame, (set(), state))
-                _object(where, row, frame, state, claims, numbers)
-            elif kind == "relations":
-                _relation(where, row, frame, state, claims)
-            elif kind == "expressions":
-                _expression(where, row, frame, state, claims)
-            else:
-                claims.say_fields(where, row, FieldRef("frame", frame, "", "status"), ("status", "note"), state)
+            if kind == "objects" and not new:
+                seen.setdefault(frame, (set(), state))[0].add(_number(row, "object"))
+            take_row(kind, where, row, frame, state, claims)
     if reject_deleted:
         for frame, (numbers, state) in seen.items():
             claims.say_deleted(f"{path.name}, frame {frame}", frame, numbers, state)
+
+
+def take_row(kind: str, where: str, row: Row, frame: str, state: ExportedFrom, claims: Claims) -> None:
+    """Compare a row of a table with what was exported of it; InputError where it cannot be compared."""
+    claims.compared += 1
+    if kind == "objects":
+        _object(where, row, frame, state, claims)
+    elif kind == "relations":
+        _relation(where, row, frame, state, claims)
+    elif kind == "expressions":
+        _expression(where, row, frame, state, claims)
+    else:
+        claims.say_fields(where, row, FieldRef("frame", frame, "", "status"), ("status", "note"), state)
 
 
 def _rows(path: Path, claims: Claims) -> Iterator[tuple[str, Row]]:
@@ -106,6 +101,11 @@ def _rows(path: Path, claims: Claims) -> Iterator[tuple[str, Row]]:
                 yield where, row
             elif line.strip():
                 claims.problem(where, f"a row is an object of JSON, got {type(row).__name__}")
+
+
+def no_number(word: str) -> float:
+    """Refuse NaN and infinity in JSON."""
+    raise ValueError(f"{word} is no number")
 
 
 def _table(row: Row) -> str:
@@ -133,7 +133,7 @@ def _number(row: Row, key: str) -> int:
     return value
 
 
-def _object(where: str, row: Row, frame: str, state: ExportedFrom, claims: Claims, seen: set[int]) -> None:
+def _object(where: str, row: Row, frame: str, state: ExportedFrom, claims: Claims) -> None:
     base = claims.states.frame(frame, state)
     box = {key: row[key] for key in BOX_COLUMNS if key in row}
     require(len(box) in (0, len(BOX_COLUMNS)), "a 3D box is center, R and size", got=", ".join(box))
@@ -146,7 +146,6 @@ def _object(where: str, row: Row, frame: str, state: ExportedFrom, claims: Claim
         return
     number = _number(row, "object")
     was = needed(base.object(number), f"frame {frame} had no object {number}", cause="a new one has no number")
-    seen.add(number)
     claims.say_fields(where, row, object_ref(frame, number, "label"), ("label", "status"), state)
     if "mask" in row and not same_mask(row["mask"], was["mask"], base.size):
         claims.say(where, object_ref(frame, number, "mask"), row["mask"], state)
@@ -201,13 +200,10 @@ def _state(
     claims.say(where, relation_ref(base.frame, *cell), value, state)
 
 
-def _entries(listed: Any) -> list[Any]:
-    return listed if isinstance(listed, list) else [None]
-
-
 def _statuses(listed: Any, relations: tuple[str, ...]) -> dict[str, Any]:
     found = {}
-    for entry in _entries(listed):
+    entries: list[Any] = listed if isinstance(listed, list) else [None]
+    for entry in entries:
         require(
             isinstance(entry, dict) and entry.get("relation") in relations,
             'statuses is a list of {"relation": ..., "status": ...}',
@@ -233,134 +229,3 @@ def _ignore(row: Row, was: Row, corrected: set[str], claims: Claims) -> None:
     for column in (row.keys() & was.keys()) - corrected - _CONTEXT:
         if not same_value(row[column], was[column]):
             claims.ignored[column] += 1
-
-
-def annotated(instances: Any, name: str, claims: Claims) -> tuple[dict[int, str], Annotations, Any]:
-    """Frames by image, objects by annotation, and the state that `info` names.
-
-    Raises
-    ------
-    InputError
-        No COCO, or annotations that do not say which object they are of.
-    """
-    frames = images_of(listed(instances, "images", name), name, claims)
-    found: Annotations = {}
-    for row in listed(instances, "annotations", name):
-        number = number_of(row) if isinstance(row, dict) else None
-        whole = isinstance(row, dict) and all(type(row.get(key)) is int for key in ("id", "image_id"))
-        if number is not None and whole and row["image_id"] in frames:
-            found[row["id"]] = frames[row["image_id"]], number
-    return frames, found, base_of(instances)
-
-
-def read_refs(
-    refs: Any, name: str, frames: dict[int, str], annotations: Annotations, state: ExportedFrom, claims: Claims
-) -> None:
-    """Read `refs.json`: sentences, answers, marks and statuses."""
-    require(isinstance(refs, list), f"{name} is a list", got=type(refs).__name__)
-    seen: set[tuple[str, str]] = set()
-    for where, ref in entries(refs, f"{name} ref", "ref_id"):
-        with claims.reading(where):
-            require(
-                isinstance(ref, dict) and type(ref.get("image_id")) is int and ref["image_id"] in frames,
-                "it is of no image that instances.json lists",
-            )
-            frame = frames[ref["image_id"]]
-            own: Any = ref.get("id")
-            require(
-                isinstance(own, str) and own in claims.states.frame(frame, state).auto.expressions,
-                f"frame {frame} has no such expression",
-                got=Shown(own),
-            )
-            require((frame, own) not in seen, "the second one of its expression")
-            seen.add((frame, own))
-            claims.compared += 1
-            if "sentences" in ref:
-                claims.say(where, FieldRef("expression", frame, own, "text"), _raw(ref["sentences"]), state)
-            for key, field in (("target_ann_ids", "targets"), ("acceptable_ann_ids", "acceptable")):
-                if key in ref:
-                    claims.say(
-                        where,
-                        FieldRef("expression", frame, own, field),
-                        _objects(ref[key], frame, annotations, key),
-                        state,
-                    )
-            claims.say_fields(
-                where, ref, FieldRef("expression", frame, own, "mark"), ("ambiguous", "mark", "status"), state
-            )
-
-
-def _raw(sentences: Any) -> Any:
-    first: Any = sentences[0] if isinstance(sentences, list) and sentences else None
-    require(isinstance(first, dict), "sentences is a list of sentences", got=Shown(sentences, 40))
-    return first.get("raw")
-
-
-def _objects(ids: Any, frame: str, annotations: Annotations, what: str) -> list[int]:
-    require(
-        isinstance(ids, list) and all(type(n) is int for n in ids),
-        f"{what} is a list of annotations",
-        got=Shown(ids, 40),
-    )
-    for n in ids:
-        require(
-            annotations.get(n, ("", 0))[0] == frame,
-            f"{what} names annotation {n}, which instances.json does not give an object of this image",
-        )
-    return [annotations[n][1] for n in ids]
-
-
-def read_relations(
-    content: Any, name: str, frames: dict[int, str], annotations: Annotations, state: ExportedFrom, claims: Claims
-) -> None:
-    """Read `relations.json`: the columns of states."""
-    seen: set[int] = set()
-    for where, image in entries(listed(content, "images", name), f"{name} image", "image_id"):
-        with claims.reading(where):
-            require(isinstance(image, dict) and type(image.get("image_id")) is int, "it has no image_id")
-            require(
-                image["image_id"] in frames and image["image_id"] not in seen,
-                "it is of no image that instances.json lists, or of one a second time",
-            )
-            seen.add(image["image_id"])
-            _columns(image, where, frames[image["image_id"]], annotations, state, claims)
-
-
-def _columns(
-    image: dict[str, Any], where: str, frame: str, annotations: Annotations, state: ExportedFrom, claims: Claims
-) -> None:
-    a, b = (_objects(image.get(end), frame, annotations, end) for end in ("a", "b"))
-    base = claims.states.frame(frame, state)
-    relations = [r for r in PAIRWISE if r in image]
-    for relation in relations:
-        sound = isinstance(image[relation], list) and len(image[relation]) == len(a)
-        require(sound, f"the column {relation!r} has not one state a pair")
-    sound = len(a) == len(b) and len(set(zip(a, b, strict=True))) == len(a)
-    require(sound, "the columns a and b do not give each pair once")
-    claims.compared += len(a)
-    for m, n in zip(a, b, strict=True):
-        check_pair(base, m, n)
-    for relation in relations:
-        for m, n, value in zip(a, b, image[relation], strict=True):
-            _state(f"{where}, pair {m},{n}", base, (m, n, relation), value, state, claims)
-    if "statuses" in image:
-        _pair_statuses(image["statuses"], where, frame, annotations, state, claims)
-
-
-def _pair_statuses(
-    statuses: Any, where: str, frame: str, annotations: Annotations, state: ExportedFrom, claims: Claims
-) -> None:
-    base = claims.states.frame(frame, state)
-    found: dict[Any, Any] = {}
-    for entry in _entries(statuses):
-        require(
-            isinstance(entry, dict) and entry.get("relation") in base.setting.relations,
-            "statuses is a list of {a, b, relation, status}",
-            got=Shown(entry),
-        )
-        m, n = _objects([entry.get("a"), entry.get("b")], frame, annotations, "statuses")
-        found[relation_ref(frame, m, n, f"{entry['relation']}.status")] = entry.get("status")
-    # One that was exported and is not listed any more was taken off.
-    gone = [c for c in base.statuses if c.kind == "relation" and c not in found]
-    for ref, status in (*found.items(), *((c, None) for c in gone)):
-        claims.say(where, ref, status, state)
