@@ -43,22 +43,12 @@ class CloudPart:
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """The points of a frame.
+    """The points of a frame."""
 
-    Attributes
-    ----------
-    v, u : (N,) int32
-        Pixels.
-    points : (N, 3) float32
-        In the shown frame: x right, y forward, z up, metres.
-    parts : tuple of CloudPart
-        Those of the first cloud come first.
-    """
-
-    v: np.ndarray
-    u: np.ndarray
-    points: np.ndarray
-    parts: tuple[CloudPart, ...]
+    v: np.ndarray  # (N,) int32, pixels
+    u: np.ndarray  # (N,) int32
+    points: np.ndarray  # (N, 3) float32, in the shown frame: x right, y forward, z up, metres
+    parts: tuple[CloudPart, ...]  # Those of the first cloud come first
 
     def painted(self, colors: np.ndarray) -> np.ndarray:
         """Colours of the points, (N, 3) uint8, from colours of the frame's pixels, (H, W, 3)."""

@@ -1,4 +1,4 @@
-"""LIFT: a mask and a depth map become an object's cleaned points and its 3D box.
+"""LIFT: from a mask and a depth map to an object's cleaned points and 3D box.
 
 Every pixel of the mask ends as kept or as dropped for one named reason, and
 that evidence is kept with the object. Nothing is random.
@@ -31,7 +31,7 @@ those of a person who corrected the labels."""
 
 
 class Pixel(IntEnum):
-    """What became of a pixel of the mask, in the order in which it is decided."""
+    """Outcome of a pixel of the mask, in the order of decision."""
 
     OUTSIDE = 0
     KEPT = 1
@@ -44,65 +44,37 @@ class Pixel(IntEnum):
 
 @dataclass(frozen=True)
 class LiftConfig:
-    """Cleaning thresholds; the defaults are the measured choice.
+    """Cleaning thresholds; the defaults are the measured choice."""
 
-    Attributes
-    ----------
-    near, far : float
-        Valid depths lie strictly between, metres.
-    edge, edge_relative : float
-        A pixel is at a depth edge where its 3x3 neighbourhood spans more than
-        max(edge, edge_relative * z), metres. Wider than `surface_step`: a
-        narrower one takes more of the object's own rim than of what leaks.
-    erode : float
-        Pixels to erode from the mask at an image width of 640.
-    erode_keep : float
-        Erosion stops before less than this share of the mask remains.
-    part : float
-        Connected parts smaller than this share of the largest are dropped.
-    min_pixels : int
-        With fewer pixels left, the raw mask is used instead.
-    max_points : int
-        Points are thinned evenly to this number.
-    box : str
-        How the 3D box is fitted.
-    """
-
-    near: float = 0.3
+    near: float = 0.3  # Valid depths lie strictly between, metres
     far: float = 10.0
+    # A pixel is at a depth edge where its 3x3 neighbourhood spans more than max(edge, edge_relative * z), metres. Wider
+    # than `surface_step`: a narrower one takes more of the object's own rim than of what leaks
     edge: float = 0.06
     edge_relative: float = 0.06
-    erode: float = 2.0
-    erode_keep: float = 0.4
-    part: float = 0.1
-    min_pixels: int = 30
-    max_points: int = 8000
+    erode: float = 2.0  # Pixels to erode from the mask at an image width of 640
+    erode_keep: float = 0.4  # Erosion stops before less than this share of the mask remains
+    part: float = 0.1  # Connected parts smaller than this share of the largest are dropped
+    min_pixels: int = 30  # With fewer pixels left, the raw mask is used instead
+    max_points: int = 8000  # Points are thinned evenly to this number
     box: BoxMode = "gravity"
 
 
 @dataclass(frozen=True)
-class Evidence:
-    """The pixels of the mask and what became of each.
+class PixelEvidence:
+    """Outcomes of the pixels of a mask."""
 
-    Attributes
-    ----------
-    codes : (h, w) uint8
-        A `Pixel` value for each pixel of the mask's bounding rectangle.
-    x0, y0 : int
-        Place of that rectangle in the image, pixels.
-    """
-
-    codes: np.ndarray
-    x0: int
+    codes: np.ndarray  # (h, w) uint8, A `Pixel` value for each pixel of the mask's bounding rectangle
+    x0: int  # Upper left corner of that rectangle in the image, pixels
     y0: int
 
     def counts(self) -> dict[str, int]:
-        """Pixels by what became of them, for example {"kept": 812, "depth_edge": 90}."""
+        """Pixels by outcome, for example {"kept": 812, "depth_edge": 90}."""
         number = np.bincount(self.codes.ravel(), minlength=len(Pixel))
         return {p.name.lower(): int(number[p]) for p in Pixel if p is not Pixel.OUTSIDE}
 
     def full(self, height: int, width: int) -> np.ndarray:
-        """(H, W) uint8: the codes in an image of the given size."""
+        """Codes in an image, (H, W) uint8."""
         image = np.zeros((height, width), np.uint8)
         h, w = self.codes.shape
         image[self.y0 : self.y0 + h, self.x0 : self.x0 + w] = self.codes
@@ -111,38 +83,20 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Quality:
-    """How far an object's points can be trusted.
-
-    Attributes
-    ----------
-    mask_pixels : int
-    points : int
-        Pixels kept by the cleaning, before thinning.
-    kept : float
-        Share of the mask that was kept, 0..1.
-    depth_missing : float
-        Share of the mask without a valid depth, 0..1.
-    touches_border : bool
-        The mask reaches the image border: part of the object is not seen.
-    distance : float
-        Median depth of the kept points, metres; NaN without points.
-    fallback : bool
-        Cleaning left too few pixels and the raw mask was used.
-    mask_source : str
-    """
+    """Trustworthiness of an object's points."""
 
     mask_pixels: int
-    points: int
-    kept: float
-    depth_missing: float
-    touches_border: bool
-    distance: float
-    fallback: bool
+    points: int  # Pixels kept by the cleaning, before thinning
+    kept: float  # Share of the mask that was kept, 0..1
+    depth_missing: float  # Share of the mask without a valid depth, 0..1
+    touches_border: bool  # The mask reaches the image border: part of the object is not seen
+    distance: float  # Median depth of the kept points, metres; NaN without points
+    fallback: bool  # Cleaning left too few pixels and the raw mask was used
     mask_source: MaskSource
 
     @property
     def concerns(self) -> tuple[str, ...]:
-        """Reasons to doubt the box, in words; empty where there are none."""
+        """Reasons to doubt the box, in words."""
         concerns = (
             (self.points == 0, "no point has a valid depth"),
             (0 < self.points < 100, f"only {self.points} points"),
@@ -157,39 +111,23 @@ class Quality:
 
 @dataclass(frozen=True)
 class LiftedObject:
-    """An object in 3D.
+    """An object in 3D."""
 
-    Attributes
-    ----------
-    points : (N, 3) float32
-        Cleaned, camera frame, metres; N may be 0.
-    box : Box3D or None
-        In the camera frame; None where no point has a depth.
-    yaw_confidence : float
-        1 - (second / first variance) of the fit's own axes: 0 says that the
-        yaw means nothing, 1 that it is certain.
-    lo, hi : (3,) float64
-        Extents along (right, up, forward), metres; NaN without points and box.
-    extents_from : str
-        "points", or "box" where only a box was there.
-    evidence : Evidence or None
-    quality : Quality
-    """
-
-    points: np.ndarray
-    box: Box3D | None
+    points: np.ndarray  # (N, 3) float32, cleaned, camera frame, metres; N may be 0
+    box: Box3D | None  # In the camera frame; None where no point has a depth
+    # 1 - (second / first variance) of the fit's own axes: 0 says that the yaw means nothing, 1 that it is certain
     yaw_confidence: float
-    lo: np.ndarray
-    hi: np.ndarray
-    extents_from: Literal["points", "box"]
-    evidence: Evidence | None
+    lo: np.ndarray  # (3,) float64, extents along (right, up, forward), metres; NaN without points and box
+    hi: np.ndarray  # (3,) float64
+    extents_from: Literal["points", "box"]  # "points", or "box" where only a box was there
+    evidence: PixelEvidence | None
     quality: Quality
 
     def __repr__(self) -> str:
         return f"<LiftedObject {len(self.points)} points, {self.box or 'no box'}>"
 
     def moved_to(self, box: Box3D, viewer: ViewerAxes) -> LiftedObject:
-        """The object after an edit of its box: its points move by the same affine map."""
+        """Object after an edit of the box: the points move by the same affine map."""
         if self.box is None or not len(self.points):
             lo, hi, source = extents(np.empty((0, 3)), box, viewer)
             return replace(self, box=box, lo=lo, hi=hi, extents_from=source)
@@ -203,13 +141,13 @@ class LiftedObject:
 def extents(
     points: np.ndarray, box: Box3D | None, viewer: ViewerAxes
 ) -> tuple[np.ndarray, np.ndarray, Literal["points", "box"]]:
-    """The one definition of an object's extents, for rules and features alike.
+    """Extents of an object along (right, up, forward), for rules and features alike.
 
     Returns
     -------
     lo, hi : (3,) float64
-        1st and 99th percentile of the points along (right, up, forward),
-        metres; of the box's corners where there are no points; NaN where there is neither.
+        1st and 99th percentile of the points, metres; of the box's corners where there are no points; NaN where there
+        is neither.
     source : str
         "points" or "box".
     """
@@ -223,7 +161,7 @@ def extents(
 
 
 def depth_edges(depth: np.ndarray, config: LiftConfig | None = None) -> np.ndarray:
-    """(H, W) bool: pixels whose 3x3 neighbourhood spans a depth step. Pixels without depth take no part."""
+    """Mask of pixels with a depth step in the 3x3 neighbourhood, (H, W) bool. Pixels without depth take no part."""
     config = config or LiftConfig()
     kernel = np.ones((3, 3), np.uint8)
     missing = depth <= 0
@@ -233,7 +171,7 @@ def depth_edges(depth: np.ndarray, config: LiftConfig | None = None) -> np.ndarr
 
 
 def flying_pixels(depth: np.ndarray, neighbours: int = 3) -> np.ndarray:
-    """(H, W) bool: pixels that hang between two surfaces, for display.
+    """Mask of pixels that hang between two surfaces, (H, W) bool, for display.
 
     A pixel flies where fewer than `neighbours` of the eight around it have its
     depth to within `surface_step`. The border of a surface does not fly.
@@ -251,22 +189,10 @@ def flying_pixels(depth: np.ndarray, neighbours: int = 3) -> np.ndarray:
 
 def clean(
     mask: np.ndarray, depth: np.ndarray, edges: np.ndarray, config: LiftConfig | None = None
-) -> tuple[Evidence, bool]:
-    """Decide each pixel of a mask.
+) -> tuple[PixelEvidence, bool]:
+    """Decide each pixel of a mask, (H, W) bool, by depth, (H, W) float32, metres, and edges from `depth_edges`.
 
-    Parameters
-    ----------
-    mask : (H, W) bool
-    depth : (H, W) float32
-        Metres.
-    edges : (H, W) bool
-        From `depth_edges`.
-
-    Returns
-    -------
-    evidence : Evidence
-    fallback : bool
-        True where cleaning left fewer than `min_pixels` and all valid pixels of the raw mask are kept instead.
+    The flag is True where cleaning left fewer than `min_pixels` and all valid pixels of the raw mask are kept instead.
     """
     config = config or LiftConfig()
     height, width = mask.shape
@@ -297,7 +223,7 @@ def clean(
     fallback = int((codes == Pixel.KEPT).sum()) < config.min_pixels
     if fallback:
         codes[inside & in_range] = Pixel.KEPT
-    return Evidence(codes, x0, y0), fallback
+    return PixelEvidence(codes, x0, y0), fallback
 
 
 def _eroded(inside: np.ndarray, width: int, config: LiftConfig) -> np.ndarray:
@@ -346,6 +272,15 @@ def lift(
     ------
     InputError
         The camera is only a stand-in (`Camera.untold`).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pipeline.geometry import IMAGE_UP, Camera, intrinsics, lift, viewer_axes
+    >>> depth, mask = np.full((480, 640), 2, np.float32), np.zeros((480, 640), bool)
+    >>> mask[200:280, 300:400] = True
+    >>> lift(depth, Camera(intrinsics(500, 500, 320, 240), 640, 480), [mask], viewer_axes(IMAGE_UP))
+    (<LiftedObject 7296 points, <Box3D center 0.118 -0.002 2.000, size 0.380 0.300 0.000 m>>,)
     """
     camera.check_metric()
     config = config or LiftConfig()
@@ -399,7 +334,7 @@ def _lift_one(
 
 
 def fit_box(points: np.ndarray, viewer: ViewerAxes, mode: BoxMode = "gravity") -> tuple[Box3D | None, float]:
-    """The 3D box of points ((N, 3), camera frame) and its yaw confidence; (None, 0) for no points."""
+    """Fit a 3D box to points, (N, 3), camera frame, with its yaw confidence; (None, 0) for no points."""
     if not len(points):
         return None, 0.0
     if mode == "gravity":

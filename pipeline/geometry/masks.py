@@ -22,20 +22,12 @@ _LONGEST = 7
 
 @dataclass(frozen=True, slots=True)
 class RunLength:
-    """A mask in COCO's run-length code.
-
-    Attributes
-    ----------
-    size : (int, int)
-        Height and width, pixels.
-    counts : str or tuple of int
-        Compressed, or the lengths themselves.
-    """
+    """A mask in COCO's run-length code."""
 
     __pydantic_config__ = ConfigDict(extra="forbid")
 
-    size: tuple[int, int]
-    counts: str | tuple[int, ...]
+    size: tuple[int, int]  # (int, int), height and width, pixels
+    counts: str | tuple[int, ...]  # Compressed, or the lengths themselves
 
     @staticmethod
     def of(mask: np.ndarray) -> RunLength:
@@ -140,18 +132,11 @@ def encode_run_length(mask: np.ndarray) -> str:
 
 @dataclass(frozen=True)
 class MaskCrop:
-    """The non-empty part of a picture's mask.
+    """The non-empty part of a picture's mask."""
 
-    Attributes
-    ----------
-    x, y : int
-        Upper left pixel in the picture.
-    mask : (h, w) bool
-    """
-
-    x: int
+    x: int  # Upper left pixel in the picture
     y: int
-    mask: np.ndarray
+    mask: np.ndarray  # (h, w) bool
 
     @property
     def box(self) -> tuple[int, int, int, int]:

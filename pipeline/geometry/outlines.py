@@ -44,28 +44,16 @@ AWAY_STEPS = 4.0
 
 @dataclass(frozen=True)
 class Outlines:
-    """Depth outlines of frames of one size and camera, and distances of their pixels from edges of colour.
+    """Depth outlines of frames of one size and camera, and distances of their pixels from edges of colour."""
 
-    Attributes
-    ----------
-    u, v, z : (N,) float64
-        Pixels on the nearer side of depth steps, metres.
-    frame : (N,) int64
-        Index of the frame of each.
-    way : (N,) int64
-        Index of the direction across the outline.
-    region : (N,) int64
-        Index of the region of the picture that it lies in, row by row of `REGIONS`.
-    away : (F, WAYS, H, W) uint8
-        Quarters of a pixel to the nearest edge of colour of a direction, at a width of 640; at most 255.
-    """
-
-    u: np.ndarray
-    v: np.ndarray
-    z: np.ndarray
-    frame: np.ndarray
-    way: np.ndarray
-    region: np.ndarray
+    u: np.ndarray  # (N,) float64, pixels on the nearer side of depth steps, metres
+    v: np.ndarray  # (N,) float64
+    z: np.ndarray  # (N,) float64
+    frame: np.ndarray  # (N,) int64, index of the frame of each
+    way: np.ndarray  # (N,) int64, index of the direction across the outline
+    region: np.ndarray  # (N,) int64, index of the region of the picture that it lies in, row by row of `REGIONS`
+    # (F, WAYS, H, W) uint8, quarters of a pixel to the nearest edge of colour of a direction, at a width of 640; at
+    # most 255
     away: np.ndarray
     camera: Camera
 

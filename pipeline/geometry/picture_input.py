@@ -1,4 +1,4 @@
-"""How a picture becomes a network's input, as a TOML file says it, and where in the input it then is."""
+"""Network input from a picture, as a TOML file describes it, and the picture's place in the input."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Side = Annotated[int, Field(ge=8, le=8192)]
 
 
-class Table(BaseModel):
-    """A table of such a file: a key that there is not is an error."""
+class ContractTable(BaseModel):
+    """A table of such a file: an unknown key is an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class PictureInput(Table):
+class PictureInput(ContractTable):
     """The input of the picture: values are (v * scale - mean) / std of v in 0..255."""
 
     name: str | None = None
@@ -46,19 +46,11 @@ class PictureInput(Table):
     """area: the mean over what a pixel covers where the picture shrinks, linear where it grows."""
 
 
-Model = TypeVar("Model", bound=Table)
+Model = TypeVar("Model", bound=ContractTable)
 
 
 def read_description(path: Path, kind: type[Model], what: str) -> Model:
-    """What a TOML file says of a network; InputError where it cannot be read, or a key is unknown, missing or wrong.
-
-    Parameters
-    ----------
-    kind : type of Table
-        The whole file; its tables are `Table` too.
-    what : str
-        "detector".
-    """
+    """Read the TOML file of a network (`what`: "detector"); InputError for a missing, unknown or wrong key."""
     try:
         table: dict[str, Any] = parse_toml(read_text(path, "utf-8-sig"))
     except (OSError, ValueError, RecursionError) as error:
@@ -76,20 +68,10 @@ def read_description(path: Path, kind: type[Model], what: str) -> Model:
 def checked_input(
     session: Any, config: PictureInput, others: Collection[str], path: Path
 ) -> tuple[str, tuple[int | None, int | None]]:
-    """The name of the picture's input, and its height and width; None where neither the model nor the file fixes them.
+    """Name of the picture's input, and its height and width; None where neither the model nor the file fixes them.
 
-    Parameters
-    ----------
-    session : onnxruntime.InferenceSession
-    others : collection of str
-        The inputs that hold something else.
-    path : Path
-        The TOML file, to blame.
-
-    Raises
-    ------
-    InputError
-        The model has other inputs, another layout or another size.
+    `others` names the inputs that hold something else; `path` is the TOML file, for errors. InputError where the model
+    has other inputs, another layout or another size.
     """
     shapes = {i.name: tuple(i.shape) for i in session.get_inputs()}
     unknown = [n for n in (config.name, *others) if n is not None and n not in shapes]
@@ -128,7 +110,7 @@ def checked_input(
 
 
 def checked_outputs(session: Any, names: Collection[str], path: Path) -> None:
-    """Raise InputError, with the TOML file to blame, where the model lacks one of the outputs."""
+    """Raise InputError, naming the TOML file, where the model lacks an output."""
     known = [o.name for o in session.get_outputs()]
     missing = [n for n in names if n not in known]
     if missing:
@@ -136,39 +118,23 @@ def checked_outputs(session: Any, names: Collection[str], path: Path) -> None:
 
 
 @dataclass(frozen=True)
-class Placement:
-    """Where the picture is in the input.
+class InputPlacement:
+    """Scale and offset of the picture in the network's input."""
 
-    Attributes
-    ----------
-    scale_x, scale_y : float
-        Input pixels per picture pixel.
-    left, top : int
-        Input pixels before the picture.
-    height, width : int
-        Of the input, pixels.
-    """
-
-    scale_x: float
+    scale_x: float  # Input pixels per picture pixel
     scale_y: float
-    left: int
+    left: int  # Input pixels before the picture
     top: int
-    height: int
+    height: int  # Of the input, pixels
     width: int
 
     def to_picture(self, boxes: np.ndarray) -> np.ndarray:
-        """(N, 4) boxes in input pixels as boxes in picture pixels."""
+        """Boxes in input pixels, (N, 4), as boxes in picture pixels."""
         return (boxes - [self.left, self.top] * 2) / ([self.scale_x, self.scale_y] * 2)
 
 
-def place_picture(rgb: np.ndarray, height: int, width: int, config: PictureInput) -> tuple[np.ndarray, Placement]:
-    """The network's input.
-
-    Returns
-    -------
-    tensor : (1, 3, height, width) or (1, height, width, 3) float32
-    placement : Placement
-    """
+def place_picture(rgb: np.ndarray, height: int, width: int, config: PictureInput) -> tuple[np.ndarray, InputPlacement]:
+    """Network input, (1, 3, height, width) or (1, height, width, 3) float32, and the picture's placement."""
     h, w = rgb.shape[:2]
     inner_h, inner_w = height, width
     if config.fit != "stretch":
@@ -190,4 +156,4 @@ def place_picture(rgb: np.ndarray, height: int, width: int, config: PictureInput
     values = (scaled - np.array(config.mean, np.float32)) / np.array(config.std, np.float32)
     if config.layout == "NCHW":
         values = values.transpose(2, 0, 1)
-    return np.ascontiguousarray(values[None]), Placement(inner_w / w, inner_h / h, left, top, height, width)
+    return np.ascontiguousarray(values[None]), InputPlacement(inner_w / w, inner_h / h, left, top, height, width)

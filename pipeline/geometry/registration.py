@@ -13,21 +13,13 @@ from pipeline.system.errors import require
 
 @dataclass(frozen=True)
 class Registration:
-    """The colour camera as the depth camera sees it.
+    """The colour camera as the depth camera sees it."""
 
-    Attributes
-    ----------
-    fx, fy, cx, cy : float
-        Intrinsics of the colour camera, pixels.
-    tx, ty, tz : float
-        Added to a point of the depth camera's frame, gives it in the colour camera's, metres; both look the same
-        way.
-    """
-
-    fx: float
+    fx: float  # Intrinsics of the colour camera, pixels
     fy: float
     cx: float
     cy: float
+    # Added to a point of the depth camera's frame, gives it in the colour camera's, metres; both look the same way
     tx: float = 0.0
     ty: float = 0.0
     tz: float = 0.0

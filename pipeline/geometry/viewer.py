@@ -25,21 +25,13 @@ class ViewerAxes:
 
     (right, up, forward) is LEFT-handed and serves scalar coordinates only;
     wherever a rotation is expressed, `R_level_camera` is used.
-
-    Attributes
-    ----------
-    right, up, forward : (3,) float64
-    up_source : str
-        Source of `up`.
-    up_doubt : str
-        What the frame itself says against it, in words; "" for nothing.
     """
 
-    right: np.ndarray
-    up: np.ndarray
-    forward: np.ndarray
-    up_source: UpSource
-    up_doubt: str = ""
+    right: np.ndarray  # (3,) float64
+    up: np.ndarray  # (3,) float64
+    forward: np.ndarray  # (3,) float64
+    up_source: UpSource  # Source of `up`
+    up_doubt: str = ""  # What the frame itself says against it, in words; "" for nothing
 
     @cached_property
     def matrix(self) -> np.ndarray:

@@ -27,16 +27,10 @@ SETTLING = ((0.5, NEAR_PX, 1), (0.25, NEAR_PX, 1), (0.12, NEAR_PX, 1))
 
 @dataclass(frozen=True)
 class Fitted:
-    """A warp found by the search.
-
-    Attributes
-    ----------
-    bounded : bool
-        It lies at the bound of what is searched, so that it is none.
-    """
+    """A warp found by the search."""
 
     warp: Registration
-    bounded: bool
+    bounded: bool  # It lies at the bound of what is searched, so that it is none
 
 
 def estimated(outlines: Outlines, regions: np.ndarray | None = None, near: Registration | None = None) -> Fitted:

@@ -33,6 +33,6 @@ if TYPE_CHECKING:
         VOCABULARIES,
     )
     from pipeline.language.tree import QUERY_KINDS, Attachment, Choice, Node, Query, Reading
-    from pipeline.language.vectors import LanguageContract, TextVectors, open_vectors
+    from pipeline.language.vectors import LanguageContract, VectorFile, open_vectors
 
 __getattr__ = lazy_exports(__name__, __file__)

@@ -1,4 +1,4 @@
-"""The words for how a thing looks: colours, sizes, shapes, materials and others, each with its plain form.
+"""Adjectives of things: colours, sizes, shapes, materials and others, each with its plain form.
 
 A colour is judged from pixels, a size and a shape from boxes and masks (see `pipeline.relations.attributes`);
 a material and the others are only known as such, so that a sentence can say what was not judged.
@@ -15,6 +15,7 @@ KINDS = Literal["color", "size", "shape", "material", "other"]
 Shade = Literal["light", "dark"]
 
 
+# The docstring is part of the schema that `llm_reader` sends: other words ask models anew.
 @dataclass(frozen=True)
 class Attribute:
     """An adjective of a thing.
@@ -38,7 +39,7 @@ class Attribute:
 
     @property
     def judged(self) -> bool:
-        """Whether `pipeline.relations.attributes` can say how well it fits."""
+        """Test if `pipeline.relations.attributes` judges the attribute."""
         return self.kind in ("color", "size") or self.value in JUDGED_SHAPES
 
 
@@ -46,7 +47,7 @@ JUDGED_SHAPES = frozenset({"flat", "round", "square", "rectangular"})
 
 
 def _words(lines: str) -> dict[str, str]:
-    """Word to plain form, from lines of "plain: word word"."""
+    """Map words to plain forms, from lines of "plain: word word"."""
     plain = dict(line.split(":") for line in lines.strip().splitlines())
     return {word: value.strip() for value, rest in plain.items() for word in (value.strip(), *rest.split())}
 
@@ -191,10 +192,16 @@ _ISH = re.compile(r"([a-z]+?)(?:[dr](?=d?ish$))?(?:ish|y)")
 
 @lru_cache(maxsize=4096)
 def attribute(words: str) -> Attribute | None:
-    """What an adjective, alone or with words before it, says of a thing; None where it is no known one.
+    """Attribute of an adjective, alone or with words before; None if unknown.
 
     "red", "dark blue", "light-grey", "reddish brown", "cream-coloured", "very big", "round", "wooden".
     Whether a word stands as an adjective at all ("an orange", "glass") is for the reader of the sentence to say.
+
+    Examples
+    --------
+    >>> from pipeline.language import attribute
+    >>> str(attribute("navy")), attribute("large").kind, attribute("laptop")
+    ('dark blue', 'size', None)
     """
     tokens = [t if t in _TABLE else _SUFFIX.sub("", t) for t in re.split(r"[\s\-_]+", words.strip().lower())]
     tokens = [token for token in tokens if token]
@@ -217,7 +224,7 @@ def attribute(words: str) -> Attribute | None:
 
 
 def _single(token: str) -> Attribute | None:
-    """The attribute of one word, which may be joined ("lightblue") or made soft ("reddish")."""
+    """Attribute of one word, which may be joined ("lightblue") or made soft ("reddish")."""
     found = _TABLE.get(token)
     if found is not None:
         return found
@@ -231,7 +238,7 @@ def _single(token: str) -> Attribute | None:
 
 
 def _qualified(before: list[str], color: Attribute) -> Attribute | None:
-    """A colour with the words that stand before it, or None where one of them is no word for a colour."""
+    """Colour with the words before; None where a word is none for a colour."""
     value, shade = color.value, color.shade
     for word in before:
         if word in _SHADES:

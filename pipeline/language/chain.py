@@ -1,4 +1,4 @@
-"""The chain that an expression is read into, and what readers add to it."""
+"""The chain of nouns and relations read from an expression, and how readers add to it."""
 
 from __future__ import annotations
 
@@ -28,44 +28,26 @@ OWN_WORDS = (
 
 @dataclass(frozen=True)
 class Clause:
-    """One relation, side or exclusion of the chain.
+    """A relation, side or exclusion of the chain."""
 
-    Attributes
-    ----------
-    relation : str
-        Canonical name; empty for a choice and for an exclusion.
-    phrase : str
-        The words that said it.
-    references : tuple of int
-        Numbers of the nouns; two for `between`, none for a choice.
-    swapped : bool
-        Whether the relation holds from the reference to the target.
-    attach : {"any", "nearest", "same", "root"}
-        Which noun it may modify: any on the right frontier; only the one before it (`the nearest chair to`); the
-        one that the part before it modifies (`left of a and behind b`); or the target.
-    closed : bool
-        Whether nothing later may modify its references, as in `table with a lamp on top`.
-    negated : bool
-    choice : Choice or None
-    otherwise : (str, Choice or None) or None
-        Another relation, and a side of the noun with it, that the same words may say: `on the left side of the table`
-        may be a place on it.
-    """
-
-    relation: str
+    relation: str  # Canonical name; empty for a choice and for an exclusion
     phrase: str
-    references: tuple[int, ...]
-    swapped: bool = False
+    references: tuple[int, ...]  # Numbers of the nouns; two for `between`, none for a choice
+    swapped: bool = False  # The relation holds from the reference to the target
+    # Nouns that it may modify: any on the right frontier; only the one before it (`the nearest chair to`); the one that
+    # the part before it modifies (`left of a and behind b`); or the target
     attach: Attach = "any"
-    closed: bool = False
+    closed: bool = False  # Nothing later may modify its references, as in `table with a lamp on top`
     negated: bool = False
     choice: Choice | None = None
+    # (str, Choice or None) or None, another relation, and a side of the noun with it, for the same words: `on the left
+    # side of the table` may be a place on it
     otherwise: tuple[str, Choice | None] | None = None
 
 
 @dataclass
 class Chain:
-    """What the grammar read: nouns in order of mention, parts between them, and where each stands."""
+    """Nouns in order of mention, parts between them, and the span of each in the text."""
 
     nouns: list[Phrase] = field(default_factory=list)
     clauses: list[Clause] = field(default_factory=list)
@@ -75,7 +57,7 @@ class Chain:
 
 
 @dataclass(frozen=True)
-class Opened:
+class OpenRelation:
     """A relation that waits for its reference."""
 
     token: Token
@@ -84,19 +66,19 @@ class Opened:
 
 
 class ChainReader(NounReader):
-    """A reader of noun phrases that holds the chain and what is still open in it."""
+    """A reader of noun phrases that holds the chain and its open relations."""
 
     def __init__(self, text: str, tokens: Sequence[Token], own: Collection[str] = ()) -> None:
         super().__init__(text, tokens, own)
         self.chain = Chain()
         self.problems: list[InputError] = []
-        self.opened: list[Opened] = []
+        self.opened: list[OpenRelation] = []
         self.negated = self.joined = self.linked = self.at_root = False
 
     # ---- what is added ---------------------------------------------------------------------------------------------
 
     def _refer(self, *references: int) -> None:
-        """Close the relations that are open with their references."""
+        """Close the open relations with their references."""
         for opened in self.opened:
             self._relation_span(opened.token)
             clause = Clause(
@@ -139,7 +121,7 @@ class ChainReader(NounReader):
         self.chain.spans.append(Span(token.start, token.end, "relation", len(self.chain.clauses)))
 
     def _attach(self) -> Attach:
-        """Where the part that begins here belongs."""
+        """Take the attachment of the part that begins here."""
         attach: Attach = (
             "root" if self.at_root else "same" if self.joined and (self.chain.clauses or self.opened) else "any"
         )
@@ -154,7 +136,7 @@ class ChainReader(NounReader):
         self.joined = self.linked = self.negated = False
 
     def _unused(self, at: int, why: str | InputError, size: int = 1) -> int:
-        """Words up to the next part that cannot be used, so many of them at least."""
+        """Skip words up to the next part that cannot be used, at least `size`, with a note."""
         end = at + size
         if self._starts_noun(end):
             end = max(self.noun(end)[1], end)
@@ -164,7 +146,7 @@ class ChainReader(NounReader):
         return end
 
     def _place_left_out(self, token: Token, relation: str) -> Token:
-        """The relation of a part of a thing, as its preposition alone: which part is noted and not judged."""
+        """Relation of a part of a thing, by its preposition alone; the part is noted as not judged."""
         preposition = token.text.split()[0]
         cut = token.start + len(preposition)
         note = "where on or in a thing something is is not judged"
@@ -182,20 +164,20 @@ class ChainReader(NounReader):
         self.chain.spans.append(Span(start, self.tokens[end - 1].end, "unused", 0, why))
 
     def note_dropped(self) -> None:
-        """Note words that no part has taken and that are not the grammar's own: nothing is dropped in silence."""
+        """Note words outside all parts that are not the grammar's own: nothing is dropped in silence."""
         taken = sorted((s.start, s.end) for s in self.chain.spans)
         for at, token in enumerate(self.tokens):
             own = token.name is None and all(w in OWN_WORDS for w in token.text.split())
             if not own and not any(start < token.end and token.start < end for start, end in taken):
                 self._note(at, at + 1, "this word was not used")
 
-    def _missing(self, opened: Opened) -> None:
+    def _missing(self, opened: OpenRelation) -> None:
         self.problems.append(self._missing_reference(opened.token.text))
         token = opened.token
         self.chain.spans.append(Span(token.start, token.end, "unused", 0, self.problems[-1].what))
 
     def _merge(self, phrase: Phrase, number: int = 0, *, named: bool = False) -> None:
-        """Words about a noun that come later: `the mug ... , the red one`, `the mug is the leftmost object`."""
+        """Merge later words about a noun: `the mug ... , the red one`, `the mug is the leftmost object`."""
         noun = self.chain.nouns[number]
         words, name = (*noun.words, *phrase.words), phrase.name if named else noun.name
         tail = "" if named else noun.label.partition(noun.name)[2]

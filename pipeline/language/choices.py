@@ -1,4 +1,4 @@
-"""The words that choose among several things of one kind: extremes, ordinals, comparisons and sides, as data."""
+"""Words that choose among several things of one kind: extremes, ordinals, comparisons and sides, as data."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pipeline.language.lexicon import SCENE
 
 
 def _table(text: str) -> dict[str, str]:
-    """ "left: a, b; right: c" as word -> order."""
+    """Map words to orders, from "left: a, b; right: c"."""
     return {
         word.strip(): order.strip()
         for order, words in (line.split(":") for line in text.split(";"))
@@ -38,7 +38,7 @@ COMPARATIVES = frozenset(w for phrase in EXTREMES for w in phrase.split() if w.e
 
 
 def compares(text: str) -> bool:
-    """Whether words of a choice or of a relation compare two things: `the closer of the two`, `closer to`."""
+    """Test if words of a choice or of a relation compare two things: `the closer of the two`, `closer to`."""
     return text.startswith("more ") or not COMPARATIVES.isdisjoint(text.split())
 
 
@@ -108,7 +108,7 @@ EXTREME_AT_SIDE = re.compile(
 
 
 def orders_of(words: str) -> tuple[str, ...]:
-    """The orders that words of sides name: `bottom left` is both."""
+    """Orders named by words of sides: both of `bottom left`."""
     if words in SIDES:
         return (SIDES[words],)
     several = [w for w in words.split() if w not in ("hand", "most")]

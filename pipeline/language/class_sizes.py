@@ -1,4 +1,4 @@
-"""How long the longest edge of an object of a class can be, and by what factor all named things are too long."""
+"""Plausible lengths of the longest edge by class, and the factor by which all named things are too long."""
 
 from __future__ import annotations
 
@@ -20,14 +20,22 @@ so many fit. Of 40 frames with right depth all things fitted; at five times it a
 
 @lru_cache(maxsize=1)
 def size_table() -> dict[str, tuple[float, float]]:
-    """Shortest and longest that the longest edge of a class can be, metres, by name."""
+    """Shortest and longest plausible longest edge of each class, metres, by name."""
     longest = json.loads(TABLE.read_text(encoding="utf-8"))["longest_edge_m"]
     return {name: (float(low), float(high)) for name, (low, high) in longest.items()}
 
 
 @lru_cache(maxsize=65536)
 def size_range(label: str) -> tuple[float, float] | None:
-    """The range of a class, by any of its names; None where the table lacks it."""
+    """Range of a class's longest edge, metres, by any of its names; None outside the table.
+
+    Examples
+    --------
+    >>> from pipeline.language import size_range
+    >>> low, high = size_range("mug")
+    >>> low < 0.1 < high
+    True
+    """
     form, table = normal_form(label), size_table()
     ranges = [table[form]] if form in table else [bounds for name, bounds in table.items() if same_class(label, name)]
     return (min(r[0] for r in ranges), max(r[1] for r in ranges)) if ranges else None
@@ -35,19 +43,12 @@ def size_range(label: str) -> tuple[float, float] | None:
 
 @dataclass(frozen=True)
 class SizeFactor:
-    """By what factor the named things of a frame are too long.
+    """Factor by which the named things of a frame are too long."""
 
-    Attributes
-    ----------
-    low, high : float
-        Divided by anything between, most things have sizes of their classes (5 where all is five times too long).
-    things, fitting : int
-        Things of known classes, and those that fit as they are.
-    """
-
+    # Divided by anything between, most things have sizes of their classes (5 where all is five times too long)
     low: float
     high: float
-    things: int
+    things: int  # Things of known classes, and those that fit as they are
     fitting: int
 
     @property
@@ -56,13 +57,9 @@ class SizeFactor:
 
 
 def size_factor(labels: Sequence[str], lengths: Sequence[float] | np.ndarray) -> SizeFactor | None:
-    """By what factor all named things are too long or too short; None where they fit, or one factor does not do.
+    """Factor by which all named things are too long or too short; None where all fit, or no factor suits all.
 
-    Parameters
-    ----------
-    labels : sequence of str
-    lengths : sequence of float, or (N,) float
-        Longest edges, metres; those that are not finite and positive, and classes that are not known, do not count.
+    `lengths` are longest edges, metres; those that are not finite and positive, and unknown classes, do not count.
     """
     pairs = [(size_range(label), length) for label, length in zip(labels, lengths, strict=True)]
     known = np.array([(size / r[1], size / r[0]) for r, size in pairs if r and np.isfinite(size) and size > 0])

@@ -4,18 +4,9 @@ from __future__ import annotations
 
 
 def counted(count: int, what: str) -> str:
-    """ "1 scene", "2 scenes", "3 classes", "12,345 objects".
+    """Number of things in words: "1 scene", "2 scenes", "3 classes", "12,345 objects".
 
-    Parameters
-    ----------
-    count : int
-        Not negative.
-    what : str
-        One such thing; its plural must end in s.
-
-    Returns
-    -------
-    str
+    `what` is the singular; its plural must end in s.
     """
     ending = "" if count == 1 else "es" if what.endswith("s") else "s"
     return f"{count:,} {what}{ending}"

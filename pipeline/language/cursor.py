@@ -1,4 +1,4 @@
-"""The tokens of an expression as its readers look at them: patterns over them, and where names begin and end."""
+"""A cursor over the tokens of an expression: patterns, and boundaries of names."""
 
 from __future__ import annotations
 
@@ -13,17 +13,10 @@ MODALS = frozenset({"can", "could", "may", "should", "would", "might", "must", "
 
 
 class Cursor:
-    """A place to look at the tokens of an expression from: patterns, and where names begin and end.
+    """A position in the tokens of an expression: patterns, and boundaries of names.
 
-    Attributes
-    ----------
-    text : str
-    tokens : list of Token
-        Words that hyphens join are one.
-    own : collection of str
-        Words of the user's own names, which are spelled as they are.
-    breaks : list of bool
-        Whether punctuation stands before a token.
+    Words joined by hyphens are one token; `own` holds words of the user's own names, which stay as spelled; `breaks`
+    flags tokens behind punctuation.
     """
 
     def __init__(self, text: str, tokens: Sequence[Token], own: Collection[str] = ()) -> None:
@@ -37,7 +30,7 @@ class Cursor:
         self._after = {end: k + 1 for k, end in enumerate(ends)}
 
     def match(self, pattern: re.Pattern[str], at: int) -> tuple[re.Match[str], int] | None:
-        """The pattern at a token, and the token after it, where it ends with a word."""
+        """Match a pattern at a token, with the token after, where the match ends with a word."""
         found = pattern.match(self.line, self._starts[at]) if at < len(self.tokens) else None
         end = None if found is None else self._after.get(self._starts[at] + len(found[0].rstrip()))
         if found is None or end is None or any(self.breaks[k] for k in range(at + 1, end)):
@@ -45,13 +38,13 @@ class Cursor:
         return found, end
 
     def words(self, at: int, end: int) -> str:
-        """The tokens as they were typed."""
+        """Tokens as typed."""
         return self.text[self.tokens[at].start : self.tokens[min(end, len(self.tokens)) - 1].end]
 
     # ---- boundaries ------------------------------------------------------------------------------------------------
 
     def _structural(self, at: int) -> bool:
-        """Whether a token is grammar, and no word of a name."""
+        """Test if a token is grammar, and no word of a name."""
         if at >= len(self.tokens):
             return True
         token = self.tokens[at]
@@ -70,18 +63,18 @@ class Cursor:
         )  # fmt: skip
 
     def _after_number(self, at: int) -> bool:
-        """`hanging` in `three hanging towels`."""
+        """Test for `hanging` in `three hanging towels`."""
         word = self.tokens[at + 1].plain if at + 1 < len(self.tokens) else None
         return self.tokens[at - 1].plain in choices.NUMBERS and word is not None and word not in DETERMINERS
 
     def _ends(self, at: int) -> bool:
-        """Whether a noun phrase or a side may end before a token."""
+        """Test if a noun phrase or a side may end before a token."""
         return at >= len(self.tokens) or self.breaks[at] or self._structural(at) or (
             self.tokens[at].plain in lexicon.POSTURES or self.tokens[at].plain in ("or", "nor", "it", "this")
         ) or self.match(choices.AT_SIDE, at) is not None  # fmt: skip
 
     def _bare_side(self, at: int) -> tuple[re.Match[str], int] | None:
-        """A side behind a thing without a preposition: `plant left`, and not `that was left`, nor `table centre`."""
+        """Match a side behind a thing without a preposition: `plant left`, not `that was left`, nor `table centre`."""
         found = self.match(choices.BARE_SIDE, at)
         if found is None or not self._ends(found[1]):
             return None
@@ -91,18 +84,18 @@ class Cursor:
         return None if found[0]["last"] and (linked or compound) else found
 
     def _goes_on(self, at: int) -> bool:
-        """Whether a relation, a side or the end follows."""
+        """Test if a relation, a side or the end follows."""
         return at >= len(self.tokens) or self._structural(at) or self.match(choices.AT_SIDE, at) is not None
 
     def _starts_noun(self, at: int) -> bool:
-        """Whether a noun phrase may begin at a token."""
+        """Test if a noun phrase may begin at a token."""
         if at >= len(self.tokens) or self.breaks[at]:
             return False
         word = self.tokens[at].plain
         return word in DETERMINERS or not (self._structural(at) or word in lexicon.PLACE_PRONOUNS)
 
     def is_superlative_noun(self, at: int) -> bool:
-        """Whether `nearest` stands before a noun, as in `the nearest chair`."""
+        """Test if `nearest` stands before a noun, as in `the nearest chair`."""
         return self.tokens[at].text in lexicon.BEFORE_NOUNS and self._starts_noun(at + 1) and (
             at == 0 or self.tokens[at - 1].plain in DETERMINERS | choices.ORDINALS.keys() | choices.NUMBERS.keys()
             or self.tokens[at - 1].text == "next"
@@ -110,7 +103,7 @@ class Cursor:
         )  # fmt: skip
 
     def _superlative_reference(self, at: int) -> int | None:
-        """The token after `to` or `from`, where what `nearest` is near to follows there."""
+        """Token after `to` or `from` where the reference of `nearest` follows; else None."""
         if (
             at + 1 < len(self.tokens)
             and self.tokens[at].plain in ("to", "from")
@@ -121,7 +114,7 @@ class Cursor:
 
 
 def _hyphens_joined(text: str, tokens: Sequence[Token]) -> list[Token]:
-    """The tokens with those that hyphens join as one, which no table of single words holds."""
+    """Join tokens with hyphens between, outside the tables of single words."""
     found: list[Token] = []
     for k, token in enumerate(tokens):
         last = found[-1] if found else None

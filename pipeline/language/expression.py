@@ -1,4 +1,4 @@
-"""Spatial expressions: `mug left of the laptop` to a tree of nouns and relations, with every way to read it."""
+"""Spatial expressions: `mug left of the laptop` to a tree of nouns and relations, with all readings."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pipeline.language.chain import Chain, Clause
 from pipeline.language.grammar import read_chain
 from pipeline.language.naming import Synonyms, default_synonyms
 from pipeline.language.relation_names import MIRRORED, RELATIONS
-from pipeline.language.tokens import Vocabulary, check_text, mended, vocabulary
+from pipeline.language.tokens import NameIndex, check_text, mended, vocabulary
 from pipeline.language.tree import Attachment, Node, Query, Reading, described
 from pipeline.system.errors import InputError, Unsupported, require
 
@@ -57,6 +57,15 @@ def parse(
     InputError
         The text is no such expression: empty, too long, without relation, target or reference, with a relation that
         is unknown or not on offer, negated, or judged from an object's own front. The message suggests what is near.
+
+    Examples
+    --------
+    >>> from pipeline.language import parse
+    >>> query = parse("the red mug to the left of the laptop on the table")
+    >>> [reading.description for reading in query.readings]
+    ['red mug left of (laptop on table)', '(red mug left of laptop) on table']
+    >>> query.labels, query.kind
+    (('red mug', 'laptop', 'table'), 'two-relations')
     """
     text = check_text(text)
     if isinstance(class_names, str):
@@ -82,21 +91,21 @@ def parse(
     # Of words that say two things ("green, not jar" of one "jar") the first counts.
     first = {(s.start, s.end): s for s in reversed(chain.spans)}
     spans = tuple(sorted(first.values(), key=lambda s: s.start))
-    return Query(text, tuple(readings), spans, mended=_told_mended(text, known, chain))
+    return Query(text, tuple(readings), spans, mended=_mended_words(text, known, chain))
 
 
-def _told_mended(text: str, known: Vocabulary, chain: Chain) -> tuple[tuple[str, str], ...]:
-    """The misspelt words that were mended, in order; a name keeps its own."""
+def _mended_words(text: str, known: NameIndex, chain: Chain) -> tuple[tuple[str, str], ...]:
+    """Misspelt words that were corrected, in order; a name keeps its own."""
     names = [s for s in chain.spans if s.role in ("target", "reference")]
     read = set(mended(text, known))
     inside = {m for m in read if any(s.start <= m[0] and m[1] <= s.end for s in names)}
     anything = {m for m in inside if m[2] in lexicon.ANYTHING and any(n.name == m[2] for n in chain.nouns)}
-    told = sorted((read - inside) | anything | set(chain.mended))
-    return tuple((text[start:end], meant) for start, end, meant in told)
+    words = sorted((read - inside) | anything | set(chain.mended))
+    return tuple((text[start:end], meant) for start, end, meant in words)
 
 
 def sentence_kind(text: str, class_names: Sequence[str] = ()) -> str:
-    """`Query.kind` of a text by the grammar; "unread" where it cannot be read."""
+    """Kind of a text by the grammar (`Query.kind`); "unread" for unreadable texts."""
     try:
         return parse(text, class_names=class_names).kind
     except InputError:
@@ -104,7 +113,7 @@ def sentence_kind(text: str, class_names: Sequence[str] = ()) -> str:
 
 
 def offered(clause: Clause, relations: Collection[str] | None) -> Attachment:
-    """A relation in canonical terms and in those on offer, its references still to be filled in; else Unsupported."""
+    """Relation in canonical terms and among those on offer, with references still to fill in; else Unsupported."""
     relation, inverse, mapped_from, lacking = clause.relation, clause.swapped, None, "on"
     coarser = RELATIONS[relation].coarser
     if relations is not None and relation not in relations and coarser is not None and coarser in relations:
@@ -125,7 +134,7 @@ def offered(clause: Clause, relations: Collection[str] | None) -> Attachment:
 
 
 def _ways(clauses: list[Clause], relations: Collection[str] | None) -> Iterator[list[Clause]]:
-    """The parts as they are read first, and as else their words may be meant."""
+    """Parts as read first, and by the other meaning of their words."""
     yield clauses
     both = relations is None or {"on", "near"} <= set(relations)
     if both and any(c.otherwise for c in clauses):
@@ -133,7 +142,7 @@ def _ways(clauses: list[Clause], relations: Collection[str] | None) -> Iterator[
 
 
 def _parents(clauses: Sequence[Clause]) -> Iterator[tuple[int, ...]]:
-    """For every reading the noun that each relation modifies; the default reading first.
+    """Nouns modified by each relation, for every reading; the default reading first.
 
     A relation may modify any noun on the right frontier: the last noun, what that one modifies, and so on up to the
     target. Trees grown so do not cross, and there are 1, 2, 5, 14, ... (Catalan) of them.
@@ -163,7 +172,7 @@ def _parents(clauses: Sequence[Clause]) -> Iterator[tuple[int, ...]]:
 
 
 def _chained(clauses: Sequence[Clause], *, nearest: bool) -> tuple[int, ...]:
-    """The noun that each part modifies: the one nearest before it, or the target."""
+    """Nouns modified by each part: the nearest before, or the target."""
     parents: list[int] = []
     last = 0
     for clause in clauses:

@@ -1,4 +1,4 @@
-"""Words of the screen, the shell and the documents that are not everybody's, each explained once: `glossary.json`."""
+"""Glossary of the screen, the shell and the documents, each word explained once: `glossary.json`."""
 
 from __future__ import annotations
 
@@ -12,56 +12,52 @@ from pipeline.system.errors import InputError
 
 
 @dataclass(frozen=True)
-class Term:
-    """A word that is explained.
-
-    Attributes
-    ----------
-    name, group : str
-    short : str
-        What it is in a few words.
-    text : str
-        What it means, in a sentence.
-    fault : str
-        What is wrong where a verdict names this module, in a few words.
-    """
+class GlossaryTerm:
+    """An explained word."""
 
     name: str
     group: str
-    short: str
-    text: str
-    fault: str = ""
+    short: str  # Meaning in a few words
+    text: str  # Meaning in a sentence
+    fault: str = ""  # What is wrong where a verdict names this module, in a few words
 
     @property
     def verdict(self) -> str:
-        """What it says as a verdict, in a few words."""
+        """Meaning as a verdict, in a few words."""
         return self.fault or self.short
 
     @property
     def meaning(self) -> str:
-        """What it means, as a module and as a verdict."""
+        """Meaning as a module and as a verdict."""
         return f"{self.text} As a verdict: {self.fault}." if self.fault else self.text
 
     @property
     def hint(self) -> str:
-        """All of it, for those who hover over the word."""
+        """Hint for the word: all of the meaning."""
         return f"{self.short}. {self.meaning}"
 
 
 @cache
-def glossary() -> dict[str, Term]:
-    """All terms by their names, in groups."""
+def glossary() -> dict[str, GlossaryTerm]:
+    """All terms by name, in groups."""
     groups = json.loads((Path(__file__).parent / "glossary.json").read_text("utf-8"))
-    return {name: Term(name, group, *words) for group, terms in groups.items() for name, words in terms.items()}
+    return {name: GlossaryTerm(name, group, *words) for group, terms in groups.items() for name, words in terms.items()}
 
 
-def explained(name: str) -> Term | None:
-    """The term of a name, however it is capitalised; None where there is none."""
+def explained(name: str) -> GlossaryTerm | None:
+    """Term of a name in any case; None if unknown."""
     return glossary().get(name) or next((t for t in glossary().values() if t.name.lower() == name.lower()), None)
 
 
-def find_term(name: str) -> Term:
-    """The term of a name, however it is capitalised; InputError names those that there are."""
+def find_term(name: str) -> GlossaryTerm:
+    """Term of a name in any case; InputError lists the known names.
+
+    Examples
+    --------
+    >>> from pipeline.language import find_term
+    >>> find_term("lift").name
+    'LIFT'
+    """
     found = explained(name)
     if found is None:
         raise InputError(f"the glossary does not explain {name!r}", expected=", ".join(glossary()))
@@ -69,7 +65,7 @@ def find_term(name: str) -> Term:
 
 
 def glossary_markdown() -> str:
-    """The glossary as a document."""
+    """Glossary as a Markdown document."""
     lines = [
         "# Glossary",
         "",

@@ -1,4 +1,4 @@
-"""The grammar of spatial expressions: tokens to noun phrases and the relations between them, or an error that says why.
+"""The grammar of spatial expressions: tokens to noun phrases and relations, or an error with the reason.
 
     query  := [frame] [view [","]] noun part* ["."] (("it" | "this") "is" part+)*
     part   := [linking] [neg] relation noun | [linking] [neg] "between" noun "and" noun | "with" noun relation ["it"]
@@ -6,8 +6,8 @@
     noun   := [article] (choice | attribute | number)* word* ["of the" number [word+]] ["from the" side]
             | [article] superlative noun ("to" | "from") noun
 
-It goes through the tokens once, from left to right. Which earlier noun a part modifies is left open here, and
-`pipeline.language.expression` enumerates it. What it cannot use it notes, with the reason, and goes on; only where
+The tokens are read once, from left to right. Which earlier noun a part modifies is left open here, and
+`pipeline.language.expression` enumerates it. Words of no use are noted, with the reason; only where
 nothing is left that tells the thing meant is that an error.
 """
 
@@ -18,27 +18,21 @@ from dataclasses import replace
 
 from pipeline.language import choices, lexicon
 from pipeline.language.attributes import attribute
-from pipeline.language.chain import Attach, Chain, Clause, Opened
+from pipeline.language.chain import Attach, Chain, Clause, OpenRelation
 from pipeline.language.looks import is_name
 from pipeline.language.naming import DETERMINERS, singular
 from pipeline.language.nouns import ALTERNATIVES, Phrase
 from pipeline.language.references import NO_RANK, ReferenceReader
 from pipeline.language.relation_names import MIRRORED
-from pipeline.language.tokens import Token, Vocabulary, tokenize
+from pipeline.language.tokens import NameIndex, Token, tokenize
 from pipeline.language.tree import Choice, Span
 from pipeline.language.unreadable import FORM, NOT_EXACT, not_known, unreadable
 from pipeline.language.views import address_removed, closing_removed, leading_removed, thing_first, without_view
 from pipeline.system.errors import InputError, Unsupported
 
 
-def read_chain(text: str, known: Vocabulary) -> Chain:
-    """Read an expression that `tokens.check_text` let pass.
-
-    Raises
-    ------
-    InputError
-        With the reason, and with suggestions where a relation is close to a known one.
-    """
+def read_chain(text: str, known: NameIndex) -> Chain:
+    """Read an expression passed by `tokens.check_text`; InputError suggests a known relation close to the words."""
     tokens = tokenize(text, known)
     # `pillow on bed` may be a class, and yet here the pillow that lies on a bed is meant.
     apart = tokenize(text, known, hold_names=False) if any(t.guards for t in tokens) else None
@@ -47,27 +41,27 @@ def read_chain(text: str, known: Vocabulary) -> Chain:
         if held is None:
             continue
         try:
-            chain = _Reader(text, held, known.words).read()
+            chain = _GrammarReader(text, held, known.words).read()
         except InputError as error:
             problem = problem or error
         else:
             if chain.clauses or held is apart or apart is None:
                 return chain
     if problem is None:
-        return _Reader(text, tokens, known.words).read()
+        return _GrammarReader(text, tokens, known.words).read()
     raise problem
 
 
-def with_unused(text: str, known: Vocabulary, spans: Iterable[Span]) -> tuple[Span, ...]:
-    """What another reader took of a sentence, in order, with the words that it left over and that say something."""
-    reader = _Reader(text, tokenize(text, known), known.words)
+def with_unused(text: str, known: NameIndex, spans: Iterable[Span]) -> tuple[Span, ...]:
+    """Spans of another reader, in order, with the meaningful words left over."""
+    reader = _GrammarReader(text, tokenize(text, known), known.words)
     reader.chain.spans += spans
     reader.note_dropped()
     return tuple(sorted(reader.chain.spans, key=lambda s: s.start))
 
 
 def _meant_first(tokens: list[Token], text: str) -> list[Token]:
-    """`not the mug on the desk but the one on the shelf`, `not the red one, the blue one`: what is meant first."""
+    """Move the meant thing to the front: `not the mug on the desk but the one on the shelf`."""
     for k in range(1, len(tokens) - 1):
         if tokens[k].plain == "but":
             return tokens[k + 1 :] + tokens[:k]
@@ -85,7 +79,7 @@ _NOT_JUDGED = (
 )
 
 
-class _Reader(ReferenceReader):
+class _GrammarReader(ReferenceReader):
     """One pass over one expression, adding to its chain."""
 
     def __init__(self, text: str, tokens: list[Token], own: Collection[str] = ()) -> None:
@@ -119,7 +113,7 @@ class _Reader(ReferenceReader):
         return chain
 
     def _drop_negation(self) -> None:
-        """Tell of a negation that nothing followed."""
+        """Note a negation with nothing behind."""
         last = max((k for k, t in enumerate(self.tokens) if t.plain in lexicon.NEGATIONS), default=None)
         if last is not None:
             start = self.tokens[last].start
@@ -223,7 +217,7 @@ class _Reader(ReferenceReader):
             and at + 1 < len(self.tokens)
         ):
             side_token = replace(token, relation=word)
-            self.opened.append(Opened(side_token, self._take_negation(), self._attach()))
+            self.opened.append(OpenRelation(side_token, self._take_negation(), self._attach()))
             return at + 1
         if word in lexicon.ACTIONS and not at and len(self.tokens) > 1 and self.tokens[1].plain in DETERMINERS:
             raise Unsupported(
@@ -237,7 +231,7 @@ class _Reader(ReferenceReader):
         return self._noun(at)
 
     def _excludes_another(self, at: int) -> bool:
-        """Whether behind `and` another thing that is not meant begins: `except the left one and the red one`."""
+        """Test for another excluded thing behind `and`: `except the left one and the red one`."""
         determined = at + 1 < len(self.tokens) and self.tokens[at].plain in DETERMINERS - lexicon.RELATIVE
         if not determined or not self.chain.clauses:
             return False
@@ -245,13 +239,13 @@ class _Reader(ReferenceReader):
         return one or not (self.chain.clauses[-1].relation or self.chain.clauses[-1].choice)
 
     def _acts(self, at: int) -> bool:
-        """Whether a word behind a thing is a command, and says not how it is: `that is open`."""
+        """Test if a word behind a thing is a command, and no state: `that is open`."""
         word = self.tokens[at].plain
         acts = word in lexicon.ACTIONS and bool(self.chain.nouns) and not self.opened
         return acts and not (self._predicative(at) and attribute(word or "") is not None)
 
     def _alternative(self, at: int) -> int:
-        """Past `or` and what follows it, which is not judged."""
+        """Skip `or` and the words behind, which are not judged."""
         end = at + 1
         while end < len(self.tokens) and (
             self._relates(end) or self.tokens[end].plain in lexicon.LINKING - DETERMINERS
@@ -262,7 +256,7 @@ class _Reader(ReferenceReader):
         return end
 
     def _links(self, at: int) -> bool:
-        """Whether a word only links a noun to what follows."""
+        """Test if a word only links a noun to the next part."""
         word, following = self.tokens[at].plain, self.tokens[at + 1] if at + 1 < len(self.tokens) else None
         if word is None or word in DETERMINERS - lexicon.RELATIVE:
             return False
@@ -311,11 +305,11 @@ class _Reader(ReferenceReader):
             return at + 1
         if self.opened and not self.joined:
             self._missing(self.opened.pop())
-        self.opened.append(Opened(token, self._take_negation(), self._attach()))
+        self.opened.append(OpenRelation(token, self._take_negation(), self._attach()))
         return at + 1
 
     def _with(self, at: int) -> int:
-        """`table with a lamp on top`: the relation holds from the lamp to the table. Else it tells of a part."""
+        """Read `table with a lamp on top`, a relation from the lamp to the table, or note a part."""
         if (first := self._place_first(at)) is not None:
             return first
         without = at + 1 < len(self.tokens) and self.tokens[at + 1].plain == "no"
@@ -346,7 +340,7 @@ class _Reader(ReferenceReader):
         return tail
 
     def _place_first(self, at: int) -> int | None:
-        """`that has on top (of it) a lamp`: as `with a lamp on top`."""
+        """Read `that has on top (of it) a lamp` as `with a lamp on top`."""
         token = self.tokens[at + 1] if at + 1 < len(self.tokens) else None
         if token is None or (token.relation not in MIRRORED and token.relation not in lexicon.SAYS_SWAPPED):
             return None
@@ -367,7 +361,7 @@ class _Reader(ReferenceReader):
         return end
 
     def _carries(self, at: int, phrase: Phrase, end: int) -> int | None:
-        """`the table without a lamp`: of a surface before another thing that the detector knows, what is not on it."""
+        """Read `the table without a lamp`: nothing of a thing known to the detector stands on a surface."""
         surface = self.chain.nouns[-1]
         things = singular(phrase.head_word) in self.own and phrase.head_word not in lexicon.PARTS
         if not (self.negated and things and surface.head_word in lexicon.SURFACES):

@@ -1,4 +1,4 @@
-"""The words of spatial expressions, as data: which phrases say which relation, and which words say nothing.
+"""The lexicon of spatial expressions, as data: phrases of each relation, and words without meaning.
 
 A phrase is written as lower-case words with single spaces. The grammar that reads expressions with these tables is
 in `pipeline.language.grammar`.
@@ -310,14 +310,14 @@ GRAMMAR_WORDS = (
 
 
 def wording(relation: str, *, inverse: bool = False) -> str:
-    """How a relation is said between two nouns: `left of`; for `on` from the other side, `supporting`."""
+    """Wording of a relation between two nouns: `left of`; for `on` from the other side, `supporting`."""
     declared = RELATIONS[relation]
     return declared.swapped_phrase or f"reached by {declared.phrase}" if inverse else declared.phrase
 
 
 @lru_cache(maxsize=1)
 def phrase_table() -> dict[str, tuple[str, bool]]:
-    """All phrases with the relation each says and whether it says it from the other side."""
+    """All phrases, each with its relation and whether target and reference are swapped."""
     table = {phrase: (relation, False) for relation, phrases in SAYS.items() for phrase in phrases}
     table |= {phrase: (relation, True) for relation, phrases in SAYS_SWAPPED.items() for phrase in phrases}
     return table | {phrase: (relation, False) for phrase, relation in POSSESSIVE_TAILS.items()}

@@ -1,4 +1,4 @@
-"""A language model that reads sentences: constrained to the grammar's tree, checked, and marked as the grammar does.
+"""A language model as a reader of sentences: constrained to the grammar's tree, checked, and marked like the grammar.
 
 The model is asked with a JSON schema made of `pipeline.language.tree`; its words are looked for in the sentence, and
 what it leaves over is marked as unused. What it answers is kept on disk, so that the same question is asked once.
@@ -21,7 +21,7 @@ from pipeline.language.expression import MOST_RELATIONS, offered
 from pipeline.language.grammar import with_unused
 from pipeline.language.naming import DETERMINERS, Synonyms, default_synonyms
 from pipeline.language.relation_names import MIRRORED, PHRASE
-from pipeline.language.tokens import Vocabulary, check_text, label_of, tokenize, vocabulary
+from pipeline.language.tokens import NameIndex, check_text, label_of, tokenize, vocabulary
 from pipeline.language.tree import Attachment, Node, Query, Reading, Role, Span, described
 from pipeline.system.chat import ChatClient
 from pipeline.system.errors import InputError, ServerError, require
@@ -52,7 +52,7 @@ _OURS = ("mention", "mapped_from", "note")
 
 
 def tree_schema() -> dict[str, Any]:
-    """The tree as a JSON schema, as strict servers want it: every field required, and no other."""
+    """JSON schema of the tree, as strict servers want it: every field required, and no other."""
     schema = _REPLY.json_schema()
     for table in (schema, *schema["$defs"].values()):
         fields = {name: field for name, field in table["properties"].items() if name not in _OURS}
@@ -64,12 +64,9 @@ def tree_schema() -> dict[str, Any]:
 
 
 class LlmReader:
-    """Reads sentences by a model behind OpenAI's chat protocol; called as `pipeline.language.expression.parse` is.
+    """Reads sentences by a model behind OpenAI's chat protocol; called like `pipeline.language.expression.parse`.
 
-    Parameters
-    ----------
-    url, model, options
-        As of `pipeline.system.chat.ChatClient`.
+    The arguments are those of `pipeline.system.chat.ChatClient`.
     """
 
     def __init__(self, url: str, model: str, **options: Any) -> None:
@@ -86,14 +83,10 @@ class LlmReader:
         relations: Collection[str] | None = None,
         synonyms: Synonyms | None = None,
     ) -> Query:
-        """Read a sentence; asked once more where the reply cannot be used.
+        """Read a sentence, with a second try where the reply cannot be used.
 
-        Raises
-        ------
-        ServerError
-            The server gives no answer.
-        InputError
-            The sentence cannot be read at all, or the second reply is no tree of it either; the message says why.
+        ServerError where the server gives no answer; InputError where the sentence cannot be read at all, or the second
+        reply is no tree of it either, with the reason.
         """
         known = vocabulary(tuple(class_names), synonyms or default_synonyms())
         with_unused(check_text(text), known, ())  # What no tree can say is refused, and nobody is asked.
@@ -119,21 +112,15 @@ class LlmReader:
 
 
 class _Found:
-    """A tree in the making, and what of the sentence it was made of."""
+    """A tree under construction, and the words of the sentence in use."""
 
-    def __init__(self, text: str, known: Vocabulary, relations: Collection[str] | None) -> None:
+    def __init__(self, text: str, known: NameIndex, relations: Collection[str] | None) -> None:
         self.text, self.known, self.relations = text, known, relations
         self.nouns, self.parts = count(), count()
         self.said: list[tuple[Role, int, list[str]]] = []
 
     def tree(self, reply: str) -> tuple[Node, list[Span]]:
-        """The target of a reply, and the spans of its words.
-
-        Raises
-        ------
-        InputError
-            It is no tree, or one that means nothing.
-        """
+        """Target of a reply, and the spans of its words; InputError for no tree, or a meaningless tree."""
         what = "it is no tree of the sentence"
         require(len(reply) <= MOST_CHARACTERS, what, got=f"{len(reply)} characters")
         root = self._node(checked(_REPLY.validate_json, reply, f"{what} at {{}}").target)
@@ -163,7 +150,7 @@ class _Found:
         )  # fmt: skip
 
     def _own(self, words: str, otherwise: str) -> str:
-        """Words of the sentence itself; other words where they are not."""
+        """Words of the sentence, or `otherwise` where they are others."""
         own = set(words.lower().split()) <= set(re.findall(r"[\w'’-]+", self.text.lower()))
         return words if words.strip() and own else otherwise
 
@@ -184,7 +171,7 @@ class _Found:
         return replace(offered(clause, self.relations), nodes=tuple(map(self._node, said.nodes)))
 
     def _spans(self) -> Iterator[Span]:
-        """Each stretch of the sentence that was used, the longest first, none twice."""
+        """Stretches of the sentence in use, the longest first, none twice."""
         left = self.text
         for role, index, forms in sorted(self.said, key=lambda s: -len(s[2][0])):
             apart = [w for w in forms[0].split() if w.lower() not in DETERMINERS]

@@ -1,4 +1,4 @@
-"""Words for how a thing looks in an expression: before the thing, after it, misspelt, or naming a thing themselves."""
+"""Attributes in an expression: before the thing, after it, misspelt, or naming a thing themselves."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from pipeline.language.tree import Choice, Role
 
 
 @dataclass
-class Draft:
-    """A noun phrase in the making."""
+class DraftPhrase:
+    """A noun phrase under construction."""
 
     attributes: list[Attribute]
     words: list[str]
@@ -49,7 +49,7 @@ class LooksReader(Cursor):
         """Words of noun phrases that are not judged, by token: where they stand, and why."""
 
     def _text(self, at: int) -> str:
-        """A word as the tables of choices and attributes have it; empty for names and phrases."""
+        """Word as in the tables of choices and attributes; empty for names and phrases."""
         if at >= len(self.tokens):
             return ""
         token = self.tokens[at]
@@ -58,7 +58,7 @@ class LooksReader(Cursor):
         return token.text.replace("-", " ")
 
     def _compound(self, at: int) -> bool:
-        """Whether a known name of several words begins at a token: `white board`, `front door`."""
+        """Test if a known name of several words begins at a token: `white board`, `front door`."""
         words: list[str] = []
         for k in range(at, min(at + 4, len(self.tokens))):
             if self.tokens[k].plain is None:
@@ -68,7 +68,7 @@ class LooksReader(Cursor):
                 return True
         return False
 
-    def _attribute(self, at: int, draft: Draft) -> int | None:
+    def _attribute(self, at: int, draft: DraftPhrase) -> int | None:
         for size in (3, 2, 1):
             if at + size > len(self.tokens) or any(self.breaks[at + 1 : at + size]):
                 continue
@@ -99,8 +99,8 @@ class LooksReader(Cursor):
             return at + size
         return None
 
-    def _meant(self, at: int, draft: Draft) -> str | None:
-        """The word for a look that a misspelt one is, where a thing follows or it is said of one: `pruple chair`."""
+    def _meant(self, at: int, draft: DraftPhrase) -> str | None:
+        """Attribute meant by a misspelt word before a thing or in a predicate: `pruple chair`; else None."""
         token = self.tokens[at] if at < len(self.tokens) else None
         if (
             token is None
@@ -113,8 +113,8 @@ class LooksReader(Cursor):
         following = self.tokens[at + 1].text if at + 1 < len(self.tokens) else ""
         return None if meant is None or is_compound([meant, following]) else meant
 
-    def _looks_after(self, at: int, end: int, draft: Draft) -> int:
-        """The end of the thing before attributes that follow it: `something yellow`, `mug small and red`."""
+    def _looks_after(self, at: int, end: int, draft: DraftPhrase) -> int:
+        """End of the thing before attributes that follow: `something yellow`, `mug small and red`."""
         start = end
         if self.tokens[end].plain in ("to", "for", "by", "as", "of") if end < len(self.tokens) else False:
             return end
@@ -137,7 +137,7 @@ class LooksReader(Cursor):
         return start
 
     def _color_after(self, at: int) -> tuple[Attribute, str, int] | None:
-        """A colour that follows a thing by a phrase, its words, and the token after it: `in red`, `of a red colour`."""
+        """Colour in a phrase behind a thing, with words and the next token: `in red`, `of a red colour`."""
         found = self.match(lexicon.LOOK_AFTER, at)
         if found is None or not self._ends(found[1]):
             return None
@@ -151,8 +151,8 @@ class LooksReader(Cursor):
             return None
         return look, words, found[1]
 
-    def _is_the_thing(self, at: int, draft: Draft, found: Attribute) -> bool:
-        """`orange`, `glass` and `light` name things too, where nothing follows that could be one."""
+    def _is_the_thing(self, at: int, draft: DraftPhrase, found: Attribute) -> bool:
+        """Test if `orange`, `glass` or `light` names the thing, with no other thing behind."""
         same_kind = any(a.kind == found.kind for a in draft.attributes)
         word = self.tokens[at].text
         if draft.predicate or same_kind or not (is_name(word) or (found.kind == "material" and word in known_words())):
@@ -165,7 +165,7 @@ class LooksReader(Cursor):
         return self._ends(after) and attribute(self._text(listed)) is None
 
     def _is_content(self, at: int, found: Attribute) -> bool:
-        """`peach` in `peach jar`: a word for a colour that first names a thing, before what such things are sold in."""
+        """Test for `peach` in `peach jar`: a colour that first names a thing, before a package of such things."""
         word, following = self._text(at), singular(self._text(at + 1))
         named = (
             found.kind == "color" and word not in (*BASIC_COLORS, *FURTHER_COLORS, "grey", "light") and is_name(word)
@@ -174,7 +174,7 @@ class LooksReader(Cursor):
 
 
 def _degree_of(word: str) -> Attribute | None:
-    """`darkest`, `most dark` and `darker` as dark: how a thing looks is judged by degrees."""
+    """Attribute of `darkest`, `most dark` and `darker`: dark, since looks are judged by degrees."""
     if word.startswith("most "):
         return attribute(word[5:])
     size = 3 if word.endswith("est") else 2 if word.endswith("er") and word not in known_words() else 0
@@ -185,5 +185,5 @@ def _degree_of(word: str) -> Attribute | None:
 
 
 def is_name(word: str) -> bool:
-    """Whether one word in lower case is a name of the project's table: `glass`, and not `red`."""
+    """Test if one word in lower case is a name of the project's table: `glass`, and not `red`."""
     return key_of(normal_form(word)) in default_synonyms().keys

@@ -1,4 +1,4 @@
-"""Where a query may be found among known names: what is looked up for it, in which order, and what names answer to."""
+"""Lookup of a query among known names: keys to look up, in order, and the keys of each name."""
 
 from __future__ import annotations
 
@@ -30,62 +30,35 @@ _AMOUNT = re.compile(
 
 @dataclass(frozen=True)
 class Look:
-    """One thing to look up for a query.
+    """A key to look up for a query."""
 
-    Attributes
-    ----------
-    tier : int
-        Smaller ones come first.
-    where : {"spelled", "form", "kind", "held", "packed"}
-        Among the names' own spellings, their forms, what they are kinds of, what they or their kind hold, they alone.
-    key : str
-    score : float
-        For the nearest names; of kinds 0.05 less for each further step.
-    how, via
-        As in `Meaning`.
-    sharing : tuple of frozenset of str
-        Of each of these sets of words, the name must have one.
-    left : tuple of int
-        Places among the query's words of those that it leaves out and that are no part of a name of the table.
-    """
-
-    tier: int
+    tier: int  # Smaller ones come first
+    # Among the names' own spellings, their forms, what they are kinds of, what they or their kind hold, they alone
     where: Literal["spelled", "form", "kind", "held", "packed"]
     key: str
-    score: float
+    score: float  # For the nearest names; of kinds 0.05 less for each further step
     how: How
     via: str
-    sharing: tuple[frozenset[str], ...] = ()
+    sharing: tuple[frozenset[str], ...] = ()  # Of each of these sets of words, the name must have one
+    # Positions among the query's words of those that it leaves out and that are no part of a name of the table
     left: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class KnownNames:
-    """Known names by what they answer to.
+    """Known names by the keys they answer to."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Each once.
-    table : Synonyms
-    found : mapping of (where, key) to tuple of (int, int)
-        Places of names, and the steps from the key to each.
-    shares : tuple of frozenset of str
-        The words that each name, and what it is a kind of, has before its head.
-    words : frozenset of str
-        The words of all names.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # Each once
     table: Synonyms
+    # mapping of (where, key) to tuple of (int, int), positions of names, and the steps from the key to each
     found: Mapping[tuple[str, str], tuple[tuple[int, int], ...]]
-    shares: tuple[frozenset[str], ...]
-    words: frozenset[str]
+    shares: tuple[frozenset[str], ...]  # The words that each name, and what it is a kind of, has before its head
+    words: frozenset[str]  # The words of all names
 
 
 @lru_cache(maxsize=4096)
 def known_as(names: tuple[str, ...], table: Synonyms) -> KnownNames:
-    """The index of known names, those that stand twice once."""
+    """Index of known names, without repeats."""
     names = tuple(dict.fromkeys(names))
     found: dict[tuple[str, str], list[tuple[int, int]]] = {}
     shares: list[frozenset[str]] = []
@@ -100,7 +73,7 @@ def known_as(names: tuple[str, ...], table: Synonyms) -> KnownNames:
 
 @lru_cache(maxsize=65536)
 def _entries(name: str, table: Synonyms) -> tuple[tuple[tuple[tuple[str, str], int], ...], frozenset[str]]:
-    """What a name answers to with the steps to it, and the words before its heads."""
+    """Keys of a name with the steps to each, and the words before its heads."""
     found: dict[tuple[str, str], int] = {("spelled", key): 0 for key in spellings(name)}
     shared: set[str] = set()
     forms = forms_of(name)
@@ -126,7 +99,7 @@ def _least(found: dict[tuple[str, str], int], entry: tuple[str, str], steps: int
 
 
 def _turned(form: str) -> tuple[str, ...]:
-    """`tissue box` for `box of tissues`; for `stack of chairs` what it is of comes last, `chair`."""
+    """Turn `box of tissues` into `tissue box`; of `stack of chairs` the content comes last, `chair`."""
     parts = _OF.fullmatch(base_of(form))
     if parts is None:
         return ()
@@ -136,8 +109,10 @@ def _turned(form: str) -> tuple[str, ...]:
 
 @lru_cache(maxsize=65536)
 def above(form: str, table: Synonyms) -> tuple[tuple[str, int], ...]:
-    """What a thing of this name, in normal form, is a kind of, with the steps to it: by the last words of its head
-    and by the table, of synonyms too, which are not chained."""
+    """Generalisations of a name in normal form, with the steps to each.
+
+    By the last words of its head and by the table, of synonyms too, which are not chained.
+    """
     found = {form: 0}
     level = [form]
     for steps in range(_STEPS):
@@ -154,7 +129,7 @@ def above(form: str, table: Synonyms) -> tuple[tuple[str, int], ...]:
 
 
 def _last_words(form: str) -> list[str]:
-    """A name without the words after its head, then without one word more of those before it each."""
+    """Shorten a name: without the words after its head, then word by word from the front."""
     head = HEAD_ENDS.split(base_of(form), maxsplit=1)[0].split()
     ends = [" ".join(head[i:]) for i in range(len(head))]
     return [end for end in ends if end != form]
@@ -166,20 +141,20 @@ def _is_a(form: str, general: str, table: Synonyms) -> bool:
 
 @lru_cache(maxsize=4096)
 def is_packed(word: str, table: Synonyms | None = None) -> bool:
-    """Whether a thing is what others are sold in, or is sold in it."""
+    """Test if a thing is a package or is sold in packages."""
     table = table or default_synonyms()
     return _is_a(word, PACKAGING, table) or _is_a(word, PACKED, table)
 
 
 def _content(form: str, table: Synonyms) -> str:
-    """`tomato soup` of `tomato soup can`: what is packed in a package; "" for anything else."""
+    """Content of a package: `tomato soup` of `tomato soup can`; "" for anything else."""
     *first, head = form.split() or [""]
     content = " ".join(first)
     return content if content and _is_a(head, PACKAGING, table) and _is_a(content, PACKED, table) else ""
 
 
 def _held(content: str, table: Synonyms) -> Iterator[str]:
-    """The words for a content that stand for its package: itself, its synonyms, its last words and its words."""
+    """Words for a content that stand for its package: itself, its synonyms, its last words and its words."""
     yield from table.of(content)
     for end in _last_words(content):
         yield from table.of(end)
@@ -190,7 +165,7 @@ def _held(content: str, table: Synonyms) -> Iterator[str]:
 
 @lru_cache(maxsize=65536)
 def lookups(query: str, table: Synonyms) -> tuple[Look, ...]:
-    """What is looked up for a query in normal form, tier by tier; `meanings` says what the tiers are."""
+    """Keys to look up for a query in normal form, tier by tier; `meanings` lists the tiers."""
     return tuple(sorted(_looks(query, table), key=lambda look: look.tier))
 
 
@@ -242,8 +217,7 @@ def _looks(query: str, table: Synonyms) -> Iterator[Look]:
 
 
 def _left_out(query: str, end: str, table: Synonyms) -> tuple[int, ...]:
-    """Places of the words of a query that are neither in its end nor, with it, in a name of the table: `zorb` of
-    `zorb coffee mug` for `mug`."""
+    """Positions of a query's words outside its end, and outside a name with it: `zorb` of `zorb coffee mug`, `mug`."""
     words, head = query.split(), HEAD_ENDS.split(base_of(query), maxsplit=1)[0].split()
     first, after = len(head) - len(end.split()), range(len(head), len(words))
     for start in range(first + 1):
@@ -255,7 +229,7 @@ def _left_out(query: str, end: str, table: Synonyms) -> tuple[int, ...]:
 
 
 def _ends(query: str, table: Synonyms) -> Iterator[str]:
-    """The query without words before its head, the fewest first, as far as its last words say what it is."""
+    """Ends of the query, the longest first, while the last words say what the thing is."""
     for end in _last_words(query):
         yield end
         if table.is_exception(end):
@@ -263,7 +237,7 @@ def _ends(query: str, table: Synonyms) -> Iterator[str]:
 
 
 def _variants(query: str, table: Synonyms) -> Iterator[str]:
-    """The query with its parts in another order, and with synonyms of its parts."""
+    """Variants of the query: parts in another order, and with synonyms of its parts."""
     turned = _turned(query)
     for form in turned:
         yield from table.of(form)
@@ -277,9 +251,12 @@ def _variants(query: str, table: Synonyms) -> Iterator[str]:
 
 
 def respelled(query: str, known: KnownNames) -> str | None:
-    """The query with its misspelt words mended, None where there are none: words of five letters and more that
-    neither the known names nor the table have, and of which one word that they have is one letter away; of
-    three and four letters only two of a known name may have changed places, or of four one be forgotten."""
+    """Query with misspelt words corrected; None where nothing is misspelt.
+
+    Words of five letters and more that neither the known names nor the table have, and of which one word that they
+    have is one letter away; of three and four letters only two of a known name may have changed places, or of four
+    one be forgotten.
+    """
     words = query.split()
     mended = [_mended(word, known.words, known.table) for word in words]
     return " ".join(mended) if mended != words else None
@@ -303,7 +280,7 @@ def _mended(word: str, words: frozenset[str], table: Synonyms) -> str:
 
 @lru_cache(maxsize=1024)
 def one_letter_away(word: str) -> frozenset[str]:
-    """What a word becomes by one letter more, less or other, or by two that change places."""
+    """Words one letter more, less or other away, or with two letters swapped."""
     splits = [(word[:i], word[i:]) for i in range(len(word) + 1)]
     lost = {a + b[1:] for a, b in splits if b}
     changed = {a + c + b[1:] for a, b in splits if b for c in ascii_lowercase}
@@ -312,5 +289,5 @@ def one_letter_away(word: str) -> frozenset[str]:
 
 
 def two_swapped(word: str) -> frozenset[str]:
-    """What a word becomes where two letters beside each other change places."""
+    """Words with two neighbouring letters swapped."""
     return frozenset(word[:k] + word[k + 1] + word[k] + word[k + 2 :] for k in range(len(word) - 1))

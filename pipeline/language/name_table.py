@@ -1,4 +1,4 @@
-"""The table of what class names mean: which are synonyms, which are kinds of which, which are taken for one another."""
+"""The table of class names: synonyms, kinds, and names often confused."""
 
 from __future__ import annotations
 
@@ -24,27 +24,26 @@ _TOLD = {"about", "source", "licence"}
 
 @dataclass(frozen=True, eq=False)
 class Synonyms:
-    """Which names mean the same, which are kinds of which, and which are not what their last word says.
+    """Synonyms, kinds, and exceptions of class names.
 
-    Attributes
-    ----------
-    groups : tuple of frozenset of str
-        Names, in normal form, that mean the same. A name may stand in several groups (`computer` with `laptop` and
-        with `desktop`), and meaning is not chained through it.
-    exceptions : frozenset of str
-        Names, in normal form, that their last word must not match: a `hot dog` is no `dog`.
-    kinds : mapping of str to frozenset of str
-        Of a general name, in normal form, names of its kinds: `cup` -> `mug`, `teacup`.
-    near : tuple of frozenset of str
-        Names of different things that people and detectors call by one another's: `desk` and `table`.
-    plain : frozenset of str
-        Further names of things, in normal form, of which the table only says that there are such.
+    Examples
+    --------
+    >>> from pipeline.language import default_synonyms, match
+    >>> table = default_synonyms().extended([["bin", "waste bucket"]])
+    >>> match("waste bucket", ["trash can", "bin"], table)
+    ('trash can', 'bin')
     """
 
+    # Names, in normal form, that mean the same. A name may stand in several groups (`computer` with `laptop` and with
+    # `desktop`), and meaning is not chained through it
     groups: tuple[frozenset[str], ...]
+    # Names, in normal form, that their last word must not match: a `hot dog` is no `dog`
     exceptions: frozenset[str] = frozenset()
+    # Of a general name, in normal form, names of its kinds: `cup` -> `mug`, `teacup`
     kinds: Mapping[str, frozenset[str]] = field(default_factory=dict)
+    # Names of different things that people and detectors call by one another's: `desk` and `table`
     near: tuple[frozenset[str], ...] = ()
+    # Further names of things, in normal form, of which the table only says that there are such
     plain: frozenset[str] = frozenset()
     _indices: dict[str, frozenset[int]] = field(init=False, repr=False)
     _excepted: frozenset[str] = field(init=False, repr=False)
@@ -63,19 +62,19 @@ class Synonyms:
 
     @classmethod
     def load(cls, extra: str | Path | None = None) -> Synonyms:
-        """The table of the project, extended by a file of the user's.
+        """Load the project's table, extended by a JSON file of the user.
 
         Parameters
         ----------
         extra : str or Path, optional
-            A JSON file `{"groups": [["bin", "my bin"], ...], "kinds": {"cup": ["my mug"]}, "near": [["desk", "table"]],
+            `{"groups": [["bin", "my bin"], ...], "kinds": {"cup": ["my mug"]}, "near": [["desk", "table"]],
             "exceptions": ["hot dog", ...]}`, every key optional. A group of it that shares a name with one of ours adds
             its names to that group.
 
         Raises
         ------
         InputError
-            Where the file is missing, is no JSON or has another shape.
+            The file is missing, is no JSON or has another shape.
         """
         if extra is None:
             return default_synonyms()
@@ -90,7 +89,7 @@ class Synonyms:
         return cls(ours.groups, ours.exceptions, kinds, near, ours.plain | frozenset(map(normal_form, read["names"])))
 
     def extended(self, groups: Iterable[Iterable[str]], exceptions: Iterable[str] = ()) -> Synonyms:
-        """A new table with more groups and exceptions, added as `load` describes."""
+        """Copy with more groups and exceptions, added as `load` describes."""
         merged = list(self.groups)
         for names in groups:
             group = frozenset(normal_form(n) for n in names)
@@ -104,25 +103,25 @@ class Synonyms:
         return Synonyms(tuple(merged), more, self.kinds, self.near, self.plain)
 
     def of(self, name: str) -> frozenset[str]:
-        """All names in the table that mean the same as `name`, in normal form, itself included."""
+        """All synonyms of a name, in normal form, itself included."""
         normal = normal_form(name)
         return frozenset({normal}).union(*(self.groups[i] for i in self._indices.get(key_of(normal), ())))
 
     def same(self, a: str, b: str) -> bool:
-        """Whether two names in normal form are one spelling or share a group."""
+        """Test if two names in normal form are one spelling or share a group."""
         a, b = key_of(a), key_of(b)
         return a == b or not self._indices.get(a, frozenset()).isdisjoint(self._indices.get(b, frozenset()))
 
     def is_exception(self, name: str) -> bool:
-        """Whether the last word of a name in normal form does not say what the thing is."""
+        """Test if the last word of a name in normal form does not say what the thing is."""
         return key_of(name) in self._excepted
 
     def general(self, name: str) -> frozenset[str]:
-        """The names, in normal form, of which a name in normal form is said to be a kind."""
+        """Generalisations of a name, both in normal form, by the table."""
         return self._general.get(key_of(name), frozenset())
 
     def taken_for(self, name: str) -> frozenset[str]:
-        """The names, in normal form, that a thing of this name, in normal form, is often given."""
+        """Names often confused with a name, both in normal form."""
         return self._taken.get(key_of(name), frozenset())
 
     @cached_property
@@ -149,16 +148,16 @@ class Synonyms:
 
     @cached_property
     def keys(self) -> frozenset[str]:
-        """The names of the table without gaps."""
+        """Names of the table without gaps."""
         return frozenset(map(key_of, self.names))
 
     @cached_property
     def words(self) -> frozenset[str]:
-        """The single words of all names of the table."""
+        """Single words of all names of the table."""
         return frozenset(word for name in self.names for word in name.split())
 
     def record(self) -> dict[str, Any]:
-        """What `Synonyms` is made of, for JSON, in one order."""
+        """JSON of the table, in one order."""
         return {
             "groups": sorted(sorted(g) for g in self.groups),
             "exceptions": sorted(self.exceptions),
@@ -169,7 +168,7 @@ class Synonyms:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Hash of all that decides what a name means."""
+        """Hash of the whole table."""
         return xxhash.xxh3_64_hexdigest(json.dumps(self.record()).encode())
 
 
@@ -201,7 +200,7 @@ def _json_of(path: Path) -> Any:
 
 
 def checked_table(table: Any, path: Path) -> dict[str, Any]:
-    """The groups, exceptions, kinds and near names of a file, each there, or InputError where it has another shape."""
+    """Groups, exceptions, kinds and near names of a file; InputError for another shape."""
     if not isinstance(table, dict):
         raise InputError("the synonym table has the wrong shape", got=type(table).__name__, expected=_FORM, path=path)
     read: dict[str, Any] = {"groups": [], "exceptions": [], "kinds": {}, "near": [], "names": []}

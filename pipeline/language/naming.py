@@ -1,4 +1,4 @@
-"""What class names mean: which of the names that a dataset or a detector knows a query stands for, and how surely."""
+"""Meanings of class names: the names of a dataset or a detector that a query stands for, with scores."""
 
 from __future__ import annotations
 
@@ -47,54 +47,53 @@ _SURE, _MENDED = 0.7, 0.85
 
 
 class TextVectors(Protocol):
-    """A file of text vectors, as `pipeline.language.vectors` opens it."""
+    """A file of text vectors, as opened by `pipeline.language.vectors`."""
 
     def phrases(self, names: Sequence[str], *, allow_missing: bool = False) -> Any: ...
 
 
 @dataclass(frozen=True)
 class Meaning:
-    """A known name that a query may stand for.
+    """A known name that a query may stand for."""
 
-    Attributes
-    ----------
-    name : str
-        As it is spelled among the known names.
-    score : float
-        1 for the very name, less the less surely the query means it; `meanings` lists the values.
-    how : {"exact", "synonym", "kind", "spelling", "vectors"}
-        By its own spelling; by another name of it; as a kind of the query, as what it holds, or as the nearest more
-        general or similar thing; the same after a misspelt word was corrected; by text vectors.
-    via : str
-        The word, of the query or of the table, at which the name was found: `mug` where `coffee mug` is taken for
-        `mug`, `cup` where a `cup` is taken for a `mug`; for a misspelt query, as it is spelled right; "" for exact and
-        vectors.
-    left : tuple of int
-        Places among the query's words in normal form of those that the name says nothing of: 0 where `zorb mug` is
-        taken for `mug`. None of a name that the table knows (`coffee mug`).
-    """
-
-    name: str
-    score: float
+    name: str  # As it is spelled among the known names
+    score: float  # 1 for the very name, less the less surely the query means it; `meanings` lists the values
+    # By its own spelling; by another name of it; as a kind of the query, as what it holds, or as the nearest more
+    # general or similar thing; the same after a misspelt word was corrected; by text vectors
     how: How
+    # The word, of the query or of the table, at which the name was found: `mug` where `coffee mug` is taken for `mug`,
+    # `cup` where a `cup` is taken for a `mug`; for a misspelt query, as it is spelled right; "" for exact and vectors
     via: str
+    # Positions among the query's words in normal form of those that the name says nothing of: 0 where `zorb mug` is
+    # taken for `mug`. None of a name that the table knows (`coffee mug`)
     left: tuple[int, ...] = ()
 
 
 def same_class(a: str, b: str, synonyms: Synonyms | None = None) -> bool:
-    """Whether two names mean the same class: one spelling, or synonyms. `box` and `cracker box` do not."""
+    """Test if two names mean the same class: one spelling, or synonyms. `box` and `cracker box` do not.
+
+    Examples
+    --------
+    >>> from pipeline.language import same_class
+    >>> same_class("garbage bin", "TrashCan"), same_class("box", "cracker box")
+    (True, False)
+    """
     return (synonyms or default_synonyms()).same(normal_form(a), normal_form(b))
 
 
 def is_named(query: str, name: str, synonyms: Synonyms | None = None) -> bool:
-    """Whether a query names this very class, by one of its spellings (`Monitor` for `Monitor/TV`, `bus` for
-    `bus (vehicle)`) or by a synonym, and not by a more general word."""
+    """Test if a query names this very class, by a spelling or a synonym, and not by a more general word.
+
+    `Monitor` names `Monitor/TV`, and `bus` names `bus (vehicle)`.
+    """
     return key_of(normal_form(query)) in spellings(name) or same_class(query, name, synonyms)
 
 
 def same_or_kind(a: str, b: str, synonyms: Synonyms | None = None) -> bool:
-    """Whether two names may be said of one thing: one class, or one is surely a kind of the other (`cracker box` and
-    `box`, `mug` and `cup`), and not merely near it (`monitor` and `tv`)."""
+    """Test if two names may be said of one thing: one class, or surely a kind of the other.
+
+    `cracker box` and `box`, `mug` and `cup`; not merely near it (`monitor` and `tv`).
+    """
     if same_class(a, b, synonyms):
         return True
     found = [meanings(*pair, synonyms) for pair in ((a, (b,)), (b, (a,)))]
@@ -102,23 +101,16 @@ def same_or_kind(a: str, b: str, synonyms: Synonyms | None = None) -> bool:
 
 
 def match(query: str, names: Sequence[str], synonyms: Synonyms | None = None) -> tuple[str, ...]:
-    """The names, out of those a dataset or a detector knows, that a query means: the best tier of `meanings`, save
-    that a misspelt query (`chiar`) means none.
+    """Match a query with known class names: the best tier of `meanings`; a misspelt query (`chiar`) matches nothing.
 
-    Parameters
-    ----------
-    query : str
-        What the user wrote.
-    names : sequence of str
-        Known class names, in any spelling.
-    synonyms : Synonyms, optional
-        The project's own table by default.
+    Names come out as they are spelled in `names`, without repeats, the very name before synonyms, and in their order
+    among those of one kind. The table of `synonyms` is the project's own by default.
 
-    Returns
-    -------
-    tuple of str
-        Names out of `names` as they are spelled there, without repeats, the very name before synonyms, and in their
-        order among those of one kind; empty where the query is unknown.
+    Examples
+    --------
+    >>> from pipeline.language import match
+    >>> match("cup", ["coffee_mug", "laptop", "teacup"]), match("zorb", ["laptop"])
+    (('coffee_mug', 'teacup'), ())
     """
     # A misspelt query is unknown, so that whoever asks is told. The very name stands before its synonyms.
     found = _walk(normal_form(query), known_as(tuple(names), synonyms or default_synonyms()))
@@ -128,7 +120,7 @@ def match(query: str, names: Sequence[str], synonyms: Synonyms | None = None) ->
 def meanings(
     query: str, names: Sequence[str], synonyms: Synonyms | None = None, vectors: TextVectors | None = None
 ) -> tuple[Meaning, ...]:
-    """The known names that a query may stand for, each with a score and the way it was found.
+    """Known names that a query may stand for, best first, each with a score and how the name was found.
 
     Found in tiers; a name counts in the first that has it, and `match` gives the first that has any:
 
@@ -140,25 +132,19 @@ def meanings(
        exceptions), kinds of it by the table (`cup` -> `mug`, `furniture` -> `office chair`), and such as share its
        other words too (`mustard container` -> `mustard bottle`);
     4. what is packed, for its package: `sugar` -> `sugar box` (0.7);
-    5. the same tiers after one letter of a word that nothing knows was mended (each score times 0.85);
+    5. the same tiers after one letter of a word that nothing knows was corrected (each score times 0.85);
     6. the query without words before its head: `wall clock` -> `clock` (0.65);
     7. one step up: `armchair` -> `chair`, `mug` -> `cup` (0.6);
     8. of a query that the table does not know, kinds of its head: `kitchen table` -> `dining table` (0.55); not where
        its first words say what is inside, so `cheese box` never is a `sugar box`;
     9. what is often taken for it: `monitor` -> `tv` (0.5);
-    10. by text vectors, where they are given: half the cosine, from 0.5 up.
+    10. by text vectors of class names, if any: half the cosine, from 0.5 up; only where no other tier has a name.
 
-    Parameters
-    ----------
-    query, names, synonyms
-        As in `match`.
-    vectors : TextVectors, optional
-        Of class names; asked only where no other tier has a name.
-
-    Returns
-    -------
-    tuple of Meaning
-        Best first; empty where the query is unknown.
+    Examples
+    --------
+    >>> from pipeline.language import meanings
+    >>> [(m.name, m.score, m.how) for m in meanings("office chiar", ["chair", "desk"])]
+    [('chair', 0.552, 'spelling')]
     """
     known = known_as(tuple(names), synonyms or default_synonyms())
     found = _tiers(normal_form(query), known)
@@ -168,13 +154,13 @@ def meanings(
 
 
 def spelt(query: str, names: Sequence[str], synonyms: Synonyms | None = None) -> str:
-    """The query itself, or as it is spelled right where a known name is meant so the more surely: `chiar`."""
+    """Query with a misspelt word corrected (`chiar`) where a known name is meant the more surely; else unchanged."""
     found = meanings(query, names, synonyms)[:1]
     return found[0].via if found and found[0].how == "spelling" else query
 
 
 def _tiers(wanted: str, known: KnownNames) -> tuple[tuple[Meaning, ...], ...]:
-    """`_walk`, and where it finds nothing as sure, that of the query with its misspelt words mended before it."""
+    """Tiers of `_walk`; where nothing is as sure, preceded by those of the query with misspelt words corrected."""
     found = _walk(wanted, known)
     if not wanted or (found and found[0][0].score >= _SURE):
         return found
@@ -194,7 +180,7 @@ def _tiers(wanted: str, known: KnownNames) -> tuple[tuple[Meaning, ...], ...]:
 
 @lru_cache(maxsize=65536)
 def _walk(wanted: str, known: KnownNames) -> tuple[tuple[Meaning, ...], ...]:
-    """The tiers that have names for a query in normal form, best first; within one the names stand in their order."""
+    """Tiers of known names for a query in normal form, best first; names of a tier in their own order."""
     plan = lookups(wanted, known.table) if wanted else ()
     # A whole sentence is no name, whatever its last word is.
     words = wanted.split()
@@ -227,24 +213,23 @@ def _by_vectors(query: str, names: tuple[str, ...], vectors: TextVectors) -> tup
 
 @lru_cache(maxsize=1)
 def known_words() -> frozenset[str]:
-    """The single words, in lower case, of all names of the project's own table, plurals of them not."""
+    """Single words, in lower case, of all names of the project's own table, without plurals."""
     return default_synonyms().words
 
 
 def is_compound(words: Sequence[str]) -> bool:
-    """Whether a run of two or more words in lower case is exactly a name of the table: `wall clock`, `white board`."""
+    """Test if two or more words in lower case are exactly a name of the table: `wall clock`, `white board`."""
     return len(words) > 1 and key_of(normal_form(" ".join(words))) in default_synonyms().keys
 
 
 def suggest(query: str, names: Iterable[str], n: int = 3) -> tuple[str, ...]:
-    """The known names nearest to one that is not known, best first: by letters, and by words in common.
+    """Known names nearest to an unknown name, at most `n`, best first: by letters, and by words in common.
 
-    Parameters
-    ----------
-    query : str
-    names : iterable of str
-    n : int
-        At most so many.
+    Examples
+    --------
+    >>> from pipeline.language import suggest
+    >>> suggest("labtop", ["chair", "lamp", "laptop"])
+    ('laptop', 'lamp')
     """
     wanted = normal_form(query)
     words = set(wanted.split())

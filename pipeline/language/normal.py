@@ -1,4 +1,4 @@
-"""The one spelling under which class names are compared: singular, lower case, without articles and separators."""
+"""Normal form of class names, under which they are compared: singular, lower case, no articles or separators."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _GAPS = re.compile(r"[\s_\-‐-―/]+")
 
 
 def singular(noun: str) -> str:
-    """The singular of one English word in lower case; a word that is no plural comes back as it is."""
+    """Singular of one English word in lower case; a word that is no plural comes back unchanged."""
     if noun in _UNCHANGED or len(noun) < 3:
         return noun
     if noun in _IRREGULAR:
@@ -67,7 +67,7 @@ def singular(noun: str) -> str:
 
 
 def _mended(noun: str) -> str:
-    """The singular of a compound that ends in an irregular plural, such as `policemen` and `dormice`."""
+    """Singular of a compound that ends in an irregular plural, such as `policemen` and `dormice`."""
     for plural, one in (("women", "woman"), ("men", "man"), ("mice", "mouse")):
         if noun.endswith(plural) and noun not in _NOT_MEN:
             return noun[: -len(plural)] + one
@@ -76,16 +76,17 @@ def _mended(noun: str) -> str:
 
 @lru_cache(maxsize=65536)
 def normal_form(name: str) -> str:
-    """The spelling under which names are compared.
+    """Normal form of a class name, for comparisons.
 
     Lower case; underscores, hyphens, slashes, camel case and runs of space become one space each; leading articles
-    and possessives go; the head noun becomes singular (`boxes_of_tissues` -> `box of tissues`). A qualifier in
-    parentheses stays (`bat (animal)`). Applying it twice changes nothing.
+    and possessives go; the head noun becomes singular. A qualifier in parentheses stays (`bat (animal)`). Applying it
+    twice changes nothing.
 
-    Parameters
-    ----------
-    name : str
-        A class name as a dataset, a detector or a person writes it.
+    Examples
+    --------
+    >>> from pipeline.language import normal_form
+    >>> normal_form("boxes_of_tissues"), normal_form("The CoffeeTables")
+    ('box of tissues', 'coffee table')
     """
     text = unicodedata.normalize("NFKC", name)
     text = CAMEL_CASE.sub(" ", text).lower().replace("’", "'").replace("‘", "'")
@@ -112,14 +113,13 @@ def _plain(text: str) -> str:
 
 
 def key_of(normal: str) -> str:
-    """A name in normal form without its gaps: `trash can` and `trashcan` are one name."""
+    """Key of a name in normal form: without gaps, so that `trash can` and `trashcan` are one name."""
     return normal.replace(" ", "")
 
 
 @lru_cache(maxsize=65536)
 def forms_of(name: str) -> tuple[str, ...]:
-    """What a name may be called, in normal form: itself, itself without its qualifier, each of `Monitor/TV` and of
-    `cup or mug`."""
+    """Forms of a name, in normal form: whole, without qualifier, each of `Monitor/TV` and of `cup or mug`."""
     whole = normal_form(name)
     forms = (whole, base_of(whole), *(normal_form(p) for p in _EITHER.split(name)))
     return tuple(dict.fromkeys(form for form in forms if form))
@@ -127,10 +127,10 @@ def forms_of(name: str) -> tuple[str, ...]:
 
 @lru_cache(maxsize=65536)
 def spellings(name: str) -> frozenset[str]:
-    """The keys that a name answers to."""
+    """Keys of all forms of a name."""
     return frozenset(map(key_of, forms_of(name)))
 
 
 def base_of(normal: str) -> str:
-    """A name without its qualifier: who writes `bus` means `bus (vehicle)`."""
+    """Name without qualifier: `bus` means `bus (vehicle)`."""
     return QUALIFIER.sub("", normal)

@@ -59,36 +59,24 @@ _FIRST_WORD = re.compile(r"[^\W_]+")
 
 @dataclass(frozen=True)
 class NounPhrase:
-    """A class name ready to stand in a sentence.
+    """A class name ready to stand in a sentence."""
 
-    Attributes
-    ----------
-    words : str
-        The name in readable words, possibly in double quotes.
-    plural : bool
-        Whether it takes `are`.
-    mass : bool
-        Whether it cannot be counted and so takes no `a`.
-    article : {"a", "an"}
-        The indefinite article by sound, for a name that is neither plural nor mass.
-    """
-
-    words: str
-    plural: bool
-    mass: bool
-    article: str
+    words: str  # The name in readable words, possibly in double quotes
+    plural: bool  # It takes `are`
+    mass: bool  # It cannot be counted and so takes no `a`
+    article: str  # The indefinite article by sound, for a name that is neither plural nor mass
 
     @property
     def verb(self) -> str:
-        """`is` or `are`."""
+        """Verb, `is` or `are`."""
         return "are" if self.plural else "is"
 
     def definite(self, *, other: bool = False) -> str:
-        """`the mug`; beside another of its kind `another mug`: there may be more than two."""
+        """Definite phrase, `the mug`; besides another of its kind `another mug`: there may be more than two."""
         return self.indefinite(other=True) if other else f"the {self.words}"
 
     def indefinite(self, *, other: bool = False) -> str:
-        """`a mug`, `an umbrella`, `some scissors`, `some rice`; `another mug`, `some other scissors`."""
+        """Indefinite phrase: `a mug`, `some scissors`, `some rice`; `another mug`, `some other scissors`."""
         if self.plural or self.mass:
             return f"some other {self.words}" if other else f"some {self.words}"
         return f"another {self.words}" if other else f"{self.article} {self.words}"
@@ -96,7 +84,7 @@ class NounPhrase:
 
 @lru_cache(maxsize=65536)
 def noun_phrase(words: str) -> NounPhrase:
-    """The noun phrase of a name in readable words, which may stand in double quotes."""
+    """Noun phrase of a name in readable words, which may stand in double quotes."""
     bare = words.strip('"')
     tail = HEAD_ENDS.split(QUALIFIER.sub("", bare.lower()), maxsplit=1)[0].split()
     head = re.split(r"[-/]", tail[-1])[-1] if tail else ""
@@ -105,12 +93,9 @@ def noun_phrase(words: str) -> NounPhrase:
 
 
 def indefinite_article(words: str) -> str:
-    """`a` or `an` by how the first word sounds: an hour, a unicorn, an LED lamp, a USB cable, an 8 ball.
+    """Article `a` or `an` by the sound of the first word: an hour, a unicorn, an LED lamp, a USB cable, an 8 ball.
 
-    Parameters
-    ----------
-    words : str
-        Capitals count: `US` is spelled out.
+    Capitals count: `US` is spelled out.
     """
     found = _FIRST_WORD.search(words)
     if found is None:
@@ -133,12 +118,12 @@ def indefinite_article(words: str) -> str:
 
 
 def _number_sounds_open(digits: str) -> bool:
-    """Eight, eleven, eighteen and what begins with them."""
+    """Test digits for eight, eleven, eighteen and numbers that begin so."""
     return digits[0] == "8" or (digits[:2] in ("11", "18") and len(digits) % 3 == 2)
 
 
 def _is_spelled_out(word: str) -> bool:
-    """Whether a word is said letter by letter: `LED`, `usb`, the `x` of `x-ray`, the `F` of `F1`."""
+    """Test if a word is said letter by letter: `LED`, `usb`, the `x` of `x-ray`, the `F` of `F1`."""
     letters = re.match(r"[^\W\d_]+", word)
     if letters is None or word.lower() in _ABBREVIATIONS:
         return False
@@ -154,14 +139,15 @@ def _is_spelled_out(word: str) -> bool:
 
 @lru_cache(maxsize=65536)
 def readable(name: str, *, brief: bool = True) -> str:
-    """A class name in words that read well: `hot_sauce` -> `hot sauce`, `CoffeeTable` -> `coffee table`.
+    """Readable words of a class name: `hot_sauce` -> `hot sauce`, `CoffeeTable` -> `coffee table`.
 
-    Parameters
-    ----------
-    name : str
-        As a dataset spells it.
-    brief : bool
-        Whether only the first of several spellings (`bookcase / shelf`) stays and a qualifier (`bat (animal)`) goes.
+    With `brief`, only the first of several spellings (`bookcase / shelf`) stays and a qualifier (`bat (animal)`) goes.
+
+    Examples
+    --------
+    >>> from pipeline.language import readable
+    >>> readable("Monitor/TV"), readable("T-Shirt_stack")
+    ('monitor', 'T-Shirt stack')
     """
     text = unicodedata.normalize("NFKC", name).replace("_", " ")
     if brief:
@@ -175,7 +161,7 @@ def readable(name: str, *, brief: bool = True) -> str:
 
 
 def _first_spelling(text: str) -> str:
-    """`bookcase` of `bookcase / shelf`, `Monitor` of `Monitor/TV`; `CD/DVD player` and `24/7 sign` stay whole."""
+    """First spelling, `bookcase` of `bookcase / shelf`; `CD/DVD player` and `24/7 sign` stay whole."""
     parts = [p.strip() for p in text.split("/")]
     if not all(p and p[0].isalpha() for p in parts):
         return text
@@ -184,13 +170,13 @@ def _first_spelling(text: str) -> str:
 
 
 def _without_hyphens(text: str) -> str:
-    """Hyphens as spaces where they do the work of underscores: `hot-dog`, and not `t-shirt` or `one-way sign`."""
+    """Replace hyphens by spaces where they do the work of underscores: `hot-dog`, not `t-shirt` or `one-way sign`."""
     parts = re.split(r"[-‐-―]", text)
     return text if " " in text or any(len(p) < 3 for p in parts) else " ".join(parts)
 
 
 def _recased(word: str, *, shouted: bool, titled: bool) -> str:
-    """A word without the capitals that only the spelling of class names gives it; `TV` and `iPod` keep theirs."""
+    """Word without the capitals that come from the spelling of class names; `TV` and `iPod` keep theirs."""
     if len(word) == 1:
         return word
     if word.isupper():
@@ -200,7 +186,7 @@ def _recased(word: str, *, shouted: bool, titled: bool) -> str:
 
 
 def same_names(labels: Sequence[str]) -> np.ndarray:
-    """(N, N) bool: objects whose class names mean the same."""
+    """Matrix, (N, N) bool, of objects with class names of the same meaning."""
     names = list(dict.fromkeys(labels))
     alike = np.array([[a == b or same_class(a, b) for b in names] for a in names], np.bool_)
     alike = alike.reshape(len(names), len(names))
@@ -209,7 +195,7 @@ def same_names(labels: Sequence[str]) -> np.ndarray:
 
 
 def alone(labels: Sequence[str]) -> np.ndarray:
-    """(N,) bool: names that mean one object only, neither a second of the class nor one of a kind of it."""
+    """Mask, (N,) bool, of names for one object only: no second of the class, and no kind of it."""
     # As they are said: `bat (animal)` and `bat (club)` may both be said `bat`.
     readings = [readable(label) for label in labels]
     single = (same_names(labels).sum(axis=1) == 1) & (same_names(readings).sum(axis=1) == 1)

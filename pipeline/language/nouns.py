@@ -1,4 +1,4 @@
-"""Noun phrases of an expression: the thing, how it looks, which of several it is, and how many there are."""
+"""Noun phrases of an expression: the thing, its attributes, choices among several, and their number."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pipeline.language import choices, lexicon
 from pipeline.language.attributes import Attribute, attribute
 from pipeline.language.cursor import MODALS
-from pipeline.language.looks import Draft, LooksReader
+from pipeline.language.looks import DraftPhrase, LooksReader
 from pipeline.language.naming import DETERMINERS, is_compound, singular
 from pipeline.language.relation_names import MIRRORED
 from pipeline.language.spelling import is_known
@@ -26,58 +26,36 @@ ALTERNATIVES = "of alternatives only the first is judged"
 
 @dataclass(frozen=True)
 class Phrase:
-    """A noun phrase as the grammar reads it.
+    """A noun phrase as the grammar reads it."""
 
-    Attributes
-    ----------
-    label : str
-        The thing with its attributes.
-    head : str
-        The thing alone, where there are attributes.
-    attributes : tuple of Attribute
-    words : tuple of str
-        Each attribute as it was said.
-    choices : tuple of Choice
-    count : int or None
-    viewer : bool
-    named : bool
-        The vocabulary holds the name together.
-    where : (int, int)
-        The tokens of the thing.
-    modifiers : tuple of (int, int, str)
-        Character ranges of what stands apart from the thing: its choices, and attributes without a thing.
-    superlative : Token or None
-        `nearest` and the like, which may be a relation: `the nearest chair to the door`.
-    lacks : tuple of (Attribute, str)
-        How it does not look, and the words: `the not red mug`.
-    """
-
-    label: str
-    head: str = ""
+    label: str  # The thing with its attributes
+    head: str = ""  # The thing alone, where there are attributes
     attributes: tuple[Attribute, ...] = ()
-    words: tuple[str, ...] = ()
+    words: tuple[str, ...] = ()  # Each attribute as it was written
     choices: tuple[Choice, ...] = ()
     count: int | None = None
     viewer: bool = False
-    named: bool = False
-    where: tuple[int, int] = (0, 0)
+    named: bool = False  # The vocabulary holds the name together
+    where: tuple[int, int] = (0, 0)  # (int, int), the tokens of the thing
+    # tuple of (int, int, str), character ranges separate from the thing: its choices, and attributes without a thing
     modifiers: tuple[tuple[int, int, Role], ...] = ()
-    superlative: Token | None = None
+    superlative: Token | None = None  # `nearest` and the like, which may be a relation: `the nearest chair to the door`
+    # tuple of (Attribute, str), attributes that it does not have, and the words: `the not red mug`
     lacks: tuple[tuple[Attribute, str], ...] = ()
 
     @property
     def name(self) -> str:
-        """The thing alone."""
+        """Thing alone."""
         return self.head or self.label
 
     @property
     def head_word(self) -> str:
-        """Its last word."""
+        """Last word of the thing."""
         return self.name.split()[-1] if self.name else ""
 
     @property
     def anything(self) -> bool:
-        """Whether it says only that it is a thing."""
+        """Test if the name says only that there is a thing."""
         return self.name in lexicon.ANYTHING and not self.named
 
 
@@ -91,17 +69,11 @@ class NounReader(LooksReader):
     # ---- one noun phrase -------------------------------------------------------------------------------------------
 
     def noun(self, at: int, *, stop_at_and: bool = False, predicate: bool = False) -> tuple[Phrase | None, int]:
-        """The noun phrase at a token and the token after it; None where there is none.
+        """Read a noun phrase at a token, with the token after; None without a noun phrase.
 
-        Parameters
-        ----------
-        at : int
-        stop_at_and : bool
-            An `and` never belongs to the name.
-        predicate : bool
-            It is said of a thing, so that adjectives may stand alone: `is red`.
+        With `stop_at_and` an `and` never belongs to the name; as a `predicate` adjectives may stand alone: `is red`.
         """
-        draft = Draft([], [], [], [], predicate=predicate)
+        draft = DraftPhrase([], [], [], [], predicate=predicate)
         at = self._before(self._determiners(at), draft)
         if draft.choices or draft.ordinal or draft.words:
             at = self._of_several(at, draft)
@@ -148,7 +120,7 @@ class NounReader(LooksReader):
                 break
         return at
 
-    def _before(self, at: int, draft: Draft) -> int:
+    def _before(self, at: int, draft: DraftPhrase) -> int:
         """Read choices, numbers and attributes before the head."""
         start = at
         while at < len(self.tokens):
@@ -193,8 +165,8 @@ class NounReader(LooksReader):
             at = end
         return at
 
-    def _numbered(self, at: int, draft: Draft | None = None) -> int | None:
-        """Past `number 2`, `no. two` or `#2`, an ordinal; None elsewhere."""
+    def _numbered(self, at: int, draft: DraftPhrase | None = None) -> int | None:
+        """Skip `number 2`, `no. two` or `#2`, an ordinal; None elsewhere."""
         if at >= len(self.tokens):
             return None
         sign = self.text[self.tokens[at].start - 1 : self.tokens[at].start] == "#"
@@ -208,7 +180,7 @@ class NounReader(LooksReader):
             draft.modifiers.append((self.tokens[at].start, self.tokens[last].end, "choice"))
         return last + 1
 
-    def _choice_before(self, at: int, draft: Draft) -> int | None:
+    def _choice_before(self, at: int, draft: DraftPhrase) -> int | None:
         if self.breaks[at] and at and draft.choices:
             return None
         for size in range(_LONGEST_CHOICE, 0, -1):
@@ -248,8 +220,8 @@ class NounReader(LooksReader):
             return after
         return None
 
-    def _may_choose(self, text: str, after: int, draft: Draft, side: bool) -> bool:
-        """Whether a word that could be part of a name chooses: something follows it, or it stands for the thing."""
+    def _may_choose(self, text: str, after: int, draft: DraftPhrase, side: bool) -> bool:
+        """Test if a word that could be part of a name chooses: before more words, or alone for the thing."""
         if text in choices.COMPARATIVES and after < len(self.tokens) and self.tokens[after].plain == "than":
             return False
         following = self.tokens[after] if after < len(self.tokens) else None
@@ -259,8 +231,8 @@ class NounReader(LooksReader):
             return bool(draft.choices) or bool(draft.attributes)
         return True
 
-    def _of_several(self, at: int, draft: Draft) -> int:
-        """`the taller (one) of the two boxes`: past `of the two`."""
+    def _of_several(self, at: int, draft: DraftPhrase) -> int:
+        """Skip `of the two` in `the taller (one) of the two boxes`."""
         if found := self.match(lexicon.PARTITIVE, at):
             return self._before(self._determiners(found[1]), draft)
         if at >= len(self.tokens) or self.tokens[at].plain != "of":
@@ -274,7 +246,7 @@ class NounReader(LooksReader):
                 return at
         return self._before(self._determiners(at + 1), draft)
 
-    def _head_end(self, at: int, draft: Draft, *, stop_at_and: bool) -> int:
+    def _head_end(self, at: int, draft: DraftPhrase, *, stop_at_and: bool) -> int:
         end = at
         while end < len(self.tokens):
             token, word = self.tokens[end], self.tokens[end].plain
@@ -357,19 +329,19 @@ class NounReader(LooksReader):
         )  # fmt: skip
 
     def _counts_from(self, at: int) -> tuple[re.Match[str], int] | None:
-        """Where an ordinal begins to count; `on the top` of `on the top shelf` is none."""
+        """Match the start of counting of an ordinal; `on the top` of `on the top shelf` is none."""
         found = self.match(choices.FROM_SIDE, at)
         return None if found is None or ("from" not in found[0][0] and not self._ends(found[1])) else found
 
     def _sided(self, at: int) -> bool:
-        """Whether `the left one` begins here, which is no word of a name."""
+        """Test if `the left one` begins here, and no word of a name."""
         at += at < len(self.tokens) and self.tokens[at].plain in DETERMINERS
         return (
             self._text(at) in ("left", "right", *choices.ORDINALS) and not self._ends(at + 1) and not self._compound(at)
         )
 
     def _orders(self, at: int) -> bool:
-        """Whether an order follows an ordinal: `(second) from the left`, `(second) closest`."""
+        """Test if an order follows an ordinal: `(second) from the left`, `(second) closest`."""
         text = self._text(at)
         if at < len(self.tokens) and self.tokens[at].relation in ("closest", "farthest"):
             return True
@@ -380,14 +352,14 @@ class NounReader(LooksReader):
         return found is not None and " " in found[0][0].strip() and self._goes_on(found[1])
 
     def _with_relation(self, at: int) -> bool:
-        """Whether `with a lamp on top` follows, and no part of the thing."""
+        """Test if `with a lamp on top` follows, and no part of the thing."""
         _, end = self.noun(at)
         while end < len(self.tokens) and self.tokens[end].plain in lexicon.LINKING - DETERMINERS:
             end += 1
         return end < len(self.tokens) and self._with_tail(end) is not None
 
     def _with_tail(self, at: int) -> int | None:
-        """Past `on top (of it)`; None where no relation of two things ends the clause."""
+        """Skip `on top (of it)`; None where no relation of two things ends the clause."""
         token = self.tokens[at]
         # Only what can be said from the other side, by another name or by a phrase of its own.
         if token.relation not in MIRRORED and token.relation not in lexicon.SAYS_SWAPPED:
@@ -397,8 +369,8 @@ class NounReader(LooksReader):
         bare = token.text in lexicon.BARE_TAILS or token.text in ("on", "in")
         return at + 1 if bare and not self._starts_noun(at + 1) else None
 
-    def _ordinal_end(self, end: int, draft: Draft) -> int:
-        """`from the left` after an ordinal says where it begins to count."""
+    def _ordinal_end(self, end: int, draft: DraftPhrase) -> int:
+        """Read `from the left` after an ordinal: the start of counting."""
         if draft.ordinal is None:
             end = self._numbered(end, draft) or end
         if draft.ordinal is None:
@@ -419,14 +391,14 @@ class NounReader(LooksReader):
         return after
 
     def _of_a_stack(self, head: list[Token]) -> list[Token]:
-        """`pile of books` asks for the books."""
+        """Content of a stack: the books of `pile of books`."""
         if len(head) > 2 and head[0].plain in lexicon.STACKS and head[1].plain == "of":
             return head[2:]
         return head
 
 
-def _first_word(draft: Draft, tokens: Sequence[Token], head: int) -> int:
-    """The token with which the thing and the attributes right before it begin."""
+def _first_word(draft: DraftPhrase, tokens: Sequence[Token], head: int) -> int:
+    """First token of the thing and of the attributes right before."""
     starts = {start for start, _, role in draft.modifiers if role == "attribute"}
     first = head
     for k in range(head - 1, -1, -1):

@@ -1,4 +1,4 @@
-"""The words of asking that may stand before the first thing of an expression and say nothing about it, as data."""
+"""Words of asking before the first thing of an expression, without meaning for it, as data."""
 
 from __future__ import annotations
 

@@ -1,12 +1,11 @@
-"""Things of an expression after the first: the references of relations, pairs of them, what is meant by `one`, what is
-not meant, and the thing once more by another name."""
+"""Things of an expression after the first: references of relations, pairs, `one`, exclusions, and further names."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 from pipeline.language import choices, lexicon
-from pipeline.language.chain import Clause, Opened
+from pipeline.language.chain import Clause, OpenRelation
 from pipeline.language.looks import is_name
 from pipeline.language.naming import DETERMINERS, singular
 from pipeline.language.nouns import Phrase
@@ -20,7 +19,7 @@ NO_RANK = "only the closest and the farthest to a thing are judged"
 
 
 class ReferenceReader(RegionReader):
-    """Reads the things after the first."""
+    """A reader of the things after the first."""
 
     renamed = False
 
@@ -93,14 +92,14 @@ class ReferenceReader(RegionReader):
         return at < len(self.tokens) and self.tokens[at].plain in lexicon.AND
 
     def _later_and(self, at: int) -> int | None:
-        """The next `and` before a noun, behind words that tell more of the first of a pair."""
+        """Next `and` before a noun, behind words about the first of a pair."""
         if self.opened[-1].token.text.endswith(" of"):
             return None
         ahead = (k for k in range(at, len(self.tokens)) if self.tokens[k].plain == "and" and self._starts_noun(k + 1))
         return next(ahead, None)
 
     def _second(self, first: Phrase, number: int, end: int) -> tuple[int | None, int]:
-        """The other reference of `between`; `the two chairs` are both."""
+        """Read the other reference of `between`; `the two chairs` are both."""
         if (side := self.match(choices.AT_SIDE, end)) is not None and self._joins(side[1]):
             for order in choices.orders_of(side[0]["side"]):
                 choice = Choice(order, None, side[0][0].strip())  # type: ignore[arg-type]
@@ -131,7 +130,7 @@ class ReferenceReader(RegionReader):
         return None, end
 
     def _further(self, at: int, phrase: Phrase, end: int) -> int:
-        """A noun without a relation before it: the target once more, what it is not, or nothing that is of use."""
+        """Read a noun without a relation before: the target once more, an exclusion, or nothing of use."""
         root = self.chain.nouns[0]
         if self.negated:
             where = phrase.where
@@ -194,7 +193,7 @@ class ReferenceReader(RegionReader):
         return end
 
     def _nearest_noun(self, phrase: Phrase, end: int, at: int) -> int:
-        """`the nearest chair to the door`: the relation stands before the noun that it modifies."""
+        """Read `the nearest chair to the door`: the relation stands before the noun."""
         early = phrase.superlative
         assert early is not None
         others = tuple(c for c in phrase.choices if c.text != early.text)
@@ -213,7 +212,7 @@ class ReferenceReader(RegionReader):
         link = self.tokens[end]
         self._relation_span(early)
         self.opened.append(
-            Opened(replace(link, text=f"{early.text} {link.text}", relation=early.relation), False, "nearest")
+            OpenRelation(replace(link, text=f"{early.text} {link.text}", relation=early.relation), False, "nearest")
         )
         viewer = self._viewer(at)
         return self._reference(at, *self._required(at)) if viewer is None else viewer

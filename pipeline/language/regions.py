@@ -1,12 +1,11 @@
-"""Sides and parts of an expression, `on the left`, `at the right end of the couch`, and things told by what others do
-to them: `the shelf the jar stands on`."""
+"""Sides and parts in an expression, `at the right end of the couch`, and clauses, `the shelf the jar stands on`."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 from pipeline.language import choices, lexicon
-from pipeline.language.chain import Attach, ChainReader, Clause, Opened
+from pipeline.language.chain import Attach, ChainReader, Clause, OpenRelation
 from pipeline.language.naming import DETERMINERS, is_compound, singular
 from pipeline.language.nouns import Phrase
 from pipeline.language.relation_names import MIRRORED
@@ -15,10 +14,10 @@ from pipeline.language.tree import Choice, Span
 
 
 class RegionReader(ChainReader):
-    """Reads sides, as choices, and parts of things."""
+    """A reader of sides, as choices, and of parts of things."""
 
     def _side(self, at: int) -> int | None:
-        """A side that chooses: `on the left`, `furthest to the right`; None where there is none here."""
+        """Read a side that chooses: `on the left`, `furthest to the right`; None elsewhere."""
         if not self.chain.nouns and not self.asks_what:
             return None
         if " " in self.tokens[at].text:
@@ -46,7 +45,7 @@ class RegionReader(ChainReader):
         return found[1]
 
     def _look(self, at: int) -> int | None:
-        """A colour that follows the thing by a phrase: `in red`, `of a red colour`, `painted green`."""
+        """Read a colour in a phrase behind the thing: `in red`, `of a red colour`, `painted green`."""
         found = None if self.opened else self._color_after(at)
         if found is None:
             return None
@@ -57,7 +56,7 @@ class RegionReader(ChainReader):
         return end
 
     def _region(self, at: int) -> int | None:
-        """A part of a thing: it stands in a relation to that thing, and at a side."""
+        """Read a part of a thing: a relation to that thing, and a side."""
         found = self.match(choices.REGION_OF, at)
         if found is None or self.opened:
             return None
@@ -88,7 +87,7 @@ class RegionReader(ChainReader):
         token = Token(found[0][0].strip(), self.tokens[at].start, self.tokens[found[1] - 1].end, relation)
         if not side:
             token = self._place_left_out(token, relation)
-        self.opened.append(Opened(token, self._take_negation(), attach))
+        self.opened.append(OpenRelation(token, self._take_negation(), attach))
         return found[1]
 
     def _choice(self, choice: Choice, at: int, end: int) -> None:
@@ -112,15 +111,9 @@ class RegionReader(ChainReader):
         self.chain.clauses.append(Clause("", choice.text, (), attach=attach, choice=choice))
 
     def _scene(self, at: int, *, named: bool = False, whole: bool = False) -> int | None:
-        """Past `the room`, where the scene itself is the reference; None where a thing is.
+        """Skip `the room`, where the scene itself is the reference; None for a thing.
 
-        Parameters
-        ----------
-        at : int
-        named : bool
-            The word may be a class too.
-        whole : bool
-            It is no picture, which may be a thing of the scene.
+        `named`: the word may be a class too; `whole`: no picture, which may be a thing of the scene.
         """
         at += at < len(self.tokens) and self.tokens[at].plain in DETERMINERS
         word = self.tokens[at].plain or (self.tokens[at].text if named else None) if at < len(self.tokens) else None
@@ -131,7 +124,7 @@ class RegionReader(ChainReader):
     # ---- things told by others -------------------------------------------------------------------------------------
 
     def _object_clause(self, at: int) -> int | None:
-        """`the shelf (that) the jar stands on`: a relation that holds from the thing named in it; None elsewhere."""
+        """Read `the shelf (that) the jar stands on`: a relation from the inner thing; None elsewhere."""
         word = self.tokens[at].plain
         bare = word in DETERMINERS - lexicon.RELATIVE and not self._predicative(at) and not self.breaks[at]
         asked = self.asks_what and (word in ("is", "are") if self.chain.nouns else bare)
@@ -168,7 +161,7 @@ class RegionReader(ChainReader):
         return end + 1
 
     def _who_stands(self, at: int) -> tuple[Phrase | None, int]:
-        """The thing of a clause about it: of `the plant stands`, which may be things elsewhere, the plant."""
+        """Read the subject of an object clause: of `the plant stands`, elsewhere a name, the plant."""
         phrase, end = self.noun(at, stop_at_and=True)
         if phrase is not None and self.tokens[end - 1].plain in lexicon.POSTURES and end - 1 > phrase.where[0]:
             self.stop = end - 1
@@ -177,7 +170,7 @@ class RegionReader(ChainReader):
         return phrase, end
 
     def _fronted(self, at: int) -> int | None:
-        """`the table on which the lamp stands`: a relation that holds from the thing named after it; None elsewhere."""
+        """Read `the table on which the lamp stands`: a relation from the later thing; None elsewhere."""
         token = self.tokens[at]
         whom = self.tokens[at + 1].plain if at + 1 < len(self.tokens) else None
         if whom not in ("which", "whom") or token.relation not in (*MIRRORED, "on", "in") or not self.chain.nouns:
@@ -195,7 +188,7 @@ class RegionReader(ChainReader):
         return end
 
     def _predicative(self, at: int) -> bool:
-        """Whether what begins here is said of a thing: `is red`, `is not the red one`, and not `there is`."""
+        """Test if a predicate begins here: `is red`, `is not the red one`, and not `there is`."""
         at -= 1
         while at > 0 and (self.tokens[at].plain in lexicon.NEGATIONS or self.tokens[at].plain in lexicon.DEGREES):
             at -= 1
@@ -203,7 +196,7 @@ class RegionReader(ChainReader):
         return bool(self.chain.nouns) and said and self.tokens[at - 1].plain != "there"
 
     def _whole(self, at: int, phrase: Phrase) -> Phrase:
-        """`the bookcase` for `the lowest shelf of the bookcase`: of what part of a thing is meant nothing is known."""
+        """Replace a part by its whole: `the bookcase` for `the lowest shelf of the bookcase`, with a note."""
         start, end = phrase.where
         of = next((k for k in range(start, end) if self.tokens[k].plain == "of"), end)
         if phrase.named or of + 1 >= end or singular(self.tokens[of - 1].text) not in lexicon.PARTS:
@@ -218,7 +211,7 @@ class RegionReader(ChainReader):
         return whole
 
     def _resolved(self, phrase: Phrase, other: Phrase | None = None, *, implied: bool = False) -> Phrase:
-        """`the yellow one` of the thing that was named last; so too where no thing is said."""
+        """Resolve `the yellow one` to the last named thing; an implied thing too."""
         if not phrase.anything or not (implied or phrase.head_word in ("one", "ones")) or not self.chain.nouns:
             return phrase
         named = other if other is not None and not other.anything else self.chain.nouns[-1]

@@ -1,4 +1,4 @@
-"""The relations, each declared once: whatever names, reads, says, stores or colours a relation follows from `DECLARED`.
+"""The relations, each declared once: names, readings, wordings, columns and colours follow from `DECLARED`.
 
 How a relation is judged is said by its predicate, in `pipeline.relations.predicates`. `docs/adding-a-relation.md`
 shows how one is added.
@@ -12,61 +12,31 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class Relation:
-    """What is to be known of "TARGET name REFERENCE" apart from how it is judged.
+    """A relation "TARGET name REFERENCE", apart from its geometric rule."""
 
-    Attributes
-    ----------
-    name : str
-        Canonical name; of labels, records and networks.
-    phrase : str
-        How it is said between two nouns.
-    reads : tuple of str
-        The phrases that are read as it: lower-case words with single spaces, `phrase` among them.
-    says : tuple of str
-        The phrases of automatic sentences, which claim no more than the relation: `under` and `over` would, `at the
-        back of` may mean a part. Empty for `phrase` alone.
-    which : str
-        How it is said in "Which object is ... the laptop?"; "" for `phrase`.
-    swapped_phrase : str
-        How "a name b" is said from b's side where no relation is its inverse; "" where nothing says that.
-    swapped_reads : tuple of str
-        The phrases that say it so, of REFERENCE to TARGET.
-    inverse : str or None
-        The relation that b has to a where a has this one to b; its own name where it is symmetric.
-    axis : (int, int) or None
-        Of a direction: its axis among the viewer's (right, up, forward), and on which side (-1, 1) the target lies.
-    viewer_dependent : bool
-        It depends on where the camera stands.
-    pairwise : bool
-        It has a state for every ordered pair of objects; otherwise it needs more of them.
-    vocabularies : tuple of str
-        The vocabularies that it is in, besides "all" (every pairwise one) and SEMANTIC_ABSTRACTION.
-    coarser : str or None
-        What it is read as in a vocabulary that lacks it.
-    seen_from : str
-        Whether diagrams show its pairs from above ("plan") or from the viewer's place ("side").
-    color : (int, int, int)
-        Its colour in pictures of statistics.
-    since : str
-        The version of the labels' schema that brought its columns; labels of an older one have none.
-    """
-
-    name: str
-    phrase: str
-    reads: tuple[str, ...]
+    name: str  # Canonical name; of labels, records and networks
+    phrase: str  # Wording between two nouns
+    reads: tuple[str, ...]  # The phrases that are read as it: lower-case words with single spaces, `phrase` among them
+    # The phrases of automatic sentences, which claim no more than the relation: `under` and `over` would, `at the back
+    # of` may mean a part. Empty for `phrase` alone
     says: tuple[str, ...] = ()
-    which: str = ""
-    swapped_phrase: str = ""
-    swapped_reads: tuple[str, ...] = ()
+    which: str = ""  # Wording in "Which object is ... the laptop?"; "" for `phrase`
+    swapped_phrase: str = ""  # Wording of "a name b" from b's side where no relation is its inverse; "" for none
+    swapped_reads: tuple[str, ...] = ()  # The phrases of that, of REFERENCE to TARGET
+    # The relation that b has to a where a has this one to b; its own name where it is symmetric
     inverse: str | None = None
+    # (int, int) or None, of a direction: its axis among the viewer's (right, up, forward), and on which side (-1, 1)
+    # the target lies
     axis: tuple[int, Literal[-1, 1]] | None = None
-    viewer_dependent: bool = False
-    pairwise: bool = True
+    viewer_dependent: bool = False  # It depends on where the camera stands
+    pairwise: bool = True  # It has a state for every ordered pair of objects; otherwise it needs more of them
+    # The vocabularies that it is in, besides "all" (every pairwise one) and SEMANTIC_ABSTRACTION
     vocabularies: tuple[str, ...] = ()
-    coarser: str | None = None
+    coarser: str | None = None  # Stand-in in a vocabulary that lacks it
+    # View of diagrams of its pairs: from above ("plan") or from the viewer's position ("side")
     seen_from: Literal["plan", "side"] = "plan"
-    color: tuple[int, int, int] = (110, 110, 110)
-    since: str = "1.0.0"
+    color: tuple[int, int, int] = (110, 110, 110)  # (int, int, int), colour in pictures of statistics
+    since: str = "1.0.0"  # The version of the labels' schema that brought its columns; labels of an older one have none
 
 
 def _side(side: str) -> tuple[str, ...]:
@@ -79,7 +49,7 @@ def _side(side: str) -> tuple[str, ...]:
 
 
 def _learned(*prepositions: str) -> tuple[str, ...]:
-    """`near of` and `near from`, as who learns English says them."""
+    """Phrases of English learners: `near of` and `near from`."""
     return tuple(f"{word} {of}" for word in prepositions for of in ("of", "from"))
 
 

@@ -1,4 +1,4 @@
-"""What follows from the declared relations: their names, vocabularies, inverses and phrases, by name."""
+"""Names, vocabularies, inverses and phrases of the declared relations."""
 
 from __future__ import annotations
 
@@ -9,17 +9,15 @@ from pipeline.system.errors import InputError
 
 
 def version_numbers(version: str) -> tuple[int, ...]:
-    """ "1.10.0" as (1, 10, 0), which sort as versions do."""
+    """Numbers of a version for sorting: "1.10.0" as (1, 10, 0)."""
     return tuple(int(n) for n in version.split("."))
 
 
 def checked(relations: tuple[Relation, ...]) -> dict[str, Relation]:
-    """The relations by name.
+    """Check declarations, and map relations by name.
 
-    Raises
-    ------
-    InputError
-        Two of one name, a phrase that two of them claim, an inverse that is not one, or a new relation before old ones.
+    InputError for two of one name, a phrase that two of them claim, an inverse that is not one, or a new relation
+    before old ones.
     """
     found = {r.name: r for r in relations}
     phrases = Counter(p for r in relations for p in (*dict.fromkeys(r.reads), *dict.fromkeys(r.swapped_reads)))

@@ -1,4 +1,4 @@
-"""Misspelt words: what a word that nothing knows was meant to be, of the grammar's words and of those for looks."""
+"""Correction of misspelt words, to words of the grammar and adjectives."""
 
 from __future__ import annotations
 
@@ -34,10 +34,9 @@ _SLIPS = {"th": "the"} | {
 
 @lru_cache(maxsize=4096)
 def spelled(word: str) -> str:
-    """A word of the grammar where one is misspelt by a letter too many, too few or two that changed places, or where
-    it lacks its apostrophe or is short for it (`whats`, `plz`).
+    """Correct a misspelt word of the grammar: a letter more, less or two swapped, no apostrophe, or shorthand.
 
-    A word that is known is left alone; in long ones one letter may be another.
+    A word that is known is left alone (`whats` and `plz` are corrected); in long ones one letter may be another.
     """
     found = _SLIPS.get(word) or CONTRACTIONS.get(word) or SHORTHAND.get(word)
     if found is not None:
@@ -51,7 +50,7 @@ def spelled(word: str) -> str:
 
 
 def heard(words: Sequence[str]) -> list[str]:
-    """The words, in which one that sounds like a small word of the grammar is that word: `next too the`, `left off`."""
+    """Correct words that sound like a small word of the grammar: `next too the`, `left off`."""
     found = list(words)
     for k, word in enumerate(words):
         before, after = words[k - 1] if k else "", words[k + 1] if k + 1 < len(words) else ""
@@ -66,7 +65,7 @@ def heard(words: Sequence[str]) -> list[str]:
 
 @lru_cache(maxsize=4096)
 def is_known(word: str) -> bool:
-    """Whether a word in lower case stands in the grammar, among the words for looks or in a name of the table."""
+    """Test if a word in lower case is of the grammar, an adjective or in a name of the table."""
     grammar = word in _PHRASE_WORDS or word in _MISSPELT or word in GRAMMAR_WORDS or word in choices.NUMBERS
     grammar = grammar or word in INTENSIFIERS or word in choices.ORDINALS
     return grammar or word in known_words() or singular(word) in known_words() or attribute(word) is not None
@@ -74,7 +73,7 @@ def is_known(word: str) -> bool:
 
 @lru_cache(maxsize=4096)
 def look_meant(word: str) -> str | None:
-    """The word for a look that an unknown word misspells: `purple` for `pruple`; None where there is none or several.
+    """Adjective meant by an unknown word: `purple` for `pruple`; None for none or several.
 
     Two letters that changed places and a letter too few come before a letter too many, and that before another letter;
     which short words are not. The ends stay: other words differ there (`pasted` and `pastel`).
@@ -96,15 +95,7 @@ def look_meant(word: str) -> str | None:
 
 
 def mended_words(words: Sequence[str], own: Collection[str]) -> tuple[list[str], list[bool]]:
-    """Words as they are read, and whether each was misspelt.
-
-    Parameters
-    ----------
-    words : sequence of str
-        Lower case.
-    own : collection of str
-        Words of the user's own names, which are spelled as they are.
-    """
+    """Correct words in lower case, with a flag for each misspelt word; words of the user's `own` names stay."""
     read = heard([word if word in own else spelled(word) for word in words])
     short = CONTRACTIONS.keys() | SHORTHAND.keys()
     return read, [a != b and a not in short for a, b in zip(words, read, strict=True)]

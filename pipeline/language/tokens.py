@@ -1,4 +1,4 @@
-"""An expression as tokens: words, relation phrases, and class names that the user's vocabulary holds together."""
+"""Tokens of an expression: words, relation phrases, and class names of the user's vocabulary."""
 
 from __future__ import annotations
 
@@ -25,43 +25,25 @@ _BREAKS = re.compile(r"[\s,;:?!\"“”„«»]")
 
 @dataclass(frozen=True)
 class Token:
-    """A word, a relation phrase or a protected name, and where it stands in the text.
+    """A word, a relation phrase or a protected name, and its range in the text."""
 
-    Attributes
-    ----------
-    text : str
-        Lower case, single spaces.
-    start, end : int
-        Character range in the expression as it was typed.
-    relation : str or None
-        The canonical relation that a phrase says.
-    swapped : bool
-        Whether the phrase says it from the other side.
-    name : str or None
-        The class name as the vocabulary spells it, where the token is one.
-    guards : bool
-        Whether the name holds words together that would otherwise be read as grammar.
-    bound : bool
-        Whether a hyphen or the like joins a single word to its neighbour, which makes it part of a name.
-    """
-
-    text: str
-    start: int
+    text: str  # Lower case, single spaces
+    start: int  # Character range in the expression as it was typed
     end: int
-    relation: str | None = None
-    swapped: bool = False
-    name: str | None = None
-    guards: bool = False
-    bound: bool = False
+    relation: str | None = None  # The canonical relation of a phrase
+    swapped: bool = False  # The phrase says it from the other side
+    name: str | None = None  # The class name as the vocabulary spells it, where the token is one
+    guards: bool = False  # The name holds words together that would otherwise be read as grammar
+    bound: bool = False  # A hyphen or the like joins a single word to its neighbour, which makes it part of a name
 
     @property
     def plain(self) -> str | None:
-        """The word, where it is a single word that stands free; None for names, phrases and parts of compounds."""
+        """Word, if single and free; None for names, phrases and parts of compounds."""
         return None if self.bound or self.name is not None or self.relation is not None else self.text
 
 
 @dataclass(frozen=True)
-class Vocabulary:
+class NameIndex:
     """Known names by their first word, longest first, as (words, spelling, guards)."""
 
     names: dict[str, tuple[tuple[tuple[str, ...], str, bool], ...]]
@@ -84,21 +66,21 @@ def _phrases_by_first_word() -> dict[str, tuple[tuple[tuple[str, ...], str, bool
 _PHRASES = _phrases_by_first_word()
 
 
-def mended(text: str, known: Vocabulary) -> tuple[tuple[int, int, str], ...]:
-    """The words of the grammar that were misspelt: where each stands, and what it was read as."""
+def mended(text: str, known: NameIndex) -> tuple[tuple[int, int, str], ...]:
+    """Misspelt words of the grammar: range in the text, and correction."""
     found = list(_WORD.finditer(text))
     read, wrong = mended_words([m[0].lower().replace("’", "'") for m in found], known.words)
     return tuple((m.start(), m.end(), word) for m, word, is_wrong in zip(found, read, wrong, strict=True) if is_wrong)
 
 
 def words_of(name: str) -> tuple[str, ...]:
-    """The lower-case words of a name, as the tokeniser sees them."""
+    """Words of a name in lower case, as the tokeniser splits them."""
     return tuple(m[0].lower().replace("’", "'") for m in _WORD.finditer(name))
 
 
 @lru_cache(maxsize=64)
-def vocabulary(class_names: tuple[str, ...], synonyms: Synonyms) -> Vocabulary:
-    """The names to hold together: the user's, and those synonyms of them that contain words of the grammar."""
+def vocabulary(class_names: tuple[str, ...], synonyms: Synonyms) -> NameIndex:
+    """Names to hold together: the user's, and those synonyms of them that contain words of the grammar."""
     found: dict[tuple[str, ...], str] = {}
     for name in class_names:
         if not isinstance(name, str):
@@ -114,7 +96,7 @@ def vocabulary(class_names: tuple[str, ...], synonyms: Synonyms) -> Vocabulary:
         if words:
             by_first.setdefault(words[0], []).append((words, name, _speaks_grammar(words)))
     own = frozenset(word for name in class_names for word in words_of(name))
-    return Vocabulary({first: tuple(sorted(e, key=lambda x: -len(x[0]))) for first, e in by_first.items()}, own)
+    return NameIndex({first: tuple(sorted(e, key=lambda x: -len(x[0]))) for first, e in by_first.items()}, own)
 
 
 def _speaks_grammar(words: tuple[str, ...]) -> bool:
@@ -122,14 +104,7 @@ def _speaks_grammar(words: tuple[str, ...]) -> bool:
 
 
 def check_text(text: object) -> str:
-    """The expression itself if it can be read at all.
-
-    Raises
-    ------
-    InputError
-        If it is no text, empty, longer than 300 characters, or holds control or other characters that no
-        expression needs.
-    """
+    """Check an expression; InputError if no text, empty, longer than 300 characters, or with control characters."""
     if not isinstance(text, str):
         raise InputError("an expression must be text", got=type(text).__name__)
     require(text.strip(), "the expression is empty", expected="TARGET RELATION REFERENCE", cause=EXAMPLE)
@@ -150,21 +125,11 @@ def check_text(text: object) -> str:
 EXAMPLE = "for example 'mug left of the laptop'"
 
 
-def tokenize(text: str, known: Vocabulary, *, hold_names: bool = True) -> list[Token]:
-    """Tokens by longest match: names of the vocabulary, relation phrases, then single words.
+def tokenize(text: str, known: NameIndex, *, hold_names: bool = True) -> list[Token]:
+    """Split a checked text into tokens by longest match: names of the vocabulary, relation phrases, then single words.
 
-    Parameters
-    ----------
-    text : str
-        A text that `check_text` let pass.
-    known : Vocabulary
-    hold_names : bool
-        Whether names with grammar in them (`pillow on bed`) are held together.
-
-    Notes
-    -----
     Words joined by a hyphen or an underscore are matched as a whole only: `left-of` is a relation, the `in` of
-    `built-in oven` is none.
+    `built-in oven` is none. Without `hold_names`, names with grammar in them (`pillow on bed`) are split.
     """
     found = list(_WORD.finditer(text))
     words = [m[0].lower().replace("’", "'") for m in found]
@@ -226,9 +191,9 @@ def _longest(
 
 
 def _before_a_name(
-    phrase: tuple[tuple[str, ...], str, bool], known: Vocabulary, words: list[str], opens: list[bool], at: int
+    phrase: tuple[tuple[str, ...], str, bool], known: NameIndex, words: list[str], opens: list[bool], at: int
 ) -> tuple[tuple[str, ...], str, bool]:
-    """The phrase, or a shorter one where a known name begins within it and ends after it: `in` (`the`) `front door`."""
+    """Shorten a phrase where a known name begins inside and ends behind: `in` (`the`) `front door`."""
     for entry in _PHRASES[words[at]]:
         size = len(entry[0])
         if size >= len(phrase[0]) or tuple(words[at : at + size]) != entry[0]:
@@ -243,7 +208,7 @@ def _before_a_name(
 def _before_a_side(
     phrase: tuple[tuple[str, ...], str, bool], words: list[str], text: str, ends: list[int], starts: list[int], at: int
 ) -> tuple[tuple[str, ...], str, bool]:
-    """The phrase, or `on` where `on (the) top` stands before a thing that is at the top: `on the top shelf`."""
+    """Shorten `on (the) top` to `on` before a thing at the top: `on the top shelf`."""
     last = at + len(phrase[0])
     if phrase[0] not in (("on", "top"), ("on", "the", "top")) or last >= len(words):
         return phrase
@@ -257,7 +222,7 @@ def _before_a_side(
 def _before_a_view(
     phrase: tuple[tuple[str, ...], str, bool], words: list[str], at: int
 ) -> tuple[tuple[str, ...], str, bool] | None:
-    """The phrase, or what it is without its `from` where who looks follows: `on the left from the camera`."""
+    """Drop the `from` of a phrase before a viewer: `on the left from the camera`."""
     last = at + len(phrase[0])
     looked = phrase[0][-1] == "from" and phrase[1] not in ("closest", "farthest")
     if not looked or VIEW.match(" ".join(words[last - 1 :])) is None:
@@ -268,13 +233,13 @@ def _before_a_view(
 
 
 def _next_quote(quotes: dict[int, re.Match[str]], starts: list[int], at: int) -> int:
-    """The number of the first word behind word `at` that begins a quoted name, or the number of words."""
+    """Number of the first word behind word `at` that begins a quoted name, or the number of words."""
     ahead = min((q.start() for q in quotes.values() if q.start() > starts[at]), default=None)
     return len(starts) if ahead is None else next((k for k in range(at, len(starts)) if starts[k] > ahead), len(starts))
 
 
 def _quoted(quotes: dict[int, re.Match[str]], starts: list[int], ends: list[int], at: int) -> int | None:
-    """The number of the word after a quoted name that starts at word `at`, or None."""
+    """Number of the word after a quoted name that starts at word `at`, or None."""
     for quote in quotes.values():
         if quote.start(1) <= starts[at] and (at == 0 or ends[at - 1] <= quote.start()) and ends[at] <= quote.end(1):
             return next((k for k in range(at, len(ends)) if starts[k] >= quote.end(1)), len(ends))
@@ -282,7 +247,7 @@ def _quoted(quotes: dict[int, re.Match[str]], starts: list[int], ends: list[int]
 
 
 def _label(text: str, start: int, end: int) -> str:
-    """The label in a stretch of the text: lower case, single spaces, no punctuation, a parenthesis closed."""
+    """Label in a stretch of the text: lower case, single spaces, no punctuation, a parenthesis closed."""
     piece = text[start:end]
     if piece.count("(") > piece.count(")") and text[end : end + 1] == ")":
         piece += ")"
@@ -290,14 +255,14 @@ def _label(text: str, start: int, end: int) -> str:
 
 
 def label_of(text: str, tokens: Sequence[Token]) -> str:
-    """The name that a run of tokens writes: as the vocabulary spells it where it is exactly one known name."""
+    """Name of a run of tokens: as the vocabulary spells it where the run is exactly one known name."""
     if len(tokens) == 1 and tokens[0].name is not None:
         return tokens[0].name
     return _label(text, tokens[0].start, tokens[-1].end)
 
 
 def joined_words(tokens: Sequence[Token]) -> tuple[str, list[int], list[int]]:
-    """The words as one string, with where each token starts and ends in it; names are hidden from patterns."""
+    """Join words to a string, with the start and end of each token; names are hidden from patterns."""
     words = ["_" if t.name is not None else t.text for t in tokens]
     starts, at = [], 0
     for word in words:

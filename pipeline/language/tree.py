@@ -1,4 +1,4 @@
-"""What an expression says: a tree of noun phrases, with the relations and the choices that tell the thing meant."""
+"""The tree of an expression: noun phrases, with relations and choices that identify the target."""
 
 from __future__ import annotations
 
@@ -26,30 +26,19 @@ QUERY_KINDS = (
 
 @dataclass(frozen=True)
 class Span:
-    """A stretch of the expression and what it is there for.
+    """A stretch of the expression and its role."""
 
-    Attributes
-    ----------
-    start, end : int
-        Character range in the expression as it was typed.
-    role : {"target", "relation", "reference", "attribute", "choice", "unused"}
-    index : int
-        The number of the noun (0 is the target), or of the relation, in order of mention; of an attribute or a choice
-        that of its noun. 0 for what was not used.
-    note : str
-        Of what was not used: why.
-    unknown : bool
-        It was not used since it is a name that the detector does not know.
-    """
-
-    start: int
+    start: int  # Character range in the expression as it was typed
     end: int
     role: Role
+    # The number of the noun (0 is the target), or of the relation, in order of mention; of an attribute or a choice
+    # that of its noun. 0 for what was not used
     index: int
-    note: str = ""
-    unknown: bool = False
+    note: str = ""  # Reason, where it was not used
+    unknown: bool = False  # It was not used since it is a name that the detector does not know
 
 
+# The docstring is part of the schema that `llm_reader` sends: other words ask models anew.
 @dataclass(frozen=True)
 class Choice:
     """Which of several things that the rest of the noun phrase fits: `leftmost`, `second from the left`, `on the left`.
@@ -72,35 +61,18 @@ class Choice:
 
 @dataclass(frozen=True)
 class Expression:
-    """One relation between a target and its reference.
+    """One relation between a target and its reference."""
 
-    Attributes
-    ----------
-    target, reference : str
-        Names, lower case without articles, or as the class list spells them.
-    relation : str
-        Canonical name, one of `relation_names.RELATIONS`.
-    text : str
-        The expression as it was typed.
-    second_reference : str or None
-        The other reference of `between`.
-    inverse : bool
-        Whether the relation holds from the reference to the target: `table holding a lamp` looks for a table such
-        that the lamp is on it. Only `on` and `in` need it.
-    mapped_from : str or None
-        What was said, where the vocabulary has no relation for it and another stands in.
-    note : str or None
-        That mapping in words.
-    """
-
-    target: str
-    relation: str
+    target: str  # Names, lower case without articles, or as the class list spells them
+    relation: str  # Canonical name, one of `relation_names.RELATIONS`
     reference: str
-    text: str
-    second_reference: str | None = None
+    text: str  # The expression as it was typed
+    second_reference: str | None = None  # The other reference of `between`
+    # The relation holds from the reference to the target: `table holding a lamp` looks for a table such that the lamp
+    # is on it. Only `on` and `in` need it
     inverse: bool = False
-    mapped_from: str | None = None
-    note: str | None = None
+    mapped_from: str | None = None  # The relation in the sentence, where the vocabulary lacks it and another stands in
+    note: str | None = None  # That mapping in words
 
     def __post_init__(self) -> None:
         require(
@@ -122,6 +94,7 @@ class Expression:
         return f"{self.target} {wording(self.relation, inverse=self.inverse)} {self.reference}{second}"
 
 
+# The docstring is part of the schema that `llm_reader` sends: other words ask models anew.
 @dataclass(frozen=True)
 class Attachment:
     """A relation that modifies a noun.
@@ -152,10 +125,11 @@ class Attachment:
 
     @property
     def of_pairs(self) -> bool:
-        """Whether it tells pairs of objects apart, and so spans the table of candidate pairs."""
+        """Test if the relation spans the table of candidate pairs: neither negated nor of the viewer."""
         return not self.negated and not any(n.viewer for n in self.nodes)
 
 
+# The docstring is part of the schema that `llm_reader` sends: other words ask models anew.
 @dataclass(frozen=True)
 class Node:
     """A noun phrase and what modifies it.
@@ -192,33 +166,33 @@ class Node:
 
     @property
     def name(self) -> str:
-        """The thing alone, without its attributes."""
+        """Thing alone, without attributes."""
         return self.head or self.label
 
     @property
     def anything(self) -> bool:
-        """Whether it says only that it is a thing."""
+        """Test if the name says only that there is a thing."""
         return self.name in ANYTHING
 
     @property
     def pairwise(self) -> Attachment | None:
-        """The first relation to other objects: that of the table of candidate pairs."""
+        """First relation to other objects, the one of the table of candidate pairs."""
         return next((a for a in self.attachments if a.of_pairs), None)
 
     @property
     def triple(self) -> Attachment | None:
-        """Its relation, where that one relation between bare things is all that is said; else None."""
+        """Relation of a plain triple: a single relation between bare things; else None."""
         top = self.pairwise
         bare = top is not None and self.is_bare and len(self.attachments) == 1
         return top if bare and top is not None and all(n.is_bare and not n.attachments for n in top.nodes) else None
 
     @property
     def is_bare(self) -> bool:
-        """Whether nothing is said of it alone."""
+        """Test for no attributes, choices and exclusions."""
         return not (self.attributes or self.choices or self.excluded)
 
     def walk(self) -> Iterator[Node]:
-        """This node and all below it, depth first; what it is not stands last."""
+        """Walk this node and all below, depth first; excluded nodes come last."""
         yield self
         for attachment in self.attachments:
             for node in attachment.nodes:
@@ -229,63 +203,40 @@ class Node:
 
 @dataclass(frozen=True)
 class Reading:
-    """One way to read an expression.
+    """A reading of an expression."""
 
-    Attributes
-    ----------
-    root : Node
-        The target.
-    is_default : bool
-        Whether every relation modifies the noun nearest before it.
-    description : str
-        With brackets: `mug left of (laptop on table)`.
-    """
-
-    root: Node
-    is_default: bool
-    description: str
+    root: Node  # The target
+    is_default: bool  # Every relation modifies the noun nearest before it
+    description: str  # With brackets: `mug left of (laptop on table)`
 
 
 @dataclass(frozen=True)
 class Query:
-    """An expression with all its readings.
+    """An expression with all its readings."""
 
-    Attributes
-    ----------
-    text : str
-        As it was typed.
-    readings : tuple of Reading
-        The default first.
-    spans : tuple of Span
-        What each stretch of the text says, in order, without overlap.
-    reader : str
-        What read it: "grammar", or "llm" and the model's name.
-    mended : tuple of (str, str)
-        The misspelt words of the grammar and of those for looks, and what each was read as.
-    asked : tuple of (str, str or None)
-        Once a detector was asked: each thing, and the phrase that the detector was asked for; None for everything.
-    """
-
-    text: str
-    readings: tuple[Reading, ...]
-    spans: tuple[Span, ...]
-    reader: str = "grammar"
+    text: str  # As it was typed
+    readings: tuple[Reading, ...]  # The default first
+    spans: tuple[Span, ...]  # What each stretch of the text says, in order, without overlap
+    reader: str = "grammar"  # The reader: "grammar", or "llm" and the model's name
+    # tuple of (str, str), the misspelt words of the grammar and adjectives, each with its correction
     mended: tuple[tuple[str, str], ...] = ()
+    # tuple of (str, str or None), once a detector was asked: each thing, and the phrase that the detector was asked
+    # for; None for everything
     asked: tuple[tuple[str, str | None], ...] = ()
 
     @property
     def default(self) -> Reading:
-        """The reading in which every relation modifies the noun nearest before it."""
+        """Default reading: every relation modifies the noun nearest before."""
         return self.readings[0]
 
     @property
     def target(self) -> str:
-        """The label of the thing asked for."""
+        """Label of the target."""
         return self.default.root.label
 
     @property
     def expression(self) -> Expression | None:
-        """The triple of the target and its first relation in the default reading; None without a relation."""
+        """Triple of the target and its first relation in the default reading; None without a relation."""
         root = self.default.root
         top = root.pairwise or next(iter(root.attachments), None)
         if top is None:
@@ -304,17 +255,17 @@ class Query:
 
     @property
     def nodes(self) -> tuple[Node, ...]:
-        """All things asked for, the target first, in order of mention; without who looks."""
+        """All things in question, the target first, in order of mention; without the viewer."""
         return tuple(sorted((n for n in self.default.root.walk() if not n.viewer), key=lambda n: n.mention))
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """The names of all things asked for, the target first, in order of mention, without repeats."""
+        """Names of all things in question, the target first, in order of mention, without repeats."""
         return tuple(dict.fromkeys(n.label for n in self.nodes))
 
     @property
     def needed(self) -> tuple[str, ...]:
-        """The names of what there has to be: of `labels` not what is excluded or negated."""
+        """Names of the things that have to be present: `labels` without excluded or negated things."""
 
         def names(node: Node) -> Iterator[str]:
             yield node.label
@@ -328,8 +279,10 @@ class Query:
 
     @property
     def kind(self) -> str:
-        """What kind of sentence it is, in one word: the first of QUERY_KINDS that it is by its tree, and of one
-        relation between bare names, or a bare name, `question` where it asks."""
+        """Kind of sentence, in one word: the first of QUERY_KINDS by the tree.
+
+        Of one relation between bare names, or a bare name, it is `question` where it asks.
+        """
         nodes = tuple(self.default.root.walk())
         attachments = [a for n in nodes for a in n.attachments]
         ranks = {c.rank for n in nodes for c in n.choices}
@@ -345,12 +298,12 @@ class Query:
 
     @property
     def unused(self) -> tuple[Span, ...]:
-        """The words that say something and could not be used, with the reason."""
+        """Meaningful words that could not be used, with the reason."""
         return tuple(s for s in self.spans if s.role == "unused")
 
 
 def described(node: Node) -> str:
-    """A noun phrase with brackets, in one form for every wording: `mug left of (laptop on table)`."""
+    """Noun phrase with brackets, in one form for every wording: `mug left of (laptop on table)`."""
     words = node.label
     for text in dict.fromkeys(c.text for c in node.choices):  # `bottom left` is two
         words = f"{words} [{text}]"

@@ -1,4 +1,4 @@
-"""What an expression may not say, and the errors that tell why and what is near."""
+"""Limits of expressions, and the errors that explain them and suggest a correction."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ for is not judged."""
 
 
 def why_unread(problem: InputError) -> Unread:
-    """Of which kind the error of an expression is."""
+    """Kind of an expression's error."""
     if isinstance(problem, UnknownClass):
         return "WORDS"
     return "UNSUPPORTED" if isinstance(problem, Unsupported) else "GRAMMAR"
 
 
 def why_unused(query: Query) -> Unread | None:
-    """The same of words that were left out of what was asked; None where all were used, or only `directly` was not."""
+    """Kind of error of words left out; None where all were used, or only `directly` was not."""
     unused = [span for span in query.unused if span.note != NOT_EXACT]
     if not unused:
         return None
@@ -36,12 +36,7 @@ def why_unused(query: Query) -> Unread | None:
 
 
 def check_judged(tokens: Sequence[Token], text: str) -> None:
-    """Refuse a question for a number, and a relation that has words and no rule: `far from`.
-
-    Raises
-    ------
-    InputError
-    """
+    """Refuse, by InputError, a question for a number, and a relation without a rule: `far from`."""
     words = [t.plain or "" for t in tokens]
     require(
         " ".join(words[:2]) not in ("how many", "how much"),
@@ -63,7 +58,7 @@ def check_judged(tokens: Sequence[Token], text: str) -> None:
 
 
 def other_view(what: str, text: str) -> InputError:
-    """The error for an expression judged from an object's front, or from where somebody stands."""
+    """Error for an expression judged from an object's front, or from somebody's position."""
     return Unsupported(
         f"'{what}' asks for another view than the camera's",
         got=f"'{text}'",
@@ -72,12 +67,12 @@ def other_view(what: str, text: str) -> InputError:
 
 
 def unreadable(word: str, text: str) -> InputError:
-    """The error for a word that has no place in the grammar where it stands."""
+    """Error for a word that has no place in the grammar at its position."""
     return InputError(f"'{word}' cannot be read here", got=f"'{text}'", expected=FORM, cause=EXAMPLE)
 
 
 def not_known(tokens: Sequence[Token], at: int, text: str) -> InputError:
-    """The error for a word that relates two things in a way that is not judged, or that is close to one that does."""
+    """Error for a word that relates two things in a way that is not judged, or close to such a word."""
     word = tokens[at].text
     near = _close_phrases(tokens, range(max(at - 1, 0), at + 1))
     hint = _did_you_mean(near) if near else "known relations: " + ", ".join(PHRASE.values())
@@ -86,7 +81,7 @@ def not_known(tokens: Sequence[Token], at: int, text: str) -> InputError:
 
 
 def _close_phrases(tokens: Sequence[Token], starts: range) -> list[str]:
-    """Relation phrases whose letters are close to one to four words that start at the given tokens, best first."""
+    """Relation phrases with letters close to one to four words that start at the given tokens, best first."""
     scores: dict[str, float] = {}
     for start in starts:
         for end in range(start + 1, min(start + 5, len(tokens) + 1)):

@@ -1,4 +1,4 @@
-"""What stands around an expression: whose view it is judged from, and the words of asking before it."""
+"""Context of an expression: the view of its relations, and words of asking before the first thing."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pipeline.system.errors import Unsupported
 
 
 def without_view(tokens: list[Token], text: str) -> list[Token]:
-    """Drop the camera's view, which is the default; refuse views from elsewhere, and what is not judged."""
+    """Drop the camera's view, the default; refuse other views, and relations that are not judged."""
     words = {t.text for t in tokens}
     if not words.isdisjoint(lexicon.VIEW_WORDS):
         joined, starts, ends = joined_words(tokens)
@@ -53,14 +53,14 @@ def without_view(tokens: list[Token], text: str) -> list[Token]:
 
 
 def address_removed(tokens: list[Token], text: str) -> list[Token]:
-    """Without `look,` or `robot,` before all the rest."""
+    """Drop `look,` or `robot,` before all the rest."""
     while len(tokens) > 1 and tokens[0].plain in lexicon.ADDRESS and "," in text[tokens[0].end : tokens[1].start]:
         tokens = tokens[1:]
     return tokens
 
 
 def closing_removed(tokens: list[Token]) -> list[Token]:
-    """Without `please`, `for me` and the like at the end, as long as something is left."""
+    """Drop `please`, `for me` and the like at the end, as long as something is left."""
     while tokens:
         if tokens[-1].plain in lexicon.CLOSING and tokens[-2:][0].text not in lexicon.POINTING:
             tokens = tokens[:-1]
@@ -74,7 +74,7 @@ def closing_removed(tokens: list[Token]) -> list[Token]:
 
 
 def leading_removed(tokens: list[Token]) -> tuple[list[Token], bool]:
-    """Without `please find me` and the like, as long as something is left; whether they ask `what` or `which`."""
+    """Drop `please find me` and the like, as long as something is left; with a flag for `what` or `which`."""
     asks = False
     while tokens:
         tokens = _among_removed(tokens)[_frame(tokens) :]
@@ -93,7 +93,7 @@ def leading_removed(tokens: list[Token]) -> tuple[list[Token], bool]:
 
 
 def _frame(tokens: list[Token]) -> int:
-    """How many words at the start ask for a thing, as whoever asks says it: `might I trouble you for`."""
+    """Number of words at the start that ask for a thing: `might I trouble you for`."""
     size = next((k for k, t in enumerate(tokens) if t.plain is None or t.text not in FRAMING), 0)
     asked = not ASKERS.isdisjoint(t.text for t in tokens[:size])
     # A thing follows, and the last words are not its name: `you have hand towels`.
@@ -102,7 +102,7 @@ def _frame(tokens: list[Token]) -> int:
 
 
 def _begins_a_thing(token: Token) -> bool:
-    """Whether a word is an article, a known name, a word for a look, counts or chooses, or asks."""
+    """Test if a word is an article, a known name, an adjective, counts or chooses, or asks."""
     asks = token.text in ("where", "where's", "which", "what", "what's", "any", "all", "both") or (
         token.text in choices.NUMBERS.keys() | choices.ORDINALS.keys() | choices.EXTREMES.keys() | lexicon.ANYTHING
     )
@@ -111,13 +111,13 @@ def _begins_a_thing(token: Token) -> bool:
 
 
 def _names_a_thing(tokens: list[Token]) -> bool:
-    """Whether a name begins with what else asks: `hand sanitizer`."""
+    """Test if a name begins with a word of asking: `hand sanitizer`."""
     words = [t.text for t in tokens if t.plain is not None]
     return any(is_compound(words[:n]) for n in (2, 3))
 
 
 def _among_removed(tokens: list[Token]) -> list[Token]:
-    """`the two chairs, the one by the door` of `of the two chairs, the one by the door`."""
+    """Drop `of` at the start: `the two chairs, the one by the door` of `of the two chairs, the one by the door`."""
     joined, _, ends = joined_words(tokens)
     found = lexicon.AMONG_FIRST.match(joined)
     end = None if found is None else len(found[0].rstrip())
@@ -125,7 +125,10 @@ def _among_removed(tokens: list[Token]) -> list[Token]:
 
 
 def thing_first(tokens: list[Token], text: str) -> list[Token]:
-    """`a mug on the desk` of `on the desk is a mug`, `on the desk, find a mug` and `see the desk? On it is a mug`."""
+    """Move the thing to the front: `a mug on the desk` of `on the desk is a mug`, `on the desk, find a mug`.
+
+    So too `see the desk? On it is a mug`.
+    """
     it = next((k for k in range(1, len(tokens) - 2) if tokens[k].relation and tokens[k + 1].plain == "it"), None)
     if it and any(c in text[tokens[it - 1].end : tokens[it].start] for c in ",;:.?"):
         turned = thing_first([tokens[it], *tokens[:it], *tokens[it + 2 :]], text)

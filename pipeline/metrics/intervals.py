@@ -31,19 +31,11 @@ Statistic = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class BootstrapConfig:
-    """Settings of a bootstrap.
-
-    Attributes
-    ----------
-    seed : int or SeedSequence
-        The same seed, clusters and rows give the same interval.
-    confidence : float
-        Between 0 and 1.
-    """
+    """Settings of a bootstrap."""
 
     resamples: int = 2000
-    seed: int | np.random.SeedSequence = 0
-    confidence: float = 0.95
+    seed: int | np.random.SeedSequence = 0  # The same seed, clusters and rows give the same interval
+    confidence: float = 0.95  # Between 0 and 1
 
     def __post_init__(self) -> None:
         require(
@@ -57,19 +49,6 @@ class BootstrapConfig:
 class Estimate:
     """A figure with its interval.
 
-    Attributes
-    ----------
-    value : float
-        Of the rows as they are; NaN where undefined.
-    low, high : float
-        Percentile interval; NaN where there is none.
-    n : int
-        Rows that count.
-    clusters : int
-        Clusters among them.
-    note : str
-        Why the value or the interval is missing, or unreliable; else empty.
-
     Examples
     --------
     >>> from pipeline.metrics import Estimate
@@ -77,12 +56,12 @@ class Estimate:
     '62.7 [59.9, 65.4]'
     """
 
-    value: float
-    low: float
+    value: float  # Of the rows as they are; NaN where undefined
+    low: float  # Percentile interval; NaN where there is none
     high: float
-    n: int
-    clusters: int
-    note: str = ""
+    n: int  # Rows that count
+    clusters: int  # Clusters among them
+    note: str = ""  # Why the value or the interval is missing, or unreliable; else empty
 
     def formatted(self, scale: float = 100.0, decimals: int = 1, signed: bool = False) -> str:
         """Format as "62.7 [59.9, 65.4]"; "62.7 [–]" without an interval, "–" without a value.
@@ -286,22 +265,12 @@ def mean_of_defined(values: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class McNemar:
-    """McNemar's exact test.
+    """McNemar's exact test."""
 
-    Attributes
-    ----------
-    n : int
-        Questions.
-    b, c : int
-        Questions that only the first, only the second system answered rightly.
-    p_value : float
-        Two-sided; 1 where the systems never disagree.
-    """
-
-    n: int
-    b: int
+    n: int  # Questions
+    b: int  # Questions that only the first, only the second system answered rightly
     c: int
-    p_value: float
+    p_value: float  # Two-sided; 1 where the systems never disagree
 
 
 def mcnemar(first: Any, second: Any) -> McNemar:
@@ -344,25 +313,14 @@ def _two_sided(b: int, c: int) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
-    """Two reviewers' judgements of the same items.
+    """Two reviewers' judgements of the same items."""
 
-    Attributes
-    ----------
-    judgements : tuple of str
-        All judgements, sorted: the order of rows and columns.
-    table : (J, J) int64
-        Items by the judgement of the first (rows) and the second (columns).
-    observed, expected : float
-        Share of items judged alike, and the share by chance with each one's own habits; NaN without items.
-    kappa : float
-        (observed - expected) / (1 - expected); NaN where both always judged one and the same.
-    """
-
-    judgements: tuple[str, ...]
-    table: np.ndarray
+    judgements: tuple[str, ...]  # All judgements, sorted: the order of rows and columns
+    table: np.ndarray  # (J, J) int64, items by the judgement of the first (rows) and the second (columns)
+    # Share of items judged alike, and the share by chance with each one's own habits; NaN without items
     observed: float
     expected: float
-    kappa: float
+    kappa: float  # (observed - expected) / (1 - expected); NaN where both always judged one and the same
 
     @property
     def items(self) -> int:

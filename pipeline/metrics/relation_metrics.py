@@ -38,47 +38,26 @@ class CellOutcomes:
 
 @dataclass(frozen=True)
 class RelationMetrics:
-    """The figures of a multi-label relation scorer.
+    """The figures of a multi-label relation scorer."""
 
-    Attributes
-    ----------
-    relations : tuple of str
-        The order of everything with shape (R,).
-    positives, negatives, undecided : (R,) int64
-        Cells whose truth is T, F, U.
-    tp, fp, fn : (R,) int64
-    thresholds : (R,) float64
-    precision, recall, f1 : (R,) float64
-    average_precision : (R,) float64
-        Does not depend on the thresholds.
-    micro_f1, macro_f1 : float
-        F1 of the counts of all relations; mean F1 over the relations that have one.
-    element_accuracy : float
-        Share of known cells that are right.
-    all_negative_accuracy : float
-        The same for a scorer that always answers no: the share of negatives.
-    mean_average_precision : float
-        Over the relations that have one.
-    """
-
-    relations: tuple[str, ...]
+    relations: tuple[str, ...]  # The order of everything with shape (R,)
     pairs: int
-    positives: np.ndarray
-    negatives: np.ndarray
-    undecided: np.ndarray
-    tp: np.ndarray
-    fp: np.ndarray
-    fn: np.ndarray
-    thresholds: np.ndarray
-    precision: np.ndarray
-    recall: np.ndarray
-    f1: np.ndarray
-    average_precision: np.ndarray
-    micro_f1: float
+    positives: np.ndarray  # (R,) int64, cells whose truth is T, F, U
+    negatives: np.ndarray  # (R,) int64
+    undecided: np.ndarray  # (R,) int64
+    tp: np.ndarray  # (R,) int64
+    fp: np.ndarray  # (R,) int64
+    fn: np.ndarray  # (R,) int64
+    thresholds: np.ndarray  # (R,) float64
+    precision: np.ndarray  # (R,) float64
+    recall: np.ndarray  # (R,) float64
+    f1: np.ndarray  # (R,) float64
+    average_precision: np.ndarray  # (R,) float64, does not depend on the thresholds
+    micro_f1: float  # F1 of the counts of all relations; mean F1 over the relations that have one
     macro_f1: float
-    element_accuracy: float
-    all_negative_accuracy: float
-    mean_average_precision: float
+    element_accuracy: float  # Share of known cells that are right
+    all_negative_accuracy: float  # The same for a scorer that always answers no: the share of negatives
+    mean_average_precision: float  # Over the relations that have one
 
 
 def cell_outcomes(p: Any, truth: Any, thresholds: Any = THRESHOLD) -> CellOutcomes:

@@ -33,20 +33,12 @@ RANDOM_WARNING = (
 
 @dataclass(frozen=True)
 class FrameKey:
-    """A frame as a split knows it.
-
-    Attributes
-    ----------
-    index : int
-        Index in the dataset.
-    position : tuple of float or None
-        Of the camera in the world, metres.
-    """
+    """A frame as a split knows it."""
 
     frame: str
     scene: str
-    index: int
-    position: tuple[float, float, float] | None = None
+    index: int  # Index in the dataset
+    position: tuple[float, float, float] | None = None  # Of the camera in the world, metres
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,14 +23,6 @@ NOTHING_SHARED: Mapping[str, Any] = MappingProxyType({})
 class Row:
     """A line of a table: name, cells, and their source.
 
-    Attributes
-    ----------
-    source : str
-        "measured", or "reported" for figures of a publication.
-    shares : str
-        Where its figures are agreement with what made the truth, and not accuracy: that, in a few words. Such rows
-        stand in blocks of their own below the others, see `in_blocks`.
-
     Examples
     --------
     >>> from pipeline.metrics import Row, Table, markdown
@@ -45,37 +37,25 @@ class Row:
 
     name: str
     cells: tuple[Cell, ...]
-    source: str = "measured"
+    source: str = "measured"  # "measured", or "reported" for figures of a publication
+    # Where its figures are agreement with what made the truth, and not accuracy: that, in a few words. Such rows stand
+    # in blocks of their own below the others, see `in_blocks`
     shares: str = ""
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table.
+    """A table."""
 
-    Attributes
-    ----------
-    key : str
-        Its name in files.
-    columns : tuple of str
-        Heads of the cells; the first column, the rows' names, has none.
-    note : str
-        What a reader must know: what is counted, what the intervals are.
-    caveats : tuple of str
-        What the figures cannot show, since what is measured and what made the truth have something in common.
-    decimals : int
-        Of percentages without an interval.
-    fractions : tuple of str
-        Columns whose shares are written as they are, between 0 and 1, and not as percentages.
-    """
-
-    key: str
+    key: str  # Its name in files
     title: str
-    columns: tuple[str, ...]
+    columns: tuple[str, ...]  # Heads of the cells; the first column, the rows' names, has none
     rows: tuple[Row, ...]
-    note: str = ""
+    note: str = ""  # What a reader must know: what is counted, what the intervals are
+    # What the figures cannot show, since what is measured and what made the truth have something in common
     caveats: tuple[str, ...] = ()
-    decimals: int = 1
+    decimals: int = 1  # Of percentages without an interval
+    # Columns whose shares are written as they are, between 0 and 1, and not as percentages
     fractions: tuple[str, ...] = ()
 
     def shown(self, row: Row) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from vector_writers import VOCABULARY, fasttext_bytes, vec_text, written
 
-from pipeline.language import LanguageContract, TextVectors, open_vectors
+from pipeline.language import LanguageContract, VectorFile, open_vectors
 from pipeline.language.vectors.fasttext_bin import FastTextBinary, Subwords
 from pipeline.language.vectors.phrases import phrase_words
 from pipeline.language.vectors.tables import VectorTable
@@ -118,7 +118,7 @@ def compare_with_gensim(path: Path, words: list[str]) -> None:
         guess = ours.infer(word)
         assert guess is not None
         np.testing.assert_allclose(guess, oracle[word], atol=1e-6)
-    vectors = TextVectors(ours)
+    vectors = VectorFile(ours)
     pair = [held[3], words[0]]
     mean = vectors.vector(" ".join(pair))
     np.testing.assert_allclose(mean.vector, np.mean([oracle[w] for w in pair], axis=0), atol=1e-6)
@@ -209,7 +209,7 @@ def test_normalised_mean_is_of_unit_vectors(vec: Path) -> None:
 def test_lengths_do_not_count_in_the_normalised_mean(scales: list[float], seed: int) -> None:
     rows = np.random.default_rng(seed).normal(size=(2, 4)).astype(np.float32)
     scaled = rows * np.array(scales, np.float32)[:, None]
-    one, other = (TextVectors(VectorTable("t", "word", ("red", "mug"), v)) for v in (rows, scaled))
+    one, other = (VectorFile(VectorTable("t", "word", ("red", "mug"), v)) for v in (rows, scaled))
     np.testing.assert_allclose(
         one.vector("red mug", normalised=True).vector, other.vector("red mug", normalised=True).vector, atol=1e-5
     )
@@ -245,7 +245,7 @@ def test_no_names_and_one_string(vec: Path) -> None:
 @settings(max_examples=30)
 @given(st.lists(st.text(max_size=20), max_size=5))
 def test_any_names_are_found_or_reported(names: list[str]) -> None:
-    vectors = TextVectors(VectorTable("t", "word", WORDS, np.stack(list(VECTORS.values()))))
+    vectors = VectorFile(VectorTable("t", "word", WORDS, np.stack(list(VECTORS.values()))))
     table = vectors.phrases(names, allow_missing=True)
     assert table.vectors.shape == (len(names), 5)
     for name, row in zip(names, table.vectors, strict=True):
@@ -312,7 +312,7 @@ def test_odd_lines_of_text(tmp_path: Path) -> None:
 # Tables.
 
 
-def phrase_table(tmp_path: Path, names: list[str], key: str = "phrases", **more: object) -> TextVectors:
+def phrase_table(tmp_path: Path, names: list[str], key: str = "phrases", **more: object) -> VectorFile:
     vectors = np.arange(len(names) * 2, dtype=np.float16).reshape(-1, 2) + 1
     np.savez(tmp_path / "clip.npz", **{key: np.array(names)}, vectors=vectors, **more)  # type: ignore[arg-type]
     return open_vectors(tmp_path / "clip.npz")

@@ -5,17 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 
 from pipeline.language.vectors.contract import LanguageContract
-from pipeline.language.vectors.phrases import Phrase, PhraseTable, TextVectors, VectorSource
+from pipeline.language.vectors.phrases import PhraseTable, PhraseVector, VectorFile, VectorSource
 from pipeline.language.vectors.tables import read_json, read_npz
 from pipeline.system.errors import InputError, require
 
-__all__ = ["LanguageContract", "Phrase", "PhraseTable", "TextVectors", "VectorSource", "open_vectors"]
+__all__ = ["LanguageContract", "PhraseTable", "PhraseVector", "VectorFile", "VectorSource", "open_vectors"]
 
 FORMATS = ".vec, .vec.gz, .bin, .npz, .json"
 
 
-def open_vectors(path: str | Path, *, kind: str | None = None, cache: Path | None = None) -> TextVectors:
-    """Open a file of text vectors; its ending says which format it is.
+def open_vectors(path: str | Path, *, kind: str | None = None, cache: Path | None = None) -> VectorFile:
+    """Open a file of text vectors, in the format of the file's ending.
 
     ========== ==================================================================================================
     .vec       FastText's text format, also gzipped (.vec.gz): read once for all the words asked for, then cached
@@ -26,9 +26,8 @@ def open_vectors(path: str | Path, *, kind: str | None = None, cache: Path | Non
 
     Parameters
     ----------
-    path : str or Path
     kind : {"word", "phrase"}, optional
-        What the entries of an .npz or .json file are, where the file does not say it or says it wrongly. Entries
+        Kind of the entries of an .npz or .json file, where the file does not say it or says it wrongly. Entries
         that are words may be averaged over a phrase; entries that are whole phrases (CLIP, MiniLM) may not.
     cache : Path, optional
         Folder of what a .vec file was found to hold and of the hashes of large files; that of the user by default.
@@ -37,6 +36,17 @@ def open_vectors(path: str | Path, *, kind: str | None = None, cache: Path | Non
     ------
     InputError
         There is no such file, the format is not known, or the file is damaged.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from pipeline.language import open_vectors
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder, "words.json")
+    ...     _ = path.write_text('{"kind": "word", "vectors": {"coffee": [1, 0], "table": [0, 1]}}')
+    ...     print(open_vectors(path).vector("CoffeeTables").vector)
+    [0.5 0.5]
     """
     path = Path(path)
     require(path.is_file(), "there is no file of text vectors", expected=FORMATS, path=path)
@@ -50,7 +60,7 @@ def open_vectors(path: str | Path, *, kind: str | None = None, cache: Path | Non
         expected="word",
         path=path,
     )
-    return TextVectors(_source(path, name, kind, cache))
+    return VectorFile(_source(path, name, kind, cache))
 
 
 def _source(path: Path, name: str, kind: str | None, cache: Path | None) -> VectorSource:

@@ -1,4 +1,4 @@
-"""What a relation network says about the text vectors it was trained with."""
+"""The contract of a relation network on the text vectors of its training."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.language.vectors.phrases import TextVectors
+from pipeline.language.vectors.phrases import VectorFile
 from pipeline.system.errors import InputError, require
 
 CONTRACT = "spatialviz-language-1"
@@ -18,30 +18,19 @@ PREFIX = "srm.language."
 
 @dataclass(frozen=True)
 class LanguageContract:
-    """The language features of a relation network.
+    """The language features of a relation network."""
 
-    Attributes
-    ----------
-    name : str
-        The file of vectors, for people.
-    dimension : int
-    normalised : bool
-        Whether vectors were divided by their lengths before the mean was taken.
-    fingerprint : str
-        Of the vectors.
-    """
-
-    name: str
+    name: str  # The file of vectors, for people
     dimension: int
-    normalised: bool
-    fingerprint: str
+    normalised: bool  # Vectors were divided by their lengths before the mean was taken
+    fingerprint: str  # Of the vectors
 
     @classmethod
-    def of(cls, vectors: TextVectors, *, normalised: bool = False) -> LanguageContract:
+    def of(cls, vectors: VectorFile, *, normalised: bool = False) -> LanguageContract:
         return cls(vectors.name, vectors.dimension, normalised, vectors.fingerprint())
 
     def to_metadata(self) -> dict[str, str]:
-        """As string properties of an ONNX file."""
+        """Contract as string properties of an ONNX file."""
         values = {
             "contract": CONTRACT,
             "name": self.name,
@@ -53,12 +42,9 @@ class LanguageContract:
 
     @classmethod
     def from_metadata(cls, metadata: Mapping[str, str], path: Path | None = None) -> LanguageContract | None:
-        """From the properties of an ONNX file; None where the network uses no language.
+        """Contract from the properties of an ONNX file; None for a network without language.
 
-        Raises
-        ------
-        InputError
-            The properties speak of language features, and not of such as this program makes.
+        InputError where the properties speak of other language features than this program makes.
         """
         stored = {key.removeprefix(PREFIX): value for key, value in metadata.items() if key.startswith(PREFIX)}
         if not stored:
@@ -86,8 +72,8 @@ class LanguageContract:
         )
         return contract
 
-    def check(self, vectors: TextVectors) -> None:
-        """Raise InputError unless these are the vectors that the network was trained with."""
+    def check(self, vectors: VectorFile) -> None:
+        """Raise InputError for other vectors than those of the network's training."""
         require(
             vectors.dimension == self.dimension,
             "the text vectors have another dimension than the network wants",

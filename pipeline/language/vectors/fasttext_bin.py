@@ -38,14 +38,14 @@ _END_OF_SENTENCE = b"</s>"
 
 @dataclass(frozen=True)
 class Subwords:
-    """Which n-grams of a word have a vector: lengths in characters, and the number of hash buckets."""
+    """N-grams of a word with a vector: lengths in characters, and the number of hash buckets."""
 
     shortest: int
     longest: int
     buckets: int
 
     def of(self, word: bytes) -> list[int]:
-        """The buckets of the n-grams of `<word>`, UTF-8.
+        """Buckets of the n-grams of `<word>`, UTF-8.
 
         FNV-1a of 32 bits over signed bytes, as the published models were trained; the hash of an n-gram goes on from
         that of the next shorter one.
@@ -73,23 +73,13 @@ class FastTextBinary:
 
     Memory holds two numbers a word of the vocabulary; the matrix stays on disk, and only the rows that are asked for
     are read.
-
-    Attributes
-    ----------
-    path : Path
-    dimension : int
-    words : int
-        Size of the vocabulary.
-    subwords : Subwords
-    end : int
-        Where the matrix ends in the file; what follows is of no use here.
     """
 
     path: Path
     dimension: int
-    words: int
+    words: int  # Size of the vocabulary
     subwords: Subwords
-    end: int
+    end: int  # End of the matrix in the file; what follows is of no use here
     cache: Path | None
     _map: mmap.mmap = field(repr=False)
     _matrix: np.ndarray = field(repr=False)
@@ -101,13 +91,7 @@ class FastTextBinary:
 
     @classmethod
     def open(cls, path: Path, cache: Path | None = None) -> FastTextBinary:
-        """Map a model and read its dictionary.
-
-        Raises
-        ------
-        InputError
-            The file is no model of FastText, is quantised, cut short, or contradicts itself.
-        """
+        """Map a model and read its dictionary; InputError for no model, a quantised or a damaged model."""
         try:
             with opened(path, "model") as file:
                 data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
@@ -153,7 +137,7 @@ class FastTextBinary:
         return self._mean(rows, word) if rows else None
 
     def _row(self, word: bytes) -> int | None:
-        """The row of a word of the vocabulary."""
+        """Row of a word of the vocabulary."""
         if not word or b"\0" in word:
             return None
         wanted = hash(word)
@@ -234,7 +218,7 @@ def _parsed(path: Path, data: mmap.mmap, cache: Path | None) -> FastTextBinary:
 def _dictionary(
     data: mmap.mmap, at: int, words: int, labels: int, damaged: Callable[..., InputError]
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """(where each word begins, its hash in this process, where the dictionary ends)."""
+    """Starts of the words, their hashes in this process, and the end of the dictionary."""
     starts, hashes = np.empty(words, np.int64), np.empty(words, np.int64)
     size, find, entries = len(data), data.find, words + labels
     for k in range(entries):

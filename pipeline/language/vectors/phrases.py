@@ -1,4 +1,4 @@
-"""Vectors of phrases out of vectors of words, with what is not known said."""
+"""Vectors of phrases from vectors of words, with a list of unknown words."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _NAMED = 8
 
 
 class VectorSource(Protocol):
-    """What a format provides. A vector is (D,) float32, finite and not all zero, or it is not known."""
+    """Interface of a format. A vector is (D,) float32, finite and not all zero, or unknown."""
 
     @property
     def name(self) -> str:
-        """That of the file."""
+        """Name of the file."""
         ...
 
     @property
@@ -30,70 +30,49 @@ class VectorSource(Protocol):
 
     @property
     def kind(self) -> str:
-        """`word`: a phrase may be the mean of its words; `phrase`: only whole entries count."""
+        """Kind of entries. `word`: a phrase may be the mean of its words; `phrase`: only whole entries count."""
         ...
 
     def fingerprint(self) -> str:
-        """Hash of what the vectors are made of, the same for the same vectors in another place."""
+        """Hash of the contents, the same for the same vectors elsewhere."""
         ...
 
     def find(self, spellings: Iterable[str]) -> Mapping[str, np.ndarray]:
-        """The vectors of those spellings that the file holds, letter by letter."""
+        """Vectors of the spellings in the file, letter by letter."""
         ...
 
     def whole(self, name: str) -> np.ndarray | None:
-        """The vector of a name that the file holds as one entry."""
+        """Vector of a name held as one entry."""
         ...
 
     def infer(self, word: str) -> np.ndarray | None:
-        """The vector of a word that the file does not hold, from the parts of its spelling."""
+        """Vector of a word outside the file, from the parts of its spelling."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
-class Phrase:
-    """The vector of one name.
+class PhraseVector:
+    """The vector of one name."""
 
-    Attributes
-    ----------
-    vector : (D,) float32
-    missing : tuple of str
-        Its words that have no vector and do not count in the mean.
-    inferred : tuple of str
-        Its words that are not in the vocabulary and whose vectors come from their subwords.
-    """
-
-    vector: np.ndarray
-    missing: tuple[str, ...] = ()
-    inferred: tuple[str, ...] = ()
+    vector: np.ndarray  # (D,) float32
+    missing: tuple[str, ...] = ()  # Words without a vector, which do not count in the mean
+    inferred: tuple[str, ...] = ()  # Words outside the vocabulary, with vectors from their subwords
 
 
 @dataclass(frozen=True, eq=False)
 class PhraseTable:
-    """The vectors of several names.
+    """The vectors of several names."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        As they were given, in their order.
-    vectors : (N, D) float32
-    missing : dict of str to tuple of str
-        The words without a vector, of each name that has such.
-    inferred : dict of str to tuple of str
-        The words whose vectors come from subwords, of each name that has such.
-    unknown : tuple of str
-        The names of which no word is known; their rows are zeros, and they stand in `missing` too.
-    """
-
-    names: tuple[str, ...]
-    vectors: np.ndarray
-    missing: dict[str, tuple[str, ...]]
-    inferred: dict[str, tuple[str, ...]]
+    names: tuple[str, ...]  # In the order of the call
+    vectors: np.ndarray  # (N, D) float32
+    missing: dict[str, tuple[str, ...]]  # The words without a vector, of each name that has such
+    inferred: dict[str, tuple[str, ...]]  # The words whose vectors come from subwords, of each name that has such
+    # The names of which no word is known; their rows are zeros, and they stand in `missing` too
     unknown: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
-class TextVectors:
+class VectorFile:
     """Vectors of class names, from one file."""
 
     source: VectorSource
@@ -111,16 +90,16 @@ class TextVectors:
         return self.source.kind
 
     def fingerprint(self) -> str:
-        """Hash of what the vectors are made of, the same for the same vectors in another place."""
+        """Hash of the contents, the same for the same vectors elsewhere."""
         return self.source.fingerprint()
 
-    def vector(self, phrase: str, *, normalised: bool = False, allow_missing: bool = False) -> Phrase:
-        """The vector of one name; `phrases` says how. Of a .vec file, ask for all names at once instead."""
+    def vector(self, phrase: str, *, normalised: bool = False, allow_missing: bool = False) -> PhraseVector:
+        """Vector of a name, as in `phrases`. Of a .vec file, ask for all names at once instead."""
         table = self.phrases([phrase], normalised=normalised, allow_missing=allow_missing)
-        return Phrase(table.vectors[0], table.missing.get(phrase, ()), table.inferred.get(phrase, ()))
+        return PhraseVector(table.vectors[0], table.missing.get(phrase, ()), table.inferred.get(phrase, ()))
 
     def phrases(self, names: Sequence[str], *, normalised: bool = False, allow_missing: bool = False) -> PhraseTable:
-        """The vectors of names.
+        """Vectors of names.
 
         A name that the file holds as one entry has that entry's vector. Any other has the mean of the vectors of its
         words, all alike, in a file of words; in a file of phrases it is not known. A word is looked up in lower case
@@ -132,10 +111,10 @@ class TextVectors:
         names : sequence of str
             Class names as a dataset spells them: `trash_can`, `CoffeeTable`.
         normalised : bool
-            Whether every vector is divided by its length before the mean is taken, as FastText's getSentenceVector
+            Divide every vector by its length before the mean is taken, as FastText's getSentenceVector
             does. The mean itself is not normalised again.
         allow_missing : bool
-            Whether a name of which no word is known gets a row of zeros, and stands in `unknown`, instead of an error.
+            Give a name of which no word is known a row of zeros, and a place in `unknown`, instead of an error.
 
         Raises
         ------
@@ -176,7 +155,7 @@ class TextVectors:
     def _known(
         self, words: Sequence[Word], found: Mapping[str, np.ndarray]
     ) -> tuple[list[np.ndarray], list[str], list[str]]:
-        """(vectors that make up the mean, words not known, words known by their subwords)."""
+        """Vectors of the mean, unknown words, and words known by their subwords."""
         vectors: list[np.ndarray] = []
         missing: list[str] = []
         inferred: list[str] = []
@@ -214,7 +193,7 @@ def _first(word: Word, found: Mapping[str, np.ndarray]) -> np.ndarray | None:
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:
-    """In float64, for the squares of tiny floats are zero."""
+    """Normalise in float64, for the squares of tiny floats are zero."""
     wide = vector.astype(np.float64)
     return wide / np.linalg.norm(wide)
 
@@ -224,39 +203,19 @@ _JOINED = re.compile(r"[-‐-―/&'’.]+")
 
 @dataclass(frozen=True)
 class Word:
-    """One word of a class name.
+    """One word of a class name."""
 
-    Attributes
-    ----------
-    text : str
-        Lower case, the head noun in the singular: the word as it is reported, and the one whose subwords count.
-    spellings : tuple of str
-        In the order in which they are looked up; `text` first.
-    parts : tuple of Word
-        What stands for `t-shirt` or `dog's` in a table without it; empty for a plain word.
-    """
-
-    text: str
-    spellings: tuple[str, ...]
-    parts: tuple[Word, ...] = ()
+    text: str  # Lower case, the head noun in the singular: the word as it is reported, and the one whose subwords count
+    spellings: tuple[str, ...]  # In the order in which they are looked up; `text` first
+    parts: tuple[Word, ...] = ()  # Stand-ins for `t-shirt` or `dog's` in a table without it; empty for a plain word
 
 
 def phrase_words(name: str) -> tuple[Word, ...]:
-    """The words of a class name: `CoffeeTables` -> coffee, table; `boxes_of_tissues` -> box, of, tissues.
+    """Words of a class name: `CoffeeTables` -> coffee, table; `boxes_of_tissues` -> box, of, tissues.
 
     The name is made readable first (`pipeline.language.noun_phrase.readable`: underscores, camel case, articles, the
     first of several spellings, no qualifier), and its head noun becomes singular, so that a class has one vector
-    however a dataset spells it.
-
-    Parameters
-    ----------
-    name : str
-        As a dataset spells it.
-
-    Returns
-    -------
-    tuple of Word
-        Empty for a name without a letter or digit.
+    however a dataset spells it. Empty for a name without a letter or digit.
     """
     written = readable(name).split()
     head = len(HEAD_ENDS.split(" ".join(written).lower(), maxsplit=1)[0].split()) - 1
@@ -265,7 +224,7 @@ def phrase_words(name: str) -> tuple[Word, ...]:
 
 
 def utf8(word: str) -> bytes:
-    """As files spell it; nothing for a word that no file can hold."""
+    """Encode a word as in files; empty for a word that no file can hold."""
     try:
         return word.encode("utf-8")
     except UnicodeEncodeError:
@@ -273,7 +232,7 @@ def utf8(word: str) -> bytes:
 
 
 def _singular(head: list[str]) -> str:
-    """The last word of a head in the singular, in lower case."""
+    """Last word of a head in the singular, in lower case."""
     last = _bare(head[-1]).lower()
     if _JOINED.search(last):
         return singular(last)

@@ -32,21 +32,12 @@ _BLOCK = 1 << 16
 
 @dataclass(frozen=True, eq=False)
 class VectorTable:
-    """Names and their vectors. The first of two entries with the same name counts.
-
-    Attributes
-    ----------
-    name : str
-        That of the file.
-    kind : {"word", "phrase"}
-    names : tuple of str
-    vectors : (N, D) float16, float32 or float64
-    """
+    """Names and their vectors. The first of two entries with the same name counts."""
 
     name: str
     kind: str
     names: tuple[str, ...]
-    vectors: np.ndarray
+    vectors: np.ndarray  # (N, D) float16, float32 or float64
     _rows: dict[str, int] = field(init=False, repr=False)
     _normal: dict[str, int] = field(init=False, repr=False)
 
@@ -67,7 +58,7 @@ class VectorTable:
         return self.vectors.shape[1]
 
     def fingerprint(self) -> str:
-        """Hash of kind, names and vectors, whatever packs them."""
+        """Hash of kind, names and vectors, however packed."""
         digest = xxhash.xxh3_128(json.dumps([self.kind, self.names, self.vectors.shape]).encode())
         for start in range(0, len(self.vectors), _BLOCK):
             digest.update(np.ascontiguousarray(self.vectors[start : start + _BLOCK], "<f4").data)
@@ -78,7 +69,7 @@ class VectorTable:
         return {s: v for s, v in rows.items() if v is not None}
 
     def whole(self, name: str) -> np.ndarray | None:
-        """By its own spelling, then by its normal form, then by that of its first spelling without a qualifier.
+        """Vector of a name by its spelling, then by normal form, then by the first spelling without a qualifier.
 
         In a table of words only a name of several words is looked up so: `trash_can`, `trash can`.
         """
@@ -95,7 +86,7 @@ class VectorTable:
         return None
 
     def _vector(self, row: int | None) -> np.ndarray | None:
-        """A row as float32; zeros stand for a name that has no vector."""
+        """Row as float32; zeros stand for a name without a vector."""
         vector = None if row is None else self.vectors[row].astype(np.float32)
         return vector if vector is not None and vector.any() else None
 
@@ -103,10 +94,7 @@ class VectorTable:
 def read_npz(path: Path, kind: str | None = None) -> VectorTable:
     """Read `words`, `phrases` or `names` (N,) of unicode, `vectors` (N, D) of floats and perhaps `kind`.
 
-    Raises
-    ------
-    InputError
-        The file is damaged, lacks an array, holds Python objects, or its arrays do not fit each other.
+    InputError where the file is damaged, lacks an array, holds Python objects, or its arrays do not fit each other.
     """
     try:
         with opened(path, "model") as content, open_archive(content, path) as archive:
@@ -130,7 +118,7 @@ def read_npz(path: Path, kind: str | None = None) -> VectorTable:
 
 
 def _member(archive: zipfile.ZipFile, key: str, path: Path) -> np.ndarray:
-    """An array of the archive, after its declared size was compared with that of the file."""
+    """Array of the archive, after a check of its declared size against the file."""
     info = archive.getinfo(f"{key}.npy")
     with archive.open(info) as file:
         version = np.lib.format.read_magic(file)
@@ -172,13 +160,7 @@ def _texts(names: np.ndarray, key: str, path: Path) -> list[str]:
 
 
 def read_json(path: Path, kind: str | None = None) -> VectorTable:
-    """Read {"kind": "word" or "phrase", "vectors": {name: [D numbers]}}; `phrase` where it has no kind.
-
-    Raises
-    ------
-    InputError
-        The file is no JSON or of another shape.
-    """
+    """Read {"kind": "word" | "phrase", "vectors": {name: [D numbers]}}, by default of kind `phrase`."""
     with as_input_error("the file of text vectors cannot be read", OSError, ValueError, got=str, path=path):
         loaded = parse_json(read_text(path), path, object_pairs_hook=_no_repeats)
     entries = loaded.get("vectors") if isinstance(loaded, dict) else None
@@ -199,7 +181,7 @@ def read_json(path: Path, kind: str | None = None) -> VectorTable:
 
 
 def _no_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """The first of two equal keys, as in every other format."""
+    """First of two equal keys, as in every other format."""
     found: dict[str, Any] = {}
     for key, value in pairs:
         found.setdefault(key, value)

@@ -43,13 +43,7 @@ class VecFile:
 
     @classmethod
     def open(cls, path: Path, cache: Path | None = None) -> VecFile:
-        """Read the header.
-
-        Raises
-        ------
-        InputError
-            The file does not begin with two sensible numbers.
-        """
+        """Read the header; InputError without two sensible numbers at the beginning."""
         with _opened(path) as file:
             line = file.readline(64)
         found = _HEADER.fullmatch(line)
@@ -99,7 +93,7 @@ class VecFile:
         return recall(self._location, self.dimension)
 
     def _known(self, wanted: Iterable[str]) -> FileMemory:
-        """What is known of the file, after a pass through it where these words need one."""
+        """Memory of the file, after a pass through the file where these words need it."""
         memory = self._memory
         new = {w for w in wanted if w not in memory.vectors and w not in memory.absent}
         if new or memory.fingerprint is None:
@@ -110,13 +104,10 @@ class VecFile:
         return memory
 
     def _scan(self, wanted: Iterable[str]) -> tuple[dict[str, np.ndarray], str]:
-        """(vectors of the wanted words, hash of the text), by one pass through the file.
+        """Scan the file once for vectors of the wanted words and the hash of the text.
 
-        Raises
-        ------
-        InputError
-            The file has more or fewer lines than its header says, ends within a line, or a wanted word's line is not
-            D finite numbers.
+        InputError where the file has more or fewer lines than its header says, ends within a line, or a wanted word's
+        line is not D finite numbers.
         """
         # A token may hold spaces, so that its first piece only says which lines to look at.
         tokens: dict[bytes, str] = {utf8(w): w for w in wanted}
@@ -151,7 +142,7 @@ class VecFile:
         return found, digest.hexdigest()
 
     def _split(self, line: bytes, number: int) -> tuple[bytes, list[bytes]]:
-        """(token, its numbers): the numbers are counted from the right."""
+        """Split a line into a token and its numbers, which are counted from the right."""
         pieces = line.rstrip().rsplit(None, self.dimension)
         if len(pieces) != self.dimension + 1:
             raise self._damaged(
