@@ -8,7 +8,7 @@ something must say where up is, and the posed frames of a scene agree.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache, partial
 
 import numpy as np
@@ -199,22 +199,19 @@ def _finding(rule: str, message: str, figures: dict[str, Figure], severity: Seve
 def check_files(labels: Labels, streams: dict[str, TableStream]) -> Iterator[Finding]:
     """Faults of the tables as files."""
     for name, stream in streams.items():
+        file, table = stream.path.name, dict[str, Figure](table=name)
         if stream.problem is not None:
-            yield _finding("file/unreadable", f"{stream.path.name}: {stream.problem}", {"table": name})
+            yield _finding("file/unreadable", f"{file}: {stream.problem}", table)
             continue
         for column in sorted(stream.lacking):
-            yield _finding(
-                "file/schema", f"{stream.path.name} has no usable column {column}", {"table": name, "column": column}
-            )
+            yield _finding("file/schema", f"{file} has no usable column {column}", {**table, "column": column})
         for words in stream.other_types:
-            yield _finding("file/schema", f"{stream.path.name}: {words}", {"table": name}, "warning")
+            yield _finding("file/schema", f"{file}: {words}", table, "warning")
         for column in stream.extra:
-            yield _finding(
-                "file/schema", f"{stream.path.name} has an unknown column {column}", {"table": name, "column": column}
-            )
+            yield _finding("file/schema", f"{file} has an unknown column {column}", {**table, "column": column})
         yield from _changed(labels, name, stream)
         if not stream.ordered:
-            yield _finding("file/order", f"{stream.path.name} is not in the order of frames", {"table": name})
+            yield _finding("file/order", f"{file} is not in the order of frames", table)
     yield from _counts(labels.manifest)
 
 
@@ -296,150 +293,101 @@ NAMED_OBJECTS = {
 def check_rows(view: FrameView) -> Iterator[Finding]:
     """Faults of rows as such, without their meaning."""
     for table, rows in view.tables.items():
-        for violation in rows.violations:
-            yield view.finding(
-                violation.rule,
-                _objects_of(table, rows, violation.row),
-                f"{table}: {violation.message}",
-                {"table": table, "column": violation.column},
-            )
-        yield from _keys(view, table, rows)
-        yield from _order(view, table, rows)
-        yield from _references(view, table, rows)
-    yield from _object_count(view)
+        of_row = partial(_of_row, view, table)
+        yield from (of_row(v.rule, v.row, v.message, {"column": v.column}) for v in rows.violations)
+        yield from (of_row("row/duplicate-key", row, "a second row has this key") for row in _repeated(table, rows))
+        if not _in_order(table, rows):
+            yield of_row("file/order", None, "the rows of the frame are out of order")
+        yield from _references(view, table, rows, of_row)
+    frames, objects = view.tables["frames"], view.objects
+    if len(frames) and int(frames["objects"][0]) != len(objects):
+        message = f"the frame is said to have {frames['objects'][0]} objects, and {len(objects)} are listed"
+        yield view.finding("frame/objects", (), message, {"stated": frames["objects"][0], "listed": len(objects)})
     yield from _camera(view)
-    yield from _rotations(view)
+    for prefix in ("", "exact_"):
+        yield from _rotations(view, prefix)
 
 
-def _objects_of(table: str, rows: Rows, row: int) -> tuple[int, ...]:
-    return tuple(int(rows[name][row]) for name in NAMED_OBJECTS[table])
+def _of_row(
+    view: FrameView, table: str, rule: str, row: int | None, message: str, figures: dict[str, Figure] | None = None
+) -> Finding:
+    rows = view.tables[table]
+    objects = () if row is None else tuple(int(rows[name][row]) for name in NAMED_OBJECTS[table])
+    return view.finding(rule, objects, f"{table}: {message}", {"table": table, **(figures or {})})
 
 
-def _keys(view: FrameView, table: str, rows: Rows) -> Iterator[Finding]:
-    """Rows that share their key with an earlier row."""
-    if len(rows) < 2:
-        return
-    columns = [rows[name] for name in KEYS[table][1:]]
-    seen: set[tuple[object, ...]] = set()
-    codes = [np.unique(c.astype(str), return_inverse=True)[1] if c.dtype == object else c for c in columns]
-    if codes and len(np.unique(np.stack(codes, axis=1), axis=0)) == len(rows):
-        return
-    for row, key in enumerate(zip(*columns, strict=True) if columns else [()] * len(rows)):
-        if key in seen:
-            yield view.finding(
-                "row/duplicate-key",
-                _objects_of(table, rows, row),
-                f"{table}: a second row has this key",
-                {"table": table},
-            )
-        seen.add(key)
-
-
-def _order(view: FrameView, table: str, rows: Rows) -> Iterator[Finding]:
-    """Rows of a frame that leave the canonical order, told once."""
+def _repeated(table: str, rows: Rows) -> list[int]:
+    """Rows with the key of an earlier row."""
     columns = [rows[name] for name in KEYS[table][1:]] if len(rows) > 1 else []
-    if not columns:
-        return
+    codes = [np.unique(c.astype(str), return_inverse=True)[1] if c.dtype == object else c for c in columns]
+    keys = np.stack([np.zeros(len(rows), np.int64), *codes], axis=1)
+    return np.setdiff1d(np.arange(len(rows)), np.unique(keys, axis=0, return_index=True)[1]).tolist()
+
+
+def _in_order(table: str, rows: Rows) -> bool:
     rank = {relation: k for k, relation in enumerate(PAIRWISE)}
+    columns = [rows[name] for name in KEYS[table][1:]] if len(rows) > 1 else []
     keys = [np.array([rank.get(v, -1) for v in c]) if c.dtype == object else c for c in columns]
-    if not np.array_equal(np.lexsort(keys[::-1]), np.arange(len(rows))):
-        yield view.finding("file/order", (), f"{table}: the rows of the frame are out of order", {"table": table})
+    return not keys or np.array_equal(np.lexsort(keys[::-1]), np.arange(len(rows)))
 
 
-def _references(view: FrameView, table: str, rows: Rows) -> Iterator[Finding]:
+def _references(view: FrameView, table: str, rows: Rows, of_row: Callable[..., Finding]) -> Iterator[Finding]:
+    """Frames and objects named by rows and missing."""
+    frames = view.tables["frames"]
     if table == "frames" or not len(rows):
         return
-    frames = view.tables["frames"]
     if not len(frames):
-        yield view.finding(
-            "row/dangling",
-            (),
-            f"{table}: {len(rows)} rows are of frame number {view.index}, which does not exist",
-            {"table": table, "rows": len(rows), "frame_index": view.index},
-        )
+        message = f"{len(rows)} rows are of frame number {view.index}, which does not exist"
+        yield of_row("row/dangling", None, message, {"rows": len(rows), "frame_index": view.index})
     else:
-        for row in np.flatnonzero(rows["frame"] != frames["frame"][0]):
-            yield view.finding(
-                "row/dangling",
-                _objects_of(table, rows, int(row)),
-                f"{table}: the row names frame {rows['frame'][row]!r}, its number is that of {frames['frame'][0]!r}",
-                {"table": table},
-            )
+        for row in np.flatnonzero(rows["frame"] != frames["frame"][0]).tolist():
+            name = f"{rows['frame'][row]!r}, its number is that of {frames['frame'][0]!r}"
+            yield of_row("row/dangling", row, f"the row names frame {name}")
     if table == "objects":
         return
     named = np.stack([rows[name] for name in NAMED_OBJECTS[table]], axis=1)
-    for row in np.flatnonzero(~np.isin(named, view.ids).all(axis=1)):
-        missing = [int(n) for n in named[row] if n not in view.row_of]
-        yield view.finding(
-            "row/dangling",
-            tuple(int(n) for n in named[row]),
-            f"{table}: there is no object {' nor '.join(map(str, missing))} in this frame",
-            {"table": table},
-        )
-    if table == "expressions":
-        for row in range(len(rows)):
-            listed = np.union1d(rows["targets"][row], rows["acceptable"][row])
-            absent = listed[~np.isin(listed, view.ids)]
-            if len(absent):
-                yield view.finding(
-                    "row/dangling",
-                    _objects_of(table, rows, row),
-                    f"expressions: the answers name object {absent[0]}, which is not in this frame",
-                    {"table": table, "object": int(absent[0])},
-                )
-
-
-def _object_count(view: FrameView) -> Iterator[Finding]:
-    frames = view.tables["frames"]
-    if len(frames) and int(frames["objects"][0]) != len(view.objects):
-        yield view.finding(
-            "frame/objects",
-            (),
-            f"the frame is said to have {frames['objects'][0]} objects, and {len(view.objects)} are listed",
-            {"stated": int(frames["objects"][0]), "listed": len(view.objects)},
-        )
+    for row in np.flatnonzero(~np.isin(named, view.ids).all(axis=1)).tolist():
+        missing = " nor ".join(str(int(n)) for n in named[row] if n not in view.row_of)
+        yield of_row("row/dangling", row, f"there is no object {missing} in this frame")
+    for row in range(len(rows)) if table == "expressions" else ():
+        listed = np.union1d(rows["targets"][row], rows["acceptable"][row])
+        absent = listed[~np.isin(listed, view.ids)].tolist()
+        if absent:
+            message = f"the answers name object {absent[0]}, which is not in this frame"
+            yield of_row("row/dangling", row, message, {"object": absent[0]})
 
 
 def _camera(view: FrameView) -> Iterator[Finding]:
-    """Intrinsics, pose and up vector of a frame that could be used."""
+    """Intrinsics, pose and up vector of a usable frame."""
     if not view.usable:
         return
-    frames = view.tables["frames"]
-    K = view.K
+    frames, K, fault = view.tables["frames"], view.K, partial(view.finding, "frame/camera", ())
     if K is None:
-        yield view.finding("frame/camera", (), "the frame has no intrinsics")
+        yield fault("the frame has no intrinsics")
     elif not (K[0, 0] > 0 and K[1, 1] > 0 and np.array_equal(K[2], [0, 0, 1]) and K[1, 0] == 0):
-        yield view.finding("frame/camera", (), "K is not that of a pinhole camera", {"fx": K[0, 0], "fy": K[1, 1]})
+        yield fault("K is not that of a pinhole camera", {"fx": K[0, 0], "fy": K[1, 1]})
     elif not (0 <= K[0, 2] <= view.size[1] and 0 <= K[1, 2] <= view.size[0]):
-        yield view.finding(
-            "frame/camera", (), "the principal point is outside the picture", {"cx": K[0, 2], "cy": K[1, 2]}, "warning"
-        )
-    up = frames["up"][0]
-    length = float(np.linalg.norm(up))
+        yield fault("the principal point is outside the picture", {"cx": K[0, 2], "cy": K[1, 2]}, "warning")
+    length = float(np.linalg.norm(frames["up"][0]))
     if view.viewer is None or abs(length - 1) > ROTATION_TOLERANCE:
-        yield view.finding("frame/camera", (), "up is not a unit vector", {"length": length})
+        yield fault("up is not a unit vector", {"length": length})
     pose = frames["T_world_camera"][0].reshape(4, 4)
-    if np.isfinite(pose).all():
-        fault = rotation_fault(pose[None, :3, :3])[0]
-        if fault > ROTATION_TOLERANCE or not np.array_equal(pose[3], [0, 0, 0, 1]):
-            yield view.finding("frame/camera", (), "the pose is not rigid", {"fault": float(fault)})
+    turned = float(rotation_fault(pose[None, :3, :3])[0]) if np.isfinite(pose).all() else 0.0
+    if np.isfinite(pose).all() and (turned > ROTATION_TOLERANCE or not np.array_equal(pose[3], [0, 0, 0, 1])):
+        yield fault("the pose is not rigid", {"fault": turned})
 
 
-def _rotations(view: FrameView) -> Iterator[Finding]:
-    for prefix in ("", "exact_"):
-        rotation, size = view.objects[f"{prefix}R"].reshape(-1, 3, 3), view.objects[f"{prefix}size"]
-        fault = rotation_fault(rotation)
-        for row in np.flatnonzero(fault > ROTATION_TOLERANCE):
-            yield view.finding(
-                "object/rotation",
-                (view.ids[row],),
-                f"{prefix}R is not a rotation",
-                {"fault": float(fault[row])},
-            )
-        for row in np.flatnonzero((size < 0).any(axis=1)):
-            yield view.finding(
-                "object/rotation",
-                (view.ids[row],),
-                f"{prefix}size has a negative edge",
-                {"shortest": float(size[row].min())},
-            )
+def _rotations(view: FrameView, prefix: str) -> Iterator[Finding]:
+    size, fault = view.objects[f"{prefix}size"], rotation_fault(view.objects[f"{prefix}R"].reshape(-1, 3, 3))
+    yield from view.where(
+        "object/rotation",
+        fault > ROTATION_TOLERANCE,
+        lambda k: f"{prefix}R is not a rotation",
+        lambda k: {"fault": fault[k]},
+    )
+    yield from view.where(
+        "object/rotation",
+        np.asarray((size < 0).any(axis=1)),
+        lambda k: f"{prefix}size has a negative edge",
+        lambda k: {"shortest": size[k].min()},
+    )
