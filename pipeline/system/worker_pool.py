@@ -9,6 +9,7 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -66,13 +67,14 @@ def results_of(
             min(workers, len(jobs)), multiprocessing.get_context("spawn"), _start, (do, prepare, arguments)
         )
         try:
+            with without_ctrl_c():
+                futures = [pool.submit(_work, job) for job in jobs]
             if ordered:
-                with without_ctrl_c():
-                    results = pool.map(_work, jobs)
-                yield from results
+                # Each is let go with its result; `pool.map` would cancel the rest, see below.
+                futures.reverse()
+                while futures:
+                    yield futures.pop().result()
             else:
-                with without_ctrl_c():
-                    futures = [pool.submit(_work, job) for job in jobs]
                 yield from (future.result() for future in as_completed(futures))
         except BrokenProcessPool as error:
             raise InputError("a worker process died", cause=cause) from error
@@ -99,7 +101,7 @@ def _start(do: Callable[..., Any], prepare: Callable[..., tuple[Any, ...]], argu
 
     # Where it is not held back, as on Windows.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=leave_with_parent, daemon=True).start()
     cv2.setNumThreads(1)
     _do = do
     try:
@@ -127,11 +129,13 @@ def without_ctrl_c() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _end_with_parent() -> None:
-    """End a worker with its parent."""
+def leave_with_parent(patience_s: float = _PATIENCE_S) -> None:
+    """End this process with its parent, however that ended."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(patience_s)
         os._exit(1)
 
 
