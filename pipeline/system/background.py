@@ -7,7 +7,6 @@ import os
 import signal
 import sys
 import threading
-import time
 from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
@@ -15,7 +14,7 @@ from threading import Lock
 from typing import Any, Generic, TypeVar
 
 from pipeline.system.errors import InputError
-from pipeline.system.worker_pool import without_ctrl_c
+from pipeline.system.worker_pool import leave_with_parent, without_ctrl_c
 
 PATIENCE_S = 20.0
 """How long a job that is cancelled may take to tidy up."""
@@ -85,7 +84,7 @@ def _work(function: Callable[..., Any], args: tuple[Any, ...], sender: Connectio
     # Ctrl-C in the terminal is for the process that waits: it ends this one.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _leave)
-    threading.Thread(target=_leave_with_parent, daemon=True).start()
+    threading.Thread(target=leave_with_parent, args=(PATIENCE_S,), daemon=True).start()
     code = 0
     try:
         _tell(function, args, sender)
@@ -110,17 +109,6 @@ def _tell(function: Callable[..., Any], args: tuple[Any, ...], sender: Connectio
     # Nobody may be there any more.
     with suppress(OSError):
         sender.send(("problem", problem))
-
-
-def _leave_with_parent() -> None:
-    """End with the waiting process, however it ended."""
-    parent = multiprocessing.parent_process()
-    if parent is None:
-        return
-    parent.join()
-    os.kill(os.getpid(), signal.SIGTERM)
-    time.sleep(PATIENCE_S)
-    os._exit(1)
 
 
 def _leave(number: int, _: Any) -> None:
