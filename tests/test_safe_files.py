@@ -44,7 +44,7 @@ OWN = {
     "datasets/depth/estimated.py np.load": "the cache",
     "datasets/scene_mesh.py": "the cache",
     "diagnosis/whatif/changes.py": "keys that were made here",
-    "evaluation/from_records.py .open": "written to",
+    "evaluation/importing.py .open": "written to",
     "evaluation/importing.py json.loads": "settings that were made here",
     "evaluation/querying.py": "what the process says that it started",
     "evaluation/job.py json.loads": "options that were made here",

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
 
 from pipeline.answering.ask import AskConfig
 from pipeline.answering.opening import Pipeline
-from pipeline.evaluation.records import DetectorScores, detector_scores, is_calibrated
+from pipeline.evaluation.records import DetectorScores, detector_scores, is_calibrated, raw_records
+from pipeline.evaluation.shared_makers import Share, rank, title_of, with_caveats
 from pipeline.labels.cases import HIT
 from pipeline.labels.reading import Labels, read_table
 from pipeline.language.relation_names import PAIRWISE, PHRASE
@@ -318,3 +319,35 @@ def held_out_warning(
                 "the same objects were seen"
             )
     return None
+
+
+def make_tables(
+    systems: dict[str, pa.Table],
+    bootstrap: BootstrapConfig | None = None,
+    shares: Mapping[str, Sequence[Share]] = NOTHING_SHARED,
+) -> list[Table]:
+    """All tables of a run; the first system is the run itself.
+
+    What systems share with what made the labels is said, and rows that are agreement stand below those that are not.
+    """
+    first = next(iter(systems.values()))
+    shares = {name: shares.get(name, ()) for name in systems}
+    titles = dict(sorted(((name, title_of(found)) for name, found in shares.items()), key=lambda t: rank(t[1])))
+    rows = []
+    for name, records in systems.items():
+        found = []
+        if has_opm(records):
+            found.append(opm_row(f"{name}{OPM_ONLY}", records, bootstrap))
+        if is_calibrated(records):
+            found.append(full_row(f"{name}, raw scores", raw_records(records), bootstrap))
+        found.append(full_row(name, records, bootstrap))
+        rows += [replace(row, shares=titles[name]) for row in found]
+    unit = clusters_of(first)[1]
+    tables = [
+        systems_table(rows, unit, titles),
+        relation_table(systems, bootstrap, titles),
+        stages_table(systems, titles),
+        gain_table(systems, bootstrap, titles),
+        calibration_table(systems, bootstrap),
+    ]
+    return [with_caveats(table, shares) for table in tables if table is not None]

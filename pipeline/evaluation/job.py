@@ -14,33 +14,24 @@ from pipeline.diagnosis.verdict import RULES_VERSION
 from pipeline.evaluation.comparing import Comparison, compare
 from pipeline.evaluation.confusion import Confusion, answer_confusion, network_confusion
 from pipeline.evaluation.grounding_tables import (
-    OPM_ONLY,
-    calibration_table,
     calibration_warnings,
     clusters_of,
-    full_row,
-    gain_table,
-    has_opm,
-    opm_row,
+    make_tables,
     problem_warnings,
     recorded_config,
-    relation_table,
-    stages_table,
-    systems_table,
 )
 from pipeline.evaluation.loss_plots import draw_diagnosis
 from pipeline.evaluation.plots import draw, draw_relations
-from pipeline.evaluation.records import is_calibrated, raw_records, read_records, records_schema
+from pipeline.evaluation.records import read_records, records_schema
 from pipeline.evaluation.relation_cases import RelationSpec, labelled_detector
 from pipeline.evaluation.relation_job import measure_relations, relation_sink
 from pipeline.evaluation.relation_records import RelationRecords
 from pipeline.evaluation.relation_report import shares_by_title
-from pipeline.evaluation.run import Progress, evaluate_labels, median_confidence, system_of
+from pipeline.evaluation.run import Progress, evaluate_labels, median_confidence
 from pipeline.evaluation.run_folder import RUN_FILE, Run, open_run, read_manifest, spec_record
 from pipeline.evaluation.shared_makers import (
     Share,
     measured_of_run,
-    rank,
     shared_makers,
     title_of,
     titles_of,
@@ -48,7 +39,7 @@ from pipeline.evaluation.shared_makers import (
 )
 from pipeline.evaluation.slices import DIMENSIONS, Slices, slice_by, slice_table
 from pipeline.evaluation.summary import RunSummary, has_verdicts, summarise_run, summary_tables
-from pipeline.evaluation.systems import OWN, EvalSpec
+from pipeline.evaluation.systems import OWN, EvalSpec, system_of
 from pipeline.labels.merge import environment
 from pipeline.labels.plan import files_hash
 from pipeline.labels.profiles import canonical_hash
@@ -355,38 +346,6 @@ def write_tables(tables: Sequence[Table], folder: Path, name: str) -> None:
     (folder / "tables").mkdir(exist_ok=True)
     for table in tables:
         (folder / "tables" / f"{table.key}.csv").write_text(as_csv(table), encoding="utf-8")
-
-
-def make_tables(
-    systems: dict[str, pa.Table],
-    bootstrap: BootstrapConfig | None = None,
-    shares: Mapping[str, Sequence[Share]] = NOTHING_SHARED,
-) -> list[Table]:
-    """All tables of a run; the first system is the run itself.
-
-    What systems share with what made the labels is said, and rows that are agreement stand below those that are not.
-    """
-    first = next(iter(systems.values()))
-    shares = {name: shares.get(name, ()) for name in systems}
-    titles = dict(sorted(((name, title_of(found)) for name, found in shares.items()), key=lambda t: rank(t[1])))
-    rows = []
-    for name, records in systems.items():
-        found = []
-        if has_opm(records):
-            found.append(opm_row(f"{name}{OPM_ONLY}", records, bootstrap))
-        if is_calibrated(records):
-            found.append(full_row(f"{name}, raw scores", raw_records(records), bootstrap))
-        found.append(full_row(name, records, bootstrap))
-        rows += [replace(row, shares=titles[name]) for row in found]
-    unit = clusters_of(first)[1]
-    tables = [
-        systems_table(rows, unit, titles),
-        relation_table(systems, bootstrap, titles),
-        stages_table(systems, titles),
-        gain_table(systems, bootstrap, titles),
-        calibration_table(systems, bootstrap),
-    ]
-    return [with_caveats(table, shares) for table in tables if table is not None]
 
 
 DIAGNOSIS_FILE = "diagnosis.json"

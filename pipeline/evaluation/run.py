@@ -12,11 +12,10 @@ from pipeline.answering.answering import StageClock
 from pipeline.answering.ask import propose
 from pipeline.answering.objects import PreparedFrame, prepare_frame
 from pipeline.answering.opening import Pipeline
-from pipeline.evaluation.imported_rows import ImportedPredictions
 from pipeline.evaluation.records import COLUMNS, records_schema
 from pipeline.evaluation.relation_cases import frames_in, spread
 from pipeline.evaluation.relation_records import RelationPass
-from pipeline.evaluation.systems import EvalSpec, OwnPipeline, System
+from pipeline.evaluation.systems import EvalSpec, system_of
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, FrameCases, read_cases
 from pipeline.labels.reading import Labels, read_table
@@ -30,11 +29,6 @@ LOOKED_AT = 64
 FRAMES_A_BLOCK = 24
 Progress = Callable[[int, int], None]
 """Called with (expressions done, expressions in all)."""
-
-
-def system_of(spec: EvalSpec) -> System:
-    """The system that a specification names, else imported predictions or the pipeline itself."""
-    return spec.system or (ImportedPredictions() if spec.options.get("predictions") is not None else OwnPipeline())
 
 
 class Evaluator:

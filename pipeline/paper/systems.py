@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,19 +16,22 @@ from pipeline.answering.opening import Pipeline
 from pipeline.datasets import Dataset
 from pipeline.diagnosis.frame_evidence import matched
 from pipeline.evaluation.records import asked_columns, overlaps
-from pipeline.evaluation.relation_cases import RelationSpec
-from pipeline.evaluation.relation_records import RelationRecords
+from pipeline.evaluation.relation_cases import RelationSpec, read_pairs
+from pipeline.evaluation.relation_records import RelationRecords, SystemRecords
 from pipeline.evaluation.shared_makers import Measured, measured_of
 from pipeline.evaluation.systems import OWN, AskedPairs, EvalSpec, Records, System
 from pipeline.geometry.boxes import iou_2d
-from pipeline.geometry.frame import Frame
+from pipeline.geometry.frame import Annotation, Frame
 from pipeline.labels.cases import HIT, Case, FrameCases
 from pipeline.labels.reading import Labels
-from pipeline.paper.asked_pairs import ask_pairs
-from pipeline.paper.questions import ground_many
+from pipeline.metrics.splits import DROPPED
+from pipeline.paper.questions import ground_many, score_pairs
 from pipeline.proposals.base import Detector, detect_expression
+from pipeline.system.arrow import pa, pq
 from pipeline.system.chat import ChatClient
 from pipeline.system.errors import InputError
+
+VLM_FILE = "relation_records_vlm.parquet"
 
 
 @dataclass(frozen=True)
@@ -176,3 +180,80 @@ def record_whole(case: Case, truth: FrameCases, pointed: Pointed) -> dict[str, A
         index = int(matched(overlap, truth.alike[[case.target_object]])[0])
         row |= {"box": box.tolist(), "p_target": pointed.score, "matched_target": None if index < 0 else index}
     return row
+
+
+def sample_pairs(counted: np.ndarray, number: int, seed: int) -> np.ndarray:
+    """(M,) int64: indices of at most so many of the counted pairs, without replacement, rising."""
+    indices = np.flatnonzero(counted)
+    if number >= len(indices):
+        return indices
+    return np.sort(np.random.default_rng([seed, 53]).choice(indices, number, replace=False))
+
+
+def ask_pairs(
+    client: ChatClient,
+    title: str,
+    how: RelationSpec,
+    dataset: Dataset,
+    labels: Labels,
+    records: RelationRecords,
+    counted: np.ndarray,
+    folder: Path,
+) -> AskedPairs:
+    """Ask of a sample of the counted pairs whether each relation holds, and write every answer into a run's folder.
+
+    A probability is 0.5, a no, where the answer is not known.
+
+    Raises
+    ------
+    ServerError
+        The server gives no answer at all.
+    """
+    rows = sample_pairs(counted, how.vlm_pairs, how.seed)
+    relations = records.systems[0].relations
+    p = np.empty((len(rows), len(relations)), np.float32)
+    reasons: Counter[str] = Counter()
+    tables: list[pa.Table] = []
+    for index in np.unique(records.frame_index[rows]):
+        (pairs,) = read_pairs(labels, int(index), int(index) + 1)
+        # The rows of a frame stand in one piece and in the order of its pairs.
+        first = int(np.searchsorted(records.frame_index, index))
+        mine = np.flatnonzero(records.frame_index[rows] == index)
+        chosen = rows[mine] - first
+        named = zip(pairs.numbers.tolist(), pairs.labels, pairs.geometry["bbox"], strict=True)
+        objects = [Annotation(number, name, box) for number, name, box in named]
+        asked = np.stack([pairs.a[chosen], pairs.b[chosen]], axis=1)
+        frame = dataset.load(pairs.key.frame)
+        found = score_pairs(client, frame, objects, asked, relations)
+        p[mine] = found.probabilities
+        reasons.update(found.reasons)
+
+        def struct(columns: list[pa.Array]) -> pa.StructArray:
+            return pa.StructArray.from_arrays(columns, names=list(relations))
+
+        tables.append(
+            pa.table(
+                {
+                    "frame": pa.array([pairs.key.frame] * len(mine), pa.string()),
+                    "frame_index": pa.array(np.full(len(mine), index, np.int32)),
+                    "a": pa.array(pairs.numbers[asked[:, 0]].astype(np.int32)),
+                    "b": pa.array(pairs.numbers[asked[:, 1]].astype(np.int32)),
+                    "ambiguous": pa.array(found.ambiguous),
+                    "state": struct([pa.array(pairs.states[chosen, pairs.relations.index(r)]) for r in relations]),
+                    "p": struct([pa.array(p[mine, k]) for k in range(len(relations))]),
+                    "known": struct([pa.array(found.known[:, k]) for k in range(len(relations))]),
+                    "answer": struct(
+                        [pa.array([t[k] for t in found.texts], pa.string()) for k in range(len(relations))]
+                    ),
+                }
+            )
+        )
+    pq.write_table(pa.concat_tables(tables), folder / VLM_FILE, compression="zstd")
+    asked = f"{title}, yes/no question, {len(rows)} pairs"
+    system = SystemRecords("vlm", asked, relations, p, np.full(len(rows), DROPPED, np.int8))
+    note = (
+        f"The VLM was asked about {len(rows)} pairs drawn at random (seed {how.seed}), {sum(reasons.values())} of "
+        f"{p.size} answers are not known and count as no."
+    )
+    record = {"pairs": len(rows), "answers": int(p.size), "unknown": dict(reasons), "requests": client.requests}
+    return AskedPairs(rows, system, note, record)

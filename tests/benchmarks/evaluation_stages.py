@@ -18,7 +18,7 @@ from benchmarks.peak_memory import PeakMemory
 
 from pipeline.answering.opening import open_pipeline
 from pipeline.answering.recording import record_detections
-from pipeline.evaluation.job import make_tables
+from pipeline.evaluation.grounding_tables import make_tables
 from pipeline.evaluation.relation_cases import frames_in, spread
 from pipeline.evaluation.run import (
     FRAMES_A_BLOCK,

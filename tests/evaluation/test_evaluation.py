@@ -20,8 +20,8 @@ from slow_cases import mostly_slow
 from pipeline.answering import AskConfig, FrameAnswers, PreparedFrame, alone, open_pipeline
 from pipeline.datasets import demo_path
 from pipeline.evaluation import EvalSpec, compare, evaluate_dataset, evaluate_labels, read_records
-from pipeline.evaluation.grounding_tables import problem_warnings
-from pipeline.evaluation.job import CHANGED, make_tables
+from pipeline.evaluation.grounding_tables import make_tables, problem_warnings
+from pipeline.evaluation.job import CHANGED
 from pipeline.evaluation.records import COLUMNS, DETECTIONS, records_schema
 from pipeline.evaluation.run import Evaluator, table_of
 from pipeline.geometry import iou_2d
