@@ -41,16 +41,10 @@ def start_background(
     on_progress: Callable[[Any], None],
     on_end: Callable[[Any, str], None],
 ) -> Background:
-    """Run `function(*args, progress)` in a process of its own.
+    """Run `function(*args, progress)` of a module, with picklable arguments and result, in another process.
 
-    Parameters
-    ----------
-    function : callable
-        Of a module, so that the other process finds it; its arguments, reports and result must be picklable.
-    on_progress : callable
-        Called on a thread of this process with each value that the function hands to `progress`.
-    on_end : callable
-        Called there at the end with (result, ""), or (None, the problem).
+    Threads of this process call `on_progress` with each value of `progress`, and `on_end` with (result, "") or
+    (None, the problem).
     """
     context = multiprocessing.get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
@@ -122,21 +116,7 @@ Seen = TypeVar("Seen")
 
 
 class SharedJob(Generic[Seen]):
-    """Work of one kind on one thing, shared by many threads.
-
-    Parameters
-    ----------
-    seen : Seen
-        What is known before anything ran.
-    background : callable, optional
-        As `start_background`.
-
-    Attributes
-    ----------
-    seen : Seen
-        What is known now.
-    running : bool
-    """
+    """Work of one kind on one thing, shared by many threads; `seen` is the knowledge of it, from before to after."""
 
     def __init__(self, seen: Seen, background: Callable[..., Background] = start_background) -> None:
         self.seen, self.running = seen, False
@@ -156,21 +136,11 @@ class SharedJob(Generic[Seen]):
         ended: Callable[[Seen, Any, str], Seen],
         then: Callable[[], None] | None = None,
     ) -> bool:
-        """Run `function(argument, progress)` in a process of its own, unless something runs already.
+        """Run `function(argument, progress)` as `start_background`; returns False if work runs already.
 
-        Parameters
-        ----------
-        function, argument
-            See `start_background`.
-        begun, heard, ended : callable
-            Make what is known from what was: at the start, of each progress, of (result, problem) at the end.
-        then : callable, optional
-            Called after the end, before the listeners: what it starts follows without a pause.
-
-        Returns
-        -------
-        bool
-            Whether it was started.
+        `begun`, `heard` and `ended` make the new `seen` from the old: at the start, of each progress, of (result,
+        problem) at the end. `then` is called after the end, before the listeners: work started by it follows without a
+        pause.
         """
 
         def on_progress(value: Any) -> None:

@@ -88,7 +88,7 @@ _ANSWER = TypeAdapter(ChatAnswer)
 
 
 class ChatClient:
-    """Client of one model of one server.
+    """Client of one model of one server; InputError for unusable parameters, MissingExtra without `openai`.
 
     Parameters
     ----------
@@ -99,29 +99,15 @@ class ChatClient:
     api_key : str, optional
         SPATIALVIZ_VLM_KEY of the environment by default; servers on one's own machine need none.
     timeout_s : float
-        Seconds for one try.
+        Of one try.
     retries : int
         Further tries after 408, 409, 429, 5xx, a timeout, a broken connection or a broken reply.
-    requests_per_minute : float, optional
-        Evenly spaced.
     extra : mapping, optional
         Further keys of the request, such as `chat_template_kwargs`; a value of None takes a key away.
     cache : bool or Path
         Folder of kept answers; True for the one in the user's cache folder.
     clock, sleep : callable
-        Seconds, and waiting for some: for `requests_per_minute`.
-
-    Attributes
-    ----------
-    requests : int
-        Requests sent so far, every try counted.
-
-    Raises
-    ------
-    InputError
-        A parameter that cannot be used.
-    MissingExtra
-        The library `openai` is not installed.
+        For `requests_per_minute`, evenly spaced.
     """
 
     def __init__(
@@ -176,17 +162,9 @@ class ChatClient:
         self._lock, self._free = threading.Lock(), clock()
 
     def ask(self, prompt: str, rgb: np.ndarray | None, *, check: Callable[[str], object] = str) -> ChatAnswer:
-        """Ask one question; as `ChatQuestion`.
+        """Ask one question about a picture ((H, W, 3) uint8, sent as JPEG) or none; as `ChatQuestion`.
 
-        Parameters
-        ----------
-        rgb : (H, W, 3) uint8, optional
-            Sent as it is, as JPEG.
-
-        Raises
-        ------
-        ServerError
-            There is no answer after all tries: an `InputError` that names address, status and the server's words.
+        Raises ServerError after the last try, with address, status and the server's words.
         """
         return self._answer(ChatQuestion(prompt, None if rgb is None else ChatPicture(rgb), check=check))
 
@@ -194,17 +172,8 @@ class ChatClient:
         """Ask many questions, `workers` at a time; answers in order, known ones from the cache.
 
         A question that fails for itself (a timeout, a refusal of its content) leaves only its own answer empty, with
-        `failure` set. Ctrl-C ends it at once.
-
-        Parameters
-        ----------
-        questions : iterable of ChatQuestion
-            May make its pictures as it goes.
-
-        Raises
-        ------
-        ServerError
-            An error that every question would meet.
+        `failure` set; a ServerError of all questions is raised. Ctrl-C ends it at once. `questions` may make its
+        pictures as it goes.
         """
         require(workers >= 1, "at least one worker is needed", got=workers)
 
@@ -271,13 +240,7 @@ def _read(choice: dict[str, Any]) -> ChatAnswer:
 
 
 def checked_base(url: str) -> str:
-    """Base address of a server, without a final slash or `/chat/completions`.
-
-    Raises
-    ------
-    InputError
-        No http address, or one with a user name or a query.
-    """
+    """Base address of a server, without a final slash or `/chat/completions`; InputError if malformed or with a key."""
     expected, url = "an address such as http://localhost:8000/v1", url.strip()
     try:
         parts = urlsplit(url)

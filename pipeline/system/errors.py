@@ -15,19 +15,8 @@ Thing = TypeVar("Thing")
 class InputError(ValueError):
     """Unusable input from outside.
 
-    The message is one line: what was wrong, what was got, what was expected,
-    the likely cause, and the file.
-
-    Parameters
-    ----------
-    what : str
-        What was wrong, in a short clause.
-    got, expected : str, optional
-        The value that came, and the value that would have been right.
-    cause : str, optional
-        The likely cause, phrased as help.
-    path : str or Path, optional
-        The file that holds the bad value.
+    The message is one line: `what` was wrong, what was `got`, what was `expected`, the likely `cause`, phrased as help,
+    and the file at `path`.
     """
 
     def __init__(
@@ -92,6 +81,15 @@ def as_input_error(what: str, *errors: type[Exception], got: object = None, **wo
         raise
     except errors as error:
         raise InputError(what, got=got(error) if callable(got) else got, **words) from error
+
+
+@contextmanager
+def in_file(path: str | PathLike[str]) -> Iterator[None]:
+    """Name a file in the InputErrors of the block without one."""
+    try:
+        yield
+    except InputError as error:
+        raise error if error.path is not None else InputError(str(error), path=path) from error
 
 
 def first_line(error: Exception) -> str:
@@ -168,14 +166,9 @@ def listed(names: Sequence[str], limit: int = 12) -> str:
 
 
 class ServerError(InputError):
-    """A server that gives no answer, after all tries.
+    """Server without an answer after all tries.
 
-    Attributes
-    ----------
-    status : int or None
-        HTTP status; None where there was no reply.
-    everywhere : bool
-        Whether every other question would fail in the same way.
+    `status` is of HTTP, None without a reply; `everywhere` tells an error that every other question would meet.
     """
 
     def __init__(self, what: str, *, status: int | None, everywhere: bool, **more: Any) -> None:

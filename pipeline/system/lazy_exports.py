@@ -12,15 +12,8 @@ if TYPE_CHECKING:
 def lazy_exports(package: str, file: str) -> Callable[[str], Any]:
     """`__getattr__` of a package for the names imported in the `if TYPE_CHECKING:` block of its file.
 
-    The block is what type checkers read, so that names stand in one place. It is read when a name is first asked for:
-    importing the package, or a module in it, costs nothing.
-
-    Parameters
-    ----------
-    package : str
-        Its dotted name, `__name__`.
-    file : str
-        Its source, `__file__`.
+    Type checkers read the block, so that names stand in one place. It is read when a name is first asked for: importing
+    the package, or a module in it, costs nothing. The arguments are `__name__` and `__file__`.
 
     Examples
     --------

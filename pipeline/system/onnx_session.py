@@ -24,21 +24,10 @@ from pipeline.system.time_limit import stopped_after
 
 
 def open_session(path: Path, threads: int | None = None) -> Any:
-    """Open an `onnxruntime.InferenceSession` on the wanted provider.
+    """Open an `onnxruntime.InferenceSession` on the wanted provider; InputError for a missing or malformed file.
 
-    A graph that ONNX Runtime cannot load with its optimisations, as happens with half-precision files, is loaded
-    without them.
-
-    Parameters
-    ----------
-    path : Path
-    threads : int, optional
-        For a network so small that waking more threads, or another processor, costs more than it saves.
-
-    Raises
-    ------
-    InputError
-        Where the file is missing or is not an ONNX model.
+    A graph beyond ONNX Runtime's optimisations, as of half-precision files, is loaded without them. `threads` is for a
+    network so small that waking more threads, or another processor, costs more than it saves.
     """
     require(not path.is_dir(), "the model is a folder", expected="the ONNX file in it", path=path)
     require(path.exists(), "there is no model file", path=path, cause="give the path of an ONNX file")
@@ -167,10 +156,7 @@ def first_line(error: object) -> str:
 def run_session(session: Any, outputs: Sequence[str], feed: Mapping[str, np.ndarray], path: Path) -> list[np.ndarray]:
     """Run a session on inputs cast to the declared types; floating-point outputs are float32.
 
-    Raises
-    ------
-    InputError
-        Where an input cannot be cast, ONNX Runtime cannot run the model on them, or an output holds NaN.
+    Raises InputError for inputs beyond casting, a failure of ONNX Runtime, or NaN in an output.
     """
     cast = as_declared(session, feed, path)
     try:
@@ -197,13 +183,7 @@ def run_session(session: Any, outputs: Sequence[str], feed: Mapping[str, np.ndar
 
 
 def as_declared(session: Any, feed: Mapping[str, np.ndarray], path: Path) -> dict[str, np.ndarray]:
-    """Cast inputs to the types declared by the file.
-
-    Raises
-    ------
-    InputError
-        Where the file wants what is no number, or whole numbers of what are none.
-    """
+    """Cast inputs to the types declared by the file; InputError for types without numbers, or rounded values."""
     types = {i.name: i.type for i in session.get_inputs()}
     cast = {}
     for name, value in feed.items():
@@ -280,19 +260,9 @@ class ProviderWarning(UserWarning):
 
 
 def use_execution(provider: str | None = None, verbose: bool = False) -> None:
-    """Set provider and verbosity of models opened from now on, in this process and its children.
+    """Set where models compute from now on, in this process and its children; `verbose` shows ONNX Runtime's messages.
 
-    Parameters
-    ----------
-    provider : str, optional
-        "auto", "cpu", "cuda", "coreml" or "directml"; None leaves it as it is.
-    verbose : bool
-        Let ONNX Runtime's own messages reach standard error.
-
-    Raises
-    ------
-    InputError
-        Another provider.
+    `provider` is "auto", "cpu", "cuda", "coreml" or "directml" (InputError for another); None leaves it as it is.
     """
     if provider is not None:
         os.environ[PROVIDER_VARIABLE] = _checked(provider)

@@ -11,13 +11,7 @@ from pipeline.system.errors import InputError
 
 
 def asset_path(*parts: str) -> Path:
-    """Path of a shipped file or folder, for example ("srm", "rel14.onnx").
-
-    Raises
-    ------
-    InputError
-        Where the installation lacks it.
-    """
+    """Path of a shipped file or folder, for example ("srm", "rel14.onnx"); InputError without it."""
     here = Path(__file__).resolve().parents[1]
     for root in (here / "assets", here.parent / "assets"):
         candidate = root.joinpath(*parts)

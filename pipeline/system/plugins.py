@@ -34,20 +34,10 @@ def _last_change(folder: str) -> int:
 
 
 def load_plugins(group: str, what: str, kind: Any) -> tuple[tuple[str, Any], ...]:
-    """Load the plugins of an entry point group; a failing one is left out with a warning.
+    """Load the plugins of an entry point group, such as "spatialviz.datasets", as (name, object).
 
-    Parameters
-    ----------
-    group : str
-        The entry point group, such as "spatialviz.datasets".
-    what : str
-        What the plugins add, for the warning: "dataset", "detector".
-    kind : type
-        What a plugin must be an instance of; `collections.abc.Callable` for functions.
-
-    Returns
-    -------
-    tuple of (name of the entry point, loaded object)
+    A plugin that fails, or is no instance of `kind` (`collections.abc.Callable` for functions), is left out with a
+    warning; `what` names its purpose there: "dataset", "detector".
     """
     found: list[tuple[str, Any]] = []
     for point in entry_points(group=group):

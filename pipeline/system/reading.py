@@ -41,23 +41,16 @@ def checked(
     inside: Iterable[str] = (),
     keys: Iterable[str] | Callable[[tuple[Any, ...]], Iterable[str]] = (),
 ) -> Checked:
-    """Validate a content by `check`, a validating method of pydantic.
+    """Validate a content by `check`, a validating method of pydantic; InputError for the first fault and its location.
 
     Parameters
     ----------
-    content : Any
-        For a method that reads JSON, its text.
     wrong : str
-        What to say where it is wrong, with the location for {}.
+        Words for a fault, with the location for {}.
     inside : iterable of str
-        The location of the content in the file.
+        Location of the content in the file.
     keys : iterable of str, or a function
-        The keys there are, to be told where another one is given; the function gives those beside a location.
-
-    Raises
-    ------
-    InputError
-        The first fault, and where it stands.
+        Known keys, told for an unknown one; the function gives those beside a location.
     """
     try:
         return check(content)
@@ -152,16 +145,7 @@ def _place(content: Any, location: tuple[Any, ...], missing: bool) -> tuple[Any,
 
 @dataclass(frozen=True)
 class Content:
-    """Content of a text file.
-
-    Attributes
-    ----------
-    value : Any
-        The JSON value; of JSON lines and of CSV a list of the rows.
-    path : Path
-    numbers : tuple of int or None
-        Lines of the rows, from 1; None for one JSON value.
-    """
+    """Text file's content: the JSON value, or for JSON lines and CSV a list of rows with their line numbers, from 1."""
 
     value: Any
     path: Path
@@ -186,10 +170,7 @@ class Content:
 def read_content(path: Path, what: str = "the file") -> Content:
     """Read a file of JSON, JSON lines, or (by its ending) CSV; `what` names it in messages.
 
-    Raises
-    ------
-    InputError
-        It cannot be read; of JSON lines, which line is none.
+    Raises InputError for an unreadable file, with the line of JSON lines.
     """
     utf8 = as_input_error(
         f"{what} is not UTF-8", UnicodeDecodeError, got=str, expected="a file saved as UTF-8", path=path

@@ -35,26 +35,18 @@ def results_of(
     ordered: bool = True,
     cause: str = "out of memory? use fewer workers",
 ) -> Generator[Result, None, None]:
-    """Run `do(job, *opened)` for each job, with one thread of arithmetic, in spawned processes.
+    """Run `do(job, *opened)`, of the top level of a module, for each job in spawned processes of one thread.
 
     Parameters
     ----------
-    do : callable
-        Of the top level of a module.
-    jobs : sequence
     workers : int
         Processes at most; with one, or one job, this process does the work.
     prepare : callable
-        `prepare(*arguments)` is what each process opens once, as a tuple; what it raises is raised here.
+        `prepare(*arguments)` is opened once by each process, as a tuple; its errors are raised here.
     ordered : bool
-        Results in the order of the jobs, and not as they are done.
+        Order of the jobs, and not of their ends.
     cause : str
-        What to do where a worker was killed.
-
-    Raises
-    ------
-    InputError
-        A worker was killed.
+        Help for a killed worker, an InputError.
     """
     if min(workers, len(jobs)) <= 1:
         with one_thread():
