@@ -46,7 +46,7 @@ def printed(run: Callable[[Any], object], command: object, limit: int | None = N
 
 @dataclass(frozen=True)
 class Show(Verb):
-    """The labels of a frame's objects, of one object or of a pair, field by field, with who or what made each."""
+    """Show the labels of a frame's objects, of one object or of a pair, field by field, each with its maker."""
 
     frame: FrameOf
     object: Annotated[int | None, Field(description="Only this object, by its number.")] = None
@@ -64,7 +64,7 @@ class Show(Verb):
 
 @dataclass(frozen=True)
 class Journal(Verb):
-    """What was corrected, by whom, when and why."""
+    """List corrections, with author, time and reason."""
 
     last: Annotated[int, Field(ge=1, le=1000, description="So many of the newest.")] = 20
 
@@ -74,8 +74,8 @@ class Journal(Verb):
 
 @dataclass(frozen=True)
 class Correct(Verb):
-    """Apply edits to the labels, all of them or none. Where somebody else has been there nothing is saved, and
-    "conflicts" says who."""
+    """Apply edits to the labels, all or none. After somebody else's change of the same value nothing is saved, and
+    "conflicts" names the author."""
 
     edits: Annotated[
         list[dict[str, Any]],
@@ -97,7 +97,7 @@ class Correct(Verb):
 
 @dataclass(frozen=True)
 class Confirm(Verb):
-    """Ask, and say that a pair of the answer is right: from then on the answer is judged by it."""
+    """Ask, and confirm a pair of the answer as right: from then on answers are judged by the pair."""
 
     frame: FrameOf
     expression: Words
@@ -113,7 +113,7 @@ class Confirm(Verb):
 
 @dataclass(frozen=True)
 class Undo(Verb):
-    """Take back this author's newest action, or one by its group."""
+    """Take back this author's newest action, or the one of a group."""
 
     group: Group = None
 
@@ -124,7 +124,7 @@ class Undo(Verb):
 
 @dataclass(frozen=True)
 class Redo(Verb):
-    """Bring back what this author took back last."""
+    """Bring back the action last taken back by this author."""
 
     group: Group = None
 

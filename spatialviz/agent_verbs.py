@@ -154,7 +154,8 @@ class Verb:
 
 @dataclass(frozen=True)
 class Contents(Verb):
-    """What is open here: datasets, runs and cases by the names that the other tools take; and the frames of one."""
+    """List everything open here: datasets, runs and cases by the names used in the other tools; and the frames of a
+    dataset."""
 
     source: Annotated[str | None, Field(description="Dataset or run whose frames are listed.")] = None
     limit: Limit = 50
@@ -179,8 +180,8 @@ class Contents(Verb):
 
 @dataclass(frozen=True)
 class Ask(Verb):
-    """Answer an expression on a frame: the ranked pairs of objects with their factors, and the verdict where the truth
-    is known. `holds` is false where no pair stands in the relation: the best is then the nearest there is."""
+    """Answer an expression on a frame: the ranked pairs of objects with their factors, and the verdict if the truth is
+    known. `holds` is false if no pair stands in the relation: the best pair is then the nearest."""
 
     frame: FrameOf
     expression: Words
@@ -198,8 +199,8 @@ class Ask(Verb):
 
 @dataclass(frozen=True)
 class Why(Verb):
-    """Which module failed, in words, with the smallest change that would mend it: of an expression on a frame, or of
-    one that a run answered, by the id that failures and query give."""
+    """Explain which module failed, with the smallest change to mend it: for an expression on a frame, or for one
+    answered by a run, by the id from failures and query."""
 
     frame: FrameOf | None = None
     expression: Words | None = None
@@ -222,7 +223,7 @@ class Why(Verb):
 @dataclass(frozen=True)
 class WhatIf(Verb):
     """Answer an expression with and without edits: hidden objects, moved boxes, confidences, relations, thresholds.
-    Without edits the objects are listed with the keys that edits name them by."""
+    Without edits the objects are listed with their keys, used in edits."""
 
     frame: FrameOf
     expression: Words
@@ -257,8 +258,8 @@ class WhatIf(Verb):
 
 @dataclass(frozen=True)
 class Failures(Verb):
-    """What a run got wrong: what a search finds, with the reasons. Words of a search: verdict:SRM relation:behind
-    class:chair margin<0.1 -lucky sort:margin; without one, all that failed."""
+    """List failures of a run found by a search, with the reasons. Words of a search: verdict:SRM relation:behind
+    class:chair margin<0.1 -lucky sort:margin; without a search all failures."""
 
     search: str = ""
     run: RunName = None
@@ -290,7 +291,7 @@ class Failures(Verb):
 
 @dataclass(frozen=True)
 class Query(Verb):
-    """Ask a run in SQL (DuckDB): the view records, one row an expression, and labels_frames, labels_objects,
+    """Query a run in SQL (DuckDB): the view records, one row for each expression, and labels_frames, labels_objects,
     labels_relations, labels_expressions. `SELECT column_name, column_type FROM (DESCRIBE records)` lists columns."""
 
     sql: Annotated[str, Field(description="One SELECT; it can read nothing else.")]
@@ -311,7 +312,7 @@ class Query(Verb):
 
 @dataclass(frozen=True)
 class Replay(Verb):
-    """Run kept cases again: has an answer or a verdict changed? Those that did come first."""
+    """Run saved cases again, and report changed answers and verdicts, those first."""
 
     cases: Annotated[str | None, Field(description="Case, or folder of cases. Default: the first.")] = None
     srm: Annotated[

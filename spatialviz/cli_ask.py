@@ -1,4 +1,4 @@
-"""The commands that browse a dataset, ask it, evaluate, look into runs, and debug one answer."""
+"""Commands to browse a dataset, ask questions, evaluate, look into runs, and debug a single answer."""
 
 from __future__ import annotations
 
@@ -65,8 +65,8 @@ class ViewCommand:
 
 @dataclass(frozen=True)
 class AskCommand(Output):
-    """Answer expressions such as "mug left of the laptop" on a frame; --confirm: a pair of the answer is right;
-    --glossary: what a word means.
+    """Answer expressions such as "mug left of the laptop" on a frame; --confirm: confirm a pair of the answer as right;
+    --glossary: explain a word.
 
     Exit status: 0 where a pair stands in the relation that was asked, 1 where there is none: a name was not found, or
     the best pair has a probability below .5 and is told as the nearest; 2 for bad usage or input. Of several
@@ -102,7 +102,7 @@ class RelationsCommand(Output):
 
 @dataclass(frozen=True)
 class GlossaryCommand(Output):
-    """What a word of the page or the shell means; without one, all of them."""
+    """Explain a word of the page or the shell; without one, all of them."""
 
     word: Positional[str | None] = None
     markdown: Flag = False
@@ -111,7 +111,7 @@ class GlossaryCommand(Output):
 
 @dataclass(frozen=True)
 class MeasureCommand(Output):
-    """How far apart two surface points of a frame are, and by how much to the right, up and forward; in metres."""
+    """Measure the distance of two surface points of a frame, and its parts to the right, up and forward; in metres."""
 
     dataset: DatasetArg
     frame: OneFrameArg
@@ -122,8 +122,8 @@ class MeasureCommand(Output):
 
 @dataclass(frozen=True)
 class FramesCommand(Output):
-    """Say what is in a dataset, and what is broken: counts, and each note once with how many frames have it; --mesh:
-    the frames around one as a mesh."""
+    """List a dataset's contents and faults: counts, and each note once with its number of frames; --mesh: the frames
+    around one as a mesh."""
 
     dataset: Positional[str]
     """Dataset folder or capture; a folder of dataset folders, for all of them; or "demo"."""
@@ -166,7 +166,7 @@ class DoctorCommand(Output):
 
 @dataclass(frozen=True)
 class ContextCommand(Output):
-    """Fuse the posed frames around a frame into a mesh, in its camera frame (extra: open3d)."""
+    """Fuse the posed frames around a frame into a mesh, in the frame's camera coordinates (extra: open3d)."""
 
     dataset: DatasetArg
     frame: OneFrameArg
@@ -193,8 +193,8 @@ class RenderCommand:
 
 @dataclass(frozen=True)
 class EvalCommand(Output):
-    """Answer every expression of labels, and write tables with intervals, plots and records; or, with --sentences,
-    sentences that people wrote, judged without labels; --judge-again: what an earlier version judged."""
+    """Answer every expression of labels, and write tables with intervals, plots and records; --sentences: sentences
+    written by people, judged without labels; --judge-again: results of an earlier version."""
 
     dataset: DatasetArg
     labels: Path | None = None
@@ -254,7 +254,8 @@ class EvalCommand(Output):
 
 @dataclass(frozen=True)
 class ImportRunCommand(Output):
-    """Judge the predictions of another pipeline: a run with verdicts as far as they go, and all that runs have.
+    """Judge the predictions of another pipeline: a run with verdicts as far as the file allows, and everything else of
+    a run.
 
     The file is described in docs/predictions.md. Whatever it gives is taken as it stands.
     """
@@ -283,7 +284,7 @@ class ImportRunCommand(Output):
 
 @dataclass(frozen=True)
 class JudgeAgainCommand(Output):
-    """Judge what an earlier version judged, by this one: a run, labels or a case, into a new folder.
+    """Judge again the results of an earlier version: a run, labels or a case, into a new folder.
 
     A run is answered again by its own models, or by the predictions that it keeps; relations alone are not measured.
     Labels are made again of their dataset with the same settings; corrections stay with the old ones.
@@ -297,7 +298,7 @@ class JudgeAgainCommand(Output):
 
 @dataclass(frozen=True)
 class ExportRunCommand(Output):
-    """Write a run of `eval` as predictions, with all that led to each answer; `import-run` makes the same run of it."""
+    """Write a run of `eval` as predictions, with every step of each answer; `import-run` makes an equal run again."""
 
     run_folder: RunArg
     out: Path
@@ -306,8 +307,8 @@ class ExportRunCommand(Output):
 
 @dataclass(frozen=True)
 class FailuresCommand(Output):
-    """What a run got wrong: what a search finds, with the reasons, or, without a search, verdicts, what each module
-    costs, slices, and all that failed. With --json also its facets under the search, marks and kept searches."""
+    """List failures of a run by a search, with the reasons; without a search, verdicts, cost of each module, slices,
+    and all failures. With --json also facets under the search, marks and kept searches."""
 
     run_folder: RunArg
     search: Positional[str] = ""
@@ -340,7 +341,7 @@ class QueryCommand(Output):
 
 @dataclass(frozen=True)
 class TablesCommand(Output):
-    """The paper's tables of a run, with its published rows; those of the vocabulary of the run's labels."""
+    """Print the paper's tables of a run, with published rows for the vocabulary of the run's labels."""
 
     run_folder: RunArg
     format: Literal["text", "markdown", "latex"] = "text"
@@ -376,7 +377,7 @@ class WhatIfCommand(Output):
 
 @dataclass(frozen=True)
 class SaveCaseCommand(Output):
-    """Keep one answer as a small folder that `replay` runs again: a failure becomes a regression test."""
+    """Save an answer as a small folder for `replay`: a failure becomes a regression test."""
 
     dataset: Positional[str]
     """Dataset folder or "demo"; or a run, of this pipeline or imported: its answer, judged by its labels."""
@@ -419,8 +420,8 @@ class ReplayCommand(Output):
 
 @dataclass(frozen=True)
 class ReportCommand(Output):
-    """One self-contained page of an answer: why it failed, the picture, the scene in 3D, all tables; --tables: a run's,
-    as the paper has them."""
+    """Write a self-contained page of an answer: the reason of failure, the picture, the scene in 3D, all tables;
+    --tables: a run's tables as in the paper."""
 
     dataset: Positional[str]
     """Case folder; or a dataset folder or "demo", with FRAME and EXPRESSION."""

@@ -1,4 +1,4 @@
-"""The commands that make, check and carry labels, and those that show, correct and review them."""
+"""Commands to make, check, carry, show, correct and review labels."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from spatialviz.options import (
 
 @dataclass(frozen=True)
 class Selection:
-    """Which of all candidate expressions are kept."""
+    """Selection among all candidate expressions."""
 
     expressions: int | None = None
     """At most so many, level over relations and classes. Default: as many as the other rules allow."""
@@ -48,8 +48,7 @@ class Selection:
 
 @dataclass(frozen=True)
 class LabelCommand(Output):
-    """Label a dataset: objects, every relation between them, and sentences that are true of them; --merge: join
-    shards."""
+    """Label a dataset: objects, every relation between them, and true sentences about them; --merge: join shards."""
 
     dataset: DatasetArg
     out: str
@@ -102,7 +101,7 @@ class MergeCommand(Output):
 
 @dataclass(frozen=True)
 class CheckCommand(OnLabels):
-    """Say what is wrong with labels; exit status 1 where errors stand."""
+    """List faults of labels; exit status 1 for errors."""
 
     report: Path | None = None
     """Folder for statistics as pictures and a page."""
@@ -120,8 +119,9 @@ OF_AUDIT = (
 
 @dataclass(frozen=True)
 class AuditCommand(Output):
-    """Rank the items of a benchmark, or the expressions of labels, by how probably their truth is wrong, with the
-    evidence: geometry against it, several right answers, another frame of reference, systems that agree against it."""
+    """Rank the items of a benchmark, or the expressions of labels, by the probability of a wrong truth, with the
+    evidence: contrary geometry, several right answers, another frame of reference, systems agreeing on another answer.
+    """
 
     target: Annotated[Positional[Path], arg(help=OF_AUDIT)]
     dataset: str | None = None
@@ -162,7 +162,7 @@ class ExportCommand:
 
 @dataclass(frozen=True)
 class ImportCommand(OnPictures):
-    """Take over corrections made elsewhere, in a COCO or JSONL export of these labels: all of them, or none.
+    """Import corrections made elsewhere, in a COCO or JSONL export of these labels: all or none.
 
     What differs between the file and what was exported becomes edits in the journal. A value that was corrected in
     the journal since is never overwritten: it is told, and nothing is saved (exit status 1). Nor is anything saved
@@ -197,7 +197,7 @@ class ImportCommand(OnPictures):
 
 @dataclass(frozen=True)
 class ShowCommand(OnPictures):
-    """Show the labels of a frame's objects, of one object or of a pair, field by field, with who or what made each."""
+    """Show the labels of a frame's objects, of one object or of a pair, field by field, each with its maker."""
 
     frame: OneFrameArg
     object: int | None = None
@@ -210,7 +210,7 @@ class ShowCommand(OnPictures):
 
 @dataclass(frozen=True)
 class JournalCommand(OnJournal):
-    """List what people corrected in labels; exit status 1 where there are none, 2 without a journal.
+    """List corrections of labels; exit status 1 for none, 2 without a journal.
 
     A journal is checked in full whenever it is opened, and refused where it is damaged. To go on with one that is:
     `--check` tells what is intact, `--recover NEW.sqlite` writes that into a new journal, which takes the place of the
@@ -237,7 +237,7 @@ class JournalCommand(OnJournal):
 
 @dataclass(frozen=True)
 class CorrectCommand(OnPictures):
-    """Apply a file of edits to labels, all of them or none; exit status 1 where somebody else has been there."""
+    """Apply a file of edits to labels, all or none; exit status 1 after somebody else's change of the same value."""
 
     edits: Path
     """JSON: a list such as [{"edit": "relation", "frame": "000001/000000", "a": 2, "b": 5, "relation": "left",
@@ -255,7 +255,7 @@ class CorrectCommand(OnPictures):
 
 @dataclass(frozen=True)
 class ConfirmCommand(Output):
-    """Ask, and say that a pair of the answer is right: from then on the answer is judged by it.
+    """Ask, and confirm a pair of the answer as right: from then on answers are judged by the pair.
 
     What the labels lack of its two objects is added with the pixels of the answer's. Exit status 1 where somebody else
     has been there.
@@ -276,7 +276,7 @@ class ConfirmCommand(Output):
 
 @dataclass(frozen=True)
 class OfPerson(OnJournal):
-    """What undo and redo are of."""
+    """Author and journal of undo and redo."""
 
     author: str
     """Whose."""
@@ -288,13 +288,13 @@ class OfPerson(OnJournal):
 
 @dataclass(frozen=True)
 class UndoCommand(OfPerson):
-    """Take back a person's newest action, --redo: bring it back; exit status 1 where there is none, or somebody built
-    upon it."""
+    """Take back a person's newest action, --redo: bring it back; exit status 1 for none, or after somebody built upon
+    it."""
 
 
 @dataclass(frozen=True)
 class RedoCommand(OfPerson):
-    """Bring back what a person took back last; exit status as of undo."""
+    """Bring back the action last taken back; exit status as of undo."""
 
 
 @dataclass(frozen=True)
@@ -308,7 +308,7 @@ class EffectiveCommand(OnPictures):
 
 @dataclass(frozen=True)
 class ReviewCommand(OnPictures):
-    """Rank labels by how probably they are wrong, each with the reasons; tell how far a review of them has come."""
+    """Rank labels by the probability of a fault, each with the reasons; report the progress of their review."""
 
     limit: int = 50
     """Show so many; --out holds all."""

@@ -1,4 +1,4 @@
-"""The commands on networks, run, compared and trained, and those that measure the program itself."""
+"""Commands to run, compare and train networks, and to measure the program itself."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from spatialviz.options import (
 
 @dataclass(frozen=True)
 class DetectCommand(Output):
-    """Run a detector over a dataset and record what it finds, for --detector recorded; --agree: compare two detectors;
-    --calibrate: fit what scores mean."""
+    """Run a detector over a dataset and record its detections, for --detector recorded; --agree: compare two detectors;
+    --calibrate: fit the meaning of scores."""
 
     dataset: DatasetArg
     out: Path
@@ -42,10 +42,11 @@ class DetectCommand(Output):
 
 @dataclass(frozen=True)
 class AgreeCommand(Output):
-    """How far two detectors agree: on frames, class by class, and on their scores.
+    """Compare two detectors: on frames, class by class, and by their scores.
 
     A is the detector, with what --fuse adds to it; B the one of --also. Exit status 1 where neither finds anything that
-    the other knows."""
+    the other knows.
+    """
 
     dataset: DatasetArg
     frame: FrameArg = ALL_FRAMES
@@ -60,7 +61,7 @@ class AgreeCommand(Output):
 
 @dataclass(frozen=True)
 class CalibrateCommand(Output):
-    """Fit what a detector's scores mean on annotated frames that it was not trained on, and show the effect."""
+    """Fit a detector's score calibration on annotated frames outside its training, and show the effect."""
 
     dataset: Positional[str]
     """Dataset folder with annotations, or "demo"."""
@@ -73,7 +74,7 @@ class CalibrateCommand(Output):
 
 @dataclass(frozen=True)
 class ModelsCommand(Output):
-    """Which model files can be used and what is here; for a file, which option reads it, or why none does;
+    """List usable model files, and the installed ones; for a file, the option to read it, or the reason for none;
     --install: give a relation network a name."""
 
     files: Positional[tuple[Path, ...]] = ()
@@ -82,7 +83,7 @@ class ModelsCommand(Output):
 
 @dataclass(frozen=True)
 class TrainCommand(Output):
-    """Train a relation network on labels or on rendered rooms, calibrate it, and measure it on what it has not seen."""
+    """Train a relation network on labels or on rendered rooms, calibrate it, and measure it on unseen data."""
 
     labels: Positional[str]
     """Labels folder of `spatialviz label`; or the word "rooms", for rooms rendered on the spot."""
@@ -121,10 +122,11 @@ class TrainCommand(Output):
 
 @dataclass(frozen=True)
 class RetrainCommand(OnPictures):
-    """Train relation networks on labels before and after they were mended, and compare them on held-out frames.
+    """Train relation networks on labels before and after corrections, and compare both on held-out frames.
 
     The labels after are those of the folder AFTER, or LABELS with the corrections of their journal; with --run, the run
-    is made again with the mended labels and the new network."""
+    is made again with the mended labels and the new network.
+    """
 
     after: Positional[Path | None] = None
     """Labels folder as it is. Default: the labels with the journal's corrections."""
@@ -145,7 +147,7 @@ class RetrainCommand(OnPictures):
 
 @dataclass(frozen=True)
 class InstallCommand(Output):
-    """Install a relation network under a name that --srm takes."""
+    """Install a relation network under a name for --srm."""
 
     network: Positional[Path]
     """ONNX file that `train` or `retrain` wrote."""
