@@ -214,16 +214,8 @@ class _Bounded:
 def read_plain_pickle(path: Path, keep: Callable[[np.ndarray], Any] = np.asarray) -> Any:
     """Read a pickle, also one within gzip: numbers, text (paths too), containers, `Array` and `Passed`.
 
-    Parameters
-    ----------
-    path : Path
-    keep : callable
-        Keeps of each array the array itself or something smaller, as `Array.value`.
-
-    Raises
-    ------
-    InputError
-        No pickle, an unread name in it, or too much memory asked for.
+    `keep` makes `Array.value` of each array: the array itself, or something smaller. Raises InputError for no pickle,
+    an unread name in it, or too much memory asked for.
     """
     try:
         with opened(path) as raw:
