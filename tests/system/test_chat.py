@@ -7,6 +7,7 @@ import gc
 import json
 import signal
 import socket
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,7 +18,7 @@ import pytest
 from chat_server import MODELS, ChatServer, Clock, CutOff, Make, Raw, Script, Slow, Trickle, completion, error, flat
 from waiting import LONG_S
 
-from pipeline.system import ChatPicture, ChatQuestion, InputError, ServerError
+from pipeline.system import ChatClient, ChatPicture, ChatQuestion, InputError, MissingExtra, ServerError
 from pipeline.system.chat import KEY_VARIABLE
 
 
@@ -379,3 +380,10 @@ def test_what_is_no_picture_is_refused(client_of: Make, image: Any) -> None:
 def test_a_question_without_words_is_refused(client_of: Make) -> None:
     with pytest.raises(InputError, match="without words"):
         client_of().ask(" ", flat())
+
+
+def test_without_the_library_its_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "openai", None)
+    monkeypatch.delitem(sys.modules, "pipeline.system.chat_http", raising=False)
+    with pytest.raises(MissingExtra, match=r"asking a-model needs .*spatialviz\[llm\]"):
+        ChatClient("http://localhost:8000/v1", "a-model")
