@@ -34,7 +34,7 @@ Mode = Literal["add", "remove", "replace"]
 
 
 class Stroke(BaseModel):
-    """Where a round brush went; pixels."""
+    """Path of a round brush, in pixels."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
@@ -43,29 +43,17 @@ class Stroke(BaseModel):
 
 
 class Shapes(BaseModel):
-    """Pixels by one of several shapes; all numbers are pixels, x before y.
-
-    Attributes
-    ----------
-    polygon : list of [x, y]
-    rectangle : list of four numbers
-        x0, y0, x1, y1; of a new object the surface of the depth segmenter inside.
-    strokes : list of Stroke
-    seeds : list of [x, y]
-        The surfaces that these lie on.
-    tolerance : float
-        Of the seeds.
-    """
+    """Pixels by one of several shapes, all in pixels, x before y."""
 
     polygon: list[list[float]] | None = None
-    rectangle: list[float] | None = None
+    rectangle: list[float] | None = None  # x0, y0, x1, y1; of a new object the depth segmenter's surface inside
     strokes: list[Stroke] | None = None
-    seeds: list[list[float]] | None = None
-    tolerance: float = TOLERANCE
+    seeds: list[list[float]] | None = None  # on surfaces that are meant
+    tolerance: float = TOLERANCE  # of the seeds
 
     @property
     def shaped(self) -> bool:
-        """Whether there is a shape."""
+        """True with a shape."""
         return any(getattr(self, name) is not None for name in SHAPES)
 
     @model_validator(mode="after")
@@ -80,7 +68,7 @@ class Shapes(BaseModel):
         return self
 
     def pixels(self, height: int, width: int, canvas: Canvas | None, *, surface: bool = False) -> np.ndarray:
-        """(H, W) bool of the shape; InputError where it has no pixels or what it needs is not at hand."""
+        """Rasterise to (H, W) bool; InputError without pixels, or without the picture for seeds."""
         if self.strokes is not None:
             each = [gesture_of("stroke", s.points, height, width, radius=s.radius) for s in self.strokes]
             return np.logical_or.reduce([drawn(g, height, width) for g in each])
@@ -96,7 +84,7 @@ class Shapes(BaseModel):
 
 
 class Action(BaseModel):
-    """What every action has. `base` is the version of its (first) cell that the person saw: the newest by default."""
+    """Fields of every action; `base` is the version of the (first) cell as the person saw it, by default the newest."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
@@ -111,7 +99,7 @@ class OfObject(Action):
 
 
 class Mask(OfObject, Shapes):
-    """Pixels by a run-length code or a shape; a shape is in place of the mask, is added to it, or taken from it."""
+    """Pixels by a run-length code or a shape; a shape replaces the mask, is added to it, or taken from it."""
 
     to: str | None = None
     mode: Mode = "replace"
@@ -126,7 +114,7 @@ class Mask(OfObject, Shapes):
 
 
 class OfItem(Action):
-    """On an object, a relation of a pair, or an expression; of a status, on the frame where none of them is named."""
+    """Action on an object, a relation of a pair, an expression, or by default the frame."""
 
     object: int | None = None
     a: int | None = None
@@ -136,7 +124,7 @@ class OfItem(Action):
 
     @property
     def ref(self) -> FieldRef:
-        """The status of what is named."""
+        """Status cell of the item."""
         if self.object is not None:
             return FieldRef("object", self.frame, str(self.object), "status")
         if self.expression is not None:
@@ -147,7 +135,7 @@ class OfItem(Action):
 
 
 class NewObject(Action, Shapes):
-    """With a mask, a 2D box, a 3D box, or a shape; in a rectangle the pixels are those of the depth segmenter."""
+    """Object from a mask, a 2D box, a 3D box, or a shape; a rectangle takes the depth segmenter's surface."""
 
     label: str
     mask: str | None = None
@@ -246,13 +234,7 @@ _LIST: TypeAdapter[list[Any]] = TypeAdapter(
 
 
 def read_actions(path: Path) -> list[Any]:
-    """Actions from a file.
-
-    Raises
-    ------
-    InputError
-        It cannot be read, or an entry is no action: which, and why.
-    """
+    """Read actions from a JSON file; InputError names the entry that is none."""
     try:
         return actions_of(read_json(Path(path)), path)
     except InputError:
@@ -263,7 +245,7 @@ def read_actions(path: Path) -> list[Any]:
 
 
 def actions_of(entries: Any, path: Path | None = None) -> list[Any]:
-    """Actions from parsed JSON; raises as `read_actions`."""
+    """Parse a JSON list of actions; raises as `read_actions`."""
     if not isinstance(entries, list) or not entries:
         got = "an empty list" if entries == [] else type(entries).__name__
         raise InputError("edits must be a list that is not empty", got=got, path=path)
@@ -273,22 +255,11 @@ def actions_of(entries: Any, path: Path | None = None) -> list[Any]:
 def apply_actions(
     corrector: Corrector, journal: Journal, todo: Sequence[Action], author: str, *, again: str | None = None
 ) -> Saved | Conflict:
-    """Save actions as one: all of them, or none.
+    """Save actions as one event group: all, or none.
 
-    An action that does not say which version it was made on may not change
-    what somebody else has said: that is a conflict.
-
-    Parameters
-    ----------
-    again : str, optional
-        `NotSaved.group`, where this is another try: what was saved after all is not saved again.
-
-    Raises
-    ------
-    InputError
-        An action cannot be done: which, and why.
-    NotSaved
-        As `Journal.append`.
+    An action without `base` may not change another author's value: a conflict. `again` is `NotSaved.group` on a retry:
+    an action that reached the journal is not saved twice. InputError names the action that cannot be done; NotSaved as
+    `Journal.append`.
     """
     if again is not None and (saved := journal.events(group=again)):
         return Saved(saved)
@@ -315,11 +286,11 @@ def apply_actions(
 
 
 def combined(mask: np.ndarray, pixels: np.ndarray, mode: Mode) -> np.ndarray:
-    """A mask with other pixels added to it, taken from it, or in its place."""
+    """Mask (H, W) with pixels added, taken away, or in its place."""
     return mask | pixels if mode == "add" else mask & ~pixels if mode == "remove" else pixels
 
 
 def needs_pictures(actions: Sequence[Any]) -> bool:
-    """Whether one of the actions follows the depth of a picture."""
+    """True where an action follows the depth of a picture."""
     shapes = [a for a in actions if isinstance(a, Shapes)]
     return any(a.seeds is not None or (a.rectangle is not None and not hasattr(a, "object")) for a in shapes)

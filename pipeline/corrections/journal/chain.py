@@ -35,14 +35,10 @@ _LOOSE = ("relation", "review")
 
 
 def link(previous: str, row: Row) -> str:
-    """The hash of an event: SHA-256 of the JSON of the hash before it and its columns, 64 hexadecimal digits.
+    """Hash of an event: SHA-256 of the JSON of the previous hash and its columns, 64 hexadecimal digits.
 
-    The JSON is the same whichever database it comes from: ASCII, keys sorted, times in UTC to the microsecond.
-
-    Raises
-    ------
-    TypeError, ValueError, AttributeError
-        A column holds what is no value of it.
+    ASCII, sorted keys, UTC to the microsecond: the same from either database. TypeError, ValueError or AttributeError
+    where a column holds no value of its type.
     """
     time = row["time"].astimezone(timezone.utc).isoformat(timespec="microseconds")
     return hashlib.sha256(
@@ -51,7 +47,7 @@ def link(previous: str, row: Row) -> str:
 
 
 def chained(previous: str, rows: Iterable[Row]) -> list[dict[str, Any]]:
-    """Rows with their hashes, in the order of their ids."""
+    """Add hashes to rows in the order of their ids."""
     found = []
     for row in rows:
         previous = link(previous, row)
@@ -61,17 +57,7 @@ def chained(previous: str, rows: Iterable[Row]) -> list[dict[str, Any]]:
 
 @dataclass(frozen=True)
 class Head:
-    """What the journal says of its last event.
-
-    Attributes
-    ----------
-    events : int
-        How many there are.
-    last : int
-        The last one's id; 0 where there is none.
-    hash : str
-        The last one's.
-    """
+    """Last event as the journal has it: count, id (0 for none) and hash."""
 
     events: int
     last: int
@@ -79,7 +65,7 @@ class Head:
 
 
 class Verdict(NamedTuple):
-    """What a chain says of its events: those that are as they were saved, and what is wrong, each in a clause."""
+    """Events as they were saved, and damage in clauses."""
 
     intact: tuple[Row, ...]
     damage: tuple[str, ...]
@@ -88,16 +74,8 @@ class Verdict(NamedTuple):
 def judged(rows: Sequence[tuple[int, Row | None]], head: Head | None) -> Verdict:
     """Compare events with their hashes and with the head.
 
-    An event is intact where its hash is that of the event before it and its
-    own content, or where the next one's hash says so: then only the hash was
-    damaged.
-
-    Parameters
-    ----------
-    rows : sequence of (int, dict or None)
-        Ids, and what could be read of each, in the order of the ids.
-    head : Head or None
-        None where it cannot be read.
+    Intact is an event whose hash follows from the event before, or whose computed hash the next one is chained to: then
+    only the hash was damaged. `rows` are (id, event or None where unreadable) by id; `head` is None where unreadable.
     """
     intact: list[Row] = []
     damage: list[str] = []
@@ -137,15 +115,9 @@ def _link(previous: str, row: Row) -> str | None:
 
 
 def judged_alone(rows: Sequence[tuple[int, Row | None]]) -> Verdict:
-    """Which events can be as they were saved.
+    """Check events of version 1, which had no chain, for what is impossible; arguments as of `judged`.
 
-    A bit that makes another possible value of a text goes unseen where no
-    other event speaks of it: that is what the chain is for.
-
-    Parameters
-    ----------
-    rows : sequence of (int, dict or None)
-        As `chain.judged`.
+    A flipped bit that makes another possible text goes unseen where no other event speaks of the cell.
     """
     intact: list[Row] = []
     damage: list[str] = []
@@ -166,7 +138,7 @@ def judged_alone(rows: Sequence[tuple[int, Row | None]]) -> Verdict:
 
 
 def _wrong(row: Row) -> str | None:
-    """What is impossible in one event."""
+    """Impossible content of one event, in words."""
     try:
         ref = FieldRef(row["kind"], row["frame"], row["key"], row["field"])
         for value in (row["after"], *([] if row["before"] is None else [row["before"]])):
@@ -195,7 +167,7 @@ def _wrong(row: Row) -> str | None:
 
 
 def _against(row: Row, known: Mapping[str, Row], head: Row | None, group: Row | None) -> str | None:
-    """What contradicts the events before it."""
+    """Contradiction with earlier events, in words."""
     if row["ulid"] in known:
         return "its ULID stands twice"
     if row["version"] != (1 if head is None else head["version"] + 1):
@@ -216,7 +188,7 @@ def _against(row: Row, known: Mapping[str, Row], head: Row | None, group: Row | 
 
 
 def _made(ulid: Any) -> datetime | None:
-    """When a ULID was made; None where it is none."""
+    """Time of a ULID; None for another text."""
     if not isinstance(ulid, str) or len(ulid) != 26 or any(c not in CROCKFORD for c in ulid):
         return None
     milliseconds = sum(CROCKFORD.index(c) << 5 * (9 - k) for k, c in enumerate(ulid[:10]))
@@ -235,6 +207,6 @@ def _is_anchor(value: Any) -> bool:
 
 
 def _one_bit_apart(a: Any, b: Any) -> bool:
-    """Whether the JSON of two values differs in one bit, as it does where one was flipped."""
+    """True where the JSON of two values differs in one bit, as after a flip."""
     one, other = (json.dumps(v).encode() for v in (a, b))
     return len(one) == len(other) and sum((x ^ y).bit_count() for x, y in zip(one, other, strict=True)) == 1

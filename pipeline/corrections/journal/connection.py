@@ -54,17 +54,17 @@ ORIGINAL = "before-chain"
 
 
 def is_url(where: str | Path) -> bool:
-    """Whether a journal is named by a URL."""
+    """True for a URL, False for a path."""
     return "://" in str(where)
 
 
 def store_at(where: str | Path) -> Store:
-    """The store of a path of an SQLite file, or of a URL "postgresql://..."; raises as `PostgresStore`."""
+    """Open no connection yet: the store of an SQLite path, or of a URL "postgresql://..."; raises as `PostgresStore`."""
     return PostgresStore(str(where)) if is_url(where) else SqliteStore(where, _come_instead, _copied_beside)
 
 
 def _come_instead(path: Path) -> None:
-    """Believe a file that has come in the place of a journal that is open."""
+    """Examine a file that replaced an open journal; raise unless it is a journal of this version."""
     found = examine(path).believe()
     require(
         found.version == VERSION, "another file stands in the place of the journal", cause="open it anew", path=path
@@ -73,7 +73,7 @@ def _come_instead(path: Path) -> None:
 
 @contextmanager
 def reading(store: Store, fresh: bool = False) -> Iterator[Run]:
-    """As `Store.reading`; InputError where the journal cannot be read."""
+    """Read with `Store.reading`; InputError where the journal cannot be read."""
     try:
         with store.reading(fresh) as run:
             yield run
@@ -87,16 +87,10 @@ def reading(store: Store, fresh: bool = False) -> Iterator[Run]:
 
 
 def prepare(store: Store) -> tuple[str, ...]:
-    """Make an empty database a journal, or chain an older one; what a user should know of it is returned.
+    """Make an empty database a journal, or chain a version 1 journal; return warnings.
 
-    An SQLite file that is there was examined before.
-
-    Raises
-    ------
-    InputError
-        It cannot be opened, is of a newer release, or holds something else.
-    DamagedJournal
-        Events of a server, or of an older journal, are not as they were saved.
+    SQLite files were examined before. InputError: cannot be opened, newer release, or another program's database.
+    DamagedJournal: events of a server or of version 1 are not as saved.
     """
     location = store.location
     try:
@@ -127,7 +121,7 @@ def prepare(store: Store) -> tuple[str, ...]:
 
 
 def reason_of(error: BaseException, location: str = "") -> str:
-    """The database's own words, in one line; of a full disk plainer ones, where `location` is a file."""
+    """Database message in one line; plainer for a full disk, where `location` is a file."""
     message = state_of(error).get("M") or str(error)
     under = error.__cause__ and error.__cause__.__cause__
     if isinstance(under, OSError) and str(under) not in message:
@@ -137,18 +131,15 @@ def reason_of(error: BaseException, location: str = "") -> str:
 
 
 def likely_cause(reason: str) -> str | None:
-    """What helps against a reason of `reason_of`."""
+    """Advice against a reason of `reason_of`."""
     message = reason.lower()
     return next((help for words, help in _HELP if any(word in message for word in words)), None)
 
 
 def take_over(store: Store, run: Run) -> str:
-    """Chain the events of version 1, in a turn to write; the name of the file or table that keeps the original.
+    """Chain the events of version 1 within a write transaction; return the name of the copy of the original.
 
-    Raises
-    ------
-    DamagedJournal
-        Its events are not all as they can have been saved. Nothing was changed.
+    DamagedJournal, and nothing changed, where an event cannot be as it was saved.
     """
     found = examined_server(store, run, chain=False) if store.server else examine(Path(store.location))
     events, kept = found.believe().intact, store.keep(run)
@@ -160,7 +151,7 @@ def take_over(store: Store, run: Run) -> str:
 
 
 def examined_server(store: Store, run: Run, *, chain: bool) -> Examined:
-    """As `examine`, of a journal in a server; `chain` is whether its events are chained."""
+    """Examine a journal in a server; `chain` is False for version 1."""
     found = [(row["id"], row) for row in rows(store, run, "ORDER BY id", names=STORED if chain else CONTENT)]
     head: Head | None = head_of(run) if chain else None
     saved = head.events if head else len(found)
@@ -174,20 +165,15 @@ def _copied_beside(path: Path) -> str:
 
 
 def _free(path: Path) -> Path:
-    """A name beside the journal that nothing has."""
+    """Unused name beside the journal."""
     names = (Path(f"{path}.{ORIGINAL}{'' if number == 1 else f'-{number}'}") for number in count(1))
     return next(name for name in names if not name.exists())
 
 
 def copy_whole(path: Path, to: Path) -> None:
-    """A copy of a journal with what is in its log, on the disk and examined before it has its name.
+    """Copy a journal with its log, synced and examined before it takes its name.
 
-    Raises
-    ------
-    DamagedJournal
-        The copy is not whole.
-    OSError, sqlite3.Error
-        It cannot be written.
+    DamagedJournal where the copy is not whole; OSError or sqlite3.Error where it cannot be written.
     """
     part = Path(f"{to}.part")
     try:
@@ -202,18 +188,7 @@ def copy_whole(path: Path, to: Path) -> None:
 
 
 def check_journal(where: str | Path) -> Examined:
-    """Examine a journal in full, and change nothing.
-
-    Parameters
-    ----------
-    where : str or Path
-        As `open_journal` takes it.
-
-    Raises
-    ------
-    InputError
-        There is none, or it cannot be opened.
-    """
+    """Examine a journal in full, changing nothing; InputError where none can be opened."""
     if is_url(where):
         with closing(store_at(where)) as store, reading(store) as run:
             version = version_of(store, run)
@@ -228,33 +203,16 @@ def check_journal(where: str | Path) -> Examined:
 
 
 def back_up(where: str | Path, to: Path) -> Examined:
-    """Write a copy of a journal, with what is in its log, and examine it; others may save meanwhile.
-
-    Raises
-    ------
-    InputError
-        It is in a server, the copy's name is taken, or it cannot be written.
-    DamagedJournal
-        The journal is damaged.
-    """
+    """Copy a journal into a new file while others may save; DamagedJournal, or InputError for a server or a taken name."""
     path = _file(where, to, "pg_dump copies it")
     check_journal(path).believe()
     return _written(to, lambda: copy_whole(path, to))
 
 
 def recover(where: str | Path, to: Path) -> tuple[Examined, Examined]:
-    """Write what is intact of a journal into a new one; the damaged one is not changed.
+    """Write the intact events of a journal into a new one; return the examined old and new journal.
 
-    An undo or redo is left out where what it takes back is.
-
-    Returns
-    -------
-    damaged, made : Examined
-
-    Raises
-    ------
-    InputError
-        It is in a server, nothing is intact, the new name is taken, or it cannot be written.
+    An undo or redo of a lost event is left out. InputError for a server, a taken name, or nothing intact.
     """
     path = _file(where, to, "its own backups hold it")
     found = check_journal(path)
@@ -292,7 +250,7 @@ def _written(to: Path, write: Callable[[], None]) -> Examined:
 
 
 def examined_record(found: Examined) -> dict[str, Any]:
-    """`journal --check --json`: "events" were saved (null where unknown), "ranges" of ids are intact."""
+    """`journal --check --json`: count of events (null if unknown), intact ranges of ids, damage."""
     return {
         "journal": found.location,
         "sound": not found.damage,
@@ -306,5 +264,5 @@ def examined_record(found: Examined) -> dict[str, Any]:
 
 
 def written_record(found: Examined, made: Examined) -> dict[str, Any]:
-    """`journal --backup --json` and `--recover --json`: the file that was made, and its events."""
+    """`journal --backup --json` and `--recover --json`: new file, and count of events."""
     return {"journal": found.location, "written": made.location, "events": len(made.intact), "of": found.events}

@@ -39,19 +39,17 @@ Rectangle = Sequence[float] | np.ndarray
 
 
 def set_class(frame: EffectiveFrame, number: int, label: str, reason: str = "") -> Edits:
-    """Another class name."""
+    """Set the class name."""
     return (_object_edit(frame, number, "label", label, reason),)
 
 
 def set_status(
     frame: EffectiveFrame, ref: FieldRef, status: str | None, reason: str = "", author: str | None = None
 ) -> Edits:
-    """Accept or reject an object, an expression, a frame, or a relation of a pair ("left.status"): see `STATUSES`.
+    """Accept or reject an object, expression, frame, or relation of a pair ("left.status"): see `STATUSES`.
 
-    With an author the status is that person's own judgement, which no other's
-    gets in the way of (`pipeline.corrections.journal.replay`); only what leaves an
-    object or expression out of the labels, or brings back what this person
-    has left out, is set for all then.
+    With an author the status is that person's judgement (`corrections.journal.replay`); only a rejection of an object
+    or expression, or the return of one rejected by the same person, is set for all.
     """
     if author is not None:
         own, out = judge(frame, ref, status, author, reason), frame.statuses.get(ref) == "rejected"
@@ -64,25 +62,22 @@ def set_status(
 
 
 def set_mask(frame: EffectiveFrame, number: int, mask: np.ndarray | str | None, reason: str = "") -> Edits:
-    """Other pixels: (H, W) bool, or COCO's compressed run-length code; None for the whole 2D box."""
+    """Set the pixels: (H, W) bool, or COCO's compressed run-length code; None for the whole 2D box."""
     return (_object_edit(frame, number, "mask", None if mask is None else _code(frame, mask), reason),)
 
 
 def set_bbox(frame: EffectiveFrame, number: int, bbox: Rectangle, reason: str = "") -> Edits:
-    """Another 2D box: x0, y0, x1, y1, pixels."""
+    """Set the 2D box: x0, y0, x1, y1, pixels."""
     return (_object_edit(frame, number, "bbox", _within(frame, bbox), reason),)
 
 
 def set_box(frame: EffectiveFrame, number: int, box: Box3D | None, reason: str = "") -> Edits:
-    """Another 3D box, in the camera frame; the object's points move with it. None for the one that they make."""
+    """Set the 3D box (camera frame), with the object's points; None for the fitted box."""
     return (_object_edit(frame, number, "box", None if box is None else box_value(box), reason),)
 
 
 def new_numbers(frame: EffectiveFrame, count: int) -> list[int]:
-    """Numbers of new objects, of five digits: people read them.
-
-    By chance, so that two people who add something at the same time do not get in each other's way.
-    """
+    """Draw random five-digit numbers of new objects, so that two people at once rarely meet."""
     taken = {*frame.objects, *frame.left_out}
     free = [n for n in range(FIRST_NEW_OBJECT, 10 * FIRST_NEW_OBJECT) if n not in taken]
     return random.SystemRandom().sample(free, count)
@@ -98,13 +93,7 @@ def add_object(
     number: int | None = None,
     reason: str = "",
 ) -> Edits:
-    """An object that the labeller has missed, from its pixels, a 2D box, a 3D box, or several of them.
-
-    Parameters
-    ----------
-    number : int, optional
-        From FIRST_NEW_OBJECT on; else one of `new_numbers`.
-    """
+    """Add an object from pixels, a 2D box, a 3D box, or several; `number` is from FIRST_NEW_OBJECT on."""
     if number is None:
         (number,) = new_numbers(frame, 1)
     require(
@@ -120,7 +109,7 @@ def add_object(
 
 
 def merge_objects(frame: EffectiveFrame, numbers: Iterable[int], reason: str = "") -> Edits:
-    """One object of several: the first gets the pixels of all, the others are rejected."""
+    """Merge objects: the first gets the pixels of all, the others are rejected."""
     ids = list(dict.fromkeys(numbers))
     require(len(ids) >= 2, "a merge needs two objects", got=ids)
     mask = np.logical_or.reduce([pixels_of(frame, n) for n in ids])
@@ -130,7 +119,7 @@ def merge_objects(frame: EffectiveFrame, numbers: Iterable[int], reason: str = "
 
 
 def split_object(frame: EffectiveFrame, number: int, masks: Sequence[np.ndarray | str], reason: str = "") -> Edits:
-    """Several objects of one: it keeps the first mask, each other one makes a new object of its class."""
+    """Split an object by masks: the first mask stays, each other one makes a new object of its class."""
     require(len(masks) >= 2, "a split needs two masks", got=len(masks))
     label = _row(frame, number)["label"]
     note = reason or f"split off object {number}"
@@ -140,26 +129,17 @@ def split_object(frame: EffectiveFrame, number: int, masks: Sequence[np.ndarray 
 
 
 def set_relation(frame: EffectiveFrame, a: int, b: int, relation: str, state: int | None, reason: str = "") -> Edits:
-    """T (1), U (0) or F (-1) for "a RELATION b"; the inverse, "b INVERSE a", gets the same state.
-
-    Raises
-    ------
-    InputError
-        No such pair or relation, or a state that is none.
-    """
+    """Set T (1), U (0) or F (-1) of "a RELATION b", and of "b INVERSE a"; InputError for no such pair or state."""
     return tuple(
         _edit(frame, ref, state, reason) for ref in _both_ways(frame, relation_ref(frame.frame, a, b, relation))
     )
 
 
 def judge(frame: EffectiveFrame, ref: FieldRef, status: str | None, author: str, reason: str = "") -> Edits:
-    """What a reviewer says of an item, for this person alone; None takes it back. No label changes by it.
+    """Judge an item for one person, changing no label; None takes the judgement back.
 
-    Parameters
-    ----------
-    ref : FieldRef
-        The status of an object, an expression, or of a relation ("left.status"). What is accepted of a relation is
-        its state as it is now.
+    `ref` is a status of an object, expression or relation ("left.status"); "accepted" of a relation keeps its state
+    now.
     """
     _check_judged(frame, ref)
     state = frame.value(state_ref(ref)) if ref.kind == "relation" and status == "accepted" else None
@@ -169,9 +149,8 @@ def judge(frame: EffectiveFrame, ref: FieldRef, status: str | None, author: str,
 def judge_relation(
     frame: EffectiveFrame, a: int, b: int, relation: str, state: int, author: str, reason: str = ""
 ) -> Edits:
-    """T (1), U (0) or F (-1) as a reviewer has it, for this person alone, and of the inverse the same.
-
-    It is "accepted" where the label says so, else "corrected", and the label stays what it is: for a second opinion.
+    """Judge a relation T (1), U (0) or F (-1) for one person, and its inverse: "accepted" or "corrected", no label
+    changes.
     """
     refs = _both_ways(frame, relation_ref(frame.frame, a, b, f"{relation}.status"))
     _check_judged(frame, refs[0])
@@ -182,7 +161,7 @@ def judge_relation(
 
 
 def judge_both_ways(frame: EffectiveFrame, ref: FieldRef, status: str | None, author: str, reason: str = "") -> Edits:
-    """As `judge` of a relation, and of what says the same the other way round, unless the labels contradict it."""
+    """Judge a relation and its inverse, unless the labels contradict the inverse."""
     _check_judged(frame, ref)
     now = frame.value(state_ref(ref))
     refs = [c for c in _both_ways(frame, ref) if frame.value(state_ref(c)) == now]
@@ -190,7 +169,7 @@ def judge_both_ways(frame: EffectiveFrame, ref: FieldRef, status: str | None, au
 
 
 def judge_missing(frame: EffectiveFrame, what: str, status: str | None, author: str, reason: str = "") -> Edits:
-    """What a reviewer says of a place where an object may be missing: "rejected" where there is none."""
+    """Judge a place of a missing object: "rejected" where none is."""
     return (
         _edit(
             frame,
@@ -202,14 +181,9 @@ def judge_missing(frame: EffectiveFrame, what: str, status: str | None, author: 
 
 
 def settle(frame: EffectiveFrame, ref: FieldRef, status: str, reason: str = "", state: int | None = None) -> Edits:
-    """The last word on an item that reviewers judge differently: for all of them, and a judgement of none.
+    """Settle an item that reviewers judge differently, for all of them.
 
-    Parameters
-    ----------
-    ref : FieldRef
-        As of `judge`.
-    state : int, optional
-        Of a relation: what it is to be, T, U or F; the labels follow. Default: what it is.
+    `state` (T, U, F) is for a relation: the labels follow; by default unchanged.
     """
     _check_judged(frame, ref)
     made: Edits = ()
@@ -224,14 +198,14 @@ def settle(frame: EffectiveFrame, ref: FieldRef, status: str, reason: str = "", 
 
 
 def _both_ways(frame: EffectiveFrame, ref: FieldRef) -> list[FieldRef]:
-    """A relation, or its status, and what says the same the other way round, where the profile has that."""
+    """Relation (or status) cell, with that of its inverse where the profile has one."""
     relation, status = state_ref(ref).field, ".status" if ref.field.endswith(".status") else ""
     inverse, (a, b) = frame.setting.inverse(relation), ref.numbers
     return [ref] if inverse is None else [ref, relation_ref(frame.frame, b, a, f"{inverse}{status}")]
 
 
 def state_ref(ref: FieldRef) -> FieldRef:
-    """The relation that a status is of."""
+    """Relation cell of a status."""
     return FieldRef(ref.kind, ref.frame, ref.key, ref.field.removesuffix(".status"))
 
 
@@ -261,22 +235,10 @@ def add_sentence(
     b: int,
     reason: str = "",
 ) -> Edits:
-    """An expression that is true: "a RELATION b" as a person says it, with what else the labels say it is true of.
+    """Add a true expression "a RELATION b" in a person's words, with the other objects it is true of.
 
-    Where the labels hold of the pair that it is not so, or not clearly, they are corrected with it.
-
-    Parameters
-    ----------
-    text : str
-    words : (str, str, str)
-        Target, relation and reference, as the text names them.
-    a, b : int
-        The objects that are meant.
-
-    Raises
-    ------
-    InputError
-        No such pair or relation, or the expression says that already.
+    `words` are target, relation and reference as the text names them. Contradicting relations are corrected with it.
+    InputError for no such pair or relation, or where the labels say so already.
     """
     target, relation, reference = words
     now = frame.value(relation_ref(frame.frame, a, b, relation))
@@ -302,7 +264,7 @@ def add_sentence(
 
 
 def set_text(frame: EffectiveFrame, expression: str, text: str, reason: str = "") -> Edits:
-    """Another sentence for the same question."""
+    """Set the sentence of an expression."""
     return (_expression_edit(frame, expression, "text", text, reason),)
 
 
@@ -313,12 +275,9 @@ def set_answers(
     acceptable: Iterable[int] | None = None,
     reason: str = "",
 ) -> Edits:
-    """The objects that an expression is true of: beyond doubt, and with doubt; by default nothing is in doubt.
+    """Set the objects that an expression is true of beyond doubt, and with doubt (by default none more).
 
-    Raises
-    ------
-    InputError
-        No such expression, no answer, an object that is not there, or a target that is not acceptable.
+    InputError for no answer, no such expression or object, or a target that is not acceptable.
     """
     sure = sorted(set(targets))
     likely = sorted({*sure, *acceptable}) if acceptable is not None else sure
@@ -333,22 +292,22 @@ def set_answers(
 
 
 def set_ambiguous(frame: EffectiveFrame, expression: str, ambiguous: bool, reason: str = "") -> Edits:
-    """Whether more than one object is an acceptable answer."""
+    """Set whether several objects are acceptable."""
     return (_expression_edit(frame, expression, "ambiguous", ambiguous, reason),)
 
 
 def set_mark(frame: EffectiveFrame, expression: str, mark: str | None, reason: str = "") -> Edits:
-    """Say that an expression's label or box is wrong: BAD_LABEL, BAD_BOX, None to take it off."""
+    """Mark a wrong label or box: BAD_LABEL, BAD_BOX, None to take the mark off."""
     return (_expression_edit(frame, expression, "mark", mark, reason),)
 
 
 def set_note(frame: EffectiveFrame, note: str | None, reason: str = "") -> Edits:
-    """A note on the frame."""
+    """Set the frame's note."""
     return (_edit(frame, FieldRef("frame", frame.frame, "", "note"), note, reason),)
 
 
 def set_value(frame: EffectiveFrame, ref: FieldRef, value: Any, reason: str = "") -> Edits:
-    """Any one cell, as it is kept; nothing else is set with it."""
+    """Set any one cell as it is kept, and nothing else."""
     return (_edit(frame, ref, value, reason),)
 
 
@@ -373,7 +332,7 @@ def _row(frame: EffectiveFrame, number: int) -> dict[str, Any]:
 
 
 def _check(frame: EffectiveFrame, ref: FieldRef) -> None:
-    """Refuse what is of no object, expression or pair of the frame."""
+    """Refuse a cell of no object, expression or pair of the frame."""
     if ref.kind == "object" and ref.field != "exists":
         _row(frame, ref.numbers[0])
     require(
@@ -411,7 +370,7 @@ def _code(frame: EffectiveFrame, mask: np.ndarray | str) -> str:
 
 
 def pixels_of(frame: EffectiveFrame, number: int) -> np.ndarray:
-    """(H, W) bool: an object's mask, or the filled 2D box where it has none; InputError where there is no object."""
+    """Mask (H, W) bool of an object, or its filled 2D box; InputError for no such object."""
     row = _row(frame, number)
     return (
         box_mask(np.array(row["bbox"], np.float32), *frame.size)

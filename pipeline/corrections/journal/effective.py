@@ -54,15 +54,9 @@ GEOMETRY = ("bbox", "mask", "center")
 
 
 class Corrector:
-    """Automatic labels, opened once, and their effective frames: what a face or a job keeps while it works.
+    """Labels opened once, and their effective frames, kept by the ULIDs of their events; shared by threads.
 
-    The latest frames are kept, by the ULIDs of their events; several threads may ask for them.
-
-    Parameters
-    ----------
-    labels : Labels
-    dataset : Dataset, optional
-        Without it, what follows from new pixels and boxes is marked stale.
+    Without `dataset`, what follows from new pixels and boxes is marked stale.
     """
 
     def __init__(self, labels: Labels, dataset: Dataset | None = None) -> None:
@@ -74,13 +68,7 @@ class Corrector:
         self._lock = threading.RLock()
 
     def frame(self, frame: str, journal: Journal | Sequence[Event]) -> EffectiveFrame:
-        """A frame as it is now.
-
-        Raises
-        ------
-        InputError
-            The labels have no such frame, or the dataset cannot load it.
-        """
+        """Apply the events of a frame; InputError for no such frame, or one that the dataset cannot load."""
         require(frame in self.index.of_frame, "the labels have no such frame", got=repr(frame), path=self.labels.root)
         events = journal.events(frame=frame) if isinstance(journal, Journal) else tuple(journal)
         key = frame, tuple([e.ulid for e in events])
@@ -99,28 +87,11 @@ class Corrector:
 
 @dataclass(frozen=True)
 class EffectiveLabels(Labels):
-    """Labels after all corrections; tables as those of `pipeline.labels.reading.Labels`.
+    """Labels after all corrections; tables as of `pipeline.labels.reading.Labels`.
 
-    Attributes
-    ----------
-    root, manifest
-        Of the automatic ones.
-    tables : dict of str to pyarrow.Table
-    provenance : pyarrow.Table
-        See `replay.provenance_schema`: a value that is not listed is the labeller's.
-    unapplied : tuple of Unapplied
-        Events that say nothing of these labels, each with the reason.
-    withdrawn : tuple of Withdrawn
-    marks : dict of (str, str) to str
-        BAD_LABEL or BAD_BOX by (frame, id of the expression).
-    events : int
-        How many there are in the journal.
-    statuses : dict of FieldRef to JSON value
-        What reviewers said, and notes.
-    last : str or None
-        ULID of the newest event.
-    relifted : bool
-        Whether the dataset was at hand.
+    `provenance` (`replay.provenance_schema`) lists values that are not the labeller's, `unapplied` events without
+    effect, `marks` BAD_LABEL or BAD_BOX by (frame, expression), `last` the ULID of the newest event, `relifted` whether
+    the dataset was at hand.
     """
 
     tables: dict[str, pa.Table]
@@ -134,12 +105,14 @@ class EffectiveLabels(Labels):
     relifted: bool
 
     def table(self, name: str) -> pa.Table:
-        """One of the four tables, in canonical order."""
+        """Table by name, in canonical order."""
         return self.tables[name]
 
     @cached_property
     def counts(self) -> dict[str, int]:
-        """Objects with other pixels or boxes; values that are human, recomputed, stale; events that do not apply."""
+        """Count objects with other pixels or boxes, values by origin, events without effect, withdrawn and marked
+        expressions.
+        """
         by_source = Counter(self.provenance.column("origin").to_pylist())
         named = zip(*(self.provenance.column(n).to_pylist() for n in _NAMED), strict=True)
         changed = {(frame, key) for table, frame, key, column in named if table == "objects" and column in GEOMETRY}
@@ -153,7 +126,7 @@ class EffectiveLabels(Labels):
 
     @cached_property
     def decided(self) -> dict[str, tuple[int, int]]:
-        """How much people decided (set, accepted, judged), and of how much: objects, relations of pairs, sentences."""
+        """Count what people decided (set, accepted, judged), and of how many: objects, relations, sentences."""
         by_table: dict[str, set[tuple[str, str, str]]] = {table: set() for table in _KEYS}
         entries = zip(*(self.provenance.column(n).to_pylist() for n in (*_NAMED, "origin")), strict=True)
         for table, frame, key, column, origin in entries:
@@ -179,22 +152,10 @@ class EffectiveLabels(Labels):
 def effective_tables(
     labels: Labels, journal: Journal | Iterable[Event], *, dataset: Dataset | None = None
 ) -> EffectiveLabels:
-    """Apply a journal to labels.
+    """Apply a journal to labels; frames without events are taken over, rejected frames left out.
 
-    Frames without events are taken over as they are; a rejected frame is left out.
-
-    Parameters
-    ----------
-    labels : Labels
-    journal : Journal or iterable of Event
-        Events in the order of their saving.
-    dataset : Dataset, optional
-        For corrections of masks and boxes: without it, what follows from them is marked stale.
-
-    Raises
-    ------
-    InputError
-        The labels, the journal or a frame of the dataset cannot be read.
+    Without `dataset`, what follows from new masks and boxes is marked stale. InputError where labels, journal or a
+    frame cannot be read.
     """
     events = journal.events() if isinstance(journal, Journal) else tuple(journal)
     corrector = Corrector(labels, dataset)
@@ -243,23 +204,10 @@ def effective_frame(
     relift: Relift | None = None,
     known: EffectiveFrame | None = None,
 ) -> EffectiveFrame:
-    """Apply the events of a frame to its automatic labels.
+    """Apply the events of a frame, in the order of their saving, to its automatic labels.
 
-    Parameters
-    ----------
-    auto : FrameRows
-    events : sequence of Event
-        Of this frame, in the order of their saving.
-    setting : Setting
-    relift : Relift, optional
-        Without it, what follows from new pixels or boxes is marked stale.
-    known : EffectiveFrame, optional
-        The frame after the first of these events: only what the others change is made anew.
-
-    Raises
-    ------
-    InputError
-        The dataset was asked for, and the frame cannot be loaded.
+    `known` is the frame after the first of these events: only what the others change is made anew. Without `relift`,
+    what follows from new pixels or boxes is stale. InputError where the frame cannot be loaded.
     """
     frame = EffectiveFrame.untouched(auto, setting) if known is None else known.successor()
     came: dict[str, set[Any]] = {kind: set() for kind in KINDS}
@@ -309,13 +257,13 @@ def effective_frame(
 
 
 def _entity(ref: FieldRef) -> Any:
-    """As `EffectiveFrame.said` has it."""
+    """Key of a cell's entity in `EffectiveFrame.said`."""
     numbers = () if ref.kind == "review" else ref.numbers
     return ref.key if not numbers else numbers[0] if len(numbers) == 1 else tuple(sorted(numbers))
 
 
 def _lift(frame: EffectiveFrame, relift: Relift | None) -> Pairs | None:
-    """Bring up to date what follows from pixels and boxes, or mark it stale; the relations where they were judged."""
+    """Update, or mark stale, what follows from pixels and boxes; return the relations judged anew."""
     auto, background = frame.auto, frame.setting.config.is_background
     newly_related = any(
         n in auto.objects and background(auto.objects[n]["label"]) and not background(frame.objects[n]["label"])
@@ -348,7 +296,7 @@ def _lift(frame: EffectiveFrame, relift: Relift | None) -> Pairs | None:
 
 
 def _rename(frame: EffectiveFrame, numbers: Collection[int]) -> None:
-    """Background classes are not asked for; what was one of these objects may be."""
+    """Update `usable` of renamed objects: background is not asked for."""
     for number, event in frame.renamed.items():
         row = frame.objects.get(number)
         if number not in numbers or row is None or row["reason"] == "not lifted yet":

@@ -27,16 +27,10 @@ OPEN_FIELDS = ("text", *SETS)
 
 
 def correct_expressions(frame: EffectiveFrame, known: EffectiveFrame | None, said: Collection[str], anew: bool) -> None:
-    """Apply corrections of expressions, and let the others follow from objects and relations, which are corrected.
+    """Apply corrections of expressions, and update those that follow from objects and relations.
 
-    Parameters
-    ----------
-    known : EffectiveFrame, optional
-        The one before, of which `frame` has the expressions; None where it has the automatic ones.
-    said : collection of str
-        Expressions of which something new was said.
-    anew : bool
-        Objects are not those of the one before.
+    `known` is the frame before (None from the automatic labels), `said` the expressions with new events, `anew` True
+    where objects changed.
     """
     said_of = {key for kind, key in frame.said if kind == "expression"}
     frame.answered = _answered(frame)
@@ -75,7 +69,7 @@ def correct_expressions(frame: EffectiveFrame, known: EffectiveFrame | None, sai
 
 
 def _answered(frame: EffectiveFrame) -> Answered | None:
-    """What the pairs say now; None where nothing follows from them that the labels do not say."""
+    """Answer all expressions by the pairs; None where no correction can change an answer."""
     auto, pairs, background = frame.auto, frame.pairs, frame.setting.config.is_background
     if frame.asked is None:
         frame.asked = Asked(auto, [n for n, row in auto.objects.items() if not background(row["label"])])
@@ -99,7 +93,7 @@ def _answered(frame: EffectiveFrame) -> Answered | None:
 
 
 def _changed(frame: EffectiveFrame, answered: Answered | None, among: np.ndarray | bool = True) -> list[str]:
-    """The expressions that something may follow for."""
+    """Ids of expressions with a changed answer."""
     if answered is None or frame.asked is None:
         return []
     ids = frame.asked.ids
@@ -107,7 +101,7 @@ def _changed(frame: EffectiveFrame, answered: Answered | None, among: np.ndarray
 
 
 def _name_cause(frame: EffectiveFrame, before: tuple[Origin, Origin], names: Collection[str]) -> None:
-    """What was recomputed for these, or is stale, is so from the newest correction."""
+    """Name the newest correction as the cause of recomputed and stale values."""
     assert frame.caused is not None
     for name in names:
         for column in (*SETS, "margin"):
@@ -119,7 +113,7 @@ def _name_cause(frame: EffectiveFrame, before: tuple[Origin, Origin], names: Col
 
 
 def _add(frame: EffectiveFrame, name: str, fields: dict[str, list[Event]]) -> None:
-    """An expression that a person added, with what was said of it since."""
+    """Apply the events of an expression that a person added."""
     seeds = fields.pop("exists", [])
     seed = frame.note(seeds, replay(None, seeds)) if seeds else None
     frame.outcomes.pop(name, None)
@@ -149,7 +143,7 @@ def _correct(
     reason: str | None = None,
     human: Collection[str] = (),
 ) -> None:
-    """Keep an expression as people and, where `at` is its place among those asked, the pairs have it."""
+    """Apply the events of one expression, after what the pairs say at place `at`."""
     name, was, human = row["id"], dict(row), set(human)
     reason = reason if at is None else _follow(frame, row, at)
     for column in sorted(fields):
@@ -181,7 +175,7 @@ def _correct(
 
 
 def _follow(frame: EffectiveFrame, row: Row, at: int) -> str | None:
-    """Bring an expression's names, answers and margin up to date; the reason where it can no longer be said."""
+    """Update an expression's names, answers and margin; the reason where it is withdrawn."""
     now, ends = frame.answered, (row["target_object"], row["reference_object"])
     assert now is not None
     assert frame.asked is not None
@@ -219,7 +213,7 @@ def _follow(frame: EffectiveFrame, row: Row, at: int) -> str | None:
 
 
 def _reword(frame: EffectiveFrame, row: Row) -> str | None:
-    """Other class names bring another sentence; the reason where none can carry them."""
+    """Make the sentence of new class names; the reason where none can carry them."""
     ends = row["target_object"], row["reference_object"]
     labels = dict(zip(("target", "reference"), (frame.objects[n]["label"] for n in ends), strict=True))
     events = [frame.renamed[n] for n in ends if n in frame.renamed]

@@ -27,106 +27,58 @@ from pipeline.system.errors import InputError
 
 @dataclass(frozen=True)
 class Withdrawn:
-    """An expression that is left out of the effective labels.
-
-    Attributes
-    ----------
-    frame, id, text : str
-    reason : str
-    row : dict
-        As it would stand, with what people set.
-    """
+    """Expression left out of the effective labels, with its row as it would stand."""
 
     frame: str
     id: str
     text: str
     reason: str
-    row: Row = field(default_factory=dict, compare=False, repr=False)
+    row: Row = field(default_factory=dict, compare=False, repr=False)  # as it would stand
 
 
 @dataclass(eq=False)
 class EffectiveFrame:
-    """A frame's labels now, and of each value where it comes from.
+    """Labels of a frame now, and where each value comes from.
 
-    `effective.effective_frame` makes it, of the one before where there is one; nothing changes it after that.
-
-    Attributes
-    ----------
-    auto : FrameRows
-    setting : Setting
-    pairs : Pairs
-        Of the objects that stand and take part in relations.
-    last : int
-        `id` of the newest event that is in it; `count` is how many are.
-    row : dict
-        Of the table `frames`.
-    objects, left_out : dict of int to dict
-        Those that stand, and rejected ones, which can be brought back.
-    outcomes : dict of str to dict or Withdrawn
-        Every expression by id.
-    marks : dict of str to str
-        BAD_LABEL or BAD_BOX by the id of the expression, whether it stands or not.
-    versions : dict of FieldRef to int
-        Of the cells that have events.
-    statuses : dict of FieldRef to JSON value
-    origins : dict of (table, key, column) to (Origin, value that the labels had)
-        Of values that are not the labeller's.
-    said : dict of (kind, entity) to dict of FieldRef to list of Event
-        The events of each entity: an object by its number, the relations of two objects by both, ascending.
-    ignored : dict of FieldRef to tuple of Unapplied
-    geometry : dict of int to Event
-        Objects whose pixels or box a person set, and the newest such event.
-    boxes : dict of int to JSON value
-        3D boxes that people set.
-    human_bbox : set of int
-        Objects whose 2D box a person set.
-    renamed : dict of int to Event
-        Objects with another class.
-    moved : dict of int to Event
-        Objects whose relations do not follow from the automatic ones.
-    labelled, related : Pairs
-        As `pairs`: by the automatic labels, and by what follows from `moved`, before any word on a relation.
-    stale : (N,) bool
-        Objects of `pairs` whose relations do not follow from their geometry yet.
-    cause : Event or None
-        The newest correction of an object or a relation.
-    answered : Answered or None
-        By the pairs; None where nothing follows for expressions.
+    Made by `effective.effective_frame` from the frame before, and not changed after.
     """
 
     auto: FrameRows
     setting: Setting
-    pairs: Pairs
-    labelled: Pairs
-    related: Pairs
-    last: int = 0
-    count: int = 0
-    row: Row = field(default_factory=dict)
+    pairs: Pairs  # standing objects that take part in relations
+    labelled: Pairs  # the same by the automatic labels
+    related: Pairs  # with what follows from `moved`, before corrections of relations
+    last: int = 0  # id of the newest event
+    count: int = 0  # number of events
+    row: Row = field(default_factory=dict)  # of the table `frames`
     objects: dict[int, Row] = field(default_factory=dict)
-    left_out: dict[int, Row] = field(default_factory=dict)
-    outcomes: dict[str, Row | Withdrawn] = field(default_factory=dict)
+    left_out: dict[int, Row] = field(default_factory=dict)  # rejected, to be brought back
+    outcomes: dict[str, Row | Withdrawn] = field(default_factory=dict)  # every expression by id
     expressions: dict[str, Row] = field(default_factory=dict)
     withdrawn: tuple[Withdrawn, ...] = ()
-    marks: dict[str, str] = field(default_factory=dict)
-    versions: dict[FieldRef, int] = field(default_factory=dict)
+    marks: dict[str, str] = field(default_factory=dict)  # BAD_LABEL or BAD_BOX by id
+    versions: dict[FieldRef, int] = field(default_factory=dict)  # number of events of a cell
     statuses: dict[FieldRef, Any] = field(default_factory=dict)
+    # By (table, key, column), with the automatic value.
     origins: dict[tuple[str, str, str], tuple[Origin, Any]] = field(default_factory=dict)
+    # Events by (kind, entity); of relations by both numbers, ascending.
     said: dict[tuple[str, Any], dict[FieldRef, list[Event]]] = field(default_factory=dict)
-    ignored: dict[FieldRef, tuple[Unapplied, ...]] = field(default_factory=dict)
-    geometry: dict[int, Event] = field(default_factory=dict)
-    boxes: dict[int, Any] = field(default_factory=dict)
-    human_bbox: set[int] = field(default_factory=set)
-    renamed: dict[int, Event] = field(default_factory=dict)
-    moved: dict[int, Event] = field(default_factory=dict)
+    ignored: dict[FieldRef, tuple[Unapplied, ...]] = field(default_factory=dict)  # without effect
+    geometry: dict[int, Event] = field(default_factory=dict)  # objects with other pixels or box, newest such event
+    boxes: dict[int, Any] = field(default_factory=dict)  # 3D boxes that people set
+    human_bbox: set[int] = field(default_factory=set)  # objects with a 2D box that people set
+    renamed: dict[int, Event] = field(default_factory=dict)  # objects with another class
+    moved: dict[int, Event] = field(default_factory=dict)  # objects whose relations are not the automatic ones
+    # (N,) bool, of `pairs`: relations wait for the dataset.
     stale: np.ndarray = field(default_factory=lambda: np.zeros(0, np.bool_))
-    cause: Event | None = None
-    caused: tuple[Origin, Origin] | None = None
+    cause: Event | None = None  # newest correction of an object or relation
+    caused: tuple[Origin, Origin] | None = None  # recomputed and stale from `cause`
     asked: Asked | None = None
-    answered: Answered | None = None
+    answered: Answered | None = None  # None where nothing follows
 
     @classmethod
     def untouched(cls, auto: FrameRows, setting: Setting) -> EffectiveFrame:
-        """The automatic labels of a frame."""
+        """Start from the automatic labels of a frame."""
         background = setting.config.is_background
         pairs = auto.pairs.of_objects(n for n, row in auto.objects.items() if not background(row["label"]))
         found = cls(auto, setting, pairs, pairs, pairs, objects=dict(sorted(auto.objects.items())))
@@ -135,37 +87,37 @@ class EffectiveFrame:
         return found
 
     def successor(self) -> EffectiveFrame:
-        """A copy that may be changed; rows, events and matrices are shared."""
+        """Copy for changes; rows, events and matrices are shared."""
         found = copy(self)
         vars(found).update({n: v.copy() for n, v in vars(self).items() if isinstance(v, (dict, set))})
         return found
 
     @property
     def unapplied(self) -> tuple[Unapplied, ...]:
-        """Events that say nothing of these labels, in the order of their saving."""
+        """Events without effect on these labels, by id."""
         return tuple(sorted(chain.from_iterable(self.ignored.values()), key=attrgetter("event.id")))
 
     def note(self, events: Sequence[Event], replayed: Replayed) -> Replayed:
-        """Keep the version of the cell of these events and what does not apply to it; the same is returned."""
+        """Keep the version of a replayed cell and its events without effect; return the argument."""
         ref = events[0].ref
         self.versions[ref], self.ignored[ref] = replayed.version, replayed.unapplied
         self.statuses.pop(ref, None)
         return replayed
 
     def put(self, table: str, key: str, column: str, origin: Origin, was: Any = None) -> None:
-        """Note where a value comes from, and what it was; the last word on a value counts."""
+        """Note the origin and the automatic value of a value; the last call counts."""
         self.origins[table, key, column] = origin, was
 
     def forget(self, table: str, keys: Collection[str]) -> None:
-        """Take back what was put of these entities."""
+        """Remove the origins of entities."""
         self.origins = {at: found for at, found in self.origins.items() if at[0] != table or at[1] not in keys}
 
     def noted(self, table: str, key: str, column: str) -> Origin | None:
-        """Where a value comes from; None where it is the labeller's."""
+        """Origin of a value; None for the labeller's."""
         return self.origins.get((table, key, column), (None,))[0]
 
     def provenance(self) -> list[Row]:
-        """As rows of the provenance table."""
+        """Rows of the provenance table."""
         rows = (
             (table, self.frame, self.auto.index, key, column, origin.source, origin.author, origin.time, origin.event,
              origin.reason, json.dumps(was, ensure_ascii=False))
@@ -184,11 +136,11 @@ class EffectiveFrame:
 
     @property
     def stands(self) -> bool:
-        """Whether the frame was not rejected as a whole."""
+        """False for a rejected frame."""
         return self.statuses.get(FieldRef("frame", self.frame, "", "status")) != "rejected"
 
     def value(self, ref: FieldRef) -> Any:
-        """What a cell says now; None where there is no such entity."""
+        """Value of a cell now; None for no such entity."""
         if ref.field not in FIELDS[ref.kind]:
             return None
         sentence = (ref.kind, ref.field) == ("expression", "exists")
@@ -207,30 +159,30 @@ class EffectiveFrame:
         return None if row is None else row[ref.field]
 
     def object(self, number: int) -> Row | None:
-        """The row of an object that stands, or was rejected; None where there is none."""
+        """Row of a standing or rejected object; None for no such object."""
         return self.objects.get(number) or self.left_out.get(number)
 
     def expression(self, name: str) -> Row | None:
-        """The row of an expression as it is now, also of one that was left out; None where there never was one."""
+        """Row of an expression now, also of a withdrawn one; None for no such id."""
         found = self.outcomes.get(name)
         return found.row if isinstance(found, Withdrawn) else found
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """The ids of all expressions, also of those that people added and of those that were left out."""
+        """Ids of all expressions, also of withdrawn ones."""
         return tuple(self.outcomes)
 
     def version(self, ref: FieldRef) -> int:
-        """How many events a cell has: what an edit of it is based on."""
+        """Number of events of a cell: the base of an edit."""
         return self.versions.get(ref, 0)
 
     def origin(self, ref: FieldRef) -> Origin:
-        """Where the value of a cell comes from."""
+        """Origin of a cell's value."""
         found = self.noted(f"{ref.kind}s", ref.key, "center" if ref.field == "box" else ref.field)
         return found or Origin("auto", made_by=self.setting.made_by)
 
     def tables(self) -> dict[str, pa.Table]:
-        """The frame's rows in each of the four tables, in canonical order."""
+        """Rows of the frame in each of the four tables, in canonical order."""
         chosen: dict[str, Collection[Row]] = {"frames": [self.row], "objects": self.objects.values()}
         chosen["expressions"] = sorted(
             self.expressions.values(),
@@ -241,7 +193,7 @@ class EffectiveFrame:
 
 
 def object_value(row: Row, name: str) -> Any:
-    """The value of an object's cell in a row of the table `objects`."""
+    """Value of an object's cell in a row of the table `objects`."""
     if name == "box":
         return None if row["center"] is None else {column: row[column] for column in BOX_COLUMNS}
     return None if name in ("status", "exists") else row[name]
@@ -249,41 +201,22 @@ def object_value(row: Row, name: str) -> Any:
 
 @dataclass(frozen=True)
 class Setting:
-    """What the labels of a run have in common.
-
-    Attributes
-    ----------
-    config : LabelConfig
-    relations : tuple of str
-        Those that were labelled, in the order of PAIRWISE.
-    class_names : tuple of str
-        All names of the labels: sentences must not be mistaken for any of them.
-    made_by : str
-        Detector and rule profile, for provenance.
-    exact : bool
-        Objects are numbered as the dataset's own annotations.
-    """
+    """Common settings of the labels of a run."""
 
     config: LabelConfig
-    relations: tuple[str, ...]
-    class_names: tuple[str, ...]
-    made_by: str
-    exact: bool
+    relations: tuple[str, ...]  # labelled ones, in the order of PAIRWISE
+    class_names: tuple[str, ...]  # sentences must not be mistaken for any
+    made_by: str  # detector and rule profile, for provenance
+    exact: bool  # numbered as the dataset's annotations
 
     def inverse(self, relation: str) -> str | None:
-        """What "b ... a" is called where "a RELATION b" is said; None where the profile has no such relation."""
+        """Name of "b ... a" for "a RELATION b"; None where the profile has none."""
         found = MIRRORED.get(relation) if self.config.profile in MIRRORED_PROFILES else None
         return found if found in self.relations else None
 
 
 def setting_of(labels: Labels) -> Setting:
-    """Read it from the manifest.
-
-    Raises
-    ------
-    InputError
-        The manifest is of labels that this release cannot make.
-    """
+    """Read the settings from the manifest; InputError for labels that this release cannot make."""
     manifest = labels.manifest
     detector = str(manifest.models.get("detector", ""))
     names = labels.objects.column("label").unique().to_pylist()

@@ -29,7 +29,7 @@ OF_BOX = (*BOX_COLUMNS, "yaw_confidence", "pca_center", "pca_R", "pca_size", "lo
 
 
 def correct_objects(frame: EffectiveFrame, numbers: Collection[int]) -> None:
-    """Make objects anew from their events; what follows from new pixels or a new box is left as it was."""
+    """Make objects anew from their events, before lifting."""
     frame.forget("objects", {str(number) for number in numbers})
     for number in sorted(numbers):
         for kept in (frame.objects, frame.left_out, frame.geometry, frame.boxes, frame.renamed):
@@ -86,7 +86,7 @@ def _correct_object(frame: EffectiveFrame, number: int, fields: Mapping[str, Seq
 
 
 def _from_bbox(row: Row, fields: Mapping[str, Sequence[Event]]) -> bool:
-    """Whether an object's pixels were those of its 2D box when people set them, and so no automatic ones."""
+    """True where an object's pixels were those of its 2D box when people set them."""
     released = any(e.after is None for e in fields["mask"])
     return released or (row["mask_source"] == "box" and "bbox" in fields)
 
@@ -113,13 +113,13 @@ def _set_field(frame: EffectiveFrame, row: Row, number: int, name: str, value: A
 
 
 def mask_facts(code: str, auto: FrameRows) -> tuple[list[float], int]:
-    """The rectangle around a mask, and how many pixels it has; InputError where it is of another size."""
+    """Bounding rectangle and pixel count of a mask; InputError for another size."""
     crop = decode_crop((auto.row["height"], auto.row["width"]), code, f"a mask of frame {auto.frame}")
     return [float(x) for x in crop.box], int(crop.mask.sum())
 
 
 def new_row(number: int, seed: Mapping[str, Any], auto: FrameRows, setting: Setting) -> Row:
-    """The row of an object that a person added, before it is lifted."""
+    """Row of an object that a person added, before lifting."""
     mask, box = seed.get("mask"), seed.get("box")
     bbox, pixels = seed.get("bbox"), 0
     if mask is not None:
@@ -140,7 +140,7 @@ def new_row(number: int, seed: Mapping[str, Any], auto: FrameRows, setting: Sett
 
 
 def projected_box(corners: Any, frame: Row) -> list[float]:
-    """The rectangle in the picture around the corners of a 3D box; the whole picture where it cannot be known."""
+    """Rectangle in the picture around the corners (8, 3) of a 3D box; the whole picture without intrinsics."""
     size = frame["height"], frame["width"]
     box = np.array([0.0, 0.0, 0.0, 0.0])
     if frame["K"] is not None:
@@ -149,9 +149,9 @@ def projected_box(corners: Any, frame: Row) -> list[float]:
 
 
 def relate_objects(frame: EffectiveFrame, relifted: Pairs | None) -> None:
-    """Relations of the objects that stand, as they follow from the labels and from new pixels, boxes and classes.
+    """Set the relations of the standing objects before any correction of a relation.
 
-    `relifted` are the relations of all standing objects judged anew; None where the dataset was not at hand.
+    `relifted` are those of all standing objects judged anew; None without the dataset.
     """
     auto, background = frame.auto, frame.setting.config.is_background
     pairs = auto.pairs.of_objects([n for n, row in frame.objects.items() if not background(row["label"])])
@@ -169,14 +169,9 @@ def relate_objects(frame: EffectiveFrame, relifted: Pairs | None) -> None:
 
 
 def correct_pairs(frame: EffectiveFrame, said: Collection[tuple[int, int]], ends: Collection[int] | None) -> None:
-    """Apply what people said of relations to those that follow from the objects.
+    """Apply corrections of relations to those that follow from the objects.
 
-    Parameters
-    ----------
-    said : collection of (int, int)
-        Pairs, ascending, of which something new was said.
-    ends : collection of int, optional
-        Objects whose relations are to be made anew; None for those of all.
+    `said` are pairs (ascending) with new events, `ends` objects whose relations are made anew; None for all.
     """
     both = [pair for kind, pair in frame.said if kind == "relation"]
     if ends is None:
@@ -215,7 +210,7 @@ def correct_pairs(frame: EffectiveFrame, said: Collection[tuple[int, int]], ends
 
 
 def _restore(frame: EffectiveFrame, a: int, b: int | slice) -> None:
-    """Both ways, the relations before any word on them, of two objects or of one with all."""
+    """Restore the relations of two objects, or of one with all, both ways."""
     i, j = frame.pairs.index_of(a), b if isinstance(b, slice) else frame.pairs.index_of(b)
     if i is None or j is None:
         return
@@ -225,7 +220,7 @@ def _restore(frame: EffectiveFrame, a: int, b: int | slice) -> None:
 
 
 def _note_moved(frame: EffectiveFrame, first: Collection[int], second: Collection[int]) -> None:
-    """Put the origins of relations, both ways, that follow from another geometry of an object, or wait for it."""
+    """Put the origins of relations, both ways, that follow from another geometry or wait for it."""
     causes, numbers = frame.moved, frame.pairs.numbers
     if not causes:
         return
@@ -249,7 +244,7 @@ def _correct_relation(
     ref: FieldRef,
     human: dict[tuple[int, int, str], Event],
 ) -> None:
-    """Apply the events of a relation, or of its status; what a person set is entered in `human`."""
+    """Apply the events of a relation or its status; a person's value is entered in `human`."""
     auto, events, (a, b) = frame.auto, judged[ref], ref.numbers
     i, j = frame.pairs.index_of(a), frame.pairs.index_of(b)
     relation = ref.field.removesuffix(".status")
@@ -283,7 +278,7 @@ def _correct_relation(
 
 
 def _ruled_out_before(ref: FieldRef, judged: Mapping[FieldRef, Sequence[Event]]) -> bool:
-    """Whether a person had said what rules the cell's relation out (see `correct_pairs`) when it was corrected."""
+    """True where a person had already ruled the relation out (see `correct_pairs`) when it was corrected."""
     stands = standing(judged[ref])
     if ref.field not in INVERSE or not stands:
         return False
@@ -293,7 +288,7 @@ def _ruled_out_before(ref: FieldRef, judged: Mapping[FieldRef, Sequence[Event]])
 
 
 def _settle(frame: EffectiveFrame, i: int, j: int, k: int, state: int | None) -> None:
-    """Set a cell. A margin whose sign says otherwise becomes 0: by geometry it is no better than undecided."""
+    """Set a state; a margin of the other sign becomes 0."""
     pairs, now = frame.pairs, NOT_JUDGED if state is None else state
     pairs.present[i, j], pairs.states[i, j, k] = True, now
     margin = pairs.margins[i, j, k]

@@ -19,7 +19,7 @@ CROCKFORD = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
 
 
 def grouped(things: Iterable[Thing], key: Callable[[Thing], Key]) -> dict[Key, list[Thing]]:
-    """Things by what they have in common, in their order."""
+    """Group by a key, in order."""
     found: dict[Key, list[Thing]] = {}
     for thing in things:
         found.setdefault(key(thing), []).append(thing)
@@ -27,33 +27,21 @@ def grouped(things: Iterable[Thing], key: Callable[[Thing], Key]) -> dict[Key, l
 
 
 def new_ulid() -> str:
-    """26 characters that sort by time of making: 48 bits of milliseconds and 80 random ones (github.com/ulid/spec)."""
+    """Make 26 characters that sort by time: 48 bits of milliseconds, 80 random bits (github.com/ulid/spec)."""
     number = (time.time_ns() // 1_000_000) << 80 | int.from_bytes(os.urandom(10), "big")
     return "".join(CROCKFORD[(number >> shift) & 31] for shift in range(125, -5, -5))
 
 
 @dataclass(frozen=True)
 class Edit:
-    """A change that someone wants to make to one cell.
-
-    Attributes
-    ----------
-    ref : FieldRef
-    before, after : JSON value
-        What the person saw, and what it is to be.
-    base : int
-        The cell's version that the person saw; 0 is the automatic label.
-    reason : str
-    anchor : dict of str to list of float
-        2D boxes of the automatic objects concerned, by number, as they were:
-        labels made again may give their numbers to other things.
-    """
+    """Change of one cell that someone wants to make."""
 
     ref: FieldRef
-    before: Any
+    before: Any  # as the person saw it
     after: Any
-    base: int = 0
+    base: int = 0  # version that the person saw; 0: automatic
     reason: str = ""
+    # 2D boxes of the automatic objects concerned, by number: numbers may move.
     anchor: dict[str, list[float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -70,58 +58,28 @@ class Edit:
 
 @dataclass(frozen=True)
 class Event:
-    """One edit as it stands in the journal.
+    """Edit as saved in the journal."""
 
-    Attributes
-    ----------
-    id : int
-        Its place: events are numbered in the order in which they were saved.
-    ulid : str
-    author : str
-    time : datetime
-        UTC.
-    ref : FieldRef
-    before, after : JSON value
-    base, version : int
-        The cell's version that it was made on, and the one that it made.
-    labels : str
-        The automatic labels that it was made on, see `labels_version`.
-    reason : str
-    group : str
-        What was done in one action has one group.
-    action : str
-        "edit", "undo" or "redo".
-    undo_of : str or None
-        ULID of the event that this one takes back: of an edit, of an undo where it is a redo.
-    anchor : dict of str to list of float
-    """
-
-    id: int
+    id: int  # ascending in the order of saving
     ulid: str
     author: str
-    time: datetime
+    time: datetime  # UTC
     ref: FieldRef
     before: Any
     after: Any
-    base: int
+    base: int  # version before; `version` is after
     version: int
-    labels: str
+    labels: str  # see `labels_version`
     reason: str
-    group: str
+    group: str  # one an action
     action: Action
-    undo_of: str | None
+    undo_of: str | None  # ULID of the event taken back, of an undo for a redo
     anchor: dict[str, list[float]]
 
 
 @dataclass(frozen=True)
 class Saved:
-    """All edits of an action are in the journal, on the disk.
-
-    Attributes
-    ----------
-    events : tuple of Event
-        In the order of the edits.
-    """
+    """Saved events of an action, in the order of its edits, synced to disk."""
 
     events: tuple[Event, ...]
 
@@ -132,15 +90,7 @@ class Saved:
 
 @dataclass(frozen=True)
 class Rival:
-    """A cell that has changed since the person saw it.
-
-    Attributes
-    ----------
-    edit : Edit
-        What the person wanted.
-    event : Event or None
-        The newest event of that cell: who, when, to what. None where the person has seen more than there is.
-    """
+    """Newest event of a cell that changed since the person saw it; None where the edit's base does not exist yet."""
 
     edit: Edit
     event: Event | None
@@ -157,30 +107,17 @@ class Rival:
 
 @dataclass(frozen=True)
 class Conflict:
-    """Nothing was saved, because cells have changed since the person saw them.
+    """Action that was not saved because cells changed since the person saw them."""
 
-    Attributes
-    ----------
-    rivals : tuple of Rival
-        At least one.
-    edits : tuple of Edit
-        All of the action, also those that nobody was in the way of.
-    """
-
-    rivals: tuple[Rival, ...]
-    edits: tuple[Edit, ...] = ()
+    rivals: tuple[Rival, ...]  # at least one
+    edits: tuple[Edit, ...] = ()  # all of the action
 
 
 class NotSaved(InputError):
-    """The journal could not be written; the edits are handed back, to be kept and tried again.
+    """Error of a journal that cannot be written; hands the edits back.
 
-    Attributes
-    ----------
-    edits : tuple of Edit
-        Empty for an undo or redo: those are asked for again.
-    group : str
-        To be given to `append`, or to `undo` and `redo` as `again`: what was saved in spite of the error is not saved
-        twice.
+    `edits` is empty for an undo or redo. `group` goes to `append`, or as `again` to `undo` and `redo`: an action that
+    was saved in spite of the error is not saved twice.
     """
 
     def __init__(
@@ -192,7 +129,7 @@ class NotSaved(InputError):
 
 
 def who_and_what(event: Event) -> dict[str, Any]:
-    """Who changed which field when, as JSON."""
+    """Author, time and cell of an event as JSON."""
     return {
         "id": event.id,
         "event": event.ulid,
@@ -222,7 +159,7 @@ def event_record(event: Event) -> dict[str, Any]:
 
 
 def outcome_record(done: Saved | Conflict | None) -> dict[str, Any]:
-    """What came of saving: {"saved": [events], "conflicts": [{"wanted", "there", "message"}]}."""
+    """Result of saving as JSON: {"saved": [events], "conflicts": [{"wanted", "there", "message"}]}."""
     saved = [event_record(e) for e in done.events] if isinstance(done, Saved) else []
     conflicts = [
         {

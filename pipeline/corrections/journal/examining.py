@@ -35,7 +35,7 @@ _BACKUP = f"{_KEPT}none of it can be written into a new journal: put a backup in
 
 
 class DamagedJournal(InputError):
-    """A journal that is not as it was saved. The message is one line: what is damaged, what is intact, how to go on."""
+    """Error of a journal that is not as it was saved: damage, intact events and advice in one line."""
 
     def __init__(self, examined: Examined) -> None:
         more = len(examined.damage) - _SHOWN
@@ -46,26 +46,13 @@ class DamagedJournal(InputError):
 
 @dataclass(frozen=True)
 class Examined:
-    """What was found.
-
-    Attributes
-    ----------
-    location : str
-    version : int or None
-        See `chain.version_of`.
-    events : int or None
-        How many were saved; None where that cannot be known.
-    intact : tuple of dict
-        The events that are as they were saved, in the order of their saving.
-    damage : tuple of str
-        What is wrong, each in a clause; empty where nothing is.
-    """
+    """Result of an examination; `version` as of `tables.version_of`, `events` None where the count is unknown."""
 
     location: str
     version: int | None
     events: int | None
-    intact: tuple[Row, ...]
-    damage: tuple[str, ...]
+    intact: tuple[Row, ...]  # in the order of saving
+    damage: tuple[str, ...]  # in clauses
 
     @property
     def ranges(self) -> tuple[tuple[int, int], ...]:
@@ -78,7 +65,7 @@ class Examined:
 
     @property
     def summary(self) -> str:
-        """How many events are intact, in words."""
+        """Intact events in words."""
         of = "" if self.events is None else f" of {self.events:,}"
         runs = [f"{a:,}" if a == b else f"{a:,} to {b:,}" for a, b in self.ranges]
         if len(runs) > _SHOWN:
@@ -87,7 +74,7 @@ class Examined:
 
     @property
     def standing(self) -> tuple[Row, ...]:
-        """The intact events without those that take back what is not intact: what a new journal can hold."""
+        """Intact events without an undo or redo of a lost one: the content of a recovered journal."""
         found: dict[str, Row] = {}
         for row in self.intact:
             if row["undo_of"] is None or row["undo_of"] in found:
@@ -96,7 +83,7 @@ class Examined:
 
     @property
     def help(self) -> str | None:
-        """How to go on with a damaged one; None with one that is not."""
+        """Advice for a damaged journal; None for a sound one."""
         return None if not self.damage else _RECOVER if self.standing else _BACKUP
 
     @property
@@ -104,33 +91,19 @@ class Examined:
         return self.version is not None and self.version > 1
 
     def believe(self) -> Examined:
-        """Itself.
-
-        Raises
-        ------
-        DamagedJournal
-            It is damaged.
-        InputError
-            As `known`.
-        """
+        """Raise DamagedJournal for damage, else as `known`; return self."""
         if self.damage:
             raise DamagedJournal(self)
         return self.known()
 
     def known(self) -> Examined:
-        """Itself, damaged or not.
-
-        Raises
-        ------
-        InputError
-            It is of a newer release, or no journal.
-        """
+        """Raise InputError for a newer release or no journal; return self, damaged or not."""
         known_version(None if self.damage and self.version else self.version, self.location)
         return self
 
 
 def known_version(version: int | None, location: str) -> None:
-    """Raise InputError where a journal's tables are of a newer release, or are none; see `chain.version_of`."""
+    """Raise InputError for a newer version, or 0; see `tables.version_of`."""
     require(
         version is None or version <= VERSION, "the journal is of a newer release", got=f"version {version}",
         expected=f"at most {VERSION}", cause="install the release that wrote it", path=location,
@@ -139,23 +112,17 @@ def known_version(version: int | None, location: str) -> None:
 
 
 def is_empty(path: Path) -> bool:
-    """Whether the file is there, and neither it nor its log holds a byte."""
+    """True for a file that is there and, with its log, has no bytes."""
     return path.exists() and not any(f.exists() and f.stat().st_size for f in (path, Path(f"{path}-wal")))
 
 
 def empty_file(path: Path) -> InputError:
-    """The error of a file that `is_empty`."""
+    """Make the error of a file that `is_empty`."""
     return InputError("the journal is an empty file", cause="put a copy in its place, or remove it", path=path)
 
 
 def examine(path: Path) -> Examined:
-    """Read all of an SQLite journal, and change nothing.
-
-    Raises
-    ------
-    InputError
-        It cannot be opened, which says nothing of what is in it.
-    """
+    """Read an SQLite journal in full, changing nothing; InputError where it cannot be opened."""
     # Where nobody has it open no log is there, and none need be made to read it.
     alone = not Path(f"{path}-wal").exists()
     found = _examine(path, alone)
@@ -184,7 +151,7 @@ def _examine(path: Path, alone: bool) -> Examined:
 
 
 def _mended(path: Path) -> Examined | None:
-    """What is in a copy whose first bytes are made anew: they hold nothing of a journal's own; None if it is no use."""
+    """Examine a copy with a new file header, which holds nothing of the journal; None where it is of no use."""
     with suppress(*_ERRORS, OSError, InputError), scratch_folder() as folder:
         copy, log = Path(folder) / path.name, Path(f"{path}-wal")
         # A larger one is no journal of people's work, and would be copied for nothing.
@@ -212,13 +179,7 @@ def _mended(path: Path) -> Examined | None:
 
 @contextmanager
 def read_only(path: Path, alone: bool = False) -> Iterator[sqlite3.Connection]:
-    """A connection that changes nothing, also where it is the last to be closed.
-
-    Parameters
-    ----------
-    alone : bool
-        Nobody has the file open, and it has no log.
-    """
+    """Open a connection that changes nothing, also when closed last; `alone`: nobody has the file open, and no log."""
     connection = connected(path.expanduser().absolute(), "ro&immutable=1" if alone else "ro")
     try:
         connection.isolation_level = None
@@ -230,12 +191,12 @@ def read_only(path: Path, alone: bool = False) -> Iterator[sqlite3.Connection]:
 
 
 def _any_text(text: bytes) -> str:
-    """Also where it is no UTF-8."""
+    """Decode also what is no UTF-8."""
     return text.decode("utf-8", "surrogateescape")
 
 
 def _header(path: Path) -> str | None:
-    """What is wrong with the file's first bytes that SQLite itself lets pass (sqlite.org/fileformat.html, 1.3)."""
+    """Fault of the file's first bytes that SQLite lets pass (sqlite.org/fileformat.html, 1.3)."""
     head = b""
     with suppress(OSError), open(path, "rb") as file:
         head = file.read(100)
@@ -296,12 +257,12 @@ def _with_head(path: Path, connection: sqlite3.Connection, kept: int, damage: li
 
 
 def _saved(rows: Sequence[tuple[int, Row | None]], message: Any) -> int | None:
-    """How many events were saved, as far as it can be known: numbers begin with 1 and have no gaps."""
+    """Count of saved events as far as known: ids begin with 1 and have no gaps."""
     return max(rows[-1][0] if rows else 0, message if isinstance(message, int) and message < 100_000_000 else 0)
 
 
 def _one(connection: sqlite3.Connection, query: str, damage: list[str]) -> tuple[Any, ...] | None:
-    """The only row of a query."""
+    """Only row of a query; anything else is damage."""
     try:
         found = connection.execute(query).fetchall()
         problem = f"{len(found)} rows stand where one was"
@@ -314,7 +275,7 @@ def _one(connection: sqlite3.Connection, query: str, damage: list[str]) -> tuple
 
 
 def _rows(connection: sqlite3.Connection, names: Sequence[str], damage: list[str]) -> list[tuple[int, Row | None]]:
-    """All events by their ids, without an index; None of one that cannot be read."""
+    """Read all events by id, without an index; None for an unreadable one."""
     columns = ", ".join(f'"{name}"' for name in names)
     found: list[tuple[int, Row | None]] = []
     query = f"SELECT {columns} FROM events NOT INDEXED ORDER BY id"
@@ -345,7 +306,7 @@ def _rows(connection: sqlite3.Connection, names: Sequence[str], damage: list[str
 
 
 def _row(names: Sequence[str], values: Sequence[Any]) -> Row | None:
-    """An event; None where a column holds what is no value of it."""
+    """Parse an event; None where a column holds no value of its type."""
     try:
         return row_of(names, values, _parsed)
     except (TypeError, ValueError, RecursionError):
@@ -357,7 +318,7 @@ _parsed = lru_cache(maxsize=4_096)(json.loads)
 
 
 def _reason(error: Exception, path: Path | None) -> str:
-    """SQLite's words on damage, in a clause; InputError where they are on something else."""
+    """SQLite's message of damage in a clause; InputError for any other trouble."""
     message = " ".join(str(error).split())
     if any(word in message.lower() for word in _NOT_DAMAGE):
         raise InputError("the journal cannot be opened", got=message if path is None else plain_reason(message, path),

@@ -33,18 +33,10 @@ TOLERANCE = 1e-6
 
 @dataclass(frozen=True, order=True)
 class FieldRef:
-    """One field of one entity: what is locked, versioned and corrected as one.
+    """Field of an entity of a frame: the cell that is locked, versioned and corrected as one.
 
-    Attributes
-    ----------
-    kind : str
-        "object", "relation", "expression", "frame" or "review".
-    frame : str
-        The frame's id.
-    key : str
-        Of an object its number, of a relation "a,b", of an expression its id, of a frame "".
-        Of a judgement the JSON of [author, kind, a, b, what]: see `corrections.journal.replay`.
-    field : str
+    `key` is an object's number, "a,b" of a relation, an expression's id, "" of a frame, and of a judgement the JSON of
+    [author, kind, a, b, what] (see `corrections.journal.replay`).
     """
 
     kind: Kind
@@ -76,7 +68,7 @@ class FieldRef:
 
     @property
     def numbers(self) -> tuple[int, ...]:
-        """The objects that the key names."""
+        """Objects named by the key."""
         if self.kind == "review":
             _, kind, a, b, _ = judged_item(self.key)
             return tuple(n for n in (a, b) if n is not None and n >= 0 and kind != "expression")
@@ -84,7 +76,7 @@ class FieldRef:
 
     @property
     def entity(self) -> str:
-        """What it is a field of, in words: "object 3", "relation 2,5 left" where a judgement is of that."""
+        """Entity in words: "object 3", "relation 2,5 left"."""
         if self.kind == "review":
             with suppress(InputError):
                 _, kind, a, b, what = judged_item(self.key)
@@ -105,13 +97,7 @@ def relation_ref(frame: str, a: int, b: int, relation: str) -> FieldRef:
 
 
 def judged_item(key: str) -> tuple[str, str, int, int | None, str]:
-    """Author, kind, a, b and what of the key of a judgement.
-
-    Raises
-    ------
-    InputError
-        It is none, or not as this release writes it: one item has one key.
-    """
+    """Parse the key of a judgement to author, kind, a, b and what; InputError for any other text."""
     try:
         author, kind, a, b, what = found = json.loads(key)
         written = judged_key(*found)
@@ -137,7 +123,7 @@ def judged_item(key: str) -> tuple[str, str, int, int | None, str]:
 
 
 def judged_key(author: str, kind: str, a: int, b: int | None, what: str) -> str:
-    """The reverse of `judged_item`."""
+    """Make the key of a judgement."""
     return json.dumps([author, kind, a, b, what], ensure_ascii=False, separators=(",", ":"))
 
 
@@ -146,13 +132,7 @@ def _is_number(text: str) -> bool:
 
 
 def plain_text(value: Any, what: str, longest: int) -> str:
-    """A text that every database keeps as it is.
-
-    Raises
-    ------
-    InputError
-        It is no text, empty, too long, or holds what is no character.
-    """
+    """Check a text that every database keeps; InputError for an empty or long text, or no characters."""
     require(isinstance(value, str) and value.strip(), f"{what} must be a text that is not empty", got=Shown(value))
     require(len(value) <= longest, f"{what} is too long", got=f"{len(value)} characters", expected=f"at most {longest}")
     if "\x00" in value or any("\ud800" <= c <= "\udfff" for c in value):
@@ -161,18 +141,12 @@ def plain_text(value: Any, what: str, longest: int) -> str:
 
 
 def checked(ref: FieldRef, value: Any) -> Any:
-    """A value as the cell keeps it: JSON with plain numbers.
-
-    Raises
-    ------
-    InputError
-        It is not a value of that field.
-    """
+    """Check a cell's value, and make its numbers plain; InputError for no value of the field."""
     return None if value is None and ref.field in _NULLABLE[ref.kind] else FIELDS[ref.kind][ref.field](value)
 
 
 def same_value(a: Any, b: Any) -> bool:
-    """Whether two values are one: numbers to within rounding."""
+    """Compare two values, numbers to within rounding."""
     if isinstance(a, bool) or isinstance(b, bool):
         return a is b
     if isinstance(a, (int, float)) and isinstance(b, (int, float)):
@@ -185,7 +159,7 @@ def same_value(a: Any, b: Any) -> bool:
 
 
 def shown_value(ref: FieldRef, value: Any) -> str:
-    """A value in a few words, for messages and lists."""
+    """Word a value for messages and lists."""
     if value is None:
         return "nothing"
     if ref.kind == "relation" and ref.field in PAIRWISE:
@@ -207,18 +181,12 @@ def shown_value(ref: FieldRef, value: Any) -> str:
 
 
 def box_value(box: Box3D) -> dict[str, list[float]]:
-    """A 3D box as a cell keeps it."""
+    """JSON value of a 3D box."""
     return {"center": box.center.tolist(), "R": box.R.ravel().tolist(), "size": box.size.tolist()}
 
 
 def box_of(value: Any) -> Box3D:
-    """The 3D box of a kept value.
-
-    Raises
-    ------
-    InputError
-        It is none.
-    """
+    """3D box of a JSON value; InputError for none."""
     with as_input_error(
         "a 3D box must have center, R and size", KeyError, TypeError, ValueError, IndexError, got=Shown(value)
     ):

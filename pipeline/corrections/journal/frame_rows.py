@@ -23,33 +23,18 @@ MATRICES = ("present", "states", "margins", "distance", "doubted")
 
 @dataclass(frozen=True)
 class Pairs:
-    """All ordered pairs of N objects.
+    """All ordered pairs of N objects, of R relations in the order of PAIRWISE."""
 
-    Attributes
-    ----------
-    numbers : (N,) int64
-        The objects' numbers, ascending.
-    present : (N, N) bool
-        Pairs that have a row.
-    states : (N, N, 9) int8
-        In the order of PAIRWISE; NOT_JUDGED where there is none.
-    margins : (N, N, 9) float64
-        Metres; NaN where there is none.
-    distance : (N, N) float64
-        Metres; NaN where there is none.
-    doubted : (N, N) int32
-    """
-
-    numbers: np.ndarray
-    present: np.ndarray
-    states: np.ndarray
-    margins: np.ndarray
-    distance: np.ndarray
-    doubted: np.ndarray
+    numbers: np.ndarray  # (N,) int64, ascending
+    present: np.ndarray  # (N, N) bool: has a row
+    states: np.ndarray  # (N, N, R) int8, or NOT_JUDGED
+    margins: np.ndarray  # (N, N, R) float64, metres or NaN
+    distance: np.ndarray  # (N, N) float64, metres or NaN
+    doubted: np.ndarray  # (N, N) int32, bits by relation
 
     @classmethod
     def empty(cls, numbers: Iterable[int]) -> Pairs:
-        """Pairs of these objects, none of which has a row."""
+        """Pairs of objects without any row."""
         ids = np.array(sorted(numbers), np.int64)
         n, r = len(ids), len(PAIRWISE)
         return cls(
@@ -59,7 +44,7 @@ class Pairs:
 
     @classmethod
     def of_columns(cls, numbers: Iterable[int], columns: Mapping[str, Any]) -> Pairs:
-        """From columns of the table `relations`; rows of objects that are not among `numbers` are left out."""
+        """Pairs from columns of the table `relations`; rows of other objects are left out."""
         found = cls.empty(numbers)
         a, b = (np.asarray(columns[end], np.int64) for end in ("a", "b"))
         known = np.isin(a, found.numbers) & np.isin(b, found.numbers)
@@ -73,7 +58,7 @@ class Pairs:
         return found
 
     def of_objects(self, numbers: Iterable[int]) -> Pairs:
-        """The same for other objects: pairs of those that are new have no row yet."""
+        """Select other objects; pairs of new ones have no row."""
         found = Pairs.empty(numbers)
         kept = np.isin(found.numbers, self.numbers)
         to, at = np.flatnonzero(kept), np.searchsorted(self.numbers, found.numbers[kept])
@@ -82,11 +67,11 @@ class Pairs:
         return found
 
     def copy(self) -> Pairs:
-        """One whose matrices may be written to."""
+        """Copy with matrices of its own."""
         return replace(self, **{name: getattr(self, name).copy() for name in MATRICES})
 
     def index_of(self, number: int | None) -> int | None:
-        """Where an object is among the pairs; None where it, or an object at all, is none of them."""
+        """Index of an object among the pairs; None for any other."""
         return None if number is None else self._index_by_number.get(number)
 
     @cached_property
@@ -94,7 +79,7 @@ class Pairs:
         return {number: at for at, number in enumerate(self.numbers.tolist())}
 
     def state(self, a: int, b: int | None, relation: str) -> int | None:
-        """The state of a relation by the objects' numbers; None where it has none."""
+        """State of a relation by object numbers; None for none."""
         i, j = self.index_of(a), self.index_of(b)
         if i is None or j is None or not self.present[i, j]:
             return None
@@ -102,7 +87,7 @@ class Pairs:
         return None if found == NOT_JUDGED else found
 
     def table(self, frame: str, frame_index: int, relations: Sequence[str]) -> pa.Table:
-        """As rows of the table `relations`, in canonical order."""
+        """Rows of the table `relations`, in canonical order."""
         a, b = np.nonzero(self.present)
         columns: dict[str, Any] = {
             "frame": [frame] * len(a),
@@ -121,7 +106,7 @@ class Pairs:
 
 
 def filled(values: Any, length: int, empty: float) -> np.ndarray:
-    """A column as an array, with `empty` where it is null."""
+    """Column as an array, nulls replaced by `empty`."""
     if values is None:
         return np.full(length, empty)
     return (
@@ -133,16 +118,7 @@ def filled(values: Any, length: int, empty: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class FrameRows:
-    """The automatic labels of a frame.
-
-    Attributes
-    ----------
-    row : dict
-        Of the table `frames`.
-    objects, expressions : dict of int or str to dict
-        Rows by number, and by id, in canonical order.
-    pairs : Pairs
-    """
+    """Automatic labels of a frame, rows by number and by id in canonical order."""
 
     row: dict[str, Any]
     objects: dict[int, dict[str, Any]]
@@ -159,13 +135,7 @@ class FrameRows:
 
 
 class FrameIndex:
-    """Where the rows of each frame lie in the tables: rows of a frame are next to one another.
-
-    Parameters
-    ----------
-    tables : mapping of str to pyarrow.Table
-        The four tables of labels, in canonical order.
-    """
+    """Index of the rows of each frame in the four tables, where they are adjacent."""
 
     def __init__(self, tables: Mapping[str, pa.Table]) -> None:
         self.tables = tables
@@ -175,12 +145,12 @@ class FrameIndex:
         self.name_of = {index: name for name, index in self.of_frame.items()}
 
     def span(self, table: str, index: int) -> tuple[int, int]:
-        """First row of a frame, and the one after its last."""
+        """First row of a frame, and the end."""
         first, stop = np.searchsorted(self._index[table], [index, index + 1])
         return int(first), int(stop)
 
     def rows(self, frame: str) -> FrameRows:
-        """The labels of a frame that there is."""
+        """Labels of a frame."""
         spans = {name: self.span(name, self.of_frame[frame]) for name in self.tables}
         tables = {n: t.slice(spans[n][0], spans[n][1] - spans[n][0]) for n, t in self.tables.items()}
         (row,) = tables["frames"].to_pylist()
@@ -196,19 +166,12 @@ class FrameIndex:
 
 @lru_cache(maxsize=64)
 def kinds_of(labels: tuple[str, ...]) -> np.ndarray:
-    """(N, N) bool: `same_names`, kept: a frame's class names change seldom."""
+    """Matrix (N, N) bool of `same_names`, cached."""
     return same_names(labels)
 
 
 class Asked:
-    """The E automatic expressions of a frame as columns.
-
-    Parameters
-    ----------
-    auto : FrameRows
-    numbers : iterable of int
-        The objects that take part in relations.
-    """
+    """Automatic expressions of a frame, E of them, as columns."""
 
     def __init__(self, auto: FrameRows, numbers: Iterable[int]) -> None:
         rows = list(auto.expressions.values())
@@ -223,36 +186,19 @@ class Asked:
 
 @dataclass(frozen=True)
 class Answered:
-    """What the pairs of N objects say of E expressions.
+    """Answers of E expressions by the pairs of N objects."""
 
-    Attributes
-    ----------
-    numbers : (N,) int64
-    sets : (E, 2, N) bool
-        Objects that an expression is true of beyond doubt, and with doubt.
-    related : (E,) bool
-        Both of its own objects take part in relations; without it the others are False and NaN.
-    holds : (E,) bool
-        It is true of its own objects.
-    margins : (E,) float64
-        Metres.
-    kin : (E, N) bool
-        Objects of the kind of either of its own.
-    changed : (E,) bool
-        Something of its row, or whether it stands, may follow.
-    """
-
-    numbers: np.ndarray
-    sets: np.ndarray
-    related: np.ndarray
-    holds: np.ndarray
-    margins: np.ndarray
-    kin: np.ndarray
-    changed: np.ndarray
+    numbers: np.ndarray  # (N,) int64
+    sets: np.ndarray  # (E, 2, N) bool: answers beyond doubt, with doubt
+    related: np.ndarray  # (E,) bool: both own objects take part in relations
+    holds: np.ndarray  # (E,) bool: true of its own objects
+    margins: np.ndarray  # (E,) float64, metres
+    kin: np.ndarray  # (E, N) bool: of the kind of an own object
+    changed: np.ndarray  # (E,) bool: the row, or whether it stands, may follow
 
     @classmethod
     def of(cls, asked: Asked, pairs: Pairs, labels: tuple[str, ...]) -> Answered:
-        """The answers of pairs whose objects have these class names; nothing is `changed`."""
+        """Answer expressions by pairs whose objects have these class names; nothing is `changed`."""
         numbers, e, n = pairs.numbers, len(asked.ids), len(pairs.numbers)
         sets, kin = np.zeros((e, 2, n), np.bool_), np.zeros((e, n), np.bool_)
         holds, margins, related = np.zeros(e, np.bool_), np.full(e, np.nan), np.zeros(e, np.bool_)
@@ -270,7 +216,7 @@ class Answered:
         return cls(numbers, sets, related, holds, margins, kin, np.zeros(e, np.bool_))
 
     def differs(self, other: Answered) -> np.ndarray:
-        """(E,) bool: another answer than of other pairs, whichever objects these are of."""
+        """Compare (E,) bool with the answers of other pairs, of any objects."""
         one, two = self.sets, other.sets
         if not np.array_equal(self.numbers, other.numbers):
             numbers = np.union1d(self.numbers, other.numbers)

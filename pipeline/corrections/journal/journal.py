@@ -42,17 +42,9 @@ _PLAIN = [f.name for f in fields(Event) if f.name != "ref"]
 
 @dataclass(frozen=True)
 class Journal:
-    """An open journal; `open_journal` makes one. It may be shared by threads, and used in a `with` statement.
+    """Open journal of one project, from `open_journal`; shared by threads, and a context manager.
 
-    Attributes
-    ----------
-    store : Store
-    project : str
-        Journals of several datasets may share a database; each sees its own project.
-    labels : str
-        The automatic labels that edits are made on, see `labels_version`; kept with each event.
-    warnings : tuple of str
-        What the user should know of the place where it is kept.
+    Journals of several projects may share a database. `labels` (see `labels_version`) is kept with each event.
     """
 
     store: Store
@@ -62,11 +54,11 @@ class Journal:
 
     @property
     def location(self) -> str:
-        """Where it is, without a password."""
+        """Place, without a password."""
         return self.store.location
 
     def close(self) -> None:
-        """Let go of the database."""
+        """Close the database."""
         self.store.close()
 
     def __enter__(self) -> Journal:
@@ -76,29 +68,11 @@ class Journal:
         self.close()
 
     def append(self, edits: Iterable[Edit], author: str, *, group: str | None = None) -> Saved | Conflict:
-        """Save what was done in one action: all of it, or nothing.
+        """Save the edits of one action, all or none; on return they are on the disk.
 
-        When it returns, the events are on the disk.
-
-        Parameters
-        ----------
-        edits : iterable of Edit
-            At least one, of different cells.
-        author : str
-        group : str, optional
-            From `NotSaved`, where this is another try: what was saved after all is not saved again.
-
-        Returns
-        -------
-        Saved or Conflict
-            Conflict where somebody changed a cell since the author saw it.
-
-        Raises
-        ------
-        InputError
-            Nothing to save, two edits of one cell, no author.
-        NotSaved
-            A full disk, a folder that cannot be written, a database that is away.
+        `group` is that of `NotSaved` on a retry: an action that reached the journal is not saved twice. Conflict where
+        a cell changed since the author saw it. InputError for no edit, two of one cell, or no author. NotSaved for a
+        full disk, a read-only folder, a database that is away.
         """
         edits = tuple(edits)
         require(edits, "there is nothing to save")
@@ -115,7 +89,7 @@ class Journal:
         group: str | None = None,
         undo_of: Sequence[str | None] | None = None,
     ) -> Saved | Conflict:
-        """`append`, `undo` and `redo` come down to this; raises as `append`."""
+        """Save edits as `append`, `undo` and `redo` do; raises as `append`."""
         author = plain_text(author, "an author", LONGEST_NAME).strip()
         again, group = group is not None, group or new_ulid()
         wanted = [
@@ -153,7 +127,7 @@ class Journal:
             ) from error  # fmt: skip
 
     def _read_back(self, group: str, previous: str, hashes: Sequence[str]) -> tuple[Event, ...]:
-        """An action that was saved, read anew; InputError where it is not what was written."""
+        """Read a saved action anew; InputError where it is not as written."""
         # What is kept in memory would say what was written, and not what is there.
         with reading(self.store, fresh=True) as run:
             where = 'WHERE project = ? AND "group" = ? ORDER BY id'
@@ -202,21 +176,9 @@ class Journal:
         before: int | None = None,
         last: int | None = None,
     ) -> tuple[Event, ...]:
-        """Events in the order of their saving, of all or of what is asked for.
+        """Select events in the order of their saving; InputError where the journal cannot be read.
 
-        Parameters
-        ----------
-        after : int
-            Only those with a greater `id`: what is new since then.
-        before : int, optional
-            Only those with a smaller `id`.
-        last : int, optional
-            Only the newest so many.
-
-        Raises
-        ------
-        InputError
-            The journal cannot be read.
+        `after` and `before` bound the `id`, exclusive; `last` takes only the newest so many.
         """
         named = {"author": author, "kind": kind, "frame": frame, "key": key, "field": field, "group": group}
         wanted: dict[str, Any] = {f'AND "{name}" = ?': value for name, value in named.items() if value is not None}
@@ -229,12 +191,12 @@ class Journal:
             return self._select(run, " ".join(wanted), *values)[:: 1 if last is None else -1]
 
     def count(self) -> int:
-        """How many events there are; InputError where the journal cannot be read."""
+        """Count events; InputError where the journal cannot be read."""
         with reading(self.store) as run:
             return int(run("SELECT count(*) FROM events WHERE project = ?", self.project)[0][0])
 
     def heads(self, refs: Sequence[FieldRef]) -> dict[FieldRef, Event]:
-        """The newest event of each of the cells that has any; InputError where the journal cannot be read."""
+        """Newest event of each cell; InputError where the journal cannot be read."""
         with reading(self.store) as run:
             return self._heads(run, refs)
 
@@ -256,7 +218,7 @@ class Journal:
 
 
 def _last(run: Run) -> Head:
-    """What the next event is chained to; InputError where the journal is not as it was left."""
+    """Head that the next event is chained to; InputError where the last event is not as saved."""
     head, newest = head_of(run), run("SELECT id, hash FROM events ORDER BY id DESC LIMIT 1")
     if head is None or [tuple(row) for row in newest] != ([(head.last, head.hash)] if head.events else []):
         raise InputError("the journal is damaged: its last event is not the one that was saved last")
@@ -269,25 +231,11 @@ def _event(row: dict[str, Any]) -> Event:
 
 
 def open_journal(where: str | Path, *, project: str = "", labels: str = "", must_exist: bool = False) -> Journal:
-    """Open a journal, and make it where there is none.
+    """Open a journal, or make one; all events are checked first.
 
-    All that is in it is checked first. One of the release before is chained, and kept beside as it was.
-
-    Parameters
-    ----------
-    where : str or Path
-        The path of an SQLite file, or a URL "postgresql://user@host/database" (extra: postgres).
-    project, labels : str
-        See `Journal`.
-    must_exist : bool
-        Do not make an SQLite file.
-
-    Raises
-    ------
-    InputError
-        It cannot be opened or made, or was written by a newer release.
-    DamagedJournal
-        It is not as it was saved: what is damaged, which events are intact, and how to go on.
+    `where` is an SQLite path or a URL "postgresql://user@host/database" (extra: postgres). A version 1 journal is
+    chained, and the original kept beside. InputError where it cannot be opened or made, or of a newer release;
+    DamagedJournal says what is damaged, which events are intact, and how to go on.
     """
     warnings: list[str] = []
     if not is_url(where):
@@ -323,9 +271,9 @@ def open_journal(where: str | Path, *, project: str = "", labels: str = "", must
 def journal_of(
     labels: Labels, where: str | Path | None = None, *, project: str | None = None, must_exist: bool = False
 ) -> Journal:
-    """The journal of labels: beside them by default, or where it is said to be; raises as `open_journal`.
+    """Open the journal of labels, by default beside them; raises as `open_journal`.
 
-    In a database that is shared, the project is the name of the dataset's folder unless another is given.
+    In a shared database the project is by default the name of the dataset's folder.
     """
     if project is None:
         project = Path(str(labels.manifest.dataset.get("path", ""))).name if where is not None and is_url(where) else ""

@@ -24,24 +24,12 @@ UNAPPLIED_FILE = "unapplied.json"
 def materialise(
     labels: Labels, journal: Journal, out: str | Path, *, dataset: Dataset | None = None
 ) -> tuple[Manifest, EffectiveLabels]:
-    """Apply a journal to labels and write the result whole, or not at all.
+    """Write corrected labels as a labels folder, whole or not at all.
 
-    Beside the tables stand `provenance.parquet` (each value that is not the
-    labeller's), `unapplied.json` (events that say nothing of these labels, and
-    expressions that were withdrawn), `marks.json` (for `eval --marks`) and
-    `statuses.json` (what reviewers said, and notes).
-
-    Parameters
-    ----------
-    out : str or Path
-        A folder that is new or empty.
-    dataset : Dataset, optional
-        For corrections of masks and boxes: without it, what follows from them is marked stale.
-
-    Raises
-    ------
-    InputError
-        The folder holds something, or the labels, the journal or a frame cannot be read.
+    Beside the tables stand `provenance.parquet` (values that are not the labeller's), `unapplied.json` (events without
+    effect, withdrawn expressions), `marks.json` (for `eval --marks`) and `statuses.json` (reviews and notes). `out` is
+    a new or empty folder. Without `dataset`, what follows from new masks and boxes is marked stale. InputError for a
+    folder in use, or unreadable labels, journal or frame.
     """
     folder = Path(out).expanduser().absolute()
     require(

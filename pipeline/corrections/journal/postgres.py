@@ -52,7 +52,7 @@ _ADVISORY = 0x5350_4A4C
 KEPT = "events_before_chain"
 _URL = re.compile(
     r"(?P<scheme>[\w+]+)://(?:(?P<user>[^:/@]*)(?::(?P<password>[^@]*))?@)?"
-    r"(?P<place>(?:\[(?P<v6>[^/?]+)\]|(?P<host>[^/:?]+))?(?::(?P<port>[^/?]*))?(?:/(?P<database>[^?]*))?)"
+    r"(?P<place>(?:\[(?P<v6>[^/?]+)\]|(?P<host>[^/:?]+))?(?::(?P<port>\d*))?(?:/(?P<database>[^?]*))?)"
     r"(?:\?(?P<query>.*))?"
 )
 _FIELD = re.compile(r"((?:\\.|[^:\\])*)(?::|$)")
@@ -65,20 +65,7 @@ Answer = TypeVar("Answer")
 
 @dataclass(frozen=True)
 class Address:
-    """Where a database is, and as whom it is used.
-
-    Attributes
-    ----------
-    host : str
-        A name, or the folder of a socket.
-    port : int
-    user, database : str
-    password : str or None
-    ssl : ssl.SSLContext or bool or None
-        As pg8000 takes it: False is never, None where the server can, True always.
-    connect_s : float
-    application : str
-    """
+    """Host (or socket folder), database and login; `ssl` as pg8000 takes it (None: where the server can)."""
 
     host: str
     port: int
@@ -91,19 +78,11 @@ class Address:
 
 
 class ServerError(OSError):
-    """What the driver says: of the server's word its fields (`state_of`), else a text."""
+    """Driver error: the fields of a server's message (`state_of`), else a text."""
 
 
 class PostgresStore:
-    """A `Store` at a URL "postgresql://...".
-
-    Raises
-    ------
-    InputError
-        A URL that cannot be used.
-    MissingExtra
-        The driver is not installed.
-    """
+    """`Store` at a URL "postgresql://..."; InputError for an unusable URL, MissingExtra without the driver."""
 
     server, selected, zone, writable = True, "{}::text", "+00", True
 
@@ -124,7 +103,7 @@ class PostgresStore:
         pass
 
     def _taken(self) -> Any:
-        """One that answers."""
+        """Take a connection that answers."""
         address = self._address
         with suppress(IndexError):
             link = self._idle.pop()
@@ -155,10 +134,10 @@ class PostgresStore:
             self._commit(link)
 
     def _turn(self, link: Any) -> bool:
-        """Begin a transaction and wait for a writer's turn; False where it did not come within TURN_S.
+        """Begin a transaction with the writers' lock; False where TURN_S passed.
 
-        The settings are those of the transaction alone (postgresql.org/docs/current/runtime-config-client.html). They
-        are made in the same query, whose columns are computed from left to right.
+        The settings are the transaction's (postgresql.org/docs/current/runtime-config-client.html), made in the same
+        query, whose columns are computed from left to right.
         """
         waits = (f"'{name}', '{int(1000 * seconds)}'" for name, seconds in
                  (("lock_timeout", TURN_S), ("idle_in_transaction_session_timeout", IDLE_S)))  # fmt: skip
@@ -193,7 +172,7 @@ class PostgresStore:
 
     @contextmanager
     def _given_back(self, link: Any) -> Iterator[None]:
-        """A connection goes back to the others when the block ends, unless it broke."""
+        """Return a connection at the end of the block, unless it broke."""
         try:
             yield
         except BaseException as error:
@@ -238,7 +217,7 @@ class PostgresStore:
 
 
 def without_password(where: str | Path) -> str:
-    """What opens a journal again, without what is secret."""
+    """Address that opens a journal again, without secrets."""
     found = _URL.fullmatch(str(where))
     if found is None:
         return str(where).rpartition("@")[2].partition("?")[0] if "://" in str(where) else str(where)
@@ -248,13 +227,7 @@ def without_password(where: str | Path) -> str:
 
 
 def address_of(where: str) -> Address:
-    """What a URL leaves open is taken from the environment and the password file, as libpq does.
-
-    Raises
-    ------
-    InputError
-        No URL, an option that is not understood, or a certificate that cannot be read.
-    """
+    """Complete a URL from the environment and the password file, as libpq does; InputError for unknown options."""
     url = needed(_URL.fullmatch(where), "the journal's URL cannot be read", expected="postgresql://user@host/database")
     query = dict(parse_qsl(url["query"] or "", keep_blank_values=True))
     unknown = sorted(set(query) - set(OPTIONS))
@@ -276,9 +249,9 @@ def address_of(where: str) -> Address:
 
 
 def password_in_file(wanted: tuple[str, str, str, str], path: Path | None = None) -> str | None:
-    """The password for (host, port, database, user) in ~/.pgpass or $PGPASSFILE; None where there is none.
+    """Password for (host, port, database, user) in ~/.pgpass or $PGPASSFILE; None for none.
 
-    As libpq, a file that others may read is not used (postgresql.org/docs/current/libpq-pgpass.html).
+    As in libpq, a file that others may read is not used (postgresql.org/docs/current/libpq-pgpass.html).
     """
     path = path or Path(os.environ.get("PGPASSFILE") or "~/.pgpass").expanduser()
     try:
@@ -318,7 +291,7 @@ def _ssl(mode: str, query: dict[str, str]) -> ssl.SSLContext | bool | None:
 
 
 def _connect(address: Address) -> Any:
-    """A new connection; whatever goes wrong on the way is a ServerError."""
+    """Open a connection; any failure is a ServerError."""
     import pg8000
 
     opened = partial(_opened, address)
@@ -381,21 +354,21 @@ def _socket(address: Address) -> socket.socket:
 
 
 def state_of(error: BaseException | None) -> dict[str, str]:
-    """The fields of a server's message (postgresql.org/docs/current/protocol-error-fields.html); empty for another."""
+    """Fields of a server's message (postgresql.org/docs/current/protocol-error-fields.html); empty for other errors."""
     message = error.args[0] if error is not None and error.args else None
     return message if isinstance(message, dict) else {}
 
 
 def has_answered(error: Exception) -> bool:
-    """Whether an error is the word of a server that is there, such as that a password is wrong, however late."""
+    """True for an error that a present server reports, such as a wrong password."""
     code = state_of(error).get("C", "")
     return bool(code) and not code.startswith(_GONE)
 
 
 class Server:
-    """One server, as this process knows it; shared by threads.
+    """Reachability of one server, shared by the threads of a process.
 
-    While it is away, `ask` fails at once, and whoever asks has it looked for in the background.
+    While it is away `ask` fails at once, and a thread looks for it.
     """
 
     def __init__(self) -> None:
@@ -406,20 +379,9 @@ class Server:
         """When it may be looked for."""
 
     def ask(self, question: Callable[[], Answer], connect: Callable[[], Any]) -> Answer:
-        """What the server answers, or the error that it makes.
+        """Return the answer of `question`, or raise its error; TimeoutError while another thread waits.
 
-        Parameters
-        ----------
-        question : callable
-            Connects, or says something on a connection.
-        connect : callable
-            Makes a connection, to find out whether the server is back.
-
-        Raises
-        ------
-        Exception
-            That of the question; while the server is away, the one that made it known, or TimeoutError where another
-            thread waits for an answer right now.
+        `connect` makes a connection, to find out whether the server is back.
         """
         began = time.monotonic()
         with self._lock:
@@ -451,12 +413,12 @@ class Server:
             link.close()
 
     def know(self, away: Exception | None) -> None:
-        """It answers, or is away: whoever asks next need not find that out by waiting."""
+        """Note that the server answers, or is away."""
         with self._lock:
             self._away, self._again = away, time.monotonic() + AGAIN_S
 
 
 @cache
 def server_at(host: str, port: int) -> Server:
-    """What is known of the server at an address."""
+    """Reachability of the server at an address."""
     return Server()

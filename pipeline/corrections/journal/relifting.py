@@ -33,21 +33,15 @@ FRAMES_LOADED = 4
 
 
 def labelled_ups(frames: pa.Table) -> dict[str, LabelledUp]:
-    """The up vectors of the table `frames`, by frame, where there is one."""
+    """Up vectors of the table `frames`, by frame."""
     columns = (frames.column(name).to_pylist() for name in ("frame", "up", "up_source"))
     return {name: (tuple(up), source or "assumed") for name, up, source in zip(*columns, strict=True) if up and any(up)}
 
 
 class Relifter:
-    """Lifts the objects of frames of one dataset; see `Relift`.
+    """Lifting of objects of one dataset's frames; see `Relift`.
 
-    Parameters
-    ----------
-    dataset : Dataset
-    setting : Setting
-    ups : mapping of str to (tuple of float, str)
-        The up vector (camera frame) that each frame was labelled with, and how it was known: what follows from a
-        correction is judged in the same level frame, whatever would be found now.
+    `ups` are the up vectors (camera frame) at labelling: corrections are judged in the same level frame.
     """
 
     def __init__(self, dataset: Dataset, setting: Setting, ups: Mapping[str, LabelledUp]) -> None:
@@ -56,7 +50,7 @@ class Relifter:
         self._loaded = lru_cache(maxsize=FRAMES_LOADED)(lambda frame: (self._load(frame), dict[Any, LiftedObject]()))
 
     def context(self, frame: str) -> PreparedFrame:
-        """A frame of the dataset, ready to lift from; raises as `Dataset.load`."""
+        """Frame of the dataset, ready to lift from; raises as `Dataset.load`."""
         return self._loaded(frame)[0]
 
     def _load(self, frame: str) -> PreparedFrame:
@@ -68,12 +62,12 @@ class Relifter:
 
     @cached_property
     def network(self) -> OnnxScorer | None:
-        """The second opinion of the labels, opened when it is first asked."""
+        """Second opinion of the labels, opened when first asked."""
         name = self.setting.config.second_opinion
         return None if name == NONE else open_second_opinion(name)
 
     def lifted(self, frame: str, row: Row, box: Any) -> SceneObject:
-        """An object of a frame as its effective row and the 3D box that a person set have it."""
+        """Object from its effective row and a person's 3D box."""
         return self._object(self.context(frame), row, box, human_bbox=True)
 
     def __call__(
@@ -97,7 +91,7 @@ class Relifter:
         return found, Pairs.of_columns(numbers, labels.relations)
 
     def _object(self, context: PreparedFrame, row: Row, box: Any, human_bbox: bool) -> SceneObject:
-        """An object as its row and corrections have it: its mask, else the pixels in its 3D box, else its 2D box."""
+        """Object from its mask, else the pixels in its 3D box, else its 2D box."""
         frame, source = context.frame, row["mask_source"]
         bbox = np.array(row["bbox"], np.float32)
         if row["mask"] is not None and source != "box":

@@ -37,15 +37,10 @@ ORIGIN_FIELDS = ("table", "frame", "frame_index", "key", "column", "origin", "au
 
 @dataclass(frozen=True)
 class Unapplied:
-    """An event that says nothing of the labels as they are now.
+    """Event without effect on the labels now.
 
-    Attributes
-    ----------
-    event : Event
-    kind : str
-        "gone": its object, pair or expression is no longer there, or is another one. "changed": the automatic label
-        is no longer what was corrected. "agreed": the automatic label says by now what it was corrected to.
-    reason : str
+    "gone": no such entity any more, or another one; "changed": the automatic label differs from what was corrected;
+    "agreed": the automatic label equals the correction.
     """
 
     event: Event
@@ -55,29 +50,18 @@ class Unapplied:
 
 @dataclass(frozen=True)
 class Replayed:
-    """A cell after its events.
-
-    Attributes
-    ----------
-    value : JSON value
-    event : Event or None
-        What made it so; None where it is the automatic label.
-    version : int
-        How many events the cell has, applied or not.
-    unapplied : tuple of Unapplied
-    """
+    """Cell after its events; `event` is None where the automatic label stands."""
 
     value: Any
-    event: Event | None
-    version: int
+    event: Event | None  # that made it so
+    version: int  # number of events, applied or not
     unapplied: tuple[Unapplied, ...]
 
 
 def standing_at(events: Sequence[Event]) -> list[tuple[Event, int]]:
-    """The edits of a cell that were not taken back, in the order of their versions, each with the `id` of what made it
-    stand.
+    """Edits of a cell that stand, by version, each with the `id` of the event by which.
 
-    Only a cell's newest event can be taken back: so they are a stack.
+    Only a cell's newest event can be taken back: a stack.
     """
     found: list[tuple[Event, int]] = []
     taken: dict[str, Event] = {}
@@ -92,20 +76,18 @@ def standing_at(events: Sequence[Event]) -> list[tuple[Event, int]]:
 
 
 def standing(events: Sequence[Event]) -> list[Event]:
-    """The edits of a cell that were not taken back, in the order of their versions."""
+    """Edits of a cell that stand, by version."""
     return [event for event, _ in standing_at(events)]
 
 
 def replay(
     automatic: Any, events: Sequence[Event], *, trusted: bool = False, released_by_none: bool = False
 ) -> Replayed:
-    """Apply the events of a cell to its automatic label, in the order of their versions.
+    """Apply the events of a cell to its automatic label, by version.
 
-    An event applies where the value is what its author saw. What does not
-    apply is listed, unless a later event settles the cell. `trusted` cells
-    follow from other corrections: what their authors saw is not to be compared
-    with the automatic label. With `released_by_none` a value of None is none: the
-    cell is the automatic one again.
+    An event applies where the value is what its author saw; others are listed, unless a later event settles the cell.
+    `trusted` cells follow from other corrections, and are not compared. With `released_by_none`, None restores the
+    automatic value.
     """
     value, origin, unapplied = automatic, None, []
     for event in standing(events):
@@ -124,7 +106,7 @@ def replay(
 
 
 def all_gone(automatic: Any, events: Sequence[Event], reason: str) -> Replayed:
-    """A cell whose entity is no longer there: every edit that was not taken back is listed."""
+    """Cell of a lost entity: every standing edit is listed."""
     return Replayed(
         automatic,
         None,
@@ -134,47 +116,28 @@ def all_gone(automatic: Any, events: Sequence[Event], reason: str) -> Replayed:
 
 
 def is_another(anchor: dict[str, list[float]], number: int, bbox: Sequence[float]) -> bool:
-    """Whether an object's number was given to another thing since an edit was anchored to it."""
+    """True where an object's number was given to another thing since an edit was anchored."""
     was = anchor.get(str(number))
     return was is not None and float(iou_2d(np.array([was]), np.array([bbox]))[0, 0]) < ANCHOR_IOU
 
 
 def by_ref(events: Iterable[Event]) -> dict[FieldRef, list[Event]]:
-    """Events of each cell, in the order of their versions."""
+    """Events of each cell, by version."""
     return {ref: sorted(members, key=lambda e: e.version) for ref, members in grouped(events, lambda e: e.ref).items()}
 
 
 def judgement_ref(frame: str, kind: str, a: int, b: int | None, what: str, author: str) -> FieldRef:
-    """The cell of what someone says of an item, or, by OF_ALL, of what settles it.
+    """Cell of a judgement of an item, or, by OF_ALL, of its settlement; InputError for no such item.
 
-    Parameters
-    ----------
-    kind : str
-        "relation", "object" or "expression".
-    a, b : int
-        Numbers of the objects of a pair; of an object its own and None, -1 where one may be missing; of an
-        expression -1 and None.
-    what : str
-        The relation, or the expression's id; of an object empty, and where one may be missing the place.
-    author : str
-
-    Raises
-    ------
-    InputError
-        There is no such item.
+    `a` and `b` are the objects of a pair; an object and None, -1 for a missing one; -1 and None of an expression.
+    `what` is the relation, the expression's id, "" of an object, or the place of a missing one.
     """
     name = author.strip()
     return FieldRef("review", frame, judged_key(name, kind, a, b, what), "settled" if name == OF_ALL else "said")
 
 
 def statuses_of_items(statuses: Mapping[FieldRef, Any]) -> dict[tuple[str, int, int | None, str], dict[str, str]]:
-    """The status that each author gives, by kind, a, b and what of the item (see `judgement_ref`).
-
-    Parameters
-    ----------
-    statuses : mapping of FieldRef to JSON value
-        Of an effective frame.
-    """
+    """Status by author of each judged (kind, a, b, what); see `judgement_ref`."""
     found: dict[tuple[str, int, int | None, str], dict[str, str]] = {}
     for ref, value in statuses.items():
         if ref.kind == "review" and ref.field == "said":
@@ -190,14 +153,9 @@ def replayed_judgement(
     objects: Collection[int],
     expressions: Collection[str],
 ) -> Replayed:
-    """A judgement after its events; it no longer applies where its item is gone or another thing.
+    """Judgement after its events; without effect where its item is gone or another thing.
 
-    Parameters
-    ----------
-    boxes : mapping of int to list of float
-        2D boxes of the automatic objects.
-    objects, expressions : collection
-        Numbers and ids of those that there are.
+    `boxes` are 2D boxes of automatic objects, `objects` and `expressions` those present.
     """
     _, kind, _, _, what = judged_item(ref.key)
     if kind == "expression" and what not in expressions:
@@ -212,35 +170,20 @@ def replayed_judgement(
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a value comes from.
-
-    Attributes
-    ----------
-    source : str
-        "auto": the labeller. "human": a person set it. "recomputed": it follows
-        from a correction of something else. "stale": it does not yet follow
-        from one, because the dataset was not at hand.
-    author : str or None
-        Who made the correction.
-    time : datetime or None
-        UTC.
-    event : str or None
-        ULID of that correction.
-    reason : str
-    made_by : str
-        Of "auto": the model and the rule profile.
+    """Origin of a value: "auto" (labeller), "human", "recomputed" from another correction, "stale" for want of the
+    dataset.
     """
 
     source: Source
     author: str | None = None
-    time: datetime | None = None
-    event: str | None = None
+    time: datetime | None = None  # UTC
+    event: str | None = None  # ULID
     reason: str = ""
-    made_by: str = ""
+    made_by: str = ""  # of "auto": model and rule profile
 
     @classmethod
     def of(cls, source: Source, event: Event) -> Origin:
-        """The origin of what an event set, or of what follows from it."""
+        """Origin of an event's value, or of a consequence."""
         return cls(source, event.author, event.time, event.ulid, event.reason)
 
     def __str__(self) -> str:
@@ -254,7 +197,7 @@ class Origin:
 
 
 def provenance_schema() -> pa.Schema:
-    """The table of provenance: one row a value that is not the labeller's; `was` is the labeller's value as JSON."""
+    """Schema of provenance: a row a value that is not the labeller's; `was` is the labeller's value as JSON."""
     kinds = {"frame_index": pa.int32(), "time": pa.timestamp("us", "UTC")}
     return pa.schema([pa.field(name, kinds.get(name, pa.string())) for name in ORIGIN_FIELDS])
 
@@ -268,20 +211,14 @@ PAGE = 32
 
 @dataclass(frozen=True)
 class History:
-    """What a person may take back and bring back, the newest last.
-
-    Attributes
-    ----------
-    done, undone : tuple of tuple of Event
-        Actions, each as its events.
-    """
+    """Actions that a person may take back and bring back, newest last."""
 
     done: tuple[tuple[Event, ...], ...]
     undone: tuple[tuple[Event, ...], ...]
 
 
 def history(events: Iterable[Event]) -> History:
-    """The actions of one person, replayed: an edit ends what could be brought back."""
+    """Replay the actions of one person: an edit ends what could be brought back."""
     done: list[tuple[Event, ...]] = []
     undone: list[tuple[Event, ...]] = []
     for members in actions_of(events):
@@ -297,36 +234,17 @@ def history(events: Iterable[Event]) -> History:
 
 
 def actions_of(events: Iterable[Event]) -> list[tuple[Event, ...]]:
-    """Events by action, in the order of their saving."""
+    """Group events by action, in the order of their saving."""
     return [tuple(members) for members in grouped(events, lambda e: e.group).values()]
 
 
 def undo(
     journal: Journal, author: str, *, group: str | None = None, again: str | None = None
 ) -> Saved | Conflict | None:
-    """Take back a person's newest action, or the one of a group.
+    """Take back a person's newest action, or that of a group; None where nothing is left.
 
-    Parameters
-    ----------
-    journal : Journal
-    author : str
-    group : str, optional
-        Of the action to take back.
-    again : str, optional
-        `NotSaved.group`, where this is another try: what was taken back after all is not followed by the next.
-
-    Returns
-    -------
-    Saved, Conflict or None
-        None where there is nothing to take back; Conflict where one of its
-        cells was edited since, and that still stands: then nothing is changed.
-
-    Raises
-    ------
-    InputError
-        The person has no such action.
-    NotSaved
-        As `Journal.append`.
+    `again` is `NotSaved.group` on a retry. Conflict, and nothing changed, where a cell has a standing later edit.
+    InputError for no such action; NotSaved as `Journal.append`.
     """
     return _take_back(journal, author, "undo", group, again)
 
@@ -334,16 +252,14 @@ def undo(
 def redo(
     journal: Journal, author: str, *, group: str | None = None, again: str | None = None
 ) -> Saved | Conflict | None:
-    """Bring back what a person took back last; as `undo`, whose group it names."""
+    """Bring back what a person took back last; as `undo`, whose group is named."""
     return _take_back(journal, author, "redo", group, again)
 
 
 def newest(journal: Journal, author: str, action: Turn) -> tuple[Event, ...] | None:
-    """The action that `undo` would take back, the last of `history(...).done`, or that `redo` would bring back.
+    """Action that `undo` takes back, the last of `history(...).done`, or that `redo` brings back.
 
-    It is known from as few events as tell it, from the newest on: an action is
-    on the stack unless a later one took it back. So what is read is what was
-    done since, and not all that ever was.
+    Read from the newest event on, in pages: an action stands unless a later one took it back.
     """
     taken: Taken = defaultdict(set)
     for members in _newest_first(journal, author):
@@ -356,12 +272,12 @@ def newest(journal: Journal, author: str, action: Turn) -> tuple[Event, ...] | N
 
 
 def _stands(members: tuple[Event, ...], action: Turn, taken: Taken) -> bool:
-    """Whether it is of the stack that the action takes from, and no later one has taken it already."""
+    """True for an action of the stack that no later one has taken."""
     return (members[0].action == "undo") == (action == "redo") and not any(e.ulid in taken[action] for e in members)
 
 
 def _newest_first(journal: Journal, author: str) -> Iterator[tuple[Event, ...]]:
-    """A person's actions, the newest first, read in pages that grow."""
+    """Read a person's actions, newest first, in growing pages."""
     size, before = PAGE, None
     held: tuple[Event, ...] = ()
     while True:
@@ -377,7 +293,7 @@ def _newest_first(journal: Journal, author: str) -> Iterator[tuple[Event, ...]]:
 
 
 def _of_group(journal: Journal, author: str, action: Turn, group: str) -> tuple[Event, ...]:
-    """The action of a group, where it can be taken or brought back."""
+    """Action of a group; InputError where it cannot be taken or brought back."""
     members = journal.events(author=author, group=group)
     later = actions_of(journal.events(author=author, after=members[-1].id)) if members else []
     taken: Taken = defaultdict(set)
@@ -404,12 +320,9 @@ def _take_back(
 
 
 def edits_back(journal: Journal, members: Sequence[Event]) -> list[Edit]:
-    """The edits that take events back, or bring them back where they are undos.
+    """Edits that take events back, or bring back undone ones.
 
-    An event may be taken back where its cell stands as it stood right after
-    it: nobody has changed it since, or all that was changed since was taken
-    back. Elsewhere the edit is based on the event's own version, and so is a
-    conflict when it is written.
+    A cell must stand as right after the event; else the edit is based on the event's own version: a conflict.
     """
     edits = []
     for event in members:

@@ -47,7 +47,7 @@ _TRIES, _PAUSE_S = 20, 0.05
 
 
 class _Connection(sqlite3.Connection):
-    """One that is known of while it is open."""
+    """Connection listed in _HELD while open."""
 
     def close(self) -> None:
         super().close()
@@ -58,7 +58,7 @@ _HELD: WeakKeyDictionary[_Connection, tuple[int, int] | None] = WeakKeyDictionar
 
 
 def connected(file: Path, mode: str) -> sqlite3.Connection:
-    """A connection to a file; `mode` is that of SQLite's URI."""
+    """Connect to a file in a mode of SQLite's URI."""
     with _GUARD:
         connection = sqlite3.connect(
             f"{file.as_uri()}?mode={mode}", uri=True, timeout=BUSY_S, check_same_thread=False, factory=_Connection
@@ -68,26 +68,20 @@ def connected(file: Path, mode: str) -> sqlite3.Connection:
 
 
 def read_plainly(file: Path, read: Callable[[], _Found]) -> _Found | None:
-    """What `read` finds in a journal's files; None where this process has a connection to them.
+    """Call `read` on a journal's files; None while this process has a connection.
 
-    Whoever closes a descriptor of a file lets go of all locks that the process has on it, SQLite's too
-    (sqlite.org/howtocorrupt.html, section 2.2).
+    Closing any descriptor of a file drops the process's locks, SQLite's too (sqlite.org/howtocorrupt.html, section
+    2.2).
     """
     with _GUARD:
         return None if _identity(file) in list(_HELD.values()) else read()
 
 
 class SqliteStore:
-    """A `Store` in one file, which is made by the first connection and never again.
+    """`Store` in one file, made by the first connection and never again.
 
-    Parameters
-    ----------
-    path : str or Path
-    believe : callable
-        Examines another file that has come in the place of the first one, which was examined before; raises where it
-        is not to be used.
-    copy : callable
-        Copies the file, whole and examined, under a name beside it that nothing has, which it returns.
+    `believe` examines a file that replaced the first one, and raises; `copy` copies the file under a free name beside
+    it.
     """
 
     server, selected, zone = False, "{}", ""
@@ -111,7 +105,7 @@ class SqliteStore:
         return can_be_written(self.file)
 
     def settle(self) -> None:
-        """Set the write-ahead log; of two that open a new file at the same time one tries again."""
+        """Set the write-ahead log; of two openers of a new file one tries again."""
         until = time.monotonic() + BUSY_S
         connection = self._taken()
         try:
@@ -127,7 +121,7 @@ class SqliteStore:
             self._idle.append(connection)
 
     def _taken(self) -> sqlite3.Connection:
-        """One to the file that is there now."""
+        """Take a connection to the present file."""
         while self._idle:
             with suppress(IndexError):
                 connection = self._idle.pop()
@@ -199,12 +193,12 @@ class SqliteStore:
 
 
 def can_be_written(path: Path) -> bool:
-    """Whether a journal takes events: its log and its index are made beside it."""
+    """True where events can be saved: log and index are made beside the file."""
     return os.access(path.parent, os.W_OK) and (not path.exists() or os.access(path, os.W_OK))
 
 
 def plain_reason(message: str, path: Path) -> str:
-    """SQLite's words on a file, and plainer ones where its disk is full: it says "disk I/O error" of that, too."""
+    """SQLite's message, plainer for a full disk, which it calls "disk I/O error" too."""
     if message != "disk I/O error":
         return message
     try:
@@ -219,7 +213,7 @@ def plain_reason(message: str, path: Path) -> str:
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
-    """What tells one file from another; None where there is none."""
+    """Device and inode; None for no file."""
     with suppress(OSError):
         found = os.stat(path)
         return found.st_dev, found.st_ino
@@ -227,14 +221,9 @@ def _identity(path: Path) -> tuple[int, int] | None:
 
 
 def lost_in_log(path: Path) -> str | None:
-    """What was saved into a journal's log and cannot be read back from it, in a clause; None where there is nothing.
+    """Loss in a journal's log, in a clause; None for none.
 
-    Others may write while it is read: what was only half written then is there on another try.
-
-    Parameters
-    ----------
-    path : Path
-        Of the journal.
+    Written frames that are half done at the first look are whole at another.
     """
     found, seen = None, b""
     with suppress(OSError):
@@ -286,7 +275,7 @@ def _lost(log: bytes, index: bytes) -> str | None:
 
 
 def _frames_saved(index: bytes, salt: bytes) -> int | None:
-    """How many frames the log's index says are saved; None where it is of another log, or cannot be read."""
+    """Count of saved frames by the log's index; None for an index of another log."""
     if len(index) < 2 * _INDEX:
         return None
     words = np.frombuffer(index[:_INDEX], np.uint32)
@@ -295,7 +284,7 @@ def _frames_saved(index: bytes, salt: bytes) -> int | None:
 
 
 def _sums(words: np.ndarray, before: np.ndarray | None = None) -> np.ndarray:
-    """Checksums of rows of 32-bit words: (N, 2), from those (N, 2) before them.
+    """Checksums (N, 2) of rows of 32-bit words, from those before.
 
     A step is s' = M s + B w, modulo 2^32; so all of a row's are one product.
     """
@@ -309,7 +298,7 @@ def _sums(words: np.ndarray, before: np.ndarray | None = None) -> np.ndarray:
 
 @lru_cache
 def _weights(length: int) -> tuple[np.ndarray, np.ndarray]:
-    """What the sums before (2, 2) and each word (2, length) count for in the sums after."""
+    """Weights of the sums before (2, 2), and of each word (2, length)."""
     terms = np.zeros((2, length), np.uint32)
     # For each pair of words: s0 += w0 + s1, s1 += w1 + s0. `power` is what the sums after a pair count for at the end.
     power = np.eye(2, dtype=np.uint32)
@@ -327,9 +316,9 @@ _ESCAPE = re.compile(r"\\([0-7]{3})")
 
 
 def network_file_system(path: str | Path, mounts: str | Path = "/proc/self/mounts") -> str | None:
-    """The kind of network file system that a path lies on; None where it is a local one or cannot be known.
+    """Kind of network file system of a path; None for a local one.
 
-    SQLite's write-ahead log needs memory that all writers share, and so one machine (sqlite.org/wal.html).
+    SQLite's write-ahead log needs shared memory, and so one machine (sqlite.org/wal.html).
     """
     try:
         lines = Path(mounts).read_text(encoding="utf-8", errors="replace").splitlines()

@@ -39,60 +39,49 @@ Run = Callable[..., list[Any]]
 
 
 class Store(Protocol):
-    """A database that holds a journal: an SQLite file, or PostgreSQL. Shared by threads.
+    """Database of a journal: an SQLite file, or PostgreSQL; shared by threads."""
 
-    Attributes
-    ----------
-    location : str
-        Where it is, without a password.
-    server : bool
-    selected : str
-        How a column of JSON is selected, so that it comes as text.
-    zone : str
-        What ends a time that is written.
-    """
-
-    location: str
+    location: str  # without a password
     server: bool
-    selected: str
-    zone: str
+    selected: str  # select expression of a JSON column, as text
+    zone: str  # end of a written time
 
     @property
     def writable(self) -> bool:
-        """False where the folder or the file may not be written to."""
+        """False for a folder or file without write permission."""
         ...
 
     def settle(self) -> None:
-        """Set what is set once for a database, so that what is saved is on the disk."""
+        """Set the durable write-ahead log, once for a database."""
         ...
 
     def reading(self, fresh: bool = False) -> AbstractContextManager[Run]:
-        """A transaction that sees one moment and waits for no writer; `fresh` reads nothing from memory."""
+        """Begin a snapshot that waits for no writer; `fresh` drops cached pages."""
         ...
 
     def writing(self) -> AbstractContextManager[Run]:
-        """A transaction whose turn it is to write; when the block ends, what it wrote is on the disk."""
+        """Begin a transaction in the writer's turn, synced to disk at the end of the block."""
         ...
 
     def tables(self, run: Run) -> set[str]:
-        """The names of all tables."""
+        """Names of all tables."""
         ...
 
     def create(self, run: Run, first: str) -> None:
-        """Make the tables, and what refuses to change or remove events; the first event is chained to `first`."""
+        """Make the tables, and the triggers that refuse changes; `first` is the hash before the first event."""
         ...
 
     def keep(self, run: Run) -> str:
-        """Copy a journal of version 1; the name of the copy."""
+        """Copy a version 1 journal; return the name of the copy."""
         ...
 
     def close(self) -> None:
-        """Let go of the database; it is opened again when it is needed."""
+        """Close all connections; the next use opens new ones."""
         ...
 
 
 def made(id_type: str, time_type: str) -> list[str]:
-    """The statements that make both tables, always in the same words."""
+    """Statements that make both tables, always in the same words."""
     columns = ", \n\t".join(_EVENTS).format(id=id_type, time=time_type)
     head = ", \n\t".join(_HEAD)
     indexes = [f"CREATE INDEX events_of_{name} ON events ({some})" for name, some in _INDEXES.items()]
@@ -100,12 +89,12 @@ def made(id_type: str, time_type: str) -> list[str]:
 
 
 def fingerprint(statements: Iterable[str]) -> str:
-    """Of the statements that made the tables: 64 hexadecimal digits."""
+    """Hash of the statements that made the tables: 64 hexadecimal digits."""
     return hashlib.sha256("\n".join(statements).encode("utf-8", "surrogateescape")).hexdigest()
 
 
 def version_of(store: Store, run: Run) -> int | None:
-    """The version of a journal's tables; None of an empty database, 0 of one that holds something else."""
+    """Version of a journal's tables; None for an empty database, 0 for another program's."""
     found = store.tables(run)
     if "journal_head" in found:
         return int(run("SELECT version FROM journal_head")[0][0])
@@ -113,12 +102,12 @@ def version_of(store: Store, run: Run) -> int | None:
 
 
 def columns(names: Sequence[str], selected: str) -> str:
-    """A list of columns to select."""
+    """List of columns to select."""
     return ", ".join(selected.format(f'"{name}"') if name in JSON else f'"{name}"' for name in names)
 
 
 def row_of(names: Sequence[str], values: Sequence[Any], parse: Callable[[str], Any] = json.loads) -> dict[str, Any]:
-    """An event as it was saved; TypeError, ValueError or RecursionError where a column holds what is no value of it."""
+    """Parse an event; TypeError, ValueError or RecursionError for a wrong value."""
     row = dict(zip(names, values, strict=True))
     for name in JSON:
         # SQLite keeps JSON's numbers as numbers.
@@ -133,13 +122,13 @@ def row_of(names: Sequence[str], values: Sequence[Any], parse: Callable[[str], A
 
 
 def rows(store: Store, run: Run, where: str = "", *values: Any, names: Sequence[str] = CONTENT) -> list[dict[str, Any]]:
-    """Events; `where` is what follows the table's name."""
+    """Select events; `where` follows the table's name."""
     found = run(f"SELECT {columns(names, store.selected)} FROM events {where}", *values)
     return [row_of(names, row) for row in found]
 
 
 def write_rows(store: Store, run: Run, events: Iterable[Row], last: Head = NOTHING) -> list[dict[str, Any]]:
-    """Chain events to the last one, write them into a journal, and say which is the last one now."""
+    """Chain events to the last one, insert them, and update the head; return them with hashes."""
     made = chained(last.hash, events)
     statement = f"INSERT INTO events ({columns(STORED, '{}')}) VALUES ({', '.join('?' * len(STORED))})"
     for row in made:
@@ -155,11 +144,11 @@ def write_rows(store: Store, run: Run, events: Iterable[Row], last: Head = NOTHI
 
 
 def head_of(run: Run) -> Head | None:
-    """What the journal says of its last event; None where it says nothing."""
+    """Last event by the head; None for no single head."""
     found = run("SELECT events, last, hash FROM journal_head")
     return Head(*found[0]) if len(found) == 1 else None
 
 
 def begin(run: Run, first: str, tables: str = "") -> None:
-    """Write the head of a new journal; `tables` is the fingerprint of its tables."""
+    """Insert the head of a new journal; `tables` is the fingerprint."""
     run("INSERT INTO journal_head VALUES (1, ?, 0, 0, ?, ?)", VERSION, first, tables)

@@ -54,13 +54,7 @@ Annotations = dict[int, tuple[str, int]]
 
 
 def load_coco(path: Path) -> Any:
-    """The content of a JSON file.
-
-    Raises
-    ------
-    InputError
-        Missing, too large, or no JSON.
-    """
+    """Read a JSON file; InputError for a missing, too large or invalid one."""
     with as_input_error(
         "not a readable JSON file", OSError, ValueError, MemoryError, got=lambda e: str(e)[:100], path=path
     ):
@@ -68,20 +62,20 @@ def load_coco(path: Path) -> Any:
 
 
 def listed(content: Any, key: str, name: str) -> list[Any]:
-    """A list in a file; InputError where it is none."""
+    """List in a file; InputError for none."""
     found: Any = content.get(key) if isinstance(content, dict) else None
     require(isinstance(found, list), f"{name} lacks the list {key!r}", cause="is it COCO?")
     return found
 
 
 def entries(rows: list[Any], what: str, key: str = "id") -> Iterator[tuple[str, Any]]:
-    """The rows of a list, each with what a message calls it: by its key, else by its index in the list."""
+    """Rows of a list, each with its name in messages."""
     for index, row in enumerate(rows):
         yield f"{what} {row.get(key) if isinstance(row, dict) else index!r}", row
 
 
 def base_of(content: Any) -> Any:
-    """What a file says of the state that it was exported from; None where it says nothing."""
+    """State that a file names as exported from; None for none."""
     info = content.get("info") if isinstance(content, dict) else None
     return info.get("base") if isinstance(info, dict) else None
 
@@ -96,16 +90,10 @@ def read_instances(
     crowds: bool,
     outline: float,
 ) -> None:
-    """Read `instances.json`; raises InputError where it is no COCO at all.
+    """Read `instances.json` into claims; InputError for no COCO at all.
 
-    Parameters
-    ----------
-    reject_deleted : bool
-        An object that the file lacks, in a picture that it has, is rejected.
-    crowds : bool
-        New annotations with `iscrowd` 1 are objects too.
-    outline : float
-        Pixels by which a polygon may differ from the mask that was exported.
+    `reject_deleted` rejects objects that a listed picture lacks, `crowds` takes new annotations with `iscrowd` 1,
+    `outline` is the tolerance of polygons in pixels.
     """
     state = state_of(base_of(content))
     categories = _categories(listed(content, "categories", name), name, claims)
@@ -150,7 +138,7 @@ def read_instances(
 
 
 def images_of(images: list[Any], name: str, claims: Claims) -> dict[int, str]:
-    """Frames by the id of their image; what is wrong with an image is a problem of the file."""
+    """Frames by image id; a wrong image is a problem of the file."""
     found: dict[int, str] = {}
     taken: set[str] = set()
     for where, image in entries(images, f"{name} image"):
@@ -194,7 +182,7 @@ def _categories(categories: list[Any], name: str, claims: Claims) -> dict[int, s
 
 
 def _stated(row: Row) -> Any:
-    """What an annotation says of its object: in the annotation, or among its attributes as tools keep it."""
+    """Object of an annotation, also among attributes, where tools keep it."""
     attributes = row.get("attributes")
     if row.get("object") is not None or not isinstance(attributes, dict):
         return row.get("object")
@@ -203,7 +191,7 @@ def _stated(row: Row) -> Any:
 
 
 def number_of(row: Row) -> int | None:
-    """The object that an annotation is of; None for a new one; InputError where it is no number."""
+    """Object number of an annotation; None for a new one; InputError for no number."""
     value = _stated(row)
     require(
         value is None or (type(value) is int and 0 <= value < 2**31), "object must be a number", got=Shown(value, 40)
@@ -213,7 +201,7 @@ def number_of(row: Row) -> int | None:
 
 @dataclass(frozen=True)
 class _Reader:
-    """Reads the annotations of one picture."""
+    """Reader of the annotations of one picture."""
 
     claims: Claims
     base: EffectiveFrame
@@ -221,7 +209,7 @@ class _Reader:
     outline: float
 
     def matched_by_overlap(self, found: list[tuple[str, Row]]) -> dict[int, int]:
-        """Objects by the index of annotations that lie where they lay; see the module."""
+        """Objects by the index of overlapping annotations; see the module."""
         from scipy.optimize import linear_sum_assignment
 
         boxes: dict[int, list[float]] = {}
@@ -245,7 +233,7 @@ class _Reader:
         return matched
 
     def row_of(self, row: Row, number: int | None) -> Row:
-        """An annotation as a row of objects: of one that was exported, only what is not as it was."""
+        """Convert an annotation to a row of objects; of an exported one only changes."""
         category: Any = row.get("category_id")
         require(type(category) is int and category in self.categories, "no such category", got=Shown(category, 40))
         label = self.categories[category]
@@ -264,7 +252,7 @@ class _Reader:
         return found | self._rectangle(row, was, drawn)
 
     def _place(self, row: Row, pixels: np.ndarray | None, *, boxed: bool) -> Row:
-        """What a new object is made of beside its 3D box."""
+        """Mask or 2D box of a new object."""
         require(pixels is None or pixels.any(), "the mask is empty")
         if pixels is not None and not is_rectangle(row["segmentation"]):
             return {"mask": encode_run_length(pixels)}
@@ -279,7 +267,7 @@ class _Reader:
         return same_outline(before, pixels, self.outline) if polygons else bool((before == pixels).all())
 
     def _rectangle(self, row: Row, was: Row, drawn: np.ndarray | None) -> Row:
-        """The 2D box, where it was changed on purpose: that of a new mask follows from it."""
+        """2D box changed on purpose; that of a new mask follows from it."""
         if "bbox" not in row:
             return {}
         box, before = rectangle_of(row["bbox"]), list(was["bbox"])
@@ -298,7 +286,7 @@ class _Reader:
 
 
 def _box3d(value: Any) -> Row:
-    """As a row of objects has it: R row by row in one list; null where there is none."""
+    """Columns of a 3D box, R row by row; null for none."""
     if value is None:
         return dict.fromkeys(BOX_COLUMNS)
     require(isinstance(value, dict), "box3d is center, size and R", got=repr(value)[:40])
@@ -315,13 +303,7 @@ def _box3d(value: Any) -> Row:
 
 
 def annotated(instances: Any, name: str, claims: Claims) -> tuple[dict[int, str], Annotations, Any]:
-    """Frames by image, objects by annotation, and the state that `info` names.
-
-    Raises
-    ------
-    InputError
-        No COCO, or annotations that do not say which object they are of.
-    """
+    """Frames by image, objects by annotation, and the stated base; InputError for no COCO."""
     frames = images_of(listed(instances, "images", name), name, claims)
     found: Annotations = {}
     for row in listed(instances, "annotations", name):
@@ -384,7 +366,7 @@ def read_relations(
 
 
 def _pairs(image: Row, base: EffectiveFrame, annotations: Annotations) -> dict[tuple[int, int], Row]:
-    """The columns of an image as rows by pair."""
+    """Convert the columns of an image to rows by pair."""
     a, b = (_objects(image.get(end), base.frame, annotations, end) for end in ("a", "b"))
     columns = {r: image[r] for r in PAIRWISE if r in image}
     for relation, states in columns.items():

@@ -41,35 +41,15 @@ ANSWERS = ("targets", "acceptable", "ambiguous")
 
 @dataclass(frozen=True)
 class ImportConfig:
-    """How a file is imported.
+    """Settings of an import."""
 
-    Attributes
-    ----------
-    format : {"coco", "jsonl"}, optional
-        By the file's name where it is not given.
-    base : str, optional
-        The folder of the export that the file came from, or "now", in place of what the file says.
-    deleted : {"keep", "reject"}
-        What becomes of objects that the file lacks, in frames that it has.
-    crowds : bool
-        New COCO annotations with `iscrowd` 1 are objects.
-    outline : float
-        Pixels by which a polygon may differ from the mask that was exported, and be the same.
-    skip_conflicts : bool
-        Save what no later correction stands against.
-    reason : str
-        Kept with each edit; the file's name where it is empty.
-    dry_run : bool
-        Save nothing.
-    """
-
-    format: Literal["coco", "jsonl"] | None = None
-    base: str | None = None
-    deleted: Literal["keep", "reject"] = "keep"
-    crowds: bool = False
-    outline: float = 1.5
-    skip_conflicts: bool = False
-    reason: str = ""
+    format: Literal["coco", "jsonl"] | None = None  # by default by the file's name
+    base: str | None = None  # folder of the export, or "now", in place of what the file says
+    deleted: Literal["keep", "reject"] = "keep"  # of objects that listed frames lack
+    crowds: bool = False  # take new annotations with `iscrowd` 1
+    outline: float = 1.5  # pixels
+    skip_conflicts: bool = False  # save the others
+    reason: str = ""  # by default the file's name
     dry_run: bool = False
 
     def __post_init__(self) -> None:
@@ -78,31 +58,14 @@ class ImportConfig:
 
 @dataclass(frozen=True)
 class ImportReport:
-    """What an import did, or would do.
+    """Result of an import, or of a dry run."""
 
-    Attributes
-    ----------
-    compared : int
-        Rows and annotations of the file.
-    edits : tuple of Edit
-        What differs from what was exported, and is to be saved.
-    saved : Saved or None
-        None where nothing was: a dry run, nothing to save, problems or conflicts.
-    agreed : int
-        Differences that the labels have by now.
-    conflicts : tuple of str
-        One line each. Without `skip_conflicts`, any of them keeps everything from being saved.
-    problems : tuple of str
-        One line each, with file and line or annotation. Any of them keeps everything from being saved.
-    notes : tuple of str
-    """
-
-    compared: int
-    edits: tuple[Edit, ...]
+    compared: int  # rows and annotations
+    edits: tuple[Edit, ...]  # differences from the export
     saved: Saved | None
-    agreed: int
-    conflicts: tuple[str, ...]
-    problems: tuple[str, ...]
+    agreed: int  # differences that the labels have by now
+    conflicts: tuple[str, ...]  # keep everything from being saved, without `skip_conflicts`
+    problems: tuple[str, ...]  # keep everything from being saved
     notes: tuple[str, ...]
 
 
@@ -115,27 +78,11 @@ def import_corrections(
     *,
     open_dataset: Callable[[], Dataset | None] | None = None,
 ) -> ImportReport:
-    """Turn what somebody changed in an export into events of the journal, in one action, or save nothing.
+    """Save the changes that somebody made in an export as one action, or nothing.
 
-    Parameters
-    ----------
-    labels : Labels
-        The automatic labels that the journal is of.
-    journal : Journal or None
-        None where there is none yet: then nothing can be saved.
-    path : str or Path
-        A file of a COCO or JSONL export, or the folder of one.
-    author : str
-    config : ImportConfig, optional
-    open_dataset : callable, optional
-        Gives the dataset; called where the export holds what follows from corrected pixels.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or is not of these labels or this journal.
-    NotSaved
-        As `Journal.append`.
+    `path` is a file or folder of a COCO or JSONL export; without `journal` nothing can be saved; `open_dataset` is
+    called where the export holds what follows from corrected pixels. InputError for an unreadable file, or one of other
+    labels or another journal; NotSaved as `Journal.append`.
     """
     config = config or ImportConfig()
     author = plain_text(author, "an author", LONGEST_NAME)
@@ -222,7 +169,7 @@ def _in_file(path: Path) -> Iterator[None]:
 
 
 class _Source:
-    """What a file was exported from: as the user says, as the file says, as the export says that it lies in."""
+    """Base of a file: as the user says, as the file says, or as its folder says."""
 
     def __init__(self, states: States, given: Path, base: str | None) -> None:
         self._states = states
@@ -231,7 +178,7 @@ class _Source:
         self._known: dict[Any, ExportedFrom] = {}
 
     def state(self, stated: Any) -> ExportedFrom:
-        """The state that a row or a file names; InputError where none is named or it cannot be used."""
+        """State named by a row or file; InputError for none, or an unknown one."""
         key = stated if isinstance(stated, str) else None
         if key not in self._known:
             told = None if stated is None or self._given is not None else ExportedFrom.parse(stated)
@@ -270,17 +217,9 @@ def import_record(report: ImportReport) -> dict[str, Any]:
 
 
 def settle(claims: Claims, reason: str) -> tuple[list[Edit], list[str], int]:
-    """Make edits of claims, and tell those that somebody's later correction stands against.
+    """Make edits of claims; return edits, contradictions (a line each), and the count of claims already fulfilled.
 
     A claim that cannot be done becomes a problem of the file.
-
-    Returns
-    -------
-    edits : list of Edit
-    contradictions : list of str
-        A line each: a value that was corrected here since the file was exported, and that the file has otherwise.
-    agreed : int
-        Claims that the labels fulfil by now.
     """
     edits: dict[FieldRef, tuple[Edit, str]] = {}
     contradictions: list[str] = []
@@ -306,7 +245,7 @@ def settle(claims: Claims, reason: str) -> tuple[list[Edit], list[str], int]:
 
 
 def _contradiction(where: str, edit: Edit, exported: Any, claims: Claims) -> str:
-    """An edit that somebody's later correction stands against, or what follows from one."""
+    """Word an edit that a later correction, or its consequence, stands against."""
     event = claims.states.newest(edit.ref.frame, edit.ref)
     by = "it was recomputed since"
     if event is not None:
@@ -316,7 +255,7 @@ def _contradiction(where: str, edit: Edit, exported: Any, claims: Claims) -> str
 
 
 def _grouped(claims: Iterable[Claim]) -> list[list[Claim]]:
-    """Claims that are one action together: the answers of an expression; in the order of their frames."""
+    """Group claims into actions (the answers of an expression are one), by frame."""
 
     def action(claim: Claim) -> Any:
         ref = claim.ref
@@ -327,7 +266,7 @@ def _grouped(claims: Iterable[Claim]) -> list[list[Claim]]:
 
 
 def _gone(ref: FieldRef, base: EffectiveFrame, now: EffectiveFrame, claims: Claims) -> str | None:
-    """Why there is nothing to correct any more, where it was taken away here since."""
+    """Reason why nothing is left to correct, where it was taken away since."""
     if ref.kind in ("object", "relation") and ref.field not in ("status", "exists"):
         for number in ref.numbers:
             if number in base.objects and number not in now.objects:
@@ -367,7 +306,7 @@ def _edits(group: Sequence[Claim], base: EffectiveFrame, now: EffectiveFrame, re
 
 
 def _answers(claimed: dict[str, Any], name: str, now: EffectiveFrame, reason: str) -> tuple[Edit, ...]:
-    """Targets are acceptable: where only one of the two lists was changed, the other follows."""
+    """Edit answers; where one list was changed, the other follows."""
     if set(claimed) == {"ambiguous"}:
         return actions.set_ambiguous(now, name, claimed["ambiguous"], reason)
     row = now.expressions.get(name) or now.auto.expressions[name]

@@ -35,13 +35,7 @@ _CONTEXT = {"frame", "frame_index", "base", "made_by", "provenance"}
 
 
 def read_lines(path: Path, claims: Claims, state_of: StateOf, *, reject_deleted: bool) -> None:
-    """Read one file of rows, of one table or of several.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, holds no text, or comes from a state of the labels that is not known here.
-    """
+    """Read a file of rows of one table or several; InputError for an unreadable file or an unknown state."""
     table = path.stem if path.stem in TABLES else None
     seen: dict[str, tuple[set[int], ExportedFrom]] = {}
     twice: set[int] = set()
@@ -69,7 +63,7 @@ def read_lines(path: Path, claims: Claims, state_of: StateOf, *, reject_deleted:
 
 
 def take_row(kind: str, where: str, row: Row, frame: str, state: ExportedFrom, claims: Claims) -> None:
-    """Compare a row of a table with what was exported of it; InputError where it cannot be compared."""
+    """Compare a row of a table with the exported state; InputError where impossible."""
     claims.compared += 1
     if kind == "objects":
         _object(where, row, frame, state, claims)
@@ -156,7 +150,7 @@ def _object(where: str, row: Row, frame: str, state: ExportedFrom, claims: Claim
 
 
 def same_mask(code: Any, was: str | None, size: tuple[int, int]) -> bool:
-    """Whether two codes are of the same pixels; one that is none is of no others."""
+    """Compare the pixels of two codes; an invalid code equals no other."""
     if code == was or not isinstance(code, str) or was is None:
         return code == was
     with suppress(InputError):
@@ -192,7 +186,7 @@ def _relation(where: str, row: Row, frame: str, state: ExportedFrom, claims: Cla
 def _state(
     where: str, base: EffectiveFrame, cell: tuple[int, int, str], value: Any, state: ExportedFrom, claims: Claims
 ) -> None:
-    """The state of a relation; one that the labels do not hold may be there as it was exported."""
+    """Claim a changed state of a relation; unchanged states of unlabelled relations pass."""
     # Nearly all of an export's cells are as they were: only one that is not gets a reference.
     if value == base.pairs.state(*cell) and type(value) in (int, type(None)):
         return

@@ -17,7 +17,7 @@ LONGEST_OUTLINE = 2e6
 
 
 def rectangle_of(value: Any) -> list[float]:
-    """x0, y0, x1, y1 of COCO's x, y, width, height; InputError where it is none."""
+    """Corners x0, y0, x1, y1 of COCO's x, y, width, height; InputError for none."""
     sound = isinstance(value, list) and len(value) == 4 and all(type(x) in (int, float) for x in value)
     # Beyond 1e9 is no picture; NaN is not below it either.
     require(
@@ -30,7 +30,7 @@ def rectangle_of(value: Any) -> list[float]:
 
 
 def bounds_of(corners: np.ndarray) -> list[float]:
-    """The rectangle around corners, (N, 2)."""
+    """Bounding rectangle of corners (N, 2)."""
     return [*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()]
 
 
@@ -39,12 +39,8 @@ def near(one: Sequence[float], other: Sequence[float], slack: float) -> bool:
 
 
 def mask_of(segmentation: Any, size: tuple[int, int]) -> np.ndarray | None:
-    """(H, W) bool of COCO's `segmentation`; None where it is empty or absent.
-
-    Raises
-    ------
-    InputError
-        It is neither a run-length code of that size nor a list of polygons.
+    """Mask (H, W) bool of COCO's `segmentation`; None for an empty one; InputError for no code or polygons of that
+    size.
     """
     if segmentation in (None, [], {}):
         return None
@@ -58,7 +54,7 @@ def mask_of(segmentation: Any, size: tuple[int, int]) -> np.ndarray | None:
 
 
 def polygons_of(segmentation: Any) -> list[np.ndarray]:
-    """(N, 2) float64 corners of each polygon, N >= 3; InputError where it is none."""
+    """Corners (N, 2) float64 of each polygon, N >= 3; InputError for none."""
     require(
         isinstance(segmentation, list),
         "a segmentation is a run-length code or a list of polygons",
@@ -77,7 +73,7 @@ def polygons_of(segmentation: Any) -> list[np.ndarray]:
 
 
 def polygon_mask(polygons: list[np.ndarray], size: tuple[int, int]) -> np.ndarray:
-    """(H, W) bool: the pixels inside any of the polygons, as the COCO API has them."""
+    """Mask (H, W) bool of the pixels inside any polygon, as the COCO API has them."""
     clipped = [np.clip(p, 0, np.array(size[::-1], np.float64)) for p in polygons]
     length = sum(float(np.abs(np.diff(p, axis=0, append=p[:1])).max(axis=1).sum()) + len(p) for p in clipped)
     require(
@@ -88,11 +84,10 @@ def polygon_mask(polygons: list[np.ndarray], size: tuple[int, int]) -> np.ndarra
 
 
 def same_outline(mask: np.ndarray, other: np.ndarray, tolerance: float) -> bool:
-    """Whether a mask made from polygons is another mask, but for rounding.
+    """Compare a mask made from polygons with another, but for rounding.
 
-    Polygons know no holes, and what draws them moves edges by up to a pixel:
-    what one has beyond the other, holes filled, must lie within `tolerance`
-    pixels of the other's edge.
+    Polygons know no holes, and drawing moves edges by up to a pixel: differences, holes filled, must lie within
+    `tolerance` pixels of the other's edge.
     """
     rows, columns = np.nonzero(mask | other)
     if not len(rows):
@@ -114,7 +109,7 @@ def _filled(mask: np.ndarray) -> np.ndarray:
 
 
 def is_rectangle(segmentation: Any) -> bool:
-    """Whether it is one polygon, an upright rectangle: how a 2D box is exported where there is no mask."""
+    """True for one upright rectangular polygon: the export of a 2D box without a mask."""
     if not isinstance(segmentation, list) or len(segmentation) != 1:
         return False
     (corners,) = polygons_of(segmentation)

@@ -29,16 +29,9 @@ MOST_PROBLEMS = 1_000
 
 
 class States:
-    """The states of labels that a journal has been through.
+    """States of labels that a journal has been through.
 
-    Parameters
-    ----------
-    labels : Labels
-        The automatic ones.
-    events : sequence of Event
-        All of the journal, in the order of their saving.
-    open_dataset : callable, optional
-        Gives the dataset, or None where it is not at hand; called when it is needed.
+    `events` are all of the journal in the order of their saving; `open_dataset` gives the dataset or None, when needed.
     """
 
     def __init__(
@@ -58,18 +51,12 @@ class States:
 
     @property
     def now(self) -> ExportedFrom:
-        """The newest state; computed with the dataset where any correction needs it and it is at hand."""
+        """Newest state; with the dataset where a correction needs it."""
         full = self._pixels and self._corrector(True) is not None
         return ExportedFrom(self.version, None if self._last is None else self._last.ulid, full)
 
     def check(self, state: ExportedFrom) -> None:
-        """Refuse a state that these labels and their journal have never been in, or that cannot be computed again.
-
-        Raises
-        ------
-        InputError
-            Labels that were made again since, another journal, or the dataset is needed and not at hand.
-        """
+        """Refuse a state of other labels or another journal, or one that needs the missing dataset."""
         require(
             state.labels == self.version, "the file was exported from other automatic labels", got=state.labels,
             expected=self.version, cause="were the labels made again since?", path=self.labels.root,
@@ -84,15 +71,15 @@ class States:
         )  # fmt: skip
 
     def frame(self, frame: str, state: ExportedFrom) -> EffectiveFrame:
-        """A frame as it was in a state that `check` let pass."""
+        """Frame in a checked state."""
         return self._at(frame, 0 if state.event is None else self._id_of[state.event], state.relifted)
 
     def frame_now(self, frame: str, like: ExportedFrom) -> EffectiveFrame:
-        """A frame with all corrections, computed in the same way as that state."""
+        """Frame with all corrections, computed as in that state."""
         return self._at(frame, 0 if self._last is None else self._last.id, like.relifted)
 
     def newest(self, frame: str, ref: object) -> Event | None:
-        """The newest event of a cell."""
+        """Newest event of a cell."""
         return next((e for e in reversed(self._events.get(frame, ())) if e.ref == ref), None)
 
     def _at(self, frame: str, last: int, relifted: bool) -> EffectiveFrame:
@@ -115,22 +102,12 @@ class States:
 
 
 class TooManyProblems(Exception):
-    """Reading on would tell nothing new."""
+    """Stop of a reading that tells nothing new."""
 
 
 @dataclass(frozen=True)
 class Claim:
-    """A value that is not the one that was exported.
-
-    Attributes
-    ----------
-    where : str
-        File, and line or annotation.
-    ref : FieldRef
-    value : JSON value
-    base : ExportedFrom
-        What it is a correction of.
-    """
+    """Value that differs from the exported one; `where` is file and line or annotation, `base` the exported state."""
 
     where: str
     ref: FieldRef
@@ -140,37 +117,24 @@ class Claim:
 
 @dataclass
 class Claims:
-    """Everything that reading a file brings.
-
-    Attributes
-    ----------
-    states : States
-    found : dict of FieldRef to Claim
-    problems : list of str
-        Each names its place in the file.
-    ignored : Counter of str
-        Values that differ and cannot be corrected, by column.
-    notes : Counter of str
-    compared : int
-        Rows or annotations that were read.
-    """
+    """Result of reading a file; `compared` counts rows and annotations."""
 
     states: States
     found: dict[FieldRef, Claim] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
-    ignored: Counter[str] = field(default_factory=Counter)
+    ignored: Counter[str] = field(default_factory=Counter)  # differing values that cannot be corrected, by column
     notes: Counter[str] = field(default_factory=Counter)
     compared: int = 0
 
     def problem(self, where: str, what: object) -> None:
-        """Note what is wrong with the file."""
+        """Note a fault of the file."""
         self.problems.append(f"{where}: {what}")
         if len(self.problems) >= MOST_PROBLEMS:
             raise TooManyProblems
 
     @contextmanager
     def reading(self, where: str) -> Iterator[None]:
-        """What cannot be read inside of the block is a problem of the file there."""
+        """Turn an InputError inside the block into a problem of the file."""
         try:
             yield
         except InputError as error:
@@ -178,14 +142,14 @@ class Claims:
 
     @contextmanager
     def stopping(self) -> Iterator[None]:
-        """Too many problems end the block, and are noted."""
+        """End the block after too many problems, and note so."""
         try:
             yield
         except TooManyProblems:
             self.notes[f"reading stopped after {MOST_PROBLEMS} problems"] += 1
 
     def say(self, where: str, ref: FieldRef, value: Any, state: ExportedFrom) -> None:
-        """A cell's value in the file; kept where it is not the exported one."""
+        """Claim a cell's value unless it is the exported one."""
         try:
             value = checked(ref, value)
         except InputError as error:
@@ -196,19 +160,19 @@ class Claims:
     def say_fields(
         self, where: str, row: Mapping[str, Any], ref: FieldRef, fields: Iterable[str], state: ExportedFrom
     ) -> None:
-        """Those of the fields of a cell's entity that a row of the file has."""
+        """Claim the fields that a row has."""
         for name in fields:
             if name in row:
                 self.say(where, replace(ref, field=name), row[name], state)
 
     def put(self, claim: Claim) -> None:
-        """Keep a claim; a second one on the same cell must say the same."""
+        """Keep a claim; a second one of the same cell must agree."""
         before = self.found.setdefault(claim.ref, claim)
         if before is not claim and not same_value(before.value, claim.value):
             self.problem(claim.where, f"says otherwise of {claim.ref} than {before.where}")
 
     def say_new(self, where: str, frame: str, seed: dict[str, Any], state: ExportedFrom) -> None:
-        """An object that was not exported. Its number follows from what is said of it: a second import adds nothing."""
+        """Claim a new object; its number follows from its content, so that a second import adds nothing."""
         try:
             seed = checked(object_ref(frame, FIRST_NEW_OBJECT, "exists"), seed)
         except InputError as error:
