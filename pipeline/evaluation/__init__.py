@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from pipeline.evaluation.run_folder import Run, open_run, spec_record
     from pipeline.evaluation.search import complete, find_failures, find_rows
     from pipeline.evaluation.search_words import quote
+    from pipeline.evaluation.sentence_files import Sentence, SentenceFile, read_sentence_file
     from pipeline.evaluation.sentence_report import SentenceReport, evaluate_sentences
-    from pipeline.evaluation.sentences import Sentence, SentenceFile, read_sentence_file
     from pipeline.evaluation.shared_makers import AGREEMENT, PERFECT, scorer_share, shares_of_run, title_of
     from pipeline.evaluation.slices import Slices, slice_by, slice_table
     from pipeline.evaluation.summary import RunSummary, cost_words, summarise_run

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.answering.objects import PreparedFrame
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.evaluation.relation_cases import (
     FramePairs,
     RelationSpec,
@@ -26,9 +26,9 @@ from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.metrics.splits import DROPPED, PARTS
 from pipeline.relations.model import OnnxScorer
-from pipeline.system.arrow import pa
+from pipeline.system.arrow import pa, pc
 from pipeline.system.errors import InputError
-from pipeline.system.safe_files import open_parquet, parse_json, read_parquet
+from pipeline.system.safe_files import parse_json, read_parquet
 from pipeline.training.label_data import parts_seen
 
 FILE = "relation_records.parquet"
@@ -166,29 +166,21 @@ def _rows(
     found: Sequence[np.ndarray],
     labels: Labels,
 ) -> pa.Table:
-    count = len(pairs.a)
+    names, called = np.array(pairs.labels, object), [s.name for s in systems]
+    columns = {
+        "frame": [pairs.key.frame] * len(pairs.a), "frame_index": [pairs.key.index] * len(pairs.a),
+        "scene": [pairs.key.scene] * len(pairs.a), "a": pairs.numbers[pairs.a], "b": pairs.numbers[pairs.b],
+        "label_a": names[pairs.a], "label_b": names[pairs.b],
+        "state": _struct(pairs.relations, pairs.states.T),
+        "p": _struct(called, [_struct(s.relations, p.T) for s, p in zip(systems, found, strict=True)]),
+        "learnt_from": _struct(called, [[_part_of(s, pairs, labels)] * len(pairs.a) for s in systems]),
+    }  # fmt: skip
+    return pa.Table.from_arrays([pa.array(c, schema.field(n).type) for n, c in columns.items()], schema=schema)
 
-    def struct(values: list[Any], names: Sequence[str]) -> Any:
-        return pa.StructArray.from_arrays(values, names=list(names))
 
-    names = [np.array(pairs.labels, object)[end].tolist() for end in (pairs.a, pairs.b)]
-    text = [
-        struct([pa.array(p[:, k], pa.float32()) for k in range(len(s.relations))], s.relations)
-        for s, p in zip(systems, found, strict=True)
-    ]
-    learnt = [_part_of(s, pairs, labels) for s in systems]
-    columns = [
-        pa.array([pairs.key.frame] * count, pa.string()),
-        pa.array(np.full(count, pairs.key.index, np.int32)),
-        pa.array([pairs.key.scene] * count, pa.string()),
-        pa.array(pairs.numbers[pairs.a].astype(np.int32)),
-        pa.array(pairs.numbers[pairs.b].astype(np.int32)),
-        *(pa.array(n, pa.string()) for n in names),
-        struct([pa.array(pairs.states[:, k]) for k in range(len(pairs.relations))], pairs.relations),
-        struct(text, [s.name for s in systems]),
-        struct([pa.array([part] * count, pa.string()) for part in learnt], [s.name for s in systems]),
-    ]
-    return pa.Table.from_arrays(columns, schema=schema)
+def _struct(names: Sequence[str], columns: Iterable[Any]) -> pa.StructArray:
+    """Columns as one, by their names."""
+    return pa.StructArray.from_arrays([pa.array(c) for c in columns], names=list(names))
 
 
 def _part_of(system: RelationSystem, pairs: FramePairs, labels: Labels) -> str | None:
@@ -205,7 +197,7 @@ def read_pair_names(path: Path) -> list[tuple[str, str, str]]:
 
 
 def read_relation_records(path: Path) -> RelationRecords:
-    """Relation records as arrays, read piece by piece.
+    """Relation records as arrays.
 
     Raises
     ------
@@ -213,9 +205,8 @@ def read_relation_records(path: Path) -> RelationRecords:
         The file is missing, or is something else.
     """
     try:
-        file = open_parquet(path)
-        schema = file.schema_arrow
-        about = parse_json(schema.metadata[SYSTEMS_KEY], path)
+        rows = read_parquet(path, ["frame_index", "scene", "state", "p", "learnt_from"])
+        about = parse_json(rows.schema.metadata[SYSTEMS_KEY], path)
     except FileNotFoundError as error:
         cause = "was eval run with --tables grounding?"
         raise InputError("no relation records here", cause=cause, path=path) from error
@@ -223,30 +214,24 @@ def read_relation_records(path: Path) -> RelationRecords:
         raise
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise InputError("not a file of relation records", got=str(error).split("\n")[0], path=path) from error
-    with file:
-        count = file.metadata.num_rows
-        relations = tuple(field.name for field in schema.field("state").type)
-        states, frames = np.empty((count, len(relations)), np.int8), np.empty(count, np.int32)
-        scene, scenes = np.empty(count, np.int32), dict[str, int]()
-        p = [np.empty((count, len(s["relations"])), np.float32) for s in about]
-        parts = [np.empty(count, np.int8) for _ in about]
-        numbers = {None: DROPPED, **{name: k for k, name in enumerate(PARTS)}}
-        start = 0
-        for batch in file.iter_batches(columns=["frame_index", "scene", "state", "p", "learnt_from"]):
-            part = slice(start, start + batch.num_rows)
-            frames[part] = batch.column("frame_index").to_numpy()
-            scene[part] = [scenes.setdefault(s, len(scenes)) for s in batch.column("scene").to_pylist()]
-            for k, relation in enumerate(relations):
-                states[part, k] = batch.column("state").field(relation).to_numpy()
-            for s, system in enumerate(about):
-                text = batch.column("p").field(system["name"])
-                for k, relation in enumerate(system["relations"]):
-                    p[s][part, k] = text.field(relation).to_numpy()
-                learnt = batch.column("learnt_from").field(system["name"]).to_pylist()
-                parts[s][part] = [numbers[name] for name in learnt]
-            start = part.stop
+    frames, scenes, states, p, learnt = (column.combine_chunks() for column in rows.columns)
+    relations = tuple(field.name for field in states.type)
+    coded = scenes.dictionary_encode()
+    places = pa.array(PARTS)
     systems = tuple(
-        SystemRecords(s["name"], s["title"], tuple(s["relations"]), p[k], parts[k], tuple(s["prior"]))
-        for k, s in enumerate(about)
-    )
-    return RelationRecords(relations, states, frames, tuple(scenes), scene, systems)
+        SystemRecords(
+            s["name"], s["title"], tuple(s["relations"]), _matrix(p.field(s["name"]), s["relations"], np.float32),
+            pc.index_in(learnt.field(s["name"]), places).fill_null(DROPPED).to_numpy().astype(np.int8),  # pyright: ignore[reportAttributeAccessIssue]
+            tuple(s["prior"]),
+        )
+        for s in about
+    )  # fmt: skip
+    scene = coded.indices.to_numpy().astype(np.int32)
+    names = tuple(coded.dictionary.to_pylist())
+    return RelationRecords(relations, _matrix(states, relations, np.int8), frames.to_numpy(), names, scene, systems)
+
+
+def _matrix(rows: pa.StructArray, names: Sequence[str], kind: Any) -> np.ndarray:
+    """(P, K): the fields of a struct side by side."""
+    columns = [rows.field(name).to_numpy() for name in names]
+    return np.stack(columns, axis=1).astype(kind) if columns else np.zeros((len(rows), 0), kind)

@@ -12,12 +12,12 @@ from typing import Any, get_args
 
 import numpy as np
 
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.diagnosis.oracles import shown_oracle
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.costs import Deltas, oracle_deltas
-from pipeline.evaluation.published import ACC_AT
-from pipeline.evaluation.sentences import Judged, Outcome, SentenceFile, judge_sentences, read_sentence_file
+from pipeline.evaluation.sentence_files import ACC_AT, SentenceFile, read_sentence_file
+from pipeline.evaluation.sentences import Judged, Outcome, judge_sentences
 from pipeline.metrics.intervals import Estimate, share_estimate
 from pipeline.metrics.tables import Cell, Row, Table
 from pipeline.system.whole_files import check_target, staged_folder, text_file

@@ -2,195 +2,29 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, NonNegativeInt, model_validator
 
-from pipeline.answering.answer_words import best_pair, holds, pair_words, told, why_no_answer
+from pipeline.answering.answer_words import answer_words, best_pair, holds, pair_words, why_no_answer
 from pipeline.answering.ask import Trace
 from pipeline.answering.json_records import expression_record, present
 from pipeline.answering.objects import PreparedFrame, SceneObject
-from pipeline.answering.opening import Pipeline
-from pipeline.datasets.base import resolve_frame
+from pipeline.answering.pipeline import Pipeline
 from pipeline.diagnosis.answer import diagnosis_record
 from pipeline.diagnosis.asking import judge_sentence, truth_or_reason
 from pipeline.diagnosis.verdict import Diagnosis
-from pipeline.evaluation.published import SUFFIXES, acc_iou, published_sentences
-from pipeline.geometry.boxes import iou_2d
-from pipeline.labels.cases import HIT, FrameCases
+from pipeline.evaluation.sentence_files import Sentence, SentenceFile, of_line
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.viewer import ViewerAxes
+from pipeline.labels.cases import FrameCases
 from pipeline.language.unreadable import why_unread, why_unused
 from pipeline.system.errors import InputError, ServerError, require
-from pipeline.system.reading import checked
-from pipeline.system.safe_files import read_bytes
 
-UNSORTED = "unsorted"
-"""The kind of a sentence that names none."""
 Outcome = Literal["CORRECT", "PARSE", "REFUSED", "WRONG"]
-Point = tuple[FiniteFloat, FiniteFloat]
-Corners = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
-
-
-class _Line(BaseModel):
-    """A line of the file; further keys are let be."""
-
-    model_config = ConfigDict(strict=True, extra="ignore")
-    frame: str | NonNegativeInt
-    sentence: Annotated[str, Field(pattern=r"\S")]
-    kind: str | None = None
-    dataset: str | None = None
-    targets: tuple[NonNegativeInt, ...] | None = None
-    points: tuple[Point, ...] | None = None
-    point: Point | None = None
-    boxes: tuple[Corners, ...] | None = None
-
-    @model_validator(mode="after")
-    def _one_truth(self) -> _Line:
-        given = [name for name in ("targets", "points", "point", "boxes") if getattr(self, name) is not None]
-        if len(given) != 1:
-            raise ValueError(
-                f"one of targets, points and boxes says what is right, not {' and '.join(given) or 'none'}"
-            )
-        if any(x1 <= x0 or y1 <= y0 for x0, y0, x1, y1 in self.boxes or ()):
-            raise ValueError("a box is x0, y0, x1, y1 with x0 < x1 and y0 < y1")
-        return self
-
-
-@dataclass(frozen=True)
-class Sentence:
-    """A sentence with what is right. Of the last three one is given; empty, it says that nothing is right.
-
-    Attributes
-    ----------
-    line : int
-        Of the file, from 1.
-    frame : str
-        Id of the frame.
-    text, kind : str
-    targets : tuple of int or None
-        Indices of the acceptable annotations.
-    points : tuple of (u, v) or None
-        Pixels; a box that holds one is right.
-    boxes : tuple of (x0, y0, x1, y1) or None
-        Pixels; a box that overlaps one by half is right.
-    id : str
-        Its own in a published benchmark; else empty.
-    """
-
-    line: int
-    frame: str
-    text: str
-    kind: str
-    targets: tuple[int, ...] | None = None
-    points: tuple[Point, ...] | None = None
-    boxes: tuple[Corners, ...] | None = None
-    id: str = ""
-
-    @property
-    def nothing(self) -> bool:
-        """Whether nothing is right, so that a refusal is."""
-        return not (self.targets or self.points or self.boxes)
-
-    def accepts(self, entry: SceneObject, truth: np.ndarray, exact: bool) -> bool:
-        """Whether an object is a right answer.
-
-        Parameters
-        ----------
-        entry : SceneObject
-        truth : (T, 4) float
-            Boxes of the acceptable annotations, pixels.
-        exact : bool
-            The objects are the annotations themselves.
-        """
-        if self.points is not None:
-            x0, y0, x1, y1 = entry.bbox
-            return any(bool(x0 <= u < x1 and y0 <= v < y1) for u, v in self.points)
-        if self.targets is not None and exact:
-            return entry.id in self.targets
-        right = truth if self.boxes is None else np.array(self.boxes, np.float64).reshape(-1, 4)
-        return bool((iou_2d(entry.bbox[None], right) >= HIT).any())
-
-    def among(self, truth: FrameCases) -> np.ndarray:
-        """(K,) int64: indices of the annotated objects that are right; of several under a point the smallest."""
-        if self.targets is not None:
-            return np.flatnonzero(np.isin(truth.numbers, self.targets))
-        if self.boxes is not None:
-            right = np.array(self.boxes, np.float64).reshape(-1, 4)
-            return np.flatnonzero((iou_2d(truth.boxes, right) >= HIT).any(axis=1))
-        x0, y0, x1, y1 = truth.boxes.T
-        area = (x1 - x0) * (y1 - y0)
-        under = [(x0 <= u) & (u < x1) & (y0 <= v) & (v < y1) for u, v in self.points or ()]
-        return np.unique([int(np.where(hit, area, np.inf).argmin()) for hit in under if hit.any()]).astype(np.int64)
-
-
-@dataclass(frozen=True)
-class SentenceFile:
-    """The sentences of a file on one dataset, in their order; `skipped` counts those on each other dataset.
-
-    `published` says that it is a benchmark in its own form, which has its own metric.
-    """
-
-    path: Path
-    sentences: tuple[Sentence, ...]
-    skipped: dict[str, int]
-    published: bool = False
-
-
-def read_sentence_file(path: Path, source: Pipeline, name: str | None = None) -> SentenceFile:
-    """The sentences of a file of JSON lines that are about a dataset: those that name it, and those that name none; or
-    of a benchmark as it is published (`pipeline.evaluation.published`), told by its ending.
-
-    Parameters
-    ----------
-    path : Path
-    source : Pipeline
-    name : str, optional
-        The dataset's name; by default that of its folder.
-
-    Raises
-    ------
-    InputError
-        The file or a line of it cannot be read, a frame is not there, or no sentence is about this dataset.
-    """
-    if path.suffix in SUFFIXES:
-        rows, left_out = published_sentences(path, source.dataset)
-        sentences = tuple(
-            Sentence(r.line, r.frame, r.text, r.kind, None if r.target is None else (r.target,), None,
-                     None if r.box is None else (r.box,), r.id) for r in rows
-        )  # fmt: skip
-        return SentenceFile(path, sentences, left_out, published=True)
-    name = name or source.dataset.root.resolve().name
-    try:
-        lines = read_bytes(path, "text").removeprefix(b"\xef\xbb\xbf").split(b"\n")
-    except OSError as error:
-        raise InputError("the sentences cannot be read", got=error.strerror, path=path) from error
-    found: list[Sentence] = []
-    skipped: Counter[str] = Counter()
-    for number, text in enumerate(lines, start=1):
-        if not text.strip():
-            continue
-        line = checked(_Line.model_validate_json, text, f"line {number} cannot be used, at {{}}", path)
-        if line.dataset is not None and line.dataset != name:
-            skipped[line.dataset] += 1
-            continue
-        try:
-            frame = resolve_frame(source.dataset, line.frame)
-        except InputError as error:
-            raise _of_line(number, error, path) from error
-        points = line.points if line.point is None else (line.point,)
-        text_of, kind = line.sentence.strip(), (line.kind or "").strip() or UNSORTED
-        found.append(Sentence(number, frame, text_of, kind, line.targets, points, line.boxes))
-    others = ", ".join(f"{n} of {other!r}" for other, n in skipped.items())
-    require(found, "the file has no sentence of this dataset", got=others or None, expected=repr(name), path=path)
-    return SentenceFile(path, tuple(found), dict(skipped))
-
-
-def _of_line(number: int, error: InputError, path: Path) -> InputError:
-    return InputError(f"line {number}: {error}", path=path)
 
 
 @dataclass(frozen=True)
@@ -290,7 +124,7 @@ def judge_sentences(
         try:
             context = source.prepare(frame)
         except InputError as error:
-            raise _of_line(sentences[0].line, error, asked.path) from error
+            raise of_line(sentences[0].line, error, asked.path) from error
         truth: FrameCases | str | None = None
         for n, sentence in enumerate(sentences):
             one = _judged(source, context, sentence, asked.path)
@@ -326,13 +160,24 @@ def _judged(source: Pipeline, context: PreparedFrame, sentence: Sentence, path: 
         else:
             outcome, detail = "REFUSED", "TIED" if len(trace.tied) > 1 else "DEGENERATE"
         return _refused(sentence, reason, outcome, detail, trace)
-    entry, answer = trace.objects[best.target], told(trace, trace.name)
+    entry, answer = trace.objects[best.target], answer_words(trace, trace.name)
     text = answer.sentence(pair_words(trace, best, trace.name))
     if sentence.nothing and not best.holds:
         return Judged(sentence, "CORRECT", None, False, text, text, entry, trace)
     correct = sentence.accepts(entry, right, trace.exact)
     detail = None if correct else "NOTHING" if sentence.nothing else "OBJECT"
     return Judged(sentence, "CORRECT" if correct else "WRONG", detail, True, None, text, entry, trace)
+
+
+def acc_iou(answer: Box3D | None, right: Sequence[Box3D], viewer: ViewerAxes) -> float:
+    """The best IoU of a box with the right ones, each taken as upright along the viewer's axes; 0 without an answer."""
+    if answer is None or not right:
+        return 0.0
+    corners = [box.corners @ viewer.R_level_camera.T for box in (answer, *right)]
+    lo, hi = (np.array([f(c, axis=0) for c in corners]) for f in (np.min, np.max))
+    both = np.prod(np.maximum(np.minimum(hi[0], hi[1:]) - np.maximum(lo[0], lo[1:]), 0), axis=1)
+    volumes = np.prod(hi - lo, axis=1)
+    return float((both / np.maximum(volumes[0] + volumes[1:] - both, 1e-12)).max())
 
 
 def _published_iou(one: Judged, context: PreparedFrame) -> float | None:

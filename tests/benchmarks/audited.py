@@ -26,18 +26,18 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.answering.opening import Pipeline, open_pipeline
+from pipeline.answering.pipeline import Pipeline, open_pipeline
 from pipeline.corrections.audit.sentences import audit_sentences
 from pipeline.corrections.audit.suspicion import AuditItem, Evidence, wrong_probability
 from pipeline.corrections.audit.systems import SystemAnswers
 from pipeline.datasets import open_dataset
 from pipeline.datasets.base import InMemoryDataset
-from pipeline.evaluation.sentences import Sentence, SentenceFile
+from pipeline.evaluation.sentence_files import Sentence, SentenceFile
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.language.noun_phrase import readable, same_names
 from pipeline.language.relation_names import INVERSE, PAIRWISE, PHRASE
 from pipeline.proposals.simulated import SimulatedDetector, SimulationOptions, leaked, resized
-from pipeline.relations.pair_measures import Measured, Profile, T, U, measure_pairs
+from pipeline.relations.pair_measures import AllMeasures, Profile, T, U, measure_pairs
 from pipeline.relations.predicates import PREDICATES, pair_states
 from pipeline.synthetic import render_dataset
 from pipeline.system.errors import InputError
@@ -92,7 +92,7 @@ def exact_states(source: Pipeline, frame: Frame) -> np.ndarray:
     corners = [a.box.corners @ matrix.T for a in frame.annotations if a.box is not None]
     lo, hi = (np.array([f(c, axis=0) for c in corners]) for f in (np.min, np.max))
     known = np.ones(len(lo), np.bool_)
-    return pair_states(Measured(measure_pairs(lo, hi, Profile()), Profile()), known, RELATIONS)
+    return pair_states(AllMeasures(measure_pairs(lo, hi, Profile()), Profile()), known, RELATIONS)
 
 
 def sentences_of(frame: Frame, states: np.ndarray, rng: np.random.Generator) -> Iterator[tuple[str, str, np.ndarray]]:

@@ -15,7 +15,7 @@ from scenes import frame_of, upright
 from pipeline.answering import Pipeline, open_pipeline
 from pipeline.datasets import InMemoryDataset
 from pipeline.evaluation import evaluate_sentences, read_sentence_file
-from pipeline.evaluation.published import acc_iou
+from pipeline.evaluation.sentences import acc_iou
 from pipeline.geometry import Box3D
 from pipeline.system import InputError
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.answering.opening import open_pipeline
+from pipeline.answering.pipeline import open_pipeline
 from pipeline.corrections.audit.labels import audit_labels
 from pipeline.corrections.audit.questions import audit_questions
 from pipeline.corrections.audit.report import LIKELY, AuditReport
@@ -14,7 +14,7 @@ from pipeline.corrections.audit.sentences import audit_sentences
 from pipeline.corrections.audit.systems import read_answers
 from pipeline.corrections.review.queue import QueueConfig
 from pipeline.evaluation.robospatial import is_robospatial, read_question_answers, read_questions, score_table
-from pipeline.evaluation.sentences import read_sentence_file
+from pipeline.evaluation.sentence_files import read_sentence_file
 from pipeline.labels.reading import MANIFEST_FILE, open_labels
 from pipeline.system.errors import needed, require
 
