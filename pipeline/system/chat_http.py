@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+import ssl
 import urllib.request
 from collections.abc import Callable
 from contextlib import closing
@@ -35,11 +36,13 @@ class _Transport(httpx2.HTTPTransport):
     """One try: `begin` first, then a whole reply within seconds and bytes; a broken reply counts as a broken line."""
 
     def __init__(self, timeout_s: float, begin: Callable[[], None], proxy: str | None) -> None:
-        super().__init__(proxy=proxy)
+        # The certificates of this machine, as other programs here take them.
+        super().__init__(verify=ssl.create_default_context(), proxy=proxy)
         self._timeout_s, self._begin = timeout_s, begin
 
     def handle_request(self, request: httpx2.Request) -> httpx2.Response:
-        self._begin()
+        if request.method == "POST":
+            self._begin()
         deadline = monotonic() + self._timeout_s
         body = bytearray()
         with closing(super().handle_request(request)) as reply:
@@ -111,7 +114,7 @@ class Endpoint:
             reply = self._client.post("/chat/completions", cast_to=httpx2.Response, body=body, options=self._options)
             return reply.json()
         except openai.OpenAIError as error:
-            raise self._told(error, "chat/completions", self._cause(error, model)) from error
+            raise self._told(error, "chat/completions", self._cause(error, model)) from None
 
     def models(self) -> tuple[str, ...]:
         """Names of the server's models; ServerError on a refusal."""
@@ -120,7 +123,7 @@ class Endpoint:
             table = once.get("/models", cast_to=httpx2.Response, options=self._options).json()
             return tuple(row["id"] for row in table["data"])
         except openai.OpenAIError as error:
-            raise self._told(error, "models", None) from error
+            raise self._told(error, "models", None) from None
         except (ValueError, LookupError, TypeError):
             return ()
 
@@ -145,30 +148,27 @@ class Endpoint:
         return None
 
     def _told(self, error: openai.OpenAIError, path: str, cause: str | None) -> ServerError:
-        tries, status, everywhere = 1, None, False
-        what, detail = "the connection failed", str(error)
+        status, everywhere, detail = None, False, ""
         if isinstance(error, _Useless):
             what, detail, cause, everywhere = error.what, error.detail, error.cause, True
-        elif isinstance(error, openai.APIError):
-            tries += int(error.request.headers.get("x-stainless-retry-count", 0))
-        if isinstance(error, openai.APITimeoutError):
-            what, detail = f"no whole reply within {self._timeout_s:g} s", ""
-            cause = "a longer timeout may help"
         elif isinstance(error, openai.APIStatusError):
-            status = error.status_code
+            status, said = error.status_code, error.body
             name = HTTPStatus(status).phrase if status in set(HTTPStatus) else "unknown status"
             what = f"the server answered {status} {name}"
-            detail = error.body.get("message") if isinstance(error.body, dict) else error.body
-            detail = detail if isinstance(detail, str) else error.response.text
+            said = said.get("message") if isinstance(said, dict) else said
+            detail = said if isinstance(said, str) else error.response.text
             everywhere = status in (401, 403, 404, 405, 429) or 300 <= status < 400
-        elif isinstance(error, openai.APIConnectionError):
+        elif isinstance(error, openai.APITimeoutError):
+            what, cause = f"no whole reply within {self._timeout_s:g} s", "a longer timeout may help"
+        else:
             everywhere = isinstance(error.__cause__, httpx2.ConnectError)
             root: BaseException = error
             while (below := root.__cause__ or root.__context__) is not None:
                 root = below
-            detail = str(root)
+            what, detail = "the connection failed", str(root)
             if isinstance(root, ConnectionRefusedError):
                 what, detail, cause = "no server listens there", "", "is it running, on this port?"
+        tries = 1 + int(error.request.headers["x-stainless-retry-count"]) if isinstance(error, openai.APIError) else 1
         # A server may repeat what it was sent.
         detail = detail.replace(self._key, "***") if self._key else detail
         line = next((found for found in detail.splitlines() if found.strip()), "").strip()

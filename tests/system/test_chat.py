@@ -9,6 +9,7 @@ import signal
 import socket
 import sys
 import threading
+import traceback
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -162,6 +163,7 @@ def test_a_key_is_never_said(server: ChatServer, client_of: Make, tmp_path: Path
     server.script = [error(401, "bad key sk-verysecret"), "Yes"]
     with pytest.raises(ServerError, match=r"bad key \*\*\*") as caught:
         client.ask("q", flat())
+    assert "verysecret" not in "".join(traceback.format_exception(caught.value))
     client.ask("q", flat())
     kept = "".join(path.read_text() for path in tmp_path.rglob("*.json"))
     assert kept
