@@ -145,16 +145,17 @@ def _entry(info: dict[str, Any]) -> Entry:
 def _mark(path: Path, entry: Entry, unchanged: bool) -> None:
     """Put a file without content in place of a file of this version, unless present."""
     told = int(hashlib.sha256(repr(entry).encode()).hexdigest()[:16], 16) % 10**9 * 10**9
-    try:
-        descriptor = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0)
-    except FileExistsError:
-        if not unchanged and path.stat().st_mtime_ns != told:
-            path.unlink()
-            _mark(path, entry, unchanged)
-        return
-    with open(descriptor, "wb") as file:
+    if path.exists():
+        if unchanged or path.stat().st_mtime_ns == told:
+            return
+        path.unlink()
+    # Another process may put it there meanwhile.
+    with (
+        suppress(FileExistsError),
+        open(path, "xb", opener=lambda name, flags: os.open(name, flags, 0)) as file,
+    ):
         file.truncate(_UNTOLD if entry[0] is None else min(entry[0], _LARGEST))
-    os.utime(path, ns=(told, told))
+        os.utime(path, ns=(told, told))
 
 
 def fetch(path: Path, state: os.stat_result, limit: str, limits: Limits) -> None:
