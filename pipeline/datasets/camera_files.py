@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.datasets.files import read_bytes, read_mat
+from pipeline.datasets.files import read_bytes, read_mat, shortened
 from pipeline.datasets.images import Blob
 from pipeline.geometry.camera import intrinsics
 from pipeline.system import safe_files
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, as_input_error, require
 
 CAMERA_SUFFIXES = (".json", ".yml", ".yaml", ".txt", ".toml", ".ini", ".cfg", ".mat", ".npy", ".npz", ".pincam")
 LARGEST_BYTES = 64 * 1024
@@ -189,22 +189,15 @@ def _named_numbers(path: Blob) -> Iterator[tuple[str, np.ndarray]]:
     data = read_bytes(path)
     require(len(data) <= LARGEST_BYTES, "too large for a camera file", got=f"{len(data)} bytes", path=path)
     if suffix in (".npy", ".npz"):
-        try:
+        # Damaged archives raise a dozen kinds of error.
+        with as_input_error("an array that cannot be read", Exception, got=shortened, path=path):
             loaded: Any = safe_files.load_arrays(data, path)
             arrays = {"": loaded} if isinstance(loaded, np.ndarray) else dict(loaded)
-        except InputError:
-            raise
-        except Exception as error:  # Damaged archives raise a dozen kinds of error.
-            raise InputError("an array that cannot be read", got=str(error)[:120], path=path) from error
         yield from ((k, v.astype(np.float64).ravel()) for k, v in arrays.items() if v.dtype.kind in "uif")
         return
-    try:
+    with as_input_error("malformed", ValueError, got=lambda error: str(error)[:80], path=path):
         text = data.decode("utf-8-sig")
         yield from flat_numbers(safe_files.parse_json(text, path)) if suffix == ".json" else _text_numbers(text)
-    except InputError:
-        raise
-    except ValueError as error:
-        raise InputError("malformed", got=str(error)[:80], path=path) from error
 
 
 def flat_numbers(value: Any, name: str = "") -> Iterator[tuple[str, np.ndarray]]:

@@ -16,7 +16,7 @@ from pipeline.datasets.settings import INTRINSICS, Settings
 from pipeline.geometry.camera import Camera, intrinsics
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.pose_convention import standard_poses
-from pipeline.system.errors import InputError, needed, require
+from pipeline.system.errors import InputError, in_file, needed, require
 
 Value = TypeVar("Value")
 ROUNDING = 1e-2
@@ -108,10 +108,8 @@ def make_camera(
     K = needed(K, "the camera is not known", expected=INTRINSICS, path=path)
     if settings.poses is not None and T_world_camera is not None:
         T_world_camera = standard_poses(T_world_camera, settings.poses)
-    try:
+    with in_file(path):
         camera = Camera(K, width, height, T_world_camera, untold=untold)
-    except InputError as error:
-        raise InputError(str(error), path=path) from error
     require(
         (-0.5 * width <= camera.cx <= 1.5 * width and -0.5 * height <= camera.cy <= 1.5 * height),
         f"the principal point is far outside the {width}x{height} image",
@@ -122,12 +120,9 @@ def make_camera(
     return camera
 
 
-def read_pair(
-    color: Blob, depth: Blob, units_per_metre: float | None, nothing: int | None = None, rotated: int = 0
-) -> tuple[np.ndarray, np.ndarray]:
+def read_pair(color: Blob, depth: Blob, units_per_metre: float | None) -> tuple[np.ndarray, np.ndarray]:
     """Colour and depth of a frame, (H, W, 3) uint8 and (H, W) float32 metres; see `read_depth`."""
-    rgb = read_color(color)
-    metres = read_depth(depth, units_per_metre, nothing, rotated)
+    rgb, metres = read_color(color), read_depth(depth, units_per_metre)
     if rgb.shape[:2] != metres.shape:
         raise differ_in_size(rgb, metres, color, depth)
     return rgb, metres
@@ -153,10 +148,8 @@ def make_frame(
     notes: tuple[str, ...] = (),
 ) -> Frame:
     """Assemble a Frame; errors name `depth_path`."""
-    try:
+    with in_file(depth_path):
         return Frame(frame_id, pair[0], pair[1], camera, annotations, notes)
-    except InputError as error:
-        raise InputError(str(error), path=depth_path) from error
 
 
 def known_intrinsics(

@@ -16,7 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from pipeline.system import safe_files
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, as_input_error, require
 from pipeline.system.limits import within
 
 CUT_OFF = "was the copy or the download interrupted?"
@@ -36,14 +36,18 @@ class Blob(Protocol):
     def __fspath__(self) -> str: ...
 
 
+def shortened(error: Exception) -> str:
+    """Text of an error, up to 120 characters."""
+    return str(error)[:120]
+
+
 def read_bytes(path: Blob, limit: str = "bytes") -> bytes:
     """Read a whole file; `limit` names the size limit."""
-    try:
+    with (
+        as_input_error("a file cannot be read", OSError, got=lambda error: error.strerror, path=path),
+        as_input_error("a file is missing", FileNotFoundError, path=path),
+    ):
         data = safe_files.read_bytes(path, limit) if isinstance(path, Path) else path.read_bytes()
-    except FileNotFoundError as error:
-        raise InputError("a file is missing", path=path) from error
-    except OSError as error:
-        raise InputError("a file cannot be read", got=error.strerror, path=path) from error
     require(data, "a file is empty", got="0 bytes", cause="was the copy interrupted?", path=path)
     return data
 
@@ -67,10 +71,8 @@ def read_json(path: Blob) -> dict[str, Any]:
 
 def numbered_lines(path: Blob) -> list[tuple[int, str]]:
     """Lines with content of a text file, each with the line number from 1."""
-    try:
+    with as_input_error("not a text file", UnicodeDecodeError, path=path):
         text = read_bytes(path, "text").decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError("not a text file", path=path) from error
     lines = ((number, line.strip()) for number, line in enumerate(text.splitlines(), start=1))
     return [(number, line) for number, line in lines if line and not line.startswith("#")]
 
@@ -117,15 +119,12 @@ def read_mat(path: Blob, *names: str) -> dict[str, Any]:
     data = read_bytes(path)
     from scipy.io import loadmat, whosmat
 
-    try:
+    # The package raises a dozen kinds of error for damaged files.
+    with as_input_error("a MATLAB file that cannot be read", Exception, got=shortened, cause=CUT_OFF, path=path):
         for name, shape, _ in whosmat(io.BytesIO(data)):
             if name in names:
                 within(math.prod(shape), "pixels", f"{name[:80]} of {shape}", path, safe_files.limits_of(path))
         return loadmat(io.BytesIO(data), variable_names=names)
-    except InputError:
-        raise
-    except Exception as error:  # The package raises a dozen kinds of error for damaged files.
-        raise InputError("a MATLAB file that cannot be read", got=str(error)[:120], cause=CUT_OFF, path=path) from error
 
 
 def listing(folder: Path, links: bool = True) -> tuple[list[str], list[str]]:
@@ -138,15 +137,13 @@ def listing(folder: Path, links: bool = True) -> tuple[list[str], list[str]]:
         return memo[folder, links]
     folders: list[str] = []
     files: list[str] = []
-    try:
-        with os.scandir(folder) as entries:
-            for entry in entries:
-                if not entry.name.startswith("."):
-                    (folders if entry.is_dir(follow_symlinks=links) else files).append(entry.name)
-    except OSError as error:
-        raise InputError("a folder cannot be listed", got=error.strerror, path=folder) from error
+    unreadable = as_input_error("a folder cannot be listed", OSError, got=lambda e: e.strerror, path=folder)
+    with unreadable, os.scandir(folder) as entries:
+        for entry in entries:
+            if not entry.name.startswith("."):
+                (folders if entry.is_dir(follow_symlinks=links) else files).append(entry.name)
     within(len(folders) + len(files), "names", "a folder", folder, safe_files.limits_of(folder))
-    found = in_order(folders), in_order(files)
+    found = sorted(folders, key=natural), sorted(files, key=natural)
     if memo is not None:
         memo[folder, links] = found
     return found
@@ -163,11 +160,6 @@ def listed_once() -> Iterator[None]:
         yield
     finally:
         _LISTED.reset(token)
-
-
-def in_order(names: list[str]) -> list[str]:
-    """Names in natural order."""
-    return sorted(names, key=natural)
 
 
 def readable(folder: Path, links: bool = True) -> tuple[list[str], list[str]]:

@@ -19,9 +19,9 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from pipeline.datasets.files import CUT_OFF, Blob, read_bytes
+from pipeline.datasets.files import CUT_OFF, Blob, read_bytes, shortened
 from pipeline.system import safe_files
-from pipeline.system.errors import InputError, needed, require
+from pipeline.system.errors import InputError, as_input_error, needed, require
 
 DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".exr", ".npy", ".npz")
 INTEGER_DEPTH_SUFFIXES = (".png", ".pgm")
@@ -228,11 +228,10 @@ def _check_jpeg(data: bytes, path: Blob) -> None:
 def _decode(data: bytes, kind: str, path: Blob, flags: int) -> np.ndarray:
     if kind == "pnm":
         return _decode_pnm(data, path, flags)
-    try:
+    broken = f"a {kind} that cannot be decoded"
+    with as_input_error(broken, cv2.error, got=lambda error: str(error)[-120:], path=path):
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    except cv2.error as error:
-        raise InputError(f"a {kind} that cannot be decoded", got=str(error)[-120:], path=path) from error
-    return needed(pixels, f"a {kind} that cannot be decoded", cause="is the file cut off or corrupt?", path=path)
+    return needed(pixels, broken, cause="is the file cut off or corrupt?", path=path)
 
 
 def _decode_pnm(data: bytes, path: Blob, flags: int) -> np.ndarray:
@@ -265,17 +264,14 @@ def _decode_pnm(data: bytes, path: Blob, flags: int) -> np.ndarray:
 
 def _decode_numpy(data: bytes, path: Blob) -> np.ndarray:
     """Array of an NPY or NPZ: the only array, or the array named for depth."""
-    try:
+    kind = Path(path).suffix[1:].upper() or "array"
+    errors = (ValueError, EOFError, MemoryError, OverflowError, SyntaxError, TypeError, BadZipFile)
+    with as_input_error(f"an {kind} that cannot be read", *errors, got=shortened, cause=CUT_OFF, path=path):
         array = safe_files.load_arrays(data, path)
         if isinstance(array, np.lib.npyio.NpzFile):
             names = [name for name in array.files if len(array.files) == 1 or "depth" in name.lower()]
             require(len(names) == 1, "an NPZ without one array of depth", got=", ".join(array.files), path=path)
             array = array[names[0]]
-    except InputError:
-        raise
-    except (ValueError, EOFError, MemoryError, OverflowError, SyntaxError, TypeError, BadZipFile) as error:
-        kind = Path(path).suffix[1:].upper() or "array"
-        raise InputError(f"an {kind} that cannot be read", got=str(error)[:120], cause=CUT_OFF, path=path) from error
     return np.asarray(array)
 
 
@@ -296,11 +292,12 @@ def _decode_exr(data: bytes, path: Blob) -> np.ndarray:
             path=path,
         ) from error
     safe_files.check_pixels(data, path)
-    try:
-        with OpenEXR.File(os.fspath(path), separate_channels=True) as image:
-            channels = [np.array(channel.pixels) for channel in image.channels().values()]
-    except Exception as error:  # The package raises plain RuntimeError and ValueError alike.
-        raise InputError("an EXR that cannot be read", got=str(error)[:120], path=path) from error
+    # The package raises plain RuntimeError and ValueError alike.
+    with (
+        as_input_error("an EXR that cannot be read", Exception, got=shortened, path=path),
+        OpenEXR.File(os.fspath(path), separate_channels=True) as image,
+    ):
+        channels = [np.array(channel.pixels) for channel in image.channels().values()]
     require(
         channels and not any(not np.array_equal(channels[0], other, equal_nan=True) for other in channels[1:]),
         "depth must have one channel",

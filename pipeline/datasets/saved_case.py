@@ -25,7 +25,7 @@ from pipeline.geometry.camera import Camera, UpSource
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.masks import RunLength
 from pipeline.system.encoded_pictures import png
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, as_input_error, in_file, require
 from pipeline.system.reading import checked
 from pipeline.system.safe_files import enter, read_bytes
 
@@ -156,10 +156,8 @@ def checked_file(root: Path, manifest: dict[str, Any], name: str) -> Path:
     if not isinstance(wanted, str):
         raise InputError(f"the case does not list {name}", path=root / MANIFEST)
     require(path.is_file(), "a file of the case is missing", path=path)
-    try:
+    with as_input_error("a file of the case cannot be read", OSError, got=lambda error: error.strerror, path=path):
         found = hashlib.sha256(read_bytes(path)).hexdigest()
-    except OSError as error:
-        raise InputError("a file of the case cannot be read", got=error.strerror, path=path) from error
     require(
         found == wanted, "a file of the case was changed", got=f"sha256 {found[:12]}", expected=wanted[:12], path=path
     )
@@ -179,14 +177,12 @@ def read_saved_frame(root: Path, manifest: dict[str, Any]) -> Frame:
         expected=f"{saved.width}x{saved.height}",
         path=depth_path,
     )
-    try:
+    with in_file(path):
         pose = None if saved.T_world_camera is None else np.array(saved.T_world_camera)
         up, up_source = (saved.up, saved.up_source) if saved.up is not None else _answered_up(manifest)
         up = None if up is None else np.array(up)
         camera = Camera(np.array(saved.K), saved.width, saved.height, pose, up, up_source)
         annotations = tuple(_annotation(a, depth.shape) for a in saved.annotations)
-    except InputError as error:
-        raise InputError(str(error), path=path) from error
     found = make_frame(saved.id, (rgb, depth), camera, depth_path, annotations, saved.notes)
     return replace(found, depth_source=saved.depth_source or "")
 

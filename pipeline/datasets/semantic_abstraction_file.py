@@ -6,8 +6,6 @@ references, and holds the rest itself. Split files are read without running what
 
 from __future__ import annotations
 
-import io
-import pickle
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -18,8 +16,9 @@ from typing import Any
 import numpy as np
 
 from pipeline.datasets.base import GivenExpression
-from pipeline.datasets.files import CUT_OFF, read_bytes, read_json
-from pipeline.system.errors import InputError, require
+from pipeline.datasets.files import CUT_OFF, read_json
+from pipeline.system.errors import InputError, as_input_error, in_file, require
+from pipeline.system.plain_pickle import read_plain_pickle
 from pipeline.system.safe_files import checked_path
 
 MOST_VALUES = 100_000_000
@@ -32,18 +31,19 @@ def open_view(path: Path) -> Iterator[Any]:
     """Open an h5py file read-only; any failure becomes an InputError."""
     import h5py
 
-    try:
-        with h5py.File(checked_path(path, "unpacked"), "r") as file:
-            yield file
-    except InputError as error:
-        raise error if error.path is not None else InputError(str(error), path=path) from error
-    except FileNotFoundError as error:
-        raise InputError("a file is missing", path=path) from error
-    except (OSError, KeyError, ValueError, TypeError, RuntimeError, MemoryError) as error:
-        # h5py raises all of these for damaged files.
-        raise InputError(
-            "an HDF5 file that cannot be read", got=str(error).strip("'\"")[:120], cause=CUT_OFF, path=path
-        ) from error
+    # h5py raises all of these for damaged files.
+    errors = (OSError, KeyError, ValueError, TypeError, RuntimeError, MemoryError)
+    with (
+        in_file(path),
+        as_input_error("an HDF5 file that cannot be read", *errors, got=_unquoted, cause=CUT_OFF, path=path),
+        as_input_error("a file is missing", FileNotFoundError, path=path),
+        h5py.File(checked_path(path, "unpacked"), "r") as file,
+    ):
+        yield file
+
+
+def _unquoted(error: Exception) -> str:
+    return str(error).strip("'\"")[:120]
 
 
 def has(file: Any, name: str) -> bool:
@@ -241,7 +241,6 @@ SYNONYMS: dict[str, str] = {
 _OTHER_NAMES = frozenset(SYNONYMS.values())
 NOVEL_CLASSES = frozenset({"pot", "mug", "safe", "teddy bear", "basket ball", "wine bottle"})
 """The classes that no training view shows."""
-_PLAIN = {"set": set, "frozenset": frozenset, "list": list, "tuple": tuple, "dict": dict, "str": str, "int": int}
 
 
 def subsets_of(frame_id: str, target: str, reference: str) -> tuple[str, ...]:
@@ -277,7 +276,7 @@ def split_files(root: Path) -> dict[str, Path]:
 
 def read_split(path: Path) -> dict[str, tuple[str, ...]]:
     """File lists by split."""
-    table: Any = read_json(path) if path.suffix == ".json" else _unpickled(path)
+    table: Any = read_json(path) if path.suffix == ".json" else read_plain_pickle(path)
     require(isinstance(table, Mapping), "a table of splits was expected", got=type(table).__name__, path=path)
     found: dict[str, tuple[str, ...]] = {}
     for name, files in table.items():
@@ -294,32 +293,3 @@ def view_name(listed: str) -> str | None:
     if path.is_absolute() or ".." in path.parts or "\\" in listed or path.suffix != ".hdf5":
         return None
     return path.with_suffix("").as_posix()
-
-
-class _PlainUnpickler(pickle._Unpickler):
-    """Unpickler of containers, strings and numbers only.
-
-    It is the one in Python: that in C reserves as much memory as a few hostile bytes ask it for.
-    """
-
-    def get_extension(self, code: int) -> Any:
-        raise InputError(f"the pickle asks for the extension {code}", expected="only lists of file names")
-
-    def find_class(self, module: str, name: str) -> Any:
-        if module in ("builtins", "__builtin__") and name in _PLAIN:
-            return _PLAIN[name]
-        raise InputError(
-            f"the pickle asks for {module}.{name}"[:120],
-            expected="only lists of file names",
-            cause="a pickle may run any code; nothing of this one was run. Is there a JSON copy?",
-        )
-
-
-def _unpickled(path: Path) -> Any:
-    try:
-        return _PlainUnpickler(io.BytesIO(read_bytes(path, "text"))).load()
-    except InputError as error:
-        raise error if error.path is not None else InputError(str(error), path=path) from error
-    except Exception as error:  # A damaged pickle may raise nearly anything.
-        what = f"{type(error).__name__}: {error}"[:120]
-        raise InputError("a pickle that cannot be read", got=what, path=path) from error

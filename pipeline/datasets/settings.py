@@ -12,7 +12,7 @@ from typing import Any, Literal
 from pipeline.geometry.camera import UpSource
 from pipeline.geometry.pose_convention import check_convention
 from pipeline.geometry.registration import Registration
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, as_input_error, in_file, require
 from pipeline.system.reading import parse_toml
 from pipeline.system.safe_files import read_text
 from pipeline.system.whole_files import write_whole
@@ -157,12 +157,8 @@ def read_settings(root: Path) -> Settings:
     path = settings_file(root)
     if not path.is_file():
         return Settings()
-    try:
+    with as_input_error("the settings cannot be read", OSError, ValueError, got=str, path=path):
         table = parse_toml(read_text(path))
-    except InputError:
-        raise
-    except (OSError, ValueError) as error:
-        raise InputError("the settings cannot be read", got=str(error), path=path) from error
     limits = table.pop(LIMITS_TABLE, {})
     require(isinstance(limits, dict), "limits must be a table", path=path)
     # Tables such as [generator] say how the data came to be; they are for people and other tools.
@@ -170,10 +166,8 @@ def read_settings(root: Path) -> Settings:
     unknown = sorted(set(table) - set(KEYS))
     if unknown:
         raise InputError(f"unknown setting {unknown[0]!r}", expected=f"one of {', '.join(KEYS)}", path=path)
-    try:
+    with in_file(path):
         return Settings(**table, limits=limits)
-    except InputError as error:
-        raise InputError(str(error), path=path) from error
 
 
 def write_settings(

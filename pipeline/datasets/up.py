@@ -207,7 +207,7 @@ Voter = tuple[str, np.ndarray, tuple[UpHypothesis, ...]]
 
 def vote(scene: str, voters: Sequence[Voter]) -> SceneVote:
     """World direction with the most support by the frames' hypotheses, a vote per frame."""
-    told = [[h for h in found if h.told] for _, _, found in voters]
+    told = [[h for h in found if h.certain] for _, _, found in voters]
     ups = [np.array([R @ h.up for h in found]).reshape(-1, 3) for (_, R, _), found in zip(voters, told, strict=True)]
     scores = [np.array([h.score for h in found]) for found in told]
     voting = sum(bool((s >= MIN_SCORE).any()) for s in scores)

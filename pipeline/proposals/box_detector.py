@@ -14,7 +14,7 @@ from pipeline.proposals.base import Proposals, class_wise
 from pipeline.proposals.box_config import BoxCandidates, decode, find_box_model, output_names, read_box_model
 from pipeline.proposals.class_names import metadata_names, names_hash
 from pipeline.proposals.network import MAX_PER_NAME, NetworkDetector, proposals_of
-from pipeline.system.errors import InputError, needed
+from pipeline.system.errors import InputError, in_file, needed
 from pipeline.system.onnx_session import run_session
 
 OPTION = "--detector boxes"
@@ -84,10 +84,8 @@ class BoxDetector(NetworkDetector):
         extra = {n: np.array([[numbers[w] for w in words]], np.float32) for n, words in self.config.input.extra.items()}
         values = run_session(self._session, self._outputs, {self._input: tensor, **extra}, self.path)
         outputs = dict(zip(self._outputs, values, strict=True))
-        try:
+        with in_file(self.config_path):
             return decode(outputs, self.config.output, len(self.vocabulary or ()), self._sides), placement
-        except InputError as error:
-            raise InputError(str(error), path=self.config_path) from error
 
     def _names_inside(self) -> tuple[str, ...]:
         return needed(

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.system.errors import InputError, MissingExtra, require
-from pipeline.system.onnx_session import first_line
+from pipeline.system.errors import InputError, as_input_error, extra_module, first_line, require
 from pipeline.system.safe_files import checked_path
 
 MAX_TOKENS = 256
@@ -168,18 +167,12 @@ def find_tokenizer(model: Path, patterns: Sequence[str] = (TOKENIZER,)) -> Path:
 
 def load_tokenizer(path: Path) -> Any:
     """Load a `tokenizers.Tokenizer` without padding, truncation and special tokens in text."""
-    try:
-        import tokenizers
-    except ImportError as error:
-        raise MissingExtra("a detector that reads text", "hub") from error
+    tokenizers = extra_module("tokenizers", "a detector that reads text", "hub")
     require(path.is_file(), "there is no tokenizer file", path=path)
-    try:
+    # The library raises bare Exceptions.
+    with as_input_error("the tokenizer cannot be read", Exception, got=first_line, path=path):
         file = checked_path(path, "text")
         tokenizer = _word_pieces(file) if file.suffix == ".txt" else tokenizers.Tokenizer.from_file(str(file))
-    except InputError:
-        raise
-    except Exception as error:  # The library raises bare Exceptions.
-        raise InputError("the tokenizer cannot be read", got=first_line(error), path=path) from error
     tokenizer.no_padding()
     tokenizer.no_truncation()
     # A class name "[SEP]" must not end the sentence.

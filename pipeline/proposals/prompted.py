@@ -17,7 +17,7 @@ from pipeline.geometry.frame import Frame
 from pipeline.proposals.contracts import DetectorContract, _fits, by_name, follows
 from pipeline.proposals.mismatch import explain_mismatch, shapes
 from pipeline.proposals.network import pillow_resized
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, as_input_error, first_line, require
 from pipeline.system.onnx_session import as_declared, model_hash, open_session, run_limited, signature
 from pipeline.system.recent import Recent
 
@@ -247,14 +247,14 @@ class PairModel:
 def run(session: Any, outputs: Sequence[str], feed: dict[str, np.ndarray], path: Path) -> list[np.ndarray]:
     """Run a session on inputs converted to the declared types."""
     feed = as_declared(session, feed, path)
-    try:
+    shown = ", ".join(f"{n} {list(v.shape)}" for n, v in feed.items())
+
+    def failed(error: Exception) -> str:
+        return f"{(first_line(error) or type(error).__name__)[:160]} for {shown}"
+
+    # ONNX Runtime raises its own classes, which differ between releases.
+    with as_input_error("the model cannot be run", Exception, got=failed, path=path):
         return run_limited(session, outputs, feed, path)
-    except InputError:
-        raise
-    except Exception as error:  # ONNX Runtime raises its own classes, which differ between releases.
-        first = str(error).splitlines()[0] if str(error) else type(error).__name__
-        given = ", ".join(f"{n} {list(v.shape)}" for n, v in feed.items())
-        raise InputError("the model cannot be run", got=f"{first[:160]} for {given}", path=path) from error
 
 
 def _follows(session: Any, contracts: Sequence[DetectorContract]) -> DetectorContract | None:

@@ -40,7 +40,7 @@ from pipeline.proposals.class_names import meant_names
 from pipeline.proposals.coco_files import Detections, MaskCode, RecordedDetection
 from pipeline.proposals.concept_graphs import Corners, SceneMap
 from pipeline.proposals.detection_files import DETECTION_FORMATS, detection_files, format_of, read_detections
-from pipeline.system.errors import FrameUnusable, InputError, needed, require
+from pipeline.system.errors import FrameUnusable, InputError, as_input_error, first_line, needed, require
 from pipeline.system.reading import Content, checked, read_content
 from pipeline.system.recent import Recent
 from pipeline.system.safe_files import opened_arrays, read_picture
@@ -280,11 +280,9 @@ class RecordedDetector:
 
 
 def _mask_file(path: Path, name: str, where: str) -> np.ndarray:
-
-    try:
+    errors = (OSError, ValueError, RuntimeError)  # A NUL in the name, a loop of links.
+    with as_input_error(f"{where}: the mask is not a readable file", *errors, got=repr(name), path=path):
         file = (path.parent / name).resolve()
-    except (OSError, ValueError, RuntimeError) as error:  # A NUL in the name, a loop of links.
-        raise InputError(f"{where}: the mask is not a readable file", got=repr(name), path=path) from error
     require(
         file.is_relative_to(path.parent.resolve()),
         f"{where}: the mask lies outside the recording's folder",
@@ -376,25 +374,26 @@ def _read_labels(file: Path) -> list[str]:
         return []
 
 
+_ARRAYS = "arrays boxes, scores, labels and, optionally, masks or mask_counts with mask_size, and ids"
+
+
+def _first_words(error: Exception) -> str:
+    return first_line(error) or type(error).__name__
+
+
 def _read_npz(file: Path) -> FrameDetections:
-    try:
-        with opened_arrays(file) as data:
-            boxes = np.asarray(data["boxes"], np.float32)
-            scores = np.asarray(data["scores"], np.float32)
-            labels = np.asarray(data["labels"]).astype(np.str_)
-            ids = np.asarray(data["ids"], np.int64) if "ids" in data else np.arange(len(scores))
-            masks = np.asarray(data["masks"]).astype(np.bool_) if "masks" in data else None
-            counts = np.asarray(data["mask_counts"]).astype(np.str_) if "mask_counts" in data else None
-            size = np.zeros(2, np.int64) if counts is None else np.asarray(data["mask_size"], np.int64)
-    except InputError:
-        raise
-    except Exception as error:  # Damaged bytes fail in zipfile, zlib or NumPy, each with its own class.
-        raise InputError(
-            "not a recording of detections",
-            got=(str(error) or type(error).__name__).splitlines()[0],
-            expected="arrays boxes, scores, labels and, optionally, masks or mask_counts with mask_size, and ids",
-            path=file,
-        ) from error
+    # Damaged bytes fail in zipfile, zlib or NumPy, each with its own class.
+    with (
+        as_input_error("not a recording of detections", Exception, got=_first_words, expected=_ARRAYS, path=file),
+        opened_arrays(file) as data,
+    ):
+        boxes = np.asarray(data["boxes"], np.float32)
+        scores = np.asarray(data["scores"], np.float32)
+        labels = np.asarray(data["labels"]).astype(np.str_)
+        ids = np.asarray(data["ids"], np.int64) if "ids" in data else np.arange(len(scores))
+        masks = np.asarray(data["masks"]).astype(np.bool_) if "masks" in data else None
+        counts = np.asarray(data["mask_counts"]).astype(np.str_) if "mask_counts" in data else None
+        size = np.zeros(2, np.int64) if counts is None else np.asarray(data["mask_size"], np.int64)
     if boxes.size == 0:
         boxes = boxes.reshape(0, 4)
     flat = all(a.ndim == 1 for a in (scores, labels, ids, *([] if counts is None else [counts])))

@@ -47,10 +47,6 @@ class RenderReport:
     classes: tuple[str, ...]
     seconds: float
 
-    @property
-    def frames_per_second(self) -> float:
-        return self.frames / max(self.seconds, 1e-9)
-
 
 def render_dataset(
     out: Path,

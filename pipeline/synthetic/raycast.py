@@ -12,7 +12,7 @@ from pipeline.geometry.camera import Camera
 from pipeline.synthetic import textures
 from pipeline.synthetic.layout import Room
 from pipeline.synthetic.model import Material, ObjectModel
-from pipeline.system.errors import MissingExtra, needed
+from pipeline.system.errors import extra_module, needed
 
 SMOOTH_COS = float(np.cos(np.deg2rad(50)))
 """Faces that meet at less than this angle are shaded as one round surface."""
@@ -65,13 +65,12 @@ class EmbreeScene:
     """An Embree scene of a triangle mesh."""
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
-        try:
-            from embreex.mesh_construction import TriangleMesh
-            from embreex.rtcore_scene import EmbreeScene
-        except ImportError as error:
-            raise MissingExtra("rendering synthetic scenes", "render") from error
-        self._scene: Any = EmbreeScene()
-        self._mesh: Any = TriangleMesh(
+        meshes, scenes = (
+            extra_module(f"embreex.{name}", "rendering synthetic scenes", "render")
+            for name in ("mesh_construction", "rtcore_scene")
+        )
+        self._scene: Any = scenes.EmbreeScene()
+        self._mesh: Any = meshes.TriangleMesh(
             self._scene,
             np.ascontiguousarray(vertices, dtype=np.float32),
             np.ascontiguousarray(faces, dtype=np.int32),

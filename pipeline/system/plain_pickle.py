@@ -119,7 +119,11 @@ _KNOWN: dict[tuple[str, str], Any] = {
     ("encode", "_codecs"): _encoded,
     ("OrderedDict", "collections"): dict,
     ("defaultdict", "collections"): lambda *_: {},
-    **{(kind.__name__, home): kind for kind in (dict, list, set, tuple) for home in ("builtins", "__builtin__")},
+    **{
+        (kind.__name__, home): kind
+        for kind in (dict, list, set, frozenset, tuple)
+        for home in ("builtins", "__builtin__")
+    },
     **{(name, home): Passed for name in _NUMBERS for home in ("builtins", "__builtin__")},
     # Bytes of none, as old protocols write them.
     ("bytes", "__builtin__"): lambda: b"",
@@ -148,7 +152,7 @@ class _PlainUnpickler(pickle._Unpickler):
             if name == "_frombuffer":
                 return lambda *given: Array(self._keep).fill(*given)
             parts = parts[-1:]
-        if parts[0] == "pathlib":
+        if parts[0] == "pathlib" and name.endswith("Path"):
             return _path
         if parts[0] in _PASSED_OVER:
             return Passed

@@ -32,7 +32,7 @@ from pipeline.datasets import (
     write_settings,
 )
 from pipeline.datasets.cameras import nearest_rotation
-from pipeline.datasets.files import in_order
+from pipeline.datasets.files import natural
 from pipeline.system import plugins
 
 # Opening, naming, settings
@@ -45,8 +45,8 @@ def in_parts(name: str) -> tuple[list[tuple[int, int, str]], str]:
 
 @given(st.lists(st.from_regex(r"[ -.a-cA-C_0-9\u00e9\u0661]{0,12}", fullmatch=True), max_size=30))
 def test_names_stand_in_the_order_of_their_numbers(names: list[str]) -> None:
-    assert in_order(names) == sorted(names, key=in_parts)
-    assert in_order(["f10", "f2", "f02", "f2b", "f"]) == ["f", "f02", "f2", "f2b", "f10"]
+    assert sorted(names, key=natural) == sorted(names, key=in_parts)
+    assert sorted(["f10", "f2", "f02", "f2b", "f"], key=natural) == ["f", "f02", "f2", "f2b", "f10"]
 
 
 def test_what_cannot_be_opened_is_told(tmp_path: Path) -> None:

@@ -434,7 +434,7 @@ def test_a_question_is_answered_with_masks_of_sam(sam: Export, tmp_path: Path, p
 
 def test_a_run_names_both_files(tmp_path: Path) -> None:
     files = (tmp_path / "models/a.onnx", tmp_path / "models/b.onnx")
-    spec = EvalSpec("demo", str(tmp_path / "labels"), {"segmenter": "sam", "segmenter_model": files}, "pipeline")
+    spec = EvalSpec("demo", str(tmp_path / "labels"), {"segmenter": "sam", "segmenter_model": files})
     record = json.loads(json.dumps(spec_record(spec, tmp_path)))
     assert record["options"]["segmenter_model"] == ["models/a.onnx", "models/b.onnx"]
     assert _read_spec(record, tmp_path).options["segmenter_model"] == files

@@ -14,7 +14,7 @@ from pipeline.datasets.base import ChangedFrames, Dataset, dataset_notes, readab
 from pipeline.datasets.depth.estimator import DepthEstimate, DepthModel
 from pipeline.datasets.settings import INTRINSICS
 from pipeline.geometry.frame import Frame
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, in_file
 from pipeline.system.paths import cache_folder
 from pipeline.system.whole_files import keep_whole
 
@@ -43,12 +43,9 @@ class EstimatedDepth(ChangedFrames):
         name, file = self.model.name, self.model.path.name
         camera = replace(camera, K=camera.K if found.K is None else found.K, untold=untold)
         source = f"estimated by {name} ({file}): {self.model.metres_by}, focal length {focal}"
-        try:
-            return replace(
-                frame, depth=found.depth, camera=camera, depth_source=source, notes=(*notes, f"depth is {source}")
-            )
-        except InputError as error:
-            raise InputError(str(error), path=self.model.path) from error
+        notes = (*notes, f"depth is {source}")
+        with in_file(self.model.path):
+            return replace(frame, depth=found.depth, camera=camera, depth_source=source, notes=notes)
 
     def _known(self, frame: Frame) -> np.ndarray | None:
         """Camera known without the network; InputError where unknown."""
