@@ -21,7 +21,7 @@ from pipeline.labels.exports import export_labels
 from pipeline.labels.exports.exporting import MARK, HubConfig
 from pipeline.labels.plan import load_plan
 from pipeline.labels.reading import Labels, open_labels
-from pipeline.labels.store import Store
+from pipeline.labels.store import LabelStore
 from pipeline.language.counted import counted
 from pipeline.system.errors import require
 from pipeline.system.whole_files import check_target, scratch_folder
@@ -97,7 +97,7 @@ def _pictures(command: ExportCommand, labels: Labels) -> Dataset | None:
     if labels.manifest.corrections is not None:
         # A folder of corrected labels has no plan; its manifest names the dataset.
         return None if command.dataset is None else DatasetOptions(dataset=command.dataset).open(labels)
-    plan = load_plan(Store(command.labels))
+    plan = load_plan(LabelStore(command.labels))
     spec = plan.spec if command.dataset is None else type(plan.spec)(command.dataset, plan.spec.options)
     return spec.open(plan.config).dataset
 

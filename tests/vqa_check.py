@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.datasets import Dataset
 from pipeline.labels import Labels, VqaConfig, labelled_dataset
-from pipeline.labels.exports.base import FrameRows, iterate_frames
+from pipeline.labels.exports.base import ExportFrame, iterate_frames
 from pipeline.labels.exports.row_provenance import load_json, open_provenance
 from pipeline.labels.exports.vqa_geometry import (
     CONVERSATIONS_FILE,
@@ -20,7 +20,7 @@ from pipeline.labels.exports.vqa_geometry import (
     KINDS,
     Depths,
     Figures,
-    Question,
+    VqaQuestion,
     figures_of,
 )
 from pipeline.labels.exports.vqa_questions import SIZE_AXES, boxed_by_people, distance
@@ -65,7 +65,7 @@ def verify_vqa(
     return wrong
 
 
-def _problem(question: Question, rows: FrameRows, config: VqaConfig, figures: dict[int, Figures]) -> str | None:
+def _problem(question: VqaQuestion, rows: ExportFrame, config: VqaConfig, figures: dict[int, Figures]) -> str | None:
     objects = {row["object"]: row for row in rows.objects}
     if question.frame != rows.frame["frame"] or any(n not in objects for n in question.objects):
         return "about objects that the frame lacks"
@@ -79,18 +79,18 @@ def _problem(question: Question, rows: FrameRows, config: VqaConfig, figures: di
     return _measure(question, own, rows, [figures[n] for n in question.objects])
 
 
-def _named_once(rows: FrameRows, *named: dict[str, Any]) -> bool:
+def _named_once(rows: ExportFrame, *named: dict[str, Any]) -> bool:
     return all(sum(same_class(row["label"], other["label"]) for other in rows.objects) == 1 for row in named)
 
 
-def _states(rows: FrameRows, relation: str, **pair: int) -> list[tuple[int, int, int | None, float | None]]:
+def _states(rows: ExportFrame, relation: str, **pair: int) -> list[tuple[int, int, int | None, float | None]]:
     """(a, b, state, margin) of the pairs with those numbers."""
     table = rows.relations.select(["a", "b", relation, f"{relation}_margin"]).to_pylist()
     found = [row for row in table if all(row[key] == number for key, number in pair.items())]
     return [(row["a"], row["b"], row[relation], row[f"{relation}_margin"]) for row in found]
 
 
-def _relation(question: Question, own: list[dict[str, Any]], rows: FrameRows, config: VqaConfig) -> str | None:
+def _relation(question: VqaQuestion, own: list[dict[str, Any]], rows: ExportFrame, config: VqaConfig) -> str | None:
     ((_, _, state, margin),) = _states(rows, question.about, a=question.objects[0], b=question.objects[1])
     if state not in (1, -1) or margin is None or abs(margin) < config.min_margin:
         return f"a relation of state {state} with margin {margin}"
@@ -100,7 +100,7 @@ def _relation(question: Question, own: list[dict[str, Any]], rows: FrameRows, co
     return None if question.answer == expected else f"answered {question.answer}, is {expected}"
 
 
-def _which(question: Question, own: list[dict[str, Any]], rows: FrameRows) -> str | None:
+def _which(question: VqaQuestion, own: list[dict[str, Any]], rows: ExportFrame) -> str | None:
     states = _states(rows, question.about, b=question.objects[1])
     holding = [a for a, _, state, _ in states if state == 1]
     if holding != [question.objects[0]] or any(state not in (1, -1) for _, _, state, _ in states):
@@ -110,7 +110,7 @@ def _which(question: Question, own: list[dict[str, Any]], rows: FrameRows) -> st
     return None if question.answer == readable(own[0]["label"]) else "another name"
 
 
-def _grounding(question: Question, own: list[dict[str, Any]], rows: FrameRows, config: VqaConfig) -> str | None:
+def _grounding(question: VqaQuestion, own: list[dict[str, Any]], rows: ExportFrame, config: VqaConfig) -> str | None:
     row = next((row for row in rows.expressions if row["id"] == question.source), None)
     if row is None or not question.question.endswith(row["text"]):
         return "another sentence than the expression's"
@@ -128,7 +128,7 @@ def _grounding(question: Question, own: list[dict[str, Any]], rows: FrameRows, c
     )
 
 
-def _measure(question: Question, own: list[dict[str, Any]], rows: FrameRows, figures: list[Figures]) -> str | None:
+def _measure(question: VqaQuestion, own: list[dict[str, Any]], rows: ExportFrame, figures: list[Figures]) -> str | None:
     if not _named_once(rows, *own):
         return "a name that several objects have"
     if question.kind == "size":
@@ -143,7 +143,7 @@ def _measure(question: Question, own: list[dict[str, Any]], rows: FrameRows, fig
     return None if unit == "m" and abs(float(number) - value) <= 0.00501 else f"answered {number}, is {value:.3f}"
 
 
-def question_of(record: Mapping[str, Any]) -> Question:
+def question_of(record: Mapping[str, Any]) -> VqaQuestion:
     """The question of a record.
 
     Raises
@@ -159,7 +159,7 @@ def question_of(record: Mapping[str, Any]) -> Question:
         meta = record["metadata"]
         if meta["kind"] not in KINDS:
             raise ValueError(f"kind {meta['kind']!r}")
-        return Question(
+        return VqaQuestion(
             record["id"],
             record["image"],
             meta["kind"],
@@ -176,7 +176,7 @@ def question_of(record: Mapping[str, Any]) -> Question:
         raise InputError("not a question of an export", got=f"{type(error).__name__}: {error}"[:120]) from error
 
 
-def read_questions(root: Path) -> Iterator[Question]:
+def read_questions(root: Path) -> Iterator[VqaQuestion]:
     """The questions of an exported folder, in the order in which they were written.
 
     Raises

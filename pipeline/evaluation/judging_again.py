@@ -19,7 +19,7 @@ from pipeline.labels.job import label_dataset
 from pipeline.labels.merge import SelectConfig
 from pipeline.labels.plan import load_plan
 from pipeline.labels.reading import open_labels
-from pipeline.labels.store import PLAN_FILE, Store
+from pipeline.labels.store import PLAN_FILE, LabelStore
 from pipeline.system.errors import require
 from pipeline.system.whole_files import staged_folder
 
@@ -69,7 +69,7 @@ def judge_again(
         (path / PLAN_FILE).is_file(), "nothing here says how it was made",
         expected=f"a run ({RUN_FILE}), labels ({PLAN_FILE}) or a case ({CASE_FILE})", path=path,
     )  # fmt: skip
-    plan, manifest = load_plan(Store(path)), open_labels(path).manifest
+    plan, manifest = load_plan(LabelStore(path)), open_labels(path).manifest
     count, ids = len(plan.frames), plan.spec.open(plan.config).dataset.frame_ids
     require(
         plan.frames == ids[:count], "these labels are of some of the dataset's splits only",

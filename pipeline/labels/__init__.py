@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from pipeline.labels.report import need_matplotlib, write_report
     from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest, labels_version
     from pipeline.labels.statistics import label_statistics
-    from pipeline.labels.store import Store
+    from pipeline.labels.store import LabelStore
     from pipeline.labels.wording import expression_text
 
 __getattr__ = lazy_exports(__name__, __file__)

@@ -26,7 +26,7 @@ from pipeline.labels.plan import LabelConfig, Plan, Shard, SourceSpec
 from pipeline.labels.profiles import GIVEN, open_second_opinion
 from pipeline.labels.reading import CANDIDATES, PART_TABLES, SENTENCES, arrow_schema, build_table
 from pipeline.labels.sentence_maker import make_sentences, sentence_rows
-from pipeline.labels.store import Store
+from pipeline.labels.store import LabelStore
 from pipeline.proposals.base import Proposals
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.arrow import pa
@@ -127,7 +127,7 @@ def shard_tables(labels: Iterable[FrameLabels], names: Sequence[str] = PART_TABL
     }
 
 
-def finished(shard: Shard, store: Store) -> ShardReport | None:
+def finished(shard: Shard, store: LabelStore) -> ShardReport | None:
     """Report of a finished shard, else None."""
     if not store.has_part(shard.name):
         return None
@@ -137,7 +137,7 @@ def finished(shard: Shard, store: Store) -> ShardReport | None:
 
 
 def label_shard(
-    shard: Shard, labeller: Labeller, store: Store, found: Mapping[str, Proposals] | None = None
+    shard: Shard, labeller: Labeller, store: LabelStore, found: Mapping[str, Proposals] | None = None
 ) -> ShardReport:
     """Label the frames of a shard and write its part; finished ones are left alone.
 
@@ -173,7 +173,7 @@ Done = Callable[[ShardReport], None]
 """Called with each shard's report when it is finished."""
 
 
-def run_local(plan: Plan, shards: Sequence[Shard], store: Store, workers: int, done: Done) -> None:
+def run_local(plan: Plan, shards: Sequence[Shard], store: LabelStore, workers: int, done: Done) -> None:
     """Label shards with so many processes; what is finished stays when the run is stopped.
 
     Raises InputError: a worker was killed.
@@ -192,8 +192,8 @@ def run_local(plan: Plan, shards: Sequence[Shard], store: Store, workers: int, d
             done(report)
 
 
-def _opened(spec: SourceSpec, config: LabelConfig, where: str) -> tuple[Labeller, Store]:
-    return open_labeller(spec, config), Store(where)
+def _opened(spec: SourceSpec, config: LabelConfig, where: str) -> tuple[Labeller, LabelStore]:
+    return open_labeller(spec, config), LabelStore(where)
 
 
 LEAST_FRAMES_A_BLOCK = 64
@@ -210,7 +210,7 @@ class DetectShards:
 
     def __call__(self, row: dict[str, Any]) -> dict[str, Any]:
         shard = pickle.loads(row["shard"])
-        if Store(row["where"]).has_part(shard.name):
+        if LabelStore(row["where"]).has_part(shard.name):
             return {**row, "found": b""}
         return {**row, "found": pickle.dumps(detect_shard(shard, _labeller(row["models"]).source))}
 
@@ -219,7 +219,9 @@ def label_row(row: dict[str, Any]) -> dict[str, Any]:
     """Labels a shard, from what was detected where a detector ran before."""
     found = pickle.loads(row["found"]) if row.get("found") else None
     with one_thread():
-        return asdict(label_shard(pickle.loads(row["shard"]), _labeller(row["models"]), Store(row["where"]), found))
+        return asdict(
+            label_shard(pickle.loads(row["shard"]), _labeller(row["models"]), LabelStore(row["where"]), found)
+        )
 
 
 def needed_ray() -> None:
@@ -228,7 +230,7 @@ def needed_ray() -> None:
 
 
 def run_ray(
-    plan: Plan, shards: Sequence[Shard], store: Store, workers: int, done: Done, *, gpus_a_detector: float = 0.0
+    plan: Plan, shards: Sequence[Shard], store: LabelStore, workers: int, done: Done, *, gpus_a_detector: float = 0.0
 ) -> None:
     """Label shards on the connected Ray cluster, else on one of this machine.
 

@@ -14,7 +14,7 @@ from pipeline.labels.plan import LabelConfig, SourceSpec, input_changed, make_pl
 from pipeline.labels.profiles import NONE, TRAINED, open_second_opinion
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.schema import Manifest
-from pipeline.labels.store import Store
+from pipeline.labels.store import LabelStore
 from pipeline.system.detector_setup import with_files
 from pipeline.system.errors import as_input_error, require
 
@@ -88,7 +88,7 @@ def label_dataset(
     start = perf_counter()
     if "://" not in str(out):
         out = Path(out).expanduser().absolute()
-    store = Store(out)
+    store = LabelStore(out)
     require(workers >= 1, "at least one worker is needed", got=workers)
     require(0 <= gpus_a_detector <= 1e3, "GPUs of a detector", got=gpus_a_detector, expected="a number from 0 to 1000")
     require(

@@ -14,11 +14,11 @@ from pipeline.answering.objects import PreparedFrame, SceneObject, appearance_of
 from pipeline.datasets import GivenExpression
 from pipeline.geometry.fitting import pca_box
 from pipeline.geometry.frame import Annotation, Frame
-from pipeline.geometry.lifting import Evidence, LiftedObject, Pixel
+from pipeline.geometry.lifting import LiftedObject, Pixel, PixelEvidence
 from pipeline.geometry.masks import encode_run_length
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.plan import LabelConfig
-from pipeline.labels.profiles import GIVEN, Judged, as_given, doubted
+from pipeline.labels.profiles import GIVEN, JudgedPairs, as_given, doubted
 from pipeline.labels.reading import PART_TABLES, SENTENCES, Columns
 from pipeline.labels.wording import can_be_worded
 from pipeline.language.noun_phrase import same_names
@@ -35,7 +35,7 @@ class FrameLabels:
     objects: Columns
     relations: Columns
     candidates: Columns
-    judged: Judged | None = None
+    judged: JudgedPairs | None = None
     sentences: Columns = field(default_factory=dict)
 
     def tables(self) -> dict[str, Columns]:
@@ -43,7 +43,7 @@ class FrameLabels:
 
 
 def broken_frame(frame_id: str, frame_index: int, scene: str, problem: str) -> FrameLabels:
-    """The rows of a frame that cannot be loaded: it is listed, with the reason."""
+    """Rows of a frame that cannot be loaded, with the reason."""
     row = {"frame": frame_id, "frame_index": frame_index, "scene": scene, "ok": False, "problem": problem}
     return FrameLabels(_rows([{**row, "width": 0, "height": 0, "objects": 0, "notes": []}]), {}, {}, {})
 
@@ -64,20 +64,17 @@ def label_objects(
 
     Parameters
     ----------
-    context : PreparedFrame
-    objects : sequence of SceneObject
+    objects
         In any order; those of one detector.
-    config : LabelConfig
-    frame_index : int
+    frame_index
         The frame's index in the dataset.
-    scene : str
-    exact : bool
+    exact
         The objects are the dataset's own: their numbers are its annotations'.
-    network : OnnxScorer, optional
+    network
         The second opinion.
-    numbers : sequence of int, optional
+    numbers
         The objects' numbers, where they have some already.
-    given : sequence of GivenExpression
+    given
         What the dataset itself says of its annotations: the relations under the profile `given`.
     """
     frame = context.frame
@@ -114,7 +111,7 @@ def label_objects(
 
 def judge_list(
     context: PreparedFrame, objects: Sequence[SceneObject], config: LabelConfig, network: OnnxScorer | None = None
-) -> Judged:
+) -> JudgedPairs:
     """Every ordered pair of objects as it is labelled: by the rules, in doubt where the geometry or a network is."""
     lifted = [o.lifted for o in objects]
     judged = judge_objects(lifted, context.viewer, config)
@@ -126,7 +123,7 @@ def judge_list(
     )
 
 
-def with_undecided(judged: Judged, unsure: np.ndarray) -> Judged:
+def with_undecided(judged: JudgedPairs, unsure: np.ndarray) -> JudgedPairs:
     """The judgements with U for every pair of which an object's geometry is not to be relied on.
 
     Parameters
@@ -140,10 +137,10 @@ def with_undecided(judged: Judged, unsure: np.ndarray) -> Judged:
     changed = pairs[..., None] & (judged.states != U)
     bits = (changed << np.arange(changed.shape[2], dtype=np.int32)).sum(axis=2, dtype=np.int32)
     states, margins = np.where(changed, U, judged.states).astype(np.int8), np.where(changed, 0.0, judged.margins)
-    return Judged(states, margins, judged.distance, bits)
+    return JudgedPairs(states, margins, judged.distance, bits)
 
 
-def judge_objects(lifted: Sequence[LiftedObject], viewer: ViewerAxes, config: LabelConfig) -> Judged:
+def judge_objects(lifted: Sequence[LiftedObject], viewer: ViewerAxes, config: LabelConfig) -> JudgedPairs:
     """Every ordered pair of the objects under the profile's rules."""
     lo, hi = (np.array([getattr(item, end) for item in lifted], np.float64).reshape(-1, 3) for end in ("lo", "hi"))
     centres = (lo + hi) / 2
@@ -239,7 +236,7 @@ def _object_row(
 
 
 def unusable(config: LabelConfig, label: str, mask_pixels: int, points: int, fallback: bool) -> str | None:
-    """Why an object may not be asked for, of what its row says; None where it may."""
+    """Reason against asking for an object, by its row; None without one."""
     if config.is_background(label):
         return "background"
     if mask_pixels < config.min_pixels:
@@ -250,7 +247,9 @@ def unusable(config: LabelConfig, label: str, mask_pixels: int, points: int, fal
     return "too small to clean" if fallback else None
 
 
-def _relation_columns(frame: str, frame_index: int, ids: Sequence[int], judged: Judged, config: LabelConfig) -> Columns:
+def _relation_columns(
+    frame: str, frame_index: int, ids: Sequence[int], judged: JudgedPairs, config: LabelConfig
+) -> Columns:
     number = np.asarray(ids, np.int32)
     # Rows run by (a, b) as numbers, whatever the order of the objects.
     order = np.argsort(number, kind="stable")
@@ -280,12 +279,12 @@ REACH = 2
 """Pixels beyond the mask that are looked at: the first ones are often mixed."""
 
 
-def occluded_share(evidence: Evidence, depth: np.ndarray) -> float:
-    """Share of the mask's border beside which something is at least 5 cm nearer than the object there.
+def occluded_share(evidence: PixelEvidence, depth: np.ndarray) -> float:
+    """Share of the mask's border with something at least 5 cm nearer beside.
 
     Parameters
     ----------
-    evidence : Evidence
+    evidence
         The pixels of the mask.
     depth : (H, W) float32
         Metres.
@@ -312,7 +311,7 @@ def occluded_share(evidence: Evidence, depth: np.ndarray) -> float:
 
 
 def row_hash(seed: int, *parts: object) -> int:
-    """64 bits that depend on nothing but the seed and what the row says."""
+    """64-bit hash of the seed and a row's content."""
     return xxhash.xxh3_64_intdigest("\x1f".join(str(p) for p in parts).encode(), seed=seed & (2**64 - 1))
 
 
@@ -322,7 +321,7 @@ def candidate_expressions(
     ids: Sequence[int],
     labels: Sequence[str],
     usable: np.ndarray,
-    judged: Judged,
+    judged: JudgedPairs,
     config: LabelConfig,
     up_source: str,
 ) -> dict[str, Any]:
@@ -330,11 +329,10 @@ def candidate_expressions(
 
     Parameters
     ----------
-    ids, labels : sequences of N
+    ids, labels
         Numbers and class names of the objects that were judged.
     usable : (N,) bool
         Objects that may be asked for; the others still count as acceptable answers.
-    judged : Judged
 
     Returns
     -------

@@ -31,7 +31,7 @@ from pipeline.labels.reading import (
     arrow_schema,
 )
 from pipeline.labels.schema import SCHEMA_VERSION, SENTENCES_OF, Manifest, TableFile, write_schemas
-from pipeline.labels.store import Store
+from pipeline.labels.store import LabelStore
 from pipeline.labels.wording import expression_text
 from pipeline.language.noun_phrase import alone
 from pipeline.language.relation_names import PAIRWISE
@@ -63,7 +63,7 @@ def merge_labels(where: str | Path, selection: SelectConfig | None = None, out: 
     Raises InputError: shards are missing or damaged, or the folder holds no labels.
     """
     selection = selection or SelectConfig()
-    store = Store(where)
+    store = LabelStore(where)
     plan = load_plan(store)
     missing = [shard for shard in plan.shards if not store.has_part(shard.name)]
     require(
@@ -96,7 +96,7 @@ def merge_labels(where: str | Path, selection: SelectConfig | None = None, out: 
     return manifest
 
 
-def _write_all(out: Path, plan: Plan, store: Store, selection: SelectConfig) -> Manifest:
+def _write_all(out: Path, plan: Plan, store: LabelStore, selection: SelectConfig) -> Manifest:
     shards = plan.shards
     warnings: list[str] = []
     tables = {
@@ -162,7 +162,7 @@ def write_labels(folder: Path, manifest: Manifest) -> Manifest:
     return manifest
 
 
-def _write_sentences(out: Path, shards: Sequence[Shard], store: Store) -> Counter[str]:
+def _write_sentences(out: Path, shards: Sequence[Shard], store: LabelStore) -> Counter[str]:
     found = [store.read_part(shard.name, SENTENCES) for shard in shards]
     lines = (line for part in found for line in part.column("line").to_pylist())
     write_synced(out / SENTENCES_FILE, "".join(f"{line}\n" for line in lines).encode())
@@ -187,7 +187,7 @@ def _move_all(staging: Path, out: Path) -> None:
 _CHOSEN_BY = ("id", "frame_index", "relation", "target", "reference", "acceptable", "same_class")
 
 
-def choose(shards: Sequence[Shard], store: Store, selection: SelectConfig) -> tuple[int, dict[str, np.ndarray]]:
+def choose(shards: Sequence[Shard], store: LabelStore, selection: SelectConfig) -> tuple[int, dict[str, np.ndarray]]:
     """Number of candidates, and the kept ones by shard."""
     codes: dict[str, int] = {}
     columns: list[list[np.ndarray]] = []
@@ -213,7 +213,7 @@ def choose(shards: Sequence[Shard], store: Store, selection: SelectConfig) -> tu
 
 
 def _worded(
-    shards: Sequence[Shard], store: Store, chosen: dict[str, np.ndarray], style: TextStyle
+    shards: Sequence[Shard], store: LabelStore, chosen: dict[str, np.ndarray], style: TextStyle
 ) -> Iterator[pa.Table]:
     """The chosen candidates, put into words: a row's own hash chooses its sentence."""
     labels = (store.read_part(s.name, "objects", ["label"]).column("label").unique().to_pylist() for s in shards)

@@ -16,7 +16,7 @@ from pipeline.datasets import Dataset, splits
 from pipeline.datasets.depth.estimator import open_depth_model
 from pipeline.geometry.lifting import LiftConfig
 from pipeline.labels.profiles import RuleProfile, canonical_hash, fingerprint, profile_of
-from pipeline.labels.store import PLAN_FILE, Store
+from pipeline.labels.store import PLAN_FILE, LabelStore
 from pipeline.language.naming import normal_form
 from pipeline.language.relation_names import PAIRWISE, VOCABULARIES
 from pipeline.relations.relations import PROFILE
@@ -224,7 +224,7 @@ def _files(folder: Path, prefix: str, leave_out: Path | None) -> Iterator[tuple[
                 yield name, stat.st_size, stat.st_mtime_ns
 
 
-def save_plan(plan: Plan, store: Store) -> None:
+def save_plan(plan: Plan, store: LabelStore) -> None:
     """Write `plan.json`, or compare with the plan found in the folder.
 
     Raises InputError: the folder holds labels made otherwise: which setting differs.
@@ -254,7 +254,7 @@ def _difference(a: Plan, b: Plan, name: str) -> str:
     return named.get(name, f"another {name}")
 
 
-def load_plan(store: Store) -> Plan:
+def load_plan(store: LabelStore) -> Plan:
     """The plan of a labels folder.
 
     Raises InputError: there is none, or it is damaged.

@@ -29,7 +29,7 @@ from pipeline.language.relation_names import DIRECTIONAL, HORIZONTAL, PAIRWISE, 
 from pipeline.relations import make_scorer, shipped_network
 from pipeline.relations.features import Appearance
 from pipeline.relations.model import OnnxScorer
-from pipeline.relations.pair_measures import Measured
+from pipeline.relations.pair_measures import AllMeasures
 from pipeline.relations.predicates import pair_margins, pair_states
 from pipeline.relations.relations import (
     PROFILE,
@@ -45,28 +45,20 @@ from pipeline.system.onnx_session import file_hash
 
 
 @dataclass(frozen=True)
-class Judged:
-    """All ordered pairs of a frame, judged.
-
-    Attributes
-    ----------
-    states : (N, N, R) int8
-        1 T, 0 U, -1 F, in the order of PAIRWISE.
-    margins : (N, N, R) float64
-        Metres: positive for T, negative for F, 0 for U.
-    distance : (N, N) float64
-        Metres between the extents of the two, NaN where either is unknown.
-    doubted : (N, N) int32 or None
-        Bit k is set where relation k is U for a second opinion's sake alone.
-    """
+class JudgedPairs:
+    """All ordered pairs of a frame, judged."""
 
     states: np.ndarray
+    """(N, N, R) int8: 1 T, 0 U, -1 F, in the order of PAIRWISE."""
     margins: np.ndarray
+    """(N, N, R) float64: metres: positive for T, negative for F, 0 for U."""
     distance: np.ndarray
+    """(N, N) float64: metres between the extents of the two, NaN where either is unknown."""
     doubted: np.ndarray | None = None
+    """(N, N) int32 or None: bit k is set where relation k is U for a second opinion's sake alone."""
 
 
-class Judge(Protocol):
+class RuleJudge(Protocol):
     """Rules: they judge every ordered pair of the objects of a frame."""
 
     def __call__(
@@ -76,7 +68,7 @@ class Judge(Protocol):
         centroids: np.ndarray,
         clouds: Sequence[np.ndarray] | None,
         relations: Collection[str] = PAIRWISE,
-    ) -> Judged:
+    ) -> JudgedPairs:
         """Judge.
 
         Parameters
@@ -85,7 +77,7 @@ class Judge(Protocol):
             Extents and mean points along (right, up, forward), metres.
         clouds : sequence of (M, 3) float, optional
             The objects' points along the same axes.
-        relations : collection of str
+        relations
             Those that are wanted: the others may be left at U with margin 0.
         """
         ...
@@ -93,23 +85,15 @@ class Judge(Protocol):
 
 @dataclass(frozen=True)
 class RuleProfile:
-    """A set of rules under a name.
-
-    Attributes
-    ----------
-    name : str
-    relations : tuple of str
-        Those that the profile judges.
-    parameters : dict
-        Every threshold, as JSON.
-    judge : callable
-        See `Judge`.
-    """
+    """A set of rules under a name."""
 
     name: str
     relations: tuple[str, ...]
+    """Those that the profile judges."""
     parameters: dict[str, Any]
-    judge: Judge
+    """Every threshold, as JSON."""
+    judge: RuleJudge
+    """See `RuleJudge`."""
 
     @property
     def hash(self) -> str:
@@ -118,7 +102,7 @@ class RuleProfile:
 
     @property
     def hashes(self) -> set[str]:
-        """`hash`, and those that the same rules had before newer relations were declared."""
+        """`hash`, and the hashes of the same rules before newer relations were declared."""
         since = {name: version_numbers(RELATIONS[name].since) for name in self.relations}
         return {self.hash_of([name for name in since if since[name] <= version]) for version in since.values()}
 
@@ -139,21 +123,21 @@ def judge_viewer_cone(
     centroids: np.ndarray,
     clouds: Sequence[np.ndarray] | None,
     relations: Collection[str] = PAIRWISE,
-) -> Judged:
+) -> JudgedPairs:
     """`viewer-cone-v1`: see `pipeline.relations.relations`. Centroids play no part in it."""
     profile = Profile()
     known = known_extents(lo, hi)
     pairs = measure_pairs(np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0), profile)
     # Those that are not of the extents' axes alone cost the most.
     names = DIRECTIONAL if set(relations) <= set(DIRECTIONAL) else PAIRWISE
-    measured = Measured(pairs, profile, clouds)
+    measured = AllMeasures(pairs, profile, clouds)
     shape, columns = (len(lo), len(lo), len(PAIRWISE)), [PAIRWISE.index(name) for name in names]
     states, margins = np.full(shape, U, np.int8), np.zeros(shape)
     states[..., columns] = pair_states(measured, known, names)
     margins[..., columns] = pair_margins(measured, states[..., columns], names)
     both = known[:, None] & known[None, :] & ~np.eye(len(lo), dtype=np.bool_)
     margins[~both] = 0.0
-    return Judged(states, margins, np.where(both, np.linalg.norm(pairs.gap, axis=2), np.nan))
+    return JudgedPairs(states, margins, np.where(both, np.linalg.norm(pairs.gap, axis=2), np.nan))
 
 
 SA_SCALE = 0.6
@@ -168,7 +152,7 @@ def judge_semantic_abstraction(
     centroids: np.ndarray,
     clouds: Sequence[np.ndarray] | None,
     relations: Collection[str] = PAIRWISE,
-) -> Judged:
+) -> JudgedPairs:
     """Semantic Abstraction's published geometry, in the viewer's axes.
 
     With disp from the target's mean point to the reference's, in scene units: a
@@ -180,8 +164,10 @@ def judge_semantic_abstraction(
     return semantic_abstraction_directions(lo, hi, centroids, judge_viewer_cone(lo, hi, centroids, clouds))
 
 
-def semantic_abstraction_directions(lo: np.ndarray, hi: np.ndarray, centroids: np.ndarray, contact: Judged) -> Judged:
-    """The directions of `judge_semantic_abstraction`, given what is on and in what."""
+def semantic_abstraction_directions(
+    lo: np.ndarray, hi: np.ndarray, centroids: np.ndarray, contact: JudgedPairs
+) -> JudgedPairs:
+    """Directions of `judge_semantic_abstraction`, given contact (on, in)."""
     known = known_extents(lo, hi) & np.isfinite(centroids).all(axis=1)
     both = known[:, None] & known[None, :] & ~np.eye(len(lo), dtype=np.bool_)
     disp = (centroids[:, None] - centroids[None, :]) * SA_SCALE
@@ -211,19 +197,19 @@ def semantic_abstraction_directions(lo: np.ndarray, hi: np.ndarray, centroids: n
     states[~both] = U
     margins[~both] = 0.0
     states[np.eye(len(lo), dtype=np.bool_)] = F
-    return Judged(states, margins, contact.distance)
+    return JudgedPairs(states, margins, contact.distance)
 
 
 GIVEN = "given"
 """The profile whose relations are the dataset's own."""
 
 
-def judge_nothing(lo: np.ndarray, hi: np.ndarray, centroids: np.ndarray, *_: Any, **__: Any) -> Judged:
+def judge_nothing(lo: np.ndarray, hi: np.ndarray, centroids: np.ndarray, *_: Any, **__: Any) -> JudgedPairs:
     """`given`: geometry decides nothing, every pair is undecided until `as_given` says what the dataset gives."""
     measured = judge_viewer_cone(lo, hi, centroids, None, ())
     states = np.full(measured.states.shape, U, np.int8)
     states[np.eye(len(lo), dtype=np.bool_)] = F
-    return Judged(states, np.zeros(measured.margins.shape), measured.distance)
+    return JudgedPairs(states, np.zeros(measured.margins.shape), measured.distance)
 
 
 PROFILES: dict[str, RuleProfile] = {
@@ -246,22 +232,19 @@ PROFILES: dict[str, RuleProfile] = {
         RuleProfile(GIVEN, (*HORIZONTAL, "on", "in"), {}, judge_nothing),
     )
 }
-"""The profiles by name. A new one is a `Judge` and an entry here."""
+"""The profiles by name. A new one is a `RuleJudge` and an entry here."""
 
 
 def profile_of(name: str) -> RuleProfile:
     """The profile of that name.
 
-    Raises
-    ------
-    InputError
-        There is none.
+    Raises InputError: there is none.
     """
     require(name in PROFILES, "no such rule profile", got=repr(name), expected=" | ".join(PROFILES))
     return PROFILES[name]
 
 
-def as_given(judged: Judged, numbers: Sequence[int], given: Sequence[GivenExpression]) -> Judged:
+def as_given(judged: JudgedPairs, numbers: Sequence[int], given: Sequence[GivenExpression]) -> JudgedPairs:
     """The judgements with the states that a dataset's expressions say.
 
     An expression that means one target and one reference makes its relation T,
@@ -271,15 +254,14 @@ def as_given(judged: Judged, numbers: Sequence[int], given: Sequence[GivenExpres
 
     Parameters
     ----------
-    judged : Judged
+    judged
         Of N objects; its states are U where nothing is given.
-    numbers : sequence of N
+    numbers
         The objects' indices in the dataset's own list of annotations.
-    given : sequence of GivenExpression
 
     Returns
     -------
-    Judged
+    JudgedPairs
         Margins are 0: no geometry was asked.
     """
     index_of = {number: k for k, number in enumerate(numbers)}
@@ -306,12 +288,9 @@ more decided)."""
 
 
 def open_second_opinion(name: str) -> OnnxScorer | None:
-    """The network of that name: "trained" (the shipped one), the path of an ONNX file, or "none".
+    """Open a network by name: "trained" (the shipped one), the path of an ONNX file, or "none".
 
-    Raises
-    ------
-    InputError
-        There is no such network, or it is a softmax network.
+    Raises InputError: there is no such network, or it is a softmax network.
     """
     if name == NONE:
         return None
@@ -325,12 +304,9 @@ def open_second_opinion(name: str) -> OnnxScorer | None:
 
 
 def fingerprint(name: str) -> str:
-    """What the opinion depends on: the hash of the network's file.
+    """Hash of the opinion's network file.
 
-    Raises
-    ------
-    InputError
-        There is no such file.
+    Raises InputError: there is no such file.
     """
     if name == NONE:
         return NONE
@@ -340,12 +316,12 @@ def fingerprint(name: str) -> str:
 
 
 def doubted(
-    judged: Judged,
+    judged: JudgedPairs,
     network: OnnxScorer,
     objects: Sequence[LiftedObject],
     viewer: ViewerAxes,
     appearance: Appearance | None = None,
-) -> Judged:
+) -> JudgedPairs:
     """The judgements with U where the network finds T not likely enough, or F too likely.
 
     The network answers inverse questions alike, and so inverse labels stay inverse.
@@ -361,4 +337,4 @@ def doubted(
         state[opposed] = U
         margins[..., column][opposed] = 0.0
         bits |= opposed.astype(np.int32) << column
-    return Judged(states, margins, judged.distance, bits)
+    return JudgedPairs(states, margins, judged.distance, bits)

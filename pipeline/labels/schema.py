@@ -45,7 +45,7 @@ Pixels = Annotated[list[float], Field(min_length=4, max_length=4)]
 Objects = Annotated[list[int], Field(json_schema_extra={"arrow": "int32"})]
 
 
-class Row(BaseModel):
+class LabelRow(BaseModel):
     """What every table has."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -54,7 +54,7 @@ class Row(BaseModel):
     frame_index: Count
 
 
-class FrameRow(Row):
+class FrameRow(LabelRow):
     """One frame; of a broken one only its id and the problem are known.
 
     `up` is the unit vector against gravity in the camera frame; with it
@@ -76,7 +76,7 @@ class FrameRow(Row):
     notes: list[str]
 
 
-class ObjectRow(Row):
+class ObjectRow(LabelRow):
     """One object of a frame: its pixels, its points, its box, and how far they can be trusted.
 
     `mask` is COCO's compressed run-length code of the (height, width) mask.
@@ -121,7 +121,7 @@ class ObjectRow(Row):
     reason: str | None
 
 
-class PairRow(Row):
+class PairRow(LabelRow):
     """All relations of one ordered pair: "object a RELATION object b".
 
     A margin is how far, in metres, the measures stand from where the state
@@ -140,7 +140,7 @@ RelationRow = create_model("RelationRow", __base__=PairRow, __doc__=PairRow.__do
 """PairRow with two columns for each declared relation."""
 
 
-class ExpressionRow(Row):
+class ExpressionRow(LabelRow):
     """A sentence that is true of a pair of objects, with everything else it is true of.
 
     `targets` are the objects of the target's class that satisfy it beyond doubt
@@ -217,7 +217,7 @@ class Manifest(BaseModel):
         return {k.removeprefix(SENTENCES_OF): n for k, n in self.counts.items() if k.startswith(SENTENCES_OF)}
 
 
-TABLES: dict[str, type[Row]] = {
+TABLES: dict[str, type[LabelRow]] = {
     "frames": FrameRow,
     "objects": ObjectRow,
     "relations": RelationRow,

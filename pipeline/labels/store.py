@@ -22,7 +22,7 @@ DONE_FILE = "part.json"
 """Written last: a part without it does not count."""
 
 
-class Store:
+class LabelStore:
     """A labels folder.
 
     A part is written under a hidden name of its own, synced, and renamed into

@@ -22,7 +22,7 @@ from pipeline.language.relation_names import DIRECTIONAL, INVERSE, VOCABULARIES
 from pipeline.language.vectors import LanguageContract
 from pipeline.metrics.calibration_metrics import IDENTITY, Platt
 from pipeline.relations.class_vectors import ClassVectors
-from pipeline.relations.contract import Contract, Output
+from pipeline.relations.contract import NetworkContract, Output
 from pipeline.relations.features import LANGUAGE, feature_set
 from pipeline.relations.relations import T
 from pipeline.system.errors import MissingExtra, extra_module, require
@@ -90,37 +90,23 @@ class Epoch:
 
 @dataclass(frozen=True)
 class TrainedModel:
-    """A network before calibration.
-
-    Attributes
-    ----------
-    config : TrainConfig
-    layers : tuple of (W, b)
-        float32, W is (inputs, outputs).
-    mean, std : (D,) float64
-        Of the training features.
-    curve : tuple of Epoch
-    pairs : int
-        Training pairs.
-    data : str
-        Hash of features and labels.
-    vocabulary : tuple of str
-        The relation of each output.
-    prior : tuple of float
-        Of a softmax network.
-    vectors : ClassVectors or None
-    language : LanguageContract or None
-    """
+    """A network before calibration."""
 
     config: TrainConfig
     layers: Layers
+    """tuple of (W, b): float32, W is (inputs, outputs)."""
     mean: np.ndarray
     std: np.ndarray
+    """(D,) float64: of the training features."""
     curve: tuple[Epoch, ...]
     pairs: int
+    """Training pairs."""
     data: str
+    """Hash of features and labels."""
     vocabulary: tuple[str, ...] = DIRECTIONAL
+    """The relation of each output."""
     prior: tuple[float, ...] = ()
+    """Of a softmax network."""
     vectors: ClassVectors | None = None
     language: LanguageContract | None = None
 
@@ -138,9 +124,9 @@ class TrainedModel:
             digest.update(np.ascontiguousarray(b).data)
         return digest.hexdigest()
 
-    def contract(self, calibration: dict[str, Platt] | None = None) -> Contract:
-        """What the ONNX file will say; without a calibration, probabilities are the bare sigmoid or softmax."""
-        return Contract(
+    def contract(self, calibration: dict[str, Platt] | None = None) -> NetworkContract:
+        """Contract of the ONNX file; without calibration probabilities are the bare sigmoid or softmax."""
+        return NetworkContract(
             self.config.features,
             feature_set(self.config.features, 0 if self.language is None else self.language.dimension).columns,
             self.mean,
@@ -165,17 +151,11 @@ def train_srm(
 
     Parameters
     ----------
-    samples : sequence of FrameSamples
-    config : TrainConfig, optional
-    progress : callable, optional
+    progress
         Called after each epoch with (epochs done, mean loss).
 
-    Raises
-    ------
-    InputError
-        There is nothing to learn from, or the configuration makes no sense.
-    MissingExtra
-        torch is not installed.
+    Raises InputError: there is nothing to learn from, or the configuration makes no sense.
+    Raises MissingExtra: torch is not installed.
     """
     config = config or TrainConfig()
     check_room_config(config)
@@ -193,7 +173,7 @@ def train_srm(
 
 
 def averaged(networks: Sequence[Layers]) -> Layers:
-    """Networks of equal sizes as one of as many times the width, whose logits are the mean of theirs."""
+    """Average networks of equal sizes: one network of so many times the width."""
     if len(networks) == 1:
         return networks[0]
     first, *middle, last = zip(*networks, strict=True)
@@ -237,22 +217,17 @@ def train_pairs(
 
     Parameters
     ----------
-    pairs : PairSet
+    pairs
         States in the order of the configured vocabulary; pairs that teach nothing are left out.
-    config : TrainConfig, optional
-    validation : PairSet, optional
+    validation
         For the metric of each epoch; it does not change the weights.
-    language : LanguageContract, optional
+    language
         Where the pairs have class vectors: what they are.
-    progress : callable, optional
+    progress
         Called after each epoch.
 
-    Raises
-    ------
-    InputError
-        There is nothing to learn from, or the configuration makes no sense.
-    MissingExtra
-        torch is not installed.
+    Raises InputError: there is nothing to learn from, or the configuration makes no sense.
+    Raises MissingExtra: torch is not installed.
     """
     config = config or TrainConfig()
     config.check()
@@ -307,7 +282,6 @@ def train_pairs(
 
 
 def _classes_with_examples(states: np.ndarray, vocabulary: Sequence[str]) -> list[int]:
-    """Indices of the classes that can be learnt; of two inverse ones both or none."""
     enough = (states == T).sum(axis=0) >= FEWEST_EXAMPLES
     return [
         k
@@ -405,7 +379,6 @@ def require_training() -> None:
 
 @contextmanager
 def _deterministic(torch: Any) -> Iterator[None]:
-    """One thread and deterministic algorithms; both as they were afterwards."""
     threads, strict = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
     torch.set_num_threads(1)
     torch.use_deterministic_algorithms(True)

@@ -9,7 +9,7 @@ from typing import Any
 from pipeline.corrections.journal.field_refs import object_ref, relation_ref
 from pipeline.corrections.label_editor import LabelEditor
 from pipeline.corrections.label_view import LabelView
-from pipeline.corrections.review.bulk import Pace
+from pipeline.corrections.review.bulk import ReviewPace
 from pipeline.corrections.review.items import ItemKey
 from pipeline.labels.by_hand import grows
 from pipeline.language.counted import counted
@@ -169,7 +169,7 @@ def begin_card(view: LabelView, editor: LabelEditor) -> Element:
     )
 
 
-def pace_html(pace: Pace | None, settled: int, items: int) -> Element:
+def pace_html(pace: ReviewPace | None, settled: int, items: int) -> Element:
     """How far, and how fast."""
     parts: list[Child] = [h.span(h.b(f"{settled:,}"), f" of {items:,} settled")] if items else []
     if pace is not None and pace.items:

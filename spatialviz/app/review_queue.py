@@ -10,14 +10,14 @@ from functools import cached_property
 import numpy as np
 
 from pipeline.answering.frame_store import LoadedFrame
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.corrections.journal.edits import Edits, judge_relation, set_relation, set_status, settle
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Event, Saved
 from pipeline.corrections.journal.field_refs import object_ref, relation_ref
 from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.label_view import Target
-from pipeline.corrections.review.bulk import MOST, Pace, accept_all, found_items, pace_of, say_of_item
+from pipeline.corrections.review.bulk import MOST, ReviewPace, accept_all, found_items, pace_of, say_of_item
 from pipeline.corrections.review.items import BLOCK, ItemKey
 from pipeline.corrections.review.label_jobs import CANCELLED, QueueJob, QueueProgress
 from pipeline.corrections.review.worklist import NOTHING, Mark, Worklist, refreshed_worklist
@@ -414,7 +414,7 @@ class ReviewQueue(LabelPart):
                 return thumb_url(loaded, np.array(row["bbox"], np.float32))
         return self.ctx.shared.pictures.url(self.state.source, key.frame)
 
-    def _paced(self) -> Pace | None:
+    def _paced(self) -> ReviewPace | None:
         """How fast this person worked today; None while the journal is away."""
         author = self.editor.author
         with suppress(InputError):

@@ -18,8 +18,8 @@ from pipeline.labels import (
     MANIFEST_FILE,
     TABLES,
     LabelConfig,
+    LabelStore,
     SourceSpec,
-    Store,
     label_objects,
     merge_labels,
     save_plan,
@@ -55,7 +55,7 @@ def write_labels(root: Path, config: LabelConfig) -> None:
     frames = scenes()
     ids = tuple(f.id for f in frames)
     plan = Plan(SourceSpec("scenes"), config, ids, {"detector": "annotations"}, "-", "test", True, 2)
-    store = Store(root)
+    store = LabelStore(root)
     store.prepare()
     save_plan(plan, store)
     labelled = []

@@ -22,8 +22,8 @@ from slow_cases import mostly_slow
 from pipeline.labels import (
     TABLES,
     LabelConfig,
+    LabelStore,
     SourceSpec,
-    Store,
     check_labels,
     finding_record,
     label_shard,
@@ -74,7 +74,7 @@ def errors(findings: list[Finding]) -> list[Finding]:
 @pytest.mark.parametrize("name", mostly_slow(CONFIGS, fast=(2,)))
 def test_clean_labels_of_rooms_have_no_error(name: str, tmp_path: Path) -> None:
     spec, config = SourceSpec("demo"), CONFIGS[name]
-    plan, store = make_plan(spec, config, limit=5), Store(tmp_path)
+    plan, store = make_plan(spec, config, limit=5), LabelStore(tmp_path)
     store.prepare()
     save_plan(plan, store)
     labeller = open_labeller(spec, config)

@@ -25,10 +25,10 @@ from pipeline.labels import (
     PROFILES,
     SCHEMA_VERSION,
     LabelConfig,
+    LabelStore,
     Manifest,
     SelectConfig,
     SourceSpec,
-    Store,
     label_dataset,
     label_shard,
     load_plan,
@@ -167,7 +167,7 @@ def test_killed_in_the_middle_nothing_is_half_written_and_the_rest_is_kept(
         wait_until(lambda: os.killpg(run.pid, 0))
     finished = parts(out)
     assert finished, "the run was killed before anything was finished"
-    store = Store(out)
+    store = LabelStore(out)
     for name in finished:
         assert store.has_part(name)
         for table in PART_TABLES:
@@ -243,7 +243,7 @@ def test_plans_survive_the_disk_and_parts_of_them_cover_every_shard_once() -> No
 
 def test_a_plan_is_read_back_as_it_was(tmp_path: Path) -> None:
     plan = make_plan(DEMO, LabelConfig(vocabulary="all", seed=3), frames_a_shard=5)
-    store = Store(tmp_path)
+    store = LabelStore(tmp_path)
     save_plan(plan, store)
     assert load_plan(store) == plan
 
@@ -279,7 +279,7 @@ def test_a_worker_stays_under_half_a_gigabyte() -> None:
 
 def test_shards_can_be_labelled_alone(tmp_path: Path) -> None:
     plan = make_plan(DEMO, LabelConfig(), frames_a_shard=1)
-    store = Store(tmp_path / "out")
+    store = LabelStore(tmp_path / "out")
     store.prepare()
     labeller = open_labeller(plan.spec, plan.config)
     first = label_shard(plan.shards[4], labeller, store)

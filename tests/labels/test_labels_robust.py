@@ -21,9 +21,9 @@ from pipeline import __version__
 from pipeline.datasets import demo_path
 from pipeline.labels import (
     LabelConfig,
+    LabelStore,
     SelectConfig,
     SourceSpec,
-    Store,
     label_dataset,
     label_shard,
     load_plan,
@@ -70,7 +70,7 @@ def dead_pid() -> int:
 
 def test_two_writers_of_one_shard_do_not_meet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = make_plan(DEMO, QUICK, limit=1, frames_a_shard=1)
-    store, shard = Store(tmp_path), plan.shards[0]
+    store, shard = LabelStore(tmp_path), plan.shards[0]
     store.prepare()
     labeller = open_labeller(plan.spec, plan.config)
     write, nested = whole_files.write_synced, []
@@ -79,7 +79,7 @@ def test_two_writers_of_one_shard_do_not_meet(tmp_path: Path, monkeypatch: pytes
         if not nested:
             # It has this process's number too, as writers in two containers can have.
             nested.append(True)
-            label_shard(shard, labeller, Store(tmp_path))
+            label_shard(shard, labeller, LabelStore(tmp_path))
         write(path, data)
 
     monkeypatch.setattr("pipeline.labels.store.write_synced", write_while_another_does)
@@ -104,7 +104,7 @@ def test_only_what_dead_writers_left_is_cleared(tmp_path: Path) -> None:
 
 def test_the_first_plan_of_a_folder_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first, second = (make_plan(DEMO, LabelConfig(seed=s, second_opinion="none"), limit=1) for s in (1, 2))
-    store, late = Store(tmp_path), Store(tmp_path)
+    store, late = LabelStore(tmp_path), LabelStore(tmp_path)
     save_plan(first, store)
     read, seen = late.read_text, []
     # The second task looked before the first had written.
@@ -115,7 +115,7 @@ def test_the_first_plan_of_a_folder_stands(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_a_resumed_run_leaves_a_running_one_alone(labels: Path) -> None:
-    shutil.rmtree(labels / "parts" / load_plan(Store(labels)).shards[0].name)
+    shutil.rmtree(labels / "parts" / load_plan(LabelStore(labels)).shards[0].name)
     other = temporary_sibling(labels / "parts" / "000000-other")
     other.mkdir()
     label_dataset(DEMO, labels, QUICK, limit=2, frames_a_shard=1, resume=True)
@@ -167,7 +167,7 @@ def test_what_was_said_of_camera_and_names_is_part_of_the_plan(tmp_path: Path) -
         except InputError:
             continue  # The demo has a camera of its own, and refuses another.
         assert other.key != plain.key
-        store = Store(tmp_path / "_".join(options))
+        store = LabelStore(tmp_path / "_".join(options))
         store.prepare()
         save_plan(plain, store)
         with pytest.raises(InputError, match="another " + next(iter(options)).replace("_", " ")):
@@ -175,13 +175,13 @@ def test_what_was_said_of_camera_and_names_is_part_of_the_plan(tmp_path: Path) -
 
 
 def test_shards_of_another_release_are_not_mixed_in(labels: Path) -> None:
-    plan = load_plan(Store(labels))
+    plan = load_plan(LabelStore(labels))
     assert plan.version == __version__
     older = replace(plan, version="0.0.1")
     assert not {s.key for s in older.shards} & {s.key for s in plan.shards}
     (labels / "plan.json").write_text(json.dumps(older.record()))
     with pytest.raises(InputError, match=r"release 0\.0\.1"):
-        save_plan(plan, Store(labels))
+        save_plan(plan, LabelStore(labels))
 
 
 @pytest.mark.parametrize("limit", [0, -1])
@@ -200,7 +200,7 @@ def test_the_plan_holds_absolute_paths(tmp_path: Path, monkeypatch: pytest.Monke
     shutil.copytree(demo_path(), tmp_path / "data")
     monkeypatch.chdir(tmp_path)
     label_dataset(SourceSpec("data"), "out", QUICK, limit=1)
-    assert load_plan(Store(tmp_path / "out")).spec.path == str(tmp_path / "data")
+    assert load_plan(LabelStore(tmp_path / "out")).spec.path == str(tmp_path / "data")
     assert SourceSpec("demo", {"model": "m.onnx"}).absolute() == SourceSpec("demo", {"model": str(tmp_path / "m.onnx")})
     fused = SourceSpec("demo", {"fuse": ["annotations", "yolo-seg=m.onnx"]}).absolute()
     assert fused.options == {"fuse": ["annotations", f"yolo-seg={tmp_path / 'm.onnx'}"]}
@@ -238,7 +238,7 @@ def test_a_full_disk_is_told_and_gone_on_from(written: str, tmp_path: Path, monk
 
 
 def test_damaged_parts_are_named_when_merging(labels: Path) -> None:
-    store = Store(labels)
+    store = LabelStore(labels)
     first, second = load_plan(store).shards
     folder = labels / "parts" / first.name
     whole = contents(folder)
@@ -266,7 +266,7 @@ def test_damaged_parts_are_named_when_merging(labels: Path) -> None:
 
 
 def test_a_damaged_record_stops_a_resumed_run_in_one_line(labels: Path) -> None:
-    (labels / "parts" / load_plan(Store(labels)).shards[0].name / "part.json").write_text("{")
+    (labels / "parts" / load_plan(LabelStore(labels)).shards[0].name / "part.json").write_text("{")
     with pytest.raises(InputError, match=r"damaged.*remove its folder"):
         label_dataset(DEMO, labels, QUICK, limit=2, frames_a_shard=1, resume=True)
 
@@ -275,7 +275,7 @@ def test_a_damaged_part_at_a_url_is_an_input_error(tmp_path: Path) -> None:
     fsspec = pytest.importorskip("fsspec")
     where = f"memory://damaged-{os.getpid()}"
     label_dataset(DEMO, where, QUICK, limit=1)
-    store = Store(where)
+    store = LabelStore(where)
     (shard,) = load_plan(store).shards
     with fsspec.filesystem("memory").open(f"/damaged-{os.getpid()}/parts/{shard.name}/frames.parquet", "wb") as file:
         file.write(b"PAR1")

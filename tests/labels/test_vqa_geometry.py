@@ -21,12 +21,12 @@ from pipeline.answering import PreparedFrame, all_objects
 from pipeline.datasets import Dataset
 from pipeline.geometry import Annotation, Box3D, Frame, viewer_axes
 from pipeline.labels import LabelConfig, Labels, VqaConfig, build_table, export_labels, label_objects
-from pipeline.labels.exports.base import FrameRows
+from pipeline.labels.exports.base import ExportFrame
 from pipeline.labels.exports.vqa_geometry import EXACT, HUMAN, POINTS, Depths, Figures, figures_of, gap_between
 from pipeline.proposals import AnnotationDetector
 
 
-def rows_of(frame: Frame) -> FrameRows:
+def rows_of(frame: Frame) -> ExportFrame:
     """A frame's labels, as an export reads them."""
     context = PreparedFrame(frame)
     config = LabelConfig(second_opinion="none")
@@ -34,7 +34,7 @@ def rows_of(frame: Frame) -> FrameRows:
         context, all_objects(context, AnnotationDetector()), config, frame_index=0, scene="s", exact=True
     )
     tables = {n: build_table(n, c) for n, c in found.tables().items() if n != "candidates"}
-    return FrameRows(tables["frames"].to_pylist()[0], tables["objects"].to_pylist(), tables["relations"], [])
+    return ExportFrame(tables["frames"].to_pylist()[0], tables["objects"].to_pylist(), tables["relations"], [])
 
 
 def depths_of(frame: Frame) -> Depths:

@@ -18,7 +18,7 @@ from pipeline.labels.cases import FrameCases
 from pipeline.language.counted import counted
 from pipeline.language.naming import normal_form
 from pipeline.language.relation_names import PHRASE
-from pipeline.relations.pair_measures import F, Measured, Profile, T, U, known_extents, measure_pairs
+from pipeline.relations.pair_measures import AllMeasures, F, Profile, T, U, known_extents, measure_pairs
 from pipeline.relations.predicates import PREDICATES, pair_margins, pair_states
 
 HOLDS, UNDECIDED = 0.02, 0.08
@@ -54,12 +54,12 @@ FRONTED = frozenset(
 
 
 def has_front(name: str) -> bool:
-    """Whether a class of things has a front of its own, by the last word of its name."""
+    """Tell classes with a front side of their own, by the last word of the name."""
     return normal_form(name).split(" ")[-1] in FRONTED
 
 
 def by_own_sides(truth: FrameCases) -> dict[str, FrameCases]:
-    """The frame with the relations as an object's own sides have them, by where that object faces."""
+    """Frames with relations by an object's own sides, keyed by where the object faces."""
     return {
         way: replace(truth, states={r: truth.states.get(sides.get(r, r), s) for r, s in truth.states.items()})
         for way, sides in FACING.items()
@@ -67,32 +67,26 @@ def by_own_sides(truth: FrameCases) -> dict[str, FrameCases]:
 
 
 def margins_of(truth: FrameCases, relation: str) -> np.ndarray:
-    """(N, N) float64: how far each pair is from where the rule's state would change, metres: positive where it holds,
-    negative where not; NaN where the extents alone do not tell."""
+    """(N, N) float64: distance of each pair from the rule's threshold, metres; positive where the relation holds,
+    negative where not, NaN where extents do not tell."""
     lo, hi = truth.geometry["lo"], truth.geometry["hi"]
     known = known_extents(lo, hi)
     if relation not in PREDICATES or PREDICATES[relation].reads_points:
         return np.full(truth.judged.shape, np.nan)
     fill = known[:, None]
-    measured = Measured(measure_pairs(np.where(fill, lo, 0.0), np.where(fill, hi, 0.0), Profile()), Profile())
+    measured = AllMeasures(measure_pairs(np.where(fill, lo, 0.0), np.where(fill, hi, 0.0), Profile()), Profile())
     found = pair_margins(measured, pair_states(measured, known, [relation]), [relation])[..., 0]
     return np.where(known[:, None] & known[None, :], found, np.nan)
 
 
 @dataclass(frozen=True)
 class Fit:
-    """How a sentence fits the things of a frame.
-
-    Attributes
-    ----------
-    states : (N,) int8
-        T, U or F of each thing being what the sentence means.
-    margins : (N,) float64
-        Metres, of its best pair; NaN where nothing tells.
-    """
+    """How a sentence fits the things of a frame."""
 
     states: np.ndarray
+    """(N,) int8: T, U or F of each thing being what the sentence means."""
     margins: np.ndarray
+    """(N,) float64: metres, of its best pair; NaN where nothing tells."""
 
 
 def fit_of_triple(truth: FrameCases, targets: np.ndarray, relation: str, references: np.ndarray) -> Fit:
@@ -110,21 +104,21 @@ def fit_of_triple(truth: FrameCases, targets: np.ndarray, relation: str, referen
 def geometry_evidence(
     fit: Fit, right: np.ndarray, own: dict[str, Fit], definite: bool, words: tuple[str, str, str], names: list[str]
 ) -> list[Evidence]:
-    """What speaks for and against the truth.
+    """Evidence for and against the truth.
 
     Parameters
     ----------
-    fit : Fit
+    fit
         By the viewer's sides.
     right : (K,) int64
         The things that are said to be right.
-    own : dict of str to Fit
+    own
         By the reference's own sides, by where it faces; empty where it has no front or its sides do not matter.
-    definite : bool
+    definite
         The sentence says "the" of its target.
-    words : (str, str, str)
+    words
         Target, relation and reference; the last two are empty of other sentences.
-    names : list of N str
+    names
         Of the things.
     """
     sure = np.flatnonzero(fit.states == T)

@@ -9,7 +9,7 @@ from hashlib import sha256
 import numpy as np
 
 from pipeline.answering.answer_words import best_pair
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.corrections.audit.geometry import HOLDS, OWN_SIDES, has_front
 from pipeline.corrections.audit.suspicion import AuditItem, Evidence, agreement_weight
 from pipeline.datasets.files import read_bytes

@@ -89,7 +89,7 @@ def accept_all(items: Collection[ItemKey], frame_of: Callable[[str], EffectiveFr
 
 
 @dataclass(frozen=True)
-class Pace:
+class ReviewPace:
     """How fast a person worked today."""
 
     items: int
@@ -104,7 +104,7 @@ class Pace:
         return asdict(self)
 
 
-def pace_of(events: Iterable[Event], author: str, now: datetime) -> Pace:
+def pace_of(events: Iterable[Event], author: str, now: datetime) -> ReviewPace:
     """Pace of a person on the day of `now` (with its time zone), undone work included."""
     zone: tzinfo | None = now.tzinfo
     today = [e for e in events if e.author == author and e.time.astimezone(zone).date() == now.date()]
@@ -118,4 +118,4 @@ def pace_of(events: Iterable[Event], author: str, now: datetime) -> Pace:
         spent += FIRST if gap is None or gap > REST else gap
     hours = spent.total_seconds() / 3600
     actions = len({group for *_, group in items})
-    return Pace(len(items), round(60 * hours, 2), actions / hours if actions > 1 and hours > 0 else None)
+    return ReviewPace(len(items), round(60 * hours, 2), actions / hours if actions > 1 and hours > 0 else None)

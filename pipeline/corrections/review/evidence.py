@@ -44,7 +44,7 @@ Reason = tuple[ItemKey, float, str]
 """What speaks against one item: its key, the weight, the words."""
 
 
-class Evidence(NamedTuple):
+class EvidenceRows(NamedTuple):
     """Rows of evidence against the items of a `QueueItems`."""
 
     item: np.ndarray
@@ -67,7 +67,7 @@ class QueueItems:
         self.settled_cells = np.zeros(cells.states.size, np.bool_)
         self.settled_cells[cells.cells_of(self.settled)[0]] = True
 
-    def rows(self, reasons: Iterable[Reason], settled: bool = False) -> Evidence:
+    def rows(self, reasons: Iterable[Reason], settled: bool = False) -> EvidenceRows:
         """Reasons as rows of evidence, without settled and missing labels."""
         hidden = set() if settled else set(self.settled)
         found = [reason for reason in reasons if reason[0].plain not in hidden]
@@ -77,15 +77,15 @@ class QueueItems:
                  else (first + self.others.setdefault(key.plain, len(self.others)), *rest)
                  for key, *rest in found if key in cell or key.kind != "relation"]  # fmt: skip
         item, weight, reason = zip(*known, strict=True) if known else ((), (), ())
-        return Evidence(np.array(item, np.int64), np.array(weight, np.float64), np.array(reason, object))
+        return EvidenceRows(np.array(item, np.int64), np.array(weight, np.float64), np.array(reason, object))
 
-    def cell_rows(self, item: np.ndarray, weight: np.ndarray, reason: np.ndarray) -> Evidence:
+    def cell_rows(self, item: np.ndarray, weight: np.ndarray, reason: np.ndarray) -> EvidenceRows:
         """Evidence against cells, without settled ones."""
         kept = ~self.settled_cells[item]
-        return Evidence(item[kept], weight[kept], reason[kept].astype(object))
+        return EvidenceRows(item[kept], weight[kept], reason[kept].astype(object))
 
 
-def network_evidence(items: QueueItems, probability: np.ndarray, wrong: np.ndarray, least: float) -> Evidence:
+def network_evidence(items: QueueItems, probability: np.ndarray, wrong: np.ndarray, least: float) -> EvidenceRows:
     """Labels that out-of-fold networks find wrong with at least this probability."""
     item = np.flatnonzero(wrong >= least)
     states, p = items.cells.states.ravel()[item], probability.ravel()[item]
@@ -96,7 +96,7 @@ def network_evidence(items: QueueItems, probability: np.ndarray, wrong: np.ndarr
     return items.cell_rows(item, wrong.ravel()[item], reason)
 
 
-def undecided_evidence(items: QueueItems, probability: np.ndarray) -> Evidence:
+def undecided_evidence(items: QueueItems, probability: np.ndarray) -> EvidenceRows:
     """Undecided cells (U), weighted by the networks' certainty."""
     item = np.flatnonzero(items.cells.states == U)
     p = np.nan_to_num(probability.ravel()[item], nan=0.5)
@@ -107,7 +107,7 @@ def undecided_evidence(items: QueueItems, probability: np.ndarray) -> Evidence:
     return items.cell_rows(item, UNDECIDED * np.abs(2 * p - 1), reason)
 
 
-def margin_evidence(items: QueueItems, least: float) -> Evidence:
+def margin_evidence(items: QueueItems, least: float) -> EvidenceRows:
     """Labels near a threshold of the rule: half the chance of an error of MARGIN_SIGMA_M across it, since it leads
     to U and not to the opposite."""
     from scipy.special import ndtr
@@ -120,7 +120,7 @@ def margin_evidence(items: QueueItems, least: float) -> Evidence:
     return items.cell_rows(item, weight[item], _joined(told, " mm from where the rule would be undecided"))
 
 
-def linter_evidence(items: QueueItems, findings: Iterable[Finding]) -> tuple[Evidence, int]:
+def linter_evidence(items: QueueItems, findings: Iterable[Finding]) -> tuple[EvidenceRows, int]:
     """Evidence of `check_labels`, and how many findings are of no single label: of files, frames and missing rows."""
     reasons: list[Reason] = []
     elsewhere = 0
@@ -168,7 +168,7 @@ def _blamed_cells(found: Finding) -> list[tuple[int, int, str, float]]:
     return [] if other is None else [(a, b, relation, ONE_OF_TWO), (*other, ONE_OF_TWO)]
 
 
-def disputed_evidence(items: QueueItems, labels: Labels, other: Labels) -> tuple[Evidence, Evidence]:
+def disputed_evidence(items: QueueItems, labels: Labels, other: Labels) -> tuple[EvidenceRows, EvidenceRows]:
     """Differences from labels of the same dataset by another detector or run: of relations, of objects.
 
     Objects are the same where their 2D boxes overlap best, either way, with an

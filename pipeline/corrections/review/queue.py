@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.corrections.review.evidence import (
-    Evidence,
+    EvidenceRows,
     QueueItems,
     disputed_evidence,
     doubts_of_labels,
@@ -95,7 +95,7 @@ def review_queue(
     metadata = {"elsewhere": "0", "labels_version": automatic_version(labels.manifest)}
     items = QueueItems(cells, {} if judgements is None else states_on_labels(judgements, cells))
     settled = items.settled_cells.reshape(cells.states.shape)
-    evidence: list[Evidence] = []
+    evidence: list[EvidenceRows] = []
     if doubts is None and config.doubts is not None:
         data = read_label_data(labels, config.doubts.train.features, labels.relation_names)
         trusted = trusted_of_data(cells, settled, data)
@@ -123,10 +123,10 @@ def review_queue(
 
 
 def _ranked(
-    labels: Labels, items: QueueItems, doubted: Mapping[str, np.ndarray], evidence: Sequence[Evidence]
+    labels: Labels, items: QueueItems, doubted: Mapping[str, np.ndarray], evidence: Sequence[EvidenceRows]
 ) -> pa.Table:
     cells, others = items.cells, list(items.others)
-    none = Evidence(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, object))
+    none = EvidenceRows(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, object))
     at, weight, reason = (np.concatenate(parts) for parts in zip(none, *evidence, strict=True))
     right = np.zeros(cells.states.size + len(others))
     np.add.at(right, at, np.log1p(-np.minimum(weight, 1 - 1e-12)))

@@ -43,7 +43,7 @@ def clipped(boxes: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return np.clip(boxes, 0, [width, height, width, height])
 
 
-def moved_towards(boxes: np.ndarray, targets: np.ndarray, slack: float) -> np.ndarray:
+def moved_towards(boxes: np.ndarray, targets: np.ndarray, slack: float | np.ndarray) -> np.ndarray:
     """Each side of (N, 4) rectangles moved towards the target's, by at most `slack` pixels."""
     return boxes + np.clip(targets - boxes, -slack, slack)
 

@@ -36,7 +36,7 @@ from functools import partial
 import numpy as np
 
 from pipeline.labels.check.view import Finding, FrameView, state_letter
-from pipeline.labels.profiles import GIVEN, Judged, semantic_abstraction_directions
+from pipeline.labels.profiles import GIVEN, JudgedPairs, semantic_abstraction_directions
 from pipeline.language.relation_names import HORIZONTAL, INVERSE, MIRRORED, OPPOSITES, PAIRWISE, PHRASE
 from pipeline.relations.pair_measures import NOT_JUDGED, AllMeasures
 from pipeline.relations.predicates import PREDICATES, pair_margins, pair_states
@@ -246,7 +246,7 @@ def expected_semantic_abstraction(view: FrameView) -> Expected:
     (lo, hi), centroid = view.extents, view.objects["centroid"]
     centroid = np.where(np.isfinite(centroid), centroid, (lo + hi) / 2)
     shape = (len(lo), len(lo), len(PAIRWISE))
-    contact = Judged(np.full(shape, F, np.int8), np.full(shape, -np.inf), expected.distance)
+    contact = JudgedPairs(np.full(shape, F, np.int8), np.full(shape, -np.inf), expected.distance)
     stored = {"on", "in"} <= set(view.states)
     if stored:
         for relation in ("on", "in"):

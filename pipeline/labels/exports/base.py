@@ -42,7 +42,7 @@ class Job:
     dataset: Callable[[], Dataset] | None = None
     """Opens the dataset that was labelled; InputError where it cannot be."""
 
-    def copy_picture(self, rows: FrameRows, folder: str = "images", suffix: str = "jpg") -> None:
+    def copy_picture(self, rows: ExportFrame, folder: str = "images", suffix: str = "jpg") -> None:
         """Write a usable frame's colour image, as JPEG of quality 95 or as PNG, where pictures are copied.
 
         Raises InputError: the dataset lacks the frame, or has another picture under its name.
@@ -128,7 +128,7 @@ BATCH = 16_384
 
 
 @dataclass(frozen=True)
-class FrameRows:
+class ExportFrame:
     """All rows of one frame."""
 
     frame: dict[str, Any]
@@ -167,7 +167,7 @@ def label_names(labels: Labels) -> list[str]:
     return sorted({name for batch in batches for name in batch.column("label").unique().to_pylist()})
 
 
-def iterate_frames(labels: Labels, tell: Progress | None = None) -> Iterator[FrameRows]:
+def iterate_frames(labels: Labels, tell: Progress | None = None) -> Iterator[ExportFrame]:
     """Stream all frames with their rows, broken ones too; memory does not grow with their number.
 
     Raises InputError: a table is damaged, out of order, or has rows of a frame that is not listed.
@@ -184,7 +184,7 @@ def iterate_frames(labels: Labels, tell: Progress | None = None) -> Iterator[Fra
         listed = rows["frames"].to_pylist()
         require(len(listed) == 1, f"frame_index {index} is listed {len(listed)} times", path=labels.root)
         objects, relations, expressions = (rows.get(n, arrow_schema(n).empty_table()) for n in names[1:])
-        yield FrameRows(listed[0], objects.to_pylist(), relations, expressions.to_pylist())
+        yield ExportFrame(listed[0], objects.to_pylist(), relations, expressions.to_pylist())
         if tell is not None:
             tell(done, labels.manifest.tables["frames"].rows)
 

@@ -31,7 +31,7 @@ from typing import Any, TextIO
 
 from pipeline.labels.exports.base import (
     ExportFormat,
-    FrameRows,
+    ExportFrame,
     Job,
     Written,
     image_name,
@@ -190,7 +190,7 @@ def _ref(row: Mapping[str, Any], number: int, ids: Mapping[int, int], categories
     }
 
 
-def _relations(rows: FrameRows, ids: Mapping[int, int]) -> dict[str, Any]:
+def _relations(rows: ExportFrame, ids: Mapping[int, int]) -> dict[str, Any]:
     found: dict[str, Any] = {"image_id": rows.index}
     for name in rows.relations.column_names:
         column = rows.relations.column(name)
@@ -205,7 +205,7 @@ def _relations(rows: FrameRows, ids: Mapping[int, int]) -> dict[str, Any]:
     return found
 
 
-def _known_relations(provenance: Provenance, rows: FrameRows, ids: Mapping[int, int]) -> dict[str, Any]:
+def _known_relations(provenance: Provenance, rows: ExportFrame, ids: Mapping[int, int]) -> dict[str, Any]:
     found: dict[str, list[dict[str, Any]]] = {"statuses": [], "provenance": []}
     frame = rows.frame["frame"]
     if frame not in provenance.frames.get("relations", ()):

@@ -24,7 +24,7 @@ from pipeline.geometry.lifting import LiftConfig, Pixel, clean, depth_edges, fly
 from pipeline.geometry.masks import decode_run_length
 from pipeline.geometry.normals import surface_step
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
-from pipeline.labels.exports.base import FrameRows
+from pipeline.labels.exports.base import ExportFrame
 from pipeline.system.errors import InputError, needed, require
 
 EXACT, HUMAN, POINTS = "the dataset's box", "a person's box", "points of the mask"
@@ -88,7 +88,7 @@ class Depths:
         return depth
 
 
-def figures_of(rows: FrameRows, config: VqaConfig, depths: Depths, human: frozenset[int]) -> list[Figures]:
+def figures_of(rows: ExportFrame, config: VqaConfig, depths: Depths, human: frozenset[int]) -> list[Figures]:
     """Geometry of each object of a frame, as far as known.
 
     Parameters
@@ -103,7 +103,7 @@ def figures_of(rows: FrameRows, config: VqaConfig, depths: Depths, human: frozen
     viewer = viewer_axes(np.array(rows.frame["up"]))
     whole = [seen_whole(row, config) for row in rows.objects]
     depth = depths.of(rows.frame) if any(whole) else None
-    raw = None if depth is None else _Raw(rows.frame, depth, viewer)
+    raw = None if depth is None else _RawPoints(rows.frame, depth, viewer)
     return [
         _figures(row, viewer, raw.figures(row) if ok and raw is not None else NOTHING, row["object"] in human)
         for row, ok in zip(rows.objects, whole, strict=True)
@@ -147,7 +147,7 @@ def gap_between(a: Figures, b: Figures) -> float | None:
     return None if not len(a.points) or not len(b.points) else float(KDTree(a.points).query(b.points)[0].min())
 
 
-class _Raw:
+class _RawPoints:
     """One frame's depth, ready for taking the raw points of masks."""
 
     def __init__(self, frame: Mapping[str, Any], depth: np.ndarray, viewer: ViewerAxes) -> None:
@@ -238,7 +238,7 @@ class VqaConfig:
 
 
 @dataclass(frozen=True)
-class Question:
+class VqaQuestion:
     """One question about one frame."""
 
     id: str

@@ -35,7 +35,7 @@ from operator import attrgetter
 
 import numpy as np
 
-from pipeline.labels.exports.base import ExportFormat, FrameRows, Job, Written, image_name, iterate_frames
+from pipeline.labels.exports.base import ExportFormat, ExportFrame, Job, Written, image_name, iterate_frames
 from pipeline.labels.exports.row_provenance import JsonList, Provenance
 from pipeline.labels.exports.vqa_geometry import (
     CONVERSATIONS_FILE,
@@ -43,8 +43,8 @@ from pipeline.labels.exports.vqa_geometry import (
     Depths,
     Figures,
     Kind,
-    Question,
     VqaConfig,
+    VqaQuestion,
     figures_of,
     gap_between,
 )
@@ -61,10 +61,10 @@ SIZE_AXES = {"height": 1, "width": 0}
 
 
 @dataclass(frozen=True)
-class Ask:
+class PlannedQuestion:
     """A question that may be asked, of objects by their index; its text is made when it is its turn.
 
-    `key` is the hash that orders the questions of a kind; for the rest see `Question`.
+    `key` is the hash that orders the questions of a kind; for the rest see `VqaQuestion`.
     """
 
     key: int
@@ -77,16 +77,16 @@ class Ask:
     rests_on: str | None = None
 
 
-Unit = tuple[Ask, ...]
+Unit = tuple[PlannedQuestion, ...]
 """Questions that are asked together or not at all."""
 _by_key = attrgetter("key")
 
 
 @dataclass(frozen=True)
-class Scene:
+class VqaFrame:
     """One frame, made ready for asking."""
 
-    rows: FrameRows
+    rows: ExportFrame
     config: VqaConfig
     number: np.ndarray
     """(N,) int: the objects' numbers."""
@@ -100,10 +100,10 @@ class Scene:
     def key(self, kind: str, *parts: object) -> int:
         return row_hash(self.config.seed, self.rows.frame["frame"], kind, *parts)
 
-    def question(self, ask: Ask) -> Question:
+    def question(self, ask: PlannedQuestion) -> VqaQuestion:
         """The question in words; InputError where a sentence cannot carry the names."""
         frame, index = self.rows.frame["frame"], self.rows.index
-        return Question(
+        return VqaQuestion(
             f"{index:06d}-{ask.kind}-{ask.key:016x}",
             image_name(index),
             ask.kind,
@@ -119,8 +119,8 @@ class Scene:
 
 
 def frame_questions(
-    rows: FrameRows, relations: Sequence[str], config: VqaConfig, figures: Sequence[Figures]
-) -> list[Question]:
+    rows: ExportFrame, relations: Sequence[str], config: VqaConfig, figures: Sequence[Figures]
+) -> list[VqaQuestion]:
     """The chosen questions of a frame: kinds take turns until there are `per_frame`.
 
     A relation that holds is asked together with one of the same name that does
@@ -131,7 +131,7 @@ def frame_questions(
         return []
     named_alone = alone([row["label"] for row in rows.objects])
     clear = named_alone & [row["usable"] and can_be_asked(row["label"]) for row in rows.objects]
-    scene = Scene(rows, config, np.array([row["object"] for row in rows.objects], np.int64), clear, figures)
+    scene = VqaFrame(rows, config, np.array([row["object"] for row in rows.objects], np.int64), clear, figures)
     units: dict[str, Callable[[], Iterable[Unit]]] = {
         "relation": lambda: relation_units(scene, relations),
         "which": lambda: zip(which_asks(scene, relations)),
@@ -140,7 +140,7 @@ def frame_questions(
         "size": lambda: zip(size_asks(scene)),
     }
     waiting = [iter(units[kind]()) for kind in config.kinds]
-    found: list[Question] = []
+    found: list[VqaQuestion] = []
     while waiting and len(found) < config.per_frame:
         for kind in list(waiting):
             asked = _next_asked(scene, kind)
@@ -151,7 +151,7 @@ def frame_questions(
     return found
 
 
-def _next_asked(scene: Scene, units: Iterator[Unit]) -> list[Question] | None:
+def _next_asked(scene: VqaFrame, units: Iterator[Unit]) -> list[VqaQuestion] | None:
     for unit in units:
         try:
             return [scene.question(ask) for ask in unit]
@@ -161,7 +161,7 @@ def _next_asked(scene: Scene, units: Iterator[Unit]) -> list[Question] | None:
     return None
 
 
-def _pairs(scene: Scene, relation: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _pairs(scene: VqaFrame, relation: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Pairs of a frame: indices of a and b among the objects, and a relation's state and margin; (P,) each."""
     table = scene.rows.relations
     order = np.argsort(scene.number)
@@ -173,7 +173,7 @@ def _pairs(scene: Scene, relation: str) -> tuple[np.ndarray, np.ndarray, np.ndar
     return a, b, state.astype(np.int64), margin
 
 
-def relation_units(scene: Scene, relations: Sequence[str]) -> Iterator[Unit]:
+def relation_units(scene: VqaFrame, relations: Sequence[str]) -> Iterator[Unit]:
     """Pairs of a yes and a no of one relation, the relations in turn."""
     lists: list[list[Unit]] = []
     for relation in relations:
@@ -187,7 +187,7 @@ def relation_units(scene: Scene, relations: Sequence[str]) -> Iterator[Unit]:
                 for i, j in zip(a[asked].tolist(), b[asked].tolist(), strict=True)
             )
             ranked.append([
-                Ask(
+                PlannedQuestion(
                     key, "relation", (i, j), relation,
                     partial(ask_relation, relation, scene.label(i), scene.label(j), key),
                     "Yes" if wanted == T else "No",
@@ -199,7 +199,7 @@ def relation_units(scene: Scene, relations: Sequence[str]) -> Iterator[Unit]:
         yield from sorted((units[turn] for units in lists if turn < len(units)), key=lambda unit: unit[0].key)
 
 
-def which_asks(scene: Scene, relations: Sequence[str]) -> list[Ask]:
+def which_asks(scene: VqaFrame, relations: Sequence[str]) -> list[PlannedQuestion]:
     """Questions for the one object with a relation to a reference, where all others surely lack it."""
     found = []
     n = len(scene.number)
@@ -212,11 +212,11 @@ def which_asks(scene: Scene, relations: Sequence[str]) -> list[Ask]:
             if scene.rows.objects[i]["usable"] and can_be_asked(scene.label(i)):
                 key = scene.key("which", relation, scene.number[i], scene.number[j])
                 text = partial(ask_which, relation, scene.label(j), key)
-                found.append(Ask(key, "which", (i, j), relation, text, readable(scene.label(i))))
+                found.append(PlannedQuestion(key, "which", (i, j), relation, text, readable(scene.label(i))))
     return sorted(found, key=_by_key)
 
 
-def grounding_asks(scene: Scene) -> list[Ask]:
+def grounding_asks(scene: VqaFrame) -> list[PlannedQuestion]:
     """Questions for the box of an expression's only object."""
     frame = scene.rows.frame
     index_of = {int(number): k for k, number in enumerate(scene.number)}
@@ -230,11 +230,11 @@ def grounding_asks(scene: Scene) -> list[Ask]:
             key = scene.key("grounding", row["id"])
             box = box_text((x0, y0, x1, y1), frame["width"], frame["height"], scene.config.box_decimals)
             text = partial(ask_grounding, row["text"], key)
-            found.append(Ask(key, "grounding", pair, row["relation"], text, box, row["id"]))
+            found.append(PlannedQuestion(key, "grounding", pair, row["relation"], text, box, row["id"]))
     return sorted(found, key=_by_key)
 
 
-def distance_asks(scene: Scene) -> Iterator[Ask]:
+def distance_asks(scene: VqaFrame) -> Iterator[PlannedQuestion]:
     """Questions for the distance of two objects, by centres or by the gap between."""
     found: list[tuple[int, str, int, int]] = []
     for pair in combinations(np.flatnonzero(scene.clear).tolist(), 2):
@@ -247,7 +247,7 @@ def distance_asks(scene: Scene) -> Iterator[Ask]:
         value, rests_on = distance(measure, scene.figures[a], scene.figures[b])
         if value is not None and value >= scene.config.min_distance:
             text = partial(ask_distance, measure, scene.label(a), scene.label(b), key >> 1)
-            yield Ask(key, "distance", (a, b), measure, text, f"{value:.2f} m", rests_on=rests_on)
+            yield PlannedQuestion(key, "distance", (a, b), measure, text, f"{value:.2f} m", rests_on=rests_on)
 
 
 def distance(measure: str, a: Figures, b: Figures) -> tuple[float | None, str | None]:
@@ -258,7 +258,7 @@ def distance(measure: str, a: Figures, b: Figures) -> tuple[float | None, str | 
     return (None if np.isnan(value) else value), " and ".join(sorted({str(a.rests_on), str(b.rests_on)}))
 
 
-def size_asks(scene: Scene) -> list[Ask]:
+def size_asks(scene: VqaFrame) -> list[PlannedQuestion]:
     """Questions for the height and width of an object, along the viewer's up and right."""
     found = []
     for a in np.flatnonzero(scene.clear).tolist():
@@ -267,7 +267,7 @@ def size_asks(scene: Scene) -> list[Ask]:
             if not np.isnan(figures.extents[axis]):
                 key = scene.key("size", measure, scene.number[a])
                 text, value = partial(ask_size, measure, scene.label(a), key), f"{figures.extents[axis]:.2f} m"
-                found.append(Ask(key, "size", (a,), measure, text, value, rests_on=figures.rests_on))
+                found.append(PlannedQuestion(key, "size", (a,), measure, text, value, rests_on=figures.rests_on))
     return sorted(found, key=_by_key)
 
 
@@ -381,7 +381,7 @@ def write_vqa(job: Job) -> Written:
     return Written(files, counts, (note,) if depths.missing else ())
 
 
-def boxed_by_people(provenance: Provenance, rows: FrameRows) -> frozenset[int]:
+def boxed_by_people(provenance: Provenance, rows: ExportFrame) -> frozenset[int]:
     """Numbers of the objects of a frame whose 3D box a person set."""
     return frozenset(
         row["object"]
@@ -391,7 +391,7 @@ def boxed_by_people(provenance: Provenance, rows: FrameRows) -> frozenset[int]:
     )
 
 
-def _provenance(job: Job, question: Question) -> list[dict[str, object]]:
+def _provenance(job: Job, question: VqaQuestion) -> list[dict[str, object]]:
     known, frame = job.provenance, question.frame
     rows = [("objects", str(n)) for n in question.objects]
     if len(question.objects) == 2 and question.kind in ("relation", "which", "grounding"):
