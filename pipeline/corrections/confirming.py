@@ -28,25 +28,11 @@ REASON = "this pair is right"
 
 
 def right_pair(editor: LabelEditor, trace: Trace, pair: ScoredPair) -> Edits:
-    """The edits by which a pair of an answer is right: its objects, where the labels lack them, and what they are said
-    to be.
+    """Edits by which a pair of an answer is right: its objects, where the labels lack them, and its relations.
 
-    Of one relation between two names the sentence is kept. Of several, or one that holds the other way round, the
-    relations of the answer's objects are: the truth of such a sentence follows from the labels.
-
-    Parameters
-    ----------
-    editor : LabelEditor
-        Its labels hold the frame: see `take_in`.
-    trace : Trace
-        Of the question.
-    pair : ScoredPair
-        One that was ranked.
-
-    Raises
-    ------
-    InputError
-        The question cannot be kept, see `why_not_kept`, or the labels say so already.
+    The sentence is kept for one relation between two names. For several, or the inverse, the relations of the answer's
+    objects are: such truth follows from the labels. The editor's labels hold the frame (see `take_in`). InputError
+    where the question cannot be kept (`why_not_kept`), or the labels say so already.
     """
     why, text = why_not_kept(trace.root), trace.query.text
     require(not why, "the answer cannot be kept as true", got=text, cause=why)
@@ -90,16 +76,15 @@ def right_objects(frame: EffectiveFrame, query: Query, a: int, b: int) -> Edits:
 
 
 def words_of(query: Query) -> tuple[str, str, str] | None:
-    """Target, relation and reference of a question; None where it says more, or less, than that."""
+    """Target, relation and reference of a question; None for any other form."""
     e, top = query.expression, query.default.root.triple
     plain = e is not None and top is not None and len(query.readings) == 1 and not e.inverse
     return (e.target, e.relation, e.reference) if plain and e is not None and e.second_reference is None else None
 
 
 def why_not_kept(root: Node) -> str:
-    """Why what a noun phrase means cannot be kept as true by saying which objects answer it; "" where it can.
-
-    It can be where all that it says are relations that have labels.
+    """Reason why the objects of an answer cannot be kept as the truth of a noun phrase; "" where all its relations have
+    labels.
     """
     nodes, attached = tuple(root.walk()), tuple(_attachments(root))
     unlabelled = next((a.relation for a in attached if a.relation not in PAIRWISE), "")
@@ -121,7 +106,7 @@ def _attachments(node: Node) -> Iterator[Attachment]:
 
 
 def _labelled(name: str, entry: SceneObject, frame: EffectiveFrame) -> int | None:
-    """The labelled object that an object of an answer is: of its class, and the one whose pixels are most its own."""
+    """Labelled object of an answer's object: of its class, and with the greatest overlap of pixels."""
     best: tuple[float, int | None] = (HIT, None)
     for other in labelled_objects(frame):
         if other.label == name or same_class(other.label, name):

@@ -28,31 +28,15 @@ MOST_PARTS = 12
 
 @dataclass(frozen=True)
 class Draft:
-    """What is drawn so far.
-
-    Attributes
-    ----------
-    frame : str
-    number : int or None
-        The object; None for a new one.
-    height, width : int
-        Of the picture.
-    version : int
-        Of the object's mask when the draft was begun.
-    steps : tuple of tuple of str
-        After each step the masks of the parts, as COCO's compressed run-length codes; the first is before any. One
-        part, or several of an object that is to be split.
-    at : int
-        The step that is looked at: later ones were taken back.
-    """
+    """Drawing of an object's pixels, step by step."""
 
     frame: str
-    number: int | None
+    number: int | None  # None for a new object
     height: int
     width: int
-    version: int
-    steps: tuple[tuple[str, ...], ...]
-    at: int = 0
+    version: int  # of the mask at the begin
+    steps: tuple[tuple[str, ...], ...]  # parts after each step, as run-length codes
+    at: int = 0  # step that is looked at
 
     @property
     def parts(self) -> tuple[np.ndarray, ...]:
@@ -66,12 +50,12 @@ class Draft:
 
     @property
     def changed(self) -> bool:
-        """Whether saving it would change something."""
+        """True where saving changes something."""
         return self.steps[self.at] != self.steps[0]
 
     @property
     def ref(self) -> FieldRef | None:
-        """The cell that it will change; None for a new object."""
+        """Mask cell; None for a new object."""
         return None if self.number is None else object_ref(self.frame, self.number, "mask")
 
     def back(self) -> Draft:
@@ -83,7 +67,7 @@ class Draft:
         return replace(self, at=min(self.at + 1, len(self.steps) - 1))
 
     def after(self, *parts: np.ndarray) -> Draft:
-        """With another step, in place of those that were taken back."""
+        """Add a step, in place of those taken back."""
         step = tuple(encode_run_length(np.ascontiguousarray(p)) for p in parts)
         if step == self.steps[self.at]:
             return self
@@ -92,20 +76,14 @@ class Draft:
 
 
 def new_draft(frame: EffectiveFrame, number: int | None) -> Draft:
-    """A draft of an object as it is now, or of a new one; InputError where there is no such object."""
+    """Begin a draft of an object, or of a new one; InputError for no such object."""
     mask = np.zeros(frame.size, np.bool_) if number is None else pixels_of(frame, number)
     version = 0 if number is None else frame.version(object_ref(frame.frame, number, "mask"))
     return Draft(frame.frame, number, *frame.size, version, ((encode_run_length(mask),),))
 
 
 def with_gesture(draft: Draft, gesture: Gesture, canvas: Canvas | None = None) -> Draft:
-    """A draft after a gesture.
-
-    Raises
-    ------
-    InputError
-        The gesture means nothing here.
-    """
+    """Apply a gesture; InputError where it means nothing."""
     if gesture.kind != "cut":
         require(len(draft.parts) <= 1, "the object is cut", cause="apply the parts, or take the cut back, then draw")
         return draft.after(applied(draft.mask, gesture, canvas))
@@ -132,19 +110,9 @@ def with_depth_split(draft: Draft, canvas: Canvas) -> Draft:
 
 
 def edits_of_draft(draft: Draft, frame: EffectiveFrame, label: str = "") -> Edits:
-    """The edits of one action that a draft comes down to.
+    """Edits of one action that save a draft; `label` is the class of a new object.
 
-    Parameters
-    ----------
-    frame : EffectiveFrame
-        As it is now.
-    label : str
-        Class of a new object.
-
-    Raises
-    ------
-    InputError
-        Nothing has changed, no pixel is left, a new object has no class, or somebody else has changed the pixels.
+    InputError for no change, no pixel, no class, or pixels that somebody else has changed.
     """
     require(draft.frame == frame.frame, "the draft is of another frame", got=draft.frame, expected=frame.frame)
     parts = draft.parts
@@ -166,12 +134,12 @@ def edits_of_draft(draft: Draft, frame: EffectiveFrame, label: str = "") -> Edit
 
 
 def rebased(draft: Draft, frame: EffectiveFrame) -> Draft:
-    """The same draft on what the object's pixels are now: saving it replaces them."""
+    """Draft on the object's pixels now: saving replaces them."""
     return draft if draft.ref is None else replace(draft, version=frame.version(draft.ref))
 
 
 def lifted_draft(canvas: Canvas, mask: np.ndarray) -> LiftedObject | None:
-    """What a mask becomes in 3D: its points and its 3D box (camera frame), lifted as labels are; None for no pixels."""
+    """Points and 3D box (camera frame) of a mask, lifted as labels are; None for no pixels."""
     context = canvas.context
     return lift(
         context.frame.depth, context.frame.camera, [mask], context.viewer, config=context.config,
@@ -180,35 +148,16 @@ def lifted_draft(canvas: Canvas, mask: np.ndarray) -> LiftedObject | None:
 
 
 def split_by_polygon(mask: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What of a mask is outside and inside of a polygon, the larger part first.
-
-    Parameters
-    ----------
-    mask : (H, W) bool
-    points : (N, 2) float
-        Corners x, y, pixels.
-
-    Raises
-    ------
-    InputError
-        One of the parts is empty.
+    """Split a mask (H, W) bool by a polygon (N, 2), x, y in pixels; the larger part first; InputError for an empty
+    part.
     """
     return _parts(mask, polygon_mask(points, *mask.shape))
 
 
 def split_by_line(mask: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What of a mask lies on either side of a line, the larger part first.
+    """Split a mask (H, W) bool by a line (N, 2), x, y in pixels, extended straight; the larger part first.
 
-    Parameters
-    ----------
-    mask : (H, W) bool
-    points : (N, 2) float
-        x, y, pixels; its ends go on straight.
-
-    Raises
-    ------
-    InputError
-        It is no line, or one of the parts is empty.
+    InputError for no line, or an empty part.
     """
     line = np.asarray(points, np.float64).reshape(-1, 2)
     line = line[np.concatenate([[True], (np.diff(line, axis=0) != 0).any(axis=1)])]
@@ -228,20 +177,9 @@ def split_by_line(mask: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def split_by_depth(mask: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, ...]:
-    """The parts of a mask that no surface joins, the largest first.
+    """Split a mask (H, W) bool where no surface of the depth (H, W), metres, joins it; the largest first.
 
-    Pixels without depth, and parts too small to be an object, go to the part next to them.
-
-    Parameters
-    ----------
-    mask : (H, W) bool
-    depth : (H, W) float32
-        Metres, 0 where missing.
-
-    Raises
-    ------
-    InputError
-        There is only one part, or too many.
+    Pixels without depth, and small parts, go to the nearest part. InputError for one part, or too many.
     """
     _, grid = cv2.connectedComponents(link_grid(mask & (depth > 0), *joined(depth)), connectivity=4)
     labels = np.asarray(grid[::2, ::2], np.int64)

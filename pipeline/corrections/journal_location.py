@@ -35,22 +35,9 @@ PATIENCE_S = 3.0
 
 
 class JournalLocation:
-    """The journal of labels, shared by everyone who corrects them in one process.
+    """Journal of labels with all unsaved actions and jobs, shared by the editors of a process.
 
-    Parameters
-    ----------
-    labels : Labels
-    where : str or Path, optional
-        Path or URL; beside the labels by default.
-    project : str, optional
-        See `journal_of`.
-
-    Attributes
-    ----------
-    unsaved : Unsaved
-        What could not be saved yet, of everyone.
-    jobs : LabelJobs
-        Of these labels, of everyone.
+    `where` is a path or URL, by default beside the labels.
     """
 
     def __init__(self, labels: Labels, where: str | Path | None = None, project: str | None = None) -> None:
@@ -68,22 +55,16 @@ class JournalLocation:
 
     @property
     def address(self) -> str:
-        """What `--journal` takes to open it again; of a URL without the password."""
+        """Value of `--journal` without the password."""
         return "" if self.where is None else without_password(self.where)
 
     @property
     def words(self) -> tuple[str, ...]:
-        """The options by which a command finds this journal."""
+        """Options of a command that find this journal."""
         return journal_words(self.where, self.project)
 
     def to_read(self) -> Journal | None:
-        """The journal; None where nothing was ever corrected.
-
-        Raises
-        ------
-        InputError
-            It is there and cannot be opened.
-        """
+        """Open the journal; None where nothing was ever corrected; InputError where it cannot be opened."""
         if self._journal is None and (self.where is None or not is_url(self.where)):
             path = self.labels.root / JOURNAL_FILE if self.where is None else Path(self.where).expanduser()
             if not path.exists():
@@ -91,13 +72,7 @@ class JournalLocation:
         return self.to_write()
 
     def to_write(self) -> Journal:
-        """The journal, made where there is none.
-
-        Raises
-        ------
-        InputError
-            It cannot be opened or made, or not yet.
-        """
+        """Open the journal, or make it; InputError where it cannot be opened, or not yet."""
         if self._journal is not None:
             return self._journal
         with self._lock:
@@ -110,13 +85,7 @@ class JournalLocation:
             raise InputError("the journal cannot be opened", got="it does not answer yet", path=str(self)) from None
 
     def check(self) -> str:
-        """Open the journal where there is one; why it cannot be reached now, as it may be later, "" where it can.
-
-        Raises
-        ------
-        DamagedJournal
-            It is not as it was saved.
-        """
+        """Open a journal that exists; the reason where it cannot be reached now, else ""; DamagedJournal for damage."""
         try:
             self.to_read()
         except InputError as error:
@@ -126,7 +95,7 @@ class JournalLocation:
         return ""
 
     def _open(self) -> Future[Journal]:
-        """Open it on a thread of its own, so that a database that says nothing holds nobody up for long."""
+        """Open on a thread, so that a silent database holds nobody up."""
         opening: Future[Journal] = Future()
 
         def work() -> None:
@@ -157,42 +126,25 @@ class JournalLocation:
 
 
 def journal_words(where: str | Path | None, project: str | None = None) -> tuple[str, ...]:
-    """The options by which a command finds a journal, without a password."""
+    """Options of a command that find a journal, without a password."""
     words = () if where is None else ("--journal", without_password(where))
     return words if project is None else (*words, "--project", project)
 
 
 @dataclass(frozen=True)
 class UnsavedDump:
-    """What could not be saved of one author.
-
-    Attributes
-    ----------
-    author : str
-    problem : str
-        Why.
-    edits : tuple of str
-        In words.
-    files : tuple of Path
-        Lists of actions for `spatialviz correct LABELS --edits FILE --author AUTHOR`, one after the other; empty where
-        no folder could be written.
+    """Unsaved edits of one author, in words, and the files for `spatialviz correct LABELS --edits FILE --author
+    AUTHOR`.
     """
 
     author: str
-    problem: str
+    problem: str  # reason
     edits: tuple[str, ...]
-    files: tuple[Path, ...]
+    files: tuple[Path, ...]  # empty where no folder could be written
 
 
 def dump_unsaved(location: JournalLocation, folders: Sequence[Path] | None = None) -> tuple[UnsavedDump, ...]:
-    """Save what waits; what cannot be saved is written to the first folder that can be written.
-
-    Parameters
-    ----------
-    location : JournalLocation
-    folders : sequence of Path, optional
-        By default the working folder and the one for temporary files.
-    """
+    """Save waiting actions; write the rest to the first writable folder (working, temporary)."""
     folders = (Path.cwd(), Path(tempfile.gettempdir())) if folders is None else folders
     found = []
     for author in location.unsaved.authors:
@@ -209,7 +161,7 @@ def dump_unsaved(location: JournalLocation, folders: Sequence[Path] | None = Non
 
 
 def _written(lists: list[list[dict]], author: str, folders: Sequence[Path]) -> tuple[Path, ...]:
-    """The files; nothing where no folder takes all of them. A file that is there is left alone."""
+    """Write the files into the first folder that takes all of them; () for none."""
     stem = "-".join(("unsaved", re.sub(r"[^A-Za-z0-9]+", "_", author), datetime.now().strftime("%Y%m%d-%H%M%S")))
     for folder in folders:
         files: list[Path] = []

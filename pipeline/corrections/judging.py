@@ -7,7 +7,7 @@ from typing import Any
 
 from pipeline.answering.ask import Trace
 from pipeline.answering.objects import PreparedFrame
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.answering.ranking import RankConfig
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.scene import answered_case, effective_mark, effective_truth, withdrawn_by
@@ -21,16 +21,10 @@ from pipeline.system.errors import InputError
 
 
 class Judge:
-    """Judges answers about frames of named sources; the truth of the last frame is kept.
+    """Judgement of answers about frames of named sources; the truth of the last frame is kept.
 
-    Parameters
-    ----------
-    runs, labels : mapping of str to Run, to Labels
-        What says what is true, by the names of the sources: the labels of a run before others.
-    others : mapping of str to Run
-        Runs to compare with, by the same names.
-    corrected : callable
-        Gives the corrected labels of a frame of a source; None where nobody has corrected any.
+    `runs` and `labels` are by source, labels of a run first; `others` are runs to compare with; `corrected` gives a
+    frame's corrected labels, or None.
     """
 
     def __init__(
@@ -44,18 +38,12 @@ class Judge:
         self._kept: tuple[tuple[str, str, bytes], EffectiveFrame | None, FrameCases | None] | None = None
 
     def labels(self, name: str) -> Labels | None:
-        """Those that say what is true in a source."""
+        """Labels of a source that hold its truth."""
         return self._runs[name].labels if name in self._runs else self._labels.get(name)
 
     def truth(self, name: str, source: Pipeline, context: PreparedFrame) -> FrameCases | None:
-        """What is true in a frame: by the labels of its source as they were corrected by now, else by its annotations.
-
-        None where nothing is known of it.
-
-        Raises
-        ------
-        InputError
-            The labels cannot be read.
+        """Truth of a frame by corrected labels, else by annotations; None for neither; InputError for unreadable
+        labels.
         """
         # Annotations are true under the up vector that is known now.
         key, frame = (name, context.frame.id, context.viewer.up.tobytes()), context.frame.id
@@ -69,7 +57,7 @@ class Judge:
         return self._kept[2]
 
     def labelled(self, name: str, source: Pipeline, context: PreparedFrame) -> FrameCases | None:
-        """What labels say of a frame; None where there are none, or none that can be read."""
+        """Truth of a frame by labels; None for none, or unreadable ones."""
         try:
             return self.truth(name, source, context) if self.labels(name) is not None else None
         except InputError:
@@ -84,20 +72,10 @@ class Judge:
         expression: str | None = None,
         rank: RankConfig | None = None,
     ) -> Diagnosis | str | None:
-        """The verdict on an answer, why there can be none, or None where nothing is known of its frame.
+        """Verdict on an answer, the reason why none is possible, or None without truth.
 
-        Parameters
-        ----------
-        name : str
-            Of the source by whose truth it is judged.
-        source : Pipeline
-            What has answered: the source, or a run to compare with.
-        context : PreparedFrame
-        trace : Trace
-        expression : str, optional
-            The id of the labelled expression that was asked.
-        rank : RankConfig, optional
-            The weights of an edited trace.
+        `name` is the source of the truth, `source` what has answered, `expression` the id of the labelled one that was
+        asked, `rank` the weights of an edited trace.
         """
         try:
             truth, corrected = self.truth(name, source, context), self._corrected(name, context.frame.id)
@@ -117,7 +95,7 @@ class Judge:
     def judge_refused(
         self, name: str, source: Pipeline, context: PreparedFrame, problem: InputError, expression: str | None
     ) -> Diagnosis | str | None:
-        """`judge` of a labelled expression that could not be asked, and why it could not; None of any other one."""
+        """Verdict on a labelled expression that could not be asked; None for any other."""
         try:
             truth = self.truth(name, source, context)
             known = self.known(name, context.frame.id, truth, expression)
@@ -128,7 +106,7 @@ class Judge:
             return str(error)
 
     def known(self, name: str, frame: str, truth: FrameCases | None, expression: str | None) -> dict[str, Any]:
-        """What a run knows of a labelled expression: its case, mark and confidence, as arguments of `judge_trace`."""
+        """Case, mark and confidence of a labelled expression in a run, as arguments of `judge_trace`."""
         run, corrected = self._runs.get(name), self._corrected(name, frame)
         mark = None if run is None else run.spec.marks.get((frame, expression or ""))
         if corrected is not None and expression is not None:
@@ -140,7 +118,7 @@ class Judge:
         }
 
     def other(self, name: str, context: PreparedFrame, text: str, expression: str | None = None) -> OtherAnswer | None:
-        """What the run to compare with answers now, with its verdict by the same truth; None where there is none."""
+        """Answer and verdict of the run to compare with, by the same truth; None for none."""
         run = self._others.get(name)
         if run is None:
             return None

@@ -27,17 +27,10 @@ Outcome = Saved | Conflict | Waiting
 
 
 class LabelEditor:
-    """What one person corrects. Not shared by threads, but for `news`, `saved` and `retry`; the journal behind it is.
+    """Corrections of one person: frames as seen, saving, undo, history, unsaved actions.
 
-    Parameters
-    ----------
-    labels : Labels
-    location : JournalLocation
-        Keeps also what waits: other desks of the same author see it.
-    author : str
-        Under whose name edits are saved.
-    dataset : Dataset, optional
-        Without it, what follows from new pixels and boxes is marked stale.
+    Used by one thread, but for `news`, `saved` and `retry`. Without `dataset`, what follows from new pixels and boxes
+    is marked stale.
     """
 
     def __init__(self, labels: Labels, location: JournalLocation, author: str, dataset: Dataset | None = None) -> None:
@@ -49,59 +42,43 @@ class LabelEditor:
 
     @cached_property
     def corrector(self) -> Corrector:
-        """The labels, read when they are first needed."""
+        """Labels, read when first needed."""
         return Corrector(self.labels, self._dataset)
 
     def __contains__(self, frame: str) -> bool:
-        """Whether the labels have a frame, or take it in: see `take_in`."""
+        """True for a frame of the labels, or one to take in: see `take_in`."""
         known, dataset = frame in self.corrector.index.of_frame, self._dataset
         return known or (dataset is not None and grows(self.labels) and frame in dataset.frame_ids)
 
     def take_in(self, frame: str) -> None:
-        """Have a frame of the dataset among labels that were begun by hand; it is kept from the first edit on.
-
-        Raises
-        ------
-        InputError
-            The dataset cannot load it.
+        """Take a frame of the dataset into labels begun by hand; kept from the first edit on; InputError where it
+        cannot be loaded.
         """
         if frame not in self.corrector.index.of_frame and frame in self and self._dataset is not None:
             self.labels = seen_with(self.labels, self._dataset, frame)
             self.__dict__.pop("corrector", None)
 
     def keep_frames(self, frames: Iterable[str]) -> None:
-        """Write frames that came in, where they are not written yet; InputError where they cannot be."""
+        """Write frames taken in; InputError where impossible."""
         if isinstance(self.labels, NewLabels) and self._dataset is not None:
             with_frames(self.labels, self._dataset, dict.fromkeys(frames))
 
     @property
     def waiting(self) -> tuple[Waiting, ...]:
-        """In the order in which they were made; frames show them as if they were saved."""
+        """Actions that wait to be saved, in order; frames show them as saved."""
         return self.location.unsaved.waiting(self.author)
 
     @property
     def disputed(self) -> tuple[Conflict, ...]:
-        """What this person has to decide, because others were faster; see `decide`."""
+        """Conflicts for this person to decide; see `decide`."""
         return self.location.unsaved.disputed(self.author)
 
     def sign(self, author: str) -> None:
-        """Save what follows under another name.
-
-        Raises
-        ------
-        InputError
-            As `check_name`.
-        """
+        """Save under another name from now on; InputError as `check_name`."""
         self.author = self.check_name(author)
 
     def check_name(self, author: str) -> str:
-        """A name as it is kept.
-
-        Raises
-        ------
-        InputError
-            It is no name, or what was done under the one before is not saved, or not decided, yet.
-        """
+        """Check a new name; InputError for none, or while something of the old name is unsaved or undecided."""
         name = plain_text(author.strip(), "an author", LONGEST_NAME).strip()
         require(
             name == self.author or not self.waiting,
@@ -116,34 +93,22 @@ class LabelEditor:
         return name
 
     def frame(self, frame: str) -> EffectiveFrame:
-        """A frame as this person sees it: with what everybody saved, and with what waits to be saved.
-
-        Raises
-        ------
-        InputError
-            The labels have no such frame, or the journal or the dataset cannot be read.
-        """
+        """Frame with all that is saved or waits; InputError for no such frame, or an unreadable journal or dataset."""
         self.take_in(frame)
         # An event that waits is named by its group, so that one that was saved is another.
         return self.corrector.frame(frame, self.events(frame))
 
     def saved(self, frame: str) -> EffectiveFrame:
-        """A frame with what everybody saved, made before it is looked at. Any thread may ask; raises as `frame`."""
+        """Frame with all that is saved, made ahead; for any thread; raises as `frame`."""
         journal = self.location.to_read()
         return self.corrector.frame(frame, () if journal is None else journal.events(frame=frame))
 
     def corrected(self, frame: str) -> EffectiveFrame | None:
-        """As `frame`; None where nobody has corrected anything in it."""
+        """Frame as of `frame`; None without corrections."""
         return self.frame(frame) if self.events(frame) and frame in self else None
 
     def events(self, frame: str) -> list[Event]:
-        """The events of a frame, then those that wait.
-
-        Raises
-        ------
-        InputError
-            The journal cannot be read, and never was.
-        """
+        """Events of a frame, then waiting ones; InputError where the journal was never readable."""
         found = self._read(frame)
         # Another thread may have saved what waits, and not have said so yet.
         groups = {e.group for e in found}
@@ -153,31 +118,22 @@ class LabelEditor:
         return [e for w in self.waiting for e in w.events(NOT_IN_THE_JOURNAL, "") if e.ref.frame == frame]
 
     def news(self, frame: str) -> tuple[Event, ...]:
-        """What is saved in a frame that was not there when it was last looked at. Any thread may ask.
-
-        Raises
-        ------
-        InputError
-            The journal cannot be read.
-        """
+        """Events saved in a frame since the last look; for any thread; InputError where the journal cannot be read."""
         return tuple(e for e in self._now(frame)[1] if not self.has_seen(e))
 
     def has_seen(self, event: Event) -> bool:
-        """Whether an event was there when its frame was last looked at."""
+        """True for an event present at the last look."""
         return any(e.ulid == event.ulid for e in self._events.get(event.ref.frame, ()))
 
     def replaced(self, frame: str) -> bool:
-        """Whether the journal lacks what it had in a frame: it is another one now, such as a copy that was put back.
-
-        Any thread may ask. A journal that cannot be read is not another one.
-        """
+        """True where the journal lacks its former events of a frame: another file; for any thread."""
         try:
             return bool(self._events.get(frame)) and not self._now(frame)[0]
         except InputError:
             return False
 
     def _now(self, frame: str) -> tuple[tuple[Event, ...], tuple[Event, ...]]:
-        """What is known of a frame and still stands in the journal, and what came after it."""
+        """Known events of a frame that still stand in the journal, and newer ones."""
         journal, known = self.location.to_read(), self._events.get(frame, ())
         if journal is None:
             return known, ()
@@ -218,7 +174,7 @@ class LabelEditor:
         pair: tuple[int, int] | None = None,
         expression: str | None = None,
     ) -> tuple[EventLine, ...]:
-        """Who changed what of an object, a pair or an expression, the newest first, when the frame was last seen."""
+        """Events of an object, a pair or an expression at the last look, newest first."""
         events = [*self._events.get(frame, ()), *self._unsaved(frame)]
         return event_lines(
             events,
@@ -232,12 +188,8 @@ class LabelEditor:
     # ---- saving ---------------------------------------------------------------------
 
     def save(self, edits: Sequence[Edit]) -> Outcome:
-        """Save an action; where that cannot be done now, keep it.
-
-        Raises
-        ------
-        InputError
-            It is no action: see `Journal.append`; or its frame cannot be taken in.
+        """Save an action, or keep it until possible; InputError as `Journal.append`, or for a frame that cannot be
+        taken in.
         """
         edits, self._again = tuple(edits), None
         self.keep_frames(e.ref.frame for e in edits)
@@ -267,18 +219,14 @@ class LabelEditor:
         return outcome
 
     def _remember(self, outcome: Saved) -> None:
-        """Until it is read, this is all that is known of it."""
+        """Keep saved events until they are read."""
         with self._lock:
             self._saved = (*self._saved, *outcome.events)
 
     def decide(self, conflict: Conflict, mine: Collection[int]) -> Outcome | None:
-        """Settle a conflict: save one's own in the disputes that `mine` numbers, leave the others as they are.
+        """Settle a conflict: save one's own edits in the disputes numbered by `mine`.
 
-        Returns
-        -------
-        Saved, Conflict, Waiting or None
-            None where nothing of one's own is left. Conflict where somebody
-            has changed one of its fields again: that is to be decided anew.
+        None where nothing of one's own is left; Conflict where a field changed again.
         """
         frames = {e.ref.frame for e in conflict.edits}
         edits = [e for name in frames for e in decided(conflict, self.frame(name), mine) if e.ref.frame == name]
@@ -287,18 +235,13 @@ class LabelEditor:
         return outcome
 
     def retry(self) -> tuple[Outcome, ...]:
-        """Try again to save what waits: see `Unsaved.retry`. Any thread may ask."""
+        """Save waiting actions again: see `Unsaved.retry`; for any thread."""
         return self.location.unsaved.retry(self.author, self.location.to_write, self._remember)
 
     def undo(self, group: str | None = None) -> Outcome | None:
-        """Take back this person's newest action, or the one of a group; one that waits is dropped.
+        """Take back the newest action, or that of a group; a waiting one is dropped; None for none.
 
-        None where there is none.
-
-        Raises
-        ------
-        NotSaved, InputError
-            The journal cannot be read or written.
+        NotSaved or InputError where the journal cannot be written or read.
         """
         if waiting := self.waiting:
             require(
@@ -310,7 +253,7 @@ class LabelEditor:
         return self._taken("undo", undo, group)
 
     def redo(self) -> Outcome | None:
-        """Bring back what this person took back last; as `undo`."""
+        """Bring back the action taken back last; as `undo`."""
         return None if self.waiting else self._taken("redo", redo, None)
 
     def _taken(self, which: str, take: Callable[..., Saved | Conflict | None], group: str | None) -> Outcome | None:
@@ -331,27 +274,16 @@ class LabelEditor:
 
 @dataclass(frozen=True)
 class EventLine:
-    """One edit.
-
-    Attributes
-    ----------
-    event : Event
-    undone : Event or None
-        What took it back, where it was not brought back since.
-    group : str
-        The action that the one who looks may take back with it; "" where it is not theirs, or taken back already.
-    waiting : bool
-        It is not saved yet.
-    """
+    """Edit in a history."""
 
     event: Event
-    undone: Event | None
-    group: str
-    waiting: bool = False
+    undone: Event | None  # event that took it back
+    group: str  # action to take back; "" for none
+    waiting: bool = False  # not saved yet
 
     @property
     def change(self) -> tuple[str, str]:
-        """From what to what, in words."""
+        """Value before and after, in words."""
         e = self.event
         return shown_value(e.ref, e.before), shown_value(e.ref, e.after)
 
@@ -365,19 +297,9 @@ def event_lines(
     expression: str | None = None,
     waiting: Iterable[str] = (),
 ) -> tuple[EventLine, ...]:
-    """The edits of what is asked for, the newest first.
+    """Edits of objects, a pair or an expression, newest first, of one frame's events.
 
-    Parameters
-    ----------
-    events : sequence of Event
-        Of one frame, in the order of their saving.
-    author : str
-        Who looks.
-    objects : iterable of int
-    pair : tuple of int, optional
-    expression : str, optional
-    waiting : iterable of str
-        Groups that are not saved yet.
+    `waiting` are groups not saved yet; `author` is who looks.
     """
     numbers, unsaved = set(objects), set(waiting)
     mine = {members[0].group for members in history(e for e in events if e.author == author).done}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import getpass
 from collections.abc import Callable, Mapping
 
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import LONGEST_NAME, plain_text
@@ -16,24 +16,7 @@ from pipeline.system.errors import require
 
 
 class LabelEditors:
-    """A person's editors of the labels of several sources, all under one name.
-
-    Parameters
-    ----------
-    journals, sources : mapping of str
-        By the names of the sources.
-    author : str or None
-        Under whose name corrections are saved; else as `greet` says it, else the user's own.
-
-    Attributes
-    ----------
-    wanted : Target or None
-        What of the labels the frame that is opened next shows; None leaves it to what is shown now.
-    said : (str, bool)
-        What came of the last action, and whether it was not done.
-    on_saved : list of callable
-        Get the events of everything that this person saves or takes back.
-    """
+    """Editors of one person for the labels of several sources, by name."""
 
     def __init__(
         self, journals: Mapping[str, JournalLocation], sources: Mapping[str, Pipeline], author: str | None
@@ -47,7 +30,7 @@ class LabelEditors:
         self.on_saved: list[Callable[[tuple[Event, ...]], object]] = []
 
     def of(self, source: str) -> LabelEditor | None:
-        """That of a source, opened when it is first needed; None where no labels of it are open."""
+        """Editor of a source, opened when first needed; None without labels."""
         if source not in self._open and source in self._journals:
             location = self._journals[source]
             dataset = self._sources[source].dataset
@@ -55,7 +38,7 @@ class LabelEditors:
         return self._open.get(source)
 
     def opened(self, source: str) -> LabelEditor | None:
-        """That of a source, where it was needed before; any thread may ask."""
+        """Editor of a source where open; for any thread."""
         return self._open.get(source)
 
     def corrected(self, source: str, frame: str) -> EffectiveFrame | None:
@@ -64,12 +47,12 @@ class LabelEditors:
         return None if editor is None else editor.corrected(frame)
 
     def greet(self, author: str) -> None:
-        """Take a name that was used before, unless one was given; raises as `sign`."""
+        """Take a name used before, unless given; raises as `sign`."""
         if author and not self._given:
             self.sign(author)
 
     def sign_for_token(self, author: str) -> None:
-        """Correct under the name of whoever's token it is; `sign` cannot change it."""
+        """Correct under a token's name; `sign` cannot change it."""
         self.sign(author)
         self._given = self._of_token = True
 
@@ -85,7 +68,7 @@ class LabelEditors:
 
 
 def login_name() -> str:
-    """The name that the user is logged in with; "somebody" where there is none."""
+    """Login name of the user; "somebody" for none."""
     try:
         return getpass.getuser()
     except (OSError, KeyError):  # A container may know no name of its user.

@@ -28,34 +28,18 @@ CORRECTED_FIELDS = ("text", "targets", "acceptable", "ambiguous", "mark", "statu
 
 @dataclass(frozen=True)
 class FieldLine:
-    """One field of an object.
-
-    Attributes
-    ----------
-    field : str
-        Of `FIELDS`.
-    value : JSON value
-    text : str
-        The same in a few words.
-    automatic : str or None
-        What the labeller had, in a few words; None where it had no such object.
-    origin : Origin
-    version : int
-        How many events it has.
-    settled : bool
-        It can be given back to the labeller.
-    """
+    """Field of an object."""
 
     field: str
     value: Any
-    text: str
-    automatic: str | None
+    text: str  # value in words
+    automatic: str | None  # labeller's value in words
     origin: Origin
-    version: int
-    settled: bool
+    version: int  # number of events
+    settled: bool  # can be given back
 
     def record(self) -> dict[str, Any]:
-        """As JSON."""
+        """JSON record."""
         return {
             "field": self.field,
             "value": self.value,
@@ -71,59 +55,31 @@ class FieldLine:
 
 @dataclass(frozen=True)
 class ObjectCard:
-    """A labelled object.
-
-    Attributes
-    ----------
-    frame : str
-    number : int
-    label : str
-    stands : bool
-        It was not rejected.
-    added_by : str
-        Who added it; "" where the labeller found it.
-    status : str or None
-        For all: "rejected", or what was said before judgements were each person's own.
-    statuses : dict of str to str
-        Status by reviewer.
-    concern : str
-        Why it is not asked for; "" where it is.
-    score : float
-    mask_pixels, points : int
-    distance : float or None
-        Metres.
-    numbers : BoxNumbers or None
-        Of its 3D box.
-    states : dict of str to int
-        How many of its relations, seen from it, are T, U and F.
-    expressions : int
-        How many have it as an answer or as their reference.
-    fields : tuple of FieldLine
-    """
+    """Labelled object with the origin of each field."""
 
     frame: str
     number: int
     label: str
     stands: bool
-    added_by: str
+    added_by: str  # "" for the labeller
     status: str | None
-    statuses: dict[str, str]
-    concern: str
+    statuses: dict[str, str]  # by reviewer
+    concern: str  # why not asked for; "" where asked
     score: float
     mask_pixels: int
     points: int
-    distance: float | None
+    distance: float | None  # metres
     numbers: BoxNumbers | None
-    states: dict[str, int]
-    expressions: int
+    states: dict[str, int]  # counts of T, U and F
+    expressions: int  # with it as answer or reference
     fields: tuple[FieldLine, ...]
 
     def line(self, field: str) -> FieldLine:
-        """Of that field."""
+        """Line of a field."""
         return next(line for line in self.fields if line.field == field)
 
     def record(self) -> dict[str, Any]:
-        """As JSON; the box's numbers are in the viewer's axes: right, forward, up, metres, and yaw in degrees."""
+        """JSON record; box in the viewer's axes: right, forward, up, metres, and yaw in degrees."""
         n = self.numbers
         box = None if n is None else {"center": list(n.center), "size": list(n.size), "yaw": n.yaw}
         return {
@@ -147,13 +103,7 @@ class ObjectCard:
 
 
 def object_card(frame: EffectiveFrame, number: int) -> ObjectCard:
-    """What the labels say of an object that stands, or was rejected.
-
-    Raises
-    ------
-    InputError
-        There is no such object.
-    """
+    """Describe an object that stands, or was rejected; InputError for no such object."""
     row = needed(frame.object(number), f"frame {frame.frame} has no object {number}")
     box, viewer = labelled_box(row), viewer_of(frame)
     created = number not in frame.auto.objects
@@ -178,19 +128,13 @@ def object_card(frame: EffectiveFrame, number: int) -> ObjectCard:
 
 
 def viewer_of(frame: EffectiveFrame) -> ViewerAxes | None:
-    """The axes in which the frame's relations are judged; None where nothing says what is up."""
+    """Axes in which the frame's relations are judged; None without an up vector."""
     up = frame.row["up"]
     return None if up is None else viewer_axes(np.array(up, np.float64), frame.row["up_source"] or "assumed")
 
 
 def back_to_automatic(frame: EffectiveFrame, number: int, field: str, reason: str = "") -> Edits:
-    """A field as the labeller had it; a 3D box as the object's points make it.
-
-    Raises
-    ------
-    InputError
-        There is no such object or field, the labeller had none, or nobody has changed it.
-    """
+    """Give a field back to the labeller; a 3D box to the object's points; InputError for nothing to give back."""
     require(field in FIELDS, "an object has no such field", got=repr(field), expected=", ".join(FIELDS))
     line = object_card(frame, number).line(field)
     require(line.settled, f"nobody has changed the {field} of object {number}")
@@ -199,18 +143,12 @@ def back_to_automatic(frame: EffectiveFrame, number: int, field: str, reason: st
 
 
 def judgements(frame: EffectiveFrame, number: int) -> dict[str, str]:
-    """What reviewers say of an object: status by author."""
+    """Status of an object by reviewer."""
     return statuses_of_items(frame.statuses).get(("object", number, None, ""), {})
 
 
 def bring_back(frame: EffectiveFrame, number: int, author: str, reason: str = "") -> Edits:
-    """Have a rejected object stand again; what this person said of it is taken back with that.
-
-    Raises
-    ------
-    InputError
-        It is not rejected.
-    """
+    """Bring back a rejected object, with this person's judgement; InputError where not rejected."""
     require(number in frame.left_out, f"object {number} is not rejected")
     ref = object_ref(frame.frame, number, "status")
     own = judge(frame, ref, None, author, reason) if author in judgements(frame, number) else ()
@@ -235,7 +173,7 @@ def _line(frame: EffectiveFrame, number: int, field: str) -> FieldLine:
 
 
 def _added_by(frame: EffectiveFrame, number: int) -> str:
-    """Every column of an added object comes from its adding, until it is corrected; this one cannot be."""
+    """Author of an added object."""
     origin = frame.noted("objects", str(number), "frame")
     return "somebody" if origin is None else str(origin.author)
 
@@ -247,29 +185,7 @@ def _states(frame: EffectiveFrame, number: int) -> dict[str, int]:
 
 @dataclass(frozen=True)
 class ExpressionCard:
-    """One expression, as it is now.
-
-    Attributes
-    ----------
-    frame, id, text : str
-    target, relation, reference : str
-        What it asks for.
-    target_object, reference_object : int
-        Numbers of the labelled pair.
-    targets, acceptable : tuple of int
-        Numbers of the objects that it is true of: beyond doubt, and with the undecided ones.
-    names : dict of int to str
-        Classes of all these objects; of one that is gone, "".
-    ambiguous : bool
-    mark, status : str or None
-    statuses : dict of str to str
-        What each reviewer says of it.
-    withdrawn : str
-        Why it is left out of the labels; "" where it stands.
-    origins : dict of str to Origin
-        Of each of CORRECTED_FIELDS.
-    versions : dict of str to int
-    """
+    """Expression as it is now."""
 
     frame: str
     id: str
@@ -279,28 +195,28 @@ class ExpressionCard:
     reference: str
     target_object: int
     reference_object: int
-    targets: tuple[int, ...]
-    acceptable: tuple[int, ...]
-    names: dict[int, str]
+    targets: tuple[int, ...]  # true of, beyond doubt
+    acceptable: tuple[int, ...]  # with undecided ones
+    names: dict[int, str]  # classes by number; "" for a lost one
     ambiguous: bool
     mark: str | None
     status: str | None
-    statuses: dict[str, str]
-    withdrawn: str
-    origins: dict[str, Origin]
+    statuses: dict[str, str]  # by reviewer
+    withdrawn: str  # reason; "" where it stands
+    origins: dict[str, Origin]  # by CORRECTED_FIELDS
     versions: dict[str, int]
 
     def certainty(self, number: int) -> Certainty:
-        """Whether it is true of an object."""
+        """Truth of the expression for an object."""
         return "sure" if number in self.targets else "likely" if number in self.acceptable else "no"
 
     def is_of(self, pair: Iterable[int]) -> bool:
-        """Whether its labelled pair is these two objects, either way round."""
+        """True for the labelled pair, either way round."""
         return {self.target_object, self.reference_object} == set(pair)
 
 
 def expression_cards(frame: EffectiveFrame, pair: Iterable[int] = ()) -> tuple[ExpressionCard, ...]:
-    """All expressions of a frame: those of a pair of objects first, those that were left out last."""
+    """Expressions of a frame: of the pair first, withdrawn ones last."""
     withdrawn = {w.id: w.reason for w in frame.withdrawn}
     statuses = statuses_of_items(frame.statuses)
     cards = [_card(frame, name, withdrawn.get(name, ""), statuses) for name in frame.sentences]
@@ -309,7 +225,7 @@ def expression_cards(frame: EffectiveFrame, pair: Iterable[int] = ()) -> tuple[E
 
 
 def expression_card(frame: EffectiveFrame, name: str) -> ExpressionCard:
-    """One expression, by its id; InputError where the frame has no such expression."""
+    """Expression by id; InputError for no such one."""
     require(name in frame.sentences, f"frame {frame.frame} has no such expression", got=repr(name)[:60])
     withdrawn = next((w.reason for w in frame.withdrawn if w.id == name), "")
     return _card(frame, name, withdrawn, statuses_of_items(frame.statuses))
@@ -344,13 +260,7 @@ def answers_with(card: ExpressionCard, number: int, certainty: Certainty) -> tup
 
 
 def set_answer(frame: EffectiveFrame, name: str, number: int, certainty: Certainty, reason: str = "") -> Edits:
-    """Say of one object whether an expression is true of it; of what it is true else stays.
-
-    Raises
-    ------
-    InputError
-        No such expression or object, nothing would be changed, or no answer would be left.
-    """
+    """Set whether an expression is true of one object; InputError for no such one, no change, or no answer left."""
     card = expression_card(frame, name)
     require(card.certainty(number) != certainty, "it says so already", got=f"object {number}: {certainty}")
     return set_answers(frame, name, *answers_with(card, number, certainty), reason)

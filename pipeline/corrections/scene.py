@@ -38,10 +38,7 @@ _OF_THE_BOX = ("bbox", "mask", "box")
 
 @lru_cache(maxsize=3)
 def labelled_objects(frame: EffectiveFrame) -> tuple[SceneObject, ...]:
-    """Everything that stands in a frame, in the order of the numbers; `id` is the object's number in the labels.
-
-    Points are not read: what is known of an object is what its row says.
-    """
+    """Standing objects by number, from their rows, without points."""
     return tuple(_labelled(frame.objects[n], frame.size) for n in sorted(frame.objects))
 
 
@@ -78,13 +75,7 @@ def _labelled(row: dict[str, Any], size: tuple[int, int]) -> SceneObject:
 
 
 def effective_truth(frame: EffectiveFrame) -> FrameCases:
-    """The cases of a frame and its objects, as `evaluation.cases.read_cases` reads those of automatic labels.
-
-    Raises
-    ------
-    InputError
-        The frame was rejected: nothing is to be judged by it.
-    """
+    """Cases of a frame and its objects, as `evaluation.cases.read_cases`; InputError for a rejected frame."""
     require(frame.stands, f"frame {frame.frame} was rejected: its labels are not to be used")
     rows = {
         name: {column: table.column(column).to_pylist() for column in table.column_names}
@@ -102,10 +93,9 @@ def effective_truth(frame: EffectiveFrame) -> FrameCases:
 
 
 def effective_mark(frame: EffectiveFrame, expression: str, mark: str | None) -> str | None:
-    """BAD_LABEL, BAD_BOX or None: what people say of an expression now, where `mark` was said of the labels before.
+    """Mark of an expression now: BAD_LABEL, BAD_BOX or None.
 
-    What was said of the labels before holds no longer where what it was said of
-    has been corrected, or where a reviewer has accepted the expression.
+    A mark of the labels before does not hold after a correction, or an acceptance, of the expression.
     """
     if frame.version(FieldRef("expression", frame.frame, expression, "mark")):
         return frame.marks.get(expression)
@@ -123,7 +113,7 @@ def effective_mark(frame: EffectiveFrame, expression: str, mark: str | None) -> 
 
 
 def withdrawn_by(frame: EffectiveFrame, expression: str) -> str | None:
-    """Why there is nothing to judge an expression by: somebody rejected it. None where that is not so."""
+    """Reason why a rejected expression is not judged; None otherwise."""
     ref = FieldRef("expression", frame.frame, expression, "status")
     return (
         None if frame.statuses.get(ref) != "rejected" else f"the expression was rejected by {frame.origin(ref).author}"
@@ -131,12 +121,9 @@ def withdrawn_by(frame: EffectiveFrame, expression: str) -> str | None:
 
 
 def answered_case(frame: EffectiveFrame, truth: FrameCases, case: Case, trace: Trace) -> Case:
-    """The case by which an answer is judged, where a person has named the right targets of its expression or has
-    accepted it with those that it has.
+    """Case by which an answer is judged, where a person set or accepted the targets: all of them are meant.
 
-    They are all meant then, and not one of them alone: the labelled pair
-    becomes that of the one that was answered, else it stays, or becomes that of
-    the first one where its own target is no longer right.
+    The labelled pair becomes that of the answer, else stays, or becomes the first one's where no longer right.
     """
     targets, status = (FieldRef("expression", frame.frame, case.id, field) for field in ("targets", "status"))
     vouched = frame.origin(targets).source == "human" or frame.statuses.get(status) in ("accepted", "corrected")
@@ -164,35 +151,21 @@ MOVED = Origin("recomputed", reason="the box is being moved")
 
 @dataclass(frozen=True)
 class RelationLine:
-    """One relation of a pair.
-
-    Attributes
-    ----------
-    relation : str
-    state : int or None
-        T (1), U (0), F (-1); None where the pair has no label.
-    margin : float or None
-        Slack of the rule's gate, metres: the sign says which side.
-    origin : Origin
-    status : str or None
-        What a reviewer said of it.
-    version : int
-        How many events it has.
-    """
+    """Relation of a pair."""
 
     relation: str
-    state: int | None
-    margin: float | None
+    state: int | None  # T (1), U (0), F (-1), or None
+    margin: float | None  # metres, signed
     origin: Origin
     status: str | None
-    version: int
+    version: int  # number of events
 
     def against(self, state: int) -> float:
-        """By how many metres the rule's margin contradicts T or F; 0 where it does not, and for U."""
+        """Metres by which the rule's margin contradicts T or F; 0 for U."""
         return 0.0 if self.margin is None or state == U else max(0.0, -state * self.margin)
 
     def record(self) -> dict[str, Any]:
-        """As JSON."""
+        """JSON record."""
         return {
             "relation": self.relation,
             "state": None if self.state is None else letter(self.state),
@@ -206,33 +179,18 @@ class RelationLine:
 
 @dataclass(frozen=True)
 class PairCard:
-    """An ordered pair: "a RELATION b".
-
-    Attributes
-    ----------
-    frame : str
-    a, b : int
-        Numbers of the objects.
-    names : tuple of str
-        Their classes.
-    distance : float or None
-        Metres.
-    lines : tuple of RelationLine
-        The labelled relations, in the order of PAIRWISE.
-    why_none : str
-        Why the pair takes part in no relation; "" where it does.
-    """
+    """Ordered pair "a RELATION b"."""
 
     frame: str
     a: int
     b: int
-    names: tuple[str, str]
-    distance: float | None
-    lines: tuple[RelationLine, ...]
-    why_none: str = ""
+    names: tuple[str, str]  # classes
+    distance: float | None  # metres
+    lines: tuple[RelationLine, ...]  # in the order of PAIRWISE
+    why_none: str = ""  # why no relation; "" where any
 
     def record(self) -> dict[str, Any]:
-        """As JSON."""
+        """JSON record."""
         return {
             "frame": self.frame,
             "a": {"object": self.a, "label": self.names[0]},
@@ -244,13 +202,7 @@ class PairCard:
 
 
 def pair_card(frame: EffectiveFrame, a: int, b: int) -> PairCard:
-    """What the labels say of two objects.
-
-    Raises
-    ------
-    InputError
-        There is no such object, or both are the same.
-    """
+    """Describe two objects by the labels; InputError for no such object, or twice the same."""
     for number in (a, b):
         require(number in frame.objects, f"frame {frame.frame} has no object {number}")
     require(a != b, "an object has no relation to itself", got=a)
@@ -278,42 +230,17 @@ def _number(value: Any) -> float | None:
 
 @dataclass(frozen=True)
 class Moved:
-    """What follows from another box of one object of a pair.
-
-    Attributes
-    ----------
-    number : int
-        Of the object that is moved.
-    box : Box3D
-        Camera frame.
-    card : PairCard or None
-        Of the chosen pair as it would be; None where the object is in none.
-    changed : tuple of str
-        Relations of that pair that would have another state.
-    seconds : float
-        What it cost.
-    """
+    """Consequences of another box of one object of a pair."""
 
     number: int
-    box: Box3D
+    box: Box3D  # camera frame
     card: PairCard | None
-    changed: tuple[str, ...]
+    changed: tuple[str, ...]  # relations with another state
     seconds: float
 
 
 class MovingBox:
-    """Keeps what does not change while one object of a pair is moved.
-
-    Parameters
-    ----------
-    frame : EffectiveFrame
-    corrector : Corrector
-        With its dataset: without one nothing can be judged, and `moved` has no card.
-    number : int
-        The object that is moved.
-    pair : tuple of int, optional
-        The chosen pair: "a RELATION b".
-    """
+    """Constant parts of a frame while one object of a pair is moved; no card without a dataset."""
 
     def __init__(
         self, frame: EffectiveFrame, corrector: Corrector, number: int, pair: tuple[int, int] | None = None
@@ -342,7 +269,7 @@ class MovingBox:
         return self._relifter.lifted(self.frame.frame, row, box)
 
     def moved(self, box: Box3D) -> Moved:
-        """What follows from another box (camera frame) of the object: for the pair, just what saving it makes."""
+        """Consequences of another box (camera frame), for the pair the same as of saving."""
         start = perf_counter()
         card = self._card
         if card is None or self._relifter is None:
@@ -363,7 +290,7 @@ class MovingBox:
         return Moved(self.number, box, card, changed, perf_counter() - start)
 
     def _line(self, line: RelationLine, state: int, margin: float) -> RelationLine:
-        """A relation judged anew: what a person said of it stands, and what that rules out."""
+        """Relation judged anew, under people's corrections."""
         human = line.origin.source == "human"
         ruled_out = not human and state == T and self._ruled_out(line.relation)
         now = line.state if human else F if ruled_out else None if state == NOT_JUDGED else state
@@ -372,7 +299,7 @@ class MovingBox:
         return replace(line, state=now, margin=None if now is None else margin, origin=line.origin if human else MOVED)
 
     def _ruled_out(self, relation: str) -> bool:
-        """Whether a person said that the opposite holds, or the same the other way round."""
+        """True where a person set the opposite, or the same the other way round."""
         assert self._card is not None
         opposite, frame = INVERSE.get(relation), self.frame
         if opposite is None:

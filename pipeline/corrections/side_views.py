@@ -40,27 +40,15 @@ Move = Sequence[Any]
 
 @dataclass(frozen=True)
 class SideViews:
-    """What the three views of an object show.
+    """Points and box of an object in three views."""
 
-    Attributes
-    ----------
-    axes : (3, 3) float64
-        Rows a, b, c, camera frame.
-    box : Box3D
-        Camera frame.
-    points : (N, 3) int16
-        Along a, b, c from the middle of the box, millimetres.
-    own : (N,) bool
-        Points of the object's pixels; the others are around it.
-    """
-
-    axes: np.ndarray
-    box: Box3D
-    points: np.ndarray
-    own: np.ndarray
+    axes: np.ndarray  # (3, 3) float64, rows a, b, c, camera frame
+    box: Box3D  # camera frame
+    points: np.ndarray  # (N, 3) int16, along a, b, c from the box's middle, millimetres
+    own: np.ndarray  # (N,) bool, of the object's pixels
 
     def record(self) -> dict[str, Any]:
-        """As JSON: `size` along a, b, c in metres, `points` as base64 of the object's points, then `around`."""
+        """JSON record: `size` along a, b, c in metres, `points` as base64, the object's first."""
         mine, others = (
             base64.b64encode(np.ascontiguousarray(self.points[chosen], "<i2").tobytes()).decode()
             for chosen in (self.own, ~self.own)
@@ -81,17 +69,7 @@ def box_axes(box: Box3D, viewer: ViewerAxes) -> np.ndarray:
 
 
 def side_views(frame: Frame, viewer: ViewerAxes, box: Box3D, mask: np.ndarray, most: int = MOST_POINTS) -> SideViews:
-    """The points in and around a box, thinned evenly to at most `most`, half of them the object's.
-
-    Parameters
-    ----------
-    frame : Frame
-    viewer : ViewerAxes
-    box : Box3D
-        Camera frame.
-    mask : (H, W) bool
-        The object's pixels.
-    """
+    """Points in and around a box (camera frame), thinned evenly to `most`, half of them in the mask (H, W) bool."""
     axes, reach = box_axes(box, viewer), AROUND_M + AROUND_SHARE * float(box.size.max())
     half = np.abs(axes @ box.R) @ box.size / 2 + reach
     v, u = np.nonzero(frame.depth > 0)
@@ -108,21 +86,7 @@ def _thinned(indices: np.ndarray, most: int) -> np.ndarray:
 
 
 def dragged(box: Box3D, axes: np.ndarray, moves: Sequence[Move]) -> Box3D:
-    """A box after what a hand did to it in the views, one after the other; the opposite face stays where it is.
-
-    Parameters
-    ----------
-    box : Box3D
-        Camera frame.
-    axes : (3, 3)
-        As `box_axes` of the box.
-    moves : sequence of Move
-
-    Raises
-    ------
-    InputError
-        One of them is none, or too many or too far.
-    """
+    """Box after moves in the views, one after the other; opposite faces stay; InputError for a wrong move."""
     require(0 < len(moves) <= MOST_MOVES, "not what a hand does to a box", got=Shown(moves), expected="1 to 12 moves")
     own = np.abs(axes @ box.R).argmax(axis=1)
     return reduce(lambda found, move: _moved(found, axes, own, move), moves, box)
@@ -150,13 +114,7 @@ def _moved(box: Box3D, axes: np.ndarray, own: np.ndarray, move: Move) -> Box3D:
 
 
 def face_to_points(views: SideViews, axis: int, side: int) -> Move:
-    """The move that brings a face to the object's points within the other faces.
-
-    Raises
-    ------
-    InputError
-        There are none.
-    """
+    """Move of a face to the object's points within the other faces; InputError for no points."""
     half = np.abs(views.axes @ views.box.R) @ views.box.size / 2
     points = views.points[views.own] / 1000
     beside = [k for k in range(3) if k != axis]
@@ -167,13 +125,7 @@ def face_to_points(views: SideViews, axis: int, side: int) -> Move:
 
 
 def drag_box(frame: EffectiveFrame, number: int, moves: Sequence[Move], reason: str = "") -> Edits:
-    """Another 3D box by what a hand does to it in the views, as one edit.
-
-    Raises
-    ------
-    InputError
-        As `dragged`; there is no such object, it has no box, or nobody knows where up is.
-    """
+    """Edit a 3D box by moves in the views; InputError as `dragged`, or without object, box or up vector."""
     row = needed(frame.objects.get(number), f"frame {frame.frame} has no object {number} that stands")
     box = needed(labelled_box(row), f"object {number} has no 3D box: there is no depth in its pixels")
     up = needed(frame.row["up"], f"frame {frame.frame}: which way is up was not kept")

@@ -55,27 +55,15 @@ SAME_M = 0.0005
 
 @dataclass(frozen=True)
 class Support:
-    """A level surface.
+    """Level surface."""
 
-    Attributes
-    ----------
-    height : float
-        Under the middle of the box, metres along the viewer's up from the camera.
-    number : int or None
-        The object whose surface it is; None for the floor, or for what nobody labelled.
-    points : int
-        It was fitted to so many.
-    spread : float
-        Root of the mean square of their distances from it, metres.
-    """
-
-    height: float
-    number: int | None
-    points: int
-    spread: float
+    height: float  # metres along up, under the middle of the box
+    number: int | None  # None for the floor, or unlabelled
+    points: int  # fitted
+    spread: float  # RMS distance, metres
 
     def record(self) -> dict[str, Any]:
-        """As JSON."""
+        """JSON record."""
         return {"height": self.height, "object": self.number, "points": self.points, "spread": self.spread}
 
 
@@ -98,33 +86,16 @@ class _Candidate:
 
 
 def find_support(context: PreparedFrame, box: Box3D, objects: Sequence[SceneObject], number: int) -> Support:
-    """The highest level surface under a box that can carry it.
+    """Find the highest level surface under a box that can carry it.
 
-    An object can carry where at least half of the footprint lies within its
-    extents: the book beside a mug does not carry it. Its level points are
-    grouped by height, those in and around the footprint where there are enough,
-    else all; where none are near its upper extent, that extent counts, too: of a
-    book under another one no level pixel is seen. What nobody labelled can carry
-    where its level points are in and around the footprint, and the floor, the
-    lowest large level surface of the picture, everywhere. Of what is not above
-    the middle of the box the highest is fitted with a plane. Where that is not
-    close, the longest object beside the footprint whose surface the box nearly
-    touches is taken before it: of the desk behind the laptop little is seen.
-
-    Parameters
-    ----------
-    context : PreparedFrame
-    box : Box3D
-        Camera frame.
-    objects : sequence of SceneObject
-        All of the frame, `id` their numbers.
-    number : int
-        The object that is to stand.
-
-    Raises
-    ------
-    InputError
-        Nothing level is seen under it, or only far below.
+    An object can carry where at least half of the footprint lies within its extents: the book beside a mug does not
+    carry it. Its level points are grouped by height, those in and around the footprint where there are enough, else
+    all; where none are near its upper extent, that extent counts, too: of a book under another one no level pixel is
+    seen. Unlabelled surfaces carry where their level points are in and around the footprint, and the floor, the lowest
+    large level surface of the picture, everywhere. Of what is not above the middle of the box the highest is fitted
+    with a plane. Where that is not close, the longest object beside the footprint whose surface the box nearly touches
+    is taken before it: of the desk behind the laptop little is seen. `objects` are all of the frame, `box` in the
+    camera frame. InputError where nothing level is seen under the box, or only far below.
     """
     level = _level_points(context, objects, number)
     viewer = context.viewer
@@ -163,15 +134,7 @@ def find_support(context: PreparedFrame, box: Box3D, objects: Sequence[SceneObje
 
 
 def snapped(box: Box3D, support: Support, viewer: ViewerAxes, way: SnapMode = "extend") -> Box3D:
-    """The box with the middle of its bottom at the height of a support; its size in plan stays.
-
-    Parameters
-    ----------
-    box : Box3D
-        Camera frame.
-    way : str
-        See `SnapMode`. A box too flat to be extended up to a support inside of it is moved.
-    """
+    """Box (camera frame) with its bottom at a support; a box too flat to extend is moved (see `SnapMode`)."""
     up = viewer.up
     axis = int(np.abs(box.R.T @ up).argmax())
     down = box.R[:, axis] * -np.sign(box.R[:, axis] @ up)
@@ -184,7 +147,7 @@ def snapped(box: Box3D, support: Support, viewer: ViewerAxes, way: SnapMode = "e
 
 
 def gap_below(box: Box3D, support: Support, viewer: ViewerAxes) -> float:
-    """Metres between a support and the middle of the bottom of a box over it; negative where it sinks in."""
+    """Metres from a support to the middle of a box's bottom; negative where sunk in."""
     upright = np.abs(box.R.T @ viewer.up)
     reach = upright.max() * box.size[upright.argmax()] / 2
     return float(box.center @ viewer.up) - float(reach) - support.height
@@ -216,19 +179,19 @@ def _in_plan(points: np.ndarray, viewer: ViewerAxes) -> np.ndarray:
 
 
 def _covered(entry: SceneObject, lo: np.ndarray, hi: np.ndarray, margin: float = 0.0) -> float:
-    """The share of a footprint that lies within an object's extents in plan, or at most `margin` m beside them."""
+    """Share of a footprint within an object's extents in plan, plus `margin` metres."""
     own_lo, own_hi = entry.lifted.lo[[0, 2]] - margin, entry.lifted.hi[[0, 2]] + margin
     shared = np.clip(np.minimum(own_hi, hi) - np.maximum(own_lo, lo), 0, None)
     return float(np.prod(shared / np.maximum(hi - lo, 1e-6)))
 
 
 def _length(entry: SceneObject) -> float:
-    """Of the longer side of an object's extents in plan, metres; 0 where they are not known."""
+    """Longer side of an object's extents in plan, metres; 0 for unknown."""
     return float(np.nan_to_num((entry.lifted.hi - entry.lifted.lo)[[0, 2]].max()))
 
 
 def _surfaces_of(entry: SceneObject, level: _Level, near: np.ndarray) -> list[_Candidate]:
-    """The level surfaces of an object, and its upper extent where none of them is there."""
+    """Level surfaces of an object, else its upper extent."""
     own = level.owner == entry.id
     mine = np.flatnonzero(own & near)
     if len(mine) < LEAST_POINTS:
@@ -265,7 +228,7 @@ def _levels(heights: np.ndarray, least: int) -> list[tuple[float, np.ndarray]]:
 
 
 def _plane(plan: np.ndarray, heights: np.ndarray) -> tuple[float, float]:
-    """Height at the origin of the plan, of the plane through points, and how far they lie from it."""
+    """Height of a fitted plane at the plan's origin, and the spread of the points."""
     middle = float(np.median(heights))
     kept = np.ones(len(heights), np.bool_)
     fitted, slope = np.array([0.0, 0.0, middle]), np.tan(np.deg2rad(STEEPEST_DEG))
@@ -284,14 +247,9 @@ def _plane(plan: np.ndarray, heights: np.ndarray) -> tuple[float, float]:
 
 
 def fit_to_points(frame: EffectiveFrame, number: int, corrector: Corrector, reason: str = "") -> Edits:
-    """The box that the object's cleaned points make, by the labels' own estimator; the one that a person set goes.
+    """Edit the box to the object's cleaned points, by the labels' estimator.
 
-    An object that somebody added as a 3D box is fitted to the points inside of it.
-
-    Raises
-    ------
-    InputError
-        There is no such object, its box is the one of its points already, or the dataset is needed and not at hand.
+    An object added as a 3D box is fitted to the points inside. InputError for no object, no change, or no dataset.
     """
     reason = reason or "fitted to its points"
     row = _standing(frame, number)
@@ -313,7 +271,7 @@ def fit_to_points(frame: EffectiveFrame, number: int, corrector: Corrector, reas
 
 
 def support_of(frame: EffectiveFrame, number: int, corrector: Corrector) -> tuple[Support, float]:
-    """What an object stands on, and how far its box ends above that, metres; raises as `find_support`."""
+    """Support of an object, and its gap in metres; raises as `find_support`."""
     context, box = _relifter(corrector).context(frame.frame), _box(frame, number)
     support = find_support(context, box, labelled_objects(frame), number)
     return support, gap_below(box, support, context.viewer)
@@ -322,13 +280,7 @@ def support_of(frame: EffectiveFrame, number: int, corrector: Corrector) -> tupl
 def snap_to_support(
     frame: EffectiveFrame, number: int, corrector: Corrector, way: SnapMode = "extend", reason: str = ""
 ) -> Edits:
-    """The box brought down (or up) to the level surface that the object stands on.
-
-    Raises
-    ------
-    InputError
-        As `find_support`; there is no such object, it has no box, it stands there already, or there is no dataset.
-    """
+    """Edit the box down or up to its support; InputError as `find_support`, or for no object, box or change."""
     support, gap = support_of(frame, number, corrector)
     on = support_name(frame, support)
     require(abs(gap) >= SAME_M, f"object {number} stands on {on} already")
@@ -337,7 +289,7 @@ def snap_to_support(
 
 
 def support_name(frame: EffectiveFrame, support: Support) -> str:
-    """What carries, in words."""
+    """Name of a support."""
     row = None if support.number is None else frame.objects.get(support.number)
     return "the level surface below" if row is None else f"{row['label']}·{support.number}"
 

@@ -24,26 +24,16 @@ from pipeline.system.errors import InputError, require
 
 @dataclass(frozen=True)
 class Waiting:
-    """An action that could not be saved, kept until it can be.
-
-    Attributes
-    ----------
-    edits : tuple of Edit
-    author, group : str
-        The group keeps an action from being saved twice.
-    time : datetime
-    problem : str
-        Why it could not be saved.
-    """
+    """Action kept until it can be saved."""
 
     edits: tuple[Edit, ...]
     author: str
-    group: str
+    group: str  # keeps it from being saved twice
     time: datetime
-    problem: str
+    problem: str  # why not saved
 
     def events(self, first: int, labels: str) -> list[Event]:
-        """As they will stand in the journal, numbered from `first` on."""
+        """Events as saved, numbered from `first`."""
         return [
             Event(first + k, f"{self.group}-{k}", self.author, self.time, e.ref, e.before, e.after, e.base, e.base + 1,
                   labels, e.reason, self.group, "edit", None, e.anchor)
@@ -52,7 +42,7 @@ class Waiting:
 
 
 class Unsaved:
-    """What waits of everyone who corrects the same labels in one process. May be shared by threads."""
+    """Waiting and disputed actions of all authors of a process; shared by threads."""
 
     def __init__(self) -> None:
         self._waiting: dict[str, tuple[Waiting, ...]] = {}
@@ -62,16 +52,16 @@ class Unsaved:
 
     @property
     def authors(self) -> tuple[str, ...]:
-        """Everyone of whom something is not saved."""
+        """Authors with something unsaved."""
         with self._lock:
             return tuple(sorted({a for kept in (self._waiting, self._disputed) for a, some in kept.items() if some}))
 
     def waiting(self, author: str) -> tuple[Waiting, ...]:
-        """What an author's actions are that could not be saved, in the order in which they were made."""
+        """Waiting actions of an author, in order."""
         return self._waiting.get(author, ())
 
     def disputed(self, author: str) -> tuple[Conflict, ...]:
-        """What an author has to decide, because others were faster."""
+        """Conflicts for an author to decide."""
         return self._disputed.get(author, ())
 
     def keep(self, action: Waiting) -> None:
@@ -90,13 +80,7 @@ class Unsaved:
             self._disputed[author] = tuple(c for c in self.disputed(author) if c is not conflict)
 
     def drop_last(self, author: str) -> Waiting | None:
-        """Give up the newest action that waits; None where none does.
-
-        Raises
-        ------
-        InputError
-            It is being saved at this moment.
-        """
+        """Give up the newest waiting action; None for none; InputError while it is being saved."""
         require(self._saving.acquire(timeout=1.0), "it is being saved at this moment", expected="try again")
         try:
             with self._lock:
@@ -109,13 +93,10 @@ class Unsaved:
     def retry(
         self, author: str, journal: Callable[[], Journal], saved: Callable[[Saved], None] = lambda _: None
     ) -> tuple[Saved | Conflict | Waiting, ...]:
-        """Try again to save what waits of an author, oldest first, until one fails.
+        """Save waiting actions of an author again, oldest first, until one fails.
 
-        What others have changed in the meantime is a conflict: it no longer
-        waits, and its author has to decide. Later actions on the same fields
-        were made on what is not saved now, and so are a part of it. Nothing is
-        tried while another thread does. `saved` is told what was saved before
-        it waits no longer.
+        A conflict no longer waits: the author decides, with later actions on the same fields, which were made on it.
+        Nothing is tried while another thread does. `saved` is called before an action stops waiting.
         """
         if not self._saving.acquire(blocking=False):
             return ()
@@ -139,10 +120,9 @@ class Unsaved:
         return tuple(done)
 
     def _disputed_with_later(self, author: str, conflict: Conflict) -> Conflict:
-        """The conflict of the first action that waits, with all that was made on it, from waiting to disputed.
+        """Move the first waiting action, with all made on it, to the disputes.
 
-        Their versions are those of fields as their author saw them: saved on
-        their own, they could hit the version that somebody else has made.
+        Saved alone, later versions could hit those of somebody else.
         """
         with self._lock:
             first, *rest = self.waiting(author)
@@ -168,10 +148,9 @@ class Unsaved:
 
 
 def unsaved_actions(unsaved: Unsaved, author: str) -> list[list[dict[str, Any]]]:
-    """What is not saved of an author, as lists of actions that `spatialviz correct` takes, one after the other.
+    """Unsaved edits of an author as lists of actions for `spatialviz correct`, one after the other.
 
-    The fields of objects that are not in the journal yet follow them in a
-    second list. What others were in the way of is in the last ones, to be told so again.
+    Fields of new objects follow in a second list, disputes last.
     """
     waiting = _merged(e for w in unsaved.waiting(author) for e in w.edits)
     new = {(e.ref.frame, n) for e in waiting if e.ref.field == "exists" for n in e.ref.numbers}
@@ -185,7 +164,7 @@ def unsaved_actions(unsaved: Unsaved, author: str) -> list[list[dict[str, Any]]]
 
 
 def _merged(edits: Iterable[Edit]) -> tuple[Edit, ...]:
-    """One edit a cell: from what was first seen to what was last wanted."""
+    """Merge the edits of each cell."""
     found: dict[FieldRef, Edit] = {}
     for edit in edits:
         first = found.get(edit.ref)
@@ -195,45 +174,28 @@ def _merged(edits: Iterable[Edit]) -> tuple[Edit, ...]:
 
 @dataclass(frozen=True)
 class Dispute:
-    """A field that somebody else was faster to change, with the fields of one's action that stand or fall with it.
-
-    Attributes
-    ----------
-    edits : tuple of Edit
-        What one wanted.
-    rivals : tuple of Rival
-        At least one.
-    """
+    """Field that somebody else changed first, with the edits that depend on it."""
 
     edits: tuple[Edit, ...]
-    rivals: tuple[Rival, ...]
+    rivals: tuple[Rival, ...]  # at least one
 
     @property
     def ref(self) -> FieldRef:
-        """The field that it is told by."""
+        """Field that names the dispute."""
         return self.rivals[0].edit.ref
 
 
 def disputes(conflict: Conflict, setting: Setting) -> tuple[Dispute, ...]:
-    """The disputed fields of an action: a relation with its inverse is one, and so are the answers of an expression."""
+    """Disputed fields of an action: a relation with its inverse, and the answers of an expression, are one."""
     groups = grouped(conflict.edits or tuple(r.edit for r in conflict.rivals), lambda e: _together(e.ref, setting))
     rivals = grouped(conflict.rivals, lambda r: _together(r.edit.ref, setting))
     return tuple(Dispute(tuple(members), tuple(rivals[key])) for key, members in groups.items() if key in rivals)
 
 
 def decided(conflict: Conflict, frame: EffectiveFrame, mine: Collection[int]) -> tuple[Edit, ...]:
-    """The edits that a person saves after all: what nobody disputes, and of the disputes those that `mine` numbers.
+    """Edits to save after all: undisputed ones, and those of the disputes numbered by `mine`.
 
-    They are made on what the person was shown: who changes it again meanwhile
-    is in conflict again, and overwritten by nobody.
-
-    Parameters
-    ----------
-    conflict : Conflict
-    frame : EffectiveFrame
-        As it is now.
-    mine : collection of int
-        Places in `disputes`.
+    They are made on what the person was shown: another change is a conflict again.
     """
     found = disputes(conflict, frame.setting)
     disputed = {e.ref for d in found for e in d.edits}

@@ -19,40 +19,21 @@ _EXACT, _PREFIX, _WORD, _WITHIN, _NONE = range(5)
 
 @dataclass(frozen=True)
 class Completion:
-    """A class name that was perhaps meant.
+    """Class name that was perhaps meant."""
 
-    Attributes
-    ----------
-    name : str
-        As the labels, else the dataset, else the table of synonyms write it.
-    via : str
-        What of it was typed, where that is another name of the same thing; "" where it is the name itself.
-    count : int
-        Objects of the labels that have it.
-    known : bool
-        The labels or the dataset have the class.
-    """
-
-    name: str
-    via: str
-    count: int
-    known: bool
+    name: str  # as labels, dataset or synonyms write it
+    via: str  # typed synonym, or ""
+    count: int  # objects of the labels
+    known: bool  # class of labels or dataset
 
     def record(self) -> dict[str, Any]:
-        """As JSON."""
+        """JSON record."""
         return {"name": self.name, "via": self.via or None, "count": self.count, "known": self.known}
 
 
 @dataclass(frozen=True, eq=False)
 class Vocabulary:
-    """The names of classes.
-
-    Attributes
-    ----------
-    counts : mapping of str to int
-        Names of the labels' classes and of the dataset's, and how many objects have each.
-    synonyms : Synonyms
-    """
+    """Class names of labels and dataset with their counts, and synonyms."""
 
     counts: Mapping[str, int]
     synonyms: Synonyms
@@ -65,22 +46,22 @@ class Vocabulary:
         return cls({**dict.fromkeys(of_dataset, 0), **Counter(labelled)}, synonyms or default_synonyms())
 
     def with_names(self, names: Iterable[str]) -> Vocabulary:
-        """The same with more names, such as those that people have given."""
+        """Add names, such as people's."""
         more = dict.fromkeys((n for n in names if n not in self.counts), 1)
         return Vocabulary({**self.counts, **more}, self.synonyms) if more else self
 
     def __contains__(self, name: str) -> bool:
-        """Whether a class is called exactly so."""
+        """True for an exact class name."""
         return name in self.counts
 
     @property
     def names(self) -> list[str]:
-        """Every name that can be completed, those of classes first."""
+        """Names for completion, classes first."""
         return list(dict.fromkeys([*self.counts, *sorted(name for _, name, _ in self._spoken)]))
 
     @cached_property
     def _spoken(self) -> tuple[tuple[str, str, str], ...]:
-        """(what may be typed, its class name, "" or what it is an alias of that): all of it, in normal form."""
+        """Typed form, class name and alias of each name, in normal form."""
         found: dict[tuple[str, str], str] = {}
         for name in self.counts:
             own = normal_form(name)
@@ -95,7 +76,7 @@ class Vocabulary:
 
 
 def vocabulary_of(labels: Labels, dataset: Dataset | None = None, journal: Journal | None = None) -> Vocabulary:
-    """The class names of labels, of their dataset, and those that people have given since."""
+    """Class names of labels, dataset, and corrections."""
     words = Vocabulary.of(labels.objects.column("label").to_pylist(), () if dataset is None else dataset.class_names)
     events = () if journal is None else journal.events(kind="object")
     given = (e.after if e.ref.field == "label" else e.after.get("label") for e in events
@@ -136,7 +117,7 @@ def completions(typed: str, vocabulary: Vocabulary, most: int = MOST) -> tuple[C
 
 
 def _how(wanted: str, spoken: str) -> int:
-    """How a name answers to what was typed; `trash can` and `trashcan` are one name."""
+    """Rank of a name for the typed text; `trash can` and `trashcan` are one name."""
     if not wanted:
         return _NONE
     joined, short = spoken.replace(" ", ""), wanted.replace(" ", "")

@@ -41,7 +41,7 @@ def object_text(number: int, frame: EffectiveFrame | None) -> str:
 
 
 def sentence_text(name: str, frame: EffectiveFrame | None) -> str:
-    """The words of an expression, in quotes; its id where nothing is known of it."""
+    """Words of an expression in quotes; the id for an unknown one."""
     row = None if frame is None else frame.expression(name)
     if row is None:
         return f"expression {name}"
@@ -76,7 +76,7 @@ def value_text(ref: FieldRef, value: Any, frame: EffectiveFrame | None) -> str:
 
 
 def event_text(event: Event, frame: EffectiveFrame | None) -> str:
-    """What an event changed, or what somebody said of an item."""
+    """Change of an event in words."""
     ref = event.ref
     if ref.kind == "review":
         if event.after is None:
@@ -93,7 +93,7 @@ def event_text(event: Event, frame: EffectiveFrame | None) -> str:
 
 
 def _box_change(before: Box3D, after: Box3D) -> str:
-    """What of a box a person changed; what stays is not told."""
+    """Change of a box in words."""
     moved = float(np.linalg.norm(after.center - before.center))
     angle = np.rad2deg(np.arccos(np.clip((np.trace(before.R.T @ after.R) - 1) / 2, -1, 1)))
     parts = [f"moved {100 * moved:.1f} cm"] if moved >= SMALLEST_MOVE else []
@@ -119,7 +119,7 @@ def events_text(events: Sequence[Event], frame: EffectiveFrame | None) -> str:
 def outcome_text(
     outcome: Saved | Conflict | Waiting | None, verb: str, frame: EffectiveFrame | None = None
 ) -> tuple[str, bool]:
-    """What came of an action in words, and whether it was not done."""
+    """Result of an action in words, and True where not done."""
     if isinstance(outcome, Saved):
         return f"{verb}: {events_text(outcome.events, frame)}", False
     if isinstance(outcome, Conflict):
@@ -319,7 +319,7 @@ def _relation_changes(
 
 
 def _folded(frame: EffectiveFrame, a: int, b: int, relation: str) -> tuple[int, int, str]:
-    """One name for a relation and its mirror image."""
+    """Common name of a relation and its mirror image."""
     inverse = frame.setting.inverse(relation)
     return (a, b, relation) if inverse is None else min((a, b, relation), (b, a, inverse))
 

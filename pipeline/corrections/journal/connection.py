@@ -59,7 +59,7 @@ def is_url(where: str | Path) -> bool:
 
 
 def store_at(where: str | Path) -> Store:
-    """Open no connection yet: the store of an SQLite path, or of a URL "postgresql://..."; raises as `PostgresStore`."""
+    """Make the store of an SQLite path, or of a URL "postgresql://..."; raises as `PostgresStore`."""
     return PostgresStore(str(where)) if is_url(where) else SqliteStore(where, _come_instead, _copied_beside)
 
 
@@ -203,7 +203,7 @@ def check_journal(where: str | Path) -> Examined:
 
 
 def back_up(where: str | Path, to: Path) -> Examined:
-    """Copy a journal into a new file while others may save; DamagedJournal, or InputError for a server or a taken name."""
+    """Copy a journal into a new file, also while others save; InputError for a server or a taken name."""
     path = _file(where, to, "pg_dump copies it")
     check_journal(path).believe()
     return _written(to, lambda: copy_whole(path, to))
