@@ -66,6 +66,7 @@ def world(seed: int, rank: RankConfig | None = None) -> tuple[FrameEvidence, Cas
     answers: Any = FrameAnswers.__new__(FrameAnswers)
     detector = NoDetector()
     source = SimpleNamespace(
+        line=None,
         config=SimpleNamespace(rank=rank or RankConfig(), k=10, score_calibration=None),
         needed_detector=lambda: detector,
         unfiltered_detector=lambda: detector,
