@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.answering.opening import ALL_FRAMES, Pipeline, Skipped, frame_range, skip_or_raise
+from pipeline.answering.pipeline import ALL_FRAMES, Pipeline, Skipped, frame_range, skip_or_raise
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Frame
 from pipeline.language.naming import Synonyms
@@ -32,7 +32,6 @@ class Layer:
     boxes : (N, 4) float
         x0, y0, x1, y1 in pixels.
     scores : (N,) float
-    labels : tuple of str
     masks : tuple of ((H, W) bool or None)
         None where there is only the box.
     names : tuple of str or None
@@ -63,7 +62,6 @@ class FrameAgreement:
 
     Attributes
     ----------
-    labels_a, labels_b : tuple of str
     scores_a, scores_b : (N,), (M,) float64
     pairs : (P, 2) int64
         Places in `a` and in `b` of detections of one thing; each detection is in one pair at most.
@@ -324,9 +322,8 @@ def agree_frames(
     ----------
     source : Pipeline
         With the first detector.
-    second : Detector
     frames : str
-        As in `pipeline.answering.opening.frame_range`.
+        As in `pipeline.answering.pipeline.frame_range`.
     names : sequence of str, optional
         What both are asked for. Default: everything that each knows.
     min_iou : float

@@ -50,7 +50,6 @@ class RunRows:
 
     Parameters
     ----------
-    records : pyarrow.Table
     folder : Path
         Of the run.
     second : pyarrow.Table, optional

@@ -27,7 +27,6 @@ class Confusion:
 
     Attributes
     ----------
-    key, title : str
     rows, columns : tuple of str
         Relations that were meant; relations, and other outcomes, that came.
     counts : (R, C) int64

@@ -28,7 +28,6 @@ class Deltas:
 
     Attributes
     ----------
-    expressions : int
     value : (2^K,) float64
         v(S) for each subset of the K oracles; of an expression of which some oracles are not known, without these.
     single : dict of str to Estimate

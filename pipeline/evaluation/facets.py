@@ -47,7 +47,6 @@ class FacetValue:
 
     Attributes
     ----------
-    name : str
     term : str
         The search for it.
     count : int
@@ -68,7 +67,6 @@ class Facet:
 
     Attributes
     ----------
-    name, title : str
     values : tuple of FacetValue
         Those that occur, and those that are asked for.
     ranges : bool

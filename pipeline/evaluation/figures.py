@@ -38,7 +38,6 @@ class Listing:
     ----------
     figures : RunFigures
         Of the run.
-    query : str
     error : str
         Why the search cannot be carried out; what was found before stays.
     found : (N,) int64
@@ -73,7 +72,6 @@ class RunFigures:
 
     Parameters
     ----------
-    run : Run
     second : Run or None
         To compare with.
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.answering.ask import AskConfig
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.evaluation.records import DetectorScores, detector_scores, is_calibrated, raw_records
 from pipeline.evaluation.shared_makers import Share, rank, title_of, with_caveats
 from pipeline.labels.cases import HIT
@@ -296,7 +296,6 @@ def held_out_warning(
 
     Parameters
     ----------
-    calibration : ScoreCalibration
     frames : mapping of str to (scene, picture's hash or None)
         Those that were evaluated, by id.
     dataset : str

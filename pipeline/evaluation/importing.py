@@ -14,16 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.answering.answering import FrameAnswers
-from pipeline.answering.given_places import check_places
+from pipeline.answering.batch import FrameAnswers
+from pipeline.answering.coordinate_checks import check_places
+from pipeline.answering.coordinate_conventions import box_2d
 from pipeline.answering.imported import ImportedPipeline, open_imported
 from pipeline.answering.objects import prepare_frame
 from pipeline.answering.pair_rules import Rescore
-from pipeline.answering.placing import box_2d
 from pipeline.answering.predictions import (
-    GivenAnswer,
-    GivenBox,
     Header,
+    PredictedAnswer,
+    PredictedBox,
     Prediction,
     Proposal,
     Weights,
@@ -303,9 +303,9 @@ def _lines(truth: FrameCases, answers: FrameAnswers) -> Iterator[Prediction]:
         first = -1 if table is None else int(table.first()[0])
         if table is not None and first >= 0:
             pair = table.pair(first)
-            answer = GivenAnswer(ids[pair.target], None if pair.reference is None else ids[pair.reference])
+            answer = PredictedAnswer(ids[pair.target], None if pair.reference is None else ids[pair.reference])
         elif table is not None and (target := alone(answers.candidates[case.target])) is not None:
-            answer = GivenAnswer(ids[target])
+            answer = PredictedAnswer(ids[target])
         here, there = (answers.candidates[name].index.tolist() for name in (case.target, case.reference))
         p = answers.probabilities(case.relation)
         rows = () if p is None else tuple((ids[a], ids[b], float(p[a, b])) for a in here for b in there if a != b)
@@ -317,11 +317,11 @@ def _lines(truth: FrameCases, answers: FrameAnswers) -> Iterator[Prediction]:
         )  # fmt: skip
 
 
-def _given_box(box: Box3D | None) -> GivenBox | None:
+def _given_box(box: Box3D | None) -> PredictedBox | None:
     if box is None:
         return None
     center, R, size = (tuple(a.ravel().tolist()) for a in (box.center, box.R, box.size))
-    return GivenBox(center, size, R)  # type: ignore[arg-type]
+    return PredictedBox(center, size, R)  # type: ignore[arg-type]
 
 
 def _dropped(answers: FrameAnswers, name: str, number: int) -> Iterator[Proposal]:

@@ -66,11 +66,6 @@ class RunReport:
 
     Attributes
     ----------
-    folder : Path
-    tables : tuple of Table
-    expressions : int
-    seconds : float
-    comparison : Comparison or None
     pairs : int
         On which relations were measured alone.
     warnings : tuple of str
@@ -110,13 +105,11 @@ def evaluate_dataset(
 
     Parameters
     ----------
-    spec : EvalSpec
     out : Path
         `tables.md`, `tables.tex`, `tables/*.csv`, `slices.md`, `records.parquet`, `relation_records.parquet`,
         `diagnosis.json`, `plots/`, `run.json`.
     name : str, optional
         Of the system in the tables; by default detector and relation scorer.
-    workers : int
     others : sequence of Path
         Runs on the same labels, whose systems become further rows.
     against : Path, optional
@@ -306,7 +299,6 @@ def other_systems(
 
     Parameters
     ----------
-    runs : sequence of Path
     name : str
         Of the run that they stand beside.
     content_hash : str
@@ -420,7 +412,6 @@ def diagnose_run(
         Of the first run: needed for the confusion of its answers.
     relations : RelationRecords, optional
         Of the first run: they tell what the networks take for what.
-    config : BootstrapConfig, optional
     shares : mapping of str to sequence of Share
         As `RunDiagnosis.shares`.
     """

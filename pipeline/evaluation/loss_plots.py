@@ -55,9 +55,6 @@ def draw_diagnosis(
 
     Parameters
     ----------
-    summaries : mapping of str to RunSummary
-    slices : sequence of Slices
-    confusions : sequence of Confusion
     out : Path
         A folder, made where it is missing.
     caveats : str

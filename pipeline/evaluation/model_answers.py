@@ -103,7 +103,6 @@ def parse_box(text: str, size: tuple[int, int] | None = None, scale: BoxScale = 
 
     Parameters
     ----------
-    text : str
     size : (width, height), optional
         Of the picture as it was sent, pixels.
     scale : float, "pixels" or "auto"

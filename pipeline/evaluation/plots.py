@@ -44,7 +44,6 @@ class Page:
 
     Parameters
     ----------
-    folder : Path
     above : str
         Caveat that stands before what is said below each title.
     """

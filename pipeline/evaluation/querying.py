@@ -32,7 +32,6 @@ class QueryRows:
 
     Attributes
     ----------
-    columns : tuple of str
     rows : iterator of tuple
         As they are fetched; to be used while the database is open, and before the next query.
     """
@@ -47,7 +46,6 @@ class RunDatabase:
 
     Attributes
     ----------
-    views : tuple of str
     labels : str or None
         Where the labels of the run were.
     """
@@ -63,7 +61,6 @@ class RunDatabase:
 
         Parameters
         ----------
-        sql : str
         parameters : sequence
             In the places of "?".
         seconds : float, optional

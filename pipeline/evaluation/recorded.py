@@ -24,9 +24,6 @@ class Recorded:
 
     Attributes
     ----------
-    verdict : str
-    detail : str or None
-    lucky : bool
     said : str
         In words.
     """

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.answering.answering import FrameAnswers
+from pipeline.answering.batch import FrameAnswers
 from pipeline.answering.pair_table import PairTable, ScoredPair
 from pipeline.answering.ranking import alone
 from pipeline.diagnosis.frame_evidence import matched

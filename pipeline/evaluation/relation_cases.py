@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from pipeline.answering.objects import PreparedFrame
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.labels.reading import Labels, read_table
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.metrics.splits import FrameKey
@@ -45,7 +45,6 @@ class FramePairs:
 
     Attributes
     ----------
-    key : FrameKey
     numbers : (N,) int
         The objects' numbers in the labels, rising.
     labels : tuple of str
@@ -240,14 +239,12 @@ class RelationSystem:
         Unlike that of any other in the run; its name in the records.
     title : str
         What the tables call it.
-    scorer : RelationScorer
     relations : tuple of str
         What it is measured on: the relations it judges itself, as far as they were labelled.
     unlabelled : tuple of str
         Those it judges which were not labelled.
     prior : tuple of float
         Of a softmax network, in the order of its vocabulary; else empty.
-    trained_on : TrainedOn or None
     recorded : bool
         Whether it is known what it learnt from: False for networks of labels that do not say so.
     """
@@ -291,8 +288,6 @@ def open_systems(options: Mapping[str, Any], spec: RelationSpec, labels: Labels)
     ----------
     options : mapping
         Arguments of `open_pipeline`: srm, vectors.
-    spec : RelationSpec
-    labels : Labels
 
     Raises
     ------

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.evaluation.relation_cases import RelationSystem, geometry_of_labels, open_systems
 from pipeline.evaluation.relation_records import (
     FILE,
@@ -47,9 +47,6 @@ class RelationRun:
     ----------
     figures : tuple of SystemFigures
         A scorer each, then the vision-language model.
-    tables : tuple of Table
-    warnings : tuple of str
-    records : RelationRecords
     record : dict
         For the manifest.
     pairs : int

@@ -41,8 +41,6 @@ class SystemRecords:
 
     Attributes
     ----------
-    name, title : str
-    relations : tuple of str
     p : (P, R_k) float32
     part : (P,) int8
         TRAIN or VALIDATION for pairs of frames that it learnt from, else DROPPED.
@@ -72,7 +70,6 @@ class RelationRecords:
         Names, in the order of the frames.
     scene : (P,) int32
         Indices in `scenes`.
-    systems : tuple of SystemRecords
     """
 
     relations: tuple[str, ...]
@@ -99,10 +96,8 @@ class RelationPass:
 
     Parameters
     ----------
-    spec : RelationSpec
     options : dict
         Arguments of `open_pipeline`.
-    labels : Labels
     chosen : collection of int
         Indices of the frames that are scored.
     """

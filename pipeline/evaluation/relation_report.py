@@ -42,11 +42,8 @@ class SystemFigures:
 
     Attributes
     ----------
-    title : str
-    metrics : RelationMetrics
     estimates : RelationEstimates
         The same with intervals.
-    calibration : CalibrationMetrics
     top1, top2 : Estimate or None
         Where it says which one relation fits, and all it can say was labelled.
     tuned : (R,) float64
@@ -90,7 +87,6 @@ def system_figures(
     clusters : (P,) int
     counted : (P,) bool
         The pairs that are measured; the others only serve to find thresholds.
-    config : BootstrapConfig, optional
     """
     p, truth, names = system.p[counted].astype(np.float64), states[counted], system.relations
     own = clusters[counted]
@@ -206,7 +202,6 @@ def relation_tables(
 
     Parameters
     ----------
-    figures : sequence of SystemFigures
     no_rows : sequence of Row
         Those of `always_no`.
     unit : str
@@ -256,10 +251,8 @@ def leak_warnings(
 
     Parameters
     ----------
-    records : RelationRecords
     systems : sequence of RelationSystem
         In the order of the records.
-    labels : Labels
     held_out : bool
         Pairs that were learnt from are left out.
     """

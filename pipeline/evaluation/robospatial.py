@@ -54,7 +54,6 @@ class Question:
         Of the dataset that its folder is.
     category, text, answer : str
         As published.
-    picture : Blob
     mask : Blob or None
         Nonzero where a point is right.
     """

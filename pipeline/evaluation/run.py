@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.answering.answering import StageClock
 from pipeline.answering.ask import propose
+from pipeline.answering.batch import StageClock
 from pipeline.answering.objects import PreparedFrame, prepare_frame
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.evaluation.records import COLUMNS, records_schema
 from pipeline.evaluation.relation_cases import frames_in, spread
 from pipeline.evaluation.relation_records import RelationPass
@@ -36,7 +36,6 @@ class Evaluator:
 
     Parameters
     ----------
-    spec : EvalSpec
     """
 
     def __init__(self, spec: EvalSpec) -> None:
@@ -117,8 +116,6 @@ def evaluate_labels(
 
     Parameters
     ----------
-    spec : EvalSpec
-    workers : int
     progress : callable, optional
         Counts expressions; frames where no expression is asked.
     relations : callable, optional
@@ -185,8 +182,6 @@ def median_confidence(source: Pipeline, labels: Labels, looked_at: int = LOOKED_
 
     Parameters
     ----------
-    source : Pipeline
-    labels : Labels
     looked_at : int
         Frames that are looked at, spread evenly.
     """

@@ -16,7 +16,7 @@ from pydantic import TypeAdapter
 
 from pipeline.answering.ask import AskConfig
 from pipeline.answering.imported import open_source
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.datasets.demo import DEMO_NAME
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.asking import answer, labelled_truth

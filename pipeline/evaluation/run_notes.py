@@ -39,7 +39,6 @@ class Notes:
         By mark the expressions that have it, as (frame, id).
     filters : dict of str to str
         Searches by the names that they are kept under.
-    format : str
     """
 
     marks: dict[str, list[Key]] = field(default_factory=dict)

@@ -64,7 +64,6 @@ class Field:
 
     Attributes
     ----------
-    name, column : str
     kind : str
         "text", "words", "number", "flag" or "names" (a list of names).
     values : tuple of str
@@ -85,7 +84,6 @@ class Search:
     ----------
     where : str
         SQL with a "?" for each parameter; columns are those of the records.
-    parameters : tuple
     order : tuple of (str, bool)
         Columns to sort by; True for descending.
     columns : tuple of str
@@ -394,10 +392,8 @@ def complete(typed: str, fields: Sequence[Field], most: int = 20) -> list[str]:
 
     Parameters
     ----------
-    typed : str
     fields : sequence of Field
         From `completions`.
-    most : int
     """
     words = list(_WORD.finditer(typed))
     word = words[-1][0] if words and words[-1].end() == len(typed) else ""

@@ -19,7 +19,6 @@ class Value:
 
     Attributes
     ----------
-    text : str
     quoted : bool
         Then `*` and `none` mean themselves.
     """
@@ -45,7 +44,6 @@ class Term:
         One of : = != < <= > >=; ":" for a free word.
     values : tuple of Value
         Any of them may hold.
-    negated : bool
     """
 
     field: str | None

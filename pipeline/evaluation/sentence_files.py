@@ -81,7 +81,6 @@ class Sentence:
         Of the file, from 1.
     frame : str
         Id of the frame.
-    text, kind : str
     targets : tuple of int or None
         Indices of the acceptable annotations.
     points : tuple of (u, v) or None
@@ -111,7 +110,6 @@ class Sentence:
 
         Parameters
         ----------
-        entry : SceneObject
         truth : (T, 4) float
             Boxes of the acceptable annotations, pixels.
         exact : bool
@@ -157,8 +155,6 @@ def read_sentence_file(path: Path, source: Pipeline, name: str | None = None) ->
 
     Parameters
     ----------
-    path : Path
-    source : Pipeline
     name : str, optional
         The dataset's name; by default that of its folder.
 

@@ -35,7 +35,6 @@ class Shares:
 
     Attributes
     ----------
-    sentences : int
     read, answered, right : Estimate
         Of all of them.
     refused_rightly : Estimate
@@ -69,9 +68,6 @@ class SentenceReport:
 
     Attributes
     ----------
-    asked : SentenceFile
-    judged : tuple of Judged
-    overall : Shares
     kinds : dict of str to Shares
         In the order in which the kinds first stand in the file.
     failures : dict of (outcome, detail) to int

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pipeline.answering.answer_words import answer_words, best_pair, holds, pair_words, why_no_answer
+from pipeline.answering.answer_words import best_pair, holds, pair_words, why_no_answer, words_of_answer
 from pipeline.answering.ask import Trace
 from pipeline.answering.json_records import expression_record, present
 from pipeline.answering.objects import PreparedFrame, SceneObject
@@ -33,7 +33,6 @@ class Judged:
 
     Attributes
     ----------
-    sentence : Sentence
     outcome : str
         CORRECT: the right object, several that fit equally well and are all right, or a refusal where nothing is
         right. PARSE: not read as it is. REFUSED: read, and yet no answer. WRONG: an answer that is not right.
@@ -160,7 +159,7 @@ def _judged(source: Pipeline, context: PreparedFrame, sentence: Sentence, path: 
         else:
             outcome, detail = "REFUSED", "TIED" if len(trace.tied) > 1 else "DEGENERATE"
         return _refused(sentence, reason, outcome, detail, trace)
-    entry, answer = trace.objects[best.target], answer_words(trace, trace.name)
+    entry, answer = trace.objects[best.target], words_of_answer(trace, trace.name)
     text = answer.sentence(pair_words(trace, best, trace.name))
     if sentence.nothing and not best.holds:
         return Judged(sentence, "CORRECT", None, False, text, text, entry, trace)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.labels.profiles import NONE, profile_of
 from pipeline.labels.provenance import (
     ANNOTATIONS,
@@ -112,7 +112,6 @@ def measured_of(source: Pipeline, relations: Sequence[str]) -> Measured:
 
     Parameters
     ----------
-    source : Pipeline
     relations : sequence of str
         Those that are asked.
     """
@@ -302,7 +301,6 @@ def with_caveats(table: Table, shares: Mapping[str, Sequence[Share]]) -> Table:
 
     Parameters
     ----------
-    table : Table
     shares : mapping of str to sequence of Share
         By the systems that it is of.
     """

@@ -30,12 +30,10 @@ class Dimension:
     ----------
     name : str
         Also the field of a search.
-    title : str
     column : str
         Of the records; "" for the system.
     edges : tuple of float
         Where the bins of a number begin; the last has no end. Empty for a text.
-    unit : str
     order : str
         Texts by "count", by "name", or relations in their own order.
     """
@@ -74,10 +72,8 @@ class Slice:
 
     Attributes
     ----------
-    system, name : str
     query : str or None
         The search that finds just its expressions (`search.find_rows`); None for the others taken together.
-    n : int
     set_correct, correct : Estimate
         Accuracy: set-valued, and of the labelled target alone.
     lucky : Estimate or None
@@ -118,7 +114,6 @@ class Slices:
 
     Attributes
     ----------
-    dimension : Dimension
     slices : tuple of Slice
         System by system; those of one system hold each of its expressions once.
     unit : str
@@ -168,7 +163,6 @@ def slice_by(
     ----------
     systems : mapping of str to pyarrow.Table
         Records by system.
-    dimension : str or Dimension
     config : BootstrapConfig, optional
         Intervals come from resamples of whole scenes (frames, where the run has one scene) among those in which a
         slice occurs: the same figures as of its rows alone. A slice of one scene has none.

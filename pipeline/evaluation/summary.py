@@ -38,8 +38,6 @@ class Share:
 
     Attributes
     ----------
-    count : int
-    estimate : Estimate
     """
 
     count: int
@@ -168,7 +166,6 @@ def summarise_run(records: pa.Table, config: BootstrapConfig | None = None) -> R
     ----------
     records : pyarrow.Table
         A run's records; expressions without a verdict do not count.
-    config : BootstrapConfig, optional
 
     Raises
     ------

@@ -10,10 +10,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from pipeline.answering.answering import FrameAnswers, StageClock
+from pipeline.answering.batch import FrameAnswers, StageClock
 from pipeline.answering.imported import file_of, line_of, needed_names, needed_rows, open_source
 from pipeline.answering.objects import PreparedFrame, prepare_frame
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.answering.predictions import Prediction, Predictions
 from pipeline.datasets import Dataset
 from pipeline.datasets.base import load_picture
@@ -112,8 +112,6 @@ class EvalSpec:
 
     Attributes
     ----------
-    dataset : str
-    labels : str
     options : dict
         Arguments of `open_pipeline`: detector, model, srm, config, ...
     system : System or None

@@ -57,7 +57,6 @@ class AblationConfig:
         Of each variant, with seeds and pairs of their own; their answers are counted together.
     labels : str
         See `Protocol`; what is learnt and what is measured against.
-    train : TrainConfig
     """
 
     rooms: int = 120
@@ -157,7 +156,6 @@ class Variant:
     ----------
     features : str
         "rule" for the bare rule on what is seen.
-    pairs : int or None
     counts : (rooms, 2, 6, 3) float64
         True positives, false positives and false negatives of each relation of DIRECTIONAL, seen by the usual
         cameras and by the others, by room.

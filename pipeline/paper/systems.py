@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.answering.answering import StageClock
+from pipeline.answering.batch import StageClock
 from pipeline.answering.objects import PreparedFrame
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.datasets import Dataset
 from pipeline.diagnosis.frame_evidence import matched
 from pipeline.evaluation.records import asked_columns, overlaps
@@ -42,7 +42,6 @@ class Pointed:
     ----------
     box : (4,) float or None
         x0, y0, x1, y1, pixels.
-    score : float or None
     problem : str or None
         Why there is no box.
     """

@@ -107,15 +107,12 @@ def paper_tables(
 
     Parameters
     ----------
-    evaluated : Evaluated
     systems : mapping of str to pyarrow.Table
         Records of expressions by system; empty where none were answered.
-    relations : RelationRecords, optional
     pairs : sequence of Names
         The pairs of the relation records; needed for the subsets of Semantic Abstraction alone.
     held_out : bool
         Only pairs of frames that no network was trained or calibrated on.
-    config : BootstrapConfig, optional
     """
     found = []
     for shape in evaluated.shapes:

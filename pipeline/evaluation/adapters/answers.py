@@ -25,7 +25,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from pipeline.answering.predictions import GivenAnswer, Header, Prediction
+from pipeline.answering.predictions import Header, PredictedAnswer, Prediction
 from pipeline.datasets.frame_names import Picture
 from pipeline.evaluation.adapters.base import PredictionFormat, Published
 from pipeline.evaluation.model_answers import parse_box, parse_yes_no, spoken_part
@@ -45,10 +45,8 @@ class Fields:
 
     Attributes
     ----------
-    id, answer : str
     questions : tuple of str
         The wordings of the question; the one that is an expression of the labels is taken.
-    pictures : tuple of str
     system : str
         The model's name.
     """
@@ -172,7 +170,7 @@ _THOUSANDTHS = re.compile(r"1000\s*[×x]\s*1000|between 0 and (?:999|1000)")
 
 def answer_of(
     text: str, size: Callable[[], tuple[int, int]], scale: float | None = None, in_pixels: bool = False
-) -> tuple[GivenAnswer | None, str | None, bool]:
+) -> tuple[PredictedAnswer | None, str | None, bool]:
     """A place or yes or no, in shares of the picture; else why there is none; and whether there were several places.
 
     Points are read as the published evaluations read them: `x="61.5" y="40.4"` is per cent (Molmo), `"point": [y, x]`
@@ -197,12 +195,12 @@ def answer_of(
             x, y = (b, a) if pattern is _GEMINI else (a, b)
             shares = "." in "".join(places[0]) and not in_pixels
             width, height = (told, told) if told else (1.0, 1.0) if shares else size()
-            return GivenAnswer(point=(x / width, y / height)), None, len(places) > 1
+            return PredictedAnswer(point=(x / width, y / height)), None, len(places) > 1
     if len(re.findall(r"\d+", spoken)) >= 4 and (box := parse_box(spoken, size(), scale or "auto")).box is not None:
-        return GivenAnswer(box=box.box), None, any("boxes" in note for note in box.notes)
+        return PredictedAnswer(box=box.box), None, any("boxes" in note for note in box.notes)
     verdict = parse_yes_no(spoken)
     if verdict.value is not None:
-        return GivenAnswer(yes=verdict.value), None, False
+        return PredictedAnswer(yes=verdict.value), None, False
     return None, f"no place, and {verdict.reason}: {' '.join(spoken.split())[:80]!r}", False
 
 

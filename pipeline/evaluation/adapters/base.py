@@ -28,7 +28,6 @@ class Published:
         A file or folder.
     key : Path or None
         The file that says what the first leaves open: pictures and classes by number, questions by id.
-    dataset : Dataset
     sentences : dict of str to dict of str to tuple of str
         The labels' expressions by frame, each with the names that it asks for.
     notes : list of str

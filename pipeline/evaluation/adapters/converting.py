@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pipeline.answering.opening import open_pipeline
+from pipeline.answering.pipeline import open_pipeline
 from pipeline.answering.predictions import VERSION, Header, Prediction, parse_header, parse_line, write_predictions
 from pipeline.datasets import Dataset
 from pipeline.evaluation.adapters.answers import ANSWER_FORMATS
@@ -52,13 +52,10 @@ class Converted:
 
     Attributes
     ----------
-    format : str
     path : Path
         The predictions.
-    header : Header
     lines, answers : int
         How many lines there are, and how many of them have an answer.
-    notes : tuple of str
     """
 
     format: str

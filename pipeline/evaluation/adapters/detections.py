@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from pipeline.answering.predictions import GivenBox, Header, Prediction, Proposal
+from pipeline.answering.predictions import Header, PredictedBox, Prediction, Proposal
 from pipeline.datasets.base import load_picture
 from pipeline.evaluation.adapters.base import Published
 from pipeline.geometry.masks import RunLength
@@ -54,7 +54,7 @@ def _lines(published: Published, detector: RecordedDetector) -> Iterator[Predict
                 continue
             ids = dict.fromkeys(p.id for found in proposals.values() for p in found)
             known = detector.corners
-            boxes: dict[int, GivenBox | None] = {i: GivenBox(corners=known[i]) for i in ids if known}
+            boxes: dict[int, PredictedBox | None] = {i: PredictedBox(corners=known[i]) for i in ids if known}
             yield Prediction(
                 frame_id,
                 text,
