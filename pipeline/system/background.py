@@ -81,7 +81,7 @@ def _work(function: Callable[..., Any], args: tuple[Any, ...], sender: Connectio
     threading.Thread(target=leave_with_parent, args=(PATIENCE_S,), daemon=True).start()
     code = 0
     try:
-        _tell(function, args, sender)
+        _send(function, args, sender)
     except SystemExit as left:
         code = left.code if isinstance(left.code, int) else 1
     finally:
@@ -92,7 +92,7 @@ def _work(function: Callable[..., Any], args: tuple[Any, ...], sender: Connectio
         os._exit(code)
 
 
-def _tell(function: Callable[..., Any], args: tuple[Any, ...], sender: Connection) -> None:
+def _send(function: Callable[..., Any], args: tuple[Any, ...], sender: Connection) -> None:
     try:
         sender.send(("result", function(*args, lambda value: sender.send(("progress", value)))))
         return
@@ -152,7 +152,7 @@ class SharedJob(Generic[Seen]):
                 self.seen = ended(self.seen, result, problem)
             if then is not None:
                 then()
-            self._tell()
+            self._notify()
 
         with self._lock:
             if self.running or self._ended:
@@ -160,14 +160,14 @@ class SharedJob(Generic[Seen]):
             self._job = self._background(function, argument, on_progress=on_progress, on_end=on_end)
             self.running = True
             self.seen = begun(self.seen)
-        self._tell()
+        self._notify()
         return True
 
     def change(self, change: Callable[[Seen], Seen]) -> None:
         """Replace `seen`, and tell the listeners."""
         with self._lock:
             self.seen = change(self.seen)
-        self._tell()
+        self._notify()
 
     def stop(self) -> None:
         """End the running work; the problem is then "cancelled"."""
@@ -191,6 +191,6 @@ class SharedJob(Generic[Seen]):
 
         return leave
 
-    def _tell(self) -> None:
+    def _notify(self) -> None:
         for listener in tuple(self._listeners):
             listener()

@@ -114,7 +114,7 @@ class Endpoint:
             reply = self._client.post("/chat/completions", cast_to=httpx2.Response, body=body, options=self._options)
             return reply.json()
         except openai.OpenAIError as error:
-            raise self._told(error, "chat/completions", self._cause(error, model)) from None
+            raise self._server_error(error, "chat/completions", self._cause(error, model)) from None
 
     def models(self) -> tuple[str, ...]:
         """Names of the server's models; ServerError on a refusal."""
@@ -123,7 +123,7 @@ class Endpoint:
             table = once.get("/models", cast_to=httpx2.Response, options=self._options).json()
             return tuple(row["id"] for row in table["data"])
         except openai.OpenAIError as error:
-            raise self._told(error, "models", None) from None
+            raise self._server_error(error, "models", None) from None
         except (ValueError, LookupError, TypeError):
             return ()
 
@@ -147,16 +147,16 @@ class Endpoint:
                 return f"the server has no model {model!r}, only: {listed(names)}"
         return None
 
-    def _told(self, error: openai.OpenAIError, path: str, cause: str | None) -> ServerError:
+    def _server_error(self, error: openai.OpenAIError, path: str, cause: str | None) -> ServerError:
         status, everywhere, detail = None, False, ""
         if isinstance(error, _Useless):
             what, detail, cause, everywhere = error.what, error.detail, error.cause, True
         elif isinstance(error, openai.APIStatusError):
-            status, said = error.status_code, error.body
+            status, body = error.status_code, error.body
             name = HTTPStatus(status).phrase if status in set(HTTPStatus) else "unknown status"
             what = f"the server answered {status} {name}"
-            said = said.get("message") if isinstance(said, dict) else said
-            detail = said if isinstance(said, str) else error.response.text
+            body = body.get("message") if isinstance(body, dict) else body
+            detail = body if isinstance(body, str) else error.response.text
             everywhere = status in (401, 403, 404, 405, 429) or 300 <= status < 400
         elif isinstance(error, openai.APITimeoutError):
             what, cause = f"no whole reply within {self._timeout_s:g} s", "a longer timeout may help"

@@ -57,19 +57,19 @@ class Limits:
             No such limit, no number, or more than a dataset may ask for.
         """
         table = {f.name: f for f in fields(self)}
-        told: dict[str, int] = {}
+        numbers: dict[str, int] = {}
         for name, value in values.items():
             require(name in table, f"there is no limit {name!r}", expected=f"one of {', '.join(table)}")
-            told[name] = _number(name, value)
+            numbers[name] = _number(name, value)
             most = getattr(self, name) * FACTOR_OF_A_DATASET if table[name].metadata["own"] else getattr(self, name)
             require(
-                not own or told[name] <= most,
+                not own or numbers[name] <= most,
                 f"a dataset may not raise the limit {name} so far",
                 got=value,
                 expected=f"at most {shown(most)}",
                 cause=f"if you trust it: {LIMITS_OPTION} {name}={value}",
             )
-        return replace(self, **told)
+        return replace(self, **numbers)
 
 
 def _number(name: str, value: Any) -> int:
@@ -87,11 +87,11 @@ def shown(number: float) -> str:
 
 def current_limits() -> Limits:
     """Limits of this process: the table, changed by the environment; InputError for a malformed change."""
-    return _told(os.environ.get(LIMITS_VARIABLE, ""))
+    return _parsed(os.environ.get(LIMITS_VARIABLE, ""))
 
 
 @lru_cache(maxsize=16)
-def _told(text: str) -> Limits:
+def _parsed(text: str) -> Limits:
     pairs = [part.partition("=") for part in text.split(",") if part.strip()]
     return Limits().changed({name.strip(): value for name, _, value in pairs})
 
@@ -99,7 +99,7 @@ def _told(text: str) -> Limits:
 def set_limits(text: str) -> None:
     """Change limits in this process and its children: "pixels=500M,bytes=2G"; InputError if malformed."""
     whole = ",".join(part for part in (os.environ.get(LIMITS_VARIABLE), text) if part)
-    _told(whole)
+    _parsed(whole)
     os.environ[LIMITS_VARIABLE] = whole
 
 

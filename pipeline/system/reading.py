@@ -85,13 +85,13 @@ def _first_fault(error: ValidationError, content: Any) -> tuple[tuple[Any, ...],
     every = [(_place(content, fault["loc"], fault["type"] == "missing"), fault) for fault in error.errors()]
     first = every[0][0]
     place, fault = max((one for one in every if one[0][: len(first)] == first), key=lambda one: len(one[0]))
-    kind, value, told = fault["type"], fault["input"], fault.get("ctx", {})
+    kind, value, context = fault["type"], fault["input"], fault.get("ctx", {})
     if kind in ("value_error", "assertion_error"):
-        return place, None, str(told["error"])
+        return place, None, str(context["error"])
     if kind.startswith("union_tag"):
-        place = (*place, told["discriminator"].strip("'"))
-        got = _quoted(told["tag"]) if "tag" in told else "nothing"
-        return place, got, f"one of {told['expected_tags']}" if "tag" in told else "a value"
+        place = (*place, context["discriminator"].strip("'"))
+        got = _quoted(context["tag"]) if "tag" in context else "nothing"
+        return place, got, f"one of {context['expected_tags']}" if "tag" in context else "a value"
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):
         return place, _UNKNOWN, ""
     if kind == "missing" and not isinstance(value, list | tuple):
@@ -109,18 +109,18 @@ def _quoted(value: Any) -> str:
 
 def asked(fault: Any) -> str:
     """Wanted value in words, for one of pydantic's `errors()`."""
-    kind, told = fault["type"], fault.get("ctx", {})
+    kind, context = fault["type"], fault.get("ctx", {})
     if kind == "json_invalid":
-        return f"JSON ({told['error']})"
+        return f"JSON ({context['error']})"
     if kind == "too_short":
-        return f"at least {told['min_length']} values"
+        return f"at least {context['min_length']} values"
     if kind == "too_long":
-        return f"at most {told['max_length']} values"
+        return f"at most {context['max_length']} values"
     if kind == "string_too_short":
         return "text that is not empty"
     bound = fault["msg"].removeprefix("Input should be ")
     bound = bound.replace("greater than or equal to", "at least").replace("less than or equal to", "at most")
-    return str(told["expected"]) if kind == "literal_error" else _KINDS.get(kind.split("_")[0]) or bound
+    return str(context["expected"]) if kind == "literal_error" else _KINDS.get(kind.split("_")[0]) or bound
 
 
 def _place(content: Any, location: tuple[Any, ...], missing: bool) -> tuple[Any, ...]:

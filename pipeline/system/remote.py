@@ -26,7 +26,7 @@ from pipeline.system.paths import cache_folder
 _URL = re.compile(r"[a-z][a-z0-9+.-]+://")
 _VERSIONS = ("ETag", "etag", "md5Hash", "blob_id", "checksum", "LastModified", "last_modified", "mtime", "created")
 """Under one of these the file systems of fsspec tell a file's version."""
-_UNTOLD = 1
+_UNKNOWN_SIZE = 1
 """The size that stands for one that the listing does not tell (HTTP)."""
 _LARGEST = 1 << 40
 _INDEX = ".spatialviz-index.json"
@@ -144,9 +144,9 @@ def _entry(info: dict[str, Any]) -> Entry:
 
 def _mark(path: Path, entry: Entry, unchanged: bool) -> None:
     """Put a file without content in place of a file of this version, unless present."""
-    told = int(hashlib.sha256(repr(entry).encode()).hexdigest()[:16], 16) % 10**9 * 10**9
+    version_ns = int(hashlib.sha256(repr(entry).encode()).hexdigest()[:16], 16) % 10**9 * 10**9
     if path.exists():
-        if unchanged or path.stat().st_mtime_ns == told:
+        if unchanged or path.stat().st_mtime_ns == version_ns:
             return
         path.unlink()
     # Another process may put it there meanwhile.
@@ -154,8 +154,8 @@ def _mark(path: Path, entry: Entry, unchanged: bool) -> None:
         suppress(FileExistsError),
         open(path, "xb", opener=lambda name, flags: os.open(name, flags, 0)) as file,
     ):
-        file.truncate(_UNTOLD if entry[0] is None else min(entry[0], _LARGEST))
-        os.utime(path, ns=(told, told))
+        file.truncate(_UNKNOWN_SIZE if entry[0] is None else min(entry[0], _LARGEST))
+        os.utime(path, ns=(version_ns, version_ns))
 
 
 def fetch(path: Path, state: os.stat_result, limit: str, limits: Limits) -> None:

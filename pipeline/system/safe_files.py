@@ -32,7 +32,7 @@ class _Root(NamedTuple):
     """Opened folder: its real path, and the limits changed by its own settings."""
 
     real: str
-    told: tuple[tuple[str, Any], ...]
+    limits: tuple[tuple[str, Any], ...]
 
 
 _ROOTS: dict[str, _Root] = {}
@@ -46,12 +46,12 @@ _LONGEST_MEMBER = 46 + 3 * 0xFFFF
 _KINDS = {stat.S_IFIFO: "a FIFO", stat.S_IFSOCK: "a socket", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device"}
 
 
-def enter(root: Path, told: Mapping[str, Any] | None = None) -> Path:
+def enter(root: Path, limits: Mapping[str, Any] | None = None) -> Path:
     """Confine reading below this folder, or a file with everything in it, with links followed; returns the folder.
 
-    `told` are limits raised by the folder's own `spatialviz.toml`; raises InputError as `Limits.changed`.
+    `limits` are those raised by the folder's own `spatialviz.toml`; raises InputError as `Limits.changed`.
     """
-    values = tuple((told or {}).items())
+    values = tuple((limits or {}).items())
     current_limits().changed(dict(values), own=True)
     _ROOTS[_absolute(root)] = _Root(os.path.realpath(_home(root)), values)
     return root
@@ -87,8 +87,8 @@ def _roots(path: Any) -> Iterator[_Root]:
 def limits_of(path: Any) -> Limits:
     """Limits of a file: of this process, raised by its folder's own."""
     limits = current_limits()
-    told = next(_roots(path), None)
-    return limits if told is None or not told.told else limits.changed(dict(told.told), own=True)
+    root = next(_roots(path), None)
+    return limits if root is None or not root.limits else limits.changed(dict(root.limits), own=True)
 
 
 @contextmanager

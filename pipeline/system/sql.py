@@ -38,7 +38,7 @@ SPILLED = 4
 _SYSTEM_SHARE = 1.5
 """So many times the limit the system lets a process of queries take: what DuckDB does not count, and the rows."""
 _LOOK_S = 1.0
-_SHUT = ("python_enable_replacements", "autoinstall_known_extensions", "autoload_known_extensions",
+_TURNED_OFF = ("python_enable_replacements", "autoinstall_known_extensions", "autoload_known_extensions",
          "enable_external_access")  # fmt: skip
 """Settings that are turned off. Not every version has each; the last one, which they all have, shuts the door."""
 
@@ -71,23 +71,23 @@ def answer_queries() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
     tables, held, spill = pickle.load(sys.stdin.buffer)
-    asked = _questions(sys.stdin.buffer)
+    questions = _questions(sys.stdin.buffer)
     try:
         connection = _opened(tables, held, spill)
     except Exception as error:
-        _tell(out, ("problem", _words(error)))
+        _send(out, ("problem", _problem(error)))
         return
     found: Any = None
-    for sql, parameters in asked:
+    for sql, parameters in questions:
         try:
             if sql is None:
                 rows = found.fetchmany(ROWS_AT_ONCE)
-                _tell(out, ("rows", rows))
+                _send(out, ("rows", rows))
             else:
                 found = _selected(connection, sql, parameters)
-                _tell(out, ("columns", tuple(c[0] for c in found.description or ())))
+                _send(out, ("columns", tuple(c[0] for c in found.description or ())))
         except Exception as error:
-            _tell(out, ("problem", _words(error)))
+            _send(out, ("problem", _problem(error)))
 
 
 def _questions(source: BinaryIO) -> Iterator[tuple[str | None, Sequence[Any]]]:
@@ -97,7 +97,7 @@ def _questions(source: BinaryIO) -> Iterator[tuple[str | None, Sequence[Any]]]:
             yield pickle.load(source)
 
 
-def _tell(out: BinaryIO, answer: tuple[str, Any]) -> None:
+def _send(out: BinaryIO, answer: tuple[str, Any]) -> None:
     data = pickle.dumps(answer)
     if len(data) > LARGEST_ROWS:
         words = InputError(
@@ -119,7 +119,7 @@ def _opened(tables: Mapping[str, Path], held: Collection[str], spill: str) -> du
         # Arrow reads these files, piece by piece: DuckDB needs leave for no path, since a path that it may read is one
         # that it may write, by a COPY within a SELECT.
         connection.register(name, read_parquet(path) if name in held else dataset.dataset(path, format="parquet"))
-    for setting in _SHUT:
+    for setting in _TURNED_OFF:
         with suppress(duckdb.CatalogException):
             connection.execute(f"SET {setting} = false")
     connection.execute("SET lock_configuration = true")
@@ -149,7 +149,7 @@ def _selected(connection: duckdb.DuckDBPyConnection, sql: str, parameters: Seque
     return connection.execute(statements[0], list(parameters) or None)
 
 
-def _words(error: Exception) -> str:
+def _problem(error: Exception) -> str:
     """Error in one line."""
     import duckdb
 
