@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -55,18 +56,17 @@ def check_expressions(view: FrameView, rules: ExpressionRules) -> Iterator[Findi
     """All rules on the expressions of a frame."""
     rows = view.expressions
     seen: set[object] = set()
-    for row in range(len(rows)):
+    for row, number in enumerate(rows["id"]):
         pair = int(rows["target_object"][row]), int(rows["reference_object"][row])
-        text = str(rows["text"][row])
-        found = [*_on_its_own(view, row, rules)]
-        if rows["id"][row] in seen:
-            found.append(("expression/duplicate-id", f"a second expression has the id {rows['id'][row]}", {}))
-        seen.add(rows["id"][row])
+        found = _on_its_own(view, row, rules)
+        found.append((number in seen, "expression/duplicate-id", f"a second expression has the id {number}", {}))
+        seen.add(number)
         if pair[0] in view.row_of and pair[1] in view.row_of:
-            found += _against_objects(view, row)
-            found += _against_relations(view, row)
-        for rule, message, figures in found:
-            yield view.finding(rule, pair, f"{text!r}: {message}", {"id": str(rows["id"][row]), **figures})
+            found += _against_objects(view, row) + _against_relations(view, row)
+        for fails, rule, message, figures in found:
+            if fails:
+                told = f"{str(rows['text'][row])!r}: {message}"
+                yield view.finding(rule, pair, told, {"id": str(number), **figures})
 
 
 def says_the(text: str, names: Sequence[str]) -> list[bool]:
@@ -84,112 +84,116 @@ def says_the(text: str, names: Sequence[str]) -> list[bool]:
     ]
 
 
-Found = tuple[str, str, dict[str, float | int | str]]
+Fault = tuple[Any, str, str, dict[str, Any]]
+"""Whether a rule is broken, its name, what is wrong, and the figures."""
 
 
-def _on_its_own(view: FrameView, row: int, rules: ExpressionRules) -> Iterator[Found]:
-    rows = view.expressions
+def _on_its_own(view: FrameView, row: int, rules: ExpressionRules) -> list[Fault]:
+    """Rules on the row alone, the frame and the run."""
+    rows, frames = view.expressions, view.tables["frames"]
     a, relation, b = int(rows["target_object"][row]), rows["relation"][row], int(rows["reference_object"][row])
-    targets, acceptable = rows["targets"][row], rows["acceptable"][row]
-    if not len(targets):
-        yield "expression/empty", "it has no targets", {}
-    elif a not in targets:
-        yield "expression/empty", f"its own target {a} is not among the targets", {}
-    if bool(rows["ambiguous"][row]) != (len(acceptable) > 1):
-        flag = "ambiguous" if rows["ambiguous"][row] else "not ambiguous"
-        yield (
-            "expression/ambiguous",
-            f"it is said to be {flag}, with {len(acceptable)} acceptable",
-            {"acceptable": len(acceptable)},
-        )
-    if rows["id"][row] != f"{row_hash(rules.seed, str(rows['frame'][row]), a, relation, b):016x}":
-        yield "expression/id", "its id is not the hash of frame, objects and relation", {}
+    targets, answers = rows["targets"][row], len(rows["acceptable"][row])
+    ambiguous, profile, up = (rows[name][row] for name in ("ambiguous", "profile", "up_source"))
     wanted = normal_form(str(rows["target"][row])), relation, normal_form(str(rows["reference"][row]))
     read = rules.read(str(rows["text"][row]))
-    if isinstance(read, str):
-        yield "expression/unreadable", f"it cannot be read: {read}", {}
-    elif read != wanted:
-        yield "expression/unreadable", f"it reads as {' / '.join(read)} and not {' / '.join(map(str, wanted))}", {}
-    frames = view.tables["frames"]
-    if rows["profile"][row] != rules.profile:
-        yield "expression/source", f"its profile is {rows['profile'][row]!r}, that of the labels {rules.profile!r}", {}
-    elif len(frames) and rows["up_source"][row] != frames["up_source"][0]:
-        yield (
-            "expression/source",
-            f"its up vector is {rows['up_source'][row]}, the frame's is {frames['up_source'][0]}",
+    misread = (
+        f"it cannot be read: {read}"
+        if isinstance(read, str)
+        else f"it reads as {' / '.join(read)} and not {' / '.join(map(str, wanted))}"
+    )
+    of_frame = frames["up_source"][0] if len(frames) else up
+    return [
+        (
+            a not in targets,
+            "expression/empty",
+            f"its own target {a} is not among the targets" if len(targets) else "it has no targets",
             {},
-        )
+        ),
+        (
+            bool(ambiguous) != (answers > 1),
+            "expression/ambiguous",
+            f"it is said to be {'ambiguous' if ambiguous else 'not ambiguous'}, with {answers} acceptable",
+            {"acceptable": answers},
+        ),
+        (
+            rows["id"][row] != f"{row_hash(rules.seed, str(rows['frame'][row]), a, relation, b):016x}",
+            "expression/id",
+            "its id is not the hash of frame, objects and relation",
+            {},
+        ),
+        (read != wanted, "expression/unreadable", misread, {}),
+        (
+            profile != rules.profile,
+            "expression/source",
+            f"its profile is {profile!r}, that of the labels {rules.profile!r}",
+            {},
+        ),
+        (
+            profile == rules.profile and up != of_frame,
+            "expression/source",
+            f"its up vector is {up}, the frame's is {of_frame}",
+            {},
+        ),
+    ]
 
 
-def _against_objects(view: FrameView, row: int) -> Iterator[Found]:
+def _against_objects(view: FrameView, row: int) -> list[Fault]:
     rows = view.expressions
-    for role in ("target", "reference"):
-        number = int(rows[f"{role}_object"][row])
-        k = view.row_of[number]
-        if rows[role][row] != view.labels[k]:
-            message = f"its {role} is called {rows[role][row]!r}, and object {number} is {view.labels[k]!r}"
-            yield "expression/class", message, {"object": number}
-        if not view.objects["usable"][k]:
-            reason = view.objects["reason"][k] or "not usable"
-            yield (
-                "expression/unusable",
-                f"its {role}, {view.labels[k]} {number}, may not be asked for: {reason}",
-                {"object": number},
-            )
-    names = [str(rows[role][row]) for role in ("target", "reference")]
-    for role, definite in zip(("target", "reference"), says_the(str(rows["text"][row]), names), strict=True):
-        k = view.row_of[int(rows[f"{role}_object"][row])]
-        if definite and not view.alone[k]:
-            message = f"it says `the` of its {role}, and the frame has others that {view.labels[k]!r} may mean"
-            yield "expression/article", f"{message}: labels made anew say `a`", {"object": int(view.ids[k])}
+    ends = {role: view.row_of[int(rows[f"{role}_object"][row])] for role in ("target", "reference")}
+    definite = says_the(str(rows["text"][row]), [str(rows[role][row]) for role in ends])
+    faults: list[Fault] = []
+    for role, k in ends.items():
+        name, of_object = view.labels[k], {"object": view.ids[k]}
+        other = f"its {role} is called {rows[role][row]!r}, and object {view.ids[k]} is {name!r}"
+        reason = view.objects["reason"][k] or "not usable"
+        unusable = f"its {role}, {name} {view.ids[k]}, may not be asked for: {reason}"
+        faults += [
+            (rows[role][row] != name, "expression/class", other, of_object),
+            (not view.objects["usable"][k], "expression/unusable", unusable, of_object),
+        ]
+    for (role, k), said in zip(ends.items(), definite, strict=True):
+        message = f"it says `the` of its {role}, and the frame has others that {view.labels[k]!r} may mean"
+        fails = said and not view.alone[k]
+        faults.append((fails, "expression/article", f"{message}: labels made anew say `a`", {"object": view.ids[k]}))
+    return faults
 
 
-def _against_relations(view: FrameView, row: int) -> Iterator[Found]:
+def _against_relations(view: FrameView, row: int) -> list[Fault]:
     """State, margin and sets, as `labels.labelling.candidate_expressions` makes them."""
     rows = view.expressions
     relation = rows["relation"][row]
     if relation not in view.states:
-        yield "expression/state", f"the relation {relation!r} is not labelled", {}
-        return
+        return [(True, "expression/state", f"the relation {relation!r} is not labelled", {})]
     states = view.states[relation]
     a, b = view.row_of[int(rows["target_object"][row])], view.row_of[int(rows["reference_object"][row])]
     state = int(states[a, b])
-    if state != T:
-        what = "has no state" if state == NOT_JUDGED else f"is {state_letter(state)}"
-        yield "expression/state", f"{view.relation_text(a, relation, b)} {what}", {"state": state}
+    what = "has no state" if state == NOT_JUDGED else f"is {state_letter(state)}"
     margin, stated = float(view.margins[relation][a, b]), float(rows["margin"][row])
-    if state == T and not abs(margin - stated) <= MARGIN_TOLERANCE:
-        yield (
+    alike = view.alike[a] & view.related
+    among, total = states[:, view.alike[b] & view.related], int(alike.sum())
+    sets = {"targets": (among == T).any(axis=1), "acceptable": (among >= U).any(axis=1)}
+    return [
+        (state != T, "expression/state", f"{view.relation_text(a, relation, b)} {what}", {"state": state}),
+        (
+            state == T and not abs(margin - stated) <= MARGIN_TOLERANCE,
             "expression/margin",
             f"its margin is {stated:.4f} m, the relation's {margin:.4f} m",
-            {
-                "stated": stated,
-                "margin": margin,
-            },
-        )
-    alike, references = view.alike[a] & view.related, view.alike[b] & view.related
-    among = states[:, references]
-    sure = view.ids[alike & (among == T).any(axis=1)]
-    likely = view.ids[alike & (among >= U).any(axis=1)]
-    for name, wanted in (("targets", sure), ("acceptable", likely)):
-        stored = rows[name][row]
-        if not np.array_equal(np.sort(stored), np.sort(wanted)):
-            yield (
-                "expression/sets",
-                f"{name} are {_list(stored)}, the relations give {_list(wanted)}",
-                {
-                    "set": name,
-                    "stored": len(stored),
-                    "given": len(wanted),
-                },
-            )
-    total = int(alike.sum())
-    if total >= MANY_ALIKE and len(np.unique(rows["acceptable"][row])) == total:
-        yield (
+            {"stated": stated, "margin": margin},
+        ),
+        *(_of_set(name, rows[name][row], view.ids[alike & fits]) for name, fits in sets.items()),
+        (
+            total >= MANY_ALIKE and len(np.unique(rows["acceptable"][row])) == total,
             "expression/everything",
             f"all {total} of its class are acceptable: it tells nothing apart",
             {"objects": total},
-        )
+        ),
+    ]
+
+
+def _of_set(name: str, stored: np.ndarray, given: np.ndarray) -> Fault:
+    message = f"{name} are {_list(stored)}, the relations give {_list(given)}"
+    figures = {"set": name, "stored": len(stored), "given": len(given)}
+    return not np.array_equal(np.sort(stored), np.sort(given)), "expression/sets", message, figures
 
 
 def _list(numbers: np.ndarray) -> str:
