@@ -193,7 +193,7 @@ def test_manifests_keep_an_id_as_an_id(tmp_path: Path, monkeypatch: pytest.Monke
     ):
         assert SourceSpec("demo", {"depth_model": given}).absolute().options == {"depth_model": kept}
     options = {"detector": "owlv2", "model": Path(f"{REPO}:m.onnx@v1"), "model_config": tmp_path / "c.toml"}
-    record = spec_record(EvalSpec("demo", str(tmp_path / "labels"), options, "pipeline"), tmp_path / "run")
+    record = spec_record(EvalSpec("demo", str(tmp_path / "labels"), options), tmp_path / "run")
     assert _read_spec(record, tmp_path / "run").options == options
 
 
