@@ -279,14 +279,14 @@ def _annotations(
     boxes: Sequence[Box3D | None] | None,
 ) -> tuple[Annotation, ...]:
     """Annotations from arrays, each with a mask, a 3D box or both; see `Frame.of_arrays`."""
-    given = {"masks": masks, "names": names, "boxes": boxes}
-    numbers = {what: len(values) for what, values in given.items() if values is not None}
+    arrays = {"masks": masks, "names": names, "boxes": boxes}
+    numbers = {what: len(values) for what, values in arrays.items() if values is not None}
     objects = numbers.get("masks") or numbers.get("boxes") or 0
-    told = ", ".join(f"{n} {what}" for what, n in numbers.items())
+    counts = ", ".join(f"{n} {what}" for what, n in numbers.items())
     require(
         not isinstance(names, str) and set(numbers.values()) <= {objects},
         f"frame {frame.id}: a name for each mask, and a box or None",
-        got=repr(names) if isinstance(names, str) else told,
+        got=repr(names) if isinstance(names, str) else counts,
     )
     found = []
     for index in range(objects):

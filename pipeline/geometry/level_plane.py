@@ -80,7 +80,7 @@ class UpHypothesis:
     explained: float  # Share of the flat surface that is level or upright under it, in either way
     # False for a plane that may as well be a wall which the camera looks up at, and for what is upright to it: it
     # decides nothing, but contradicts
-    told: bool = True
+    certain: bool = True
 
     @property
     def score(self) -> float:
@@ -97,7 +97,7 @@ def level_plane(depth: np.ndarray, camera: Camera) -> np.ndarray | None:
 
 def decided(found: Sequence[UpHypothesis]) -> UpHypothesis | None:
     """Best of a frame's hypotheses (best first); None where weak or contradicted by another."""
-    if not found or found[0].score < MIN_SCORE or not found[0].told:
+    if not found or found[0].score < MIN_SCORE or not found[0].certain:
         return None
     best = found[0]
     others = (h.score for h in found[1:] if h.up @ best.up < np.cos(np.deg2rad(APART_DEG)))
@@ -110,7 +110,7 @@ def assumed(found: Sequence[UpHypothesis]) -> np.ndarray:
     It is image-up, or that of a plane which stands alone, so steep that it may be a wall looked up at: more cameras
     look down on tables and floors than up at walls.
     """
-    alone = decided([replace(h, told=True) for h in found])
+    alone = decided([replace(h, certain=True) for h in found])
     return IMAGE_UP if alone is None or alone.score < ALONE_SCORE else alone.up
 
 
@@ -137,9 +137,9 @@ def _of_surface(surface: SurfaceBlocks) -> tuple[UpHypothesis, ...]:
     # A level plane is fitted to more than the directions of walls are.
     found += [h for h in _of_walls(surface) if not any(h.up @ level.up > same for level in found)]
     found.sort(key=lambda h: -h.score)
-    if found and not found[0].told:
+    if found and not found[0].certain:
         # Where a wall may be meant, what is upright to a floor may as well be the ceiling, or the walls, beside it.
-        found = [replace(h, told=h.told and abs(h.up @ found[0].up) > _PERPENDICULAR) for h in found]
+        found = [replace(h, certain=h.certain and abs(h.up @ found[0].up) > _PERPENDICULAR) for h in found]
     return tuple(found)
 
 
@@ -166,8 +166,8 @@ def _of_one_side(surface: SurfaceBlocks, kind: Literal["floor", "ceiling"]) -> l
         up, offset, share = fitted
         if kind == "ceiling" and np.mean(np.abs(voters @ up.astype(np.float32)) < UPRIGHT) < LEAST_WALL:
             continue
-        told = kind == "ceiling" or not may_be_wall(up) or is_floor(surface, up, offset)
-        found.append(UpHypothesis(up, kind, share, _explained(voters, up), told))
+        certain = kind == "ceiling" or not may_be_wall(up) or is_floor(surface, up, offset)
+        found.append(UpHypothesis(up, kind, share, _explained(voters, up), certain))
     return found
 
 

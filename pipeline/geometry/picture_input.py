@@ -77,11 +77,11 @@ def checked_input(
     unknown = [n for n in (config.name, *others) if n is not None and n not in shapes]
     rest = [n for n in shapes if n not in others]
     if unknown or len(rest) != 1 or (config.name is not None and rest != [config.name]):
-        given = ", ".join([*([config.name] if config.name else []), *others]) or "one input"
+        wanted = ", ".join([*([config.name] if config.name else []), *others]) or "one input"
         raise InputError(
             "the model has other inputs than the TOML file says",
             got=signature(session)[:240],
-            expected=given,
+            expected=wanted,
             cause="inputs besides the picture are named under [input.extra]" if len(rest) > 1 else None,
             path=path,
         )
@@ -97,15 +97,15 @@ def checked_input(
             path=path,
         )
     found: list[int | None] = []
-    for declared, given in zip(sides, config.size or (None, None), strict=True):
+    for declared, fixed in zip(sides, config.size or (None, None), strict=True):
         require(
-            not isinstance(declared, int) or given is None or given == declared,
+            not isinstance(declared, int) or fixed is None or fixed == declared,
             "the model takes another size",
             got=list(config.size or ()),
             expected=list(sides),
             path=path,
         )
-        found.append(declared if isinstance(declared, int) else given)
+        found.append(declared if isinstance(declared, int) else fixed)
     return rest[0], (found[0], found[1])
 
 

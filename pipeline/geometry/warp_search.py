@@ -43,8 +43,8 @@ def estimated(outlines: Outlines, regions: np.ndarray | None = None, near: Regis
     near : Registration, optional
         Start of the search, besides no warp; by default everywhere.
     """
-    told = Registration.none(outlines.camera)
-    own = {(near, every): outlines.near(told, near, every) for _, near, every in (*LOOKING, *SETTLING)}
+    identity = Registration.none(outlines.camera)
+    own = {(near, every): outlines.near(identity, near, every) for _, near, every in (*LOOKING, *SETTLING)}
 
     def gain(warp: Registration, tolerance: float, every: int) -> float:
         # What leaves the picture is taken to lie as it did.
@@ -53,14 +53,14 @@ def estimated(outlines: Outlines, regions: np.ndarray | None = None, near: Regis
         return mean_known(by_region if regions is None else by_region[regions])
 
     starts = [
-        replace(told, fx=told.fx * f, fy=told.fy * f, tx=tx, ty=ty)
+        replace(identity, fx=identity.fx * f, fy=identity.fy * f, tx=tx, ty=ty)
         for f in FOCALS for tx in SHIFTS_M for ty in SHIFTS_M[1:-1]
     ]  # fmt: skip
-    begun = [told, near] if near else sorted(starts, key=lambda warp: -gain(warp, *LOOKING[0][1:]))[:BEGUN]
+    begun = [identity, near] if near else sorted(starts, key=lambda warp: -gain(warp, *LOOKING[0][1:]))[:BEGUN]
     climbed = [_climbed(warp, gain, LOOKING) for warp in begun]
     best = _climbed(max(climbed, key=lambda warp: gain(warp, *LOOKING[-1][1:])), gain, SETTLING)
-    center = max(abs(best.cx - told.cx), abs(best.cy - told.cy)) / outlines.away.shape[3]
-    focal = abs(np.log(best.fx / told.fx)) / np.log(MOST_FOCAL)
+    center = max(abs(best.cx - identity.cx), abs(best.cy - identity.cy)) / outlines.away.shape[3]
+    focal = abs(np.log(best.fx / identity.fx)) / np.log(MOST_FOCAL)
     aside = max(abs(best.tx), abs(best.ty)) / MOST_M
     return Fitted(best, bool(max(focal, aside, center / MOST_CENTER) >= 1))
 

@@ -22,7 +22,7 @@ OWN_WORDS = (
     lexicon.GRAMMAR_WORDS | lexicon.AND | lexicon.WITH | lexicon.OTHER | lexicon.PRONOUNS | lexicon.CLOSING
     | lexicon.SMALL_WORDS | DETERMINERS | QUANTIFIERS | frozenset(choices.NUMBERS)
     | frozenset(w for phrase in lexicon.phrase_table() for w in phrase.split())
-) - lexicon.TELLING  # fmt: skip
+) - lexicon.DISTINGUISHING  # fmt: skip
 """Words that may be left out of all spans: what they say is in how the expression was read."""
 
 

@@ -17,9 +17,9 @@ from collections.abc import Collection, Iterable
 from dataclasses import replace
 
 from pipeline.language import choices, lexicon
+from pipeline.language.attribute_reader import is_name
 from pipeline.language.attributes import attribute
 from pipeline.language.chain import Attach, Chain, Clause, OpenRelation
-from pipeline.language.looks import is_name
 from pipeline.language.naming import DETERMINERS, singular
 from pipeline.language.nouns import ALTERNATIVES, Phrase
 from pipeline.language.references import NO_RANK, ReferenceReader
@@ -35,9 +35,9 @@ def read_chain(text: str, known: NameIndex) -> Chain:
     """Read an expression passed by `tokens.check_text`; InputError suggests a known relation close to the words."""
     tokens = tokenize(text, known)
     # `pillow on bed` may be a class, and yet here the pillow that lies on a bed is meant.
-    apart = tokenize(text, known, hold_names=False) if any(t.guards for t in tokens) else None
+    split = tokenize(text, known, hold_names=False) if any(t.guards for t in tokens) else None
     problem = None
-    for held in (tokens, apart):
+    for held in (tokens, split):
         if held is None:
             continue
         try:
@@ -45,7 +45,7 @@ def read_chain(text: str, known: NameIndex) -> Chain:
         except InputError as error:
             problem = problem or error
         else:
-            if chain.clauses or held is apart or apart is None:
+            if chain.clauses or held is split or split is None:
                 return chain
     if problem is None:
         return _GrammarReader(text, tokens, known.words).read()
@@ -103,12 +103,12 @@ class _GrammarReader(ReferenceReader):
             self._drop_negation()
         chain.spans += [Span(*where, "unused", 0, why) for *where, why in self.left_out.values()]  # type: ignore[arg-type]
         self.note_dropped()
-        said = [word for noun in chain.nouns for word in noun.words]
-        chain.mended += [m for m in self.respelled.values() if m[2] in said]
+        words = [word for noun in chain.nouns for word in noun.words]
+        chain.mended += [m for m in self.respelled.values() if m[2] in words]
         if not chain.nouns:
             raise self.problems[0] if self.problems else self._no_target()
-        told = self.renamed or chain.clauses or any(n.attributes or n.choices for n in chain.nouns)
-        if self.problems and not told:
+        identified = self.renamed or chain.clauses or any(n.attributes or n.choices for n in chain.nouns)
+        if self.problems and not identified:
             raise self.problems[0]
         return chain
 
@@ -175,7 +175,7 @@ class _GrammarReader(ReferenceReader):
             return at + 1
         if (side := self._side(at)) is not None:
             return side
-        if self.chain.nouns and (look := self._look(at)) is not None:
+        if self.chain.nouns and (look := self._color_phrase(at)) is not None:
             return look
         if not self.opened and (clause := self._object_clause(at)) is not None:
             return clause
@@ -323,8 +323,8 @@ class _GrammarReader(ReferenceReader):
         if phrase is not None and tail is None and (carried := self._carries(at, phrase, end)) is not None:
             return carried
         if phrase is None or after is None or tail is None:
-            told = "what a thing does not have is not judged" if self.negated else PART
-            return self._unused(at, told, 1 + without)
+            why = "what a thing does not have is not judged" if self.negated else PART
+            return self._unused(at, why, 1 + without)
         if phrase.head_word == "nothing":
             phrase, self.negated = replace(phrase, label="thing", head=""), True
         self._relation_span(self.tokens[at])

@@ -236,7 +236,7 @@ UNKNOWN_RELATIONS = _words(
 
 VERBS = _words("that which who whose is are was were has have should where")
 
-TELLING = _words(
+DISTINGUISHING = _words(
     "left right top front behind above below under underneath beneath beside between near nearer nearest nearby next "
     "close closer closest farther farthest further furthest distant far higher lower inside outside within atop "
     "adjacent alongside middle center centre ahead most opposite without except excluding same "

@@ -117,7 +117,7 @@ class _Found:
     def __init__(self, text: str, known: NameIndex, relations: Collection[str] | None) -> None:
         self.text, self.known, self.relations = text, known, relations
         self.nouns, self.parts = count(), count()
-        self.said: list[tuple[Role, int, list[str]]] = []
+        self.used: list[tuple[Role, int, list[str]]] = []
 
     def tree(self, reply: str) -> tuple[Node, list[Span]]:
         """Target of a reply, and the spans of its words; InputError for no tree, or a meaningless tree."""
@@ -132,17 +132,17 @@ class _Found:
     def _node(self, node: Node) -> Node:
         mention = next(self.nouns)
         attributes = tuple(attribute(str(a)) or Attribute("other", check_text(a.value)) for a in node.attributes)
-        said = {a: [w for w in re.findall(r"[\w-]+", self.text) if attribute(w) == a] or [str(a)] for a in attributes}
+        forms = {a: [w for w in re.findall(r"[\w-]+", self.text) if attribute(w) == a] or [str(a)] for a in attributes}
         name = self._name(node.head or node.label)
         name = " ".join(w for w in name.split() if attribute(w) not in attributes) or name
         label = self._name(node.label)
-        label = " ".join([*(words[0].lower() for words in said.values()), name]) if label == name else label
+        label = " ".join([*(words[0].lower() for words in forms.values()), name]) if label == name else label
         choices = tuple(replace(c, text=self._own(c.text, c.order)) for c in node.choices)
         numbers = [n for n in (node.count, *(c.rank for c in choices)) if n is not None]
         require(all(1 <= n <= MOST_THINGS for n in numbers), "numbers of things", expected=f"1 to {MOST_THINGS}")
-        self.said.append(("reference" if mention else "target", mention, [node.label, label, node.head, name]))
-        self.said.extend(("attribute", mention, words) for words in said.values())
-        self.said.extend(("choice", mention, [c.text]) for c in choices)
+        self.used.append(("reference" if mention else "target", mention, [node.label, label, node.head, name]))
+        self.used.extend(("attribute", mention, words) for words in forms.values())
+        self.used.extend(("choice", mention, [c.text]) for c in choices)
         return replace(
             node, label=label, head=name if name != label else "", mention=mention, attributes=attributes,
             choices=choices, attachments=tuple(map(self._attachment, node.attachments)),
@@ -159,23 +159,25 @@ class _Found:
         require(tokens, "a thing without a name", got=repr(words))
         return label_of(words, tokens)
 
-    def _attachment(self, said: Attachment) -> Attachment:
-        relation, needed = said.relation, 2 if said.relation == "between" else 1
+    def _attachment(self, attachment: Attachment) -> Attachment:
+        relation, needed = attachment.relation, 2 if attachment.relation == "between" else 1
         require(relation in PHRASE, "unknown relation", got=repr(relation)[:60], expected=f"one of {', '.join(PHRASE)}")
-        require(len(said.nodes) == needed, f"the references of {relation}", got=len(said.nodes), expected=needed)
+        require(
+            len(attachment.nodes) == needed, f"the references of {relation}", got=len(attachment.nodes), expected=needed
+        )
         turns = relation in MIRRORED or relation in lexicon.SAYS_SWAPPED
-        require(turns or not said.inverse, f"{relation} cannot be said from the other side")
-        phrase = self._own(said.phrase, PHRASE[relation])
-        self.said.append(("relation", next(self.parts), [phrase]))
-        clause = Clause(relation, phrase, (), said.inverse, negated=said.negated)
-        return replace(offered(clause, self.relations), nodes=tuple(map(self._node, said.nodes)))
+        require(turns or not attachment.inverse, f"{relation} cannot be said from the other side")
+        phrase = self._own(attachment.phrase, PHRASE[relation])
+        self.used.append(("relation", next(self.parts), [phrase]))
+        clause = Clause(relation, phrase, (), attachment.inverse, negated=attachment.negated)
+        return replace(offered(clause, self.relations), nodes=tuple(map(self._node, attachment.nodes)))
 
     def _spans(self) -> Iterator[Span]:
         """Stretches of the sentence in use, the longest first, none twice."""
         left = self.text
-        for role, index, forms in sorted(self.said, key=lambda s: -len(s[2][0])):
-            apart = [w for w in forms[0].split() if w.lower() not in DETERMINERS]
-            for form in (*([form] for form in forms), apart):
+        for role, index, forms in sorted(self.used, key=lambda s: -len(s[2][0])):
+            single = [w for w in forms[0].split() if w.lower() not in DETERMINERS]
+            for form in (*([form] for form in forms), single):
                 before = left
                 for words in filter(str.strip, form):
                     pattern = r"[\s_-]+".join(map(re.escape, re.split(r"[\s_-]+", words.strip())))

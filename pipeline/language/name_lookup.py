@@ -29,7 +29,7 @@ _AMOUNT = re.compile(
 
 
 @dataclass(frozen=True)
-class Look:
+class LookupKey:
     """A key to look up for a query."""
 
     tier: int  # Smaller ones come first
@@ -164,22 +164,22 @@ def _held(content: str, table: Synonyms) -> Iterator[str]:
 
 
 @lru_cache(maxsize=65536)
-def lookups(query: str, table: Synonyms) -> tuple[Look, ...]:
+def lookups(query: str, table: Synonyms) -> tuple[LookupKey, ...]:
     """Keys to look up for a query in normal form, tier by tier; `meanings` lists the tiers."""
-    return tuple(sorted(_looks(query, table), key=lambda look: look.tier))
+    return tuple(sorted(_unordered_lookups(query, table), key=lambda look: look.tier))
 
 
-def _looks(query: str, table: Synonyms) -> Iterator[Look]:
+def _unordered_lookups(query: str, table: Synonyms) -> Iterator[LookupKey]:
     aliases = sorted(table.of(query) - {query})
-    yield Look(1, "spelled", key_of(query), 1.0, "exact", "")
+    yield LookupKey(1, "spelled", key_of(query), 1.0, "exact", "")
     for alias in (query, *aliases):
-        yield Look(1, "form", key_of(alias), 0.9, "synonym", alias)
+        yield LookupKey(1, "form", key_of(alias), 0.9, "synonym", alias)
     variants = [v for v in dict.fromkeys(_variants(query, table)) if v != query and v not in aliases]
     for variant in variants:
-        yield Look(2, "form", key_of(variant), 0.85, "synonym", variant)
+        yield LookupKey(2, "form", key_of(variant), 0.85, "synonym", variant)
     for form in (query, *aliases, *variants):
-        yield Look(3, "kind", key_of(form), 0.8, "kind", form)
-        yield Look(4, "held", key_of(form), 0.7, "kind", form)
+        yield LookupKey(3, "kind", key_of(form), 0.8, "kind", form)
+        yield LookupKey(4, "held", key_of(form), 0.7, "kind", form)
     ends = [] if table.is_exception(query) else list(_ends(query, table))
     # What stands behind a head (`painting of a forest`) is shared by no name that has it in another way, unless it is
     # what is in a package (`tin of coffee`).
@@ -188,32 +188,32 @@ def _looks(query: str, table: Synonyms) -> Iterator[Look]:
         first = packed[: -len(end)].split()
         sharing = tuple(frozenset({word, *table.of(word)}) for word in first)
         for alias in sorted(table.of(end)):
-            yield Look(3, "kind", key_of(alias), 0.75, "kind", alias, sharing)
+            yield LookupKey(3, "kind", key_of(alias), 0.75, "kind", alias, sharing)
         if _is_a(end, PACKAGING, table):
             for alias in sorted(table.of(" ".join(first))):
-                yield Look(4, "held", key_of(alias), 0.7, "kind", alias)
+                yield LookupKey(4, "held", key_of(alias), 0.7, "kind", alias)
         for general in sorted(table.general(" ".join(first))):
-            yield Look(4, "form", key_of(f"{general} {end}"), 0.7, "kind", f"{general} {end}")
+            yield LookupKey(4, "form", key_of(f"{general} {end}"), 0.7, "kind", f"{general} {end}")
     left = {end: _left_out(query, end, table) for end in ends}
     for dropped, end in enumerate(ends):
         for alias in sorted(table.of(end)):
-            yield Look(6 + dropped, "form", key_of(alias), 0.65, "kind", alias, left=left[end])
-        yield Look(6 + dropped, "held", key_of(end), 0.65, "kind", end, left=left[end])
+            yield LookupKey(6 + dropped, "form", key_of(alias), 0.65, "kind", alias, left=left[end])
+        yield LookupKey(6 + dropped, "held", key_of(end), 0.65, "kind", end, left=left[end])
     known = key_of(query) in table.keys
     for start in (query, *aliases, *ends):
         out = left.get(start, ())
         for general in sorted(table.general(start)):
             for alias in sorted(table.of(general)):
-                yield Look(20, "form", key_of(alias), 0.6, "kind", alias, left=out)
+                yield LookupKey(20, "form", key_of(alias), 0.6, "kind", alias, left=out)
             # A bottle of mustard is French's; that a can of meat holds food makes it no apple.
-            yield Look(20, "packed", key_of(general), 0.6, "kind", general, left=out)
+            yield LookupKey(20, "packed", key_of(general), 0.6, "kind", general, left=out)
     for end in [] if known else ends:
         first = query[: -len(end)].split() if query.endswith(end) else query.split()
         if not any(_is_a(part, PACKED, table) for part in (" ".join(first), *first)):
-            yield Look(21, "kind", key_of(end), 0.55, "kind", end, left=left[end])
+            yield LookupKey(21, "kind", key_of(end), 0.55, "kind", end, left=left[end])
     for start in (query, *aliases, *([] if known else ends)):
         for other in sorted(table.taken_for(start)):
-            yield Look(22, "form", key_of(other), 0.5, "kind", other, left=left.get(start, ()))
+            yield LookupKey(22, "form", key_of(other), 0.5, "kind", other, left=left.get(start, ()))
 
 
 def _left_out(query: str, end: str, table: Synonyms) -> tuple[int, ...]:

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from pipeline.language import choices, lexicon
+from pipeline.language.attribute_reader import AttributeReader, DraftPhrase
 from pipeline.language.attributes import Attribute, attribute
 from pipeline.language.cursor import MODALS
-from pipeline.language.looks import DraftPhrase, LooksReader
 from pipeline.language.naming import DETERMINERS, is_compound, singular
 from pipeline.language.relation_names import MIRRORED
 from pipeline.language.spelling import is_known
@@ -59,7 +59,7 @@ class Phrase:
         return self.name in lexicon.ANYTHING and not self.named
 
 
-class NounReader(LooksReader):
+class NounReader(AttributeReader):
     """A cursor that reads noun phrases."""
 
     asks_what = False
@@ -79,7 +79,7 @@ class NounReader(LooksReader):
             at = self._of_several(at, draft)
         end = self._head_end(at, draft, stop_at_and=stop_at_and)
         after = self._ordinal_end(end, draft)
-        end = self._looks_after(at, end, draft)
+        end = self._attributes_after(at, end, draft)
         head = self._of_a_stack(self.tokens[at:end])
         if not head and not (draft.attributes or draft.choices or draft.count or draft.lacks):
             return None, after
@@ -194,8 +194,8 @@ class NounReader(LooksReader):
             if last in choices.EXTREMES and (first == "next" or (size == 1 and first in choices.ORDINALS)):
                 draft.ordinal, text = (choices.ORDINALS.get(first, 2), first), last
             order = choices.EXTREMES.get(text)
-            beside = size > 1 and words[-1] == "side" and self._starts_noun(at + size) and self._text(at + size) != "of"
-            sides = choices.orders_of(" ".join(words[:-1]) if beside else text)
+            sided = size > 1 and words[-1] == "side" and self._starts_noun(at + size) and self._text(at + size) != "of"
+            sides = choices.orders_of(" ".join(words[:-1]) if sided else text)
             if sides and order == "low" and self._text(at + size) in choices.SIDES:
                 order = None  # `lower left chair`
             rank = choices.ORDINALS.get(text) if size == 1 else None

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from pipeline.language import choices, lexicon
+from pipeline.language.attribute_reader import is_name
 from pipeline.language.chain import Clause, OpenRelation
-from pipeline.language.looks import is_name
 from pipeline.language.naming import DETERMINERS, singular
 from pipeline.language.nouns import Phrase
 from pipeline.language.regions import RegionReader
@@ -171,8 +171,8 @@ class ReferenceReader(RegionReader):
         predicative = self._predicative(at)
         noun = self.tokens[at].plain in DETERMINERS or is_name(singular(phrase.head_word))
         named = predicative and noun and (root.anything or phrase.name.endswith(f" {root.name}"))
-        told_before = any(t.plain in lexicon.BE for t in self.tokens[:at])
-        if self.joined and not told_before and not clauses and not same:
+        copula_before = any(t.plain in lexicon.BE for t in self.tokens[:at])
+        if self.joined and not copula_before and not clauses and not same:
             joint = "and the" if self.tokens[at].plain in DETERMINERS else "and"
             raise InputError(f"'{joint}' names a second target", got=f"'{self.text}'", expected="one target a relation")
         if same or named or (predicative and (phrase.attributes or phrase.choices)):

@@ -29,8 +29,8 @@ class RegionReader(ChainReader):
             self._choice(Choice(choices.SIDES[found[0]["side"]], 1, found[0][0].strip()), at, found[1])  # type: ignore[arg-type]
             return found[1]
         if (bare := self._bare_side(at)) and self.chain.nouns and not self.opened:
-            said = (bare[0][name] for name in ("only", "side", "two", "away", "last"))
-            for order in choices.orders_of(next(filter(None, said))):
+            words = (bare[0][name] for name in ("only", "side", "two", "away", "last"))
+            for order in choices.orders_of(next(filter(None, words))):
                 self._choice(Choice(order, 1 if bare[0]["far"] else None, bare[0][0].strip()), at, bare[1])  # type: ignore[arg-type]
             return bare[1]
         found, region = self.match(choices.AT_SIDE, at), self.match(choices.REGION_OF, at)
@@ -44,7 +44,7 @@ class RegionReader(ChainReader):
             self._choice(Choice(order, rank, found[0][0].strip()), at, found[1])  # type: ignore[arg-type]
         return found[1]
 
-    def _look(self, at: int) -> int | None:
+    def _color_phrase(self, at: int) -> int | None:
         """Read a colour in a phrase behind the thing: `in red`, `of a red colour`, `painted green`."""
         found = None if self.opened else self._color_after(at)
         if found is None:
@@ -192,8 +192,8 @@ class RegionReader(ChainReader):
         at -= 1
         while at > 0 and (self.tokens[at].plain in lexicon.NEGATIONS or self.tokens[at].plain in lexicon.DEGREES):
             at -= 1
-        said = self.tokens[at].plain in lexicon.BE | lexicon.POSTURES
-        return bool(self.chain.nouns) and said and self.tokens[at - 1].plain != "there"
+        copula = self.tokens[at].plain in lexicon.BE | lexicon.POSTURES
+        return bool(self.chain.nouns) and copula and self.tokens[at - 1].plain != "there"
 
     def _whole(self, at: int, phrase: Phrase) -> Phrase:
         """Replace a part by its whole: `the bookcase` for `the lowest shelf of the bookcase`, with a note."""

@@ -33,7 +33,7 @@ _SLIPS = {"th": "the"} | {
 
 
 @lru_cache(maxsize=4096)
-def spelled(word: str) -> str:
+def spelling_corrected(word: str) -> str:
     """Correct a misspelt word of the grammar: a letter more, less or two swapped, no apostrophe, or shorthand.
 
     A word that is known is left alone (`whats` and `plz` are corrected); in long ones one letter may be another.
@@ -49,7 +49,7 @@ def spelled(word: str) -> str:
     return word
 
 
-def heard(words: Sequence[str]) -> list[str]:
+def homophones_corrected(words: Sequence[str]) -> list[str]:
     """Correct words that sound like a small word of the grammar: `next too the`, `left off`."""
     found = list(words)
     for k, word in enumerate(words):
@@ -72,7 +72,7 @@ def is_known(word: str) -> bool:
 
 
 @lru_cache(maxsize=4096)
-def look_meant(word: str) -> str | None:
+def attribute_meant(word: str) -> str | None:
     """Adjective meant by an unknown word: `purple` for `pruple`; None for none or several.
 
     Two letters that changed places and a letter too few come before a letter too many, and that before another letter;
@@ -96,7 +96,7 @@ def look_meant(word: str) -> str | None:
 
 def mended_words(words: Sequence[str], own: Collection[str]) -> tuple[list[str], list[bool]]:
     """Correct words in lower case, with a flag for each misspelt word; words of the user's `own` names stay."""
-    read = heard([word if word in own else spelled(word) for word in words])
+    read = homophones_corrected([word if word in own else spelling_corrected(word) for word in words])
     short = CONTRACTIONS.keys() | SHORTHAND.keys()
     return read, [a != b and a not in short for a, b in zip(words, read, strict=True)]
 

@@ -212,9 +212,9 @@ def _before_a_side(
     last = at + len(phrase[0])
     if phrase[0] not in (("on", "top"), ("on", "the", "top")) or last >= len(words):
         return phrase
-    apart = text[ends[last - 1] : starts[last]].strip()
+    between = text[ends[last - 1] : starts[last]].strip()
     following = words[last]
-    if apart or following in DETERMINERS or following in STRUCTURAL or following in _PHRASES:
+    if between or following in DETERMINERS or following in STRUCTURAL or following in _PHRASES:
         return phrase
     return next(entry for entry in _PHRASES["on"] if entry[0] == ("on",))
 

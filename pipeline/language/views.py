@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from pipeline.language import choices, lexicon
+from pipeline.language.attribute_reader import is_name
 from pipeline.language.attributes import attribute
-from pipeline.language.looks import is_name
 from pipeline.language.naming import DETERMINERS, is_compound, singular
 from pipeline.language.openers import ASKERS, FRAMING
 from pipeline.language.tokens import Token, joined_words
@@ -66,10 +66,10 @@ def closing_removed(tokens: list[Token]) -> list[Token]:
             tokens = tokens[:-1]
             continue
         ends = (n for n in (4, 3, 2) if len(tokens) > n + 1)
-        told = next((n for n in ends if " ".join(t.plain or "_" for t in tokens[-n:]) in lexicon.CLOSING_PHRASES), None)
-        if told is None:
+        size = next((n for n in ends if " ".join(t.plain or "_" for t in tokens[-n:]) in lexicon.CLOSING_PHRASES), None)
+        if size is None:
             return tokens
-        tokens = tokens[:-told]
+        tokens = tokens[:-size]
     return tokens
 
 

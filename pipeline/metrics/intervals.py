@@ -179,7 +179,7 @@ def _estimate(value: float, drawn: np.ndarray, n: int, clusters: int, config: Bo
         (clusters < 2, "one cluster: no interval can be drawn from it"),
         (missing > MOST_UNDEFINED, f"undefined in {missing:.0%} of the resamples: no interval"),
     )
-    note = next((text for given, text in reasons if given), None)
+    note = next((text for applies, text in reasons if applies), None)
     if note is not None:
         return Estimate(value, math.nan, math.nan, n, clusters, note)
     tail = 50 * (1 - config.confidence)

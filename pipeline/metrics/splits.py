@@ -173,14 +173,15 @@ def _blocks(frames: Sequence[FrameKey], scenes: Sequence[str], seed: int) -> Spl
 def _blocks_warning(scenes: int, gaps: dict[str, float | int]) -> str:
     metres = [g for g in gaps.values() if isinstance(g, float)]
     text = f"learnt and measured on the same {'scene' if scenes == 1 else f'{scenes} scenes'}, in blocks of "
-    apart = f"camera positions at least {min(metres):.2g} m apart" if metres else ""
+    if metres:
+        text += f"camera positions at least {min(metres):.2g} m apart"
     if len(metres) < len(gaps):
-        apart += (" or of " if metres else "") + "neighbouring frames, as poses are missing or do not differ"
+        text += (" or of " if metres else "") + "neighbouring frames, as poses are missing or do not differ"
     if metres and min(metres) < GAP_M:
-        apart += " (the cameras stand too close together for 1 m)"
-    return (
-        text + apart + ": the figures say how it does from other places in known rooms, not in new ones; random frames "
-        "would say even less, as neighbouring frames are almost the same picture"
+        text += " (the cameras stand too close together for 1 m)"
+    return text + (
+        ": the figures say how it does from other places in known rooms, not in new ones; random frames would say even "
+        "less, as neighbouring frames are almost the same picture"
     )
 
 

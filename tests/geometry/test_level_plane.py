@@ -60,7 +60,7 @@ def test_an_up_that_is_claimed_is_right_at_any_pitch(
     floor = (seen.ids == len(seen.boxes)).mean()
     if found is None:
         # Seen steeply, a floor may as well be a wall that is looked up at.
-        told = any(h.told for h in up_hypotheses(depth, CAMERA))
+        told = any(h.certain for h in up_hypotheses(depth, CAMERA))
         assert floor < 0.05 or (may_be_wall(up) and not told)
     else:
         assert angle_deg(found, up) < 5
@@ -139,7 +139,7 @@ def test_a_wall_that_is_looked_up_at_is_no_floor(pitch: float, ceiling: bool) ->
     planes = [Plane((0, 0, 1), 2.2), *([Plane((0, -1, 0), 1.0)] if ceiling else [])]
     depth = noisy(cast(CAMERA, [], planes, viewer).depth)
     found, hypotheses = level_plane(depth, CAMERA), up_hypotheses(depth, CAMERA)
-    assert any(h.kind == "floor" and h.score > MIN_SCORE and not h.told for h in hypotheses), "the case says nothing"
+    assert any(h.kind == "floor" and h.score > MIN_SCORE and not h.certain for h in hypotheses), "the case says nothing"
     assert found is None or angle_deg(found, viewer.up) < 2
 
 

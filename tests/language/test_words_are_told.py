@@ -12,7 +12,7 @@ from scenes import frame_of, upright
 
 from pipeline.answering import trace_record
 from pipeline.answering.ask import ask
-from pipeline.answering.asked_names import detections
+from pipeline.answering.detector_prompts import detections
 from pipeline.geometry import Frame
 from pipeline.language import Query, match, parse
 from pipeline.language.attributes import SINGLE_WORDS
@@ -20,7 +20,7 @@ from pipeline.language.chain import OWN_WORDS
 from pipeline.language.lexicon import CONTRACTIONS, LEADING, SHORTHAND, VIEW_WORDS
 from pipeline.language.naming import meanings
 from pipeline.language.openers import FRAMING
-from pipeline.language.spelling import is_known, look_meant, spelled
+from pipeline.language.spelling import attribute_meant, is_known, spelling_corrected
 from pipeline.proposals import AnnotationDetector, Proposals
 from pipeline.system import InputError, UnknownClass
 
@@ -61,7 +61,7 @@ TAILS = [
     "not on the right",
 ]
 STRANGE = st.from_regex(r"[bdfgkmnprstvz][aeiou][bdfgkmnprstvz]{2}[aeiou][bdfgkmnprstvz]{1,3}", fullmatch=True).filter(
-    lambda w: not is_known(w) and look_meant(w) is None and spelled(w) == w and not meanings(w, NAMES)
+    lambda w: not is_known(w) and attribute_meant(w) is None and spelling_corrected(w) == w and not meanings(w, NAMES)
 )
 
 
@@ -88,7 +88,7 @@ def lost(query: Query) -> list[str]:
         elif roles:
             told = usual or "unused" in roles or is_known(said) or said in OWN_WORDS
         else:
-            told = usual or said in OWN_WORDS or said in FRAME_WORDS or spelled(said) in OWN_WORDS
+            told = usual or said in OWN_WORDS or said in FRAME_WORDS or spelling_corrected(said) in OWN_WORDS
         found += [] if told else [said]
     return found
 
@@ -180,4 +180,4 @@ def test_a_comparison_among_several_and_heights_of_what_is_seen_are_told() -> No
 
 
 def test_words_for_looks_are_known_as_they_are() -> None:
-    assert all(look_meant(word) is None for word in SINGLE_WORDS)
+    assert all(attribute_meant(word) is None for word in SINGLE_WORDS)

@@ -11,7 +11,7 @@ from pipeline.language.cursor import Cursor
 from pipeline.language.name_lookup import is_packed
 from pipeline.language.naming import default_synonyms, is_compound, key_of, known_words, singular
 from pipeline.language.normal import normal_form
-from pipeline.language.spelling import look_meant
+from pipeline.language.spelling import attribute_meant
 from pipeline.language.tokens import Token
 from pipeline.language.tree import Choice, Role
 
@@ -38,7 +38,7 @@ class DraftPhrase:
         self.choices.append(Choice(order, rank, text))  # type: ignore[arg-type]
 
 
-class LooksReader(Cursor):
+class AttributeReader(Cursor):
     """A cursor that reads attributes."""
 
     def __init__(self, text: str, tokens: Sequence[Token], own: Collection[str] = ()) -> None:
@@ -109,11 +109,11 @@ class LooksReader(Cursor):
             or (self._ends(at + 1) and not draft.predicate)
         ):
             return None
-        meant = look_meant(token.text)
+        meant = attribute_meant(token.text)
         following = self.tokens[at + 1].text if at + 1 < len(self.tokens) else ""
         return None if meant is None or is_compound([meant, following]) else meant
 
-    def _looks_after(self, at: int, end: int, draft: DraftPhrase) -> int:
+    def _attributes_after(self, at: int, end: int, draft: DraftPhrase) -> int:
         """End of the thing before attributes that follow: `something yellow`, `mug small and red`."""
         start = end
         if self.tokens[end].plain in ("to", "for", "by", "as", "of") if end < len(self.tokens) else False:
@@ -141,13 +141,13 @@ class LooksReader(Cursor):
         found = self.match(lexicon.LOOK_AFTER, at)
         if found is None or not self._ends(found[1]):
             return None
-        words, said = found[0]["look"], found[0]["says"] or found[0]["color"]
+        words, color_word = found[0]["look"], found[0]["says"] or found[0]["color"]
         look, (first, _, last) = attribute(words), words.partition(" ")
         if look is None and last and found[0]["color"] and (look := attribute(last)) is not None:
             k = next(k for k in range(at, found[1]) if self.tokens[k].text == first)
             self.left_out[k] = self.tokens[k].start, self.tokens[k].end, "this word was not used"
             words = last
-        if look is None or look.kind != "color" or (not said and (is_name(words) or found[0]["part"])):
+        if look is None or look.kind != "color" or (not color_word and (is_name(words) or found[0]["part"])):
             return None
         return look, words, found[1]
 
