@@ -45,7 +45,7 @@ def printed(run: Callable[[Any], object], command: object, limit: int | None = N
 
 
 @dataclass(frozen=True)
-class Show(Verb):
+class ShowVerb(Verb):
     """Show the labels of a frame's objects, of one object or of a pair, field by field, each with its maker."""
 
     frame: FrameOf
@@ -63,7 +63,7 @@ class Show(Verb):
 
 
 @dataclass(frozen=True)
-class Journal(Verb):
+class JournalVerb(Verb):
     """List corrections, with author, time and reason."""
 
     last: Annotated[int, Field(ge=1, le=1000, description="So many of the newest.")] = 20
@@ -73,7 +73,7 @@ class Journal(Verb):
 
 
 @dataclass(frozen=True)
-class Correct(Verb):
+class CorrectVerb(Verb):
     """Apply edits to the labels, all or none. After somebody else's change of the same value nothing is saved, and
     "conflicts" names the author."""
 
@@ -96,7 +96,7 @@ class Correct(Verb):
 
 
 @dataclass(frozen=True)
-class Confirm(Verb):
+class ConfirmVerb(Verb):
     """Ask, and confirm a pair of the answer as right: from then on answers are judged by the pair."""
 
     frame: FrameOf
@@ -112,7 +112,7 @@ class Confirm(Verb):
 
 
 @dataclass(frozen=True)
-class Undo(Verb):
+class UndoVerb(Verb):
     """Take back this author's newest action, or the one of a group."""
 
     group: Group = None
@@ -123,7 +123,7 @@ class Undo(Verb):
 
 
 @dataclass(frozen=True)
-class Redo(Verb):
+class RedoVerb(Verb):
     """Bring back the action last taken back by this author."""
 
     group: Group = None
@@ -133,5 +133,5 @@ class Redo(Verb):
         return printed(run_redo, cli_labels.RedoCommand(**options, author=found.author, group=self.group))
 
 
-READING: dict[str, type[Verb]] = {"show": Show, "journal": Journal}
-WRITING: dict[str, type[Verb]] = {"correct": Correct, "confirm": Confirm, "undo": Undo, "redo": Redo}
+READING: dict[str, type[Verb]] = {"show": ShowVerb, "journal": JournalVerb}
+WRITING: dict[str, type[Verb]] = {"correct": CorrectVerb, "confirm": ConfirmVerb, "undo": UndoVerb, "redo": RedoVerb}

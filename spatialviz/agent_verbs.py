@@ -16,7 +16,7 @@ from pydantic import ConfigDict, Field
 from pipeline.answering.ask import Trace
 from pipeline.datasets.base import resolve_frame
 from pipeline.diagnosis.answer import Answer
-from pipeline.diagnosis.asking import answer, known_truth, pathless_edits
+from pipeline.diagnosis.asking import answer, frame_truth, pathless_edits
 from pipeline.diagnosis.cases.replay import find_cases, replay_all
 from pipeline.diagnosis.opened import Opened
 from pipeline.diagnosis.whatif import Baseline
@@ -71,7 +71,7 @@ class OpenRun:
         )
         frame, text = found["frame"], found["text"]
         context = opened.pipeline.prepare(frame)
-        truth = known_truth(opened.pipeline, context, opened.labels)
+        truth = frame_truth(opened.pipeline, context, opened.labels)
         return answer(
             opened.pipeline,
             context,
@@ -153,7 +153,7 @@ class Verb:
 
 
 @dataclass(frozen=True)
-class Contents(Verb):
+class ContentsVerb(Verb):
     """List everything open here: datasets, runs and cases by the names used in the other tools; and the frames of a
     dataset."""
 
@@ -179,7 +179,7 @@ class Contents(Verb):
 
 
 @dataclass(frozen=True)
-class Ask(Verb):
+class AskVerb(Verb):
     """Answer an expression on a frame: the ranked pairs of objects with their factors, and the verdict if the truth is
     known. `holds` is false if no pair stands in the relation: the best pair is then the nearest."""
 
@@ -198,7 +198,7 @@ class Ask(Verb):
 
 
 @dataclass(frozen=True)
-class Why(Verb):
+class WhyVerb(Verb):
     """Explain which module failed, with the smallest change to mend it: for an expression on a frame, or for one
     answered by a run, by the id from failures and query."""
 
@@ -221,7 +221,7 @@ class Why(Verb):
 
 
 @dataclass(frozen=True)
-class WhatIf(Verb):
+class WhatIfVerb(Verb):
     """Answer an expression with and without edits: hidden objects, moved boxes, confidences, relations, thresholds.
     Without edits the objects are listed with their keys, used in edits."""
 
@@ -257,7 +257,7 @@ class WhatIf(Verb):
 
 
 @dataclass(frozen=True)
-class Failures(Verb):
+class FailuresVerb(Verb):
     """List failures of a run found by a search, with the reasons. Words of a search: verdict:SRM relation:behind
     class:chair margin<0.1 -lucky sort:margin; without a search all failures."""
 
@@ -290,7 +290,7 @@ class Failures(Verb):
 
 
 @dataclass(frozen=True)
-class Query(Verb):
+class QueryVerb(Verb):
     """Query a run in SQL (DuckDB): the view records, one row for each expression, and labels_frames, labels_objects,
     labels_relations, labels_expressions. `SELECT column_name, column_type FROM (DESCRIBE records)` lists columns."""
 
@@ -311,7 +311,7 @@ class Query(Verb):
 
 
 @dataclass(frozen=True)
-class Replay(Verb):
+class ReplayVerb(Verb):
     """Run saved cases again, and report changed answers and verdicts, those first."""
 
     cases: Annotated[str | None, Field(description="Case, or folder of cases. Default: the first.")] = None
@@ -331,7 +331,7 @@ class Replay(Verb):
 
 
 VERBS: dict[str, type[Verb]] = {
-    "contents": Contents, "ask": Ask, "why": Why, "whatif": WhatIf, "failures": Failures, "query": Query,
-    "replay": Replay,
+    "contents": ContentsVerb, "ask": AskVerb, "why": WhyVerb, "whatif": WhatIfVerb, "failures": FailuresVerb, "query": QueryVerb,
+    "replay": ReplayVerb,
 }  # fmt: skip
 """What only reads."""

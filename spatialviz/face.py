@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.datasets.base import InMemoryDataset
 from pipeline.diagnosis import opened as core
 from pipeline.diagnosis.answer import Answer

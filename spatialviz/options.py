@@ -21,7 +21,7 @@ from pipeline.system.onnx_session import Provider, ProviderWarning, use_executio
 from spatialviz.plain_text import one_line
 
 if TYPE_CHECKING:
-    from pipeline.answering.opening import Pipeline
+    from pipeline.answering.pipeline import Pipeline
     from pipeline.corrections.journal.journal import Journal
     from pipeline.datasets import Dataset
     from pipeline.labels.plan import SourceSpec
@@ -309,7 +309,7 @@ class FramesOptions(ProposalOptions):
     def open(self, dataset: str) -> tuple[Pipeline, tuple[str, ...]]:
         """Dataset with the detector, and the ids of the frames."""
         from pipeline.answering.ask import AskConfig
-        from pipeline.answering.opening import frame_range, open_pipeline
+        from pipeline.answering.pipeline import frame_range, open_pipeline
 
         source = open_pipeline(dataset, srm="rule", config=AskConfig(k=self.k), **self.arguments())
         return source, frame_range(source.dataset, self.frames)
@@ -385,7 +385,7 @@ class SourceOptions(ReaderOptions, ProposalOptions):
 
     def open(self, dataset: str, frame: str | None = None, labels: Labels | None = None) -> Pipeline:
         """Dataset with its models; `frame` is the asked one, `labels` judge the answers."""
-        from pipeline.answering.opening import open_pipeline
+        from pipeline.answering.pipeline import open_pipeline
         from pipeline.datasets.up import told_doubts
         from pipeline.labels.reading import labelled_up
 

@@ -8,13 +8,13 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from pipeline.answering.answer_words import probability, told, why_no_answer
+from pipeline.answering.answer_words import probability, why_no_answer, words_of_answer
 from pipeline.answering.ask import Trace
-from pipeline.answering.asked_names import taken_as, unused_words
+from pipeline.answering.detector_prompts import taken_as, unused_words
 from pipeline.answering.json_records import frame_record, relation_records
 from pipeline.answering.objects import PreparedFrame, all_objects
-from pipeline.answering.opening import FrameRelations, Pipeline, open_pipeline, open_sources, relate_frames
 from pipeline.answering.pair_table import ScoredPair
+from pipeline.answering.pipeline import FrameRelations, Pipeline, open_pipeline, open_sources, relate_frames
 from pipeline.answering.reading_notes import reading_notes
 from pipeline.answering.suggestions import SURE, MissedNames, completions, missed_names
 from pipeline.datasets import Dataset, FrameReport, SurveyCounts, survey, write_settings
@@ -270,7 +270,7 @@ def print_ranking(trace: Trace) -> None:
     pairs = trace.ranking.pairs
     best = pairs[0]
     second = "" if best.second_reference is None else f" and {name(best.second_reference)}"
-    answer = told(trace, name)
+    answer = words_of_answer(trace, name)
     say(
         (answer.lead, "yellow"),
         (name(best.target), "bold dark_orange"),

@@ -10,18 +10,18 @@ import numpy as np
 
 from pipeline.answering.answer_words import NO_SUCH_PAIR, holds, probability
 from pipeline.answering.objects import PreparedFrame, prepare_frame
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.answering.predictions import read_predictions
 from pipeline.datasets.saved_case import MANIFEST
 from pipeline.diagnosis.answer import Answer, answer_record
-from pipeline.diagnosis.asking import answer, edited_verdicts, known_truth
+from pipeline.diagnosis.asking import answer, edited_verdicts, frame_truth
 from pipeline.diagnosis.cases.manifest import ExpectedRecord
 from pipeline.diagnosis.cases.replay import Result, find_cases, replay_all
 from pipeline.diagnosis.cases.saving import open_case, save_case
 from pipeline.diagnosis.whatif import Baseline, Edits, Outcome, edits_record, load_edits, rerun, what_changed
 from pipeline.diagnosis.whatif.asked_pair import asked_pair
 from pipeline.diagnosis.whatif.decision_map import decision_map, map_picture, map_record
-from pipeline.diagnosis.whatif.edit_words import said_edits
+from pipeline.diagnosis.whatif.edit_words import edits_from_words
 from pipeline.diagnosis.whatif.rerun import foreign_keys
 from pipeline.evaluation.run_folder import RUN_FILE, open_run
 from pipeline.labels.reading import Labels, open_labels
@@ -44,7 +44,7 @@ def run_whatif(command: WhatIfCommand) -> int:
     labels = None if command.labels is None else open_labels(command.labels)
     cells = None if command.decision_map is None else command.cells
     baseline = Baseline(source, context, command.expression)
-    edits = said_edits(baseline, edits, command.do, command.on)
+    edits = edits_from_words(baseline, edits, command.do, command.on)
     record, after, picture = whatif_answer(baseline, edits, labels, command.move, cells)
     if command.decision_map is not None and picture is not None:
         write_picture(picture, command.decision_map)
@@ -89,7 +89,7 @@ def run_save_case(command: SaveCaseCommand) -> None:
         source,
         context,
         command.expression,
-        truth=known_truth(source, context, labels),
+        truth=frame_truth(source, context, labels),
         confidence=None if run is None else run.spec.confidence,
         edits=edits,
         run=None if run is None else {"run": str(run.folder)},
@@ -157,7 +157,7 @@ def run_report(command: ReportCommand) -> None:
         source = command.source.open(command.dataset, command.frame)
         context = _one_context(source, command.frame)
         labels = None if command.labels is None else open_labels(command.labels)
-        answered = answer(source, context, command.expression, truth=known_truth(source, context, labels))
+        answered = answer(source, context, command.expression, truth=frame_truth(source, context, labels))
         subject = Subject.of_dataset(
             command.dataset, source, context, command.expression, command.source.words(), labels
         )

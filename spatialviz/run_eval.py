@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 from rich.text import Text
 
-from pipeline.answering.opening import open_pipeline
+from pipeline.answering.pipeline import open_pipeline
 from pipeline.diagnosis.marks import read_marks
 from pipeline.diagnosis.verdict import VERDICTS, shown_verdict
 from pipeline.evaluation.browsing import RunRows
@@ -120,7 +120,7 @@ def run_sentences(command: EvalCommand, path: Path) -> None:
 
 
 def print_sentences(report: SentenceReport, out: Path | None) -> None:
-    """The tables, what was skipped, and where a line for each sentence lies."""
+    """Print the tables, the skipped lines, and the place of the lines' records."""
     for table in report.tables:
         if table.rows:
             print_table(table)
@@ -133,7 +133,7 @@ def print_sentences(report: SentenceReport, out: Path | None) -> None:
 
 
 def _tables(command: EvalCommand) -> Literal["grounding", "relations", "both"]:
-    """What is measured."""
+    """Measured parts: grounding, relations or both."""
     asked = "both" if command.tables == "paper" and command.system == "pipeline" else command.tables
     chosen = ("grounding" if asked == "paper" else asked) or ("both" if command.system == "pipeline" else "grounding")
     if chosen == "grounding" and command.tables != "grounding" and command.relations_of:
@@ -155,7 +155,7 @@ def _tables(command: EvalCommand) -> Literal["grounding", "relations", "both"]:
 
 
 def _relations(command: EvalCommand, options: dict[str, Any]) -> RelationSpec:
-    """How relations are measured; `options` lose the vectors that the run's own scorer has no use for."""
+    """Options of relations alone; `options` lose vectors without use for the run's own scorer."""
     vectors = options["vectors"]
     if vectors is not None and command.relations_of and not uses_language(str(options["srm"])):
         options["vectors"] = None
@@ -215,7 +215,7 @@ def _shown_boxes(answer: dict[str, list[float] | None]) -> str:
 def failures_of(
     command: FailuresCommand, records: pa.Table, second: pa.Table | None
 ) -> tuple[dict[str, Any], Callable[[dict[str, Any]], None]]:
-    """All of `failures --json` of a run's records (and those of `--compare`), and what prints it for people."""
+    """Record of `failures --json` of a run (and of `--compare`), with its printer for people."""
     dimensions = [dimension_named(name) for name in (command.slices or "relation").split(",") if name.strip()]
     need_verdicts(records)
     rows = RunRows(records, command.run_folder, second)
@@ -333,7 +333,7 @@ def run_record(report: RunReport) -> dict[str, Any]:
 
 
 def print_answer(answer: QueryRows) -> int:
-    """Rows as a table, the first ones; how many there were to show."""
+    """Print the first rows as a table; returns their number."""
     rows = list(islice(answer.rows, MOST_SHOWN + 1))
 
     kinds = [{type(value) for value in column} for column in zip(*rows, strict=True)] or [set()] * len(answer.columns)
@@ -354,7 +354,7 @@ def print_json_rows(answer: QueryRows) -> int:
 
 
 def row_records(answer: QueryRows) -> Iterator[dict[str, Any]]:
-    """Rows as `query --json` prints them, one by one."""
+    """Rows as records of `query --json`, one by one."""
     return (dict(zip(answer.columns, map(plain, row), strict=True)) for row in answer.rows)
 
 
@@ -370,7 +370,7 @@ def print_csv(answer: QueryRows) -> int:
 
 
 def plain(value: Any) -> Any:
-    """A value of a database as JSON knows it; what is no number is null."""
+    """Convert a value of a database to JSON; null for what is no number."""
     if value is None or isinstance(value, (str, bool, int)):
         return value
     if isinstance(value, float):
@@ -397,7 +397,7 @@ def print_failures(
     found: pa.Table,
     comparison: Comparison | None,
 ) -> None:
-    """What a search found before verdicts, costs and slices of the run; without a search all that failed after them."""
+    """Print what a search found before verdicts, costs and slices of the run; without a search after them."""
     if comparison is not None:
         print_comparison(comparison, 0)
     if command.search:

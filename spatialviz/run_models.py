@@ -21,7 +21,7 @@ from pipeline.answering.model_catalogue import (
     is_fetched,
     look_around,
 )
-from pipeline.answering.opening import open_pipeline
+from pipeline.answering.pipeline import open_pipeline
 from pipeline.answering.recording import RecordingReport, record_detections
 from pipeline.proposals.mismatch import BOXES, shapes
 from pipeline.proposals.score_calibration import ScoreCalibration, save_calibration

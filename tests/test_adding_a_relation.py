@@ -37,7 +37,7 @@ from pipeline.relations import relations
 
 exec(added["pipeline/relations/relations.py"], vars(relations))
 
-from pipeline.answering.opening import open_pipeline
+from pipeline.answering.pipeline import open_pipeline
 from pipeline.diagnosis.asking import annotated_truth, contexts
 from pipeline.diagnosis.whatif.placement import place_in_region
 from pipeline.diagnosis.whatif.region import region_of

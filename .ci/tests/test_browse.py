@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pipeline.answering.frame_store import FrameStore
-from pipeline.answering.opening import Pipeline, open_pipeline
+from pipeline.answering.pipeline import Pipeline, open_pipeline
 from pipeline.datasets.demo import demo_run
 from pipeline.evaluation.run_folder import Run, open_run
 from spatialviz.app.browse import Browse

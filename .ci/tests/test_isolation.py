@@ -13,7 +13,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.typing import Subprotocol
 
-from pipeline.answering.opening import open_pipeline
+from pipeline.answering.pipeline import open_pipeline
 from spatialviz.app import pages
 from spatialviz.app.channel import end_all
 from spatialviz.app.pages import Gate

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pipeline.answering.frame_store import FrameStore
-from pipeline.answering.opening import Pipeline, open_pipeline
+from pipeline.answering.pipeline import Pipeline, open_pipeline
 from pipeline.datasets.demo import DEMO_EXPRESSION
 from pipeline.diagnosis.whatif.decision_map import decision_map
 from pipeline.diagnosis.whatif.edits import Edits

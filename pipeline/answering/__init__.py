@@ -5,12 +5,21 @@ from pipeline.system.lazy_exports import lazy_exports
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from pipeline.answering.agreement import FrameAgreement, agree_frames, agreement_record, figures
-    from pipeline.answering.answer_words import NO_SUCH_PAIR, best_pair, holds, probability, told, why_no_answer
-    from pipeline.answering.answering import FrameAnswers, StageClock
+    from pipeline.answering.answer_words import (
+        NO_SUCH_PAIR,
+        best_pair,
+        holds,
+        probability,
+        why_no_answer,
+        words_of_answer,
+    )
     from pipeline.answering.ask import AskConfig, Trace
+    from pipeline.answering.batch import FrameAnswers, StageClock
     from pipeline.answering.calibrating import annotated_names, calibrate_scores
-    from pipeline.answering.frame_store import FrameStore, LoadedFrame, PicturesBehind, ToldUp
-    from pipeline.answering.given_places import check_places
+    from pipeline.answering.coordinate_checks import check_places
+    from pipeline.answering.coordinate_conventions import box_2d
+    from pipeline.answering.fitted_ranking import FittedRanking, Scale
+    from pipeline.answering.frame_store import FrameStore, LoadedFrame, PicturesBehind, UpHint
     from pipeline.answering.imported import ImportedPipeline
     from pipeline.answering.json_records import frame_record, relation_records, trace_record
     from pipeline.answering.model_catalogue import describe_file
@@ -23,15 +32,6 @@ if TYPE_CHECKING:
         prepare_frame,
         same_object,
     )
-    from pipeline.answering.opening import (
-        FrameRelations,
-        Pipeline,
-        contexts,
-        frame_range,
-        open_pipeline,
-        open_sources,
-        relate_frames,
-    )
     from pipeline.answering.pair_rules import RunRules
     from pipeline.answering.pair_table import (
         HOLDS,
@@ -43,11 +43,19 @@ if TYPE_CHECKING:
         ScoredPair,
         side,
     )
-    from pipeline.answering.placing import box_2d
+    from pipeline.answering.pipeline import (
+        FrameRelations,
+        Pipeline,
+        contexts,
+        frame_range,
+        open_pipeline,
+        open_sources,
+        relate_frames,
+    )
     from pipeline.answering.predictions import (
-        GivenAnswer,
-        GivenBox,
         Header,
+        PredictedAnswer,
+        PredictedBox,
         Prediction,
         Predictions,
         Proposal,
@@ -56,7 +64,6 @@ if TYPE_CHECKING:
     )
     from pipeline.answering.ranking import Candidates, alone, rank
     from pipeline.answering.recording import record_detections
-    from pipeline.answering.shown_ranking import Scale, ShownRanking
     from pipeline.answering.suggestions import completions, missed_names, suggest_expressions
     from pipeline.answering.tracing import trace
 

@@ -49,7 +49,7 @@ class Layer:
 
 
 def layer_of_proposals(found: Proposals, names: Sequence[str] | None = None) -> Layer:
-    """A detector's proposals as a layer; `names` are those it was asked for."""
+    """Layer of a detector's proposals; `names` are the asked ones."""
     has = np.ones(len(found), np.bool_) if found.has_mask is None else found.has_mask
     masks = tuple(found.masks[i] if found.masks is not None and has[i] else None for i in range(len(found)))
     labels = tuple(found.label(i) for i in range(len(found)))
@@ -89,17 +89,17 @@ class FrameAgreement:
 
     @property
     def only_a(self) -> np.ndarray:
-        """(K,) int64: what only the first found, though the other knows the class; the highest score first."""
+        """(K,) int64: detections of the first alone, of classes that the second knows; the highest score first."""
         return _alone(self.scores_a, self.pairs[:, 0], self.beyond_a)
 
     @property
     def only_b(self) -> np.ndarray:
-        """(K,) int64: what only the second found, though the other knows the class; the highest score first."""
+        """(K,) int64: detections of the second alone, of classes that the first knows; the highest score first."""
         return _alone(self.scores_b, self.pairs[:, 1], self.beyond_b)
 
     @property
     def named_otherwise(self) -> np.ndarray:
-        """(K,) int64: places in `pairs` of things that the two name differently, the highest scores first."""
+        """(K,) int64: indices in `pairs` of things with different names, the highest scores first."""
         found = np.flatnonzero(~self.same)
         return found[np.argsort(-self.pair_scores[found].max(axis=1), kind="stable")]
 
@@ -199,7 +199,7 @@ def _alone(scores: np.ndarray, paired: np.ndarray, beyond: np.ndarray) -> np.nda
 
 
 def figures(found: Iterable[FrameAgreement], synonyms: Synonyms | None = None) -> dict[str, Any]:
-    """Sums over frames as JSON, rounded to 1e-6; `synonyms` as they were compared with.
+    """Sum up frames as JSON, rounded to 1e-6; `synonyms` as in the comparison.
 
     Returns
     -------
@@ -298,7 +298,7 @@ def _classes(frames: list[FrameAgreement], synonyms: Synonyms | None) -> list[di
 def find_layer(
     frame: Frame, detector: Detector, names: Sequence[str] | None = None, synonyms: Synonyms | None = None
 ) -> Layer:
-    """What a detector finds in a frame of the given names, without those that it does not know; None for everything."""
+    """Detect the known ones of the given names in a frame; None for everything."""
     if names is None:
         return layer_of_proposals(detector.detect(frame, None), known_names(detector))
     known = [name for name in names if knows(detector.vocabulary, name, synonyms)]

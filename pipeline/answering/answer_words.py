@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.answering.ask import Trace
-from pipeline.answering.asked_names import unused_words
+from pipeline.answering.detector_prompts import unused_words
 from pipeline.answering.pair_table import HOLDS, Link, ScoredPair
 from pipeline.answering.ranking import Candidates, Ranking
 from pipeline.language.lexicon import wording
@@ -25,7 +25,7 @@ TIED = 5e-4
 
 
 @dataclass(frozen=True)
-class ToldAnswer:
+class AnswerWords:
     """Best pair in words."""
 
     # holds: Every relation of the answer has a probability of at least a half; None where that is so of a question that
@@ -79,8 +79,8 @@ def why_no_answer(trace: Trace) -> str | None:
     if len(trace.tied) > 1:
         several = ", ".join(trace.name(k) for k in trace.tied[:SEVERAL]) + (", …" if len(trace.tied) > SEVERAL else "")
         unused = " and ".join(f"'{words}' ({why})" for words, why in unused_words(trace.query))
-        told = f"; not used: {unused}" if unused else ""
-        return f"{len(trace.tied)} things fit '{trace.query.text}' equally well: {several}{told}"
+        left_out = f"; not used: {unused}" if unused else ""
+        return f"{len(trace.tied)} things fit '{trace.query.text}' equally well: {several}{left_out}"
     if trace.ranking is None or trace.ranking.degenerate:
         return f"in frame {trace.frame.id} there are not enough different objects for all names of the expression"
     return None
@@ -91,7 +91,7 @@ def failing_links(pair: ScoredPair) -> tuple[Link, ...]:
     return tuple(link for link in pair.links if link.probability < HOLDS)
 
 
-def told(trace: Trace, name: Callable[[int], str], pair: ScoredPair | None = None) -> ToldAnswer:
+def words_of_answer(trace: Trace, name: Callable[[int], str], pair: ScoredPair | None = None) -> AnswerWords:
     """Words of an answer, or of another pair.
 
     Parameters
@@ -110,7 +110,7 @@ def told(trace: Trace, name: Callable[[int], str], pair: ScoredPair | None = Non
     fails = [f"{link_words(link, name)} {probability(link.probability)}" for link in failing_links(pair) if several]
     fails += [f"{name(f.object)} {f.text} {probability(f.probability)}" for f in pair.factors if not f.holds]
     factors = {what: probability(p) for what, p in headline(pair, trace.own_scores)}
-    return ToldAnswer(
+    return AnswerWords(
         holds=stands(trace, pair),
         lead="" if trace.answered else _lead(trace, ranking, pair),
         numbers=trace.answered or ", ".join(f"{what} {p}" for what, p in factors.items()),
@@ -127,8 +127,8 @@ def headline(pair: ScoredPair, own_scores: bool = False) -> tuple[tuple[str, flo
     relation = "weakest relation" if len(pair.links) > 1 else "relation"
     asked = ((relation, pair.relation_probability),) if pair.reference is not None else ()
     attributes = (("attributes", pair.p_attributes),) if pair.factors else ()
-    told = (*asked, *attributes)
-    return told if told and own_scores else (*told, ("product", pair.product))
+    numbers = (*asked, *attributes)
+    return numbers if numbers and own_scores else (*numbers, ("product", pair.product))
 
 
 def pair_words(trace: Trace, pair: ScoredPair, name: Callable[[int], str]) -> str:

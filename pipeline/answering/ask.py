@@ -9,7 +9,7 @@ from time import perf_counter
 
 import numpy as np
 
-from pipeline.answering.asked_names import detections
+from pipeline.answering.detector_prompts import detections
 from pipeline.answering.evidence import SceneEvidence
 from pipeline.answering.objects import PreparedFrame, SceneObject, appearance_of, same_object
 from pipeline.answering.pair_table import TIE, ScoredPair

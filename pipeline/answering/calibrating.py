@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.datasets.base import scene_of
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Frame

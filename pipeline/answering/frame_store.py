@@ -18,7 +18,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects, prepare_frame
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.datasets import Dataset
 from pipeline.datasets.base import load_picture, scene_of
 from pipeline.datasets.camera_plan import CameraPlan, camera_plan
@@ -45,7 +45,7 @@ Key: TypeAlias = tuple[str, str]
 
 
 @dataclass(frozen=True)
-class ToldUp:
+class UpHint:
     """Level surface pointed out by a person: its pixel, and up there in the camera frame."""
 
     frame_id: str
@@ -65,7 +65,7 @@ class LoadedFrame:
     context: PreparedFrame
     objects: tuple[SceneObject, ...]  # Everything the detector finds in it; empty without a detector
     problem: str = ""  # Why a detector could not be asked about this frame
-    told: ToldUp | None = None  # What was said of up since the program began
+    told: UpHint | None = None  # What was said of up since the program began
     doubt: str = ""  # What speaks against its depth, with the command that looks into it; empty where nothing does
     _thumbs: dict[bytes, bytes] = field(default_factory=dict, repr=False, compare=False)
     _painted: WeakValueDictionary[Hashable, np.ndarray] = field(
@@ -130,7 +130,7 @@ class FrameStore:
         self._ahead: OrderedDict[Key, Callable[[LoadedFrame], object] | None] = OrderedDict()
         self._ahead_runs = False
         self._lock = threading.Lock()
-        self.told: dict[str, ToldUp] = {}
+        self.told: dict[str, UpHint] = {}
         """By source what was said last of its up."""
         self._untold: dict[str, Dataset] = {}
 
@@ -237,7 +237,7 @@ class FrameStore:
         while (making is None or not making.wanted) and self._busy() and threading.main_thread().is_alive():
             time.sleep(YIELD_SECONDS)
 
-    def tell_up(self, source: str, told: ToldUp | None) -> None:
+    def set_up_hint(self, source: str, told: UpHint | None) -> None:
         """Set up of a pipeline, for every later load; None takes back all."""
         with self._lock:
             opened = self.sources[source]

@@ -17,8 +17,9 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from pipeline.answering.ask import AskConfig
+from pipeline.answering.coordinate_conventions import box_2d, box_3d
+from pipeline.answering.fitted_scorer import FittedScorer
 from pipeline.answering.objects import PreparedFrame, SceneObject
-from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.answering.pair_rules import (
     Rescore,
     RuledConfig,
@@ -28,9 +29,8 @@ from pipeline.answering.pair_rules import (
     line_rule,
     missing_row,
 )
-from pipeline.answering.placing import box_2d, box_3d
+from pipeline.answering.pipeline import Pipeline, open_pipeline
 from pipeline.answering.predictions import Prediction, Predictions, Proposal, read_predictions
-from pipeline.answering.shown_scorer import ShownScorer
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.frame import Frame
 from pipeline.language.expression import parse
@@ -40,8 +40,8 @@ from pipeline.language.tree import Query
 from pipeline.proposals.base import Proposals, no_proposals
 from pipeline.proposals.class_names import meant_names
 from pipeline.relations import make_scorer
-from pipeline.relations.given import GivenRelations
 from pipeline.relations.scorer import RelationScorer
+from pipeline.relations.supplied import SuppliedRelations
 from pipeline.system.errors import InputError, UnknownClass, require
 from pipeline.system.reading import checked
 
@@ -51,7 +51,7 @@ def label_of(predictions: Predictions) -> str:
     return f"{predictions.header.system} (imported, level {predictions.level})"
 
 
-class GivenDetector:
+class ImportedDetector:
     """Detector giving the proposals of a line; without a line those of all lines of the frame.
 
     `below`: `detect_with_dropped` holds also what was below the minimum score; `final`: what is given goes on as it is:
@@ -152,11 +152,11 @@ def alike(a: Box3D, b: Box3D) -> bool:
     return all(np.allclose(x, y, atol=1e-6) for x, y in ((a.center, b.center), (a.R, b.R), (a.size, b.size)))
 
 
-def scorer_of(predictions: Predictions, line: Prediction | None, stand_in: RelationScorer) -> GivenRelations:
+def scorer_of(predictions: Predictions, line: Prediction | None, stand_in: RelationScorer) -> SuppliedRelations:
     """Relation probabilities of a line, and for missing pairs those of a stand-in, asked again if their origin."""
     relations = {} if line is None or line.relations is None else line.relations
     name = stand_in.name if line is not None and line.relations is None else label_of(predictions)
-    return GivenRelations(relations, stand_in, name, predictions.header.scorer is not None)
+    return SuppliedRelations(relations, stand_in, name, predictions.header.scorer is not None)
 
 
 def file_of(source: Pipeline) -> Predictions:
@@ -199,14 +199,14 @@ class ImportedPipeline(Pipeline):
             )
         if line is self.line:
             return self
-        detector = GivenDetector(file, line)
-        assert isinstance(self.scorer, GivenRelations)
+        detector = ImportedDetector(file, line)
+        assert isinstance(self.scorer, SuppliedRelations)
         scorer = scorer_of(file, line, self.scorer.stand_in)
         rule = line_rule(self.rules, file.header, line, self.rescore)
         config = self.config
         if rule is not None:
             config = replace(config, rank=RuledConfig(**vars(config.rank), pairs=rule))
-        below = GivenDetector(file, line, below=True)
+        below = ImportedDetector(file, line, below=True)
         reader = _given_reader(line, label_of(file)) if line.relation and line.target else self.reader
         return replace(
             self,
@@ -262,9 +262,9 @@ def open_imported(predictions: Path, dataset: Any, **options: Any) -> ImportedPi
                 path=read.path,
             )
     named = read.header.scorer
-    scorer = ShownScorer(read, source.dataset) if named is None else make_scorer(named, options.get("vectors"))
+    scorer = FittedScorer(read, source.dataset) if named is None else make_scorer(named, options.get("vectors"))
     return ImportedPipeline(
-        source.dataset, GivenDetector(read), scorer_of(read, None, scorer), config_of(read), source.synonyms,
+        source.dataset, ImportedDetector(read), scorer_of(read, None, scorer), config_of(read), source.synonyms,
         predictions=read, rescore=rescore,
     )  # fmt: skip
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from pipeline.answering.answer_words import asked_in_part, best_pair, failing_links, holds, stands, why_no_answer
 from pipeline.answering.ask import Trace
-from pipeline.answering.asked_names import taken_as, unused_words
+from pipeline.answering.detector_prompts import taken_as, unused_words
 from pipeline.answering.objects import SceneObject
-from pipeline.answering.opening import FrameRelations
 from pipeline.answering.pair_table import Link, ScoredPair
+from pipeline.answering.pipeline import FrameRelations
 from pipeline.answering.reading_notes import reading_notes
 from pipeline.answering.worked_out import worked_out
 from pipeline.datasets.frame_reports import FrameReport

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.answering.fitted_ranking import SCALES, FittedRanking, Scale
 from pipeline.answering.pair_table import MIN_RELATION, MIN_SCORE, RankConfig, Side
-from pipeline.answering.predictions import GivenAnswer, Header, Prediction, Predictions
-from pipeline.answering.shown_ranking import SCALES, Scale, ShownRanking
+from pipeline.answering.predictions import Header, PredictedAnswer, Prediction, Predictions
 from pipeline.language.expression import parse
 from pipeline.language.naming import match
 from pipeline.system.errors import InputError, require
@@ -109,7 +109,7 @@ def _read(text: str, names: tuple[str, ...]) -> tuple[str, str, str] | None:
 class RunRules:
     """Ranking rule shown by the lines of a file together."""
 
-    shown: ShownRanking | None
+    shown: FittedRanking | None
     # true_scores: What is high and low for a thing by this file: of what nothing ever had, no score is known
     true_scores: tuple[float, float]
 
@@ -127,7 +127,7 @@ class RunRules:
         if not compared:
             return RunRules(None, RankConfig().true_scores)
         high, low = np.quantile(np.concatenate([factors for factors, _, _ in compared])[:, :2], [0.8, 0.05])
-        return RunRules(ShownRanking.of(compared), (float(high), float(low)))
+        return RunRules(FittedRanking.of(compared), (float(high), float(low)))
 
 
 def _told_scores(header: Header, line: Prediction, factors: Factors) -> dict[Pair, float]:
@@ -162,7 +162,7 @@ class PairRule:
     answered: str | None = None
     scored: bool = False  # `given` are scores of the file
     # first: What was answered, where it is still to be put first among the pairs that are two things: `among`
-    first: GivenAnswer | None = None
+    first: PredictedAnswer | None = None
     # ids: (N,) int64: of the list of objects that the table of pairs is about
     ids: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
 
@@ -178,7 +178,7 @@ class PairRule:
         first = self.first
         if first is None and self.scored and scores:
             # Scores may be so small that their differences are not seen.
-            first = GivenAnswer(*max(scores, key=scores.__getitem__))
+            first = PredictedAnswer(*max(scores, key=scores.__getitem__))
         if first is None or not any(_answers(first, pair) for pair in self.given):
             return self
         put = _answered_first(first, scores, 0.0 if self.scored else 1.0)
@@ -303,12 +303,12 @@ def _unscored_last(told: dict[Pair, float], factors: Factors) -> dict[Pair, floa
     return {**dict.fromkeys(factors, least - STEP * (abs(least) or 1.0)), **told}
 
 
-def _answers(answer: GivenAnswer, pair: Pair) -> bool:
+def _answers(answer: PredictedAnswer, pair: Pair) -> bool:
     """True for an answer meaning a pair."""
     return pair[0] == answer.object and (answer.reference is None or pair[1] in (-1, answer.reference))
 
 
-def _answered_first(answer: GivenAnswer, scores: dict[Pair, float], ahead: float) -> dict[Pair, float]:
+def _answered_first(answer: PredictedAnswer, scores: dict[Pair, float], ahead: float) -> dict[Pair, float]:
     """Scores with the answer first: its best pair raised over a tie, and by `ahead` from below others. Only the system
     knows the answered one of equal pairs."""
     own = [pair for pair in scores if _answers(answer, pair)]
@@ -333,7 +333,7 @@ def _product(header: Header, ids: np.ndarray, factors: np.ndarray) -> np.ndarray
     return logs @ np.array([w.target, w.reference, w.relation])
 
 
-def _shown(shown: ShownRanking, ids: np.ndarray, factors: np.ndarray) -> np.ndarray:
+def _shown(shown: FittedRanking, ids: np.ndarray, factors: np.ndarray) -> np.ndarray:
     pairs = ids.reshape(-1, 2)
     return shown.sums(_scenes(factors, len(pairs)), pairs).reshape(factors.shape[:-1])
 

@@ -98,7 +98,7 @@ class Proposal:
 
 
 @dataclass(frozen=True)
-class GivenBox:
+class PredictedBox:
     """3D box: center, size and rotation, or eight corners in any order; in the header's frame and unit."""
 
     __pydantic_config__ = _STRICT
@@ -112,7 +112,7 @@ class GivenBox:
 
 
 @dataclass(frozen=True)
-class GivenAnswer:
+class PredictedAnswer:
     """Answer in a single form; with an object also its reference."""
 
     __pydantic_config__ = _STRICT
@@ -134,7 +134,7 @@ class Prediction:
 
     frame: Name  # Id of the dataset's frame
     text: Name
-    answer: GivenAnswer | None = None  # None where there is none, or where the ranking that the file gives says it
+    answer: PredictedAnswer | None = None  # None where there is none, or where the ranking that the file gives says it
     problem: str | None = None  # Why there is none
     # target, relation, reference: How the system read the words, where it did; else ours reads them
     target: Name | None = None
@@ -142,8 +142,8 @@ class Prediction:
     reference: Name | None = None
     proposals: dict[Name, tuple[Proposal, ...]] | None = None  # By the name that was asked; from level 1 on
     unknown: dict[Name, str] | None = None  # Names that the detector could not be asked for, and why
-    # boxes_3d: dict of int to GivenBox: by id, null where an object has none; from level 2 on
-    boxes_3d: dict[Key, GivenBox | None] | None = None
+    # boxes_3d: dict of int to PredictedBox: by id, null where an object has none; from level 2 on
+    boxes_3d: dict[Key, PredictedBox | None] | None = None
     # relations: P("a RELATION b") by relation; from level 3 on. Of "between" rows of three objects.
     relations: dict[str, tuple[Row, ...]] | None = None
     attributes: dict[Name, tuple[tuple[Id, Share], ...]] | None = None  # P(attribute | object) by attribute ("red")
@@ -172,7 +172,13 @@ class Prediction:
         return {p.id: p for p in reversed(every)}
 
 
-_INSIDE = {"weights": Weights, "answer": GivenAnswer, "proposals": Proposal, "boxes_3d": GivenBox, "mask": RunLength}
+_INSIDE = {
+    "weights": Weights,
+    "answer": PredictedAnswer,
+    "proposals": Proposal,
+    "boxes_3d": PredictedBox,
+    "mask": RunLength,
+}
 
 
 def fields_beside(kind: type, place: tuple[Any, ...]) -> Iterable[str]:

@@ -20,9 +20,9 @@ from pydantic import TypeAdapter
 from pipeline.answering.prediction_events import joined_events
 from pipeline.answering.prediction_schema import (
     VERSION,
-    GivenAnswer,
-    GivenBox,
     Header,
+    PredictedAnswer,
+    PredictedBox,
     Prediction,
     Proposal,
     Weights,
@@ -36,8 +36,8 @@ from pipeline.system.whole_files import sha256_of, whole_file
 
 __all__ = [
     "VERSION",
-    "GivenAnswer",
-    "GivenBox",
+    "PredictedAnswer",
+    "PredictedBox",
     "Header",
     "Prediction",
     "PredictionWriter",
@@ -107,7 +107,7 @@ class Predictions:
         """Lines of a frame, in order."""
         return tuple(self._by_frame.get(frame, ()))
 
-    def box_of(self, frame: str, i: int) -> GivenBox | None:
+    def box_of(self, frame: str, i: int) -> PredictedBox | None:
         """3D box of an object, by any line of its frame."""
         return self._boxes.get((frame, i))
 
@@ -128,7 +128,7 @@ class Predictions:
         return found
 
     @cached_property
-    def _boxes(self) -> dict[tuple[str, int], GivenBox | None]:
+    def _boxes(self) -> dict[tuple[str, int], PredictedBox | None]:
         return {(line.frame, i): box for line in self.lines.values() for i, box in (line.boxes_3d or {}).items()}
 
     def where(self, line: Prediction, field: str) -> str:
@@ -149,7 +149,7 @@ def read_predictions(path: str | Path) -> Predictions:
     header = next(lines)[1]
     assert isinstance(header, Header)
     seen: dict[tuple[str, int], tuple[int, Proposal]] = {}
-    boxes: dict[tuple[str, int], tuple[int, GivenBox | None]] = {}
+    boxes: dict[tuple[str, int], tuple[int, PredictedBox | None]] = {}
     found: dict[tuple[str, str], Prediction] = {}
     numbers, asked = dict[tuple[str, str], int](), dict[tuple[str, str], int]()
     for number, line in lines:
@@ -317,7 +317,7 @@ def _agree(
     line: Prediction,
     number: int,
     seen: dict[tuple[str, int], tuple[int, Proposal]],
-    boxes: dict[tuple[str, int], tuple[int, GivenBox | None]],
+    boxes: dict[tuple[str, int], tuple[int, PredictedBox | None]],
     path: Path,
 ) -> None:
     """Add a line's statements on objects to those of its frame; InputError for a contradiction."""

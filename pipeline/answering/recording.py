@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import encode_run_length
 from pipeline.proposals.base import Detector, Proposals, top_k

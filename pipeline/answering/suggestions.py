@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.answering.ask import Trace
-from pipeline.answering.asked_names import name_for
+from pipeline.answering.detector_prompts import name_for
 from pipeline.answering.objects import SceneObject
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.expression import parse
 from pipeline.language.naming import normal_form

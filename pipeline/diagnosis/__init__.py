@@ -15,9 +15,9 @@ if TYPE_CHECKING:
         annotated_truth,
         ask_and_judge,
         edited_verdicts,
+        frame_truth,
         judge_sentence,
         judge_trace,
-        known_truth,
         labelled_truth,
     )
     from pipeline.diagnosis.cases.replay import Result, find_cases, replay_all
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from pipeline.diagnosis.whatif.asked_pair import AskedPair, asked_pair
     from pipeline.diagnosis.whatif.changes import each_edit, without_edit
     from pipeline.diagnosis.whatif.decision_map import decision_map, map_record
-    from pipeline.diagnosis.whatif.edit_words import edited_by, said_edits
+    from pipeline.diagnosis.whatif.edit_words import edit_from_words, edits_from_words
     from pipeline.diagnosis.whatif.placement import SMALLEST_SIDE, box_numbers
     from pipeline.diagnosis.whatif.rerun import foreign_keys
     from pipeline.diagnosis.whatif.shown import shown_objects

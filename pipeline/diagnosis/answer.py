@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from pipeline.answering.answer_words import holds, pair_words, told, why_no_answer
+from pipeline.answering.answer_words import holds, pair_words, why_no_answer, words_of_answer
 from pipeline.answering.ask import Trace
 from pipeline.answering.json_records import present, trace_record
 from pipeline.answering.objects import SceneObject
@@ -89,7 +89,7 @@ class Answer(InNotebook):
             return self.problem or "no answer"
         if not self.pairs:
             return why_no_answer(trace) or "no answer"
-        return told(trace, trace.name).sentence(pair_words(trace, self.pairs[0], trace.name))
+        return words_of_answer(trace, trace.name).sentence(pair_words(trace, self.pairs[0], trace.name))
 
     @property
     def verdict(self) -> str | None:

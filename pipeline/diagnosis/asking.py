@@ -11,11 +11,11 @@ from typing import Any, Protocol
 import numpy as np
 
 from pipeline.answering.answer_words import asked_in_part, best_pair
-from pipeline.answering.answering import FrameAnswers
 from pipeline.answering.ask import Trace
-from pipeline.answering.asked_names import unused_words
+from pipeline.answering.batch import FrameAnswers
+from pipeline.answering.detector_prompts import unused_words
 from pipeline.answering.objects import PreparedFrame, all_objects
-from pipeline.answering.opening import FrameUnusable, Pipeline, Skipped, contexts, skip_or_raise
+from pipeline.answering.pipeline import FrameUnusable, Pipeline, Skipped, contexts, skip_or_raise
 from pipeline.answering.ranking import RankConfig
 from pipeline.datasets.base import scene_of
 from pipeline.diagnosis.answer import Answer, Edited
@@ -47,7 +47,7 @@ class JudgedAs(Protocol):
     def confidence(self) -> float | None: ...
 
 
-def known_truth(source: Pipeline, context: PreparedFrame, labels: Labels | None = None) -> FrameCases | None:
+def frame_truth(source: Pipeline, context: PreparedFrame, labels: Labels | None = None) -> FrameCases | None:
     """Truth of a frame: by labels where given, else by its annotations; None without annotations.
 
     Raises
@@ -77,7 +77,7 @@ def ask_and_judge(
     Parameters
     ----------
     key : str or int
-        As for `pipeline.answering.opening.contexts`.
+        As for `pipeline.answering.pipeline.contexts`.
     labels : Labels, optional
         What says what is true. By default the frame's annotations do.
     skipped : callable, optional
@@ -99,9 +99,9 @@ def ask_and_judge(
 
 
 def truth_or_reason(source: Pipeline, context: PreparedFrame, labels: Labels | None) -> FrameCases | str | None:
-    """Truth of a frame by `known_truth`, or the reason for none."""
+    """Truth of a frame by `frame_truth`, or the reason for none."""
     try:
-        return known_truth(source, context, labels)
+        return frame_truth(source, context, labels)
     except InputError as error:
         return str(error)
 
@@ -176,7 +176,7 @@ def answer(
     source.needed_detector()
     rank: RankConfig | None = None
     try:
-        trace = source.asked(context.frame.id, text).ask(context, text)
+        trace = source.ask(context, text)
     except ServerError:
         raise  # Nothing is told about the expression.
     except InputError as error:

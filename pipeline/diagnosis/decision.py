@@ -37,9 +37,15 @@ from math import prod
 import numpy as np
 
 from pipeline.diagnosis.frame_evidence import FrameEvidence
-from pipeline.diagnosis.imported_answers import against, by_rule, decided_given, to_blame, untold
+from pipeline.diagnosis.imported_answers import (
+    blamed_alone,
+    blamed_together,
+    judge_foreign_ranking,
+    judge_without_ranking,
+    unavailable_oracles,
+)
+from pipeline.diagnosis.minimal_repair import FactorRepair, factor_repairs
 from pipeline.diagnosis.missed import not_proposed
-from pipeline.diagnosis.needed import Needed, needed_changes
 from pipeline.diagnosis.oracles import (
     ATTRIBUTE,
     CONF,
@@ -92,7 +98,7 @@ def diagnose(
 
 def _decided(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | None) -> Diagnosis:
     if (line := getattr(evidence.answers.source, "line", None)) is not None and not line.ranked:
-        return decided_given(evidence, case, parse_ok, mark)
+        return judge_without_ranking(evidence, case, parse_ok, mark)
     found = substitute(evidence, case)
     pair, alone = found.pair(), found.alone()
     winner = None if pair is None else found.pair_at(int(found.winners[0]))
@@ -116,7 +122,7 @@ def _decided(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | No
         needed=_needed(found, case, right) if lost and right is not None else (),
         pseudo=_pseudo(evidence, found, [p for p in (pair, index) if p is not None]),
         gold=parse_ok,
-        untold=untold(evidence, case, parse_ok),
+        untold=unavailable_oracles(evidence, case, parse_ok),
         case=case,
         evidence=evidence,
     )
@@ -135,7 +141,7 @@ def _decided(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | No
     unproposed = not_proposed(evidence, case, found, diagnosis)
     if unproposed is not None:
         return unproposed
-    if found.table.config.rule is not None and (ranked := by_rule(found, diagnosis)) is not None:
+    if found.table.config.rule is not None and (ranked := judge_foreign_ranking(found, diagnosis)) is not None:
         return ranked
     flips = [bit for bit in FLIPS if bit < found.subsets and found.mends(bit)]
     verdict, detail, repair = _flipped(found, diagnosis, flips)
@@ -143,12 +149,12 @@ def _decided(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | No
     return replace(diagnosis, verdict=verdict, detail=detail, repair=names_of(repair), mends=mends)
 
 
-def _needed(found: OracleScores, case: Case, right: int) -> tuple[Needed, ...]:
+def _needed(found: OracleScores, case: Case, right: int) -> tuple[FactorRepair, ...]:
     winner = int(found.winners[0])
     if found.table.config.rule is not None:
         return ()
     if case.meant is None:
-        return needed_changes(found.plain, winner, right)
+        return factor_repairs(found.plain, winner, right)
     if case.meant.chooses:
         # Which thing is chosen depends on all others: no factor has a say by itself.
         return ()
@@ -157,7 +163,7 @@ def _needed(found: OracleScores, case: Case, right: int) -> tuple[Needed, ...]:
         for at in (right, winner)
     )
     looks = (ours, theirs) if case.meant.root.attributes else None
-    return needed_changes(found.plain, winner, right, looks)
+    return factor_repairs(found.plain, winner, right, looks)
 
 
 def _flipped(found: OracleScores, diagnosis: Diagnosis, flips: list[int]) -> tuple[str, str | None, int]:
@@ -172,13 +178,13 @@ def _flipped(found: OracleScores, diagnosis: Diagnosis, flips: list[int]) -> tup
                 return "SRM", "CHOICE", 0
         if smallest is None:
             return "PRM", "DEGENERATE", 0
-        alone = against(found, diagnosis, [bit for bit in FLIPS if bit & smallest])
+        alone = blamed_together(found, diagnosis, [bit for bit in FLIPS if bit & smallest])
         if len(alone) != 1:
             return "COMPOUND", "+".join(names_of(smallest)), smallest
         flips, repair = alone, smallest
     else:
         repair = 0
-    margin = {bit: found.decided_margin(bit) for bit in to_blame(found, diagnosis, flips)}
+    margin = {bit: found.decided_margin(bit) for bit in blamed_alone(found, diagnosis, flips)}
     farthest = max(margin.values())
     chosen = next(bit for bit, m in margin.items() if m >= farthest - SAME_MARGIN)
     if chosen == CONF:

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.answering.answering import FrameAnswers
+from pipeline.answering.batch import FrameAnswers
+from pipeline.answering.coordinate_conventions import box_2d, try_box
 from pipeline.answering.objects import SAME_BOX_IOU, PreparedFrame, SceneObject
-from pipeline.answering.placing import box_2d, try_box
 from pipeline.answering.predictions import Predictions
 from pipeline.geometry.boxes import Box3D, iou_2d
 from pipeline.geometry.lifting import LiftedObject, Quality, extents, lift

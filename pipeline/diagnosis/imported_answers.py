@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from pipeline.answering.coordinate_conventions import box_2d, pixel_scale
+from pipeline.answering.imported import file_of, line_of
 from pipeline.answering.pair_rules import missing_row
-from pipeline.answering.placing import box_2d, pixel_scale
 from pipeline.answering.predictions import Prediction, Predictions
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.missed import NEAR_MISS, not_proposed
@@ -27,10 +28,10 @@ FEWEST_ALIKE, ALIKE = 3, 0.05
 """A relation says nothing whose probabilities of all pairs, so many or more, lie within this."""
 
 
-def untold(evidence: FrameEvidence, case: Case, gold: bool) -> dict[str, str]:
+def unavailable_oracles(evidence: FrameEvidence, case: Case, gold: bool) -> dict[str, str]:
     """Oracles without a basis in a line of predictions, with the reasons; none for our own answers."""
     source = evidence.answers.source
-    line: Prediction | None = getattr(source, "line", None)
+    line = source.line
     if line is None:
         return {}
     nothing = answers_nothing(line)
@@ -46,7 +47,7 @@ def untold(evidence: FrameEvidence, case: Case, gold: bool) -> dict[str, str]:
         why = "what the ranking goes by is not given, and does not show"
     if why:
         return dict.fromkeys(ORACLES, why)
-    predictions: Predictions = source.predictions  # type: ignore[attr-defined]
+    predictions = file_of(source)
     boxed = [predictions.box_of(line.frame, i) is not None for i in line.objects]
     if line.boxes_3d is None if not boxed else not any(boxed):
         return dict.fromkeys(("RECALL", "LIFT"), "no 3D boxes are given")
@@ -91,11 +92,10 @@ def answered_overlap(line: Prediction, predictions: Predictions, truth: FrameCas
     return found
 
 
-def decided_given(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | None) -> Diagnosis:
+def judge_without_ranking(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | None) -> Diagnosis:
     """Verdict on an answer without a ranking: levels 0 to 2, and lines without an answer."""
     source = evidence.answers.source
-    line: Prediction = source.line  # type: ignore[attr-defined]
-    predictions: Predictions = source.predictions  # type: ignore[attr-defined]
+    line, predictions = line_of(source), file_of(source)
     truth, frame = evidence.truth, evidence.answers.context.frame
     overlap = answered_overlap(line, predictions, truth, frame)
     hits, pairs = overlap >= HIT, truth.acceptable_pairs(case)
@@ -104,7 +104,7 @@ def decided_given(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str
     fits = bool((pairs & hits[:, None] & ends[None]).any())
     diagnosis = Diagnosis(
         verdict="", detail=None, lucky=False, repair=(), right_with=None, margins=np.full(SUBSETS, np.nan),
-        winner=None, right=None, gold=parse_ok, untold=untold(evidence, case, parse_ok), case=case, evidence=evidence,
+        winner=None, right=None, gold=parse_ok, untold=unavailable_oracles(evidence, case, parse_ok), case=case, evidence=evidence,
     )  # fmt: skip
     if hits[case.target_object] or (line.answer is not None and line.answer.yes):
         return replace(diagnosis, verdict="CORRECT", lucky=reference is not None and not fits)
@@ -166,7 +166,7 @@ def _misplaced(evidence: FrameEvidence, found: OracleScores, line: Prediction) -
     return denied or bool(held.any() and (true[pair][held] < HIT).all())
 
 
-def by_rule(found: OracleScores, diagnosis: Diagnosis) -> Diagnosis | None:
+def judge_foreign_ranking(found: OracleScores, diagnosis: Diagnosis) -> Diagnosis | None:
     """Verdict on a right pair that lost by a foreign ranking at fault, or beyond judgement; None leaves the decision to
     the oracles."""
     rule, table = found.table.config.rule, found.table
@@ -212,7 +212,7 @@ def _outdone(found: OracleScores) -> bool:
     return bool(((more >= 0).all(axis=0) & (more > 0).any(axis=0)).any())
 
 
-def against(found: OracleScores, diagnosis: Diagnosis, bits: Sequence[int]) -> list[int]:
+def blamed_together(found: OracleScores, diagnosis: Diagnosis, bits: Sequence[int]) -> list[int]:
     """Oracles to blame, among those mending an imported answer only together.
 
     Confidences in favour of the right pair are left out, and so is the source of its relation where in favour; of
@@ -240,7 +240,7 @@ def _denied(found: OracleScores) -> bool:
     return bool(mine > its or mine > HIT > true_mine or its < HIT < true_its)
 
 
-def to_blame(found: OracleScores, diagnosis: Diagnosis, flips: Sequence[int]) -> list[int]:
+def blamed_alone(found: OracleScores, diagnosis: Diagnosis, flips: Sequence[int]) -> list[int]:
     """Oracles to blame, among those mending an answer alone; of an imported ranking a single one.
 
     A factor in favour of the right pair is not to blame, though a surer truth would have helped. Of the others the

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.answering.answer_words import best_pair
-from pipeline.answering.imported import ImportedPipeline
 from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.answering.suggestions import SURE, suggest_expressions
 from pipeline.labels.cases import Case, FrameCases
 from pipeline.language.naming import match
@@ -56,7 +55,7 @@ def offers_of(
     count : int
         Questions, at most.
     """
-    if isinstance(source, ImportedPipeline):
+    if source.predictions is not None:
         lines = source.predictions.of_frame(context.frame.id)
         names = {name for line in lines for name in line.proposals or {}}
         return Offers(tuple(sorted(names)), tuple(line.text for line in lines[:count]), "the file of predictions")
@@ -91,7 +90,7 @@ def first_question(source: Pipeline, context: PreparedFrame, questions: Sequence
     """First question with an answer; empty for none."""
     for text in questions:
         try:
-            trace = source.asked(context.frame.id, text).ask(context, text)
+            trace = source.ask(context, text)
         except InputError:
             continue
         if best_pair(trace) is not None or trace.answered is not None:

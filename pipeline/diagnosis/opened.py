@@ -8,9 +8,9 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
+from pipeline.answering.coordinate_conventions import box_at_hand
 from pipeline.answering.objects import PreparedFrame
-from pipeline.answering.opening import Pipeline, open_pipeline
-from pipeline.answering.placing import box_at_hand
+from pipeline.answering.pipeline import Pipeline, open_pipeline
 from pipeline.datasets import Dataset, resolve_frame
 from pipeline.datasets.base import Frames, InMemoryDataset
 from pipeline.diagnosis.answer import Answer
@@ -20,7 +20,7 @@ from pipeline.labels.cases import FrameCases
 from pipeline.labels.reading import Labels, labelled_up, open_labels
 from pipeline.proposals import Detector
 from pipeline.relations import TRAINED, make_scorer
-from pipeline.relations.given import given_relations
+from pipeline.relations.supplied import supplied_relations
 from pipeline.system.errors import InputError
 
 KEPT_FRAMES = 4
@@ -120,7 +120,7 @@ def open(
     model : str or Path, optional
         Its file, or its id on the model hub.
     options
-        All others of `pipeline.answering.opening.open_pipeline`: min_score, segmenter, srm, up, intrinsics, ...
+        All others of `pipeline.answering.pipeline.open_pipeline`: min_score, segmenter, srm, up, intrinsics, ...
     """
     found = open_labels(labels) if isinstance(labels, str | Path) else labels
     options |= {"detector": detector, "model": None if model is None else Path(model)}
@@ -152,7 +152,7 @@ def open_arrays(
     frame = Frame.of_arrays(rgb, depth, K, boxes=found, **arrays)
     scorer = make_scorer(TRAINED)
     if relations is not None:
-        scorer = given_relations(relations, len(frame.annotations), scorer)
+        scorer = supplied_relations(relations, len(frame.annotations), scorer)
     return open(frame, srm=scorer)
 
 

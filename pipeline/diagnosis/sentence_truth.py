@@ -20,11 +20,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.answering.answering import FrameAnswers
 from pipeline.answering.ask import Trace
+from pipeline.answering.batch import FrameAnswers
 from pipeline.answering.evidence import ATTRIBUTE_HOLDS, HOLDS
 from pipeline.answering.objects import PreparedFrame
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.answering.ranking import Candidates
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.oracles import ALL_ORACLES, STATE_PROBABILITY

@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.answering.pair_table import HOLDS, ScoredPair, one_object_twice
 from pipeline.diagnosis.frame_evidence import FrameEvidence
-from pipeline.diagnosis.needed import Needed, smallest_change
+from pipeline.diagnosis.minimal_repair import FactorRepair, smallest_change
 from pipeline.diagnosis.oracles import names_of
 from pipeline.diagnosis.substitution import substitute
 from pipeline.diagnosis.unexplained import unexplained
@@ -98,7 +98,7 @@ class Diagnosis:
     # mends: Where an acceptable pair stood among the candidates and lost: every oracle that alone makes one win
     mends: tuple[str, ...] = ()
     # needed: What one factor alone would have to be for the best acceptable pair to win; empty where one wins
-    needed: tuple[Needed, ...] = ()
+    needed: tuple[FactorRepair, ...] = ()
     text: str = ""  # The verdict in words
     # untold: Of imported predictions: the oracles that cannot be put in place by what the file gives, and why; what
     # `right_with` says of subsets with these counts nowhere
@@ -317,7 +317,7 @@ def _confidences(d: Diagnosis, winner: ScoredPair, right: ScoredPair, case: Case
             f"{_nearest(right)} Verdict: OPM-CONF."
         )
     parts = [
-        "the wrong {} {} and the right one {}".format(name, *apart(ours, theirs))
+        "the wrong {} {} and the right one {}".format(name, *distinct_digits(ours, theirs))
         for name, mine, other, ours, theirs in (
             (case.target, winner.target, right.target, winner.p_target, right.p_target),
             (case.reference, winner.reference, right.reference, winner.p_reference, right.p_reference),
@@ -327,7 +327,7 @@ def _confidences(d: Diagnosis, winner: ScoredPair, right: ScoredPair, case: Case
     if not case.relation:
         text = f"the detector gave {' and '.join(parts)}" if parts else "both are one object"
         return f"{text[0].upper()}{text[1:]}. With equal confidences the answer is right. Verdict: PRM."
-    first, second = apart(*sorted((winner.p_relation, right.p_relation), reverse=True))
+    first, second = distinct_digits(*sorted((winner.p_relation, right.p_relation), reverse=True))
     favoured = "the right pair" if right.p_relation >= winner.p_relation else "the answer"
     relation = (
         f"for the relation they are equal ({first})"
@@ -352,13 +352,13 @@ def _said_of_both(verdict: str, winner: ScoredPair, right: ScoredPair, case: Cas
     if not told:
         return f"nothing that is said tells the right {case.target} from the answer"
     phrase, ours, other = max(told, key=lambda t: t[1] / max(t[2], 1e-9))
-    mine, its = apart(ours, other)
+    mine, its = distinct_digits(ours, other)
     return f"“{phrase}” gave " + (f"both {mine}" if mine == its else f"the answer {mine} and the right one {its}")
 
 
 def _relation(winner: float, right: float, case: Case) -> str:
     """Relation probabilities of the answer and of the right pair, and its truth of either."""
-    ours, theirs = apart(winner, right)
+    ours, theirs = distinct_digits(winner, right)
     both = f"both the answer and the right pair {ours}"
     given = both if ours == theirs else f"the answer {ours} and the right pair {theirs}"
     neither = ", so that neither stands in it" if max(winner, right) < HOLDS else ""
@@ -370,7 +370,7 @@ def _nearest(pair: ScoredPair) -> str:
     return "" if pair.p_relation >= HOLDS else f" Below {HOLDS:.2f} it is told as the nearest pair only."
 
 
-def apart(*values: float) -> tuple[str, ...]:
+def distinct_digits(*values: float) -> tuple[str, ...]:
     """Probabilities with two digits, or with as many more as distinguish them."""
     for digits in range(2, 10):
         shown = tuple(f"{value:.{digits}f}" for value in values)

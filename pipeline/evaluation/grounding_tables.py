@@ -33,7 +33,7 @@ OPM_ONLY = ": OPM only"
 
 
 def has_opm(records: pa.Table) -> bool:
-    """Whether the records tell of the detector's best target alone: systems that take whole expressions have none."""
+    """Tell whether records hold the detector's best target alone, which systems of whole expressions lack."""
     return records.column("opm_iou").null_count < records.num_rows
 
 
@@ -45,7 +45,7 @@ def column(records: pa.Table, name: str) -> np.ndarray:
 
 
 def clusters_of(records: pa.Table) -> tuple[np.ndarray, str]:
-    """What resembles each other: the scene of each row; its frame where there is one scene only."""
+    """Clusters for intervals: the scene of each row; its frame in a run of one scene."""
     scenes = np.array(records.column("scene").to_pylist(), object)
     if len(set(scenes.tolist())) > 1:
         return scenes.astype(str), "scene"
@@ -59,7 +59,7 @@ def full_row(name: str, records: pa.Table, config: BootstrapConfig | None = None
 
 
 def opm_row(name: str, records: pa.Table, config: BootstrapConfig | None = None) -> Row:
-    """The line of the detector's best target alone: it has no reference."""
+    """Row of the detector's best target alone, without a reference."""
     single, strict, lenient = (column(records, f"opm_{n}") for n in ("iou", "strict_iou", "set_iou"))
     hits = [(overlap >= HIT).astype(np.float64) for overlap in (single, strict, lenient)]
     return _row(name, records, [*hits, single, lenient, None, None], config)
@@ -116,7 +116,7 @@ def relation_table(
 
 
 def stages_table(systems: Mapping[str, pa.Table], shares: Mapping[str, str] = NOTHING_SHARED) -> Table | None:
-    """How many expressions get how far: what the next stage still could get right; `shares` as in `systems_table`.
+    """Count how far expressions get, by what the next stage could still get right; `shares` as in `systems_table`.
 
     None where no system has proposals.
     """
@@ -146,7 +146,7 @@ def stages_table(systems: Mapping[str, pa.Table], shares: Mapping[str, str] = NO
 
 
 def problem_warnings(records: pa.Table) -> tuple[str, ...]:
-    """What must be said where half of the expressions or more were not even asked: figures then measure little else."""
+    """Warn where half of the expressions or more were not even asked: figures then measure little else."""
     problems = records.column("problem")
     unasked = len(problems) - problems.null_count
     if not unasked or 2 * unasked < len(problems):
@@ -171,7 +171,7 @@ def relation_gain(
 def gain_table(
     systems: Mapping[str, pa.Table], config: BootstrapConfig | None = None, shares: Mapping[str, str] = NOTHING_SHARED
 ) -> Table | None:
-    """The gain of every system that has both; None where none has. `shares` as in `systems_table`."""
+    """Gain of every system with both; None without any. `shares` as in `systems_table`."""
     rows = []
     for name, records in systems.items():
         if has_opm(records):
@@ -262,7 +262,7 @@ def ece_estimate(
 
 
 def _bin_gaps(p: np.ndarray, hits: np.ndarray) -> np.ndarray:
-    """(N, B + 1): p - [hit] in the column of its bin, and a one to count by."""
+    """(N, B + 1): p - [hit] in the column of its bin, and ones to count by."""
     rows = np.zeros((len(p), ECE_BINS + 1))
     rows[np.arange(len(p)), np.minimum((p * ECE_BINS).astype(np.int64), ECE_BINS - 1)] = p - hits
     rows[:, -1] = 1.0
@@ -270,7 +270,7 @@ def _bin_gaps(p: np.ndarray, hits: np.ndarray) -> np.ndarray:
 
 
 def calibration_warnings(source: Pipeline, labels: Labels, records: pa.Table) -> tuple[str, ...]:
-    """Why the effect of the calibration in these records is not held out, or may not be; nothing where it is."""
+    """Warn where the effect of the calibration in these records is not held out, or may not be."""
     calibration = source.config.score_calibration
     if calibration is None or not is_calibrated(records):
         return ()
@@ -282,7 +282,7 @@ def calibration_warnings(source: Pipeline, labels: Labels, records: pa.Table) ->
 
 
 def recorded_config(config: AskConfig) -> dict[str, Any]:
-    """The settings as a run's manifest has them: of a calibration how many frames it was fitted on, not which."""
+    """Settings for a run's manifest: of a calibration the number of fitted frames in place of their list."""
     found = asdict(config)
     if found["score_calibration"] is not None:
         found["score_calibration"]["frames"] = len(found["score_calibration"]["frames"])
@@ -292,7 +292,7 @@ def recorded_config(config: AskConfig) -> dict[str, Any]:
 def held_out_warning(
     calibration: ScoreCalibration, frames: Mapping[str, tuple[str, str | None]], dataset: str
 ) -> str | None:
-    """Why the figures of a calibration are not held out; None where they are.
+    """Reason why the figures of a calibration are not held out; None where they are.
 
     Parameters
     ----------

@@ -66,7 +66,7 @@ def import_run(
     progress: Progress | None = None,
     **options: Any,
 ) -> RunReport:
-    """Judge the predictions of another pipeline on a dataset and its labels; the run folder keeps a copy of them.
+    """Judge the predictions of another pipeline on a dataset and its labels; the run folder keeps a copy.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def import_records(
     header: Header | Mapping[str, Any] | None = None,
     **options: Any,
 ) -> Run:
-    """The run of predictions of another pipeline, as `spatialviz import-run` makes it of a file.
+    """Make a run of predictions of another pipeline, like `spatialviz import-run` of a file.
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ def _judged(
 
 
 def _of_records(message: str) -> str:
-    """A message about lines of a file, about the header and the records after it, from 1."""
+    """Reword a message about lines of a file for the header and records from 1."""
     numbered = re.sub(r"\bline (\d+)", lambda found: f"record {int(found[1]) - 1}", message)
     return numbered.replace("record 0", "header")
 
@@ -325,7 +325,7 @@ def _given_box(box: Box3D | None) -> PredictedBox | None:
 
 
 def _dropped(answers: FrameAnswers, name: str, number: int) -> Iterator[Proposal]:
-    """What the detector gave for a name, and what did not go on of it."""
+    """Detections for a name that did not go on, with the reasons."""
     source, frame = answers.source, answers.context.frame
     went = {answers.objects[k].bbox.tobytes() for k in answers.candidates[name].index.tolist()}
     seen = set(went)

@@ -95,7 +95,7 @@ def records_schema() -> pa.Schema:
 
 
 def asked_columns(case: Case, truth: FrameCases, query: Query | None = None) -> dict[str, Any]:
-    """The row of an expression that nobody has answered: what was asked, and what is true; `query` spares reading."""
+    """Row of an unanswered expression: the question and its truth; `query` spares reading."""
     read = None if query is None or query.text != case.text else query.kind
     return dict.fromkeys(COLUMNS) | {
         "id": case.id, "frame": truth.frame, "frame_index": truth.frame_index, "scene": truth.scene, "text": case.text,
@@ -115,7 +115,7 @@ def record(
     parsed: tuple[Query | None, InputError | None],
     overlap: np.ndarray,
 ) -> dict[str, Any]:
-    """The row of one expression; `overlap` is (D, N) float64, the IoU of each detection with each labelled object."""
+    """Row of an expression; `overlap` is (D, N) float64, the IoU of each detection with each labelled object."""
     query, problem = parsed
     gold = query is not None and is_gold(query, case)
     row = asked_columns(case, truth, query)
@@ -143,7 +143,7 @@ def record(
 
 
 def overlaps(detection: int | None, case: Case, overlap: np.ndarray) -> tuple[float, float, float]:
-    """The best overlap of a detection with the target, with a strict answer and with an acceptable one."""
+    """Best overlap of a detection with the target, with a strict answer and with an acceptable answer."""
     if detection is None:
         return 0.0, 0.0, 0.0
     own = overlap[detection]
@@ -161,7 +161,7 @@ def _opm(row: dict[str, Any], case: Case, answers: FrameAnswers, overlap: np.nda
 
 
 def _coverage(row: dict[str, Any], case: Case, pairs: np.ndarray, answers: FrameAnswers, hit: np.ndarray) -> np.ndarray:
-    """(T, R) bool: candidate pairs that are acceptable ones; how far up the right ones stand goes into the row."""
+    """(T, R) bool: acceptable candidate pairs; the ranks of the right ones go into the row."""
     targets, references = answers.candidates[case.target], answers.candidates[case.reference]
     hits, other = hit[targets.index], hit[references.index]
     covered = (hits.astype(np.int32) @ pairs.astype(np.int32) @ other.T.astype(np.int32)) > 0
@@ -183,7 +183,7 @@ def _rank(scores: np.ndarray, right: np.ndarray) -> int | None:
 
 
 def _right(row: dict[str, Any], table: PairTable, first: int, covered: np.ndarray) -> None:
-    """The best acceptable pair that stood among the candidates, and how far ahead the winner was."""
+    """Fill in the best acceptable pair among the candidates, and the winner's lead."""
     at = int(table.first(covered)[0])
     if at >= 0:
         right = table.pair(at)
@@ -203,7 +203,7 @@ def _answer(
     target: int | None,
     overlap: np.ndarray,
 ) -> None:
-    """The target that answers, an index of the frame's objects, and whether it is right."""
+    """Fill in the target that answers (an index of the frame's objects) and its correctness."""
     row["iou"], row["strict_iou"], row["set_iou"] = overlaps(target, case, overlap)
     row |= {
         "correct": row["iou"] >= HIT, "strict_correct": row["strict_iou"] >= HIT, "set_correct": row["set_iou"] >= HIT,
@@ -231,7 +231,7 @@ def _winner(
     pairs: np.ndarray,
     overlap: np.ndarray,
 ) -> None:
-    """The pair that answers."""
+    """Fill in the winning pair."""
     assert winner.reference is not None
     both = overlap[[winner.target, winner.reference]]
     hits = both >= HIT
@@ -248,7 +248,7 @@ def _winner(
 
 
 def diagnosis_columns(d: Diagnosis) -> dict[str, Any]:
-    """The cells of one expression."""
+    """Cells of a diagnosis."""
     missed, truth, k = d.missed, d.truth, d.case.target_object
     return {
         "verdict": d.verdict, "detail": d.detail, "lucky": d.lucky, "said": d.text, "repair": list(d.repair),
@@ -272,7 +272,7 @@ def _finite(value: float) -> float | None:
 
 
 def by_raw_scores(answers: FrameAnswers) -> FrameAnswers | None:
-    """The same frame with the detector's own scores; None where they are not calibrated.
+    """Copy the answers with the detector's own scores; None where scores are not calibrated.
 
     Detections, boxes and relations are those of the first answer; only the ranking differs.
     """
@@ -294,7 +294,7 @@ def raw_columns(
     parsed: tuple[Query | None, InputError | None],
     overlap: np.ndarray,
 ) -> dict[str, Any]:
-    """What an expression's row says of the raw scores: the answer by them, and which detections are hits.
+    """Cells of the answer by raw scores, and of detections with their hits.
 
     A hit has an IoU of at least 0.5 with a labelled object of the class that was asked for; `overlap` is that of each
     detection with each labelled object, (D, N) float64.
@@ -312,12 +312,12 @@ def raw_columns(
 
 
 def is_calibrated(records: pa.Table) -> bool:
-    """Whether the records hold the answers by raw scores too; those of earlier releases do not."""
+    """Tell whether records hold the answers by raw scores too; those of earlier releases do not."""
     return "raw_iou" in records.column_names and records.column("raw_iou").null_count < records.num_rows
 
 
 def raw_records(records: pa.Table) -> pa.Table:
-    """The records with the answers by the detector's own scores in place of those that were given.
+    """Replace the given answers by those of the detector's own scores.
 
     Columns of the ranking itself (probabilities, margins) stay those of the calibrated one.
     """
@@ -347,12 +347,12 @@ class DetectorScores:
 
     @property
     def clusters(self) -> np.ndarray:
-        """(D,) what resembles each other: the scene; the frame where there is one scene only."""
+        """(D,) clusters for intervals: the scene; the frame in a run of one scene."""
         return self.scenes if len(np.unique(self.scenes)) > 1 else self.frames
 
 
 def detector_scores(records: pa.Table) -> DetectorScores:
-    """The detections that calibrated records tell of."""
+    """Detections in calibrated records."""
     parts: dict[tuple[str, str], tuple[Any, Any, Any, str]] = {}
     for end in ("target", "reference"):
         columns = ("frame", end, *(f"{end}_{what}" for what in DETECTIONS), "scene")
@@ -367,7 +367,7 @@ def detector_scores(records: pa.Table) -> DetectorScores:
 
 
 def read_records(run: Path, columns: list[str] | None = None) -> pa.Table:
-    """The records of a run folder, or some columns of them; with none the file's head alone is read.
+    """Read the records of a run folder, or some columns; with none only the file's head.
 
     Raises
     ------

@@ -78,7 +78,7 @@ def spread(count: int, limit: int | None) -> np.ndarray:
 
 
 def frames_in(labels: Labels, table: str, limit: int | None = None) -> np.ndarray:
-    """Indices of the frames that have rows in a table of the labels, rising; at most so many, spread evenly."""
+    """Indices of frames with rows in a table of the labels, rising; at most so many, spread evenly."""
     found = np.unique(read_table(labels.root / f"{table}.parquet", table, ["frame_index"]).column(0).to_numpy())
     return found[spread(len(found), limit)]
 
@@ -127,7 +127,7 @@ def _part(labels: Labels, table: str, names: Sequence[str], first: int, stop: in
 
 
 def labelled_detector(source: Pipeline) -> Detector:
-    """What finds the labelled objects in a frame: the run's own detector where it is exact, else the annotations."""
+    """Detector of the labelled objects: the run's own where exact, else the annotations."""
     if source.detector is not None and source.detector.exact:
         return source.detector
     return make_detector("annotations", class_names=source.dataset.class_names, synonyms=source.synonyms)
@@ -136,7 +136,7 @@ def labelled_detector(source: Pipeline) -> Detector:
 def score_lifted(
     source: Pipeline, systems: Sequence[RelationSystem], pairs: FramePairs, context: PreparedFrame
 ) -> list[np.ndarray]:
-    """What each system says of the pairs, on the objects as the dataset's annotations and depth give them.
+    """Score pairs by each system, on objects lifted from the dataset's annotations and depth.
 
     Returns
     -------
@@ -168,7 +168,7 @@ def score_lifted(
 
 
 def score_stored(systems: Sequence[RelationSystem], pairs: FramePairs) -> list[np.ndarray]:
-    """The same on boxes and extents as the labels have them; the image is not looked at.
+    """Score pairs by each system, on boxes and extents of the labels, without the image.
 
     The rule has no points then: on, in and near are judged by extents.
     """
@@ -260,7 +260,7 @@ class RelationSystem:
 
 
 def geometry_of_labels(spec: RelationSpec, labels: Labels) -> Geometry:
-    """The geometry that is asked for, or the one that fits the labels.
+    """Geometry as asked for, else as fits the labels.
 
     Raises
     ------
@@ -340,7 +340,7 @@ def _system(name: str, which: str, scorer: RelationScorer, labels: Labels) -> Re
 
 
 def uses_language(which: str) -> bool:
-    """Whether a relation scorer is given class names; InputError where it cannot be opened."""
+    """Tell whether a relation scorer takes class names; InputError where the file cannot be opened."""
     if which == RULE:
         return False
     path = shipped_network() if which == TRAINED else Path(which)
@@ -350,7 +350,7 @@ def uses_language(which: str) -> bool:
 
 
 def _of_rooms(path: Path) -> bool:
-    """Whether the card beside a network says that it was trained on rendered rooms."""
+    """Tell whether the card beside a network names rendered rooms as its data."""
     try:
         return "rooms" in read_json(path.with_suffix(".json"))
     except (OSError, ValueError, TypeError):

@@ -66,7 +66,7 @@ class RelationRun:
 
 @contextmanager
 def relation_sink(spec: EvalSpec, labels: Labels, folder: Path) -> Iterator[Callable[[pa.Table], None] | None]:
-    """Where relation records go while frames are evaluated; None where relations are not measured."""
+    """Open the writer of relation records; None where relations are not measured."""
     if spec.relations is None:
         yield None
         return

@@ -87,7 +87,7 @@ class RelationRecords:
         return self.states[:, [self.relations.index(r) for r in relations]]
 
     def clusters(self, counted: np.ndarray) -> tuple[np.ndarray, str]:
-        """What resembles each other: the scene of each pair; its frame where the (P,) counted ones are of one scene."""
+        """Clusters for intervals: the scene of each pair; its frame where the (P,) counted ones are of one scene."""
         return (self.scene, "scene") if len(np.unique(self.scene[counted])) > 1 else (self.frame_index, "frame")
 
 
@@ -114,7 +114,7 @@ class RelationPass:
         return {f.key.index: f for f in read_pairs(self.labels, first, stop, self._chosen)}
 
     def table(self, source: Pipeline, pairs: FramePairs, context: PreparedFrame | None) -> pa.Table:
-        """The rows of one frame; `context` is needed where `needs_frames`."""
+        """Rows of a frame; `context` is needed where `needs_frames`."""
         if self.needs_frames:
             assert context is not None
             found = score_lifted(source, self.systems, pairs, context)
@@ -147,7 +147,7 @@ def relation_schema(systems: Sequence[RelationSystem], labels: Labels) -> pa.Sch
 
 
 def _prior_of(system: RelationSystem) -> list[float]:
-    """Of a network that says which one relation fits best, where all it can say was labelled; else empty."""
+    """Prior of a softmax network with all its relations labelled; else empty."""
     if not system.prior or system.unlabelled or not isinstance(system.scorer, OnnxScorer):
         return []
     shares = dict(zip(system.scorer.contract.vocabulary, system.prior, strict=True))
@@ -174,7 +174,7 @@ def _rows(
 
 
 def _struct(names: Sequence[str], columns: Iterable[Any]) -> pa.StructArray:
-    """Columns as one, by their names."""
+    """Join columns under their names."""
     return pa.StructArray.from_arrays([pa.array(c) for c in columns], names=list(names))
 
 

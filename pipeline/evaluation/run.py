@@ -50,7 +50,7 @@ class Evaluator:
         self._chosen = chosen_ids(self.labels, spec.limit)
 
     def frame(self, truth: FrameCases, context: PreparedFrame | None = None) -> list[dict[str, Any]]:
-        """The records of a frame's expressions; the frame is loaded where it is not given.
+        """Records of a frame's expressions; the frame is loaded unless given.
 
         Raises
         ------
@@ -83,7 +83,7 @@ class Evaluator:
 
 
 def chosen_ids(labels: Labels, limit: int | None) -> set[tuple[int, str]] | None:
-    """Which expressions are asked under a limit, evenly over all of them; None for all."""
+    """Expressions to ask under a limit, evenly over all; None for all."""
     if limit is None:
         return None
     rows = read_table(labels.root / "expressions.parquet", "expressions", ["frame_index", "id"])
@@ -97,7 +97,7 @@ def table_of(rows: Sequence[dict[str, Any]]) -> pa.Table:
 
 
 def blocks_of(index: np.ndarray, frames: int = FRAMES_A_BLOCK) -> tuple[tuple[int, int], ...]:
-    """Runs of these frame indices (rising) that are evaluated together."""
+    """Split frame indices (rising) into blocks to evaluate together."""
     parts = [index[k : k + frames] for k in range(0, len(index), frames)]
     return tuple((int(p[0]), int(p[-1]) + 1) for p in parts)
 
@@ -160,7 +160,7 @@ def _block(block: tuple[int, int], evaluator: Evaluator) -> tuple[pa.Table, pa.T
 
 
 def right_scores(source: Pipeline, context: PreparedFrame, truth: FrameCases) -> np.ndarray:
-    """(M,) float64: scores of all candidates that are objects of the class that was asked for, over a frame's names."""
+    """(M,) float64: scores of candidates that are objects of the asked class, over a frame's names."""
     detector = source.needed_detector()
     calibration = None if detector.exact else source.config.score_calibration
     asked = {case.target: case.target_object for case in truth.cases}
@@ -178,7 +178,7 @@ def right_scores(source: Pipeline, context: PreparedFrame, truth: FrameCases) ->
 
 
 def median_confidence(source: Pipeline, labels: Labels, looked_at: int = LOOKED_AT) -> tuple[float | None, int]:
-    """The median score of right candidates and how many there were; None where there was none.
+    """Median score of right candidates, None without any, and their number.
 
     Parameters
     ----------

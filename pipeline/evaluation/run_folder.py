@@ -67,7 +67,7 @@ class Failure(InNotebook):
 
     @property
     def verdict(self) -> str:
-        """With its detail: "OPM-TARGET RANK"."""
+        """Verdict with its detail: "OPM-TARGET RANK"."""
         return shown_verdict(self.row["verdict"], self.row["detail"], bool(self.row["lucky"]))
 
     @cached_property
@@ -128,12 +128,12 @@ class Failures(InNotebook):
 
 
 def found_failures(rows: RunRows, search: str, again: Answered) -> Failures:
-    """What `find_failures` finds among the expressions of a run, by their marks too."""
+    """Find expressions of a run as `find_failures` does, by marks too."""
     return Failures(search, find_failures(rows.records, search), again)
 
 
 def asked_again(opened: Opened, spec: EvalSpec, frame: str, expression: str) -> Answer:
-    """An expression of the labels (its id) answered now, and judged as the run of this specification judged it.
+    """Answer an expression of the labels (its id) now, and judge it by the run's specification.
 
     Raises
     ------
@@ -249,7 +249,7 @@ class Run(InNotebook):
 
 
 def _rows(path: Path) -> list[dict[str, str | float]]:
-    """The rows of a table that was written as CSV."""
+    """Rows of a table in CSV."""
     lines = io.StringIO(read_text(path), newline="")
     return [{name: _number(cell) for name, cell in row.items() if cell} for row in csv.DictReader(lines)]
 
@@ -282,7 +282,7 @@ def spec_record(spec: EvalSpec, folder: Path) -> dict[str, Any]:
 
 
 def written_path(path: str | Path, folder: Path) -> str:
-    """A path as the manifest of a run in `folder` has it; a URL as it is."""
+    """Write a path for the manifest of a run in `folder`; a URL stays."""
     if is_url(path):
         return str(path)
     absolute = os.path.abspath(path)
@@ -294,7 +294,7 @@ def written_path(path: str | Path, folder: Path) -> str:
 
 
 def resolved_path(written: str, folder: Path) -> str:
-    """What `written_path` wrote into the manifest of a run in `folder`."""
+    """Resolve a path of `written_path` for a run in `folder`."""
     return written if is_url(written) else os.path.normpath(folder / written)
 
 
@@ -389,7 +389,7 @@ def _read_spec(record: Mapping[str, Any], folder: Path) -> EvalSpec:
 
 
 def manifest_of(run: Path) -> dict[str, Any]:
-    """The manifest of a run; empty where there is none that can be read."""
+    """Manifest of a run; empty without a readable one."""
     try:
         return read_manifest(Path(run))
     except InputError:
@@ -397,7 +397,7 @@ def manifest_of(run: Path) -> dict[str, Any]:
 
 
 def labels_of(run: Path) -> Path | None:
-    """Where the labels of a run are; None where its manifest does not say."""
+    """Place of a run's labels; None where the manifest has none."""
     try:
         return Path(open_run(run).spec.labels)
     except InputError:

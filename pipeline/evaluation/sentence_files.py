@@ -102,11 +102,11 @@ class Sentence:
 
     @property
     def nothing(self) -> bool:
-        """Whether nothing is right, so that a refusal is."""
+        """True where nothing is right, and a refusal therefore is."""
         return not (self.targets or self.points or self.boxes)
 
     def accepts(self, entry: SceneObject, truth: np.ndarray, exact: bool) -> bool:
-        """Whether an object is a right answer.
+        """Judge an object as an answer.
 
         Parameters
         ----------
@@ -124,7 +124,7 @@ class Sentence:
         return bool((iou_2d(entry.bbox[None], right) >= HIT).any())
 
     def among(self, truth: FrameCases) -> np.ndarray:
-        """(K,) int64: indices of the annotated objects that are right; of several under a point the smallest."""
+        """(K,) int64: indices of the right annotated objects; of several under a point the smallest."""
         if self.targets is not None:
             return np.flatnonzero(np.isin(truth.numbers, self.targets))
         if self.boxes is not None:
@@ -197,7 +197,7 @@ def of_line(number: int, error: InputError, path: Path) -> InputError:
 
 
 def published_sentences(path: Path, dataset: Dataset) -> tuple[list[Sentence], dict[str, int]]:
-    """The sentences of a published file that are about a dataset's frames, and how many were left out, by reason.
+    """Sentences of a published file about a dataset's frames, and the number left out, by reason.
 
     Raises
     ------

@@ -82,13 +82,13 @@ class SentenceReport:
 
     @property
     def verdicts(self) -> dict[str, int]:
-        """How many sentences have each verdict, in the order of VERDICTS; those without one are left out."""
+        """Count sentences by verdict, in the order of VERDICTS; verdicts without any are left out."""
         counts = Counter(j.verdict for j in self.judged)
         return {name: counts[name] for name in VERDICTS if counts[name]}
 
     @cached_property
     def deltas(self) -> Deltas | None:
-        """What each module costs over the diagnosed sentences, ATTRIBUTE where any has attributes; None without any."""
+        """Costs of modules over the diagnosed sentences, ATTRIBUTE where any has attributes; None without any."""
         found = [(d, d.right_with, j.sentence.frame) for j in self.judged if (d := j.diagnosis) is not None]
         if not found:
             return None
@@ -137,7 +137,7 @@ class SentenceReport:
 
     @cached_property
     def published(self) -> dict[str, tuple[Any, ...]]:
-        """Of a published benchmark, by kind and "all": how many have a right 3D box, and Acc@IoU at each of ACC_AT."""
+        """Acc@IoU at each of ACC_AT and the number of right 3D boxes, by kind and "all", of a published benchmark."""
         rows = [(j.sentence.kind, j.iou_3d) for j in self.judged if j.iou_3d is not None]
         found = {}
         for kind in dict.fromkeys([k for k, _ in rows] + ["all"] * bool(rows)):
@@ -146,7 +146,7 @@ class SentenceReport:
         return found
 
     def record(self) -> dict[str, Any]:
-        """`eval --sentences --json`: all that the tables show."""
+        """Convert to JSON: `eval --sentences --json`."""
         return {
             "file": str(self.asked.path),
             "skipped": self.asked.skipped,
@@ -177,7 +177,7 @@ def _cells(shares: Shares) -> tuple[int | Estimate, ...]:
 
 
 def report_sentences(asked: SentenceFile, judged: Sequence[Judged]) -> SentenceReport:
-    """Shares by kind and over all, and what failed."""
+    """Count shares by kind and over all, and failures."""
     kinds: dict[str, list[Judged]] = {}
     for one in judged:
         kinds.setdefault(one.sentence.kind, []).append(one)

@@ -71,7 +71,7 @@ class Judged:
 
     @property
     def verdict(self) -> str | None:
-        """PARSE where it was not read, else that of the diagnosis."""
+        """Verdict of the diagnosis; PARSE for an unread sentence."""
         if self.outcome == "PARSE":
             return "PARSE"
         return None if self.diagnosis is None else self.diagnosis.verdict
@@ -86,7 +86,7 @@ class Judged:
         return self.outcome == "CORRECT"
 
     def record(self) -> dict[str, Any]:
-        """A line of `sentences.jsonl`; "answer" is the object that was given, or told as the nearest."""
+        """Line of `sentences.jsonl`; "answer" is the given object, or the nearest."""
         s, entry = self.sentence, self.entry
         answer = None if entry is None else {
             "label": entry.label, "object": entry.id if entry.id >= 0 else None, "score": round(float(entry.score), 6),
@@ -169,7 +169,7 @@ def _judged(source: Pipeline, context: PreparedFrame, sentence: Sentence, path: 
 
 
 def acc_iou(answer: Box3D | None, right: Sequence[Box3D], viewer: ViewerAxes) -> float:
-    """The best IoU of a box with the right ones, each taken as upright along the viewer's axes; 0 without an answer."""
+    """Best IoU of a box with the right ones, all upright along the viewer's axes; 0 without an answer."""
     if answer is None or not right:
         return 0.0
     corners = [box.corners @ viewer.R_level_camera.T for box in (answer, *right)]
@@ -180,13 +180,13 @@ def acc_iou(answer: Box3D | None, right: Sequence[Box3D], viewer: ViewerAxes) ->
 
 
 def _published_iou(one: Judged, context: PreparedFrame) -> float | None:
-    """None where what is right has no 3D box."""
+    """IoU of the published metric; None without a right 3D box."""
     right = [a.box for a in context.frame.annotations if a.index in (one.sentence.targets or ()) and a.box is not None]
     return acc_iou(None if one.entry is None else one.entry.box, right, context.viewer) if right else None
 
 
 def _diagnosed(one: Judged, source: Pipeline, context: PreparedFrame, truth: FrameCases | str | None) -> Judged:
-    """With which module failed, where the sentence was read and there is something right."""
+    """Add the module that failed, where the sentence was read and something is right."""
     if one.trace is None or one.outcome == "PARSE" or one.sentence.nothing:
         return one
     if not isinstance(truth, FrameCases):
@@ -217,7 +217,7 @@ def _refused(
 
 
 def _right_boxes(context: PreparedFrame, sentence: Sentence, path: Path) -> np.ndarray:
-    """(T, 4) float64: boxes of the acceptable annotations; InputError where there is none of an index."""
+    """(T, 4) float64: boxes of the acceptable annotations; InputError for an unknown index."""
     boxes = {a.index: a.bbox for a in context.frame.annotations}
     missing = [k for k in sentence.targets or () if k not in boxes]
     require(

@@ -67,11 +67,11 @@ class Share:
 
     @property
     def sentence(self) -> str:
-        """For people."""
+        """Sentence for people."""
         return f"{self.about}: {self.text}"
 
     def record(self) -> dict[str, str]:
-        """As JSON: an entry of `shares` of a run."""
+        """Convert to JSON."""
         return {"about": self.about, "kind": self.kind, "title": self.title, "said": self.text}
 
 
@@ -98,17 +98,17 @@ class Measured:
 
     @property
     def imported(self) -> bool:
-        """Predictions of another pipeline, whose boxes are not lifted here."""
+        """True of predictions of another pipeline, with boxes from elsewhere."""
         return self.masks is not None and any(str(m.content).startswith("imported:") for m in self.masks.detectors)
 
     def record(self) -> dict[str, Any]:
-        """As JSON: `measured` of a run."""
+        """Convert to JSON."""
         masks = None if self.masks is None else self.masks.record()
         return {"masks": masks, "scorer": self.scorer, "network": self.network, "rule_too": list(self.rule_too)}
 
 
 def measured_of(source: Pipeline, relations: Sequence[str]) -> Measured:
-    """What of a source a run measures.
+    """Measured parts of a pipeline.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def measured_of(source: Pipeline, relations: Sequence[str]) -> Measured:
 
 
 def measured_of_run(manifest: Mapping[str, Any]) -> Measured:
-    """The same from `run.json`, of any release; what it does not tell is None."""
+    """Measured parts from `run.json`, of any release; unknown ones are None."""
     system = str(manifest.get("system", "pipeline"))
     if system == "vlm":
         return Measured(None, None)
@@ -141,7 +141,7 @@ def measured_of_run(manifest: Mapping[str, Any]) -> Measured:
 
 
 def shared_makers(makers: Makers, measured: Measured) -> tuple[Share, ...]:
-    """What answers share with the labels that they are measured by: what makes their figures agreement comes first."""
+    """Shares of answers with the labels that judge them; those that make figures agreement come first."""
     found = [*_masks(makers, measured.masks), *_relations(makers, measured)]
     if measured.masks is not None and not measured.imported and not any(share.title for share in found):
         found.append(
@@ -155,7 +155,7 @@ def shared_makers(makers: Makers, measured: Measured) -> tuple[Share, ...]:
 
 
 def shares_of_run(manifest: Mapping[str, Any], labels: str | Path | None) -> tuple[Share, ...]:
-    """What a run says that it shares with its labels; of an earlier release what follows from both manifests.
+    """Shares that a run records; of an earlier release those that follow from both manifests.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def shares_of_run(manifest: Mapping[str, Any], labels: str | Path | None) -> tup
 
 
 def shares_of_answer(source: Pipeline, labels: Labels | None) -> tuple[Share, ...]:
-    """What one answer of a source shares with what judges it: labels, or by default the frame's annotations."""
+    """Shares of an answer with its judge: labels, or by default the frame's annotations."""
     relations = profile_of(PROFILE).relations if labels is None else labels.relation_names
     return shared_makers(OF_FRAME if labels is None else makers_of(labels.manifest), measured_of(source, relations))
 
@@ -257,7 +257,7 @@ def _relations(makers: Makers, measured: Measured) -> list[Share]:
 
 
 def scorer_share(makers: Makers, name: str, scorer: RelationScorer) -> Share | None:
-    """What a scorer shares with the labels of pairs whose objects are the labels' own; None where only the cloud.
+    """Share of a scorer with labels of pairs on the labels' own objects; None where only the cloud is shared.
 
     The objects are those of the labels, lifted again or as stored: the cloud is shared by every row. With the rule
     shared too, the row says how alike two computations are.
@@ -277,17 +277,17 @@ def scorer_share(makers: Makers, name: str, scorer: RelationScorer) -> Share | N
 
 
 def title_of(shares: Sequence[Share]) -> str:
-    """What a system's figures are, in a few words; empty where accuracy stays accuracy."""
+    """Title of a system's figures in a few words; empty where accuracy stays accuracy."""
     return next((share.title for share in shares if share.title), "")
 
 
 def rank(title: str) -> int:
-    """Where a block of rows stands: the more their truth is their own, the lower."""
+    """Rank of a block of rows: the more their truth is their own, the lower."""
     return _RANK.index(title)
 
 
 def titles_of(shares: Mapping[str, Sequence[Share]]) -> str:
-    """As `title_of`, of several systems by name: where they differ, each title with its systems."""
+    """Titles of several systems by name; where they differ, each with its systems."""
     by_title: dict[str, list[str]] = {}
     for name, found in shares.items():
         by_title.setdefault(title_of(found), []).append(name)
@@ -297,7 +297,7 @@ def titles_of(shares: Mapping[str, Sequence[Share]]) -> str:
 
 
 def with_caveats(table: Table, shares: Mapping[str, Sequence[Share]]) -> Table:
-    """A table that says in its title what its figures are, and below it what they can show and cannot.
+    """Add to a table's title and notes what its figures can show and cannot.
 
     Parameters
     ----------
@@ -317,7 +317,7 @@ def with_caveats(table: Table, shares: Mapping[str, Sequence[Share]]) -> Table:
 
 
 def _had_vote(makers: Makers, measured: Measured) -> bool:
-    """Whether the network was the labels' second opinion: by its file, by its name where a file is not known."""
+    """Tell whether the network was the labels' second opinion: by its file, else by its name."""
     if measured.scorer == RULE or makers.second_opinion in (None, NONE):
         return False
     if measured.network is not None:
@@ -326,7 +326,7 @@ def _had_vote(makers: Makers, measured: Measured) -> bool:
 
 
 def _but(makers: Makers, what: str) -> str:
-    """What people decided of it is no maker's."""
+    """Except what people decided, which is no maker's."""
     if makers.decided is None:
         return "; people corrected some of it, how much was not counted" if makers.corrected else ""
     n, of = getattr(makers.decided, what)

@@ -53,7 +53,7 @@ class System(Protocol):
 
     @property
     def processes(self) -> bool:
-        """Whether several processes may ask at once."""
+        """Allow several processes at once."""
         ...
 
     def title(self, source: Pipeline) -> str:
@@ -69,7 +69,7 @@ class System(Protocol):
         ...
 
     def kept(self, spec: EvalSpec, source: Pipeline, folder: Path, out: Path) -> tuple[EvalSpec, dict[str, Any]]:
-        """Copy into a run's folder (`out`, written as `folder`) what answers were read from.
+        """Copy the sources of answers into a run's folder (`out`, written as `folder`).
 
         Returns
         -------
@@ -85,7 +85,7 @@ class PairSystem(Protocol):
     """A system that is asked about a sample of labelled pairs."""
 
     def record(self) -> dict[str, Any]:
-        """As JSON: `vlm` of `run.json`."""
+        """Convert to JSON: `vlm` of `run.json`."""
         ...
 
     def ask(
@@ -152,7 +152,7 @@ class EvalSpec:
 def context_of(
     source: Pipeline, truth: FrameCases, given: PreparedFrame | None, clock: StageClock, boxes: bool = False
 ) -> PreparedFrame:
-    """A frame ready to be asked about, loaded where it is not given; InputError where it is not that of the labels."""
+    """Prepare a frame, loaded unless given; InputError where the picture is not that of the labels."""
     if given is not None:
         truth.check_picture(given.frame)
         return given
@@ -226,7 +226,7 @@ class OwnPipeline:
 
 
 def system_of(spec: EvalSpec) -> System:
-    """The system that a specification names, else imported predictions or the pipeline itself."""
+    """System of a specification, else imported predictions or the pipeline itself."""
     return spec.system or (ImportedPredictions() if spec.options.get("predictions") is not None else OwnPipeline())
 
 
@@ -278,7 +278,7 @@ def _row(
     class_names: tuple[str, ...],
     clock: StageClock,
 ) -> dict[str, Any]:
-    """The record of one expression.
+    """Record of an expression.
 
     Raises
     ------
@@ -307,7 +307,7 @@ def _row(
 
 
 def _worked_out(file: Predictions, found: Diagnosis, case: Case, line: Prediction) -> list[str] | None:
-    """The numbers of the answer and of the right pair that the file does not give; None for none."""
+    """Numbers of the answer and of the right pair without a place in the file; None for none."""
     names, answers = list[str](), found.evidence.answers
     scored = line.pairs if file.header.ranking == "pair_scores" else ()
     own = {(a, b): score for a, b, score in scored or ()}
@@ -325,7 +325,7 @@ def _worked_out(file: Predictions, found: Diagnosis, case: Case, line: Predictio
 def _read(
     file: Predictions, line: Prediction, case: Case, class_names: tuple[str, ...]
 ) -> tuple[Query | None, InputError | None]:
-    """How the system read the words: as it says; where it does not, as they are meant. A run of ours read them."""
+    """Query as the system read the words, else as they are meant; our own runs read for themselves."""
     if file.header.settings is not None:
         return read_query(case, class_names)
     names = (case.target, case.reference)
@@ -345,7 +345,7 @@ def _given_row(
     parsed: tuple[Query | None, InputError | None],
     overlap: np.ndarray,
 ) -> dict[str, Any]:
-    """The row of an answer whose ranking is not told: where it is, and what of the proposals is right."""
+    """Row of an answer without a known ranking: its place, and what of the proposals is right."""
     file, line = file_of(answers.source), line_of(answers.source)
     row = asked_columns(case, truth)
     if line.level:

@@ -18,7 +18,7 @@ from typing import Any, cast
 import numpy as np
 
 from pipeline.answering.objects import prepare_frame
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.datasets import given_expressions
 from pipeline.datasets.base import scene_of
 from pipeline.labels.labelling import FrameLabels, broken_frame, label_objects

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pipeline.answering.ask import AskConfig
-from pipeline.answering.opening import Pipeline, open_pipeline
+from pipeline.answering.pipeline import Pipeline, open_pipeline
 from pipeline.datasets import Dataset, splits
 from pipeline.datasets.depth.estimator import open_depth_model
 from pipeline.geometry.lifting import LiftConfig

@@ -154,7 +154,7 @@ def recorded_system(manifest: Mapping[str, Any]) -> System | None:
 
 
 def _pointing(source: Pipeline, clock: StageClock, point: Callable[[Frame, Sequence[str]], list[Pointed]]) -> Records:
-    """The records of a system that gives one box for an expression."""
+    """Records of a system with a single box for each expression."""
 
     def records(truth: FrameCases, given: PreparedFrame | None) -> list[dict[str, Any]]:
         with clock.stage("read"):
@@ -167,7 +167,7 @@ def _pointing(source: Pipeline, clock: StageClock, point: Callable[[Frame, Seque
 
 
 def record_whole(case: Case, truth: FrameCases, pointed: Pointed) -> dict[str, Any]:
-    """The row of one expression, as far as a single box can be measured."""
+    """Row of an expression, as far as a single box can be measured."""
     box = pointed.box
     overlap = iou_2d(np.zeros((0, 4)) if box is None else box[None], truth.boxes)
     iou, strict, lenient = overlaps(None if box is None else 0, case, overlap)

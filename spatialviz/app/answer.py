@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.answering.answer_words import headline, pair_words, probability, told, why_no_answer
+from pipeline.answering.answer_words import headline, pair_words, probability, why_no_answer, words_of_answer
 from pipeline.answering.ask import Trace
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
@@ -51,7 +51,7 @@ def before_html(state: State, edited: BothAnswers) -> Element:
         return state.named(edited.before.keys[i])
 
     if reason is None and trace.ranking is not None:
-        best, lead = trace.ranking.pairs[0], told(trace, name).lead.strip()
+        best, lead = trace.ranking.pairs[0], words_of_answer(trace, name).lead.strip()
         references = (i for i in (best.reference, best.second_reference) if i is not None)
         answer = [
             h.span(lead, cls="dim") if lead else None,
@@ -121,7 +121,7 @@ def answer_in_words(state: State, trace: Trace) -> str:
     """The answer as a line of the log."""
     sentence = why_no_answer(trace)
     if sentence is None and state.pair is not None:
-        sentence = told(trace, state.name_of).sentence(pair_words(trace, state.ranked[0], state.name_of))
+        sentence = words_of_answer(trace, state.name_of).sentence(pair_words(trace, state.ranked[0], state.name_of))
     return f"“{state.text}”: {sentence} ({sum(trace.timings.values()) * 1000:.0f} ms)"
 
 
@@ -129,7 +129,7 @@ def _pair(state: State, trace: Trace) -> list[Child]:
     """The chosen pair, as the answer or beside it."""
     best = state.ranked[0]
     pair = state.chosen or best
-    answer = told(trace, state.name_of, pair)
+    answer = words_of_answer(trace, state.name_of, pair)
     return [
         # Of the answer itself it is said that there is none; another pair that was clicked is only looked at.
         note(_capital(answer.lead.strip())) if pair is best and answer.lead else None,

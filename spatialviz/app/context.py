@@ -11,7 +11,7 @@ from functools import cached_property
 from typing import Any, TypeVar
 
 from pipeline.answering.frame_store import FrameStore
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.label_editors import LabelEditors
 from pipeline.datasets import has_moves

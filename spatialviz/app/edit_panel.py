@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.answering.ask import Trace
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.corrections.object_card import FieldLine, ObjectCard
 from pipeline.corrections.scene import Moved
 from pipeline.diagnosis.verdict import Diagnosis

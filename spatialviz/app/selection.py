@@ -8,7 +8,7 @@ from typing import get_args
 
 import numpy as np
 
-from pipeline.answering.frame_store import LoadedFrame, ToldUp
+from pipeline.answering.frame_store import LoadedFrame, UpHint
 from pipeline.corrections.label_view import paired
 from pipeline.datasets import write_settings
 from pipeline.datasets.demo import demo_path
@@ -138,7 +138,7 @@ class LevelSurface(Part):
         except InputError as error:
             self.ctx.toast("Not a level surface", str(error), bad=True)
             return
-        self.ctx.shared.store.tell_up(self.state.source, ToldUp(frame.id, (u, v), (x, y, z)))
+        self.ctx.shared.store.set_up_hint(self.state.source, UpHint(frame.id, (u, v), (x, y, z)))
         self.ctx.note(f"frame {frame.id}: the surface at {u},{v} is level, up {x:.3f}, {y:.3f}, {z:.3f} in the camera")
         self.state = replace(self.state, picking="")
         self.ctx.reopen()
@@ -157,7 +157,7 @@ class LevelSurface(Part):
     def take_back(self) -> None:
         """Up as it was before anything was said."""
         if self.state.source in self.ctx.shared.store.told:
-            self.ctx.shared.store.tell_up(self.state.source, None)
+            self.ctx.shared.store.set_up_hint(self.state.source, None)
             self.ctx.reopen()
 
 

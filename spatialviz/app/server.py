@@ -17,7 +17,7 @@ from contextlib import redirect_stdout
 import viser
 
 from pipeline.answering.frame_store import FrameStore
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.corrections.journal_location import JournalLocation, dump_unsaved
 from pipeline.datasets.demo import demo_path
 from pipeline.diagnosis.whatif.state import ViewState

@@ -8,7 +8,7 @@ from dataclasses import asdict, replace
 
 from pipeline.answering.answer_words import holds
 from pipeline.answering.ask import Trace
-from pipeline.answering.asked_names import unused_words
+from pipeline.answering.detector_prompts import unused_words
 from pipeline.answering.frame_store import LoadedFrame
 from pipeline.answering.ranking import RankConfig
 from pipeline.answering.suggestions import completions

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from pipeline.answering.objects import PreparedFrame
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.corrections.judging import Judge
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.asking import answer

@@ -13,7 +13,7 @@ from pipeline.diagnosis.whatif import Baseline, Edits, rerun
 from pipeline.diagnosis.whatif.answer_view import BothAnswers
 from pipeline.diagnosis.whatif.changes import each_edit, without_edit
 from pipeline.diagnosis.whatif.decision_map import DecisionMap, decision_map
-from pipeline.diagnosis.whatif.edit_words import edited_by
+from pipeline.diagnosis.whatif.edit_words import edit_from_words
 from pipeline.geometry.boxes import Box3D
 from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, needed
@@ -82,7 +82,7 @@ class WhatIf(Part):
     def _edit(self, said: str, by: str) -> None:
         """Carry out an edit such as "size:1:0.2"; a live one is followed by others of the same hand."""
         live = by == "edit-live"
-        self._try(lambda: edited_by(said, self.state, self.ctx.source, self.keys(self._base())), live)
+        self._try(lambda: edit_from_words(said, self.state, self.ctx.source, self.keys(self._base())), live)
 
     def _try(self, change: Callable[[], Edits], live: bool = False) -> None:
         try:

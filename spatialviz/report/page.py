@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from pipeline import __version__
-from pipeline.answering.answer_words import best_pair, pair_words, told, why_no_answer
+from pipeline.answering.answer_words import best_pair, pair_words, why_no_answer, words_of_answer
 from pipeline.answering.objects import PreparedFrame
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.cases.manifest import PROPOSALS
 from pipeline.diagnosis.cases.saving import OpenedCase
@@ -113,7 +113,7 @@ def _answer(answered: Answer, cast: AnswerRoles) -> str:
     best = None if trace is None else best_pair(trace)
     if trace is None or best is None:
         return ""
-    answer = told(trace, cast.name)
+    answer = words_of_answer(trace, cast.name)
     text = answer.sentence(pair_words(trace, best, cast.name))
     return f'<p class="lead">Answer: {escape(text)}. <span class="quiet">{escape(answer.below)}</span></p>'
 
@@ -180,8 +180,8 @@ def _facts(
         facts.append(("scores", f"calibrated, a {c.a:.3f}, b {c.b:.3f}"))
     if judged is not None:
         case = judged.case
-        told = f"{case.target} {wording(case.relation)} {case.reference}" if case.meant is None else case.text
-        facts.append(("meant", told))
+        meant = f"{case.target} {wording(case.relation)} {case.reference}" if case.meant is None else case.text
+        facts.append(("meant", meant))
         facts.append(("right answers", f"{len(case.strict)} beyond doubt, {len(case.acceptable)} with the undecided"))
         facts += [("judged by", share.sentence) for share in subject.shares]
     return '<dl class="facts">' + "".join(

@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from pipeline.answering.answer_words import best_pair, told
+from pipeline.answering.answer_words import best_pair, words_of_answer
 from pipeline.answering.ask import Trace
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
@@ -126,7 +126,7 @@ def _caption(trace: Trace, width: int, scale: float) -> np.ndarray:
     if best_pair(trace) is None:
         text += ": no answer"
     else:
-        answer = told(trace, lambda index: trace.objects[index].label)
+        answer = words_of_answer(trace, lambda index: trace.objects[index].label)
         text += f": {answer.numbers if answer.holds else answer.sentence('this pair')} ({trace.scorer})"
     strip = np.full((round(26 * scale), width, 3), 24, np.uint8)
     cv2.putText(

@@ -29,7 +29,7 @@ from pipeline.answering import (
     suggest_expressions,
 )
 from pipeline.answering.ask import ask
-from pipeline.answering.opening import frame_ids
+from pipeline.answering.pipeline import frame_ids
 from pipeline.datasets import DEMO_EXPRESSION, demo_path, open_dataset
 from pipeline.geometry import Frame, depth_colors, hex_color, instance_colors
 from pipeline.language import VOCABULARIES, match

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from waiting import LONG_S
 
-from pipeline.answering import FrameStore, PicturesBehind, Pipeline, ToldUp, open_pipeline
+from pipeline.answering import FrameStore, PicturesBehind, Pipeline, UpHint, open_pipeline
 from pipeline.answering.frame_store import FEWEST_KEPT
 from pipeline.system import InputError
 
@@ -91,14 +91,14 @@ def test_a_broken_frame_is_told_every_time(source: Pipeline, monkeypatch: pytest
 def test_up_that_was_told_holds_for_all_until_it_is_taken_back(source: Pipeline) -> None:
     store, first = FrameStore({"demo": source}), source.dataset.frame_ids[0]
     before = store.load("demo", first)
-    told = ToldUp(first, (12, 34), (0.0, -1.0, 0.0))
+    told = UpHint(first, (12, 34), (0.0, -1.0, 0.0))
     assert told.words == f"{first}:12,34"
-    store.tell_up("demo", told)
+    store.set_up_hint("demo", told)
     after = store.load("demo", first)
     assert after.told == told
     assert after.context.viewer.up_source == "given"
     np.testing.assert_allclose(after.context.viewer.up, [0, -1, 0], atol=1e-6)
-    store.tell_up("demo", None)
+    store.set_up_hint("demo", None)
     np.testing.assert_array_equal(store.load("demo", first).context.viewer.up, before.context.viewer.up)
 
 

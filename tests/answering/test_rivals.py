@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from slow_cases import mostly_slow
 
-from pipeline.answering import ShownRanking
-from pipeline.answering.rivals import standing
+from pipeline.answering import FittedRanking
+from pipeline.answering.pair_standing import standing
 
 RELATION_SHARES = 18
 """The first column of shares: of the relation, among the pairs of the same target."""
@@ -101,7 +101,7 @@ def test_a_ranking_by_what_stands_beside_a_pair_is_foretold(
 ) -> None:
     rng = np.random.default_rng(5)
     seen = [line(rng, *rng.integers(2, 6, 2)) for _ in range(50)]
-    shown = ShownRanking.of([(f, score(f, ids), ids) for f, ids in seen])
+    shown = FittedRanking.of([(f, score(f, ids), ids) for f, ids in seen])
     assert shown is not None
     first = []
     for _ in range(100):

@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from slow_cases import mostly_slow
 
-from pipeline.answering import GivenAnswer, Header, Prediction, Proposal, RunRules, Scale, ShownRanking, side
+from pipeline.answering import FittedRanking, Header, PredictedAnswer, Prediction, Proposal, RunRules, Scale, side
+from pipeline.answering.fitted_ranking import SCALES, Compared
+from pipeline.answering.fitted_scorer import described
 from pipeline.answering.pair_rules import line_rule
-from pipeline.answering.shown_ranking import SCALES, Compared
-from pipeline.answering.shown_scorer import described
 from pipeline.geometry import Box3D, viewer_axes
 
 
@@ -46,7 +46,7 @@ RISING: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 @pytest.mark.parametrize("rule", mostly_slow(RISING, fast=(0, 9)))
 def test_scores_of_any_rising_rule_are_foretold(rule: str) -> None:
     score = RISING[rule]
-    shown = ShownRanking.of(lines(score))
+    shown = FittedRanking.of(lines(score))
     assert shown is not None
     a, b = np.random.default_rng(6).uniform(0.05, 0.95, (2, 500, 3))
     sure = np.abs(score(a) - score(b)) > 0.1 * np.ptp(score(a))
@@ -61,8 +61,8 @@ def test_scores_that_are_shares_or_chances_are_fitted_as_such() -> None:
     def odds(f: np.ndarray) -> np.ndarray:
         return 30 * f @ [0.2, 0.2, 0.6] - 20
 
-    shares = ShownRanking.of(lines(lambda f: np.exp(odds(f)) / np.exp(odds(f)).sum()))
-    chances = ShownRanking.of(lines(lambda f: 1 / (1 + np.exp(-odds(f)))))
+    shares = FittedRanking.of(lines(lambda f: np.exp(odds(f)) / np.exp(odds(f)).sum()))
+    chances = FittedRanking.of(lines(lambda f: 1 / (1 + np.exp(-odds(f)))))
     assert shares is not None
     assert chances is not None
     assert (shares.scale, chances.scale) == ("logs", "odds")
@@ -95,7 +95,7 @@ def test_a_shortlist_is_known_by_how_things_stand_among_their_like() -> None:
         surest = np.sort(np.unique(f[:, 0]))[-2:]
         return f[:, 2] + 0.5 * f[:, 1] + 10.0 * np.isin(f[:, 0], surest)
 
-    shown = ShownRanking.of([(f, score(f), ids) for f in (line() for _ in range(40))])
+    shown = FittedRanking.of([(f, score(f), ids) for f in (line() for _ in range(40))])
     assert shown is not None
     others = [line() for _ in range(20)]
     told = shown.sums(np.stack(others), ids)
@@ -110,14 +110,14 @@ def test_a_wrong_score_in_every_line_changes_nothing() -> None:
     broken = lines(weakest)
     for k, (_, scores, _) in enumerate(broken):
         scores[k % 10] = 2.0
-    shown = ShownRanking.of(broken)
+    shown = FittedRanking.of(broken)
     assert shown is not None
     low, high = np.array([[0.5, 0.5, 0.1], [0.5, 0.5, 0.9]])
     assert shown.sums(high) - shown.sums(low) == pytest.approx(0.48, abs=0.1)
 
 
 def test_a_reference_that_counts_before_all_else_hides_nothing_of_the_rest() -> None:
-    shown = ShownRanking.of(lines(lambda f: 100 * f[:, 1] + f[:, 0] * f[:, 2]))
+    shown = FittedRanking.of(lines(lambda f: 100 * f[:, 1] + f[:, 0] * f[:, 2]))
     assert shown is not None
     low, high = np.array([[0.9, 0.5, 0.3], [0.9, 0.5, 0.4]])
     # What is 0.1 % of all that it spans is told apart.
@@ -127,7 +127,7 @@ def test_a_reference_that_counts_before_all_else_hides_nothing_of_the_rest() -> 
 
 @pytest.mark.slow
 def test_noise_makes_less_sure() -> None:
-    clear, noisy = (ShownRanking.of(lines(weakest, noise=noise)) for noise in (0.0, 0.05))
+    clear, noisy = (FittedRanking.of(lines(weakest, noise=noise)) for noise in (0.0, 0.05))
     assert clear is not None
     assert noisy is not None
     assert noisy.unit > 2 * clear.unit
@@ -135,10 +135,10 @@ def test_noise_makes_less_sure() -> None:
 
 def test_scores_that_do_not_follow_from_their_factors_show_nothing() -> None:
     rng = np.random.default_rng(7)
-    assert ShownRanking.of(lines(lambda f: rng.random(len(f)))) is None
-    assert ShownRanking.of(lines(lambda f: -weakest(f))) is None
-    assert ShownRanking.of([(f[:5], scores[:5], ids[:5]) for f, scores, ids in lines(weakest, count=2)]) is None
-    assert ShownRanking.of([]) is None
+    assert FittedRanking.of(lines(lambda f: rng.random(len(f)))) is None
+    assert FittedRanking.of(lines(lambda f: -weakest(f))) is None
+    assert FittedRanking.of([(f[:5], scores[:5], ids[:5]) for f, scores, ids in lines(weakest, count=2)]) is None
+    assert FittedRanking.of([]) is None
 
 
 @given(
@@ -154,7 +154,7 @@ def test_the_pair_that_was_answered_stands_first(
     box = (0.0, 0.0, 9.0, 9.0)
     told = {"cup": tuple(Proposal(i, 0.5, box) for i in range(3)), "box": tuple(Proposal(i, 0.5, box) for i in (3, 4))}
     line = Prediction(
-        "1", "cup left of box", answer=GivenAnswer(object=answer, reference=end), proposals=told,
+        "1", "cup left of box", answer=PredictedAnswer(object=answer, reference=end), proposals=told,
         relations={"left": tuple((a, b, p) for (a, b), p in zip(pairs, scores, strict=True))},
         pairs=tuple((a, b, s) for (a, b), s in zip(pairs, scores, strict=True)) if ranking == "pair_scores" else None,
     )  # fmt: skip
@@ -172,7 +172,7 @@ def test_the_pair_that_was_answered_stands_first(
 
 
 def test_a_line_that_had_nothing_to_rank_scores_what_the_truth_adds() -> None:
-    shown = ShownRanking.of(lines(lambda f: f[:, 2] + (f[:, 0] == f[:, 0].max())))
+    shown = FittedRanking.of(lines(lambda f: f[:, 2] + (f[:, 0] == f[:, 0].max())))
     assert shown is not None
     line = Prediction("1", "cup left of box", problem="no cup", proposals={"cup": ()}, relations={"left": ()})
     rule = line_rule(RunRules(shown, (0.9, 0.1)), Header(1, ranking="pair_scores"), line, None)
@@ -184,7 +184,7 @@ def test_a_line_that_had_nothing_to_rank_scores_what_the_truth_adds() -> None:
 
 
 def test_weights_of_fewer_curves_still_say_what_they_said() -> None:
-    kept = ShownRanking(np.concatenate([[1.0, 2.0, 3.0], np.zeros(22)]), 0.1)
+    kept = FittedRanking(np.concatenate([[1.0, 2.0, 3.0], np.zeros(22)]), 0.1)
     assert kept.sums(np.array([0.2, 0.3, 0.4])) == pytest.approx(0.2 + 0.6 + 1.2)
 
 

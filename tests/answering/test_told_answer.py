@@ -20,8 +20,8 @@ from pipeline.answering import (
     holds,
     open_pipeline,
     probability,
-    told,
     trace_record,
+    words_of_answer,
 )
 
 PAIR = ScoredPair(0, 1, 0.9, 0.8, 0.7, log_score=-0.7, product=0.5, probability=1.0)
@@ -45,7 +45,7 @@ def test_an_answer_that_holds_is_headed_by_its_relation_and_its_product(
     source: Pipeline, context: PreparedFrame
 ) -> None:
     trace = source.ask(context, "mug left of the laptop")
-    best, answer = best_pair(trace), told(trace, named(trace))
+    best, answer = best_pair(trace), words_of_answer(trace, named(trace))
     assert best is not None
     assert holds(trace)
     assert answer.lead == ""
@@ -68,7 +68,7 @@ def test_a_false_relation_is_no_pair_whatever_the_posterior(
         assert best.probability == 1.0
     assert best.p_relation < HOLDS
     assert not holds(trace)
-    answer = told(trace, named(trace))
+    answer = words_of_answer(trace, named(trace))
     assert answer.lead == NO_SUCH_PAIR
     assert answer.sentence("this pair").startswith("no such pair; nearest is this pair: relation 0.05, product 0.05")
     record = trace_record(trace)
@@ -105,7 +105,7 @@ def test_every_relation_of_an_answer_has_to_hold(found: ScoredPair, stands: bool
 def test_the_relation_that_fails_is_named() -> None:
     ranking: Any = SimpleNamespace(pairs=(links(0.9, 0.2),), margin=1.0)
     trace: Any = SimpleNamespace(answered=None, own_scores=False, ranking=ranking)
-    answer = told(trace, lambda place: f"thing·{place}")
+    answer = words_of_answer(trace, lambda place: f"thing·{place}")
     assert answer.numbers == "weakest relation 0.20, product 0.50"
     assert answer.fails == ("thing·1 left of thing·2 0.20",)
     assert answer.below == "posterior 1.00, the only candidate pair"
@@ -114,7 +114,7 @@ def test_the_relation_that_fails_is_named() -> None:
 def test_where_the_closest_lost_by_its_score_no_one_is_told_that_there_is_none() -> None:
     ranking: Any = SimpleNamespace(pairs=(links(0.05, relation="closest"),), margin=1.0)
     trace: Any = SimpleNamespace(answered=None, own_scores=False, ranking=ranking)
-    answer = told(trace, str)
+    answer = words_of_answer(trace, str)
     assert not answer.holds
     assert answer.lead == "another is the closest; best by all scores is "
 
@@ -126,7 +126,7 @@ def test_no_pair_is_denied_that_stands_below_the_best() -> None:
         ((weak, links(0.2), standing), "pair 3 stands in it with a smaller product; best by all scores is "),
     ):
         trace: Any = SimpleNamespace(answered=None, own_scores=False, ranking=SimpleNamespace(pairs=pairs, margin=0.5))
-        assert told(trace, str).lead == lead
+        assert words_of_answer(trace, str).lead == lead
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ import pytest
 from waiting import LONG_S
 
 import pipeline
-from pipeline.answering import GivenAnswer, GivenBox, Prediction, Proposal, read_predictions
+from pipeline.answering import PredictedAnswer, PredictedBox, Prediction, Proposal, read_predictions
 from pipeline.answering.predictions import read_contents
 from pipeline.answering.tracing import Tracer
 from pipeline.geometry import Box3D, RunLength
@@ -53,12 +53,12 @@ def test_a_trace_is_the_predictions_that_were_told(tmp_path: Path) -> None:
     )
     unit, axes = (1.0, 1.0, 1.0), (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
     assert found.lines["a", QUESTION] == Prediction(
-        "a", QUESTION, GivenAnswer(0, 2), target="mug", relation="left", reference="laptop",
+        "a", QUESTION, PredictedAnswer(0, 2), target="mug", relation="left", reference="laptop",
         proposals={
             "mug": (Proposal(0, 0.9, (1, 2, 5, 4), mask=RunLength.of(MASK)), Proposal(1, 0.1, (0, 0, 2, 2))),
             "laptop": (Proposal(2, 0.8, (4, 1, 8, 5), "notebook"),),
         },
-        boxes_3d={0: GivenBox((0, 0, 1.5), unit, axes), 2: None, 1: GivenBox((0, 0, 1), unit, axes)},
+        boxes_3d={0: PredictedBox((0, 0, 1.5), unit, axes), 2: None, 1: PredictedBox((0, 0, 1), unit, axes)},
         relations={"left": ((0, 2, 0.9), (1, 2, 0.2)), "near": ()},
         attributes={"red": ((0, 0.7),)}, pairs=((0, 2, 3.5),),
     )  # fmt: skip
@@ -101,7 +101,7 @@ os.kill(os.getpid(), signal.SIGKILL)
     done = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, timeout=LONG_S)
     assert done.returncode == -9, done.stderr
     first, second = read_predictions(path).lines.values()
-    assert first.answer == GivenAnswer(0)
+    assert first.answer == PredictedAnswer(0)
     assert (second.frame, len((second.proposals or {})["mug"]), second.problem) == ("b", 2, "no answer was recorded")
     with path.open("ab") as file:
         file.write(b'{"frame": "b", "te')  # As a full disk leaves it.
@@ -110,8 +110,8 @@ os.kill(os.getpid(), signal.SIGKILL)
         assert t.proposals("mug", [[0, 0, 1, 1], [7, 7, 8, 8]], [0.9, 0.4]) == [1, 2]
         t.answer(2)
     first, second = read_predictions(path).lines.values()
-    assert first.answer == GivenAnswer(0)
-    assert ([p.id for p in (second.proposals or {})["mug"]], second.answer) == ([1, 2], GivenAnswer(2))
+    assert first.answer == PredictedAnswer(0)
+    assert ([p.id for p in (second.proposals or {})["mug"]], second.answer) == ([1, 2], PredictedAnswer(2))
 
 
 def test_threads_have_expressions_of_their_own(tmp_path: Path) -> None:
@@ -132,7 +132,7 @@ def test_threads_have_expressions_of_their_own(tmp_path: Path) -> None:
             thread.join(LONG_S)
     lines = read_predictions(t.path).lines
     assert {frame for frame, _ in lines} == {"0", "1", "2", "3"}
-    assert all(line.answer == GivenAnswer(0) and line.level == 1 for line in lines.values())
+    assert all(line.answer == PredictedAnswer(0) and line.level == 1 for line in lines.values())
 
 
 WRONG: dict[str, tuple[Callable[[Tracer], Any], str]] = {
@@ -160,7 +160,7 @@ def test_what_the_schema_refuses_is_refused_when_it_is_told_and_leaves_no_line(n
         assert "\n" not in str(raised.value)
         assert t.path.read_bytes() == before
         t.answer(0)
-    assert read_predictions(t.path).lines["a", QUESTION].answer == GivenAnswer(0)
+    assert read_predictions(t.path).lines["a", QUESTION].answer == PredictedAnswer(0)
 
 
 def test_a_trace_says_why_it_cannot_begin(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ from benchmarks.foreign_pipelines import (
     scenes,
 )
 
-from pipeline.answering.opening import open_pipeline
+from pipeline.answering.pipeline import open_pipeline
 from pipeline.answering.predictions import Prediction, write_predictions
 from pipeline.datasets.base import Dataset
 from pipeline.datasets.demo import demo_labels

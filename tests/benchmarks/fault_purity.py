@@ -25,7 +25,7 @@ from benchmarks.foreign_pipelines import (
     side_of,
 )
 
-from pipeline.answering.placing import box_3d
+from pipeline.answering.coordinate_conventions import box_3d
 from pipeline.answering.predictions import Prediction
 from pipeline.geometry.boxes import iou_2d, iou_3d
 from pipeline.relations.relations import F

@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 from benchmarks.planted_parts import share
 
+from pipeline.answering.coordinate_conventions import box_2d
 from pipeline.answering.objects import prepare_frame
-from pipeline.answering.placing import box_2d
-from pipeline.answering.predictions import GivenAnswer, GivenBox, Header, Prediction, Proposal
+from pipeline.answering.predictions import Header, PredictedAnswer, PredictedBox, Prediction, Proposal
 from pipeline.datasets.base import Dataset
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.camera import backproject
@@ -209,13 +209,13 @@ def as_written(header: Header, frame: Frame, pixels: np.ndarray) -> tuple[float,
     return tuple(np.round(of_frame * 1000, 1).tolist()) if header.box_unit == "thousandths" else box[header.boxes]
 
 
-def given_box(own: ForeignPipeline, t: Thing) -> GivenBox:
+def given_box(own: ForeignPipeline, t: Thing) -> PredictedBox:
     """A thing's 3D box in the form of the header."""
     axes = np.array([1, -1, -1] if own.header.coordinates == "camera_opengl" else [1, 1, 1])
     center, size = (x * UNIT_LENGTHS[own.header.length] for x in (t.center * axes, t.size))
     if own.decimals is not None:
         center, size = np.round(center, own.decimals), np.round(size, own.decimals)
-    box = GivenBox(tuple(center.tolist()), tuple(size.tolist()))  # type: ignore[arg-type]
+    box = PredictedBox(tuple(center.tolist()), tuple(size.tolist()))  # type: ignore[arg-type]
     if t.R is None:
         return box
     R = np.diag(axes) @ t.R
@@ -293,7 +293,7 @@ def predicted(own: ForeignPipeline, q: Question) -> Prediction:
     return Prediction(
         q.frame.id,
         q.case.text,
-        None if best is None else GivenAnswer(*best),
+        None if best is None else PredictedAnswer(*best),
         "no pair" if best is None else None,
         proposals={n: proposals(n, s) for n, s in ((q.case.target, q.targets), (q.case.reference, q.references))},
         boxes_3d={i: given_box(own, q.known[i]) for i in {**q.targets, **q.references}},

@@ -31,9 +31,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.answering.answering import FrameAnswers
+from pipeline.answering.batch import FrameAnswers
 from pipeline.answering.objects import PreparedFrame, prepare_frame
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.diagnosis.decision import diagnose
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.verdict import Diagnosis

@@ -22,7 +22,7 @@ import numpy as np
 from pipeline.answering import evidence
 from pipeline.answering.ask import Trace
 from pipeline.answering.objects import PreparedFrame, prepare_frame
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.diagnosis.asking import annotated_truth, judge_sentence, judge_trace
 from pipeline.diagnosis.sentence_truth import sentence_case
 from pipeline.diagnosis.verdict import Diagnosis

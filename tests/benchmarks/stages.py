@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.answering.objects import PreparedFrame, all_objects, appearance_of
-from pipeline.answering.opening import Pipeline, contexts
+from pipeline.answering.pipeline import Pipeline, contexts
 from pipeline.geometry.camera import backproject
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.level_plane import level_plane
@@ -234,6 +234,6 @@ if __name__ == "__main__":
     import json
     import sys
 
-    from pipeline.answering.opening import open_pipeline
+    from pipeline.answering.pipeline import open_pipeline
 
     print(json.dumps(bench_source(open_pipeline((sys.argv[1:] or ["demo"])[0])), indent=2))

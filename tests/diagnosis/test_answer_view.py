@@ -15,8 +15,8 @@ from pipeline.diagnosis import (
     BothAnswers,
     Edits,
     OtherAnswer,
-    edited_by,
-    said_edits,
+    edit_from_words,
+    edits_from_words,
     shown_objects,
 )
 from pipeline.diagnosis.whatif import rerun
@@ -126,15 +126,15 @@ def test_the_other_runs_answer_is_told_by_what_of_it_is_another_thing(baseline: 
 def test_edits_are_said_in_words_one_after_the_other(baseline: Baseline) -> None:
     view, keys = looked_at(baseline), baseline.outcome.keys
     target = keys[view.ranked[0].target]
-    made = said_edits(baseline, Edits(), ["size:1:0.3", "set:target_weight:2", "relation:0.2"])
+    made = edits_from_words(baseline, Edits(), ["size:1:0.3", "set:target_weight:2", "relation:0.2"])
     assert made.boxes[target].size[1] == pytest.approx(0.3)
     assert made.rank == {"target_weight": 2.0}
     assert list(made.relations.values()) == [0.2]
-    grown = said_edits(baseline, made, ["mask:grow:2"], target)
+    grown = edits_from_words(baseline, made, ["mask:grow:2"], target)
     assert (list(grown.masks), grown.boxes) == ([target], {})
     laptop = next(key for key, o in zip(keys, baseline.outcome.trace.objects, strict=True) if o.label == "laptop")
-    assert said_edits(baseline, Edits(), ["hide"], laptop).hidden == {laptop}
-    assert said_edits(baseline, Edits(), ["set:scorer:own", f"set:k:{baseline.source.config.k}"]) == Edits()
+    assert edits_from_words(baseline, Edits(), ["hide"], laptop).hidden == {laptop}
+    assert edits_from_words(baseline, Edits(), ["set:scorer:own", f"set:k:{baseline.source.config.k}"]) == Edits()
 
 
 @pytest.mark.parametrize(
@@ -147,15 +147,15 @@ def test_edits_are_said_in_words_one_after_the_other(baseline: Baseline) -> None
 )  # fmt: skip
 def test_what_is_no_edit_is_refused_in_a_line(baseline: Baseline, said: str, why: str) -> None:
     with pytest.raises(InputError, match=why):
-        said_edits(baseline, Edits(), [said])
+        edits_from_words(baseline, Edits(), [said])
     with pytest.raises(InputError, match="no such object"):
-        said_edits(baseline, Edits(), ["hide"], "#99")
+        edits_from_words(baseline, Edits(), ["hide"], "#99")
 
 
 def test_masks_are_swapped_between_the_two_of_the_pair(baseline: Baseline) -> None:
     view = looked_at(baseline)
     assert view.pair is not None
-    made = edited_by("mask:swap", view, baseline.source, baseline.outcome.keys)
+    made = edit_from_words("mask:swap", view, baseline.source, baseline.outcome.keys)
     keys = [baseline.outcome.keys[i] for i in (view.ranked[0].target, view.ranked[0].reference or 0)]
     assert list(made.masks) == keys
     size = baseline.context.frame.depth.shape

@@ -14,7 +14,7 @@ from pipeline.diagnosis import (
     Baseline,
     Edits,
     first_question,
-    known_truth,
+    frame_truth,
     offers_of,
     shown_objects,
     what_changed,
@@ -134,7 +134,7 @@ def test_a_pair_that_is_looked_at_gives_its_objects_their_names_in_it(run: Run) 
 def test_no_verdict_without_an_answer() -> None:
     source = open_pipeline("demo")
     context = source.prepare(0)
-    found = judged(source.ask(context, "mug"), source, context, known_truth(source, context))
+    found = judged(source.ask(context, "mug"), source, context, frame_truth(source, context))
     record = found.record()
     assert record["answer"] is None
     assert (found.holds, record["verdict"]) == (False, None)
@@ -149,7 +149,7 @@ def test_a_relation_that_was_dropped_is_not_held_to_be_true(dropped: str) -> Non
         trace = source.ask(context, f"laptop {dropped}")
     except InputError:
         return  # Refused: nothing is claimed.
-    found = judged(trace, source, context, known_truth(source, context))
+    found = judged(trace, source, context, frame_truth(source, context))
     record = found.record()
     assert record["answer"]["holds"] is None
     assert record["answer"]["relation_probability"] is None
@@ -165,7 +165,7 @@ def test_a_relation_that_was_dropped_is_not_held_to_be_true(dropped: str) -> Non
 def test_the_same_pair_by_other_letters_has_the_same_verdict(run: Run) -> None:
     source = open_pipeline("demo")
     context = source.prepare(0)
-    truth = known_truth(source, context)
+    truth = frame_truth(source, context)
     for text, misspelt in (
         ("mug left of the laptop", "mug left of the lamptop"),
         ("mug left of the laptop", "mug left of the laptpo"),
@@ -181,7 +181,7 @@ def test_what_is_offered_is_there_and_what_is_asked_first_has_an_answer(run: Run
     source = run.source
     context = source.prepare(0)
     objects = all_objects(context, source.needed_detector())
-    truth = known_truth(source, context, run.labels)
+    truth = frame_truth(source, context, run.labels)
     labelled = offers_of(source, context, objects, truth)
     there = {a.label for a in context.frame.annotations}
     assert labelled.by == "the labels"

@@ -21,9 +21,9 @@ from pipeline.diagnosis import (
     FrameEvidence,
     ask_and_judge,
     diagnosis_record,
+    frame_truth,
     judge_sentence,
     judge_trace,
-    known_truth,
     open_case,
     save_case,
     sentence_case,
@@ -91,7 +91,7 @@ def test_without_oracles_a_sentence_is_ranked_as_it_was_answered(weak: Pipeline)
 def test_a_plain_expression_solved_as_a_tree_has_the_same_scores(weak: Pipeline) -> None:
     """So what is said of sentences holds of plain expressions, which are ranked in one table."""
     context = weak.prepare(weak.dataset.frame_ids[0])
-    truth = known_truth(weak, context)
+    truth = frame_truth(weak, context)
     assert truth is not None
     for text in ("mug left of the laptop", "book right of the mug", "mug on the desk", "book behind the laptop"):
         trace = weak.ask(context, text)
@@ -132,7 +132,7 @@ def test_a_plain_expression_knows_nothing_of_attributes(weak: Pipeline) -> None:
 def test_what_is_known_of_attributes_follows_from_the_right_answers(weak: Pipeline) -> None:
     """No truth of the relation gets in: of a thing that the relation may leave out, nobody knows the colour."""
     context = weak.prepare(weak.dataset.frame_ids[3])
-    truth = known_truth(weak, context)
+    truth = frame_truth(weak, context)
     assert truth is not None
     mugs = np.flatnonzero(np.array(truth.labels) == "mug")
     right = mugs[:1]
@@ -162,7 +162,7 @@ def by_annotation(text: str, choose: int) -> Diagnosis | str:
     """The verdict where the right answer is said to be the so-manieth thing of the answered class."""
     exact = open_pipeline("demo", srm="rule")
     context = exact.prepare(exact.dataset.frame_ids[3])
-    truth = known_truth(exact, context)
+    truth = frame_truth(exact, context)
     assert truth is not None
     trace = exact.ask(context, text)
     things = np.flatnonzero(np.array(truth.labels) == trace.root.name)
@@ -200,7 +200,7 @@ def test_boxes_that_are_off_are_not_blamed_on_sizes(judged: list[Diagnosis]) -> 
 
 def test_a_kept_sentence_is_judged_again_as_it_was(weak: Pipeline, tmp_path: Path) -> None:
     context = weak.prepare(weak.dataset.frame_ids[3])
-    kept = save_case(tmp_path / "case", weak, context, "the biggest mug", truth=known_truth(weak, context))
+    kept = save_case(tmp_path / "case", weak, context, "the biggest mug", truth=frame_truth(weak, context))
     again = open_case(tmp_path / "case").answer()
     assert kept.diagnosis is not None
     assert again.record()["verdict"] == kept.record()["verdict"]
@@ -208,7 +208,7 @@ def test_a_kept_sentence_is_judged_again_as_it_was(weak: Pipeline, tmp_path: Pat
 
 def test_a_label_of_a_run_is_judged_as_it_was(weak: Pipeline) -> None:
     context = weak.prepare(weak.dataset.frame_ids[0])
-    truth = known_truth(weak, context)
+    truth = frame_truth(weak, context)
     assert truth is not None
     trace = weak.ask(context, "mug left of the laptop")
     found = case_of(truth, trace, weak, context)
@@ -241,7 +241,7 @@ def test_an_oracle_that_changes_nothing_has_no_share_and_takes_none(right_with: 
 @pytest.mark.slow
 def test_a_needed_change_of_attributes_and_no_smaller_one_puts_the_right_thing_first(weak: Pipeline) -> None:
     context = weak.prepare(weak.dataset.frame_ids[3])
-    truth = known_truth(weak, context)
+    truth = frame_truth(weak, context)
     assert truth is not None
     seen = 0
     for name in ("mug", "book", "chair", "bottle", "bowl"):

@@ -17,10 +17,10 @@ from hypothesis import strategies as st
 
 from pipeline.answering import (
     FrameAnswers,
-    GivenAnswer,
-    GivenBox,
     Header,
     ImportedPipeline,
+    PredictedAnswer,
+    PredictedBox,
     Prediction,
     PreparedFrame,
     Proposal,
@@ -88,11 +88,11 @@ def files(draw: st.DrawFn, ranking: str | None = None) -> tuple[Case, Header, Pr
         relation: tuple((*pair, draw(SHARES)) for pair in draw(st.permutations(list(dict.fromkeys(some)))))
         for relation, some in draw(st.permutations(list(told.items())))
     }
-    boxes = {i: None if draw(st.booleans()) else GivenBox((0.1 * i, 0.0, 2.0), (0.2, 0.3, 0.2)) for i in dict.fromkeys(
+    boxes = {i: None if draw(st.booleans()) else PredictedBox((0.1 * i, 0.0, 2.0), (0.2, 0.3, 0.2)) for i in dict.fromkeys(
         (*under[names[0]], *under[names[1]])
     )}  # fmt: skip
     a, b = draw(st.sampled_from(pairs)) if pairs else (None, None)
-    answer = None if a is None else GivenAnswer(a, b if draw(st.booleans()) else None)
+    answer = None if a is None else PredictedAnswer(a, b if draw(st.booleans()) else None)
     line = Prediction(
         w.truth.frame, case.text, answer, None if pairs else "no pair", proposals=proposals, relations=rows,
         boxes_3d=boxes if draw(st.booleans()) else None,
@@ -261,7 +261,7 @@ def test_what_was_answered_to_a_sentence_stands(text: str, names: tuple[str, ...
         line = Prediction(
             w.truth.frame,
             text,
-            GivenAnswer(i),
+            PredictedAnswer(i),
             proposals=proposals,
             relations=rows,
             boxes_3d={},

@@ -15,7 +15,7 @@ from benchmarks.centre_rule import CENTRES
 from benchmarks.fault_figures import lines
 from slow_cases import mostly_slow
 
-from pipeline.answering import GivenAnswer, GivenBox, Header, Prediction, open_pipeline, write_predictions
+from pipeline.answering import Header, PredictedAnswer, PredictedBox, Prediction, open_pipeline, write_predictions
 from pipeline.answering.pair_rules import factors_of
 from pipeline.datasets import demo_labels
 from pipeline.evaluation import RunReport, import_published, import_run, open_run
@@ -69,7 +69,7 @@ def test_answers_among_the_proposals_are_mostly_right(
     assert imported(tmp_path, given)[1].count("CORRECT") > 0.6 * len(given)
 
 
-ANSWERS = [GivenAnswer(point=(5.0, 5.0)), GivenAnswer(box=(0.0, 0.0, 20.0, 20.0)), GivenAnswer(yes=False)]
+ANSWERS = [PredictedAnswer(point=(5.0, 5.0)), PredictedAnswer(box=(0.0, 0.0, 20.0, 20.0)), PredictedAnswer(yes=False)]
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ ANSWERS = [GivenAnswer(point=(5.0, 5.0)), GivenAnswer(box=(0.0, 0.0, 20.0, 20.0)
     mostly_slow(product(["pair_scores", "product", "none"], ANSWERS), fast=(3, 8), several=True),
 )
 def test_an_answer_that_is_no_proposal_is_not_replaced_by_the_best_pair(
-    imported: Import, given: list[Prediction], tmp_path: Path, answer: GivenAnswer, ranking: str
+    imported: Import, given: list[Prediction], tmp_path: Path, answer: PredictedAnswer, ranking: str
 ) -> None:
     pairs = {} if ranking == "pair_scores" else {"pairs": None}
     wrong = [replace(line, answer=answer, **pairs) for line in given]  # type: ignore[arg-type]
@@ -92,7 +92,7 @@ def test_ends_that_are_swapped_are_refused_with_their_line(
 ) -> None:
     line = next(x for x in given if x.answer and x.answer.reference is not None)
     assert line.answer is not None
-    swapped = GivenAnswer(object=line.answer.reference, reference=line.answer.object)
+    swapped = PredictedAnswer(object=line.answer.reference, reference=line.answer.object)
     with pytest.raises(InputError, match=r"line 2, answer: the answer is no pair"):
         imported(tmp_path, [replace(line, answer=swapped)])
     assert not (tmp_path / "run").exists()
@@ -200,7 +200,7 @@ def ranked(line: Prediction, change: Callable[[float], float]) -> Prediction:
     scores = {pair: float(np.log(np.clip(f, 1e-6, 1)).sum()) for pair, f in factors_of(changed).items()}
     first = max(scores, key=scores.__getitem__)
     pairs = tuple((a, b, s) for (a, b), s in scores.items())
-    return replace(changed, pairs=pairs, answer=GivenAnswer(object=first[0], reference=first[1]))
+    return replace(changed, pairs=pairs, answer=PredictedAnswer(object=first[0], reference=first[1]))
 
 
 def numbered_apart(line: Prediction, k: int) -> Prediction:
@@ -239,7 +239,7 @@ def test_a_relation_of_a_box_that_is_off_as_no_other_is_the_boxs_fault(tmp_path:
     broken = [ranked(line, (lambda p: 1 - p) if k % 4 == 0 else float) for k, line in enumerate(asked)]
 
     def moved(line: Prediction) -> Prediction:
-        def farther(box: GivenBox | None) -> GivenBox:
+        def farther(box: PredictedBox | None) -> PredictedBox:
             assert box is not None
             assert box.center is not None
             x, y, z = box.center

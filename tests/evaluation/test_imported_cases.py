@@ -18,7 +18,7 @@ from slow_cases import mostly_slow
 from pipeline.answering import ImportedPipeline, Prediction, open_pipeline, read_predictions, write_predictions
 from pipeline.answering.imported import open_imported
 from pipeline.datasets import MANIFEST, demo_labels
-from pipeline.diagnosis import Result, known_truth, open_case, replay_all, save_case
+from pipeline.diagnosis import Result, frame_truth, open_case, replay_all, save_case
 from pipeline.diagnosis.cases.manifest import PREDICTIONS
 from pipeline.labels import Labels, open_labels
 from pipeline.system import InputError
@@ -65,7 +65,7 @@ def kept(tmp_path_factory: pytest.TempPathFactory, labels: Labels, asked: list[t
     for k, (x, _) in enumerate(asked[::EVERY]):
         context = source.prepare(x.line.frame)
         save_case(
-            folder / "cases" / f"{k:03d}", source, context, x.line.text, truth=known_truth(source, context, labels)
+            folder / "cases" / f"{k:03d}", source, context, x.line.text, truth=frame_truth(source, context, labels)
         )
     return folder
 

@@ -14,9 +14,9 @@ import pytest
 from slow_cases import mostly_slow
 
 from pipeline.answering import (
-    GivenAnswer,
     Header,
     ImportedPipeline,
+    PredictedAnswer,
     Prediction,
     Proposal,
     check_places,
@@ -126,7 +126,7 @@ def at_level(folder: Path, level: int) -> Path:
     for line in read.lines.values():
         if level == 0:
             box = None if line.answer is None or line.answer.object is None else line.objects[line.answer.object].box
-            answer = None if box is None else GivenAnswer(box=box)
+            answer = None if box is None else PredictedAnswer(box=box)
             lines.append(Prediction(line.frame, line.text, answer, None if answer else "nothing"))
         else:
             none = None if line.answer else "nothing"
@@ -171,7 +171,7 @@ def test_points_in_another_unit_are_refused(folder: Path, tmp_path: Path, unit: 
         return 0.1 * far * k, 0.09 * far * k
 
     asked = [*read_predictions(folder / "run.jsonl").lines][:8]
-    lines = [Prediction(f, t, GivenAnswer(point=point(k))) for k, (f, t) in enumerate(asked, 1)]
+    lines = [Prediction(f, t, PredictedAnswer(point=point(k))) for k, (f, t) in enumerate(asked, 1)]
     write_predictions(tmp_path / "points.jsonl", Header(box_unit=unit), lines)
     with pytest.raises(InputError, match=r"line \d, answer: 8 of 8 answers lie .*box_unit") as caught:
         import_run(tmp_path / "points.jsonl", "demo", folder / "labels", tmp_path / "run", plots=False)

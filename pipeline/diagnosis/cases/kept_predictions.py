@@ -13,16 +13,16 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, FiniteFloat
 
 from pipeline.answering.ask import AskConfig
-from pipeline.answering.imported import GivenDetector, ImportedPipeline, config_of, scorer_of
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.fitted_ranking import FittedRanking, Scale
+from pipeline.answering.fitted_scorer import FittedScorer
+from pipeline.answering.imported import ImportedDetector, ImportedPipeline, config_of, scorer_of
 from pipeline.answering.pair_rules import RunRules
+from pipeline.answering.pipeline import Pipeline
 from pipeline.answering.predictions import Predictions, as_json, read_predictions
-from pipeline.answering.shown_ranking import Scale, ShownRanking
-from pipeline.answering.shown_scorer import ShownScorer
 from pipeline.datasets.base import Dataset
 from pipeline.language.naming import Synonyms
 from pipeline.relations import RelationScorer, RuleScorer
-from pipeline.relations.given import GivenRelations
+from pipeline.relations.supplied import SuppliedRelations
 from pipeline.system.errors import require
 
 
@@ -31,7 +31,7 @@ class _StrictModel(BaseModel):
 
 
 class ShownRankingRecord(_StrictModel):
-    """`ShownRanking` as JSON."""
+    """`FittedRanking` as JSON."""
 
     weights: tuple[FiniteFloat, ...]
     unit: FiniteFloat
@@ -50,7 +50,7 @@ class ShownRecord(_StrictModel):
     @property
     def rules(self) -> RunRules:
         """Rules for `ImportedPipeline`."""
-        shown = self.ranking and ShownRanking(np.array(self.ranking.weights), self.ranking.unit, self.ranking.scale)
+        shown = self.ranking and FittedRanking(np.array(self.ranking.weights), self.ranking.unit, self.ranking.scale)
         return RunRules(shown, self.true_scores)
 
 
@@ -66,7 +66,7 @@ def keep_predictions(source: ImportedPipeline, frame: str) -> tuple[bytes, Shown
         weights=tuple(rules.shown.weights.tolist()), unit=rules.shown.unit, scale=rules.shown.scale
     )
     relations = None
-    if isinstance(stand_in, ShownScorer):
+    if isinstance(stand_in, FittedScorer):
         relations = {k: None if w is None else tuple(w.tolist()) for k, w in stand_in.weights.items()}
     shown = ShownRecord(level=file.level, true_scores=rules.true_scores, ranking=ranking, relations=relations)
     return "".join(f"{line}\n" for line in lines).encode(), shown
@@ -74,7 +74,7 @@ def keep_predictions(source: ImportedPipeline, frame: str) -> tuple[bytes, Shown
 
 def named_scorer(source: ImportedPipeline) -> RelationScorer:
     """Scorer of pairs missing in the file."""
-    assert isinstance(source.scorer, GivenRelations)
+    assert isinstance(source.scorer, SuppliedRelations)
     return source.scorer.stand_in
 
 
@@ -98,9 +98,9 @@ def newer_source(
     return _source(read, before.dataset, scorer, config_of(read), before.synonyms, rules)
 
 
-def _shown_scorer(read: Predictions, shown: ShownRecord, dataset: Dataset) -> ShownScorer:
+def _shown_scorer(read: Predictions, shown: ShownRecord, dataset: Dataset) -> FittedScorer:
     told = {k: None if w is None else np.array(w) for k, w in (shown.relations or {}).items()}
-    return ShownScorer(read, dataset, told)
+    return FittedScorer(read, dataset, told)
 
 
 def _source(
@@ -108,4 +108,4 @@ def _source(
     rules: RunRules | None = None,
 ) -> ImportedPipeline:  # fmt: skip
     relations = scorer_of(read, None, scorer)
-    return ImportedPipeline(dataset, GivenDetector(read), relations, config, synonyms, predictions=read, shown=rules)
+    return ImportedPipeline(dataset, ImportedDetector(read), relations, config, synonyms, predictions=read, shown=rules)

@@ -17,8 +17,8 @@ from pydantic import TypeAdapter
 
 from pipeline.answering.imported import ImportedPipeline
 from pipeline.answering.objects import PreparedFrame
-from pipeline.answering.opening import Pipeline
 from pipeline.answering.pair_rules import RunRules
+from pipeline.answering.pipeline import Pipeline
 from pipeline.answering.predictions import Predictions
 from pipeline.datasets.saved_case import (
     CASE_FORMAT,
@@ -52,7 +52,7 @@ from pipeline.language.naming import default_synonyms
 from pipeline.language.tree import Query
 from pipeline.proposals.registry import open_detector
 from pipeline.relations import RelationScorer, RuleScorer, make_scorer, shipped_network
-from pipeline.relations.given import GivenRelations
+from pipeline.relations.supplied import SuppliedRelations
 from pipeline.system.detector_setup import DetectorSetup
 from pipeline.system.errors import InputError, needed, require
 from pipeline.system.safe_files import read_bytes
@@ -184,7 +184,7 @@ def _write_whole(folder: Path, files: dict[str, bytes], source: Pipeline, record
         partial.mkdir()
         for file, data in files.items():
             write_synced(partial / file, data)
-        opened = open_case(partial, scorer=None if isinstance(source, ImportedPipeline) else source.scorer)
+        opened = open_case(partial, scorer=None if source.predictions is not None else source.scorer)
         again = answer_record(opened.answer())
         if again != record:
             require(
@@ -218,7 +218,7 @@ def _json(record: dict[str, Any]) -> str:
 
 def _scorer_record(scorer: RelationScorer, copy: bool) -> tuple[ScorerRecord, bytes | None]:
     """Record of the relation scorer, and its file where copied into the case."""
-    if isinstance(scorer, GivenRelations):
+    if isinstance(scorer, SuppliedRelations):
         return ScorerRecord(kind="imported", name=scorer.name), None
     if isinstance(scorer, RuleScorer):
         return ScorerRecord(kind="rule", name=scorer.name), None

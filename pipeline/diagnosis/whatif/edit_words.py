@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.answering.frame_store import LoadedFrame
 from pipeline.answering.objects import SceneObject
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif.answer_view import AnswerView, answer_view
 from pipeline.diagnosis.whatif.edits import Edits
@@ -25,7 +25,7 @@ PROFILE_SETTINGS = ("cone", "doubtful_cone", "dead_zone", "dead_zone_depth")
 WEIGHTS = ("target_weight", "reference_weight", "relation_weight")
 
 
-def edited_by(said: str, view: AnswerView, source: Pipeline, keys: tuple[str, ...]) -> Edits:
+def edit_from_words(said: str, view: AnswerView, source: Pipeline, keys: tuple[str, ...]) -> Edits:
     """Add an edit in words to the edits of a view.
 
     Parameters
@@ -71,19 +71,21 @@ def edited_by(said: str, view: AnswerView, source: Pipeline, keys: tuple[str, ..
     raise InputError("there is no such edit", got=said)
 
 
-def said_edits(baseline: Baseline, edits: Edits, said: Sequence[str], key: str | None = None) -> Edits:
+def edits_from_words(baseline: Baseline, edits: Edits, said: Sequence[str], key: str | None = None) -> Edits:
     """Add edits in words to the edits of a question, in order.
 
     Parameters
     ----------
     said : sequence of str
-        As for `edited_by`; the pair that they are of is the answer.
+        As for `edit_from_words`; the pair that they are of is the answer.
     key : str, optional
         Of the object that they are of. Default: the target of the answer.
     """
     for words in said:
         outcome = rerun(baseline, edits)
-        edits = edited_by(words, answer_view(baseline.context, outcome, edits, key), baseline.source, outcome.keys)
+        edits = edit_from_words(
+            words, answer_view(baseline.context, outcome, edits, key), baseline.source, outcome.keys
+        )
     return edits
 
 

@@ -18,9 +18,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from pipeline.answering.ask import Trace, joined, ranked, timed
-from pipeline.answering.asked_names import detections
+from pipeline.answering.detector_prompts import detections
 from pipeline.answering.objects import PreparedFrame, SceneObject, same_object
-from pipeline.answering.opening import Pipeline
+from pipeline.answering.pipeline import Pipeline
 from pipeline.answering.ranking import Candidates, RelationLookup
 from pipeline.diagnosis.whatif.edits import Edits, PlacedBox
 from pipeline.diagnosis.whatif.pair_tables import PairTables, detection_keys, identity, score_pairs

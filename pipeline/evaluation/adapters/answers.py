@@ -104,7 +104,7 @@ def _lines(fields: Fields, published: Published, content: Content) -> Iterator[P
 
 
 def _items(content: Content, name: str) -> dict[str, Mapping[str, Any]]:
-    """The items of a key by their ids; by their number in the list where they have none, and for lmms-eval's doc_id."""
+    """Items of a key by their ids; by their number in the list without ids, and for lmms-eval's doc_id."""
     listed = content.value
     require(isinstance(listed, list), "--key is a list of items", got=type(listed).__name__, path=content.path)
     found: dict[str, Mapping[str, Any]] = {}
@@ -133,7 +133,7 @@ def _picture(found: Any) -> Picture | None:
 
 
 def _traced(path: Path, number: Any) -> str | None:
-    """The question in a session's trace beside the file, without what the benchmark adds to it."""
+    """Question in a session's trace beside the file, without the benchmark's additions."""
     name = f"session-{number}"
     if "/" in name or "\\" in name:
         return None
@@ -144,7 +144,7 @@ def _traced(path: Path, number: Any) -> str | None:
 
 
 def _said(answer: Any, choices: Any) -> str:
-    """The answer's words; a letter of several choices is what it stands for."""
+    """Words of an answer; a letter of several choices is resolved."""
     while isinstance(answer, list) and len(answer) == 1:
         answer = answer[0]
     text = answer if isinstance(answer, str) else json.dumps(answer)
@@ -171,7 +171,7 @@ _THOUSANDTHS = re.compile(r"1000\s*[×x]\s*1000|between 0 and (?:999|1000)")
 def answer_of(
     text: str, size: Callable[[], tuple[int, int]], scale: float | None = None, in_pixels: bool = False
 ) -> tuple[PredictedAnswer | None, str | None, bool]:
-    """A place or yes or no, in shares of the picture; else why there is none; and whether there were several places.
+    """Place, yes or no of an answer in shares of the picture, else a reason; and a flag for several places.
 
     Points are read as the published evaluations read them: `x="61.5" y="40.4"` is per cent (Molmo), `"point": [y, x]`
     (Gemini) and `"point_2d": [x, y]` (Qwen) thousandths, and (x, y) shares where it has a decimal point, else pixels.

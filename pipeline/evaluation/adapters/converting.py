@@ -75,7 +75,7 @@ def convert_predictions(
     format: str | None = None,
     key: Path | None = None,
 ) -> Converted:
-    """Write what a published file holds as predictions.
+    """Write a published file as predictions.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def import_published(
     key: Path | None = None,
     **more: Any,
 ) -> RunReport:
-    """`import_run` of any file: one that another program publishes is turned into predictions first.
+    """Import any file of predictions as `import_run` does; other formats are converted first.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def import_published(
 
 
 def is_published(path: Path) -> bool:
-    """Whether a file is not of our own schema: it does not begin with its header."""
+    """Tell whether a file is of another schema: without our header."""
     if path.is_dir():
         return True
     with suppress(OSError), opened(path, "unpacked") as file:
@@ -204,7 +204,7 @@ def _chosen(path: Path, name: str | None) -> tuple[str, PredictionFormat]:
 
 
 def _sentences(dataset: Dataset, labels: Labels) -> dict[str, dict[str, tuple[str, ...]]]:
-    """The labels' expressions by frame, in order, each with the names that it asks for."""
+    """Expressions of the labels by frame, in order, each with its names."""
     table = labels.expressions.select(["frame", "text", "target", "reference"])
     found: dict[str, dict[str, tuple[str, ...]]] = {}
     for row in table.to_pylist():

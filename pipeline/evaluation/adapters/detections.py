@@ -21,7 +21,7 @@ ONLY_DETECTIONS = "the file holds detections and no answers"
 
 
 def read_recording(published: Published) -> tuple[Header, Iterator[Prediction]]:
-    """Every expression of the labels with the detections of its names."""
+    """Join every expression of the labels with the detections of its names."""
     detector = RecordedDetector(published.path, key=published.key, frame_ids=published.dataset.frame_ids)
     published.notes.append(
         f"{ONLY_DETECTIONS}: with --detector recorded they can be ranked as ours are (spatialviz eval)"

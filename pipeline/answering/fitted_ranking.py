@@ -1,0 +1,200 @@
+"""Fitted model of a ranking that cannot be asked again, from the scores of its file.
+
+Of two pairs of one line the file says which scored more. How probable that is follows from P(target), P(reference) and
+P(relation) of both: a sum of curves, each of which rises with these factors, is fitted to all such comparisons of the
+file, whatever the scale of its scores. A ranking that uses its factors at all gives no less to a pair that is better in
+all of them. Where such a sum does not say what most comparisons say, the ranking goes by something else.
+
+Scores that are products or shares of a whole are sums in their logarithms, those of a classifier in their log odds: it
+is fitted to what fits best. A ranking may also go by how a thing stands among its like, as one of the three surest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from pipeline.answering.pair_standing import standing
+
+LEAST_COMPARED, MOST_COMPARED = 30, 12_000
+"""Comparisons: of fewer nothing is said, of more some are taken, evenly."""
+MOST_ODD = 0.25
+"""A pair is odd whose score stands the wrong way round with more than half of the others of its line; so many may be,
+of those of all lines, whose scores are wrong."""
+FITS = 3
+"""How often a ranking is fitted, each time without the pairs that were odd by the fit before."""
+CONTRADICTED = 0.15
+"""A fit stands in that contradicts no more than this of what is said of the others."""
+ALIKE = 0.02
+"""Scores are fitted as they stand where that contradicts no more comparisons than this beyond a fit to their order."""
+FAR = 4.0
+"""A difference of scores is left out of the last fit that is off by so many times the median."""
+LEAST_NOISE = 0.0001
+"""No fit is surer than this share of all that it spans: what lies within is told by rounding."""
+_RIDGE = 0.5
+_MOST_STEPS, _SHORT = 30, 1e-7
+_BENDS = (0.25, 0.5, 0.75)
+_STEPS = tuple(k / 10 for k in range(1, 10))
+
+_FEW = 0.05
+"""A scale is tried that can hold all scores but this share."""
+CLEARER = 0.7
+"""How things stand among others is believed where it leaves no more than this of what the factors alone do not tell."""
+_NOTHING = 1e-12
+
+Compared = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""(N, 3) float64 factors, (N,) float64 scores and (N, 2) int64 ids of the pairs of one line."""
+
+_BOUND = 700.0
+Scale = Literal["values", "logs", "odds"]
+SCALES: dict[Scale, tuple[Callable[[np.ndarray], np.ndarray], Callable[[np.ndarray], np.ndarray]]] = {
+    "values": (lambda s: s, lambda s: s),
+    "logs": (lambda s: np.log(np.maximum(s, _NOTHING)), lambda s: np.exp(np.clip(s, -_BOUND, _BOUND))),
+    "odds": (
+        lambda s: np.log(np.clip(s, _NOTHING, 1)) - np.log(np.clip(1 - s, _NOTHING, 1)),
+        lambda s: 1 / (1 + np.exp(np.clip(-s, -_BOUND, _BOUND))),
+    ),
+}
+"""In what scores are sums: from scores, and back; none changes their order."""
+
+
+def curves(factors: np.ndarray) -> np.ndarray:
+    """(..., K) float64: rising functions of factors (..., 3): bent, joined, and by thresholds."""
+    clear = np.clip(factors, 0.01, 0.99)
+    bends = [np.minimum(clear, bend) for bend in _BENDS]
+    odds = np.log(clear / (1 - clear))
+    t, r, p = np.moveaxis(clear, -1, 0)
+    joined = [np.minimum(t, r), np.minimum(t, p), np.minimum(r, p), t * r, t * p, r * p, t * r * p]
+    either = [1 - (1 - t) * (1 - r), 1 - (1 - t) * (1 - p), 1 - (1 - r) * (1 - p), 1 - (1 - t) * (1 - r) * (1 - p)]
+    mixed = np.stack([*joined, clear.min(axis=-1), *either], axis=-1)
+    return np.concatenate([clear, *bends, np.log(clear), odds, mixed, *(clear > step for step in _STEPS)], axis=-1)
+
+
+@dataclass(frozen=True)
+class FittedRanking:
+    """Fitted model of a file's ranking."""
+
+    # weights: (K,) float64: of `curves` and `standing`; the difference of two sums is how much more the one pair
+    # scores, about, on `scale`
+    weights: np.ndarray
+    unit: float  # So much more is one more of the log odds that it scores more at all
+    scale: Scale = "values"  # In what scores are sums
+
+    def sums(self, factors: np.ndarray, ids: np.ndarray | None = None) -> np.ndarray:
+        """(..., P) float64: sums of factors (..., P, 3) of the pairs of a line with these ids (P, 2)."""
+        told = curves(factors)
+        # Cases of before were kept with the first curves only.
+        if ids is not None and len(self.weights) > told.shape[-1]:
+            told = np.concatenate([told, standing(factors, ids)], axis=-1)
+        known = min(told.shape[-1], len(self.weights))
+        return np.asarray(told[..., :known] @ self.weights[:known])
+
+    @staticmethod
+    def of(lines: Sequence[Compared]) -> FittedRanking | None:
+        """Fit lines together; None where their factors explain nothing."""
+        above, below, start = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], 0
+        for _, scores, _ in lines:
+            a, b = np.nonzero(scores[:, None] > scores[None] + 1e-9)
+            above.append(a + start)
+            below.append(b + start)
+            start += len(scores)
+        every = np.stack([np.concatenate(above), np.concatenate(below)], axis=1)
+        if len(every) < LEAST_COMPARED:
+            return None
+        every = every[np.unique(np.linspace(0, len(every) - 1, min(MOST_COMPARED, len(every))).astype(int))]
+        seen = np.concatenate([np.concatenate([curves(f), standing(f, ids)], axis=1) for f, _, ids in lines])
+        x = seen[every[:, 0]] - seen[every[:, 1]]
+        compared, kept = np.bincount(every.ravel(), minlength=start), np.ones(len(every), np.bool_)
+        wrong, odd = ~kept, np.zeros(start, np.bool_)
+        # Without the pairs that are odd by one fit the next tells better which are.
+        for _ in range(FITS):
+            wrong = x @ fitted(x[kept], rising=True) <= 0
+            odd = np.bincount(every[wrong].ravel(), minlength=start) > compared / 2
+            kept = ~odd[every].any(axis=1)
+            if not kept.any():
+                return None
+        if odd.sum() > MOST_ODD * np.count_nonzero(compared) or wrong[kept].mean() > CONTRADICTED:
+            return None
+        x, every = x[kept], every[kept]
+        scores = np.concatenate([scores for _, scores, _ in lines])
+        weights, more, near, scale = _scaled(x, scores, every)
+        x = x[:, : len(weights)]
+        order = fitted(x, rising=True)
+        if (x @ weights <= 0).mean() > (x @ order <= 0).mean() + ALIKE:
+            apart = x @ order
+            weights, near = order * (more @ apart) / max(float(apart @ apart), 1e-12), np.ones(len(x), np.bool_)
+        noise = float((more - x @ weights)[near].std()) * np.sqrt(3) / np.pi
+        low, high = curves(np.array([[0.0] * 3, [1.0] * 3])) @ weights[: curves(np.zeros((1, 3))).shape[1]]
+        return FittedRanking(weights, max(noise, LEAST_NOISE * (high - low), 1e-12), scale)
+
+
+def _scaled(x: np.ndarray, scores: np.ndarray, every: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, Scale]:
+    """Weights of the first columns of x (N, C), and the scale on which they fit best.
+
+    Weights (K,) give the differences (N,) of the pairs `every` (N, 2); then these, the near ones of them (N,), and the
+    scale on which the least is left of those.
+    """
+    best: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+    scale: Scale = "values"
+    left, alone = np.inf, curves(np.zeros((1, 3))).shape[1]
+    for columns in (alone, x.shape[1]):
+        for name, (forward, _) in SCALES.items():
+            outside = (scores <= 0) | ((scores >= 1) if name == "odds" else False)
+            if name != "values" and outside.mean() > _FEW:
+                continue
+            more = forward(scores[every[:, 0]]) - forward(scores[every[:, 1]])
+            z = x[:, :columns]
+            # A wrong score that stands the right way round is known by how far it stands from all others.
+            far = np.abs(more - z @ _regressed(z, more))
+            near = far <= FAR * np.median(far) + 1e-9
+            weights = _regressed(z[near], more[near])
+            off = float(np.abs(more - z @ weights)[near].sum() / np.abs(more[near]).sum())
+            # Factors that explain the scores by themselves are believed before how things stand among others.
+            if best is None or off < (left if columns == alone else CLEARER * left - 0.01):
+                best, scale, left = (weights, more, near), name, off
+    assert best is not None
+    return *best, scale
+
+
+def _regressed(x: np.ndarray, more: np.ndarray) -> np.ndarray:
+    """(K,) float64, none below 0: least-squares weights of x ((N, K)) for differences of scores ((N,))."""
+    scale = np.maximum(np.sqrt((x**2).mean(axis=0)), 1e-6)
+    z = x / scale
+    return _least(z.T @ z + _RIDGE / 5 * np.eye(z.shape[1]), z.T @ more, True) / scale
+
+
+def fitted(x: np.ndarray, p: np.ndarray | float = 1.0, rising: bool = False) -> np.ndarray:
+    """(K,) float64: logistic weights of x ((N, K)) for probabilities p ((N,)), by Newton's method; with `rising` none
+    below 0."""
+    scale = np.maximum(np.sqrt((x**2).mean(axis=0)), 1e-6)
+    z = x / scale
+
+    def loss(w: np.ndarray) -> float:
+        odds = z @ w
+        return float((np.logaddexp(0, odds) - p * odds).sum() + _RIDGE * w @ w / 2)
+
+    w = np.zeros(z.shape[1])
+    for _ in range(_MOST_STEPS):
+        q = 1 / (1 + np.exp(-np.clip(z @ w, -500, 500)))
+        bent = (z * (q * (1 - q))[:, None]).T @ z + _RIDGE * np.eye(len(w))
+        step = _least(bent, bent @ w + (p - q) @ z - _RIDGE * w, rising) - w
+        before, length = loss(w), 1.0
+        while length > _SHORT and loss(w + length * step) > before:
+            length /= 2
+        w = w + length * step
+        if before - loss(w) < _SHORT * (1 + abs(before)):
+            break
+    return w / scale
+
+
+def _least(a: np.ndarray, b: np.ndarray, rising: bool) -> np.ndarray:
+    """(K,) float64: minimiser of w A w / 2 - b w, A (K, K) positive; with `rising` over w with none below 0."""
+    if not rising:
+        return np.linalg.solve(a, b)
+    from scipy.optimize import nnls
+
+    root = np.linalg.cholesky(a).T
+    return nnls(root, np.linalg.solve(root.T, b))[0]
