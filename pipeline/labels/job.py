@@ -184,10 +184,12 @@ def label(
     options
         Further arguments of `open_pipeline`: model, min_score, up, intrinsics, ...
 
-    Raises
-    ------
-    InputError
-        As `label_dataset`.
+    Raises InputError as `label_dataset`.
+
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     label("demo", f"{folder}/labels", limit=1)
+    <Labels labels: 1 frames, 20 objects, 380 relations, 40 expressions>
     """
     spec = SourceSpec(str(dataset), {"detector": detector, "segmenter": segmenter, **with_files(options, str)})
     label_dataset(

@@ -229,12 +229,14 @@ MANIFEST_FILE = "manifest.json"
 
 @dataclass(frozen=True)
 class Labels:
-    """Merged labels of a dataset; tables are read when they are first asked for.
+    """Merged labels of a dataset; tables are read when first asked for.
 
-    Attributes
-    ----------
-    root : Path
-    manifest : Manifest
+    >>> from pipeline.datasets.demo import demo_labels
+    >>> labels = open_labels(demo_labels())
+    >>> labels
+    <Labels labels: 12 frames, 346 objects, 9822 relations, 1800 expressions>
+    >>> labels.expressions.column("text")[0].as_py()
+    'which potted plant is on the left side of a shelf?'
     """
 
     root: Path
@@ -271,12 +273,13 @@ class Labels:
 
 
 def open_labels(path: str | Path) -> Labels:
-    """Open a labels folder that `label` or `merge` finished.
+    """Open a finished labels folder.
 
-    Raises
-    ------
-    InputError
-        No labels there, unmerged ones, or ones of another schema.
+    Raises InputError: no labels there, unmerged ones, or ones of another schema.
+
+    >>> from pipeline.datasets.demo import demo_labels
+    >>> open_labels(demo_labels()).relation_names
+    ('left', 'right', 'above', 'below', 'front', 'behind')
     """
     root = enter(Path(path).expanduser())
     file = root / MANIFEST_FILE

@@ -67,21 +67,18 @@ class Job:
 
 @dataclass(frozen=True)
 class Written:
-    """What a writer wrote.
+    """Files and rows of an export.
 
-    Attributes
-    ----------
-    files : tuple of str
-        Below the folder; a folder of one file a frame stands as one entry, with a slash.
-    rows : dict of str to int
-        How many of what.
-    notes : tuple of str
-        What the format could not carry in this case.
+    >>> Written(("relations.txt",), {"relations": 380}).notes
+    ()
     """
 
     files: tuple[str, ...]
+    """Below the folder; a folder of one file a frame stands as one entry, with a slash."""
     rows: dict[str, int]
+    """Number of rows by what they are."""
     notes: tuple[str, ...] = ()
+    """Values without a place in the format."""
 
 
 @dataclass(frozen=True)
@@ -95,25 +92,23 @@ class ExportReport(Written):
 class ExportFormat:
     """One export format.
 
-    Attributes
-    ----------
-    write
-        Writes all files of a job below its folder.
-    read
-        Reading an export back, for plugins that offer it; the program only writes.
-    description
-        One line.
-    lossless
-        Every row and value is in the export.
-    options
-        Dataclass of the format's options; all have defaults.
+    >>> def write(job: Job) -> Written:
+    ...     (job.folder / "frames.txt").write_text("\\n".join(job.labels.frames.column("frame").to_pylist()))
+    ...     return Written(("frames.txt",), {"frames": job.labels.frames.num_rows})
+    >>> ExportFormat(write, description="ids of frames", lossless=False).description
+    'ids of frames'
     """
 
     write: Callable[[Job], Written]
+    """Writes all files of a job below its folder."""
     read: Callable[[Path], Mapping[str, pa.Table]] | None = None
+    """Reading an export back, for plugins that offer it; the program only writes."""
     description: str = ""
+    """One line."""
     lossless: bool = True
+    """Every row and value is in the export."""
     options: type | None = None
+    """Dataclass of the format's options; all have defaults."""
 
 
 JPEG_QUALITY = 95
