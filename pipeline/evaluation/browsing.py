@@ -89,7 +89,7 @@ class RunRows:
         return {key: k for k, key in reversed(list(enumerate(zip(*columns, strict=True))))}
 
     def asked(self, frame: str, text: str) -> int | None:
-        """The first row of a frame whose expression has these words."""
+        """First row of a frame with these words as its expression."""
         return self._words.get((frame, text))
 
     def number(self, frame: str, expression: str) -> int | None:
@@ -97,25 +97,25 @@ class RunRows:
         return self._index.get((frame, expression))
 
     def add_column(self, name: str, values: Sequence[Any]) -> None:
-        """Let the rows be searched by one more column."""
+        """Add a column to search by."""
         self._bare = self._bare.append_column(name, pa.array(values))
         self.records = self._marked()
 
     def find(self, query: str) -> np.ndarray:
-        """(F,) int64: the rows that a search finds; raises InputError where it cannot be read."""
+        """(F,) int64: rows of a search; InputError where the search cannot be read."""
         return find_rows(self.records, query)
 
     def facets(self, query: str) -> tuple[Facet, ...]:
-        """The facets under a search; raises InputError where it cannot be read."""
+        """Facets under a search; InputError where the search cannot be read."""
         return self._facets.of(query)
 
     def read(self, rows: np.ndarray) -> list[dict[str, Any]]:
-        """What is shown of these rows."""
+        """Read the columns of these rows for a list."""
         names = [name for name in SHOWN if name in self.records.column_names]
         return self.records.select(names).take(pa.array(rows)).to_pylist()
 
     def mark(self, rows: Iterable[int], name: str, on: bool = True) -> None:
-        """Give rows a mark, or take it from them; raises InputError as `run_notes.mark`."""
+        """Give rows a mark, or take it away; raises InputError as `run_notes.mark`."""
         self.notes = mark(self.path, [self.keys[k] for k in rows], name, on)
         self.records = self._marked()
         self._facets = self._facets.marked(self.records)

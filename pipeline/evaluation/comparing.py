@@ -69,7 +69,7 @@ class Comparison:
     verdicts: dict[str, dict[str, int]] | None = None
 
     def record(self) -> dict[str, Any]:
-        """As JSON."""
+        """Convert to JSON."""
         return {
             "measure": self.measure,
             "shared": self.shared,
@@ -85,7 +85,7 @@ class Comparison:
 
 
 def compare(before: pa.Table, after: pa.Table, measure: str = "set_correct") -> Comparison:
-    """Compare two runs by the expressions that both have.
+    """Compare two runs by their common expressions.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def shared_rows(before: pa.Table, after: pa.Table) -> tuple[np.ndarray, np.ndarr
 
 
 def changes(first: pa.Table, second: pa.Table, measure: str = "set_correct") -> np.ndarray:
-    """(K,) of CHANGES: what became of the same expressions, row by row."""
+    """(K,) of CHANGES: fate of the same expressions, row by row."""
     was, now = column(first, measure) > 0, column(second, measure) > 0
     same = (column(first, "pair_correct") > 0) == (column(second, "pair_correct") > 0)
     for name in ("matched_target", "matched_reference"):
@@ -145,8 +145,7 @@ def changes(first: pa.Table, second: pa.Table, measure: str = "set_correct") -> 
 
 
 def with_second(records: pa.Table, second: pa.Table, measure: str = "set_correct") -> pa.Table:
-    """A run's records with `change`, and with `second_verdict` and so on of a second run; null where that has no such
-    expression.
+    """Add `change` and the second run's columns (`second_verdict`, …) to a run's records; null without a counterpart.
 
     Raises
     ------
@@ -168,7 +167,7 @@ def with_second(records: pa.Table, second: pa.Table, measure: str = "set_correct
 
 
 def verdict_transitions(before: pa.Table, after: pa.Table) -> dict[str, dict[str, int]] | None:
-    """How many of the same expressions, row by row, went from which verdict to which; None without verdicts."""
+    """Count expressions by verdict before and after, row by row; None without verdicts."""
     if not (has_verdicts(before) and has_verdicts(after)):
         return None
     pairs = zip(before.column("verdict").to_pylist(), after.column("verdict").to_pylist(), strict=True)
@@ -255,5 +254,5 @@ def _rounded(box: Any) -> list[float] | None:
 
 
 def _overlap(a: list[float] | None, b: list[float] | None) -> float:
-    """IoU; 1 of two that are missing."""
+    """IoU of two boxes; 1 of two missing ones."""
     return float(a is b) if a is None or b is None else float(iou_2d(np.array([a]), np.array([b]))[0, 0])

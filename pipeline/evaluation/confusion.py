@@ -43,12 +43,12 @@ class Confusion:
     note: str
 
     def record(self) -> dict[str, Any]:
-        """As JSON."""
+        """Convert to JSON."""
         return {"title": self.title, "rows": list(self.rows), "columns": list(self.columns),
                 "counts": self.counts.tolist(), "note": self.note}  # fmt: skip
 
     def table(self) -> Table:
-        """As a table of counts."""
+        """Format as a table of counts."""
         rows = tuple(
             Row(PHRASE.get(name, name), (*map(int, line), int(line.sum())))
             for name, line in zip(self.rows, self.counts, strict=True)
@@ -87,7 +87,7 @@ class Standings:
 
 
 def answer_standings(records: pa.Table, labels: Labels, content_hash: str | None = None) -> Standings:
-    """In which relation the two objects of each answer stand by their labels; see `answer_confusion`."""
+    """Relation between the two objects of each answer by their labels; see `answer_confusion`."""
     require(
         content_hash is None or labels.manifest.tables["expressions"].content_hash == content_hash,
         "these are not the labels that the run was made with",
@@ -112,7 +112,7 @@ def answer_standings(records: pa.Table, labels: Labels, content_hash: str | None
 
 
 def answer_confusion(records: pa.Table, labels: Labels, content_hash: str | None = None) -> Confusion:
-    """The relation that was asked against the one in which the answer's two objects stand by their labels.
+    """Count the asked relation against the labelled relation of the answer's two objects.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def answer_confusion(records: pa.Table, labels: Labels, content_hash: str | None
 
 
 def count_standings(found: Standings) -> Confusion:
-    """How many expressions stand where."""
+    """Count expressions by asked and by standing relation."""
     counts = np.zeros((len(found.names), len(found.columns)), np.int64)
     np.add.at(counts, (found.meant, found.cell), 1)
     return Confusion(
@@ -149,7 +149,7 @@ def count_standings(found: Standings) -> Confusion:
 
 
 def stands_in(states: np.ndarray, margins: np.ndarray, meant: np.ndarray, undecided: int, nothing: int) -> np.ndarray:
-    """The column of each pair: the meant relation where it holds, `undecided` where it may, else the clearest other.
+    """Column of each pair: the meant relation where it holds, `undecided` where it may, else the clearest other.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ def stands_in(states: np.ndarray, margins: np.ndarray, meant: np.ndarray, undeci
 def _pairs_of_answers(
     records: pa.Table, labels: Labels, names: tuple[str, ...]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(P,) rows of the answers whose pair was judged, their (P, R) states and (P, R) margins."""
+    """(P,) rows of answers with a judged pair, their (P, R) states and (P, R) margins."""
     import duckdb
 
     rows = records.select(["frame_index", "matched_target", "matched_reference"])
@@ -208,7 +208,7 @@ def _pairs_of_answers(
 
 
 def network_confusion(records: RelationRecords | None) -> list[Confusion]:
-    """What each scorer takes the relations of labelled pairs for; empty without records of pairs."""
+    """Count for each scorer labelled relations against its most probable ones; empty without records of pairs."""
     if records is None:
         return []
     found = []
@@ -231,7 +231,7 @@ def network_confusion(records: RelationRecords | None) -> list[Confusion]:
 
 
 def _taken_for(states: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """(R, R) counts: a relation that holds against the most probable one where that one does not hold."""
+    """(R, R) counts: relations that hold against the most probable one, on the diagonal where right."""
     holds, known = states == T, np.isfinite(p)
     top = np.where(known, p, -np.inf).argmax(axis=1)
     pair, relation = np.nonzero(holds & known.any(axis=1, keepdims=True))

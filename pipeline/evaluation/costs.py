@@ -46,7 +46,7 @@ class Deltas:
     untold: dict[str, str] = field(default_factory=dict)
 
     def record(self) -> dict[str, Any]:
-        """As JSON; null for what cannot be worked out."""
+        """Convert to JSON; null for costs without a basis."""
         nothing = dict.fromkeys(self.untold)
         value = {"+".join(names_of(s)) or "none": float(v) for s, v in enumerate(self.value)}
         told = {name: v if self.untold.keys().isdisjoint(name.split("+")) else None for name, v in value.items()}
@@ -125,7 +125,7 @@ class KnownOracles:
 
     @staticmethod
     def of(records: pa.Table) -> KnownOracles:
-        """What records say: `right_with` and `untold`; those of before have no `untold`."""
+        """Read `right_with` and `untold` of records; earlier records have no `untold`."""
         answered, right_with = column(records, "set_correct") > 0, column(records, "right_with")
         none = np.isnan(right_with)
         said = records.column("untold").to_pylist() if "untold" in records.column_names else [None] * len(none)
@@ -142,11 +142,11 @@ class KnownOracles:
 
     @property
     def unmended(self) -> np.ndarray:
-        """(E,) bool: wrong with all oracles that can be put in place."""
+        """(E,) bool: wrong with all oracles in place."""
         return self.right[:, -1] == 0
 
     def untold(self, costs: Mapping[str, np.ndarray]) -> dict[str, str]:
-        """What of `costs`, (E,) float64 by oracle and PARSE, cannot be worked out, and why.
+        """Costs ((E,) float64 by oracle and PARSE) without a basis, with the reasons.
 
         A cost is told where more is known of it than is not: 0 is never told for what nobody knows.
         """

@@ -79,7 +79,7 @@ class Facet:
     ranges: bool = False
 
     def record(self) -> dict[str, Any]:
-        """As JSON."""
+        """Convert to JSON."""
         return asdict(self)
 
 
@@ -141,7 +141,7 @@ def _facet(found: Coded, counts: np.ndarray, own: Sequence[Term]) -> Facet:
 
 
 def _state(term: str, own: Sequence[Term]) -> int:
-    """Whether the terms of its own field ask for a value."""
+    """State of a value: 1 asked for, -1 excluded, else 0."""
     first, *more = read_terms(term)
     if more or first.operator not in (":", "="):
         written = {t.written for t in own}
@@ -156,8 +156,7 @@ def _state(term: str, own: Sequence[Term]) -> int:
 
 
 def with_value(query: str, term: str, schema: pa.Schema, without: bool = False) -> str:
-    """A search that asks for one more value of a field, as one of its facets says it; where it asks for that already,
-    it does no more. With `without` it asks for what has the value not.
+    """Add a value of a facet to a search, or take it away where it is asked for already; `without` excludes it.
 
     Raises
     ------
@@ -193,7 +192,7 @@ def _less(term: Term, value: Value) -> Term | None:
 
 
 def _more(terms: list[Term], term: Term) -> list[Term]:
-    """Values of one field are alternatives: they stand in one term, and of `=` and `:` the exact one wins."""
+    """Join alternatives of a field in one term; of `=` and `:` the exact one wins."""
     if not terms:
         return [term]
     operator = "=" if "=" in (term.operator, *(t.operator for t in terms)) else ":"

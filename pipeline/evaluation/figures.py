@@ -54,16 +54,16 @@ class Listing:
 
     @property
     def count(self) -> int:
-        """How many match."""
+        """Number of matches."""
         return len(self.found)
 
     @property
     def place(self) -> int | None:
-        """Where the one that is open is among those that match."""
+        """Index of the open expression among the matches."""
         return None if self.at is None else self.place_of(self.figures.rows.number(*self.at[:2]))
 
     def place_of(self, number: int | None) -> int | None:
-        """Where a row of the run is among those that match."""
+        """Index of a row of the run among the matches."""
         return None if number is None else next(iter(np.flatnonzero(self.found == number).tolist()), None)
 
 
@@ -93,17 +93,17 @@ class RunFigures:
 
     @cached_property
     def summary(self) -> RunSummary | str:
-        """Verdicts, and what each module costs."""
+        """Verdicts and costs of modules."""
         return _or_why(lambda: summarise_run(self.run.records))
 
     @cached_property
     def comparison(self) -> Comparison | str | None:
-        """What the second run changed."""
+        """Changes by the second run."""
         other = self.second
         return None if other is None else _or_why(lambda: compare(self.run.records, other.records))
 
     def slices(self, dimension: str) -> Slices | str:
-        """The run cut by a dimension; of texts the most frequent ones."""
+        """Slices of the run by a dimension; of texts the most frequent ones."""
         if dimension not in self._slices:
             of_run = {self.run.name: self.run.records}
             self._slices[dimension] = _or_why(lambda: slice_by(of_run, dimension, most=MOST_SHOWN))
@@ -111,8 +111,7 @@ class RunFigures:
 
     @cached_property
     def confusion(self) -> Confusion | str:
-        """The relation that was asked against the one in which the answer stands; from then on rows can be searched
-        by that, too."""
+        """Asked relations against the answers' relations; makes rows searchable by the latter."""
         run = self.run
         made_with = (run.manifest.get("labels") or {}).get("content_hash")
         found = _or_why(lambda: answer_standings(run.records, run.labels, made_with))
@@ -123,7 +122,7 @@ class RunFigures:
 
     @cached_property
     def fields(self) -> tuple[Field, ...]:
-        """What the run can be searched by, with the values that occur."""
+        """Fields to search by, with the values that occur."""
         _ = self.confusion
         return completions(self.rows.records)
 
@@ -132,11 +131,11 @@ class RunFigures:
         return _or_why(lambda: labelled_boxes(self.run.records, self.run.labels))
 
     def colors(self, frame_id: str) -> np.ndarray:
-        """(H, W, 3) uint8 of a frame of the run; raises InputError where it is broken."""
+        """(H, W, 3) uint8 of a frame of the run; InputError for a broken frame."""
         return self._frames.get(frame_id, lambda: load_picture(self.run.source.dataset, frame_id).rgb)
 
     def boxes(self, number: int, row: Mapping[str, Any]) -> list[tuple[Drawn, np.ndarray]]:
-        """What is drawn of a row, the top last: (4,) pixels x0, y0, x1, y1 each.
+        """Boxes to draw of a row, the top last: (4,) pixels x0, y0, x1, y1 each.
 
         The labelled pair where the answer is another one; the second run's where it differs; the answer over them.
         """

@@ -293,7 +293,7 @@ def evaluate(
 def other_systems(
     runs: Sequence[Path], name: str, content_hash: str, makers: Makers
 ) -> dict[str, tuple[pa.Table, tuple[Share, ...]]]:
-    """The systems of other runs by their names: records, and what they have in common with what made the labels.
+    """Records of other runs by system, with what they share with the labels' makers.
 
     A name that is taken is told apart by its run's folder, and by a number where that is not enough.
 
@@ -368,14 +368,14 @@ class RunDiagnosis:
 
     @property
     def tables(self) -> list[Table]:
-        """Verdicts and oracles, where there are verdicts."""
+        """Tables of verdicts and oracles; empty without verdicts."""
         return self._shared(summary_tables(self.summaries))
 
     def _shared(self, tables: Sequence[Table]) -> list[Table]:
         return [with_caveats(table, {name: self.shares.get(name, ()) for name in self.summaries}) for table in tables]
 
     def record(self) -> dict[str, Any]:
-        """As JSON: `diagnosis.json`."""
+        """Convert to JSON: `diagnosis.json`."""
         return {
             "systems": {name: s.record() for name, s in self.summaries.items()},
             "slices": {s.dimension.name: s.record() for s in self.slices},

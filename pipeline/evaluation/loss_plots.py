@@ -127,7 +127,7 @@ def _oracles(page: Page, file: str, name: str, summary: RunSummary, costs: Delta
 
 
 def _cost(axes: Any, x: float, width: float, base: float, e: Estimate, key: str, said: str, **look: Any) -> None:
-    """One bar of the costs, with its interval and its figure."""
+    """Draw a bar of the costs with its interval and its figure."""
     below, above = interval(e)
     axes.bar(x, 100 * e.value, width, base, gid=tip(f"{_named(key)}: {said}"), **look)
     axes.errorbar(x, base + 100 * e.value, [[below], [above]], ecolor=INK, elinewidth=0.8, fmt="none")

@@ -153,7 +153,7 @@ def parse_box(text: str, size: tuple[int, int] | None = None, scale: BoxScale = 
 def _edges(
     found: _Found, size: tuple[int, int] | None, told: BoxScale, notes: list[str]
 ) -> tuple[str, float, float] | str:
-    """The scale's name, and what the right and the lower edge of the picture are in it; or why that is not known."""
+    """Name of the scale, with the right and lower edges of the picture in its units; or a reason for none."""
     values, most = found.values, max(found.values)
     if found.scale is not None:
         return f"{found.scale:g}", found.scale, found.scale
@@ -180,7 +180,7 @@ def _edges(
 
 
 def _numbers(text: str) -> _Found | str:
-    """The first box's numbers in the order x0, y0, x1, y1, or why there are none."""
+    """Numbers of the first box in the order x0, y0, x1, y1, or a reason for none."""
     if match := _PALIGEMMA.search(text):
         y0, x0, y1, x1 = (float(n) for n in re.findall(r"\d{4}", match[0]))
         return _Found((x0, y0, x1, y1), scale=1024, boxes=len(_PALIGEMMA.findall(text)))
@@ -298,7 +298,7 @@ def parse_yes_no(text: str) -> YesNo:
 
 
 def _verdicts(tokens: Sequence[str]) -> set[bool]:
-    """All that is said as an answer: a yes anywhere, a no that stands for itself, a word of agreement about it."""
+    """Collect what an answer says: a yes anywhere, a no by itself, a word of agreement."""
     found: set[bool] = set()
     first = next((i for i, token in enumerate(tokens) if _WORD_LIKE.match(token)), -1)
     for i, token in enumerate(tokens):

@@ -55,7 +55,7 @@ class Page:
 
     @contextmanager
     def picture(self, name: str, size: tuple[int, int], title: str, note: str = "") -> Iterator[Figure]:
-        """Figure of pixels that is written when the block ends; without a `name` it stands on the page alone."""
+        """Figure of pixels, written when the block ends; without a `name` on the page alone."""
         with house_style():
             figure = new_figure(*size, title, self.above + note)
             yield figure
@@ -75,7 +75,7 @@ class Page:
 
 
 def tip(*lines: object) -> str:
-    """Id that a part of a picture tells its figures by."""
+    """Id of a part of a picture with its figures."""
     return TIP + "; ".join(map(str, lines))
 
 
@@ -122,7 +122,7 @@ def draw(systems: Mapping[str, pa.Table], tables: Sequence[Table], out: Path, ca
 
 
 def draw_relations(figures: Sequence[SystemFigures], tables: Sequence[Table], out: Path, caveat: str = "") -> None:
-    """Write `srm_reliability.png`, `srm_relations.png` and `srm.html` into a folder, which is made if it is missing.
+    """Write `srm_reliability.png`, `srm_relations.png` and `srm.html` into a folder, made where missing.
 
     What the tables of the same figures warn of stands on the page too; `caveat`, what the figures are where truth and
     scorers have a maker in common, below the titles.
@@ -163,7 +163,7 @@ def relation_bars(table: Table) -> Bars:
 
 
 def overlap_curves(records: pa.Table) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-    """Percent of expressions whose answer overlaps an acceptable target by at least x, by kind of answer."""
+    """Percent of expressions with an answer that overlaps an acceptable target by at least x, by kind of answer."""
     names = {"pipeline": "set_iou", "OPM only": "opm_set_iou"} if has_opm(records) else {"whole expression": "set_iou"}
     for kind, name in names.items():
         yield kind, SWEEP, 100 * (column(records, name)[None] >= SWEEP[:, None]).mean(axis=1)
@@ -181,7 +181,7 @@ def class_curves(records: pa.Table) -> Iterator[tuple[str, np.ndarray, np.ndarra
 
 
 def score_diagrams(systems: Mapping[str, pa.Table]) -> dict[str, dict[str, ReliabilityDiagram]]:
-    """Reliability by raw and by calibrated scores, of every system whose scores are calibrated."""
+    """Reliability by raw and by calibrated scores, of every system with calibrated scores."""
     found = {}
     for name, records in systems.items():
         if is_calibrated(records):
@@ -192,7 +192,7 @@ def score_diagrams(systems: Mapping[str, pa.Table]) -> dict[str, dict[str, Relia
 
 
 def _tones(rows: Mapping[str, Any]) -> dict[str, str]:
-    """A colour for each row of the relation table: the detector alone is pale, each system has its own."""
+    """Colour of each row of the relation table: the detector alone is pale, each system has its own."""
     systems = [name for name in rows if not name.endswith(OPM_ONLY)]
     own = {name: TONES[k % len(TONES)] for k, name in enumerate(systems)}
     return {name: own.get(name, PALE_TONE) for name in rows}
@@ -220,7 +220,7 @@ def _bars(page: Page, name: str, bars: Bars, tones: Mapping[str, str], title: st
 
 
 def _lines(axes: Any, curves: Sequence[Curve], **settings: Any) -> None:
-    """Curves through points, each of which tells its figures."""
+    """Draw curves through points with their figures."""
     for name, x, y, color, style in curves:
         axes.plot(x, y, style, color=color, label=name)
         for point in zip(x.tolist(), y.tolist(), strict=True):
@@ -231,7 +231,7 @@ def _lines(axes: Any, curves: Sequence[Curve], **settings: Any) -> None:
 
 
 def _calibration(page: Page, diagrams: Mapping[str, Mapping[str, ReliabilityDiagram]]) -> None:
-    """One panel a system: the share of hits by score, and below how many detections have it."""
+    """Draw a panel for each system: the share of hits by score, and below the number of detections."""
     size = (420 * len(diagrams) + 60, 460)
     with page.picture("calibration", size, "Reliability of the detector's scores") as figure:
         axes = figure.subplots(2, len(diagrams), squeeze=False, sharex=True, height_ratios=(3, 1))

@@ -86,7 +86,7 @@ class RunDatabase:
             yield from rows
 
     def _answer(self, question: tuple[str | None, Sequence[Any]], left: float, allowed: float) -> tuple[Any, float]:
-        """What is answered, and the seconds that are left; without an answer the process is gone."""
+        """Answer and seconds left; without an answer the process is gone."""
         process, begun = self._started(), time.monotonic()
         assert process.stdin is not None
         assert process.stdout is not None
@@ -153,7 +153,7 @@ class RunDatabase:
 
 @contextmanager
 def open_database(run: Path) -> Iterator[RunDatabase]:
-    """A run, and its labels, as views of a database that can touch nothing else.
+    """Open a run and its labels as views of a database without access to anything else.
 
     Raises
     ------

@@ -34,21 +34,21 @@ class Recorded:
     said: str
 
     def is_that(self, judged: Diagnosis | str | None) -> bool:
-        """Whether a verdict of now is the same."""
+        """Compare with a verdict of now."""
         return isinstance(judged, Diagnosis) and (self.verdict, self.detail, self.lucky) == (
             judged.verdict, judged.detail, judged.lucky,
         )  # fmt: skip
 
 
 def recorded_verdict(row: Mapping[str, Any]) -> Recorded | None:
-    """The verdict of a row of a run's records; None where it has none."""
+    """Verdict of a row of a run's records; None without a verdict."""
     if row.get("verdict") is None:
         return None
     return Recorded(row["verdict"], row.get("detail"), bool(row.get("lucky")), row.get("said") or "")
 
 
 def judged_by(manifest: Mapping[str, Any]) -> str:
-    """Which version judged a run, in words; empty for this one's rules."""
+    """Version that judged a run, in words; empty for the rules of this version."""
     version, rules = manifest.get("version", "?"), manifest.get("verdict_rules", 1)
     if rules == RULES_VERSION:
         return ""
@@ -56,7 +56,7 @@ def judged_by(manifest: Mapping[str, Any]) -> str:
 
 
 def doubts_of(run: Run) -> tuple[str, ...]:
-    """What an earlier version may have judged otherwise than this one, a sentence each; none of a run of this one."""
+    """Doubts about judgements of an earlier version, a sentence each; none of a run of this version."""
     by = judged_by(run.manifest)
     if not by:
         return ()
@@ -72,7 +72,7 @@ def doubts_of(run: Run) -> tuple[str, ...]:
 
 
 def _repeated(run: Run) -> str:
-    """How many lines of imported predictions have one id under several names, or several times under one."""
+    """Count lines of imported predictions with an id under several names, or several times under a name."""
     try:
         file = file_of(run.source)
     except InputError:

@@ -61,7 +61,7 @@ class SystemFigures:
 
 
 def counted_pairs(records: RelationRecords, held_out: bool) -> np.ndarray:
-    """(P,) bool: all pairs, or those of frames that no scorer was trained or calibrated on."""
+    """(P,) bool: all pairs, or those of frames without use in training or calibration."""
     counted = np.ones(len(records), np.bool_)
     if held_out:
         for system in records.systems:
@@ -76,7 +76,7 @@ def system_figures(
     counted: np.ndarray,
     config: BootstrapConfig | None = None,
 ) -> SystemFigures:
-    """The figures of one scorer.
+    """Figures of a scorer.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def system_figures(
 def _top(
     system: SystemRecords, p: np.ndarray, truth: np.ndarray, clusters: np.ndarray, config: BootstrapConfig | None
 ) -> tuple[Estimate | None, Estimate | None]:
-    """Share of pairs whose one relation is the most probable, is among the two most probable."""
+    """Share of pairs with the right relation as the most probable, and among the two most probable."""
     if not system.prior:
         return None, None
     ranks = relation_ranks(p, system.prior, truth)
@@ -116,7 +116,7 @@ def _top(
 
 
 def relation_ranks(p: np.ndarray, prior: Sequence[float] | np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """(P,) int64: rank, from 0, of the one relation that holds of each pair; -1 where not exactly one does.
+    """(P,) int64: rank, from 0, of the single relation of each pair; -1 for none or several.
 
     `p` is (P, R) float of a softmax network of that prior, `truth` (P, R) int8.
     """
@@ -148,7 +148,7 @@ def all_systems(
 
 
 def always_no(records: RelationRecords, *, held_out: bool = False) -> list[Row]:
-    """The row of a scorer that always says no, one for each set of relations that scorers are measured on."""
+    """Row of a scorer without a single yes, for each set of relations."""
     counted = counted_pairs(records, held_out)
     sets = list(dict.fromkeys(s.relations for s in records.systems))
     rows = []
@@ -198,7 +198,7 @@ def relation_tables(
     notes: Sequence[str] = (),
     shares: Mapping[str, Share] = NOTHING_SHARED,
 ) -> list[Table]:
-    """The table of relation scorers, and the one by relation.
+    """Tables of relation scorers: overall, and by relation.
 
     Parameters
     ----------
@@ -240,14 +240,14 @@ def relation_tables(
 
 
 def shares_by_title(figures: Sequence[SystemFigures], shares: Mapping[str, Share]) -> dict[str, tuple[Share, ...]]:
-    """What each system, by its title, has in common with what made the labels."""
+    """Shares of each system with the labels' makers, by its title."""
     return {f.title: (shares[f.title],) if f.title in shares else () for f in figures}
 
 
 def leak_warnings(
     records: RelationRecords, systems: Sequence[RelationSystem], labels: Labels, held_out: bool
 ) -> list[str]:
-    """What a reader must be warned of: pairs and scenes that a scorer has learnt from, and relations it lacks.
+    """Warn of pairs and scenes from a scorer's training, and of relations without labels.
 
     Parameters
     ----------
@@ -266,7 +266,7 @@ def leak_warnings(
 def _leaks(
     records: RelationRecords, own: SystemRecords, system: RelationSystem, labels: Labels, held_out: bool
 ) -> Iterator[str]:
-    """The warnings about one scorer."""
+    """Warnings about a scorer."""
     if system.unlabelled:
         text = f"measured without {', '.join(system.unlabelled)}, which were not labelled"
         yield text + ("; hence no Top-1" if system.prior else "")

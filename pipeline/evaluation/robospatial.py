@@ -81,12 +81,12 @@ class Question:
         return found if found.ndim == 2 and found.shape[1] == 2 and len(found) > 2 else np.zeros((0, 2))
 
     def region(self) -> np.ndarray | None:
-        """(H, W) bool: the mask; None without one."""
+        """(H, W) bool: the mask; None without a mask."""
         return None if self.mask is None else read_color(self.mask).max(axis=2) > 0
 
 
 def is_robospatial(root: Path) -> bool:
-    """Whether a folder is the benchmark, downloaded or as published."""
+    """Recognise the folder of the benchmark, downloaded or as published."""
     return (root / FILE).is_file() or (root.is_dir() and bool(_question_tables(root)))
 
 
@@ -151,7 +151,7 @@ def read_question_answers(path: Path, questions: Sequence[Question]) -> Question
 
 
 def published_right(question: Question, text: str) -> bool:
-    """Whether an answer is right by the published metric."""
+    """Judge an answer by the published metric."""
     if question.yes is not None:
         return text.strip().lower().startswith("yes" if question.yes else "no")
     found = _TUPLE.search(text) or _LIST.search(text)
@@ -159,7 +159,7 @@ def published_right(question: Question, text: str) -> bool:
 
 
 def own_right(question: Question, text: str) -> float:
-    """Ours: 0 or 1 of a yes/no answer; of points the share that falls in the mask, or without one in the polygon."""
+    """Judge by ours: 0 or 1 of a yes/no answer; of points the share in the mask, or without a mask in the polygon."""
     if question.yes is not None:
         return float(parse_yes_no(text).value == question.yes)
     points = points_of(text)
@@ -174,7 +174,7 @@ def points_of(text: str) -> list[tuple[float, float]]:
 
 
 def inside(polygon: np.ndarray, point: tuple[float, float]) -> bool:
-    """Whether a point is inside a polygon ((M, 2) corners), by the even-odd rule; False without corners."""
+    """Test a point against a polygon ((M, 2) corners) by the even-odd rule; False without corners."""
     x, y = point
     (x0, y0), (x1, y1) = polygon.T, np.roll(polygon, 1, axis=0).T
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -58,8 +58,7 @@ _READ = TypeAdapter(Notes)
 
 
 def notes_path(run: Path) -> Path:
-    """Where the notes of a run are kept: in its folder, or with the user's own data where that cannot be written or
-    came with the program."""
+    """Place of a run's notes: its folder, or the user's own data where not writable or part of the program."""
     run = Path(run).resolve()
     own = os.access(run, os.W_OK) and not run.is_relative_to(demo_run().parent.resolve())
     name = f"{run.name}-{hashlib.sha256(str(run).encode()).hexdigest()[:12]}.json"
@@ -67,7 +66,7 @@ def notes_path(run: Path) -> Path:
 
 
 def read_notes(path: Path) -> Notes:
-    """The notes of a file; none where there is no file.
+    """Read the notes of a file; none without a file.
 
     Raises
     ------
@@ -86,7 +85,7 @@ def read_notes(path: Path) -> Notes:
 
 
 def mark(path: Path, keys: Iterable[Key], name: str, on: bool = True) -> Notes:
-    """Give expressions a mark, or take it from them; the notes as they are then.
+    """Give expressions a mark, or take it away; returns the notes.
 
     Raises
     ------
@@ -109,7 +108,7 @@ def mark(path: Path, keys: Iterable[Key], name: str, on: bool = True) -> Notes:
 
 
 def keep_filter(path: Path, name: str, query: str | None) -> Notes:
-    """Keep a search under a name, or forget the one of that name; the notes as they are then.
+    """Keep a search under a name, or forget the one of that name; returns the notes.
 
     Raises
     ------
@@ -127,7 +126,7 @@ def keep_filter(path: Path, name: str, query: str | None) -> Notes:
 
 
 def _changed(path: Path, change: Callable[[Notes], Notes]) -> Notes:
-    """What others have noted meanwhile stays."""
+    """Write a change, and keep what others have noted meanwhile."""
     with (
         as_input_error("the notes cannot be written", OSError, got=lambda e: e.strerror, path=path),
         alone(path.parent),

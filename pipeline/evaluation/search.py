@@ -112,7 +112,7 @@ def _kind_of(type_: str) -> Kind | None:
 
 
 def fields_of(schema: pa.Schema) -> dict[str, Field]:
-    """What a run's records can be searched by, short names first."""
+    """Fields to search a run's records by, short names first."""
     found: list[tuple[str, Kind | None]] = [(field.name, _kind_of(str(field.type))) for field in schema]
     kinds: dict[str, Kind] = {name: "words" if name in WORDS else kind for name, kind in found if kind is not None}
     short = {name: Field(name, c, kinds[c]) for name, c in ALIASES.items() if c in kinds}
@@ -154,7 +154,7 @@ def compile_search(query: str, schema: pa.Schema) -> Search:
 
 
 def find_rows(records: pa.Table, query: str) -> np.ndarray:
-    """(N,) int64: indices of the rows of a run that a search asks for, in the order of the run or as it asks.
+    """(N,) int64: indices of the rows of a search, in the order of the run or as asked.
 
     Raises
     ------
@@ -165,7 +165,7 @@ def find_rows(records: pa.Table, query: str) -> np.ndarray:
 
 
 def terms_of(query: str, schema: pa.Schema) -> list[tuple[str, Term]]:
-    """The terms of a search, each with the column that it asks for; "" for an order.
+    """Terms of a search with their columns; "" for an order.
 
     Raises
     ------
@@ -181,7 +181,7 @@ def terms_of(query: str, schema: pa.Schema) -> list[tuple[str, Term]]:
 
 
 def find_failures(records: pa.Table, query: str = "") -> pa.Table:
-    """The rows found of FAILURES, unless the search asks for a verdict or for what is right (`lucky`).
+    """Search among FAILURES, or among all rows where the search names a verdict or correctness (`lucky`).
 
     Raises
     ------
@@ -193,7 +193,7 @@ def find_failures(records: pa.Table, query: str = "") -> pa.Table:
 
 
 def among_failures(query: str, schema: pa.Schema) -> str:
-    """A search as `find_failures` carries it out; raises InputError as `find_rows`."""
+    """Search of `find_failures`; raises InputError as `find_rows`."""
     return query if compile_search(query, schema).about_right else f"{FAILURES} {query}".strip()
 
 
@@ -213,7 +213,7 @@ def _rows(records: pa.Table, search: Search) -> np.ndarray:
 
 @lru_cache(maxsize=1)
 def _database() -> duckdb.DuckDBPyConnection:
-    """One empty database, kept: opening one takes longer than a search."""
+    """Keep an empty database: opening takes longer than a search."""
     import duckdb
 
     # One that outlives the interpreter makes DuckDB print what it leaks.
@@ -222,7 +222,7 @@ def _database() -> duckdb.DuckDBPyConnection:
 
 
 def _defined(name: str, schema: pa.Schema) -> str:
-    """A column in which what is not a number counts as missing."""
+    """Column with NaN as missing."""
     column = quoted(name)
     floating = str(schema.field(name).type) in ("halffloat", "float", "double")
     return f"(CASE WHEN isnan({column}) THEN NULL ELSE {column} END)" if floating else column
@@ -247,7 +247,7 @@ def _field(name: str, fields: dict[str, Field]) -> Field:
 
 
 def _meant(term: Term, fields: dict[str, Field]) -> tuple[Field, Term]:
-    """The field of a term; a free word is a flag that stands alone, or stands in the text."""
+    """Field of a term; a free word is a flag by itself, or stands in the text."""
     if term.field is not None:
         return _field(term.field, fields), term
     value = term.values[0]
@@ -262,7 +262,7 @@ def _none(value: Value) -> bool:
 
 
 def _condition(field: Field, term: Term, single: bool) -> Condition:
-    """A term as SQL; `single` says that the column holds float32."""
+    """Compile a term to SQL; `single` is for columns of float32."""
     require(
         not (term.operator not in (":", "=", "!=") and field.kind != "number"),
         f"{field.name} has no order",
@@ -298,7 +298,7 @@ _KNOWN = {"verdict": VERDICTS, f"{SECOND}verdict": VERDICTS, "relation": PAIRWIS
 
 
 def _named(field: Field, value: Value) -> tuple[Value, ...]:
-    """A verdict or a relation by its own name; an unknown one is an error. OPM stands for the three of the detector."""
+    """Verdict or relation by its own name, InputError for an unknown one; OPM stands for the detector's three."""
     known = _KNOWN.get(field.column)
     if known is None or _none(value) or ("*" in value.text and not value.quoted):
         return (value,)
@@ -365,7 +365,7 @@ def _names(field: Field, term: Term) -> Condition:
 
 
 def completions(records: pa.Table, most: int = 200) -> tuple[Field, ...]:
-    """All fields of a run with the values that occur, for a field that completes what is typed."""
+    """List the fields of a run with their values, for completion."""
     found = fields_of(records.schema).values()
     return tuple(replace(f, values=_occurring(f, records.column(f.column), most)) for f in found)
 
@@ -388,7 +388,7 @@ def _occurring(field: Field, column: Any, most: int) -> tuple[str, ...]:
 
 
 def complete(typed: str, fields: Sequence[Field], most: int = 20) -> list[str]:
-    """What the last word of a search may become, each as the whole word.
+    """Complete the last word of a search, each offer as the whole word.
 
     Parameters
     ----------

@@ -28,7 +28,7 @@ class Value:
 
     @property
     def written(self) -> str:
-        """As it stands in a search."""
+        """Write as in a search."""
         return quote(self.text, self.quoted) if self.quoted else self.text
 
 
@@ -53,7 +53,7 @@ class Term:
 
     @property
     def written(self) -> str:
-        """As it stands in a search."""
+        """Write as in a search."""
         head = "" if self.field is None else f"{self.field}{self.operator}"
         return f"{'-' if self.negated else ''}{head}{','.join(v.written for v in self.values)}"
 
@@ -99,7 +99,7 @@ def _value(text: str, at: int, bare: re.Pattern[str], before: str) -> tuple[Valu
 
 
 def quote(text: str, always: bool = False) -> str:
-    """A value as it is written in a search, to mean itself; with `always` in quotes also where it needs none."""
+    """Write a value for a search literally; with `always` in quotes also where none are needed."""
     if not always and re.fullmatch(r"[A-Za-z0-9_./+-]+", text) and text.lower() != "none":
         return text
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')

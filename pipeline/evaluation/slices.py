@@ -95,7 +95,7 @@ class Slice:
     counts: dict[str, int]
 
     def record(self) -> dict[str, Any]:
-        """As JSON."""
+        """Convert to JSON."""
         return {
             "system": self.system,
             "name": self.name,
@@ -125,7 +125,7 @@ class Slices:
     unit: str
 
     def record(self) -> dict[str, Any]:
-        """As JSON."""
+        """Convert to JSON."""
         d = self.dimension
         return {
             "dimension": d.name,
@@ -255,7 +255,7 @@ YES_NO = ("yes", "no")
 
 
 def coded(records: pa.Table, cut: Dimension, system: str = "", known: Sequence[str] = ()) -> Coded:
-    """The values of a column and who has which; `known` ones come first, of a list each expression has several."""
+    """Code the values of a column; `known` ones come first, of a list each expression has several."""
     row = np.arange(records.num_rows)
     if not cut.column:
         return Coded(cut, [""], ((system, ""),), row, np.zeros(len(row), np.int64))
@@ -284,7 +284,7 @@ def coded(records: pa.Table, cut: Dimension, system: str = "", known: Sequence[s
 
 
 def part_of(cut: Dimension, key: Any, system: str, operator: str = "=") -> tuple[str, str]:
-    """The name of a value, and the search that finds it."""
+    """Name of a value, and the search for its expressions."""
     if not cut.column:
         return system, ""
     if key is None or (cut.edges and key < 0):
@@ -312,7 +312,7 @@ def _slice(
     kinds: Sequence[str],
     config: BootstrapConfig | None,
 ) -> Slice:
-    """One value's (C, 1 + K) sums as K ratios, by resamples of the clusters that it occurs in."""
+    """Estimate the K ratios of a value's (C, 1 + K) sums, by resamples of its own clusters."""
     own = sums[sums[:, 0] > 0]
     count, *numbers = own.sum(axis=0).astype(int).tolist()
     found = bootstrap(own, np.arange(len(own)), lambda total: ratio(total[:, 1:], total[:, :1]), config=config)
@@ -325,7 +325,7 @@ def _slice(
 
 
 def slice_table(found: Slices, intervals: bool = True) -> Table:
-    """Slices as a table: accuracies, and the share of every verdict that occurs, without `intervals` as bare shares."""
+    """Format slices as a table of accuracies and verdict shares, bare without `intervals`."""
     shown = [v for v in VERDICTS if any(s.counts.get(v) for s in found.slices)]
     several = len({s.system for s in found.slices}) > 1 and found.dimension.column
     rows = []

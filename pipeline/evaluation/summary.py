@@ -44,7 +44,7 @@ class Share:
     estimate: Estimate
 
     def record(self) -> dict[str, Any]:
-        """As JSON: `count`, and `share` with its interval."""
+        """Convert to JSON."""
         return {"count": self.count, "share": self.estimate.record()}
 
 
@@ -96,8 +96,7 @@ class RunSummary:
 
     @property
     def loss(self) -> dict[str, Estimate]:
-        """What adds up to one: accuracy, PARSE, the Shapley value of each oracle, residual, and what is unknown, where
-        anything is; empty without deltas."""
+        """Parts of one: accuracy, PARSE, Shapley values, residual, and unknown where any; empty without deltas."""
         if self.deltas is None:
             return {}
         parse = {} if "PARSE" in self.untold else {"PARSE": self.parse}
@@ -106,7 +105,7 @@ class RunSummary:
 
     @property
     def failing(self) -> Counter[str]:
-        """How many expressions each oracle's verdicts name; of those that no oracle takes away by the verdict."""
+        """Count expressions by the oracle of their verdict; by the verdict itself without an oracle."""
         found = Counter[str]()
         for verdict, share in self.verdicts.items():
             beyond = sum(self.details[v, d].count for v, d in self.details if v == verdict and d in RANKING_ALONE)
@@ -117,7 +116,7 @@ class RunSummary:
         return +found
 
     def record(self) -> dict[str, Any]:
-        """As JSON."""
+        """Convert to JSON."""
         return {
             "expressions": self.expressions,
             "clusters": self.unit,
@@ -143,7 +142,7 @@ class RunSummary:
 
 
 def has_verdicts(records: pa.Table) -> bool:
-    """Whether a run's expressions were diagnosed: runs of other systems, and older ones, were not."""
+    """Tell whether a run's expressions were diagnosed; runs of other systems, and older ones, were not."""
     names = records.column_names
     return "verdict" in names and "right_with" in names and records.column("verdict").null_count < records.num_rows
 
@@ -262,13 +261,13 @@ def verdict_table(systems: Mapping[str, RunSummary]) -> Table:
 
 
 def summary_tables(systems: Mapping[str, RunSummary]) -> list[Table]:
-    """Verdicts, and oracles where a system has them."""
+    """Tables of verdicts, and of oracles where a system has any."""
     told = {name: s for name, s in systems.items() if s.deltas is not None}
     return [verdict_table(systems), *([oracle_table(told)] if told else [])] if systems else []
 
 
 def oracle_table(systems: Mapping[str, RunSummary]) -> Table:
-    """The table "oracles": single deltas, and Shapley values with what completes them to one; all have deltas."""
+    """Table "oracles": single deltas, and Shapley values with what completes them to 100; all have deltas."""
     found = list(systems.values())
 
     def cost(summary: RunSummary, name: str) -> tuple[Cell, Cell]:
@@ -298,7 +297,7 @@ def oracle_table(systems: Mapping[str, RunSummary]) -> Table:
 
 
 def untold_words(summary: RunSummary, said: str | None = None) -> str:
-    """Which costs cannot be worked out, and why, but for the reason that was `said`; empty for none."""
+    """Sentences on costs without a basis and the reasons, but for the reason `said`; empty for none."""
     reasons: dict[str, list[str]] = {}
     for name, why in summary.untold.items():
         reasons.setdefault(why, []).append(shown_oracle(name))
@@ -307,7 +306,7 @@ def untold_words(summary: RunSummary, said: str | None = None) -> str:
 
 
 def cost_words(summary: RunSummary) -> str:
-    """Where the accuracy goes, in sentences that say no other module than the verdicts do without saying why."""
+    """Sentences on where the accuracy goes, in agreement with the verdicts or with the reason for a difference."""
     right = summary.accuracy.value
     labelled = summary.verdicts["CORRECT"].estimate.value
     shares = tuple(
@@ -344,7 +343,7 @@ def _codes(name: str) -> str:
 
 
 def residual_words(summary: RunSummary) -> str:
-    """Where the residual comes from, in words."""
+    """Sentence on the causes of the residual."""
     if not summary.residual_causes:
         return "no residual"
     causes = ", ".join(f"{v}{f' {d}' if d else ''} {n}" for (v, d), n in summary.residual_causes.items())

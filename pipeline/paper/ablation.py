@@ -112,7 +112,7 @@ def other_camera(camera: Camera, rng: np.random.Generator) -> Camera:
 def ablation_views(
     config: AblationConfig, *, workers: int = 1, progress: Callable[[int, int], None] | None = None
 ) -> AblationViews:
-    """Render the rooms; `progress` is called with (rooms done, of how many). They do not depend on `workers`.
+    """Render the rooms, whatever the `workers`; `progress` is called with (rooms done, of how many).
 
     Raises
     ------
@@ -136,7 +136,7 @@ def ablation_views(
 
 
 def _room(job: tuple[int, int, int, int, bool]) -> tuple[tuple[FrameSamples, ...], tuple[FrameSamples, ...]]:
-    """The views of a room, and for one that is measured on those of the other cameras."""
+    """Views of a room, and for a measured room those of the other cameras."""
     seed, views, width, height, measured = job
     room = make_room(seed)
     cameras = choose_views(room, views, np.random.default_rng([seed, 11]), width, height)
@@ -219,7 +219,7 @@ def measure_variant(views: AblationViews, features: str, pairs: int, config: Abl
 
 
 def measure_rule(views: AblationViews, labels: Protocol) -> Variant:
-    """The bare rule on what is seen: what a network that only learnt the rule would get."""
+    """Measure the bare rule on what is seen, the best that a network of the rule could get."""
     return Variant("rule", None, _counts(views, labels, lambda frame: rule_probabilities(frame.rule)))
 
 
@@ -254,7 +254,7 @@ def compare_features(
     workers: int = 1,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Table:
-    """Render, train and measure every variant; `progress` is called with (what is done, how much of it, of how much).
+    """Render, train and measure every variant; `progress` is called with (step, done, of how much).
 
     Raises
     ------
@@ -287,7 +287,7 @@ def _truth(frame: FrameSamples, labels: Protocol) -> np.ndarray:
 
 
 def _pairs(views: AblationViews, features: str, labels: Protocol) -> PairSet:
-    """All training pairs that teach something."""
+    """Join all training pairs with a known state."""
     values, states = [], []
     for frame in (frame for room in views.train for frame in room):
         apart = ~np.eye(len(frame.seen_lo), dtype=np.bool_)

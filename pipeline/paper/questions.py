@@ -122,7 +122,7 @@ def _judged(answer: ChatAnswer) -> tuple[bool | None, str]:
 
 
 def _shared_names(objects: Sequence[Named]) -> np.ndarray:
-    """(M,) bool: things whose name another has too."""
+    """(M,) bool: things with a name that another has too."""
     forms = [normal_form(thing.label) for thing in objects]
     counts = Counter(forms)
     return np.array([counts[form] > 1 for form in forms], np.bool_)

@@ -85,11 +85,11 @@ class Evaluated:
 
     @property
     def shapes(self) -> tuple[str, ...]:
-        """Whose tables: those of the vocabulary."""
+        """Table shapes of the vocabulary."""
         return (self.vocabulary,) if self.vocabulary in PUBLISHED_ON else (SA, AVD)
 
     def title(self, what: str, shape: str) -> str:
-        """What is in a table, and which frames its published and its measured rows are about."""
+        """Title of a table, with the frames of its published and its measured rows."""
         on = f"reported on {PUBLISHED_ON[shape]}, measured on {self.dataset}"
         return f"{WHAT[what]}: {on}; not comparable frame by frame"
 
@@ -103,7 +103,7 @@ def paper_tables(
     held_out: bool = False,
     config: BootstrapConfig | None = None,
 ) -> list[Table]:
-    """The paper's tables of the vocabulary that was labelled.
+    """Make the paper's tables of the labels' vocabulary.
 
     Parameters
     ----------
@@ -158,13 +158,13 @@ def read_reported(path: Path = FIGURES) -> tuple[Reported, ...]:
 
 
 def published(key: str, columns: Sequence[str]) -> list[Row]:
-    """The published rows of a table; figures that were not published are left blank."""
+    """Published rows of a table; unpublished figures are left blank."""
     lines = (line for line in read_reported() if line.table == key)
     return [Row(line.name, tuple(line.figures.get(name) for name in columns), "reported") for line in lines]
 
 
 def _subset_masks(evaluated: Evaluated, names: Sequence[Names], count: int) -> dict[str, np.ndarray]:
-    """(`count`,) bool by subset; of a dataset that has none of them, all under EVERYTHING."""
+    """(`count`,) bool by subset; without any subset all under EVERYTHING."""
     if evaluated.format == SA and len(names) == count:
         held = [subsets_of(*name) for name in names]
         masks = {subset: np.array([subset in h for h in held], np.bool_) for subset in SUBSETS}
@@ -260,7 +260,7 @@ def _pipeline_table(
 def _table(
     evaluated: Evaluated, what: str, shape: str, columns: tuple[str, ...], rows: Sequence[Row], drawn: str
 ) -> Table:
-    """Published rows, then the measured ones, then those that are agreement with what made the labels."""
+    """Order published rows, measured rows, and rows of agreement with the labels' makers."""
     key = f"paper_{what}_{shape.replace('-', '_')}"
     more = f" {IMITATION}" if evaluated.ruled and what == "relations" else ""
     return Table(
@@ -286,7 +286,7 @@ def tables_of_folder(
     held_out: bool = False,
     config: BootstrapConfig | None = None,
 ) -> list[Table]:
-    """The paper's tables of a run's folder; relations where it has their records.
+    """Make the paper's tables of a run's folder; relations where it has their records.
 
     `systems` are the records of expressions by system, `shares` as in `Evaluated`.
     """
@@ -302,7 +302,7 @@ def tables_of_folder(
 
 
 def tables_of_run(folder: str | Path) -> list[Table]:
-    """The paper's tables of a run that is there; its labels must be too.
+    """Make the paper's tables of a finished run; its labels must be at hand.
 
     Raises
     ------

@@ -45,7 +45,7 @@ class Published:
 
     @cached_property
     def content(self) -> Content:
-        """The file as JSON, JSON lines or CSV; InputError where it is none."""
+        """Read the file as JSON, JSON lines or CSV; InputError for anything else."""
         return read_content(self.path)
 
     @cached_property
@@ -61,7 +61,7 @@ class Published:
         return {frame: {words(text): text for text in found} for frame, found in self.sentences.items()}
 
     def frame(self, picture: Picture, where: str) -> str | None:
-        """The frame of a picture that the file names at `where`; None, and noted, where the dataset does not hold it.
+        """Frame of a picture named at `where`; None, and noted, for an unknown picture.
 
         The adapter leaves out what is about such a picture. FrameUnusable where it may be of several frames.
         """
@@ -71,14 +71,14 @@ class Published:
         return found
 
     def size(self, frame: str) -> tuple[int, int]:
-        """Width and height of a frame, pixels; InputError where it cannot be loaded."""
+        """Width and height of a frame, pixels; InputError for a frame that cannot be loaded."""
         if frame not in self._sizes:
             loaded = load_picture(self.dataset, frame)
             self._sizes[frame] = loaded.width, loaded.height
         return self._sizes[frame]
 
     def text(self, frame: str, candidates: Sequence[str]) -> str:
-        """The expression of the labels that a question, in any of its wordings, is or holds; else its first wording.
+        """Expression of the labels in a question of any wording; else the first wording.
 
         "Point to the mug left of the laptop." has "mug left of the laptop"; of several the longest, if it is one.
         """
