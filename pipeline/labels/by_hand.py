@@ -36,12 +36,12 @@ class NewLabels(Labels):
     """All of their table `frames`."""
 
     def table(self, name: str) -> pa.Table:
-        """One of the tables; all but the frames are empty."""
+        """Table by name; all but the frames are empty."""
         return self.rows if name == "frames" and self.rows is not None else build_table(name, {})
 
 
 def grows(labels: Labels) -> bool:
-    """Tell labels that take in frames as people label."""
+    """Tell labels begun by hand, open to more frames."""
     return str(labels.manifest.models.get("detector", "")).startswith(f"{BY_HAND}:")
 
 
@@ -55,7 +55,7 @@ def default_folder(dataset: Dataset, otherwise: Path) -> Path:
 def begun_labels(
     dataset: Dataset, folder: str | Path, options: dict[str, Any] | None = None, config: LabelConfig | None = None
 ) -> Labels:
-    """Open labels, or new ones without frames for a missing or empty folder; nothing is written yet.
+    """Open labels, or begin without frames in a missing or empty folder; nothing is written yet.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def begun_labels(
 
 
 def seen_with(labels: Labels, dataset: Dataset, name: str) -> Labels:
-    """Labels with one frame more, to look at; nothing is written."""
+    """Labels with a further frame, to look at; nothing is written."""
     require(grows(labels), "only labels that were begun by hand take in frames", path=labels.root)
     require(name in dataset.frame_ids, "the dataset has no such frame", got=name, path=dataset.root)
     rows = {table.column("frame")[k].as_py(): table.slice(k, 1)
@@ -113,7 +113,7 @@ def seen_with(labels: Labels, dataset: Dataset, name: str) -> Labels:
 
 
 def with_frames(labels: Labels, dataset: Dataset, names: Iterable[str] = ()) -> Labels:
-    """The labels with these frames of their dataset in them, without objects, written to their folder.
+    """Add frames of the dataset, without objects, and write the labels.
 
     Frames that are there, by whomever, stay as they are; several processes may add some at the same time.
 

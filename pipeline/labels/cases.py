@@ -54,7 +54,7 @@ class Meant:
 
     @property
     def chooses(self) -> bool:
-        """Tell sentences whose answer depends on the other candidates: choices, exclusions, the viewer's sides."""
+        """Tell sentences with answers by comparison: choices, exclusions, the viewer's sides."""
         return any(n.choices or n.excluded or not all(a.of_pairs for a in n.attachments) for n in self.root.walk())
 
 
@@ -132,7 +132,7 @@ class FrameCases:
         )
 
     def acceptable_pairs(self, case: Case) -> np.ndarray:
-        """(N, N) bool: pairs of the asked classes of which the relation holds or may hold.
+        """(N, N) bool: pairs of the asked classes with the relation true or undecided.
 
         Of a sentence: its right targets with all references that may be meant; where the labels have none for a
         target, with any of the class.
@@ -155,7 +155,7 @@ class FrameCases:
         return np.where(true.any(axis=1, keepdims=True), true, ends)
 
     def roles(self, case: Case) -> list[tuple[str, np.ndarray]]:
-        """Names asked for by an expression, each with the (N,) bool of its labelled objects."""
+        """Names asked for by an expression, each with the (N,) bool of labelled objects."""
         if case.meant is not None:
             return list(case.meant.classes.items())
         ends = ((case.target, case.target_object), (case.reference, case.reference_object))
@@ -163,7 +163,7 @@ class FrameCases:
 
 
 def read_cases(labels: Labels, first: int, stop: int) -> Iterator[FrameCases]:
-    """The frames from index `first` up to `stop` that have expressions, in order."""
+    """Read frames with expressions from index `first` up to `stop`, in order."""
     names = [r for r in PAIRWISE if r in labels.relation_names]
     rows = {
         table: _part(labels.root, table, chosen, first, stop)
@@ -196,7 +196,7 @@ def frame_cases(
     names: Sequence[str],
     rgb_hash: str | None = None,
 ) -> FrameCases:
-    """Cases of one frame from its rows of the tables as columns; `names` are the judged relations."""
+    """Cases of a frame by rows of the tables as columns; `names` are the judged relations."""
     numbers = list(objects["object"])
     index_of = {number: k for k, number in enumerate(numbers)}
     states = {name: np.full((len(numbers), len(numbers)), -1, np.int8) for name in names}
@@ -282,7 +282,7 @@ HIT = 0.5
 def read_query(
     case: Case, class_names: Sequence[str], reader: Reader = parse
 ) -> tuple[Query | None, InputError | None]:
-    """The parsed expression, or why it cannot be read."""
+    """Parsed expression, or the error."""
     try:
         return reader(case.text, class_names=tuple(class_names)), None
     except InputError as error:

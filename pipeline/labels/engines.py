@@ -69,7 +69,7 @@ def open_labeller(spec: SourceSpec, config: LabelConfig) -> Labeller:
 
 
 def label_frame(labeller: Labeller, frame_id: str, frame_index: int, found: Proposals | None = None) -> FrameLabels:
-    """Label one frame; a broken one becomes a row with the reason.
+    """Label a frame; a broken frame becomes a row with the reason.
 
     `found` is what the detector found in the frame, where another process ran it.
     """
@@ -139,7 +139,7 @@ def finished(shard: Shard, store: LabelStore) -> ShardReport | None:
 def label_shard(
     shard: Shard, labeller: Labeller, store: LabelStore, found: Mapping[str, Proposals] | None = None
 ) -> ShardReport:
-    """Label the frames of a shard and write its part; finished ones are left alone.
+    """Label the frames of a shard and write a part; finished shards are left alone.
 
     The rows depend on the plan alone: not on the engine, nor on what else runs.
     `found` is what the detector found in its frames, where another process ran it.
@@ -174,7 +174,7 @@ Done = Callable[[ShardReport], None]
 
 
 def run_local(plan: Plan, shards: Sequence[Shard], store: LabelStore, workers: int, done: Done) -> None:
-    """Label shards with so many processes; what is finished stays when the run is stopped.
+    """Label shards with so many processes; finished shards stay when the run is stopped.
 
     Raises InputError: a worker was killed.
     """
@@ -232,7 +232,7 @@ def needed_ray() -> None:
 def run_ray(
     plan: Plan, shards: Sequence[Shard], store: LabelStore, workers: int, done: Done, *, gpus_a_detector: float = 0.0
 ) -> None:
-    """Label shards on the connected Ray cluster, else on one of this machine.
+    """Label shards on the connected Ray cluster, else on this machine.
 
     The annotations of a dataset need no detector, and the first stage is left
     out. Where the labels go, and the dataset, must be reachable from every node.

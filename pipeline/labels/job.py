@@ -60,7 +60,7 @@ def label_dataset(
     gpus_a_detector: float = 0.0,
     progress: Progress | None = None,
 ) -> LabelReport:
-    """Label a dataset into a folder (or URL), and merge what was labelled.
+    """Label a dataset into a folder (or URL), and merge the shards.
 
     Parameters
     ----------

@@ -60,7 +60,7 @@ def label_objects(
     numbers: Sequence[int] | None = None,
     given: Sequence[GivenExpression] = (),
 ) -> FrameLabels:
-    """The rows of a frame whose objects are lifted.
+    """Rows of a frame with lifted objects.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def label_objects(
 def judge_list(
     context: PreparedFrame, objects: Sequence[SceneObject], config: LabelConfig, network: OnnxScorer | None = None
 ) -> JudgedPairs:
-    """Every ordered pair of objects as it is labelled: by the rules, in doubt where the geometry or a network is."""
+    """Judge every ordered pair of objects: by the rules, undecided by doubtful geometry or a network."""
     lifted = [o.lifted for o in objects]
     judged = judge_objects(lifted, context.viewer, config)
     judged = with_undecided(judged, np.array([item.quality.fallback for item in lifted], np.bool_))
@@ -124,7 +124,7 @@ def judge_list(
 
 
 def with_undecided(judged: JudgedPairs, unsure: np.ndarray) -> JudgedPairs:
-    """The judgements with U for every pair of which an object's geometry is not to be relied on.
+    """Judgements with U for every pair with an unreliable object.
 
     Parameters
     ----------
@@ -236,7 +236,7 @@ def _object_row(
 
 
 def unusable(config: LabelConfig, label: str, mask_pixels: int, points: int, fallback: bool) -> str | None:
-    """Reason against asking for an object, by its row; None without one."""
+    """Reason against asking for an object, by row, or None."""
     if config.is_background(label):
         return "background"
     if mask_pixels < config.min_pixels:
@@ -325,7 +325,7 @@ def candidate_expressions(
     config: LabelConfig,
     up_source: str,
 ) -> dict[str, Any]:
-    """All expressions that are true of a pair of usable objects of a frame, not yet put into words.
+    """True expressions of all pairs of usable objects of a frame, not yet worded.
 
     Parameters
     ----------

@@ -170,7 +170,7 @@ def _write_sentences(out: Path, shards: Sequence[Shard], store: LabelStore) -> C
 
 
 def write_manifest(labels: Labels) -> None:
-    """Write what tells of merged tables: their card, the Croissant metadata, and last the manifest."""
+    """Write card, Croissant metadata, and last the manifest of merged tables."""
     write_synced(labels.root / CARD_FILE, dataset_card(labels).encode())
     write_synced(labels.root / CROISSANT_FILE, json.dumps(croissant(labels), indent=1, ensure_ascii=False).encode())
     write_synced(labels.root / MANIFEST_FILE, labels.manifest.model_dump_json(indent=1).encode())
@@ -188,7 +188,7 @@ _CHOSEN_BY = ("id", "frame_index", "relation", "target", "reference", "acceptabl
 
 
 def choose(shards: Sequence[Shard], store: LabelStore, selection: SelectConfig) -> tuple[int, dict[str, np.ndarray]]:
-    """Number of candidates, and the kept ones by shard."""
+    """Number of candidates, and the chosen rows by shard."""
     codes: dict[str, int] = {}
     columns: list[list[np.ndarray]] = []
     for shard in shards:
@@ -277,7 +277,7 @@ def _write_group(writer: Any, waiting: list[pa.Table]) -> None:
 
 
 def environment() -> dict[str, str]:
-    """Versions and platform of the run, for the record; rows' hashes do not depend on them."""
+    """Versions and platform of the run, for the record; rows' hashes do not depend on either."""
     return {
         "python": platform.python_version(),
         "platform": platform.platform(),
@@ -323,7 +323,7 @@ def select(
     kept = _rank((frame, relation, target, reference), order_key) == 0
 
     def keep_few(of: np.ndarray, in_turn: np.ndarray, most: np.ndarray) -> None:
-        """Keep at most so many rows of each `of`, its `in_turn` taking turns."""
+        """Keep at most so many rows of each `of`, with `in_turn` taking turns."""
         rows = np.flatnonzero(kept)
         within = _rank((of[rows], in_turn[rows]), order_key[rows])
         order = np.lexsort((order_key[rows], within, of[rows]))

@@ -42,7 +42,7 @@ class SourceSpec:
     options: dict[str, Any] = field(default_factory=dict)
 
     def open(self, config: LabelConfig) -> Pipeline:
-        """The dataset with its models; relations are judged by the rules, and so no network is loaded."""
+        """Open the dataset with models; relations are judged by the rules, and so no network is loaded."""
         return open_pipeline(self.path, srm="rule", config=AskConfig(lift=config.lift), **self.options)
 
     def absolute(self) -> SourceSpec:
@@ -70,7 +70,7 @@ class Shard:
 
     @property
     def name(self) -> str:
-        """The folder of its files, below `parts/`."""
+        """Folder of the shard's files, below `parts/`."""
         return f"{self.index:06d}-{self.key[:16]}"
 
 
@@ -96,7 +96,7 @@ class Plan:
 
     @property
     def key(self) -> str:
-        """Hash of what every row depends on."""
+        """Hash of all inputs of a row."""
         return canonical_hash(
             {"config": self.config.hash, "models": self.models, "input": self.input_hash, "version": self.version}
         )
@@ -200,7 +200,7 @@ def _declared(options: dict[str, Any]) -> dict[str, str]:
 
 
 def files_hash(root: Path, leave_out: Path | None = None) -> str:
-    """Hash of all files below a folder, or of one file, by relative path, size and time of change; nothing is read.
+    """Hash of all files below a folder, or of a file, by relative path, size and time of change; nothing is read.
 
     Links are not followed; hidden files are left out, and so is the folder `leave_out`.
     """
@@ -349,7 +349,7 @@ class LabelConfig:
 
     @property
     def relations(self) -> tuple[str, ...]:
-        """The vocabulary's relations that the profile judges, in the order of PAIRWISE."""
+        """Relations of the vocabulary judged by the profile, in the order of PAIRWISE."""
         wanted = VOCABULARIES[self.vocabulary]
         return tuple(r for r in PAIRWISE if r in wanted and r in self.rules.relations)
 

@@ -124,7 +124,7 @@ def judge_viewer_cone(
     clouds: Sequence[np.ndarray] | None,
     relations: Collection[str] = PAIRWISE,
 ) -> JudgedPairs:
-    """`viewer-cone-v1`: see `pipeline.relations.relations`. Centroids play no part in it."""
+    """`viewer-cone-v1`: see `pipeline.relations.relations`. Centroids play no part."""
     profile = Profile()
     known = known_extents(lo, hi)
     pairs = measure_pairs(np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0), profile)
@@ -205,7 +205,7 @@ GIVEN = "given"
 
 
 def judge_nothing(lo: np.ndarray, hi: np.ndarray, centroids: np.ndarray, *_: Any, **__: Any) -> JudgedPairs:
-    """`given`: geometry decides nothing, every pair is undecided until `as_given` says what the dataset gives."""
+    """`given`: geometry decides nothing, every pair is undecided until `as_given`."""
     measured = judge_viewer_cone(lo, hi, centroids, None, ())
     states = np.full(measured.states.shape, U, np.int8)
     states[np.eye(len(lo), dtype=np.bool_)] = F
@@ -236,7 +236,7 @@ PROFILES: dict[str, RuleProfile] = {
 
 
 def profile_of(name: str) -> RuleProfile:
-    """The profile of that name.
+    """Rule profile by name.
 
     Raises InputError: there is none.
     """
@@ -245,7 +245,7 @@ def profile_of(name: str) -> RuleProfile:
 
 
 def as_given(judged: JudgedPairs, numbers: Sequence[int], given: Sequence[GivenExpression]) -> JudgedPairs:
-    """The judgements with the states that a dataset's expressions say.
+    """Judgements with the states given by a dataset's expressions.
 
     An expression that means one target and one reference makes its relation T,
     and what no expression says of that pair F. Where several references (or

@@ -173,7 +173,7 @@ class Makers:
 
 
 def makers_of(manifest: Manifest) -> Makers:
-    """Makers of the labels of a manifest of any release; None where it is silent."""
+    """Makers of the labels of a manifest of any release; None if unknown."""
     config, made = manifest.config, manifest.corrections
     lift = config.get("lift")
     counted = (made or {}).get("decided")

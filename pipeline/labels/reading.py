@@ -78,7 +78,7 @@ _STORED: dict[Any, str] = {str: "string", bool: "bool", int: "int64", float: "fl
 
 
 def build_table(table: str, columns: Columns) -> pa.Table:
-    """Columns as an Arrow table of the schema; a column that is left out is null throughout."""
+    """Build an Arrow table of the schema; absent columns are null throughout."""
     schema = arrow_schema(table)
     unknown = min(set(columns) - set(schema.names), default=None)
     require(unknown is None, f"table {table} has no column {unknown!r}")
@@ -132,7 +132,7 @@ def read_table(
 def sound_rows(
     rows: pa.Table, table: str, columns: Sequence[str] | None = None, *, path: str | Path | None = None
 ) -> pa.Table:
-    """Check rows of a file: the wanted columns, each of its type.
+    """Check rows of a file: the wanted columns, with the right types.
 
     The file may be older than the columns in ADDED_COLUMNS: those are null, in their place.
 
@@ -218,7 +218,7 @@ def _plain_bytes(array: Any) -> Iterable[bytes]:
 
 
 def content_hash(table: pa.Table, name: str) -> str:
-    """The hash of all rows of one table; see `RowHash`."""
+    """Hash of all rows of a table; see `RowHash`."""
     digest = RowHash(name)
     digest.update(table)
     return digest.hexdigest()
@@ -247,7 +247,7 @@ class Labels:
         return f"<Labels {self.root.name}: {counts}>"
 
     def table(self, name: str) -> pa.Table:
-        """One of the tables "frames", "objects", "relations", "expressions", in canonical order."""
+        """Table "frames", "objects", "relations" or "expressions", in canonical order."""
         return read_table(self.root / f"{name}.parquet", name)
 
     @cached_property
@@ -268,7 +268,7 @@ class Labels:
 
     @property
     def relation_names(self) -> tuple[str, ...]:
-        """The relations that were labelled, in the order of PAIRWISE."""
+        """Labelled relations, in the order of PAIRWISE."""
         return tuple(self.manifest.config["relations"])
 
 
@@ -334,7 +334,7 @@ class Corrections:
 
 
 def read_corrections(root: Path) -> Corrections:
-    """The corrections of a labels folder; none where it has no provenance.
+    """Corrections of a labels folder; none without provenance.
 
     Raises InputError: the file is damaged.
     """
@@ -380,7 +380,7 @@ def labelled_dataset(
     poses: str | None = None,
     registration: tuple[float, ...] | None = None,
 ) -> Dataset:
-    """Open the dataset of labels, at its place then or now, with the declared camera.
+    """Open the dataset of labels, at the place then or now, with the declared camera.
 
     Parameters
     ----------

@@ -213,7 +213,7 @@ class Manifest(BaseModel):
 
     @property
     def sentences(self) -> dict[str, int]:
-        """By kind, how many sentences stand beside the tables."""
+        """Number of sentences beside the tables, by kind."""
         return {k.removeprefix(SENTENCES_OF): n for k, n in self.counts.items() if k.startswith(SENTENCES_OF)}
 
 
@@ -248,7 +248,7 @@ def json_schemas() -> dict[str, dict[str, Any]]:
 
 
 def labels_version(manifest: Manifest) -> str:
-    """16 hexadecimal digits that change with how the automatic labels were made and with what is in them."""
+    """16 hexadecimal digits of the making and the content of automatic labels."""
     tables = {name: entry.content_hash for name, entry in manifest.tables.items()}
     return canonical_hash({"config": manifest.config_hash, "tables": tables})[:16]
 
@@ -257,12 +257,12 @@ SCHEMA_FOLDER = Path(__file__).with_name("schemas") / SCHEMA_VERSION
 
 
 def schema_text(schema: dict[str, object]) -> str:
-    """A schema as it stands in its file."""
+    """Text of a schema file."""
     return json.dumps(schema, indent=1, ensure_ascii=False) + "\n"
 
 
 def write_schemas(folder: Path = SCHEMA_FOLDER) -> tuple[Path, ...]:
-    """Write one file a table, and one for the manifest."""
+    """Write a file a table, and the manifest's."""
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     for name, schema in json_schemas().items():

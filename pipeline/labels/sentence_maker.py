@@ -77,7 +77,7 @@ def make_sentences(
     config: LabelConfig,
     class_names: Sequence[str],
 ) -> tuple[MadeSentence, ...]:
-    """The sentences of a labelled frame, of the kinds that are wanted; equal input gives equal sentences.
+    """Make sentences of the wanted kinds for a labelled frame; equal input gives equal sentences.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def make_sentences(
 
 
 def sentence_rows(made: Sequence[MadeSentence], frame: str, objects: Sequence[SceneObject], exact: bool) -> Columns:
-    """Rows of the table `sentences`: right are annotations where the objects are those (`exact`), else boxes."""
+    """Rows of the table `sentences`: answers are annotations if the objects are (`exact`), else boxes."""
 
     def line(sentence: MadeSentence) -> str:
         mine = [objects[k] for k in sentence.answers]
@@ -119,7 +119,7 @@ class _Maker:
     class_names: tuple[str, ...]
 
     def of(self, kind: str) -> list[MadeSentence]:
-        """At most as many as are wanted of a kind, with as many different answers as there are."""
+        """At most so many sentences of a kind, with answers as different as possible."""
         fresh: dict[tuple[int, ...], MadeSentence] = {}
         more: list[MadeSentence] = []
         for key, tree in sorted(self._keyed(kind), key=lambda found: found[0]):

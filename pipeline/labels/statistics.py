@@ -266,11 +266,11 @@ class Database:
         return dict(zip([column[0] for column in found.description or ()], found.fetchall()[0], strict=True))
 
     def columns(self, sql: str, **values: Any) -> dict[str, np.ndarray]:
-        """All rows of a query whose columns hold numbers without nulls, as arrays."""
+        """Columns of a query of numbers without nulls, as arrays."""
         return {name: np.asarray(column) for name, column in self._asked(sql, values).fetchnumpy().items()}
 
     def frame_ranges(self) -> Iterator[tuple[int, int]]:
-        """(first, last) values of `frame_index`, FRAMES_AT_ONCE at a time: for queries that join tables."""
+        """(first, last) values of `frame_index`, FRAMES_AT_ONCE at a time: for queries with joins."""
         last = self.rows("SELECT max(frame_index) FROM frames")[0][0]
         for first in range(0, 0 if last is None else last + 1, FRAMES_AT_ONCE):
             yield first, first + FRAMES_AT_ONCE - 1

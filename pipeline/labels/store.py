@@ -85,7 +85,7 @@ class LabelStore:
         clear_abandoned(self.folder)
 
     def read_text(self, name: str) -> str | None:
-        """A small file, or None where it is missing."""
+        """Read a small file; None if missing."""
         try:
             return self._fs.cat_file(f"{self._root}/{name}").decode() if self.remote else read_text(self.folder / name)
         except FileNotFoundError:
@@ -97,7 +97,7 @@ class LabelStore:
         return f"{self.where.rstrip('/')}/{name}"
 
     def write_text(self, name: str, text: str) -> None:
-        """Write a small file whole; an existing one stays, whoever wrote first."""
+        """Write a small file whole; an existing file stays, by whatever writer."""
         if self.remote:
             self._fs.pipe_file(f"{self._root}/{name}", text.encode())
             return

@@ -13,7 +13,7 @@ _NUMBERED = {number: word for word, number in reversed(ORDINALS.items()) if word
 
 
 def tree_text(root: Node, several: Collection[int], key: int) -> str:
-    """The sentence of a tree: `find the leftmost book that is on the table`.
+    """Sentence of a tree: `find the leftmost book that is on the table`.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def tree_text(root: Node, several: Collection[int], key: int) -> str:
 
 
 def phrase_text(node: Node, several: Collection[int], *, linked: bool = False) -> str:
-    """Word a noun phrase; `linked` puts `that is` before its relations."""
+    """Word a noun phrase; `linked` puts a relative clause before relations."""
     if node.viewer:
         return f"the {node.label}"
     before, after = zip(*(_around(choice) for choice in node.choices), strict=True) if node.choices else ((), ())

@@ -122,7 +122,7 @@ def expression_text(
     class_names: Sequence[str] = (),
     several: Several = (False, False),
 ) -> str:
-    """The sentence of one expression: `the mug to the left of a laptop`.
+    """Sentence of an expression: `the mug to the left of a laptop`.
 
     `language.expression.parse`, given the class names, reads it back as the same target, relation and reference.
     A name that the grammar would misread stands in double quotes, or the sentence falls back to the plain form.
@@ -170,7 +170,7 @@ def question_text(relation: str, target: str, reference: str, key: int, *, class
 
 @lru_cache(maxsize=65536)
 def can_be_worded(name: str) -> bool:
-    """Tell class names that an expression can carry and give back."""
+    """Tell class names fit for an expression and read back the same."""
     return isinstance(name, str) and bool(_forms(name, _known(())))
 
 

@@ -149,7 +149,7 @@ def network_path(out: Path) -> Path:
 
 
 def held_out_figures(scorer: OnnxScorer, plain: OnnxScorer, frames: Sequence[FrameSamples]) -> dict[str, Any]:
-    """The figures of a network, of the same one without calibration, and of the rule, on views not learnt from."""
+    """Figures of a network, of the same without calibration, and of the rule, on unseen views."""
     name = scorer.contract.features
     truth, seen = [f.truth for f in frames], [f.rule for f in frames]
     extents = [(f.exact_lo, f.exact_hi) for f in frames]
@@ -187,7 +187,7 @@ def versions() -> dict[str, str]:
 
 
 def rounded(value: Any) -> Any:
-    """A card with its floats cut to six decimals."""
+    """Card with floats cut to six decimals."""
     if isinstance(value, dict):
         return {key: rounded(inside) for key, inside in value.items()}
     return round(float(value), 6) if isinstance(value, (float, np.floating)) else value
@@ -201,7 +201,7 @@ IR_VERSION = 8
 def write_onnx(
     path: Path, layers: Sequence[tuple[np.ndarray, np.ndarray]], metadata: dict[str, str], producer: str = "spatialviz"
 ) -> None:
-    """Write a network of dense layers with ReLU between them: `features` (pairs, D) -> `logits` (pairs, R).
+    """Write a network of dense layers with ReLU between: `features` (pairs, D) -> `logits` (pairs, R).
 
     Parameters
     ----------
@@ -246,7 +246,7 @@ def save_onnx(
     calibration: dict[str, Platt] | None = None,
     trained_on: TrainedOn | None = None,
 ) -> None:
-    """Save a trained network with its contract for `OnnxScorer`, and its class vectors beside."""
+    """Save a trained network with the contract for `OnnxScorer`, and class vectors beside."""
     write_onnx(path, model.layers, replace(model.contract(calibration), trained_on=trained_on).metadata())
     if model.vectors is not None:
         vectors_path(path).write_bytes(model.vectors.content())
@@ -310,7 +310,7 @@ def evaluate(
 def evaluate_classes(
     probabilities: Sequence[np.ndarray], truth: Sequence[np.ndarray], prior: Sequence[float], vocabulary: Sequence[str]
 ) -> dict[str, Any]:
-    """Evaluate a network of one relation a pair (softmax).
+    """Evaluate a softmax network (a single relation a pair).
 
     Parameters
     ----------

@@ -74,7 +74,7 @@ class LabelData:
 
 
 def read_label_data(labels: Labels, features: str, vocabulary: Sequence[str]) -> LabelData:
-    """Read what a network of these features learns from.
+    """Read training data of these features from labels.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def pair_set(
     limit: int | None = None,
     seed: int = 0,
 ) -> PairSet:
-    """The pairs of these frames from which something can be learnt.
+    """Learnable pairs of these frames.
 
     Parameters
     ----------
@@ -250,7 +250,7 @@ def object_rows(features: str, objects: dict[str, np.ndarray], mine: slice, fram
 
 
 def identity(labels: Labels) -> tuple[str, str, str]:
-    """Name of the dataset's folder, hash of its files ("" where the manifest has none), hash of the frames' table."""
+    """Name of the dataset's folder, hash of files ("" if absent), hash of the frames' table."""
     dataset = labels.manifest.dataset
     return (
         Path(str(dataset.get("path", ""))).name,
@@ -379,7 +379,7 @@ class PairSet:
 
 
 def class_shares(states: np.ndarray, inverse: dict[int, int]) -> np.ndarray:
-    """Share of each class among pairs with exactly one T, the same for inverse classes.
+    """Share of each class among pairs with exactly a single T, the same for inverse classes.
 
     Parameters
     ----------

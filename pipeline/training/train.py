@@ -173,7 +173,7 @@ def train_srm(
 
 
 def averaged(networks: Sequence[Layers]) -> Layers:
-    """Average networks of equal sizes: one network of so many times the width."""
+    """Average networks of equal sizes, as a network of so many times the width."""
     if len(networks) == 1:
         return networks[0]
     first, *middle, last = zip(*networks, strict=True)
@@ -363,7 +363,7 @@ def _forward(torch: Any, x: Any, weights: Sequence[Any], biases: Sequence[Any]) 
 
 
 def need_torch() -> Any:
-    """The package torch; MissingExtra where it is not installed."""
+    """Import torch; MissingExtra if not installed."""
     try:
         import torch
     except ImportError as error:

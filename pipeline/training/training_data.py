@@ -93,7 +93,7 @@ class FrameSamples:
 
     @property
     def rule(self) -> np.ndarray:
-        """(N, N, 6) int8 states of the noisy extents: what the rule says of this view."""
+        """(N, N, 6) int8 states by the rule on the noisy extents."""
         return directional_states(self.seen_lo, self.seen_hi)
 
     def scaled(self, factor: float) -> FrameSamples:
@@ -113,7 +113,7 @@ def _scaled(contract: FeatureSet, rows: np.ndarray, factor: float) -> np.ndarray
 
 
 def with_wrong_names(samples: Sequence[FrameSamples], seed: int) -> tuple[FrameSamples, ...]:
-    """The views, with WRONG_NAMES of their things under the name of some thing of any of them."""
+    """Views with WRONG_NAMES of the things under another thing's name."""
     if not samples:
         return ()
     rng = np.random.default_rng([seed, 31])
@@ -181,7 +181,7 @@ def make_samples(
 
 
 def room_seeds(seed: int, rooms: int) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
-    """Room seeds for training (7 in 10), calibration (1 in 10) and test (2 in 10), at least one each.
+    """Room seeds for training (7 in 10), calibration (1 in 10) and test (2 in 10), each at least a room.
 
     Rooms of different makers have the same seeds and nothing else in common.
 
@@ -211,7 +211,7 @@ def make_split(
     workers: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[tuple[FrameSamples, ...], tuple[FrameSamples, ...], tuple[FrameSamples, ...]]:
-    """Samples of `rooms` rooms, split by room, and of scattered and assembled ones: to train, to calibrate, to test.
+    """Samples of rooms, split by room, with scattered and assembled scenes: to train, to calibrate, to test.
 
     Trained on are varied views of furnished rooms and of the others, and every second furnished room as
     `spatialviz render` shows it; calibrated on rooms of solids; measured on furnished rooms as rendered.
@@ -335,7 +335,7 @@ def _in_steps(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def degraded(mask: np.ndarray, rng: np.random.Generator, error: tuple[int, int] = MASK_ERROR_PIXELS) -> np.ndarray:
-    """A mask ((H, W) bool) as a segmenter would give it: a little too small, or a little too large."""
+    """Degrade a mask ((H, W) bool) as a segmenter would: a little too small, or a little too large."""
     pixels = int(rng.integers(error[0], error[1] + 1))
     if pixels == 0:
         return mask

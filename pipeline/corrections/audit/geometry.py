@@ -90,7 +90,7 @@ class Fit:
 
 
 def fit_of_triple(truth: FrameCases, targets: np.ndarray, relation: str, references: np.ndarray) -> Fit:
-    """The fit of "TARGET RELATION REFERENCE", of which (N,) bool each are the things of these names."""
+    """Fit of "TARGET RELATION REFERENCE"; (N,) bool each for the things of these names."""
     allowed = truth.judged & references[None, :] & ~np.eye(len(references), dtype=np.bool_)
     states = np.where(allowed, truth.states[relation], F)
     margins = margins_of(truth, relation)

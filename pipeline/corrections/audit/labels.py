@@ -30,7 +30,7 @@ def audit_labels(
     config: QueueConfig | None = None,
     queue: pa.Table | None = None,
 ) -> Iterator[AuditItem]:
-    """Every expression of labels with the evidence against its truth, in the order of frames.
+    """Audit every expression of labels, in the order of frames.
 
     Parameters
     ----------

@@ -39,7 +39,7 @@ def audit_questions(
     source: Pipeline | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Iterator[AuditItem]:
-    """Every item with the evidence against its answer, in their order; `progress` is told (done, in all).
+    """Audit every question in order; `progress` is told (done, in all).
 
     Parameters
     ----------

@@ -55,7 +55,7 @@ class AuditReport:
         return Table("audit", "What speaks against the truth", ("items", "foremost", "what it says"), rows)
 
     def look(self, item: AuditItem) -> str:
-        """The command that opens the page on an item."""
+        """Command for opening the page on an item."""
         view = encode(ViewState(Path(self.dataset).name, item.frame, item.text))
         return shlex.join(["spatialviz", "view", self.dataset, "--state", view])
 

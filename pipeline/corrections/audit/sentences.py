@@ -34,7 +34,7 @@ def audit_sentences(
     systems: Sequence[SystemAnswers] = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> Iterator[AuditItem]:
-    """Every sentence with the evidence against its truth, in the order of frames; `progress` is told (done, in all).
+    """Audit every sentence in the order of frames; `progress` is told (done, in all).
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def _listed(chosen: np.ndarray, names: list[str]) -> str | None:
 
 
 def of_name(truth: FrameCases, name: str, source: Pipeline) -> np.ndarray:
-    """(N,) bool: the annotated things that a name means."""
+    """(N,) bool: annotated things with this name."""
     known = tuple(dict.fromkeys([*truth.labels, *source.dataset.class_names]))
     return np.isin(truth.labels, match(name, known, source.synonyms))
 

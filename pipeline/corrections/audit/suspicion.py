@@ -100,7 +100,7 @@ def wrong_probability(evidence: Iterable[Evidence]) -> float:
 
 
 def logit(p: float) -> float:
-    """Log odds of a weight, which is kept between LEAST and MOST."""
+    """Log odds of a weight kept between LEAST and MOST."""
     p = min(max(p, LEAST), MOST)
     return math.log(p / (1 - p))
 

@@ -122,7 +122,7 @@ def probability_wrong(p: np.ndarray, says: np.ndarray, noise: Noise | None = Non
 
 
 def self_confidence(p: np.ndarray, says: np.ndarray) -> np.ndarray:
-    """(M,) float64: the probability of what the label says; the least first is a ranking of errors.
+    """(M,) float64: probability of the given label; the least first ranks errors.
 
     Of two answers it ranks as the normalised margin does, which is twice this less 1.
     """

@@ -108,8 +108,8 @@ def undecided_evidence(items: QueueItems, probability: np.ndarray) -> EvidenceRo
 
 
 def margin_evidence(items: QueueItems, least: float) -> EvidenceRows:
-    """Labels near a threshold of the rule: half the chance of an error of MARGIN_SIGMA_M across it, since it leads
-    to U and not to the opposite."""
+    """Labels near a threshold of the rule, by half the chance of an error of MARGIN_SIGMA_M across: it leads to U
+    and not to the opposite."""
     from scipy.special import ndtr
 
     near, states = np.abs(items.cells.margins.ravel()), items.cells.states.ravel()
@@ -267,7 +267,7 @@ class RelationLabels:
         ]
 
     def rows_of(self, keys: Collection[tuple[str, int, int]]) -> np.ndarray:
-        """(K,) int64: the row of each (frame id, a, b); -1 where there is none."""
+        """(K,) int64: row of each (frame id, a, b); -1 if absent."""
         of_them = np.flatnonzero(np.isin(self.frame, list({key[0] for key in keys})))
         rows = zip(self.frame[of_them], self.a[of_them].tolist(), self.b[of_them].tolist(), strict=True)
         index = dict(zip(rows, of_them.tolist(), strict=True))

@@ -104,7 +104,7 @@ def item_keys(queue: pa.Table) -> list[ItemKey]:
 
 
 def with_states(queue: pa.Table, states: Mapping[ItemKey, State]) -> pa.Table:
-    """The queue with a column `state`; what the mapping lacks is unreviewed.
+    """Queue with a column `state`; unreviewed if not in the mapping.
 
     Raises InputError: a state is none of STATES.
     """
@@ -116,7 +116,7 @@ def with_states(queue: pa.Table, states: Mapping[ItemKey, State]) -> pa.Table:
 
 
 def left_to_review(queue: pa.Table, states: Mapping[ItemKey, State]) -> pa.Table:
-    """Open rows in the order of the queue; unsure ones last.
+    """Open rows in the order of the queue; unsure last.
 
     What reviewers judge differently is unsure, too, but stays where it is: at the top.
     """
@@ -168,7 +168,7 @@ def key_stands(
 
 
 def checked_states(states: Mapping[ItemKey, str]) -> None:
-    """Raise InputError for a state that is none."""
+    """Raise InputError for an unknown state."""
     for key, state in states.items():
         if state not in STATES:
             raise InputError(f"no such state of review item {key.text()}", got=repr(state), expected=" | ".join(STATES))
@@ -253,11 +253,11 @@ class Judgements:
         return max(words, key=lambda w: w.at).status if words else "unreviewed"
 
     def verdict(self, key: ItemKey) -> str | None:
-        """Verdict of a settled item, as of `Judgement.verdict`; None of an open one."""
+        """Verdict of a settled item, as of `Judgement.verdict`; else None."""
         return None if self.state(key) not in SETTLED else max(self._open_words(key), key=lambda w: w.at).verdict
 
     def states(self, author: str | None = None) -> dict[ItemKey, State]:
-        """State of every judged item, over all people or of one."""
+        """State of every judged item, over all people or by a single person."""
         if author is not None:
             return {k: w.status for k, w in self.of(author).items() if w.status != "unreviewed"}
         found: dict[ItemKey, State] = {key: self.state(key) for key in {**self.words, **self.settled}}
@@ -330,7 +330,7 @@ def judgements_of(
 
 
 def item_of(ref: FieldRef) -> ItemKey | None:
-    """The item that a cell is about; None of a frame's."""
+    """Item of a cell; None of a frame's."""
     a, b, what = NOBODY, None, ref.key
     if ref.kind == "review":
         _, kind, a, b, what = judged_item(ref.key)

@@ -169,7 +169,7 @@ class LabelJobs:
         self.training = SharedJob(TrainingProgress())
 
     def make(self, job_for: Callable[[Path], QueueJob]) -> bool:
-        """Make the queue; whether it was started, see `SharedJob.start`.
+        """Make the queue; returns True if started, see `SharedJob.start`.
 
         The first is made without networks, so that there is something to begin with; what was asked for follows it.
 
@@ -206,7 +206,7 @@ class LabelJobs:
         return started
 
     def train(self, job: RetrainingJob) -> bool:
-        """Retrain; whether it was started, see `SharedJob.start`."""
+        """Retrain; returns True if started, see `SharedJob.start`."""
         began = perf_counter()
         return self.training.start(
             retraining_in_background, job, begun=lambda _: TrainingProgress(running=True),
@@ -308,7 +308,7 @@ def run_retraining(job: RetrainingJob, progress: Progress | None = None) -> Retr
 def compare_with(
     current: OnnxScorer, network: Path, before: Labels, after: Labels, config: RetrainConfig, card: dict[str, Any]
 ) -> Retraining | None:
-    """Compare the network in use with a new one, on pairs unseen by the new one; see `Retraining`.
+    """Compare the network in use with a new network, on pairs unseen in training; see `Retraining`.
 
     None where the two do not judge the same relations, or either knows class names.
     """
@@ -353,5 +353,5 @@ def _replay(run: Run, folder: Path, workers: int, tell: Progress) -> tuple[Compa
 
 
 def retraining_in_background(job: RetrainingJob, report: Callable[[tuple[str, int, int]], None]) -> dict[str, Any]:
-    """`run_retraining` for `pipeline.system.background`: its record."""
+    """Record of `run_retraining`, for `pipeline.system.background`."""
     return run_retraining(job, lambda what, done, of: report((what, done, of))).record()

@@ -209,7 +209,7 @@ def stacked(matrices: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def unstacked(cells: np.ndarray, sizes: Sequence[int]) -> tuple[np.ndarray, ...]:
-    """The reverse of `stacked` for frames of so many objects; diagonals are NaN, or 0 where there is none."""
+    """Reverse of `stacked` for frames of so many objects; diagonals are NaN, or 0 of integers."""
     nothing = np.nan if cells.dtype.kind == "f" else 0
     found = tuple(np.full((n, n, cells.shape[1]), nothing, cells.dtype) for n in sizes)
     ends = np.cumsum([n * (n - 1) for n in sizes])

@@ -59,7 +59,7 @@ def review_queue(
     doubts: tuple[LabelData, Doubts] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> pa.Table:
-    """The labels that are most probably wrong, the worst first.
+    """Rank labels by the probability of an error, the worst first.
 
     Parameters
     ----------

@@ -228,7 +228,7 @@ def compare_networks(
     config: BootstrapConfig | None = None,
     fed_before: LabelData | None = None,
 ) -> Retraining:
-    """Both networks on the frames of `now` that the plan holds out; see `Retraining`.
+    """Compare two networks on the held-out frames of `now`; see `Retraining`.
 
     `fed_before` is `now` as the network before is fed it, where that is something else.
     """

@@ -164,7 +164,7 @@ def left_for(
     overlap: float = 0.0,
     second_opinion_of: str | None = None,
 ) -> pa.Table:
-    """Rows of a queue left for one reviewer, in its order, with a column `state` of their own.
+    """Rows of a queue left for a reviewer, in order, with a column `state` of the reviewer's own.
 
     What others said is not shown: a second opinion is worth something where it
     is independent. Items that this person has judged are not asked again, also
@@ -198,7 +198,7 @@ def left_for(
 
 
 def drawn(key: ItemKey) -> float:
-    """A number from 0 to 1 that hangs on the item's name alone."""
+    """Number from 0 to 1 by hash of the item's name."""
     return xxhash.xxh3_64_intdigest(key.text().encode("utf-8", "replace")) / 2**64
 
 
@@ -242,7 +242,7 @@ class PairAgreement:
 
 
 def pair_agreements(judgements: Judgements, inverse: Callable[[str], str | None]) -> tuple[PairAgreement, ...]:
-    """Each two people who have judged an item in common.
+    """Agreement of each two people with judged items in common.
 
     Compared is each one's newest word (`Judgement.verdict`); who is unsure, or has withdrawn a word, has not judged.
     A settlement is nobody's own word, and does not bear on it. "a left of b" and "b right of a" are one item, so that

@@ -100,11 +100,11 @@ class Worklist:
         return bool(self.gone[self._index(key)])
 
     def row(self, key: ItemKey) -> dict:
-        """The item's row of the queue; InputError where it has none."""
+        """Row of the item in the queue; InputError if absent."""
         return self.queue.slice(self._index(key), 1).to_pylist()[0]
 
     def with_states(self, states: Mapping[ItemKey, State]) -> Worklist:
-        """The list after the states of items have changed. Nothing is ranked anew: one byte an item is copied.
+        """List after changes of states. Nothing is ranked anew: a byte an item is copied.
 
         An item that the queue does not hold changes nothing: people also edit what nobody doubted.
 
@@ -115,12 +115,12 @@ class Worklist:
 
     @property
     def touched(self) -> tuple[str, ...]:
-        """The frames with an item that is not unreviewed, or has gone."""
+        """Frames with reviewed or lost items."""
         marked = (self.codes != _UNREVIEWED) | self.gone
         return tuple(frame for frame, indices in self.frames.items() if marked[indices].any())
 
     def with_gone(self, frame: str, gone: Collection[ItemKey]) -> Worklist:
-        """The list after these items of a frame have gone, and all others of it have not."""
+        """List with exactly these items of a frame lost."""
         if frame not in self.frames:
             return self
         indices = self.frames[frame]
@@ -134,7 +134,7 @@ class Worklist:
     def next_item(
         self, after: ItemKey | None = None, skip: Collection[ItemKey] = (), kind: str | None = None
     ) -> ItemKey | None:
-        """Next open item behind `after`, else from the top; unsure ones without a dispute come last. None at the end.
+        """Next open item behind `after`, else from the top; undisputed unsure items come last. None at the end.
 
         Parameters
         ----------
@@ -170,7 +170,7 @@ class Worklist:
 
 
 def worklist(queue: pa.Table, states: Mapping[ItemKey, State] | None = None) -> Worklist:
-    """A queue with the states of its items; what the mapping lacks is unreviewed.
+    """List of a queue with the states of items; unreviewed if not in the mapping.
 
     Without a mapping they are those of the queue's column `state`, where it has one.
 
@@ -205,7 +205,7 @@ def _codes(codes: np.ndarray, indices: Mapping[ItemKey, int], states: Mapping[It
 
 
 def write_queue(queue: pa.Table, path: Path) -> None:
-    """Store a queue as Parquet, whole or not at all, with the version of its labels.
+    """Store a queue as Parquet, whole or not at all, with the labels' version.
 
     Raises InputError: it cannot be written.
     """
@@ -271,7 +271,7 @@ def _check_columns(queue: pa.Table, path: Path) -> None:
 
 
 def frame_states(frame: EffectiveFrame, events: Sequence[Event]) -> dict[ItemKey, State]:
-    """The states of a frame's items over all people, as `reviewed.states_on_labels` has those of all frames.
+    """States of a frame's items over all people, as by `reviewed.states_on_labels` for all frames.
 
     Parameters
     ----------
@@ -332,7 +332,7 @@ def _since(journal: Journal, after: Mark) -> tuple[Sequence[Event], bool]:
 
 
 def gone_items(frame: EffectiveFrame, keys: Collection[ItemKey], states: Mapping[ItemKey, State]) -> frozenset[ItemKey]:
-    """The items of a frame that a queue made now would not have: see `key_stands`."""
+    """Items of a frame absent from a queue made now: see `key_stands`."""
     name, stood = frame.frame, frame.stands
     objects, expressions = ({(name, key) for key in rows if stood} for rows in (frame.objects, frame.expressions))
     pairs = {k for k in keys if k.kind == "relation" and stood and frame.pairs.state(k.a, k.b, k.what) is not None}

@@ -42,7 +42,7 @@ OF_ANSWERS = ("expression/empty", "expression/sets", "expression/ambiguous", "ex
 
 
 def check_labels(labels: Labels, *, rules: Sequence[str] | None = None) -> Iterator[Finding]:
-    """Check labels, damaged or edited ones too.
+    """Check labels, even damaged or edited.
 
     What people set in corrected labels is not held against the rules.
 
@@ -159,7 +159,7 @@ class UpRules:
         self._ups: list[tuple[str | None, np.ndarray]] = []
 
     def add(self, view: FrameView) -> Iterator[Finding]:
-        """The findings of a frame, and of the scene before where this one begins another."""
+        """Findings of a frame, and of the scene before at the start of another."""
         frames = view.tables["frames"]
         if not view.usable or view.viewer is None:
             return
@@ -255,7 +255,7 @@ def _counts(manifest: Manifest) -> Iterator[Finding]:
 
 
 def profile_problem(manifest: Manifest) -> str | None:
-    """Reason against comparing geometry under the manifest's profile; None without one."""
+    """Reason against comparing geometry under the manifest's profile, or None."""
     name = str(manifest.profile.get("name"))
     if name not in PROFILES:
         return f"this release has no rule profile {name!r}"
@@ -270,7 +270,7 @@ def profile_problem(manifest: Manifest) -> str | None:
 
 
 def check_profile(manifest: Manifest) -> Iterator[Finding]:
-    """Compare the rules of the labels with those of this release."""
+    """Compare the rules of the labels with this release's."""
     problem = profile_problem(manifest)
     if problem is not None:
         name = str(manifest.profile.get("name"))

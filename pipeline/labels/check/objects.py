@@ -49,7 +49,7 @@ def moved_towards(boxes: np.ndarray, targets: np.ndarray, slack: float | np.ndar
 
 
 def cleared(known: np.ndarray, *arrays: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Arrays with zeros in the rows that are not known ((N,) bool)."""
+    """Zero the rows of arrays unknown by (N,) bool."""
     return tuple(np.where(known.reshape(-1, *[1] * (a.ndim - 1)), a, 0.0) for a in arrays)
 
 
@@ -74,7 +74,7 @@ AXES = ("right", "up", "forward")
 
 
 def check_objects(view: FrameView) -> Iterator[Finding]:
-    """Compare mask, 2D box, 3D box and extents of each object, and look whether enough of it is seen."""
+    """Compare mask, 2D box, 3D box and extents of each object, and judge visibility."""
     objects, named, size = view.objects, view.named, view.size
     stated, crops = objects["mask_pixels"], view.crops
     off = [isinstance(c, str) or (c is not None and c.area != n) for c, n in zip(crops, stated, strict=True)]
@@ -145,7 +145,7 @@ def _bbox(view: FrameView, sound: np.ndarray, mask_box: np.ndarray) -> Iterator[
 
 
 def shared_share(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(N,) share of each rectangle of `a` ((N, 4)) on the one of `b`; 0 for an empty one."""
+    """(N,) share of each rectangle of `a` ((N, 4)) covered by `b`'s; 0 if empty."""
     low, high = np.maximum(a[:, :2], b[:, :2]), np.minimum(a[:, 2:], b[:, 2:])
     shared = np.clip(high - low, 0, None).prod(axis=1)
     area = np.clip(a[:, 2:] - a[:, :2], 0, None).prod(axis=1)
@@ -215,7 +215,7 @@ OTHER_NAME_IOU = 0.9
 
 
 def check_duplicates(view: FrameView) -> Iterator[Finding]:
-    """Find pairs of objects that share their pixels or their volume."""
+    """Find pairs of objects with the same pixels or volume."""
     if len(view.ids) < 2:
         return
     masks, boxes, named = mask_overlaps(view), box_overlaps(view, view.alike), view.named
@@ -235,7 +235,7 @@ def check_duplicates(view: FrameView) -> Iterator[Finding]:
 
 
 def mask_overlaps(view: FrameView) -> np.ndarray:
-    """(N, N) float64 IoU of the masks; 0 where one cannot be read."""
+    """(N, N) float64 IoU of the masks; 0 if unreadable."""
     found = np.zeros((len(view.ids), len(view.ids)))
     sound = [k for k, c in enumerate(view.crops) if isinstance(c, MaskCrop) and c.area]
     if len(sound) < 2:
@@ -248,7 +248,7 @@ def mask_overlaps(view: FrameView) -> np.ndarray:
 
 
 def box_overlaps(view: FrameView, wanted: np.ndarray) -> np.ndarray:
-    """(N, N) float64 IoU of the 3D boxes of the wanted pairs, where it can reach SAME_NAME_IOU; else 0."""
+    """(N, N) float64 IoU of the 3D boxes of the wanted pairs, if SAME_NAME_IOU is in reach; else 0."""
     objects = view.objects
     center, rotation, size = objects["center"], objects["R"].reshape(-1, 3, 3), objects["size"]
     known = np.isfinite(center).all(axis=1) & np.isfinite(rotation).all(axis=(1, 2))
@@ -312,17 +312,17 @@ class SizeSurvey:
 
 
 def lengths(rows: Rows) -> tuple[np.ndarray, np.ndarray]:
-    """Longest edges in metres of the lifted box and of the dataset's own; two (N,) with NaN where there is none."""
+    """Longest edges in metres of the lifted box and of the dataset's own; two (N,), NaN if absent."""
     return rows["size"].max(axis=1), rows["exact_size"].max(axis=1)
 
 
 def seen_whole(rows: Rows) -> np.ndarray:
-    """(N,) bool: nothing hides or cuts the object, and its box was cleaned."""
+    """(N,) bool: objects neither hidden nor cut, with a cleaned box."""
     return ~rows["touches_border"] & (rows["occluded"] < HARDLY_OCCLUDED) & ~rows["fallback"]
 
 
 def check_sizes(view: FrameView, survey: SizeSurvey) -> Iterator[Finding]:
-    """Find objects too large or too small for their class, or unlike others of it."""
+    """Find objects too large or too small for the class, or unlike others of the class."""
     rows = view.objects
     columns = (*lengths(rows), seen_whole(rows), np.isin(rows["mask_source"].astype(str), ["annotation", "detector"]))
     for k, (label, lifted, exact, whole, own) in enumerate(zip(view.labels, *columns, strict=True)):
@@ -338,7 +338,7 @@ def check_sizes(view: FrameView, survey: SizeSurvey) -> Iterator[Finding]:
 
 
 def check_depth(view: FrameView) -> Iterator[Finding]:
-    """Find a frame with things too large or too small by one factor, as by a wrong depth scale."""
+    """Find a frame with things too large or too small by a common factor, as by a wrong depth scale."""
     if not view.usable:
         return
     lifted, whole = lengths(view.objects)[0], seen_whole(view.objects)

@@ -131,7 +131,7 @@ def _both_ways(view: FrameView, relation: str, expected: Expected | None) -> Ite
 
 
 def _impossible(relation: str, expected: Expected | None, n: int) -> np.ndarray:
-    """(N, N) bool: pairs of which a relation surely does not hold, so that a contradiction is an error."""
+    """(N, N) bool: pairs with a surely false relation, so that a contradiction is an error."""
     if relation in INVERSE:
         return np.ones((n, n), np.bool_)
     high = None if expected is None else expected.high.get(relation)
@@ -321,7 +321,7 @@ EXPECTED: dict[str, Callable[[FrameView], Expected]] = {
 
 
 def check_geometry(view: FrameView, expected: Expected) -> Iterator[Finding]:
-    """Compare states, margins and distances with what the extents say."""
+    """Compare states, margins and distances with the extents."""
     for relation in view.states:
         if relation in expected.high:
             yield from _against_extents(view, expected, relation)

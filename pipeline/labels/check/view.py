@@ -50,7 +50,7 @@ class FrameView:
 
     @cached_property
     def id(self) -> str | None:
-        """The frame's id, from whichever table has it."""
+        """Id of the frame, by any table."""
         for rows in self.tables.values():
             if len(rows) and rows["frame"][0] is not None:
                 return str(rows["frame"][0])
@@ -97,11 +97,11 @@ class FrameView:
             yield self.finding(rule, tuple(self.ids[at]), message(*at), told, severity)
 
     def named(self, k: int) -> str:
-        """An object in words, by its row: "mug 3"."""
+        """Name of an object by row: "mug 3"."""
         return f"{self.labels[k]} {self.ids[k]}"
 
     def relation_text(self, a: int, relation: str, b: int) -> str:
-        """A relation in words, by the rows of its objects: "mug 3 left of laptop 5"."""
+        """Relation of two rows in words: "mug 3 left of laptop 5"."""
         return f"{self.named(a)} {PHRASE[relation]} {self.named(b)}"
 
     @property
@@ -130,12 +130,12 @@ class FrameView:
 
     @cached_property
     def K(self) -> np.ndarray | None:
-        """(3, 3) intrinsics, where they are finite."""
+        """(3, 3) intrinsics, if finite."""
         return self._of_frame("K", (3, 3))
 
     @cached_property
     def viewer(self) -> ViewerAxes | None:
-        """The viewer's axes, where the up vector is one."""
+        """Viewer's axes, if the up vector is valid."""
         up = self._of_frame("up", (3,))
         return None if up is None or np.linalg.norm(up) < 1e-6 else viewer_axes(up)
 
@@ -154,12 +154,12 @@ class FrameView:
 
     @cached_property
     def row_of(self) -> dict[int, int]:
-        """Row of an object by its number."""
+        """Row of an object by number."""
         return {int(number): k for k, number in reversed(list(enumerate(self.ids)))}
 
     @cached_property
     def alike(self) -> np.ndarray:
-        """(N, N) bool: objects whose names mean the same."""
+        """(N, N) bool: objects with names of the same meaning."""
         return same_names(self.labels)
 
     @cached_property
@@ -169,12 +169,12 @@ class FrameView:
 
     @cached_property
     def related(self) -> np.ndarray:
-        """(N,) bool: objects that take part in relations."""
+        """(N,) bool: objects with relations."""
         return np.array([normal_form(label) not in self.background for label in self.labels], np.bool_)
 
     @cached_property
     def crops(self) -> list[MaskCrop | str | None]:
-        """Masks of all objects, or the reason for a damaged one; None without a mask or a frame's size."""
+        """Masks of all objects, or the fault of the code; None without mask or frame size."""
         return (
             [None if code is None else read_mask(code, *self.size) for code in self.objects["mask"]]
             if all(self.size)
@@ -196,7 +196,7 @@ class FrameView:
 
     @cached_property
     def present(self) -> np.ndarray:
-        """(N, N) bool: pairs that have a row."""
+        """(N, N) bool: pairs with a row."""
         found = np.zeros((len(self.ids), len(self.ids)), np.bool_)
         _, a, b = self.pair_rows
         found[a, b] = True
@@ -204,21 +204,21 @@ class FrameView:
 
     @cached_property
     def states(self) -> dict[str, np.ndarray]:
-        """(N, N) int8 by relation; NOT_JUDGED where there is none."""
+        """(N, N) int8 by relation; NOT_JUDGED if absent."""
         return {r: self._matrix(r, np.int8, NOT_JUDGED) for r in self.relation_names}
 
     @cached_property
     def margins(self) -> dict[str, np.ndarray]:
-        """(N, N) float64 by relation; NaN where there is none."""
+        """(N, N) float64 by relation; NaN if absent."""
         return {r: self._matrix(f"{r}_margin", np.float64, np.nan) for r in self.relation_names}
 
     @cached_property
     def distance(self) -> np.ndarray:
-        """(N, N) float64 metres between the extents as stored, NaN where there is none."""
+        """(N, N) float64 metres between the extents as stored, NaN if absent."""
         return self._matrix("distance", np.float64, np.nan)
 
     def doubted(self, relation: str) -> np.ndarray:
-        """(N, N) bool: pairs of which a second opinion left a relation undecided."""
+        """(N, N) bool: pairs left undecided by a second opinion."""
         bits = self._matrix("doubted", np.int64, 0)
         return (np.maximum(bits, 0) >> PAIRWISE.index(relation)) & 1 == 1
 
@@ -235,7 +235,7 @@ class FrameView:
 
 
 def read_mask(code: str, height: int, width: int) -> MaskCrop | str:
-    """Decode a mask, or tell in words why its code is none of this size."""
+    """Decode a mask, or tell in words the fault of the code."""
     counts = run_lengths(code)
     if isinstance(counts, str):
         return counts

@@ -115,7 +115,7 @@ JPEG_QUALITY = 95
 
 
 def image_name(frame_index: int, folder: str = "images", suffix: str = "jpg") -> str:
-    """The name of a frame's picture below the export's folder, whether it is copied or not."""
+    """Name of a frame's picture below the export's folder, copied or not."""
     return f"{folder}/{frame_index:06d}.{suffix}"
 
 
@@ -163,7 +163,7 @@ def label_names(labels: Labels) -> list[str]:
 
 
 def iterate_frames(labels: Labels, tell: Progress | None = None) -> Iterator[ExportFrame]:
-    """Stream all frames with their rows, broken ones too; memory does not grow with their number.
+    """Stream all frames with all rows, even broken frames; memory does not grow with the number.
 
     Raises InputError: a table is damaged, out of order, or has rows of a frame that is not listed.
     """

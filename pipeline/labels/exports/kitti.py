@@ -116,7 +116,7 @@ def write_kitti(job: Job) -> Written:
 
 
 def class_tokens(job: Job) -> dict[str, str]:
-    """One-word token of each class name; `DontCare` has another meaning in KITTI and is avoided."""
+    """Token of each class name, a single word; `DontCare` has another meaning in KITTI and is avoided."""
     tokens: dict[str, str] = {}
     taken = {"DontCare", ""}
     for name in label_names(job.labels):

@@ -68,7 +68,7 @@ class ExportedFrom:
 
 
 def exported_from(manifest: Manifest) -> ExportedFrom | None:
-    """State of labels; None of corrected labels of an early release, which lack it."""
+    """State of labels; None of corrected labels of an early release."""
     made = manifest.corrections
     if made is None:
         return ExportedFrom(labels_version(manifest), None, False)
@@ -99,7 +99,7 @@ class Provenance:
         return self.entries.get((table, frame, key), [])
 
     def known(self, table: str, frame: str, key: str) -> dict[str, Any]:
-        """Reviews of a row (columns of REVIEWED) and its `provenance`."""
+        """Reviews of a row (columns of REVIEWED) and `provenance`."""
         found = self.reviewed.get((table, frame, key), {})
         entries = {"provenance": self.of(table, frame, key)}
         if table == "relations":
@@ -108,7 +108,7 @@ class Provenance:
         return {**{name: found.get(name) for name in REVIEWED[table]}, **entries}
 
     def row(self, table: str, frame: str, key: str) -> dict[str, Any]:
-        """Columns of a row beside its own."""
+        """Further columns of a row."""
         return {"base": self.base, "made_by": self.made_by, **self.known(table, frame, key)}
 
     def rows(self, table: str, rows: pa.Table) -> Iterator[dict[str, Any]]:
@@ -121,7 +121,7 @@ class Provenance:
             yield self.row(table, frame, ",".join(map(str, key))) if frame in touched else plain
 
     def line_ends(self, table: str, rows: pa.Table) -> Iterator[str]:
-        """End of each row's JSON line, from the comma after its own columns."""
+        """End of each row's JSON line, from the first comma after the table's columns."""
         last, end = None, ""
         for row in self.rows(table, rows):
             if row is not last:
@@ -212,7 +212,7 @@ _LINE_ENDS = {ord(c): f"\\u{ord(c):04x}" for c in "\x85\u2028\u2029"}
 
 
 def json_line(content: Any) -> str:
-    """One line of JSON, lossless for floats.
+    """Line of JSON, lossless for floats.
 
     Raises InputError: a number that JSON has no word for.
     """
@@ -224,7 +224,7 @@ def json_line(content: Any) -> str:
 
 
 def json_lines(table: pa.Table) -> Iterator[str]:
-    """A table's rows as lines of JSON, each with its line end; raises as `json_line`.
+    """Rows of a table as lines of JSON, each with a line end; raises as `json_line`.
 
     Tables without lists are put together by Arrow, column by column: the pairs
     of a large set are many.

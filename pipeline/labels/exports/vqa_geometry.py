@@ -72,7 +72,7 @@ class Depths:
         self.missing, self.problem = 0, ""
 
     def of(self, frame: Mapping[str, Any]) -> np.ndarray | None:
-        """(H, W) float32 metres, exactly as labelled; None without it."""
+        """(H, W) float32 metres, exactly as labelled, or None."""
         try:
             if self._dataset is None:
                 self._dataset = needed(self._open, "no dataset is given")()
@@ -127,7 +127,7 @@ def _figures(row: Mapping[str, Any], viewer: ViewerAxes, seen: Figures, human: b
 
 
 def seen_whole(row: Mapping[str, Any], config: VqaConfig) -> bool:
-    """Tell objects seen whole from one side: not cut, not covered, and with depth."""
+    """Tell objects seen whole from the front: not cut, not covered, and with depth."""
     return (
         row["mask"] is not None
         and row["mask_source"] in MASKS

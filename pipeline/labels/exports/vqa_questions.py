@@ -121,7 +121,7 @@ class VqaFrame:
 def frame_questions(
     rows: ExportFrame, relations: Sequence[str], config: VqaConfig, figures: Sequence[Figures]
 ) -> list[VqaQuestion]:
-    """The chosen questions of a frame: kinds take turns until there are `per_frame`.
+    """Chosen questions of a frame: kinds take turns up to `per_frame`.
 
     A relation that holds is asked together with one of the same name that does
     not, so that there are as many yes as no, of every relation. `figures` are the
@@ -174,7 +174,7 @@ def _pairs(scene: VqaFrame, relation: str) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def relation_units(scene: VqaFrame, relations: Sequence[str]) -> Iterator[Unit]:
-    """Pairs of a yes and a no of one relation, the relations in turn."""
+    """Pairs of a yes and a no of the same relation, the relations in turn."""
     lists: list[list[Unit]] = []
     for relation in relations:
         a, b, state, margin = _pairs(scene, relation)
@@ -200,7 +200,7 @@ def relation_units(scene: VqaFrame, relations: Sequence[str]) -> Iterator[Unit]:
 
 
 def which_asks(scene: VqaFrame, relations: Sequence[str]) -> list[PlannedQuestion]:
-    """Questions for the one object with a relation to a reference, where all others surely lack it."""
+    """Questions for the only object surely in a relation to a reference."""
     found = []
     n = len(scene.number)
     for relation in relations:
@@ -251,7 +251,7 @@ def distance_asks(scene: VqaFrame) -> Iterator[PlannedQuestion]:
 
 
 def distance(measure: str, a: Figures, b: Figures) -> tuple[float | None, str | None]:
-    """Metres between two objects, by their centres or at their nearest points, and what the figure rests on."""
+    """Metres between two objects, by centres or at the nearest points, with the source of the figure."""
     if measure == "gap":
         return gap_between(a, b), POINTS
     value = float(np.linalg.norm(a.center - b.center))
@@ -308,7 +308,7 @@ _TOKEN = re.compile(r"<[^<>\s]+>")
 
 
 def can_be_asked(name: str) -> bool:
-    """Tell class names that can stand in a question."""
+    """Tell class names fit for a question."""
     return can_be_worded(name) and bool(readable(name)) and not _TOKEN.search(name)
 
 
@@ -382,7 +382,7 @@ def write_vqa(job: Job) -> Written:
 
 
 def boxed_by_people(provenance: Provenance, rows: ExportFrame) -> frozenset[int]:
-    """Numbers of the objects of a frame whose 3D box a person set."""
+    """Numbers of a frame's objects with a 3D box set by a person."""
     return frozenset(
         row["object"]
         for row in rows.objects

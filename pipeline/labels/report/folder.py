@@ -191,7 +191,7 @@ class Picture:
 
 
 def report_page(manifest: Manifest, statistics: dict[str, Any], pictures: Sequence[Picture]) -> str:
-    """Build the HTML page; pictures are files beside it."""
+    """Build the HTML page; pictures are separate files."""
     dataset = str(manifest.dataset.get("path", "")).rstrip("/\\")
     name = dataset.replace("\\", "/").rsplit("/", 1)[-1] or dataset
     figures = "".join(

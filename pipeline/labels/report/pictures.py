@@ -243,7 +243,7 @@ def _heat_title(asked: list[tuple[str, int]]) -> str:
 
 
 def class_rows_height(statistics: dict[str, Any]) -> int:
-    """Pixels of a picture whose rows are the classes."""
+    """Pixels of a picture with a row a class."""
     return 60 + 21 * max(min(len(statistics["classes"]), CLASSES_SHOWN), FEWEST_ROWS)
 
 

@@ -137,7 +137,7 @@ def thousands(value: float, _tick: Any = None) -> str:
 
 
 def bare(axes: Axes, *spines: str) -> None:
-    """No ticks, and none of these spines; without any named, no left one."""
+    """Hide ticks and these spines; by default the left spine."""
     axes.tick_params(length=0)
     axes.spines[list(spines or ("left",))].set_visible(False)
 
