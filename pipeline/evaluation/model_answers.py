@@ -83,7 +83,7 @@ class BoxAnswer:
 
 
 @dataclass(frozen=True)
-class _Found:
+class _BoxNumbers:
     """Numbers that stand together, as they were written."""
 
     values: tuple[float, ...]
@@ -151,7 +151,7 @@ def parse_box(text: str, size: tuple[int, int] | None = None, scale: BoxScale = 
 
 
 def _edges(
-    found: _Found, size: tuple[int, int] | None, told: BoxScale, notes: list[str]
+    found: _BoxNumbers, size: tuple[int, int] | None, told: BoxScale, notes: list[str]
 ) -> tuple[str, float, float] | str:
     """Name of the scale, with the right and lower edges of the picture in its units; or a reason for none."""
     values, most = found.values, max(found.values)
@@ -179,21 +179,21 @@ def _edges(
     return "numbers of an unknown scale, outside the picture"
 
 
-def _numbers(text: str) -> _Found | str:
+def _numbers(text: str) -> _BoxNumbers | str:
     """Numbers of the first box in the order x0, y0, x1, y1, or a reason for none."""
     if match := _PALIGEMMA.search(text):
         y0, x0, y1, x1 = (float(n) for n in re.findall(r"\d{4}", match[0]))
-        return _Found((x0, y0, x1, y1), scale=1024, boxes=len(_PALIGEMMA.findall(text)))
+        return _BoxNumbers((x0, y0, x1, y1), scale=1024, boxes=len(_PALIGEMMA.findall(text)))
     if match := _FLORENCE.search(text):
         values = tuple(float(n) for n in re.findall(r"\d{1,3}", match[0]))
-        return _Found(values, scale=1000, boxes=len(_FLORENCE.findall(text)))
+        return _BoxNumbers(values, scale=1000, boxes=len(_FLORENCE.findall(text)))
     named = _by_name(text)
     if named is not None:
         return named
     return _in_brackets(text) or _in_a_row(text) or _refused(text)
 
 
-def _by_name(text: str) -> _Found | str | None:
+def _by_name(text: str) -> _BoxNumbers | str | None:
     rows: dict[str, list[str]] = {}
     for key, value in _NAMED.findall(text):
         key = re.sub(r"[_ ]", "", key)
@@ -207,7 +207,7 @@ def _by_name(text: str) -> _Found | str | None:
     return None
 
 
-def _in_brackets(text: str) -> _Found | None:
+def _in_brackets(text: str) -> _BoxNumbers | None:
     groups = [(m.start(), m.end(), re.findall(_VALUE, m[1])) for m in _GROUP.finditer(text)]
     groups += [(m.start(), m.end(), [m[1], m[2]]) for m in _POINT.finditer(text)]
     groups.sort()
@@ -226,7 +226,7 @@ def _in_brackets(text: str) -> _Found | None:
     return _found(boxes[0], boxes=len(boxes), scale=scale) if boxes else None
 
 
-def _in_a_row(text: str) -> _Found | None:
+def _in_a_row(text: str) -> _BoxNumbers | None:
     runs = [re.findall(_VALUE, m[0]) for m in _RUN.finditer(text)]
     fours = [run for run in runs if len(run) == 4]
     return _found(fours[0], boxes=len(fours)) if fours else None
@@ -237,12 +237,12 @@ def _refused(text: str) -> str:
     return f"{max(counts)} numbers, not the 4 of a box" if counts else "no box"
 
 
-def _found(written: list[str], boxes: int, scale: float | None = None) -> _Found:
+def _found(written: list[str], boxes: int, scale: float | None = None) -> _BoxNumbers:
     read = [_READ.match(value) for value in written]
     units = {match[2] for match in read if match} - {None}
     values = tuple(float(match[1]) for match in read if match)
     decimal = any("." in value or "e-" in value for value in written)
-    return _Found(values, "%" if "%" in units else "px" if units else "", decimal, scale, boxes)
+    return _BoxNumbers(values, "%" if "%" in units else "px" if units else "", decimal, scale, boxes)
 
 
 @dataclass(frozen=True)
