@@ -11,10 +11,9 @@ import numpy as np
 
 from pipeline.answering.objects import PreparedFrame, SceneObject, pixels_inside
 from pipeline.corrections.journal.edits import Edits, set_box
-from pipeline.corrections.journal.effective import Corrector
+from pipeline.corrections.journal.effective import Corrector, Relifter
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.field_refs import object_ref
-from pipeline.corrections.journal.relifting import Relifter
 from pipeline.corrections.scene import labelled_box, labelled_objects
 from pipeline.diagnosis.whatif.placement import SMALLEST_SIDE
 from pipeline.geometry.boxes import Box3D

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from journal_world import FRAME
 
 from pipeline.corrections import ImportConfig, ImportReport, Journal, import_corrections, journal_of
-from pipeline.corrections.journal.incoming import states as claims_module
+from pipeline.corrections.journal.incoming import claims as claims_module
 from pipeline.corrections.journal.incoming.segmentation import (
     is_rectangle,
     mask_of,
@@ -213,9 +213,7 @@ def test_files_that_cannot_be_read(
         with pytest.raises(InputError):
             take(path)
     binary.write_text(json.dumps(lines("objects")[0]) + "\n", encoding="utf-8")
-    from pipeline.corrections.journal.incoming import row_claims
-
-    monkeypatch.setattr(row_claims, "BLOCK", 64)
+    monkeypatch.setattr(claims_module, "BLOCK", 64)
     with pytest.raises(InputError, match="too long"):
         take(binary)
     large = tmp_path / "instances.json"

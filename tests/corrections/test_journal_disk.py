@@ -17,7 +17,7 @@ from waiting import LONG_S
 
 from pipeline.corrections import JOURNAL_FILE, Edit, Journal, NotSaved, Saved, object_ref, open_journal
 from pipeline.corrections.journal import journal as journal_module
-from pipeline.corrections.journal.tables import write_rows
+from pipeline.corrections.journal.chain import write_rows
 from pipeline.system import InputError
 
 LONG = "x" * 1500

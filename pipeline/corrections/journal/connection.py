@@ -17,22 +17,25 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from pipeline.corrections.journal.chain import FIRST, Head, judged, judged_alone
-from pipeline.corrections.journal.examining import Examined, empty_file, examine, is_empty, known_version, read_only
-from pipeline.corrections.journal.postgres import PostgresStore, state_of
-from pipeline.corrections.journal.sqlite_file import SqliteStore, plain_reason
-from pipeline.corrections.journal.tables import (
+from pipeline.corrections.journal.chain import (
     BEFORE,
     CONTENT,
+    FIRST,
     STORED,
     VERSION,
+    Head,
     Run,
     Store,
     head_of,
+    judged,
+    judged_alone,
     rows,
     version_of,
     write_rows,
 )
+from pipeline.corrections.journal.examining import Examined, empty_file, examine, is_empty, known_version, read_only
+from pipeline.corrections.journal.postgres import PostgresStore, state_of
+from pipeline.corrections.journal.sqlite_file import SqliteStore, plain_reason
 from pipeline.system.errors import InputError, as_input_error, require
 
 DATABASE_ERRORS = (sqlite3.Error, OSError)

@@ -14,9 +14,21 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from pipeline.corrections.journal.chain import CONTENT, Head, Row, judged, judged_alone
+from pipeline.corrections.journal.chain import (
+    BEFORE,
+    CONTENT,
+    REVISION,
+    STORED,
+    TABLES,
+    VERSION,
+    Head,
+    Row,
+    fingerprint,
+    judged,
+    judged_alone,
+    row_of,
+)
 from pipeline.corrections.journal.sqlite_file import STATEMENTS, connected, lost_in_log, plain_reason, read_plainly
-from pipeline.corrections.journal.tables import BEFORE, REVISION, STORED, TABLES, VERSION, fingerprint, row_of
 from pipeline.system.errors import InputError, require
 from pipeline.system.safe_files import limits_of
 from pipeline.system.whole_files import scratch_folder
@@ -46,7 +58,7 @@ class DamagedJournal(InputError):
 
 @dataclass(frozen=True)
 class Examined:
-    """Result of an examination; `version` as of `tables.version_of`, `events` None where the count is unknown."""
+    """Result of an examination; `version` as of `chain.version_of`, `events` None where the count is unknown."""
 
     location: str
     version: int | None
@@ -103,7 +115,7 @@ class Examined:
 
 
 def known_version(version: int | None, location: str) -> None:
-    """Raise InputError for a newer version, or 0; see `tables.version_of`."""
+    """Raise InputError for a newer version, or 0; see `chain.version_of`."""
     require(
         version is None or version <= VERSION, "the journal is of a newer release", got=f"version {version}",
         expected=f"at most {VERSION}", cause="install the release that wrote it", path=location,

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from pipeline.corrections.journal.chain import Head, link
+from pipeline.corrections.journal.chain import STORED, Head, Run, Store, head_of, link, rows, write_rows
 from pipeline.corrections.journal.connection import (
     DATABASE_ERRORS,
     is_url,
@@ -27,7 +27,6 @@ from pipeline.corrections.journal.examining import DamagedJournal, empty_file, e
 from pipeline.corrections.journal.field_refs import LONGEST_NAME, FieldRef, Kind, plain_text
 from pipeline.corrections.journal.postgres import state_of
 from pipeline.corrections.journal.sqlite_file import network_file_system
-from pipeline.corrections.journal.tables import STORED, Run, Store, head_of, rows, write_rows
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import labels_version
 from pipeline.system.errors import InputError, require

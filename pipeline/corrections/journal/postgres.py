@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import parse_qsl, unquote
 
-from pipeline.corrections.journal.tables import FORBIDDEN, Run, begin, made
+from pipeline.corrections.journal.chain import FORBIDDEN, Run, begin, made
 from pipeline.system.errors import as_input_error, extra_module, needed, require
 
 CONNECT_S = 5.0

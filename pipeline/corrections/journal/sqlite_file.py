@@ -25,7 +25,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from pipeline.corrections.journal.tables import FORBIDDEN, VERSION, Run, begin, fingerprint, made
+from pipeline.corrections.journal.chain import FORBIDDEN, VERSION, Run, begin, fingerprint, made
 from pipeline.system.limits import shown
 
 BUSY_S = 60.0

@@ -25,7 +25,7 @@ import numpy as np
 
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.frame_rows import BOX_COLUMNS, Row
-from pipeline.corrections.journal.incoming.row_claims import no_number, take_row
+from pipeline.corrections.journal.incoming.claims import Claims, no_number, take_row
 from pipeline.corrections.journal.incoming.segmentation import (
     bounds_of,
     is_rectangle,
@@ -35,7 +35,6 @@ from pipeline.corrections.journal.incoming.segmentation import (
     rectangle_of,
     same_outline,
 )
-from pipeline.corrections.journal.incoming.states import Claims
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.masks import decode_run_length, encode_run_length, mask_box
 from pipeline.labels.exports.row_provenance import ExportedFrom

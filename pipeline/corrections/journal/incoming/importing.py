@@ -16,6 +16,7 @@ from pipeline.corrections.journal import edits as actions
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Edit, Saved, event_record, grouped
 from pipeline.corrections.journal.field_refs import LONGEST_NAME, FieldRef, box_of, plain_text, same_value, shown_value
+from pipeline.corrections.journal.incoming.claims import Claim, Claims, States, read_lines
 from pipeline.corrections.journal.incoming.coco_file import (
     annotated,
     load_coco,
@@ -23,8 +24,6 @@ from pipeline.corrections.journal.incoming.coco_file import (
     read_refs,
     read_relations,
 )
-from pipeline.corrections.journal.incoming.row_claims import read_lines
-from pipeline.corrections.journal.incoming.states import Claim, Claims, States
 from pipeline.corrections.journal.journal import Journal
 from pipeline.datasets import Dataset
 from pipeline.labels.exports.exporting import MARK
