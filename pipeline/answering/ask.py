@@ -171,6 +171,12 @@ def ask(
     `frame`: A context keeps what does not depend on the question between calls; `scorer`: the geometric rule where none
     is given; `class_names`: names the parser should keep whole ("front door"); `reader`: what reads the expression; the
     grammar where none is given.
+
+    >>> from pipeline.answering import open_pipeline
+    >>> source = open_pipeline("demo")
+    >>> trace = ask(source.frames[0], "mug left of the laptop", source.needed_detector())
+    >>> [trace.name(k) for k in (trace.ranking.pairs[0].target, trace.ranking.pairs[0].reference)]
+    ['mug·3', 'laptop·2']
     """
     config = config or AskConfig()
     scorer = scorer or RuleScorer()

@@ -24,7 +24,12 @@ IN_ORDER = ("xyxy", "xywh", "cxcywh", "yxyx")
 
 
 def box_2d(box: tuple[float, ...], header: Header, width: int, height: int) -> np.ndarray:
-    """(4,) float64: x0, y0, x1, y1 in pixels, of a box in the header's convention."""
+    """(4,) float64: x0, y0, x1, y1 in pixels, of a box in the header's convention.
+
+    >>> from pipeline.answering import Header
+    >>> box_2d((0.1, 0.2, 0.5, 0.5), Header(boxes="xywh", box_unit="shares"), 640, 480).tolist()
+    [64.0, 96.0, 384.0, 336.0]
+    """
     a, b, c, d = box
     found = {"xyxy": (a, b, c, d), "xywh": (a, b, a + c, b + d), "yxyx": (b, a, d, c),
              "cxcywh": (a - c / 2, b - d / 2, a + c / 2, b + d / 2)}[header.boxes]  # fmt: skip

@@ -171,6 +171,13 @@ def pair_table(
     `ends`: the reference; with "between" both; `p`: (..., T, R) or (..., T, R, R) float64: probability of the relation;
     `forbidden`: no pairs: see `one_object_twice`; `sizes`: (N,) int64: pixels of the mask of every object; the larger
     target wins a tie.
+
+    >>> import numpy as np
+    >>> mugs, laptops = (side(np.array(k), np.array(p), 1.0) for k, p in (([0, 1], [0.9, 0.8]), ([2], [0.95])))
+    >>> p, free = np.array([[0.05], [0.95]]), np.zeros((2, 1), bool)
+    >>> table = pair_table(mugs, [laptops], p, free, np.ones(3, int), RankConfig())
+    >>> table.pair(int(table.order()[0]))
+    <ScoredPair 1, 2: 0.800 · 0.950 · 0.950, posterior 0.944>
     """
     if config.rule is not None and (len(ends) < 2 or config.rule.answered is not None):
         log_score = np.where(forbidden, -np.inf, config.rule.scores(target, ends, p))

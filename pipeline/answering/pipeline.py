@@ -171,6 +171,13 @@ def open_pipeline(
     InputError
         For a folder that cannot be read, an unknown model name, a model file of another contract, a score calibration
         of another detector.
+
+    >>> pipeline = open_pipeline("demo", srm="rule")
+    >>> pipeline
+    <Pipeline demo: 12 frames, detector annotations, relations by rule>
+    >>> trace = pipeline.ask(pipeline.prepare(0), "mug left of the laptop")
+    >>> trace.name(trace.ranking.pairs[0].target)
+    'mug·3'
     """
     camera: dict[str, Any] = {
         "intrinsics": intrinsics, "depth_scale": depth_scale, "up": up, "level_at": level_at,

@@ -36,9 +36,9 @@ from pipeline.system.whole_files import sha256_of, whole_file
 
 __all__ = [
     "VERSION",
+    "Header",
     "PredictedAnswer",
     "PredictedBox",
-    "Header",
     "Prediction",
     "PredictionWriter",
     "Predictions",
@@ -405,7 +405,16 @@ class PredictionWriter:
 
 
 def write_predictions(path: str | Path, header: Header, lines: Iterable[Prediction]) -> None:
-    """Write a new file."""
+    """Write a new file.
+
+    >>> import tempfile
+    >>> from pipeline.answering.predictions import Header, PredictedAnswer, Prediction
+    >>> line = Prediction(frame="kitchen/0", text="the mug", answer=PredictedAnswer(box=(1, 2, 5, 6)))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_predictions(f"{folder}/mine.jsonl", Header(system="mine"), [line])
+    ...     read_predictions(f"{folder}/mine.jsonl").level
+    0
+    """
     require(not Path(path).exists(), "the file exists", expected="another name", path=path)
     with whole_file(Path(path), "the predictions") as temporary, PredictionWriter(temporary, header) as writer:
         for line in lines:

@@ -175,6 +175,16 @@ def trace(path: str | Path, *, append: bool = False, **conventions: Any) -> Trac
     ------
     InputError
         The file exists, cannot be written or was begun with other conventions; no such convention.
+
+    >>> import tempfile
+    >>> from pipeline.answering import read_predictions
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     with trace(f"{folder}/mine", system="mine") as tracer:
+    ...         tracer.expression("kitchen/0", "mug left of the laptop")
+    ...         mug, *_ = tracer.proposals("mug", [[10, 20, 50, 60]], [0.9])
+    ...         tracer.answer(mug)
+    ...     read_predictions(tracer.path).line("kitchen/0", "mug left of the laptop").answer.object
+    0
     """
     return Tracer(path, append, conventions)
 

@@ -125,6 +125,11 @@ class Answer(InNotebook):
         ------
         InputError
             Edits that cannot be read, or an answer of another origin than `open`.
+
+        >>> from pipeline import ask
+        >>> answer = ask("demo", 0, "mug left of the laptop")
+        >>> answer.what_if({"hidden": ["#3"]}).sentence
+        'no such pair; nearest is mug·4 left of laptop·2: relation <0.0001, product <0.0001'
         """
         return self._origin().what_if(self, edits)
 

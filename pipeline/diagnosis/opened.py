@@ -121,6 +121,11 @@ def open(
         Its file, or its id on the model hub.
     options
         All others of `pipeline.answering.pipeline.open_pipeline`: min_score, segmenter, srm, up, intrinsics, ...
+
+    >>> opened = open("demo")
+    >>> answer = opened.ask(0, "mug left of the laptop")
+    >>> answer.target.label, answer.reference.label, answer.holds, answer.verdict
+    ('mug', 'laptop', True, 'CORRECT')
     """
     found = open_labels(labels) if isinstance(labels, str | Path) else labels
     options |= {"detector": detector, "model": None if model is None else Path(model)}
@@ -157,5 +162,9 @@ def open_arrays(
 
 
 def ask(dataset: Opened | Source, frame: int | str | Frame, text: str, **options: Any) -> Answer:
-    """Answer an expression; for several open the dataset once. `options` as for `open`."""
+    """Answer an expression; for several open the dataset once. `options` as for `open`.
+
+    >>> ask("demo", 0, "mug left of the laptop").sentence
+    'mug·3 left of laptop·2: relation 1.00, product 1.00'
+    """
     return (dataset if isinstance(dataset, Opened) else open(dataset, **options)).ask(frame, text)

@@ -42,7 +42,11 @@ def shown_detail(detail: str | None, lucky: bool = False) -> str:
 
 
 def shown_verdict(verdict: str, detail: str | None, lucky: bool = False) -> str:
-    """Verdict in a line: `OPM-TARGET RANK`, `CORRECT LUCKY`."""
+    """Verdict in a line: `OPM-TARGET RANK`, `CORRECT LUCKY`.
+
+    >>> shown_verdict("COMPOUND", "SRM+CONF"), shown_verdict("CORRECT", None, lucky=True)
+    ('COMPOUND SRM+OPM-CONF', 'CORRECT LUCKY')
+    """
     return f"{verdict} {shown_detail(detail, lucky)}".strip()
 
 

@@ -50,6 +50,9 @@ def make_scorer(name: str | Path = RULE, vectors: Path | None = None) -> Relatio
     ------
     InputError
         For an unknown name, or a file that is not a relation network this program can feed.
+
+    >>> make_scorer("rule").name, make_scorer("trained").name
+    ('rule', 'rel32')
     """
     require(name != RULE or vectors is None, "the rule uses no class names: leave out --vectors", path=vectors)
     if name == RULE:

@@ -78,7 +78,13 @@ def known_extents(lo: np.ndarray, hi: np.ndarray) -> np.ndarray:
 
 
 def measure_pairs(lo: np.ndarray, hi: np.ndarray, profile: Profile | None = None) -> PairMeasures:
-    """Measures of all ordered pairs for rules and network: lo and hi are (N, 3), or (..., N, 3), metres."""
+    """Measures of all ordered pairs for rules and network: lo and hi are (N, 3), or (..., N, 3), metres.
+
+    >>> import numpy as np
+    >>> lo = np.array([[-0.5, 0.0, 1.0], [0.0, 0.0, 1.0]])
+    >>> measure_pairs(lo, lo + 0.1).gap[0, 1].round(3).tolist()
+    [-0.4, 0.0, 0.0]
+    """
     profile = profile or Profile()
     center, extent = (lo + hi) / 2, np.maximum(hi - lo, profile.min_extent)
     lo_a, hi_a, lo_b, hi_b = lo[..., :, None, :], hi[..., :, None, :], lo[..., None, :, :], hi[..., None, :, :]

@@ -68,6 +68,13 @@ def directional_states(lo: np.ndarray, hi: np.ndarray, profile: Profile | None =
     -------
     (N, N, 6) int8
         In the order of DIRECTIONAL; the diagonal is F.
+
+    >>> import numpy as np
+    >>> from pipeline.language.relation_names import DIRECTIONAL
+    >>> mug, laptop = [-0.5, 0.0, 1.0], [0.0, 0.0, 1.0]
+    >>> states = directional_states(np.array([mug, laptop]), np.array([mug, laptop]) + 0.1)
+    >>> dict(zip(DIRECTIONAL, map(letter, states[0, 1])))
+    {'left': 'T', 'right': 'F', 'above': 'F', 'below': 'F', 'front': 'F', 'behind': 'F'}
     """
     return pairwise_states(lo, hi, profile=profile, relations=DIRECTIONAL)
 

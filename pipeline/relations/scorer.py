@@ -93,7 +93,12 @@ class RuleScorer:
 
 
 def rule_probabilities(states: np.ndarray) -> np.ndarray:
-    """States as probabilities, same shape, float64."""
+    """States as probabilities, same shape, float64.
+
+    >>> import numpy as np
+    >>> rule_probabilities(np.array([1, 0, -1])).tolist()
+    [0.95, 0.5, 0.05]
+    """
     return np.array([RULE_PROBABILITY[-1], RULE_PROBABILITY[0], RULE_PROBABILITY[1]])[states.astype(np.int64) + 1]
 
 

@@ -60,6 +60,15 @@ def what_changed(
         where there is one pair only), `entropy`, `reason` where there is no answer, `verdict`; `factors`: what became
         of the pair that won before and of the one that wins now, as logs {before, after}; `moved`: the pairs with
         another rank, best first after the edit; `candidates`: keys of objects that `came` and `went`.
+
+    >>> from pipeline.answering import open_pipeline
+    >>> from pipeline.diagnosis.whatif.edits import Edits
+    >>> from pipeline.diagnosis.whatif.rerun import Baseline, rerun
+    >>> source = open_pipeline("demo")
+    >>> baseline = Baseline(source, source.prepare(0), "mug left of the laptop")
+    >>> after = rerun(baseline, Edits().with_hidden(baseline.outcome.keys[0]))
+    >>> what_changed(baseline.outcome, after)["changed"]
+    True
     """
     first, last = _winner(before), _winner(after)
     told = verdicts or (None, None)

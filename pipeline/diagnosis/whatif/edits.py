@@ -311,7 +311,11 @@ def probability(p: float) -> float:
 
 
 def edits_record(edits: Edits) -> Record:
-    """JSON object of edits, without unedited fields."""
+    """JSON object of edits, without unedited fields.
+
+    >>> edits_record(Edits().with_k(3).with_confidence("mug", "#4", 0.2))
+    {'format': 'spatialviz-edits-1', 'confidences': [{'name': 'mug', 'object': '#4', 'p': 0.2}], 'k': 3}
+    """
     record: Record = {
         "format": FORMAT,
         "boxes": {

@@ -96,6 +96,9 @@ def encode(state: ViewState) -> str:
     ------
     InputError
         The view holds what no string can: a number that is not finite, or more than the size limit.
+
+    >>> decode(encode(ViewState("demo", "0/0", "mug left of the laptop"))).expression
+    'mug left of the laptop'
     """
     record = state_record(state)
     read_state(record)
