@@ -128,7 +128,8 @@ class Client:
 
     async def send(self, command: str) -> None:
         assert self.page is not None
-        await self.page.send(json.dumps({"type": "command", "text": command}))
+        name, _, argument = command.partition(":")
+        await self.page.send(json.dumps({"type": "command", "name": name, "arguments": [argument]}))
 
     async def fence(self) -> bool:
         """Wait until everything that was sent is answered: offers for what nobody types come last."""
@@ -263,8 +264,8 @@ async def run(port: int, pid: int, clients: int, seconds: float, period: float, 
 
 GARBAGE = (
     "{" * 200, "x" * 2**20, os.urandom(4_000), "[" * 100_000, '{"type": "fly"}', '{"type": "hello"}',
-    json.dumps({"type": "command", "text": "nothing:" + "x" * 15_000}),
-    json.dumps({"type": "command", "text": "frame:" + "9" * 400_000}),
+    json.dumps({"type": "command", "name": "nothing", "arguments": ["x" * 15_000]}),
+    json.dumps({"type": "command", "name": "frame", "arguments": ["9" * 400_000]}),
 )  # fmt: skip
 """What is no message of a page, or a command that there is not; the flood of each is as long as is taken."""
 SCENE_GARBAGE = (

@@ -49,7 +49,7 @@ async def opened(port: int, number: int) -> ClientConnection:
 async def answered(connection: ClientConnection, typed: str) -> float:
     """Seconds until what was typed is answered, which comes after all else."""
     begun = time.monotonic()
-    await connection.send(json.dumps({"type": "command", "text": f"ask-typed:{typed}"}))
+    await connection.send(json.dumps({"type": "command", "name": "ask-typed", "arguments": [typed]}))
     while True:
         message = json.loads(await asyncio.wait_for(connection.recv(), 60))
         if message["type"] == "call" and message["name"] == "asking" and message["data"]["typed"] == typed:
@@ -81,7 +81,7 @@ def run(steps: Coroutine[Any, Any, None]) -> None:
         ("[" * 100_000, 1008),
         ('{"type": "fly"}', 1008),
         (HELLO, 1008),
-        (json.dumps({"type": "command", "text": "frame:" + "9" * 30_000}), 1008),
+        (json.dumps({"type": "command", "name": "frame", "arguments": ["9" * 30_000]}), 1008),
         ("x" * 2**20, 1009),
     ],
 )  # fmt: skip
@@ -129,7 +129,7 @@ def test_what_is_no_message_of_a_scene_closes_its_socket(
 def test_a_flood_of_commands_that_there_are_not_leaves_others_alone(port: int) -> None:
     async def steps() -> None:
         honest, sender = await opened(port, 1), await opened(port, 2)
-        flood = json.dumps({"type": "command", "text": "nothing:" + "x" * 10_000})
+        flood = json.dumps({"type": "command", "name": "nothing", "arguments": ["x" * 10_000]})
         sending = asyncio.create_task(closed_by(sender, *[flood] * 1000))
         times = [await answered(honest, f"during {number}") for number in range(20)]
         assert sorted(times)[10] < WORST / 4, times

@@ -6,7 +6,9 @@ The browser shows those in sight only: their names and marks are asked for by ra
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal, get_args
+from typing import Literal
+
+from pydantic import NonNegativeInt
 
 from pipeline.datasets import moves
 from pipeline.datasets.camera_plan import CameraPlan
@@ -53,12 +55,10 @@ class Browse(Part):
             self.ctx.open_frame(to)
 
     @command("frames-of")
-    def choose(self, which: str) -> None:
+    def choose(self, which: Which) -> None:
         """List only some of the frames."""
-        known = next((w for w in get_args(Which) if w == which), None)
-        if known is not None:
-            self._which = known
-            self.follow()
+        self._which = which
+        self.follow()
 
     @command("frame-grid")
     def show_all(self) -> None:
@@ -66,15 +66,11 @@ class Browse(Part):
         self.ctx.page.call("frameGrid")
 
     @command("frame-rows")
-    def rows(self, text: str) -> None:
-        """Say names and marks of the frames from one place of the list up to another, "12,40"."""
-        first, _, after = text.partition(",")
-        if not (first.isdecimal() and after.isdecimal()):
-            return
-        ids, counts, listed = self._ids, self._counts, self._places
-        places = listed[int(first) : min(int(after), int(first) + MOST_ROWS)]
+    def rows(self, first: NonNegativeInt, after: NonNegativeInt) -> None:
+        """Say names and marks of the frames from one place of the list up to another."""
+        ids, counts, places = self._ids, self._counts, self._places[first : min(after, first + MOST_ROWS)]
         rows = [[n, ids[n], *counts.get(ids[n], (0, 0))] for n in places]
-        self.ctx.page.call("frameRows", {"from": int(first), "rows": rows})
+        self.ctx.page.call("frameRows", {"from": first, "rows": rows})
 
     # ---- drawing ----------------------------------------------------------------------
 

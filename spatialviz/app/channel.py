@@ -69,7 +69,7 @@ class Channel:
 
     def receive(self, message: Incoming) -> None:
         """Handle a message of the browser after everything that waits already."""
-        kind = message.text.partition(":")[0] if isinstance(message, Command) else ""
+        kind = message.name if isinstance(message, Command) else ""
         if kind in LASTING:
             self._latest[kind] = message
         self.post(lambda: None if self._latest.get(kind, message) is not message else self._on_message(message))
@@ -190,10 +190,17 @@ class Hello:
 
 @dataclass(frozen=True)
 class Command:
-    """Something a person did: "name:argument", as an element's `do` says it."""
+    """Something a person did. An element's `do` says it as "name" or "name:argument"."""
 
-    type: Literal["command"]
-    text: Annotated[str, Field(max_length=LONGEST_DRAWING)]
+    name: str
+    arguments: tuple[Any, ...] = ()
+    type: Literal["command"] = "command"
+
+    @classmethod
+    def read(cls, text: str) -> Command:
+        """The command of an element's `do`."""
+        name, with_argument, argument = text.partition(":")
+        return cls(name, (argument,) if with_argument else ())
 
 
 @dataclass(frozen=True)
@@ -270,8 +277,8 @@ def read(text: str | bytes) -> Incoming:
         For what is none.
     """
     message = checked(_INCOMING.validate_json, text, "not a message of the page, at {}")
-    if isinstance(message, Command) and len(message.text) > LONGEST_COMMAND and not message.text.startswith(DRAWING):
-        raise InputError("not a message of the page", got=f"a command of {len(message.text)} characters")
+    if isinstance(message, Command) and len(text) > LONGEST_COMMAND and not message.name.startswith(DRAWING):
+        raise InputError("not a message of the page", got=f"a command of {len(text)} characters")
     return message
 
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import inspect
+import re
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
-from functools import cached_property
-from typing import Any, TypeVar
+from functools import cache, cached_property, partial
+from typing import Any, TypeVar, get_type_hints
+
+from pydantic import TypeAdapter, ValidationError
 
 from pipeline.answering.frame_store import FrameStore
 from pipeline.answering.pipeline import Pipeline
@@ -20,7 +23,7 @@ from pipeline.diagnosis.whatif.state import ViewState
 from pipeline.evaluation.run_folder import Run
 from pipeline.labels.reading import Labels
 from pipeline.system.errors import InputError
-from spatialviz.app.channel import Channel, Incoming
+from spatialviz.app.channel import Channel, Command, Incoming
 from spatialviz.app.frames import FramePictures
 from spatialviz.app.layout import Dialog, Page
 from spatialviz.app.scene import SceneView
@@ -162,8 +165,8 @@ class Context:
     def clicked(self, pixel: tuple[int, int] | None, boxes: list[int]) -> None:
         """A click in the scene: the pixel that was hit, and the boxes on the way, the smallest first."""
 
-    def handle(self, message: str) -> None:
-        """Carry out a command such as "pair:3"; unknown ones are ignored, and what cannot be done is said."""
+    def handle(self, message: Command) -> None:
+        """Carry out a command; unknown ones are ignored, and what cannot be done is said."""
 
     def draw(self, live: bool = False) -> None:
         """Bring the page up to the state; while a hand drags something (`live`), only what follows the hand."""
@@ -219,10 +222,10 @@ def choice(options: Sequence[str], now: str, wanted: str) -> str | None:
 
 
 def command(*names: str) -> Callable[[Method], Method]:
-    """Have the page's commands of these names call a method, with what stands after the colon where it takes that.
+    """Have the page's commands of these names call a method; "name=argument" calls it with this argument.
 
-    "name=argument" always calls it with this argument. What should be a whole number and is none does nothing. A
-    parameter `by` gets the command's own name.
+    Arguments are converted to the annotated types of the method's parameters that have no default; those that cannot be
+    do nothing. One text stands for several parameters with ":" or "," between them. `by` gets the command's own name.
     """
 
     def mark(method: Method) -> Method:
@@ -232,28 +235,33 @@ def command(*names: str) -> Callable[[Method], Method]:
     return mark
 
 
-def commands_of(part: object) -> dict[str, Callable[[str], None]]:
-    """What the page may ask a part for, by the first word of its message."""
-    found: dict[str, Callable[[str], None]] = {}
+def commands_of(part: object) -> dict[str, Callable[..., None]]:
+    """Functions of a part by the names of the page's commands."""
+    found: dict[str, Callable[..., None]] = {}
     for attribute, method in inspect.getmembers(type(part), lambda member: hasattr(member, "commands")):
         for said in method.commands:
             name, fixed, argument = said.partition("=")
-            found[name] = _taking(getattr(part, attribute), argument if fixed else None, name)
+            given = {"by": name} if "by" in inspect.signature(method).parameters else {}
+            call = partial(_call, getattr(part, attribute), method, given)
+            found[name] = partial(call, argument) if fixed else call
     return found
 
 
-def _taking(method: Callable[..., Any], fixed: str | None, name: str) -> Callable[[str], None]:
-    parameters = inspect.signature(method).parameters
-    kind = next((p.annotation for p in parameters.values()), None)
-    more = {"by": name} if "by" in parameters else {}
+def _call(bound: Callable[..., None], method: Callable[..., None], given: dict[str, str], *arguments: Any) -> None:
+    readers = _readers(method)
+    if len(arguments) == 1 and len(readers) > 1:
+        arguments = tuple(re.split("[:,]", arguments[0], maxsplit=len(readers) - 1))
+    try:
+        values = [read(value) for read, value in zip(readers, (*arguments, *[""] * len(readers)), strict=False)]
+    except ValidationError:
+        raise Idle from None
+    bound(*values, **given)
 
-    def run(said: str) -> None:
-        text = said if fixed is None else fixed
-        if kind is None:
-            method()
-        elif kind != "int":
-            method(text, **more)
-        elif text.lstrip("-").isdecimal():
-            method(int(text), **more)
 
-    return run
+@cache
+def _readers(method: Callable[..., None]) -> tuple[Callable[[Any], Any], ...]:
+    """What converts the arguments of a command's method, one by one."""
+    hints = get_type_hints(method, include_extras=True)
+    _, *parameters = inspect.signature(method).parameters.values()
+    kinds = (hints[p.name] for p in parameters if p.name != "by" and p.default is p.empty)
+    return tuple(TypeAdapter(kind).validate_python for kind in kinds)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from pipeline.evaluation.search import FAILURES, complete
 from pipeline.system.errors import InputError
 from spatialviz.app.context import Context, Part, command, there
 from spatialviz.app.evaluate_html import (
-    VIEWS,
     bar_html,
     facets_html,
     filters_html,
@@ -162,17 +161,16 @@ class Evaluate(Part):
     # ---- the list -------------------------------------------------------------------
 
     @command("rows-view")
-    def show_as(self, view: str) -> None:
+    def show_as(self, view: Literal["grid", "table"]) -> None:
         """Show the list as a grid of pictures, or as a table."""
-        if view in VIEWS:
-            self._view = view
-            self._draw()
+        self._view = view
+        self._draw()
 
     @command("rows")
-    def send_rows(self, span: str) -> None:
-        """Send the rows from one place of the list up to another: "120,180"."""
+    def send_rows(self, first: int, stop: int) -> None:
+        """Send the rows from one place of the list up to another."""
         listing = self._listing
-        first, stop = self._within(span)
+        first, stop = self._within(first, stop)
         self._span = first, stop = first, min(stop, first + AT_ONCE)
         numbers = listing.found[first:stop].tolist()
         rows = listing.figures.rows.read(listing.found[first:stop])
@@ -200,11 +198,10 @@ class Evaluate(Part):
         if urls:
             self.ctx.page.call("pictures", {"version": self._version, "urls": urls})
 
-    def _within(self, span: str) -> tuple[int, int]:
-        """Two places of the list."""
-        count, ends = self._listing.count, [int(n) for n in span.split(",") if n.isdecimal()]
-        first, stop = ends if len(ends) == 2 else (0, 0)
-        return min(first, count), max(min(stop, count), min(first, count))
+    def _within(self, first: int, stop: int) -> tuple[int, int]:
+        """Two places, as far as they are in the list."""
+        first, stop = np.clip([first, stop], 0, self._listing.count).tolist()
+        return first, max(first, stop)
 
     @command("failure")
     def open(self, place: int) -> None:
@@ -247,9 +244,9 @@ class Evaluate(Part):
             self._choose(numbers, not self._selected[numbers].all())
 
     @command("choose-span")
-    def choose_span(self, span: str) -> None:
+    def choose_span(self, first: int, last: int) -> None:
         """Select all rows from one place to another, both included."""
-        first, stop = self._within(span)
+        first, stop = self._within(first, last)
         self._choose(self._listing.found[first : stop + 1], True)
 
     @command("choose-all=all", "choose-none=none")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from spatialviz.app.channel import Command
 from spatialviz.app.context import Context, Part, command
 from spatialviz.app.markup import Element, h
 
@@ -176,13 +177,12 @@ def keys_of(labelling: bool, moving: bool = True) -> dict[str, Rows]:
     return {**own, **{group: tuple(r for r in rows if r[0] not in taken) for group, rows in always.items()}}
 
 
-def meant(message: str, correcting: bool) -> str:
-    """The message of a key that was pressed ("key:T"), which depends on whether labels are shown; others unchanged."""
-    kind, _, pressed = message.partition(":")
-    if kind != "key":
+def meant(message: Command, correcting: bool) -> Command:
+    """The command of a key that was pressed, which depends on whether labels are shown; others unchanged."""
+    if message.name != "key":
         return message
-    groups = keys_of(correcting)
-    return next((m for rows in groups.values() for key, _, m in rows if key == pressed), "")
+    rows = (row for group in keys_of(correcting).values() for row in group)
+    return next((Command.read(text) for key, _, text in rows if (key,) == message.arguments), Command(""))
 
 
 class Keys(Part):
@@ -216,7 +216,7 @@ class Keys(Part):
     def run(self, key: str) -> None:
         """Carry out the command of a key."""
         self.ctx.dialog.close()
-        self.ctx.handle(f"key:{key}")
+        self.ctx.handle(Command("key", (key,)))
 
 
 def help_html(general: Mapping[str, Rows], labels: Mapping[str, Rows], labelling: bool) -> Element:

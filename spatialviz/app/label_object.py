@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any, Literal
 
 import numpy as np
 import xxhash
@@ -31,7 +31,7 @@ from pipeline.geometry.palette import RGB, hex_color, palette
 from pipeline.geometry.viewer import viewer_axes
 from pipeline.system.errors import InputError, needed, require
 from spatialviz.app.context import Context, command
-from spatialviz.app.edit_panel import STATUS_WORDS, box_command, numbers_said, object_html, rejected_html, saved_html
+from spatialviz.app.edit_panel import box_command, numbers_said, object_html, rejected_html, saved_html
 from spatialviz.app.edit_scene import BoxGizmo
 from spatialviz.app.frames import jpeg_url
 from spatialviz.app.label_item import UNNAMED, digits_row
@@ -132,11 +132,9 @@ class LabelObject(LabelPart):
     # ---- status -----------------------------------------------------------------------
 
     @command("object-status")
-    def set_status(self, status: str) -> None:
+    def set_status(self, status: Literal["accepted", "rejected", "unsure"]) -> None:
         """Accept, reject or doubt the object; what it is already is taken off again."""
         frame, number, author = self.view.frame, needed(self.number, SELECT), self.editor.author
-        if status not in STATUS_WORDS:
-            return
         cell = object_ref(frame.frame, number, "status")
         wanted = None if judgements(frame, number).get(author) == status else status
         if self._edit(lambda f, n, c: set_status(f, cell, wanted, author=author)) and wanted == "rejected":
@@ -161,8 +159,8 @@ class LabelObject(LabelPart):
         self._edit(fit_to_points)
 
     @command("box-snap")
-    def _snap(self, way: str) -> None:
-        self._edit(lambda f, n, c: snap_to_support(f, n, c, "move" if way == "move" else "extend"))
+    def _snap(self, way: Literal["move", "extend"]) -> None:
+        self._edit(lambda f, n, c: snap_to_support(f, n, c, way))
 
     @command("field-back")
     def _give_back(self, field: str) -> None:
@@ -248,9 +246,6 @@ class LabelObject(LabelPart):
         page.show("edit", shown, rejected_html(view.frame.left_out))
 
 
-LONGEST = 4000
-"""Characters of a message."""
-FACES = {(axis, side) for axis in "012" for side in ("1", "-1")}
 CROP_MARGIN, CROP_LEAST = 0.35, 96
 """Around what is shown large: share of its longer side; pixels at least."""
 
@@ -283,29 +278,23 @@ class SidePanel(LabelPart):
             self.ctx.show(selected=(at + step) % count, pair=None if item is None else state.pair)
 
     @command("side-drag")
-    def drag(self, said: str) -> None:
-        """Save what a hand did to the box: {"key", "moves"}; the key says which box it was."""
+    def drag(self, key: str, moves: list[Any]) -> None:
+        """Save what a hand did to the box; the key says which box it was."""
         chosen = self._chosen
-        try:
-            message = json.loads(said) if len(said) <= LONGEST else {}
-            key, moves = str(message["key"]), list(message["moves"])
-        except (ValueError, TypeError, KeyError, RecursionError):
-            return
         if chosen is None or key != self._key:
             self.ctx.page.call("sidesBack")
             return
         self._dragged(lambda frame: drag_box(frame, chosen[1], moves))
 
     @command("side-fit")
-    def fit(self, said: str) -> None:
-        """Bring a face to the object's points: "key:axis:side"."""
+    def fit(self, key: str, axis: Literal[0, 1, 2], side: Literal[1, -1]) -> None:
+        """Bring a face to the object's points; the key says of which box."""
         chosen, views = self._chosen, self._views
-        key, axis, side = [*said.split(":"), "", ""][:3]
-        if chosen is None or views is None or key != self._key or (axis, side) not in FACES:
+        if chosen is None or views is None or key != self._key:
             return
 
         def made(frame: EffectiveFrame) -> Edits:
-            box = dragged(views.box, views.axes, [face_to_points(views, int(axis), int(side))])
+            box = dragged(views.box, views.axes, [face_to_points(views, axis, side)])
             return set_box(frame, chosen[1], box, "a face fitted to the points")
 
         self._dragged(made)

@@ -15,6 +15,7 @@ from pipeline.corrections.scene import labelled_objects
 from pipeline.corrections.wording import consequences, outcome_text
 from pipeline.diagnosis.whatif.shown import ShownObjects
 from pipeline.system.errors import needed, require
+from spatialviz.app.channel import Command
 from spatialviz.app.context import Part
 from spatialviz.app.state import State
 
@@ -76,7 +77,7 @@ class LabelPart(Part):
             numbers = [n for n in wanted.objects if n in frame.objects]
         self.state = _looking_at(state.unasked, view, numbers, numbers[0] if numbers else None)
         if wanted.frame != frame.frame and editor.disputed:
-            self.ctx.handle("conflict")
+            self.ctx.handle(Command("conflict"))
 
     def renew(self) -> None:
         """Look at the labels again after they changed; what is selected and chosen stays by its number."""
@@ -109,7 +110,7 @@ class LabelPart(Part):
         if draw:
             self.ctx.draw()
         if isinstance(outcome, Conflict):
-            self.ctx.handle("conflict")
+            self.ctx.handle(Command("conflict"))
 
     def tell(self, said: str, bad: bool = False, before: EffectiveFrame | None = None) -> None:
         """Say something where the outcome of actions is said, with the labels as they are now; draws nothing."""

@@ -10,6 +10,8 @@ import threading
 from contextlib import suppress
 from dataclasses import replace
 
+from pydantic import NonNegativeInt
+
 from pipeline.corrections.confirming import right_objects, right_pair, why_not_kept, words_of
 from pipeline.corrections.journal.events import Event, Saved
 from pipeline.corrections.label_view import Target
@@ -50,11 +52,9 @@ class Labelling(LabelPart):
     # ---- what is shown ----------------------------------------------------------------
 
     @command("labels-at")
-    def look_at_pair(self, said: str) -> None:
-        """Show a pair: "a,b,relation,frame"."""
-        a, b, relation, frame = (said.split(",", 3) + [""] * 3)[:4]
-        if a.isdecimal() and b.isdecimal() and frame:
-            self.look_at(Target(frame, (int(a), int(b)), relation or None))
+    def look_at_pair(self, a: NonNegativeInt, b: NonNegativeInt, relation: str, frame: str) -> None:
+        """Show a pair."""
+        self.look_at(Target(frame, (a, b), relation or None))
 
     @command("labels")
     def toggle(self) -> None:

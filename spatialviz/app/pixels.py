@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
+
+from pydantic import NonNegativeInt
 
 from pipeline.corrections.draft import (
     Draft,
@@ -26,6 +26,7 @@ from pipeline.corrections.label_view import LabelView, paired
 from pipeline.corrections.vocabulary import vocabulary_of
 from pipeline.geometry.palette import depth_colors, hex_color
 from pipeline.system.errors import InputError, as_input_error, needed, require
+from spatialviz.app.channel import Command
 from spatialviz.app.context import Context, command, there
 from spatialviz.app.frames import jpeg_url
 from spatialviz.app.label_item import UNNAMED
@@ -34,9 +35,7 @@ from spatialviz.app.picture import DRAFT, PART_COLORS, around, draw_draft, mask_
 from spatialviz.app.state import State
 from spatialviz.report.picture import box_edges_2d
 
-TOOLS = ("select", "brush", "erase", "polygon", "rectangle", "depth", "cut")
-LONGEST = 400_000
-"""Characters of a message."""
+Tool = Literal["select", "brush", "erase", "polygon", "rectangle", "depth", "cut"]
 
 
 class Pixels(LabelPart):
@@ -69,11 +68,9 @@ class Pixels(LabelPart):
         return self._drafts.get(self._key) if self._open == self._key else None
 
     @command("px-tool")
-    def choose(self, tool: str) -> None:
+    def choose(self, tool: Tool) -> None:
         """Take a tool; where nothing is open yet, begin on the selected object."""
         view, known = self.view, self._drafts.get(self._key)
-        if tool not in TOOLS:
-            return
         self._tool = tool
         self._tell()
         if self._draft is None and known is not None and known.changed:
@@ -107,7 +104,7 @@ class Pixels(LabelPart):
     def select(self, fractions: str) -> None:
         """Draw on the object at a place of the picture."""
         if not self._unapplied(self._draft):
-            self.ctx.handle(f"image:{fractions}")
+            self.ctx.handle(Command("image", (fractions,)))
 
     def _unapplied(self, draft: Draft | None) -> bool:
         """Whether a draft is in the way of another one; says so."""
@@ -132,26 +129,15 @@ class Pixels(LabelPart):
     # ---- drawing ----------------------------------------------------------------------
 
     @command("px-draw")
-    def drawn(self, said: str) -> None:
-        """A movement of the hand: "7:{...}"; 7 is told back, so that the page knows what is done."""
-        number, _, text = said.partition(":")
-        if number.isascii() and number.isdigit() and len(number) < 10:
-            self._seen = int(number)
-
-        def gesture(draft: Draft) -> Gesture:
-            require(len(text) <= LONGEST, "the movement is too long", got=f"{len(text)} characters")
-            with as_input_error("not a movement of a tool", ValueError, RecursionError, got=repr(text)[:60]):
-                message = json.loads(text)
-            return read_gesture(message, draft.height, draft.width)
-
-        self._changed(lambda draft, canvas: with_gesture(draft, gesture(draft), canvas))
+    def drawn(self, number: NonNegativeInt, made: dict[str, Any]) -> None:
+        """A movement of the hand; its number is told back, so that the page knows what is done."""
+        self._seen = number
+        self._changed(lambda draft, canvas: with_gesture(draft, read_gesture(made, draft.height, draft.width), canvas))
 
     @command("px-hand")
-    def hand(self, said: str) -> None:
-        """How clicks in the scene count: "true:0.015", adding or removing, and how alike a surface must be."""
-        adds, _, tolerance = said.partition(":")
-        with suppress(ValueError):
-            self._tolerance, self._adds = float(tolerance), adds == "true"
+    def hand(self, adds: bool, tolerance: float) -> None:
+        """How clicks in the scene count: adding or removing, and how alike a surface must be."""
+        self._tolerance, self._adds = tolerance, adds
 
     def on_ray(self, pixel: tuple[int, int] | None) -> bool:
         """A click in the scene; whether it was meant for the draft."""
@@ -213,19 +199,16 @@ class Pixels(LabelPart):
         self._drafts[self._key] = moved
         self._tell()
         if moved.at == draft.at:
-            self.ctx.handle(otherwise)
+            self.ctx.handle(Command(otherwise))
             self._tell(self.view.said, self.view.bad)
         self.follow()
 
     # ---- saving -----------------------------------------------------------------------
 
     @command("px-apply")
-    def apply(self, said: str) -> None:
-        """Save the draft as one action: {"stay", "label"}; with "stay" the editor remains open."""
-        view, draft, stay, label = self.view, there(self._draft), False, ""
-        with suppress(ValueError, TypeError, KeyError, RecursionError):
-            message = json.loads(said)
-            stay, label = bool(message["stay"]), str(message["label"])
+    def apply(self, stay: bool, label: str) -> None:
+        """Save the draft as one action; with `stay` the editor remains open."""
+        view, draft = self.view, there(self._draft)
         outcome, number, self._label, self._saving = None, -1, label, True
         try:
             if draft.number is not None and draft.number == self._outlined:
@@ -278,19 +261,17 @@ class Pixels(LabelPart):
     # ---- what is shown ----------------------------------------------------------------
 
     @command("px-view")
-    def look(self, view: str) -> None:
-        """Draw on the "picture", or by clicks in the "scene"."""
-        if view in ("picture", "scene"):
-            self._view = view
-            self._tell()
-            self.follow()
+    def look(self, view: Literal["picture", "scene"]) -> None:
+        """Draw on the picture, or by clicks in the scene."""
+        self._view = view
+        self._tell()
+        self.follow()
 
     @command("px-picture")
-    def paint(self, kind: str) -> None:
-        """Show the picture's "rgb" or its "depth"."""
-        if kind in ("rgb", "depth"):
-            self._kind = kind
-            self.follow()
+    def paint(self, kind: Literal["rgb", "depth"]) -> None:
+        """Show the picture's colours or its depth."""
+        self._kind = kind
+        self.follow()
 
     def _tell(self, said: str = "", bad: bool = False) -> None:
         self._said, self._bad = said, bad

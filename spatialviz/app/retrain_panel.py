@@ -15,6 +15,7 @@ from pipeline.corrections.review.label_jobs import CANCELLED, RetrainingJob, Tra
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.installed import install_network
 from pipeline.system.errors import InputError
+from spatialviz.app.channel import Command
 from spatialviz.app.context import Context, command, there
 from spatialviz.app.label_part import LabelPart
 from spatialviz.app.markup import BAD, DOUBT, GOOD, Child, Element, h, heading, note, panel, progress
@@ -82,7 +83,7 @@ class RetrainPanel(LabelPart):
         training.change(lambda now: replace(now, installed=done.name))
         if self.state.labels is None:
             # While labels are shown nothing is asked that it could answer.
-            self.ctx.handle(f"edit:set:scorer:{done.name}")
+            self.ctx.handle(Command("edit", (f"set:scorer:{done.name}",)))
 
     @command("replayed")
     def open_expression(self, said: str) -> None:

@@ -25,6 +25,7 @@ from pipeline.corrections.scene import ASKED_BEYOND_M, labelled_objects, pair_ca
 from pipeline.language.counted import counted
 from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import InputError, needed
+from spatialviz.app.channel import Command
 from spatialviz.app.context import Context, command, there
 from spatialviz.app.frames import thumb_url
 from spatialviz.app.keys import KEYS_OF_ONE
@@ -38,7 +39,7 @@ from spatialviz.app.label_item import (
 )
 from spatialviz.app.label_part import NO_LABELS, LabelPart
 from spatialviz.app.markup import Element, h, heading, panel
-from spatialviz.app.review_html import KINDS, doubt_html, queue_html, said
+from spatialviz.app.review_html import doubt_html, queue_html, said
 
 SHOWN_NEXT = 5
 NEWEST = 3000
@@ -250,10 +251,9 @@ class ReviewQueue(LabelPart):
     @command("queue-kind")
     def choose_kind(self, kind: str) -> None:
         """Walk through items of one kind only."""
-        if kind in KINDS:
-            self._kind = kind
-            self._prefetch(self._item)
-            self.follow()
+        self._kind = kind
+        self._prefetch(self._item)
+        self.follow()
 
     # ---- settling ---------------------------------------------------------------------
 
@@ -276,7 +276,7 @@ class ReviewQueue(LabelPart):
         else:
             raise InputError(f"T, U and F are for the relation of two objects. {KEYS_OF_ONE}.")
         if named:
-            self.ctx.handle(f"relation-row:{named[0]}")
+            self.ctx.handle(Command("relation-row", (named[0],)))
         card = pair_card(view.frame, *ends)
         line = next((x for x in card.lines if x.relation == relation), None)
         line = needed(line, card.why_none or "the pair has no such relation")
@@ -375,7 +375,7 @@ class ReviewQueue(LabelPart):
         work = queue.work
         if work is not None and self.ctx.reviewed is not work.frame_counts:
             self.ctx.reviewed = work.frame_counts
-            self.ctx.post(lambda: self.ctx.handle("strip"))
+            self.ctx.post(lambda: self.ctx.handle(Command("strip")))
         bulk = None if work is None else bulk_html(self._find, len(self._found(work)), len(work))
         rows = queue_html(work, queue.seen, queue.asked, self._kind, item, queue.names, bulk)
         page.fill({"review-item": None if view is None else self._card(queue, item), "review-list": rows})

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import get_args
+from typing import Literal, get_args
 
 import numpy as np
+from pydantic import FiniteFloat
 
 from pipeline.answering.frame_store import LoadedFrame, UpHint
 from pipeline.corrections.label_view import paired
@@ -55,15 +56,10 @@ class Selection(Part):
         self.click(None, [there(self.state.pair)[0 if role == "target" else 1]])
 
     @command("image")
-    def select_at(self, fractions: str) -> None:
-        """A click in the picture: "0.25,0.5" is a quarter from the left, half way down."""
-        try:
-            x, y = (float(part) for part in fractions.split(","))
-        except ValueError:
-            return
-        if self.state.loaded is not None and np.isfinite([x, y]).all():
-            height, width = self.state.loaded.context.frame.depth.shape
-            self.click((int(np.clip(x * width, 0, width - 1)), int(np.clip(y * height, 0, height - 1))), [])
+    def select_at(self, x: FiniteFloat, y: FiniteFloat) -> None:
+        """A click in the picture, at fractions of its width and height."""
+        height, width = there(self.state.loaded).context.frame.depth.shape
+        self.click((int(np.clip(x * width, 0, width - 1)), int(np.clip(y * height, 0, height - 1))), [])
 
     @command("pair")
     def choose_pair(self, place: int) -> None:
@@ -175,9 +171,9 @@ class ViewSettings(Part):
             self.ctx.show(colors=colors)
 
     @command("camera")
-    def look_from(self, mode: str) -> None:
+    def look_from(self, mode: CameraMode) -> None:
         """Fly to one of the places to look from."""
-        if mode in get_args(CameraMode) and self.state.loaded is not None:
+        if self.state.loaded is not None:
             self.ctx.show(camera=mode)
             self.ctx.scene.viewpoint.place(mode, FLIGHT)
 
@@ -189,17 +185,14 @@ class ViewSettings(Part):
             self.ctx.show(flags=replace(flags, **{flag: not getattr(flags, flag)}))
 
     @command("point-size")
-    def size_points(self, text: str) -> None:
+    def size_points(self, size: FiniteFloat | Literal["more", "less"]) -> None:
         """Draw the points by a factor of their size; "more" and "less" are steps."""
-        state, steps = self.state, {"more": POINT_STEP, "less": 1 / POINT_STEP}
-        try:
-            factor = state.point_size * steps[text] if text in steps else float(text)
-        except ValueError:
-            return
-        if LEAST_POINT <= (factor := round(factor, 2)) <= LARGEST_POINT:
-            self.state = replace(state, point_size=factor)
+        step = {"more": POINT_STEP, "less": 1 / POINT_STEP}.get(str(size))
+        factor = round(float(size) if step is None else self.state.point_size * step, 2)
+        if LEAST_POINT <= factor <= LARGEST_POINT:
+            self.state = replace(self.state, point_size=factor)
             # The slider stands where the hand has put it.
-            self.ctx.draw(live=text not in steps)
+            self.ctx.draw(live=step is None)
 
     @command("theme")
     def switch_theme(self) -> None:

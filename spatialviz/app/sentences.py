@@ -6,6 +6,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime, timezone
+from typing import Literal
 
 from pipeline.corrections.journal.edits import Edits, set_ambiguous, set_mark, set_status, set_text
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
@@ -91,17 +92,15 @@ class Sentences(LabelPart):
         self._save(lambda frame, card: set_ambiguous(frame, card.id, not card.ambiguous))
 
     @command("true-of")
-    def answer(self, said: str) -> None:
-        """Say whether the expression is true of an object: "sure", "likely" or "no", of the selected one or "no:4".
+    def answer(self, certainty: Literal["sure", "likely", "no"], number: int | Literal[""]) -> None:
+        """Say whether the expression is true of an object, by default the selected one.
 
         What is said already is taken off.
         """
-        certainty, _, number = said.partition(":")
         sentence = there(self.view.sentence)
-        if certainty in ("sure", "likely", "no"):
-            which = needed(int(number) if number else self.number, "select an object that the expression is true of")
-            now = "no" if sentence.certainty(which) == certainty else certainty
-            self._save(lambda frame, card: set_answer(frame, card.id, which, now))
+        which = needed(self.number if number == "" else number, "select an object that the expression is true of")
+        now = "no" if sentence.certainty(which) == certainty else certainty
+        self._save(lambda frame, card: set_answer(frame, card.id, which, now))
 
     @command("mark")
     def mark(self, mark: str) -> None:

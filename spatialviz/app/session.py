@@ -34,7 +34,7 @@ from spatialviz.app import (
 )
 from spatialviz.app.answer import answer_in_words
 from spatialviz.app.browse import Browse
-from spatialviz.app.channel import Go, Hello, Incoming, Scene
+from spatialviz.app.channel import Command, Go, Hello, Incoming, Scene
 from spatialviz.app.context import Context, Idle, Shared, command, commands_of, there
 from spatialviz.app.labelling import Labelling
 from spatialviz.app.picture import overlay_marks
@@ -117,7 +117,7 @@ class Session(Context):
         elif isinstance(message, Go):
             self.go(Place.read(message.address, self.shared.store.sources), restoring=True)
         else:
-            self.handle(message.text)
+            self.handle(message)
 
     async def _turned(self, _: object) -> None:
         """The camera moves: where it comes to rest is said by the address."""
@@ -128,12 +128,13 @@ class Session(Context):
 
     # ---- commands -------------------------------------------------------------------
 
-    def handle(self, message: str) -> None:
-        """Carry out a command such as "pair:3"; unknown ones are ignored."""
-        kind, _, argument = keys.meant(message, self.state.labels is not None).partition(":")
+    def handle(self, message: Command) -> None:
+        """Carry out a command; unknown ones are ignored."""
+        message = keys.meant(message, self.state.labels is not None)
         try:
             with suppress(Idle):
-                self._commands.get(kind, str)(argument)
+                if message.name in self._commands:
+                    self._commands[message.name](*message.arguments)
         except InputError as error:
             self.fail(error)
 
@@ -213,7 +214,7 @@ class Session(Context):
             self.open_frame(frame, first=True, asking=text)
         if restoring:
             self.state = replace(self.state, stage=place.stage or "")
-            self.handle(f"pair:{(place.pair or 1) - 1}")
+            self.handle(Command("pair", ((place.pair or 1) - 1,)))
             self.draw()
             if same and self.state.loaded is not None:
                 self.scene.viewpoint.place(self.state.camera)
@@ -248,7 +249,7 @@ class Session(Context):
         """Explain, evaluate, or label: what the page is for now."""
         self.state = replace(self.state, evaluating=task == "evaluate")
         if (self.state.labels is not None) != (task == "label"):
-            self.handle("labels")
+            self.handle(Command("labels"))
         self.draw()
 
     @command("ask-typed")

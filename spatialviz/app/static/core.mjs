@@ -6,7 +6,11 @@ export const fields = {};  // name -> {input, keydown, blur, focus}(event, eleme
 
 let transmit = () => {};
 export const connect = f => { transmit = f; };
-export const send = text => transmit({type: 'command', text});
+// "name", "name:argument", or a name with its arguments as JSON.
+export const send = (said, ...values) => {
+  const [, name, argument] = said.match(/^([^:]*)(?::([^]*))?$/);
+  transmit({type: 'command', name, arguments: argument === undefined ? values : [argument]});
+};
 export const go = address => transmit({type: 'go', address});
 
 export const el = (tag, className, text) => {

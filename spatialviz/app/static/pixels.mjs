@@ -34,7 +34,7 @@ const steps = n => `${n} ${n === 1 ? 'step' : 'steps'}`;
 function gesture(made) {
   S.sent += 1;
   S.pending.push({k: S.sent, gesture: made});
-  send(`px-draw:${S.sent}:${JSON.stringify(made)}`);
+  send('px-draw', S.sent, made);
   // What is outlined at once is named next.
   if (S.data.fresh && made.do !== 'stroke') q('.cls').focus();
   redraw();
@@ -200,7 +200,7 @@ function apply(stay) {
     say('Which class is it?');
     return;
   }
-  send(`px-apply:${JSON.stringify({stay: Boolean(stay), label})}`);
+  send('px-apply', Boolean(stay), label);
 }
 
 function cancel() {

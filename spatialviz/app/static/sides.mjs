@@ -186,7 +186,7 @@ const shown = moves => moves.map(m => m.map(v => (typeof v === 'number' ? +v.toF
 const commit = () => {
   clearTimeout(S.timer);
   S.timer = 0;
-  if (S.moves.length) send(`side-drag:${JSON.stringify({key: S.data.key, moves: shown(S.moves)})}`);
+  if (S.moves.length) send('side-drag', S.data.key, shown(S.moves));
 };
 
 const down = (view, event) => {
@@ -279,7 +279,7 @@ const build = () => {
     canvas.addEventListener('pointerleave', () => { made.over = null; redraw(); });
     canvas.addEventListener('dblclick', event => {
       const [face] = gripAt(made, pixel(made, event), window.devicePixelRatio || 1)?.faces ?? [];
-      if (face) send(`side-fit:${S.data.key}:${[made.h, made.v][face.axis]}:${face.side}`);
+      if (face) send('side-fit', S.data.key, [made.h, made.v][face.axis], face.side);
     });
     canvas.addEventListener('wheel', event => {
       event.preventDefault();
