@@ -213,7 +213,7 @@ class ChatClient:
         return found
 
     def _begin(self) -> None:
-        """Count a try, and wait for its turn."""
+        """Count a try, and wait for a turn."""
         with self._lock:
             self.requests += 1
             now = self._clock()
@@ -258,7 +258,7 @@ Result = TypeVar("Result")
 
 
 def _in_order(function: Callable[[Item], Result], items: Iterable[Item], workers: int) -> list[Result]:
-    """Results in the order of the items, taken one by one by free workers; the first error is raised.
+    """Results in the order of the items, taken singly by free workers; the first error is raised.
 
     The threads are daemons: those of `concurrent.futures` would hold Ctrl-C up until the last answer comes.
     """

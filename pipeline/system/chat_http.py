@@ -62,7 +62,7 @@ class _Transport(httpx2.HTTPTransport):
 
 
 def _check_answer(reply: httpx2.Response) -> None:
-    """Raise for a reply without an answer; an error under status 200 gets its own status, else 502."""
+    """Raise for a reply without an answer; an error under status 200 gets the status named inside, else 502."""
     text = reply.text.lstrip("\ufeff \r\n")
     if "text/event-stream" in reply.headers.get("content-type", "") or text.startswith("data:"):
         raise _Useless("the server streams its answer", text, "it does not honour stream=false")

@@ -63,7 +63,7 @@ def require(
 
 
 def needed(value: Thing | None, what: str, *, error: type[InputError] = InputError, **words: Any) -> Thing:
-    """Return a value unless it is None; else raise `error` with these words (as `require`)."""
+    """Return a value; raise `error` with these words (as `require`) for None."""
     if value is None:
         raise error(what, **words)
     return value
@@ -113,7 +113,7 @@ class Shown(NamedTuple):
 
 
 def extra_module(module: str, feature: str, extra: str) -> Any:
-    """Import a module of an extra; MissingExtra for the feature without it."""
+    """Import a module of an extra; MissingExtra if not installed."""
     try:
         return import_module(module)
     except ImportError as error:
@@ -146,7 +146,7 @@ class MissingExtra(ImportError):
 
     @classmethod
     def missing(cls, need: Callable[[], None]) -> str:
-        """Message of the MissingExtra raised by `need`; empty without one."""
+        """Message of the MissingExtra raised by `need`; empty if none."""
         try:
             need()
         except cls as error:

@@ -97,7 +97,7 @@ def _parsed(text: str) -> Limits:
 
 
 def set_limits(text: str) -> None:
-    """Change limits in this process and its children: "pixels=500M,bytes=2G"; InputError if malformed."""
+    """Change limits in this process and all children: "pixels=500M,bytes=2G"; InputError if malformed."""
     whole = ",".join(part for part in (os.environ.get(LIMITS_VARIABLE), text) if part)
     _parsed(whole)
     os.environ[LIMITS_VARIABLE] = whole

@@ -50,7 +50,7 @@ class HubId:
 
 
 def parse_hub_id(given: str | Path) -> HubId | None:
-    """Id on the hub; None for a path, existing or by its look."""
+    """Id on the hub; None for a path, existing or by the look."""
     text = given.as_posix() if isinstance(given, Path) else given
     found = _ID.fullmatch(text)
     if found is None or Path(given).exists():
@@ -64,7 +64,7 @@ def parse_hub_id(given: str | Path) -> HubId | None:
 
 
 def resolve_model(given: str | Path) -> Path:
-    """File of a model, fetched from the hub at the first use of its id.
+    """File of a model, fetched from the hub at the first use of an id.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def resolve_model(given: str | Path) -> Path:
 
 
 def refuse_address(given: str | Path) -> None:
-    """Raise InputError for a web address, with the file's id where it is on the hub."""
+    """Raise InputError for a web address, with the file's id if on the hub."""
     # A path has lost the second slash.
     address = re.fullmatch(r"(?P<scheme>https?):/+(?P<rest>.+)", given.as_posix() if isinstance(given, Path) else given)
     if address is None:
@@ -102,7 +102,7 @@ def model_folder() -> Path:
 
 
 def fetched(hub_id: HubId) -> Path | None:
-    """Fetched file; None before its first fetch."""
+    """Fetched file; None before the first fetch."""
     folder = _folder(hub_id.repo)
     revision = _revision(hub_id)
     if not _COMMIT.fullmatch(revision):
@@ -128,7 +128,7 @@ def all_fetched() -> Iterator[tuple[HubId, Path]]:
 
 
 def fetch(hub_id: HubId) -> Path:
-    """Fetch a file with its companions; raises as `resolve_model`."""
+    """Fetch a file with all companions; raises as `resolve_model`."""
     hub = extra_module("huggingface_hub", f"the model {hub_id}", "hub")
     repo, folder, revision, endpoint = (
         hub_id.repo,
@@ -167,7 +167,7 @@ def fetch(hub_id: HubId) -> Path:
 
 
 def _take(path: Path, target: Path, what: str, sha256: str | None) -> None:
-    """Move a file into place if its hash is the expected one; else remove it."""
+    """Move a file with the expected hash into place; remove any other."""
     found = sha256_of(path) if sha256 else None
     if found != sha256:
         path.unlink()
@@ -214,7 +214,7 @@ _MISSING = {
 
 @contextmanager
 def _reached(hub_id: HubId) -> Iterator[None]:
-    """Turn the hub library's many lines into one."""
+    """Turn the hub library's many lines into a single line."""
     try:
         yield
     except Exception as error:  # The library raises its own classes and those of the HTTP library below it.

@@ -74,7 +74,7 @@ def declared_tensors(path: Path) -> Iterator[Declared]:
 
 
 def check_network(path: Path) -> None:
-    """Raise InputError for an ONNX file or weights too large, outside its folder, or no regular file.
+    """Raise InputError for an ONNX file or weights too large, outside the folder, or no regular file.
 
     A declared tensor above the limit is refused too, whatever its file holds.
     """

@@ -148,7 +148,7 @@ def _likely_cause(message: str) -> str | None:
 
 
 def first_line(error: object) -> str:
-    """First line of an error without ONNX Runtime's own numbering, or its class."""
+    """First line of an error without ONNX Runtime's own numbering, or else the class."""
     lines = re.sub(r"\[ONNXRuntimeError\] : \d+ : \w+ : |Load model from .*? failed:", "", str(error)).splitlines()
     return (lines[0][:200] if lines else "") or type(error).__name__
 
@@ -217,7 +217,7 @@ NUMPY_TYPES: dict[str, type[np.generic]] = {
 
 
 def signature(session: Any) -> str:
-    """Declared inputs and outputs in one line, for messages."""
+    """Declared inputs and outputs on a line, for messages."""
 
     def line(values: Any) -> str:
         return ", ".join(f"{v.name} {list(v.shape)}" for v in values)
@@ -235,7 +235,7 @@ def file_hash(path: Path) -> str:
 
 
 def model_hash(path: Path) -> str:
-    """XXH3 hash of a model file and of its separate files of weights."""
+    """XXH3 hash of a model file and of all separate files of weights."""
     companions = {path.with_name(path.name + ending): None for ending in ("_data", ".data")}
     companions |= {path.parent / name: None for name in weight_files(path)}
     return "+".join(file_hash(p) for p in (path, *companions) if p.is_file())
@@ -282,7 +282,7 @@ def _checked(provider: str) -> str:
 
 
 def wanted_accelerator(available: list[str]) -> str | None:
-    """ONNX Runtime's name of the wanted accelerator among the `available` ones; None, with a warning, for the CPU."""
+    """Wanted accelerator in ONNX Runtime's name, among the `available`; None, with a warning, for the CPU."""
     provider = _checked(os.environ.get(PROVIDER_VARIABLE) or "auto")
     if provider == "cpu":
         return None
@@ -301,7 +301,7 @@ def warn_once(message: str) -> None:
 
 
 def _create(path: str, options: Any, accelerator: str | None) -> Any:
-    """Session on an accelerator, or on the CPU with one warning; raises what ONNX Runtime raises."""
+    """Session on an accelerator, or with a warning on the CPU; raises ONNX Runtime's errors."""
     import onnxruntime as ort
 
     if accelerator == ACCELERATORS["directml"]:

@@ -11,7 +11,7 @@ from pipeline.system.errors import InputError
 
 
 def asset_path(*parts: str) -> Path:
-    """Path of a shipped file or folder, for example ("srm", "rel14.onnx"); InputError without it."""
+    """Path of a shipped file or folder, for example ("srm", "rel14.onnx"); InputError if missing."""
     here = Path(__file__).resolve().parents[1]
     for root in (here / "assets", here.parent / "assets"):
         candidate = root.joinpath(*parts)

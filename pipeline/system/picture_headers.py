@@ -37,7 +37,7 @@ def header_size(data: bytes) -> tuple[int, int] | None:
 
 
 def _tiff(data: bytes) -> tuple[int, int]:
-    """Size of the first picture, the one that is decoded; Pillow refuses those of floats in several channels."""
+    """Size of the first picture, as decoded; Pillow refuses floats in several channels."""
     order = "<" if data[:2] == b"II" else ">"
     (at,) = struct.unpack(f"{order}I", data[4:8])
     (count,) = struct.unpack_from(f"{order}H", data, at)
@@ -50,7 +50,7 @@ def _tiff(data: bytes) -> tuple[int, int]:
 
 
 def _exr(data: bytes) -> tuple[int, int] | None:
-    """Largest data window of the header, or of several headers: what is decoded (OpenEXR file layout)."""
+    """Largest data window of the header, or of several headers, as decoded (OpenEXR file layout)."""
     found = re.finditer(rb"dataWindow\0box2i\0....", data[: 1 << 20], re.DOTALL)
     windows = [struct.unpack_from("<4i", data, window.end()) for window in found]
     sizes = [(x1 - x0 + 1, y1 - y0 + 1) for x0, y0, x1, y1 in windows]
@@ -58,7 +58,7 @@ def _exr(data: bytes) -> tuple[int, int] | None:
 
 
 def array_shape(file: Any) -> tuple[int, ...]:
-    """Shape of an NPY that begins here; ValueError where it is none."""
+    """Shape of an NPY from this place of a file; ValueError for anything else."""
     # Version 3.0 differs from 2.0 in the encoding of field names alone.
     first = np.lib.format.read_magic(file) == (1, 0)
     read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0

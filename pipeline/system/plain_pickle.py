@@ -234,5 +234,5 @@ def read_plain_pickle(path: Path, keep: Callable[[np.ndarray], Any] = np.asarray
 
 
 def plain(value: Any) -> Any:
-    """Value of an array; anything else as it is."""
+    """Value of an array; anything else unchanged."""
     return value.value if isinstance(value, Array) else value

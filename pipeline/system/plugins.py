@@ -54,7 +54,7 @@ def load_plugins(group: str, what: str, kind: Any) -> tuple[tuple[str, Any], ...
 
 
 def versions_of(*packages: str) -> dict[str, str]:
-    """Versions of the installed ones among packages."""
+    """Versions of packages, if installed."""
     found = {}
     for package in packages:
         with suppress(PackageNotFoundError):

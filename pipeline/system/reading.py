@@ -157,7 +157,7 @@ class Content:
 
     @property
     def first(self) -> dict[str, Any]:
-        """First row or the value itself, if an object; else an empty one."""
+        """First row or the value, if an object; else an empty object."""
         found = self.value[0] if isinstance(self.value, list) and self.value else self.value
         return found if isinstance(found, dict) else {}
 

@@ -40,7 +40,7 @@ def is_url(path: str | Path) -> bool:
 
 
 def local_path(path: str | Path) -> Path:
-    """Path of a dataset on this machine: a path as it is, the copy of a URL (listed once a process).
+    """Path of a dataset on this machine: a path unchanged, the copy of a URL (listed once a process).
 
     Raises
     ------
@@ -106,7 +106,7 @@ def _mirrored(url: str, cache: Path) -> Path:
 
 
 def _connected(url: str) -> tuple[Any, str]:
-    """File system of a URL, and the place's name there."""
+    """File system of a URL, and the place's name in it."""
     fsspec = extra_module("fsspec", f"reading {url}", "remote")
     package = "pip install 'spatialviz[remote]' for HTTP; s3fs, gcsfs or huggingface_hub for their own"
     with (
@@ -159,7 +159,7 @@ def _mark(path: Path, entry: Entry, unchanged: bool) -> None:
 
 
 def fetch(path: Path, state: os.stat_result, limit: str, limits: Limits) -> None:
-    """Fetch a file of a copy before its first use; nothing for any other file.
+    """Fetch a file of a copy before the first use; nothing for any other file.
 
     Raises
     ------

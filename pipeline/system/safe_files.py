@@ -47,7 +47,7 @@ _KINDS = {stat.S_IFIFO: "a FIFO", stat.S_IFSOCK: "a socket", stat.S_IFCHR: "a de
 
 
 def enter(root: Path, limits: Mapping[str, Any] | None = None) -> Path:
-    """Confine reading below this folder, or a file with everything in it, with links followed; returns the folder.
+    """Confine reading below this folder, or a file with all data inside, with links followed; returns the folder.
 
     `limits` are those raised by the folder's own `spatialviz.toml`; raises InputError as `Limits.changed`.
     """
@@ -85,7 +85,7 @@ def _roots(path: Any) -> Iterator[_Root]:
 
 
 def limits_of(path: Any) -> Limits:
-    """Limits of a file: of this process, raised by its folder's own."""
+    """Limits of a file: of this process, raised by the folder's own."""
     limits = current_limits()
     root = next(_roots(path), None)
     return limits if root is None or not root.limits else limits.changed(dict(root.limits), own=True)
@@ -93,7 +93,7 @@ def limits_of(path: Any) -> Limits:
 
 @contextmanager
 def opened(path: Path, limit: str = "bytes") -> Iterator[IO[bytes]]:
-    """Open a file to read, at its start; `limit` names the limit of its size.
+    """Open a file to read, at the start; `limit` names the limit of size.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def opened(path: Path, limit: str = "bytes") -> Iterator[IO[bytes]]:
 
 
 def checked_path(path: Path, limit: str = "bytes") -> Path:
-    """Check a path for a library with its own opening; raises as `opened`."""
+    """Check a path for a library with an opener of its own; raises as `opened`."""
     with opened(path, limit):
         return path
 
@@ -253,7 +253,7 @@ def _deeper(data: bytes, depth: int) -> bool:
 
 
 def check_pixels(data: bytes, path: Any) -> None:
-    """Raise InputError for an encoded picture above the limit of pixels, or without a size in its header."""
+    """Raise InputError for an encoded picture above the limit of pixels, or with a header without a size."""
     size = header_size(data)
     if size is None or min(size) < 0:
         raise InputError("a picture whose header tells no size", cause="is it cut off or damaged?", path=path)
@@ -262,7 +262,7 @@ def check_pixels(data: bytes, path: Any) -> None:
 
 
 def read_picture(path: Path) -> np.ndarray | None:
-    """Read a picture as stored, (H, W) or (H, W, C) in OpenCV's order; None if it cannot be decoded.
+    """Read a picture as stored, (H, W) or (H, W, C) in OpenCV's order; None if not decodable.
 
     Raises as `opened` and `check_pixels`.
     """
@@ -276,7 +276,7 @@ def read_picture(path: Path) -> np.ndarray | None:
 
 
 def load_arrays(source: bytes | IO[bytes], path: Any) -> Any:
-    """Load the array of an NPY, or lazily by name those of an NPZ, without unpickling.
+    """Load the array of an NPY, or lazily by name the arrays of an NPZ, without unpickling.
 
     Raises
     ------
@@ -322,7 +322,7 @@ def check_members(archive: ZipFile, path: Any) -> None:
 
 
 def open_zip(path: Path) -> ZipFile:
-    """Open an archive to read members in place; raises as `opened` (of its size `unpacked`) and `check_members`."""
+    """Open an archive to read members in place; raises as `opened` (of size `unpacked`) and `check_members`."""
     with opened(path, "unpacked") as file:
         check_members(open_archive(file, path), path)
     return ZipFile(path)

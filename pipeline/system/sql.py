@@ -64,7 +64,7 @@ def bounded_database() -> Iterator[duckdb.DuckDBPyConnection]:
 
 
 def answer_queries() -> None:
-    """Answer questions of standard input on standard output, to its end or that of the asking process."""
+    """Answer questions of standard input on standard output, to the end of input or of the asking process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     out = os.fdopen(os.dup(1), "wb")
     # Nothing else may come between the answers.
@@ -128,7 +128,7 @@ def _opened(tables: Mapping[str, Path], held: Collection[str], spill: str) -> du
 
 
 def _bound_by_the_system() -> None:
-    """Bound this process's memory above its present size, on Linux."""
+    """Bound this process's memory above the present size, on Linux."""
     if sys.platform != "linux":
         return
     with open("/proc/self/status", encoding="ascii", errors="replace") as status:
@@ -150,7 +150,7 @@ def _selected(connection: duckdb.DuckDBPyConnection, sql: str, parameters: Seque
 
 
 def _problem(error: Exception) -> str:
-    """Error in one line."""
+    """Error on one line."""
     import duckdb
 
     most = current_limits().query

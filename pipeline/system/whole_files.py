@@ -58,7 +58,7 @@ def _of_this_machine(temporary: Path) -> re.Match[str] | None:
 
 
 def is_abandoned(temporary: Path) -> bool:
-    """Return True for a temporary name of a dead process, or one a day old."""
+    """Return True for a temporary name of a dead process, or a day old."""
     found = _of_this_machine(temporary)
     # On Windows os.kill would end the process instead of asking for it.
     if os.name == "posix" and found is not None:
@@ -92,7 +92,7 @@ def write_whole(path: Path, data: bytes, what: str, make_folder: bool = True) ->
 
 
 def write_synced(path: Path, data: bytes) -> None:
-    """Write a file and wait until it is on the disk."""
+    """Write a file and sync to the disk."""
     with open(path, "wb") as file:
         file.write(data)
         file.flush()
@@ -101,7 +101,7 @@ def write_synced(path: Path, data: bytes) -> None:
 
 @contextmanager
 def whole_file(path: Path, what: str, make_folder: bool = True) -> Iterator[Path]:
-    """Hidden name beside a new file, renamed to it at the good end of the block, else removed.
+    """Hidden name beside a new file, renamed at the good end of the block, else removed.
 
     Raises
     ------
@@ -176,7 +176,7 @@ def keep_whole(path: Path, write: Callable[[Any], object]) -> None:
 
 @contextmanager
 def staged_folder(out: Path, *, overwrite: bool, mark: str) -> Iterator[Path]:
-    """Hidden folder beside `out`, renamed to it at the good end of the block, else removed.
+    """Hidden folder beside `out`, renamed at the good end of the block, else removed.
 
     Raises
     ------
@@ -204,7 +204,7 @@ def staged_folder(out: Path, *, overwrite: bool, mark: str) -> Iterator[Path]:
 
 
 def _bring_back(final: Path) -> None:
-    """Mend a folder's replacement after a kill: the old folder returns, or goes beside a new one."""
+    """Mend a folder's replacement after a kill: the old folder returns, or goes beside a new folder."""
     for old in final.parent.glob(f".{escape(final.name)}.*.old"):
         if not is_abandoned(old.with_suffix(".tmp")):
             continue

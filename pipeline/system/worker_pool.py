@@ -122,7 +122,7 @@ def without_ctrl_c() -> Iterator[None]:
 
 
 def leave_with_parent(patience_s: float = _PATIENCE_S) -> None:
-    """End this process with its parent, however that ended."""
+    """End this process with the parent process."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
