@@ -14,14 +14,54 @@ from pipeline.datasets.base import DatasetFormat
 from pipeline.datasets.camera_files import NOTHING, Stated, read_stated, stated_beside
 from pipeline.datasets.cameras import or_note, pose_from_matrix, pose_from_quaternion
 from pipeline.datasets.files import as_floats, numbered_lines, read_matrix
-from pipeline.datasets.images import INTEGER_DEPTH_SUFFIXES
-from pipeline.datasets.label_pictures import LabelPicture, read_label_names
+from pipeline.datasets.images import INTEGER_DEPTH_SUFFIXES, read_numbers
 from pipeline.datasets.pairing import Files, Key, Naming, Pair, choose_naming, files_by_role, pair_files, role_of, twice
 from pipeline.datasets.recording import Listed, Recording, files_of
 from pipeline.datasets.settings import DEPTH_SCALE, Settings
-from pipeline.geometry.frame import Frame
+from pipeline.geometry.frame import Annotation, Frame
+from pipeline.geometry.masks import mask_box
 from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, needed, require
+
+NAME_FILES = ("labels.txt", "classes.txt", "image_sets/classes.txt", "label_names.txt")
+
+
+@dataclass(frozen=True)
+class LabelPicture:
+    """Label picture of a frame."""
+
+    path: Path
+    names: Mapping[int, str]  # Of the numbers; one without a name is "object"
+
+    def annotations(self, size: tuple[int, int], notes: list[str]) -> tuple[Annotation, ...]:
+        """A mask for each number of a frame of (height, width) pixels; a note where the picture is broken."""
+        try:
+            numbers = read_numbers(self.path)
+        except InputError as error:
+            notes.append(f"no labels, {self.path.name}: {error.what}")
+            return ()
+        if numbers.shape != size:
+            notes.append(f"no labels, {self.path.name}: not a picture of {size[1]}x{size[0]} with one channel")
+            return ()
+        found = []
+        for index, number in enumerate(np.unique(numbers[numbers > 0]).tolist()):
+            mask = numbers == number
+            name = self.names.get(number, "object")
+            found.append(Annotation(index, name, np.array(mask_box(mask)), mask, instance=number))
+        return tuple(found)
+
+
+def read_label_names(root: Path) -> dict[int, str]:
+    """Names by number: lines "number name", or names alone counted from 1; empty without a file."""
+    for name in NAME_FILES:
+        if not (root / name).is_file():
+            continue
+        lines = [line.split(maxsplit=1) for _, line in numbered_lines(root / name)]
+        if all(len(words) == 2 and words[0].isdecimal() for words in lines):
+            return {int(number): text for number, text in lines}
+        return {number: " ".join(words) for number, words in enumerate(lines, start=1)}
+    return {}
+
 
 MOST_CAMERA_FILES = 20
 """So many files that may speak of the camera are read."""

@@ -169,19 +169,9 @@ def open_detector(
     """Make the detector."""
     table = table or Synonyms.load(setup.synonyms)
 
-    def make(name: str, model: Path | None, config: Path | None = None) -> Detector:
-        return make_detector(
-            name,
-            model=model,
-            class_names=class_names,
-            synonyms=table,
-            min_score=setup.min_score,
-            config=config,
-            frame_ids=frame_ids,
-        )
-
-    others = [make(*named_model(text)) for text in setup.fuse]
-    first = make(setup.detector or "annotations", setup.model, setup.model_config)
+    shared = {"class_names": class_names, "synonyms": table, "min_score": setup.min_score, "frame_ids": frame_ids}
+    others = [make_detector(name, model=model, **shared) for name, model in map(named_model, setup.fuse)]
+    first = make_detector(setup.detector or "annotations", model=setup.model, config=setup.model_config, **shared)
     return EnsembleDetector((first, *others), setup.fusion, table) if others else first
 
 

@@ -15,8 +15,8 @@ from benchmarks.doctor_plants import Planted, judge
 from benchmarks.doctor_scenes import Rendered, shelf_scan, table_top, walk
 
 from pipeline.datasets import InMemoryDataset, demo_path, open_dataset, overlay
-from pipeline.datasets.doctor.causes import Cause, causes
 from pipeline.datasets.doctor.examine import Examination, examine_frames
+from pipeline.datasets.doctor.hypotheses import Cause, causes
 from pipeline.datasets.doctor.seen import Seen
 from pipeline.datasets.doctor.trying import Agreement, Opinion, diagnosed
 from pipeline.datasets.settings import Settings

@@ -12,12 +12,10 @@ import numpy as np
 
 from pipeline.datasets.base import Dataset, load_picture, readable_frames, scene_of
 from pipeline.datasets.doctor.landing import OfLanding
-from pipeline.datasets.doctor.registering import OfOutlines
 from pipeline.datasets.doctor.search import PosedViews
 from pipeline.datasets.doctor.seen import Seen
+from pipeline.datasets.doctor.suspicions import OfLevel, OfOutlines, OfSizes
 from pipeline.datasets.doctor.trying import Opinion, Suspicion, diagnosed
-from pipeline.datasets.doctor.units import OfSizes
-from pipeline.datasets.doctor.upright import OfLevel
 from pipeline.datasets.opening import open_dataset
 from pipeline.datasets.settings import FILE_NAME, GivenUp, Settings, read_settings, write_settings
 from pipeline.geometry.frame import Frame

@@ -7,13 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.datasets.doctor.causes import MIDDLE, SWAPPED
-from pipeline.datasets.doctor.hypotheses import Hypothesis
-from pipeline.datasets.doctor.principal_point import center_by_middle
+from pipeline.datasets.doctor.hypotheses import AS_READ, MIDDLE, SWAPPED, Cause, Hypothesis, other_centers
 from pipeline.datasets.doctor.search import FINE, PosedViews, Range
 from pipeline.datasets.doctor.seen import Seen
+from pipeline.datasets.doctor.suspicions import UNITS, only_unit
 from pipeline.datasets.doctor.trying import SUBJECTS, Agreement, Opinion
-from pipeline.datasets.doctor.units import UNITS, only_unit
 from pipeline.datasets.settings import FILE_NAME
 from pipeline.geometry.pose_convention import STANDARD
 from pipeline.language.counted import counted
@@ -264,3 +262,26 @@ def _with_intrinsics(found: list[Opinion], best: Hypothesis, search: PosedViews)
         mend, option = {"intrinsics": four}, f"--intrinsics {','.join(f'{n:g}' for n in four)}"
     of_camera = (replace(o, mend=mend, option=option) if o.state == "wrong" else o for o in (focal, center))
     return [*found[:-2], *of_camera]
+
+
+ODD, EVEN = 0.08, 0.04
+"""One so far off the middle is rare, by shares of the width, and one so near to it common."""
+
+
+def center_by_middle(K: np.ndarray, size: tuple[int, int]) -> tuple[Opinion | None, Cause]:
+    """Opinion on the principal point, None without evidence, and the cause: swapped numbers or another image size.
+
+    `K` (3, 3) float64; `size` (int, int): Height and width, pixels.
+    """
+    middle = np.array([(size[1] - 1) / 2, (size[0] - 1) / 2])
+    told = float(np.abs(K[:2, 2] - middle).max())
+    text, evidence = f"it is {told:.0f} pixels off the middle of the picture", {"off_middle": round(told, 1)}
+    if told <= EVEN * size[1]:
+        return Opinion("principal point", "fine", text, evidence=evidence), AS_READ
+    for cause in other_centers(K, size) if told > ODD * size[1] else ():
+        then = float(np.abs(np.array(cause.mend["intrinsics"][2:]) - middle).max())
+        if cause.words != MIDDLE and then <= EVEN * size[1]:
+            evidence |= {f"off_middle_{'swapped' if cause.words == SWAPPED else 'resized'}": round(then, 1)}
+            text = f"{text}, and {then:.0f} with {cause.words}"
+            return Opinion("principal point", "wrong", text, evidence=evidence), cause
+    return None, AS_READ

@@ -8,8 +8,19 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.datasets.doctor.causes import AS_READ, Cause, causes, late
-from pipeline.datasets.doctor.hypotheses import LEAST_MET, SURE, Hypothesis, by_block, posed, score, surely_positive
+from pipeline.datasets.doctor.hypotheses import (
+    AS_READ,
+    LEAST_MET,
+    SURE,
+    Cause,
+    Hypothesis,
+    by_block,
+    causes,
+    late,
+    posed,
+    score,
+    surely_positive,
+)
 from pipeline.datasets.doctor.seen import Seen
 from pipeline.geometry.landing import Views, detail_of
 
