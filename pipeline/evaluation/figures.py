@@ -13,7 +13,7 @@ from pipeline.datasets.base import load_picture
 from pipeline.evaluation.browsing import RunRows, labelled_boxes
 from pipeline.evaluation.comparing import Comparison, compare
 from pipeline.evaluation.confusion import Confusion, answer_standings, count_standings
-from pipeline.evaluation.loss_plots import MOST_SHOWN
+from pipeline.evaluation.plots import MOST_SHOWN
 from pipeline.evaluation.run_folder import Run
 from pipeline.evaluation.search import Field, completions
 from pipeline.evaluation.slices import Slices, slice_by

@@ -20,13 +20,11 @@ from pipeline.evaluation.grounding_tables import (
     problem_warnings,
     recorded_config,
 )
-from pipeline.evaluation.loss_plots import draw_diagnosis
-from pipeline.evaluation.plots import draw, draw_relations
+from pipeline.evaluation.plots import draw, draw_diagnosis, draw_relations
 from pipeline.evaluation.records import read_records, records_schema
 from pipeline.evaluation.relation_cases import RelationSpec, labelled_detector
-from pipeline.evaluation.relation_job import measure_relations, relation_sink
 from pipeline.evaluation.relation_records import RelationRecords
-from pipeline.evaluation.relation_report import shares_by_title
+from pipeline.evaluation.relation_report import measure_relations, relation_sink, shares_by_title
 from pipeline.evaluation.run import Progress, evaluate_labels, median_confidence
 from pipeline.evaluation.run_folder import RUN_FILE, Run, open_run, read_manifest, spec_record
 from pipeline.evaluation.shared_makers import (

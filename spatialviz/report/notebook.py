@@ -16,7 +16,7 @@ from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.oracles import shown_oracle
 from pipeline.diagnosis.verdict import Diagnosis
-from pipeline.evaluation.loss_plots import LOSS_COLORS, VERDICT_COLORS
+from pipeline.evaluation.plots import LOSS_COLORS, VERDICT_COLORS
 from pipeline.evaluation.run_folder import Failure, Failures, Run
 from pipeline.evaluation.summary import cost_words, summarise_run
 from pipeline.geometry.palette import ON_LIGHT, hex_color, ink

@@ -10,8 +10,7 @@ from chat_server import ChatServer, Make, Script, completion, error
 from scenes import frame_of, upright
 
 from pipeline.geometry import Frame
-from pipeline.paper.questions import ground_many, score_pairs
-from pipeline.paper.view import PADDING, view_of
+from pipeline.paper.questions import PADDING, ground_many, score_pairs, view_of
 from pipeline.system import InputError
 
 
