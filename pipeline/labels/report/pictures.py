@@ -28,6 +28,7 @@ from pipeline.labels.report.style import (
     QUIET,
     bare,
     new_figure,
+    new_plot,
     percent,
     relation_color,
     short,
@@ -54,7 +55,7 @@ LARGEST_SET = 8
 def draw_states(statistics: dict[str, Any]) -> Figure:
     """Draw the shares of T, U and F by relation."""
     relations, cells = statistics["relations"], statistics["cells"]
-    figure = new_figure(
+    figure, axes = new_plot(
         HALF,
         60 + 34 * len(relations),
         "There are no pairs of objects"
@@ -62,13 +63,11 @@ def draw_states(statistics: dict[str, Any]) -> Figure:
         else f"{percent(cells['u_share'])} of all relation labels are too close to call",
         "Ordered pairs for which a relation holds (full), is in doubt (hatched), or does not hold (pale).",
     )
-    axes = figure.subplots()
     if not cells["T"] + cells["U"] + cells["F"]:
         return without_data(figure, axes, "no pairs")
     for row, (name, entry) in enumerate(relations.items()):
         total = max(entry["T"] + entry["U"] + entry["F"], 1)
-        t, u = entry["T"] / total, entry["U"] / total
-        color = relation_color(name)
+        t, u, color = entry["T"] / total, entry["U"] / total, relation_color(name)
         axes.barh(row, 1 - t - u, left=t + u, height=0.68, color=PALE)
         axes.barh(row, u, left=t, height=0.68, color="white", edgecolor=color, hatch="//////", linewidth=0)
         axes.barh(row, t, height=0.68, color=color)
@@ -76,8 +75,8 @@ def draw_states(statistics: dict[str, Any]) -> Figure:
             axes.text(x, row, percent(value), ha="right", va="center", fontsize=9)
     for x, text in zip(SHARE_AT, ("holds", "in doubt"), strict=True):
         axes.text(x, -0.78, text, ha="right", va="center", fontsize=9, color=QUIET)
-    axes.set_yticks(range(len(relations)), list(relations))
-    axes.set(ylim=(len(relations) - 0.5, -1), xlim=(0, 1), xlabel="share of ordered pairs")
+    rows = {"yticks": range(len(relations)), "yticklabels": list(relations), "ylim": (len(relations) - 0.5, -1)}
+    axes.set(**rows, xlim=(0, 1), xlabel="share of ordered pairs")
     axes.xaxis.set_major_formatter(whole_percent)
     bare(axes)
     return figure
@@ -86,7 +85,7 @@ def draw_states(statistics: dict[str, Any]) -> Figure:
 def draw_ambiguity(statistics: dict[str, Any]) -> Figure:
     """Draw the number of acceptable objects of expressions."""
     ambiguity = statistics["ambiguity"]
-    figure = new_figure(
+    figure, axes = new_plot(
         HALF,
         60 + 34 * len(statistics["relations"]),
         "There are no expressions"
@@ -94,7 +93,6 @@ def draw_ambiguity(statistics: dict[str, Any]) -> Figure:
         else f"{percent(ambiguity['share'])} of the expressions have more than one right answer",
         "Expressions by the number of objects that satisfy them, undecided ones included.",
     )
-    axes = figure.subplots()
     if not ambiguity["expressions"]:
         return without_data(figure, axes, "no expressions")
     counts = np.zeros(LARGEST_SET, np.int64)
@@ -103,8 +101,8 @@ def draw_ambiguity(statistics: dict[str, Any]) -> Figure:
     last = max(int(np.flatnonzero(counts)[-1]) + 1, 3)
     bars = axes.bar(range(1, last + 1), counts[:last], width=0.68, color=[DARK] + [LIGHT] * (last - 1))
     axes.bar_label(bars, [thousands(c) for c in counts[:last]], padding=3, fontsize=9)
-    axes.set_xticks(range(1, last + 1), [f"{k}+" if k == LARGEST_SET else str(k) for k in range(1, last + 1)])
-    axes.set(xlabel="acceptable objects", ylabel="expressions")
+    sizes = [f"{k}+" if k == LARGEST_SET else str(k) for k in range(1, last + 1)]
+    axes.set(xticks=range(1, last + 1), xticklabels=sizes, xlabel="acceptable objects", ylabel="expressions")
     axes.yaxis.set_major_formatter(thousands)
     axes.tick_params(length=0)
     axes.margins(y=0.1)
@@ -156,7 +154,7 @@ def draw_classes(statistics: dict[str, Any]) -> Figure:
     classes = statistics["classes"]
     shown, others = list(classes)[:CLASSES_SHOWN], list(classes.values())[CLASSES_SHOWN:]
     usable, objects = statistics["counts"]["objects_usable"], statistics["counts"]["objects"]
-    figure = new_figure(
+    figure, axes = new_plot(
         HALF,
         class_rows_height(statistics),
         f"{percent(usable / objects)} of {thousands(objects)} objects can be asked for"
@@ -168,7 +166,6 @@ def draw_classes(statistics: dict[str, Any]) -> Figure:
     )
     from matplotlib.ticker import MaxNLocator
 
-    axes = figure.subplots()
     if not shown:
         return without_data(figure, axes, "no objects")
     rows, total = np.arange(len(shown)), [classes[name]["objects"] for name in shown]
@@ -177,8 +174,8 @@ def draw_classes(statistics: dict[str, Any]) -> Figure:
     for row, count in enumerate(total):
         axes.annotate(thousands(count), (count, row), (4, 0), textcoords="offset points", va="center", fontsize=8.5,
                       color=QUIET)  # fmt: skip
-    axes.set_yticks(rows, [short(name) for name in shown])
-    axes.set(ylim=(max(len(shown), FEWEST_ROWS) - 0.5, -0.5), xlabel="objects")
+    names, bottom = [short(name) for name in shown], max(len(shown), FEWEST_ROWS) - 0.5
+    axes.set(yticks=rows, yticklabels=names, ylim=(bottom, -0.5), xlabel="objects")
     axes.xaxis.set_major_formatter(thousands)
     axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
     axes.margins(x=0.1)
@@ -194,14 +191,13 @@ def draw_heat_map(statistics: dict[str, Any], found: Distributions) -> Figure:
         key=lambda item: (-item[1], item[0]),
     )
     names = [name for name, _ in asked[:CLASSES_SHOWN]]
-    figure = new_figure(
+    figure, axes = new_plot(
         FULL,
         110 + 30 * len(relations),
         _heat_title(asked),
         "Expressions by relation and class of their target"
         + (f"; the {len(names)} most frequent of {len(asked)} classes." if len(asked) > len(names) else "."),
     )
-    axes = figure.subplots()
     if not names:
         return without_data(figure, axes, "no expressions")
     from matplotlib.colors import LinearSegmentedColormap
@@ -385,14 +381,13 @@ def draw_margins(found: Distributions) -> Figure:
 def draw_sizes(found: Distributions, statistics: dict[str, Any]) -> Figure:
     """Draw box sizes by class."""
     sizes = sorted(found.sizes, key=lambda s: (-s.longest[1], s.label))
-    figure = new_figure(
+    figure, axes = new_plot(
         HALF,
         class_rows_height(statistics),
         _size_title(sizes),
         "Longest edge of the 3D boxes of objects that can be asked for (median; the line holds 8 of 10), and "
         "their shortest (ring: median).",
     )
-    axes = figure.subplots()
     if not sizes:
         return without_data(figure, axes, "no boxes")
     y = np.arange(len(sizes))
