@@ -358,9 +358,7 @@ def test_an_interrupt_is_heeded_while_answers_are_awaited(
         {"base_url": "localhost:8000"}, {"base_url": "ftp://host/v1"}, {"base_url": "http://"}, {"base_url": ""},
         {"base_url": "http://me:pw@host/v1"}, {"base_url": "http://host/v1?x=1"}, {"base_url": "http://h st/v1"},
         {"base_url": "http://host:99999/v1"}, {"model": " "}, {"api_key": "two words"}, {"api_key": "schlüssel"},
-        {"timeout_s": 0}, {"retries": -1}, {"requests_per_minute": 0}, {"max_tokens": 0},
-        {"extra": {"temperature": float("nan")}}, {"extra": {"messages": []}}, {"extra": {"stream": True}},
-        {"extra": {"a": {1}}},
+        {"requests_per_minute": 0},
     ],
 )  # fmt: skip
 def test_unusable_settings_are_refused(client_of: Make, options: dict[str, Any]) -> None:
@@ -371,17 +369,6 @@ def test_unusable_settings_are_refused(client_of: Make, options: dict[str, Any])
 def test_addresses_may_end_in_many_ways(server: ChatServer, client_of: Make) -> None:
     for ending in ("", "/", "/chat/completions", "/chat/completions/", "  "):
         assert client_of(base_url=server.url + ending).base_url == server.url
-
-
-@pytest.mark.parametrize("image", [np.zeros((4, 4), np.uint8), np.zeros((4, 4, 3)), np.zeros((0, 4, 3), np.uint8), "x"])
-def test_what_is_no_picture_is_refused(client_of: Make, image: Any) -> None:
-    with pytest.raises(InputError, match="uint8"):
-        client_of().ask("q", image)
-
-
-def test_a_question_without_words_is_refused(client_of: Make) -> None:
-    with pytest.raises(InputError, match="without words"):
-        client_of().ask(" ", flat())
 
 
 def test_without_the_library_its_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
