@@ -21,9 +21,9 @@ from pipeline.evaluation.browsing import RunRows
 from pipeline.evaluation.comparing import CHANGES, Comparison, answer_differences, compare
 from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.querying import QueryRows, open_database
-from pipeline.evaluation.recorded import doubts_of
 from pipeline.evaluation.records import read_records
 from pipeline.evaluation.relation_cases import RelationSpec, uses_language
+from pipeline.evaluation.run_figures import doubts_of
 from pipeline.evaluation.run_folder import labels_of, manifest_of, open_run
 from pipeline.evaluation.search import among_failures, find_failures
 from pipeline.evaluation.sentence_report import SentenceReport, evaluate_sentences

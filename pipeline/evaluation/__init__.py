@@ -14,16 +14,24 @@ if TYPE_CHECKING:
     from pipeline.evaluation.comparing import CHANGES, answer_differences, compare
     from pipeline.evaluation.costs import oracle_deltas
     from pipeline.evaluation.facets import with_value
-    from pipeline.evaluation.figures import STANDS_IN, Listing, RunFigures, figures_of
     from pipeline.evaluation.importing import export_run, import_run
     from pipeline.evaluation.job import RunReport, evaluate_dataset
     from pipeline.evaluation.judging_again import judge_again
     from pipeline.evaluation.querying import open_database
-    from pipeline.evaluation.recorded import Recorded, doubts_of, judged_by, recorded_verdict
     from pipeline.evaluation.records import read_records
     from pipeline.evaluation.relation_cases import RelationSpec
     from pipeline.evaluation.robospatial import Question, published_right, read_question_answers, read_questions
     from pipeline.evaluation.run import evaluate_labels
+    from pipeline.evaluation.run_figures import (
+        STANDS_IN,
+        Listing,
+        Recorded,
+        RunFigures,
+        doubts_of,
+        figures_of,
+        judged_by,
+        recorded_verdict,
+    )
     from pipeline.evaluation.run_folder import Run, open_run, spec_record
     from pipeline.evaluation.search import complete, find_failures, find_rows
     from pipeline.evaluation.search_words import quote

@@ -29,37 +29,14 @@ ACC_NOTE = (
 )
 
 
-@dataclass(frozen=True)
-class Shares:
-    """How many of some sentences were read, answered and right.
-
-    Attributes
-    ----------
-    read, answered, right : Estimate
-        Of all of them.
-    refused_rightly : Estimate
-        Of those where nothing is right.
-    told : Estimate
-        Of those that are not right: refused with a reason, and not answered wrongly.
-    """
-
-    sentences: int
-    read: Estimate
-    answered: Estimate
-    right: Estimate
-    refused_rightly: Estimate
-    told: Estimate
-
-    def record(self) -> dict[str, Any]:
-        figures = {name: getattr(self, name).record() for name in SHARES}
-        return {"sentences": self.sentences, **figures}
-
-
 SHARES = {
     "read": "read", "answered": "answered", "right": "right", "refused_rightly": "refused rightly",
     "told": "refused of not right",
 }  # fmt: skip
-"""The shares and their columns in the table."""
+"""Shares and their columns in the table: of all sentences; `refused_rightly` of those where nothing is right; `told`,
+refused with a reason, of those that are not right."""
+Shares = dict[str, "Estimate | int"]
+"""How many `sentences`, and each of SHARES."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +87,7 @@ class SentenceReport:
             "In percent, with Wilson's 95 % intervals, each sentence for itself. Read: also what was refused rightly. "
         )
         note += "Refused rightly: of the sentences for which nothing is right."
-        rows = [Row(name, _cells(shares)) for name, shares in (*self.kinds.items(), ("all", self.overall))]
+        rows = [Row(name, tuple(shares.values())) for name, shares in (*self.kinds.items(), ("all", self.overall))]
         total = len(self.judged)
         failed = [Row(": ".join(filter(None, name)), (count, count / total)) for name, count in self.failures.items()]
         judged, costs = sum(self.verdicts.values()), self.deltas
@@ -150,8 +127,8 @@ class SentenceReport:
         return {
             "file": str(self.asked.path),
             "skipped": self.asked.skipped,
-            "all": self.overall.record(),
-            "kinds": {kind: shares.record() for kind, shares in self.kinds.items()},
+            "all": _record(self.overall),
+            "kinds": {kind: _record(shares) for kind, shares in self.kinds.items()},
             "verdicts": self.verdicts,
             "oracles": None if self.deltas is None else self.deltas.record(),
             "published": {
@@ -172,8 +149,8 @@ def _costs(found: Deltas) -> tuple[Row, ...]:
     return tuple(Row(name, cells) for name, cells in lines)
 
 
-def _cells(shares: Shares) -> tuple[int | Estimate, ...]:
-    return (shares.sentences, *(getattr(shares, name) for name in SHARES))
+def _record(shares: Shares) -> dict[str, Any]:
+    return {name: value if isinstance(value, int) else value.record() for name, value in shares.items()}
 
 
 def report_sentences(asked: SentenceFile, judged: Sequence[Judged]) -> SentenceReport:
@@ -192,14 +169,11 @@ def _shares(judged: Sequence[Judged]) -> Shares:
         counted = [j for j in judged if of(j)]
         return share_estimate(np.array([holds(j) for j in counted], np.bool_), [j.sentence.frame for j in counted])
 
-    return Shares(
-        sentences=len(judged),
-        read=share(lambda j: j.read),
-        answered=share(lambda j: j.answered),
-        right=share(lambda j: j.right),
-        refused_rightly=share(lambda j: j.right, lambda j: j.sentence.nothing),
-        told=share(lambda j: not j.answered, lambda j: not j.right),
-    )
+    return {
+        "sentences": len(judged), "read": share(lambda j: j.read), "answered": share(lambda j: j.answered),
+        "right": share(lambda j: j.right), "refused_rightly": share(lambda j: j.right, lambda j: j.sentence.nothing),
+        "told": share(lambda j: not j.answered, lambda j: not j.right),
+    }  # fmt: skip
 
 
 def evaluate_sentences(

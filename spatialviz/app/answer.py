@@ -13,7 +13,7 @@ from pipeline.diagnosis.stages import failed_stages
 from pipeline.diagnosis.verdict import MODULE_OF, ORACLE_WORDS, Diagnosis, shown_detail
 from pipeline.diagnosis.whatif.answer_view import BothAnswers, OtherAnswer
 from pipeline.diagnosis.whatif.changes import each_edit
-from pipeline.evaluation.recorded import Recorded, judged_by
+from pipeline.evaluation.run_figures import Recorded, judged_by
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.palette import VERDICTS, hex_color, palette
 from pipeline.language.counted import counted

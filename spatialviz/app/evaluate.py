@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from pipeline.evaluation.facets import with_value
-from pipeline.evaluation.figures import STANDS_IN, Listing, RunFigures, figures_of
+from pipeline.evaluation.run_figures import STANDS_IN, Listing, RunFigures, figures_of
 from pipeline.evaluation.run_notes import MARKS
 from pipeline.evaluation.search import FAILURES, complete
 from pipeline.system.errors import InputError

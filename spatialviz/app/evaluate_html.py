@@ -7,7 +7,7 @@ from typing import Any
 
 from pipeline.evaluation.comparing import CHANGES
 from pipeline.evaluation.facets import Facet, FacetValue
-from pipeline.evaluation.figures import Listing
+from pipeline.evaluation.run_figures import Listing
 from pipeline.evaluation.run_notes import MARKS, Notes
 from pipeline.geometry.palette import VERDICTS as COLORS
 from pipeline.geometry.palette import hex_color

@@ -11,8 +11,7 @@ from pipeline.diagnosis.oracles import NAMED_BY, shown_oracle
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.comparing import CHANGES, Comparison
 from pipeline.evaluation.confusion import NO_ANSWER, OTHERS, Confusion
-from pipeline.evaluation.figures import STANDS_IN, RunFigures
-from pipeline.evaluation.recorded import doubts_of
+from pipeline.evaluation.run_figures import STANDS_IN, RunFigures, doubts_of
 from pipeline.evaluation.search import FAILURES
 from pipeline.evaluation.search_words import quote
 from pipeline.evaluation.shared_makers import Share, title_of

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
-from pipeline.evaluation.figures import Drawn, RunFigures
+from pipeline.evaluation.run_figures import Drawn, RunFigures
 from pipeline.geometry.palette import ON_DARK, RGB
 from pipeline.system.errors import InputError
 from spatialviz.app.frames import IMAGES, jpeg_url
-from spatialviz.report.crop import Outline, Stroke, answer_crop
+from spatialviz.report.picture import Outline, Stroke, answer_crop
 
 STROKES: dict[Drawn, tuple[RGB, Stroke]] = {
     "answered target": (ON_DARK["target"], "thick"), "wrong target": ((236, 72, 78), "thick"),

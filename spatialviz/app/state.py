@@ -11,8 +11,7 @@ import numpy as np
 from pipeline.corrections.label_view import LabelView
 from pipeline.diagnosis.offers import Offers
 from pipeline.diagnosis.whatif.answer_view import AnswerView
-from pipeline.evaluation.figures import Listing
-from pipeline.evaluation.recorded import Recorded, recorded_verdict
+from pipeline.evaluation.run_figures import Listing, Recorded, recorded_verdict
 from pipeline.geometry.measure import Measurement, measure
 from spatialviz.app.url_state import CameraMode, Place, Task
 

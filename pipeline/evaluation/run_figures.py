@@ -1,4 +1,4 @@
-"""What is worked out of a run once for all who look at it: its rows, its figures, what of it a search lists."""
+"""A run worked out once for all who look: its rows, figures and lists; the verdicts of earlier versions in doubt."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
+from pipeline.answering.imported import file_of
 from pipeline.datasets.base import load_picture
+from pipeline.diagnosis.verdict import RULES_VERSION, Diagnosis
 from pipeline.evaluation.browsing import RunRows, labelled_boxes
 from pipeline.evaluation.comparing import Comparison, compare
 from pipeline.evaluation.confusion import Confusion, answer_standings, count_standings
@@ -18,8 +20,10 @@ from pipeline.evaluation.run_folder import Run
 from pipeline.evaluation.search import Field, completions
 from pipeline.evaluation.slices import Slices, slice_by
 from pipeline.evaluation.summary import RunSummary, summarise_run
+from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, require
 from pipeline.system.recent import Recent
+from pipeline.system.version import __version__
 
 STANDS_IN = "stands_in"
 """The column, and the field of a search, that says in which relation an answer stands."""
@@ -163,3 +167,75 @@ def _or_why(find: Callable[[], Found]) -> Found | str:
 def figures_of(run: Run, second: Run | None = None) -> RunFigures:
     """The figures of a run, the same for all."""
     return RunFigures(run, second)
+
+
+AGAIN = "spatialviz eval --judge-again RUN --out NEW"
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """The verdict on an expression as its run has it.
+
+    Attributes
+    ----------
+    said : str
+        In words.
+    """
+
+    verdict: str
+    detail: str | None
+    lucky: bool
+    said: str
+
+    def is_that(self, judged: Diagnosis | str | None) -> bool:
+        """Compare with a verdict of now."""
+        return isinstance(judged, Diagnosis) and (self.verdict, self.detail, self.lucky) == (
+            judged.verdict, judged.detail, judged.lucky,
+        )  # fmt: skip
+
+
+def recorded_verdict(row: Mapping[str, Any]) -> Recorded | None:
+    """Verdict of a row of a run's records; None without a verdict."""
+    if row.get("verdict") is None:
+        return None
+    return Recorded(row["verdict"], row.get("detail"), bool(row.get("lucky")), row.get("said") or "")
+
+
+def judged_by(manifest: Mapping[str, Any]) -> str:
+    """Version that judged a run, in words; empty for the rules of this version."""
+    version, rules = manifest.get("version", "?"), manifest.get("verdict_rules", 1)
+    if rules == RULES_VERSION:
+        return ""
+    return f"judged by spatialviz {version} with rules {rules} of verdicts (this is {__version__}, {RULES_VERSION})"
+
+
+def doubts_of(run: Run) -> tuple[str, ...]:
+    """Doubts about judgements of an earlier version, a sentence each; none of a run of this version."""
+    by = judged_by(run.manifest)
+    if not by:
+        return ()
+    found = [f"The run was {by}: {AGAIN} judges it again."]
+    names = set(run.records.column_names)
+    if {"verdict", "box"} <= names:
+        right = np.array(run.records.column("verdict").to_pylist(), object) == "CORRECT"
+        none = int((right & run.records.column("box").is_null().to_numpy(zero_copy_only=False)).sum())
+        found += [f"{counted(none, 'expression')} of it are called CORRECT without an answer."] if none else []
+    if run.spec.options.get("predictions") is not None:
+        found += [words] if (words := _repeated(run)) else []
+    return tuple(found)
+
+
+def _repeated(run: Run) -> str:
+    """Count lines of imported predictions with an id under several names, or several times under a name."""
+    try:
+        file = file_of(run.source)
+    except InputError:
+        return "Its predictions cannot be read any more, and may have been replaced where an id stands several times."
+    lines = file.lines.values()
+    ids = [[p.id for found in (line.proposals or {}).values() for p in found] for line in lines]
+    count = sum(len(set(of_line)) < len(of_line) for of_line in ids)
+    return (
+        f"In {count} of its {len(ids)} lines an id stands several times: not all of their numbers were used."
+        if count
+        else ""
+    )
