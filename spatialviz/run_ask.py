@@ -8,14 +8,13 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from pipeline.answering.answer_words import probability, why_no_answer, words_of_answer
+from pipeline.answering.answer_words import probability, reading_notes, why_no_answer, words_of_answer
 from pipeline.answering.ask import Trace
 from pipeline.answering.detector_prompts import taken_as, unused_words
 from pipeline.answering.json_records import frame_record, relation_records
 from pipeline.answering.objects import PreparedFrame, all_objects
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.pipeline import FrameRelations, Pipeline, open_pipeline, open_sources, relate_frames
-from pipeline.answering.reading_notes import reading_notes
 from pipeline.answering.suggestions import SURE, MissedNames, completions, missed_names
 from pipeline.datasets import Dataset, FrameReport, SurveyCounts, survey, write_settings
 from pipeline.datasets.camera_plan import CameraPlan, camera_plan

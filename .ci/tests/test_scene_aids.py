@@ -12,10 +12,10 @@ import pytest
 from pipeline.answering.frame_store import FrameStore
 from pipeline.answering.pipeline import Pipeline, open_pipeline
 from pipeline.datasets.demo import DEMO_EXPRESSION
+from pipeline.diagnosis.whatif.answer_view import shown_objects
 from pipeline.diagnosis.whatif.decision_map import decision_map
 from pipeline.diagnosis.whatif.edits import Edits
 from pipeline.diagnosis.whatif.rerun import Baseline
-from pipeline.diagnosis.whatif.shown import shown_objects
 from pipeline.geometry.floor_grid import floor_height
 from pipeline.geometry.palette import depth_ends, palette
 from spatialviz.app.channel import Call

@@ -7,14 +7,20 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.answering.answer_words import asked_in_part, best_pair, failing_links, holds, stands, why_no_answer
+from pipeline.answering.answer_words import (
+    asked_in_part,
+    best_pair,
+    failing_links,
+    holds,
+    reading_notes,
+    stands,
+    why_no_answer,
+)
 from pipeline.answering.ask import Trace
 from pipeline.answering.detector_prompts import taken_as, unused_words
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import Link, ScoredPair
 from pipeline.answering.pipeline import FrameRelations
-from pipeline.answering.reading_notes import reading_notes
-from pipeline.answering.worked_out import worked_out
 from pipeline.datasets.frame_reports import FrameReport
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.naming import Meaning
@@ -283,3 +289,34 @@ def frame_record(report: FrameReport) -> Record:
         "notes": list(report.notes),
         "dataset_notes": list(report.dataset_notes),
     } | present(moves=None if report.moves is None else dict(report.moves))
+
+
+ALWAYS = ("product", "probability", "log_factors")
+"""Numbers of a pair that no file gives."""
+
+
+def worked_out(trace: Trace, pair: ScoredPair) -> tuple[str, ...] | None:
+    """Names of a pair's computed numbers in `ask --json`; None without imported predictions."""
+    if trace.scores.given is None:
+        return None
+    weakest, first = pair.weakest, relation_given(trace, pair)
+    whole = first if weakest is None else _link_given(trace, weakest)
+    return (*("p_relation",) * (not first), *("relation_probability",) * (not whole), *ALWAYS)
+
+
+def relation_given(trace: Trace, pair: ScoredPair) -> bool:
+    """True for a relation given by the file, and for nothing imported or no relation."""
+    if pair.reference is None or not trace.relation:
+        return True
+    return _link_given(
+        trace, Link(trace.relation, pair.target, pair.reference, 1.0, pair.second_reference, trace.inverse)
+    )
+
+
+def _link_given(trace: Trace, link: Link) -> bool:
+    scores = trace.scores
+    ends = (link.b, link.a) if link.inverse else (link.a, link.b)
+    if link.relation in scores.relations or scores.given is None:
+        return link.relation not in scores.worked_out(*ends)
+    third = () if link.c is None else (link.c,)
+    return tuple(trace.objects[k].id for k in (*ends, *third)) in scores.beyond.get(link.relation, {})

@@ -28,7 +28,7 @@ from pipeline.answering.pipeline import Pipeline
 from pipeline.answering.ranking import Candidates
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.oracles import ALL_ORACLES, STATE_PROBABILITY
-from pipeline.diagnosis.sentence_substitution import SubstitutedTree
+from pipeline.diagnosis.substitution import SubstitutedTree
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, Case, FrameCases, Meant
 from pipeline.language.naming import match, spelt

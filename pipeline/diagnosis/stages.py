@@ -9,8 +9,8 @@ from typing import Any, Literal, TypeAlias
 from pipeline.answering.answer_words import best_pair, probability, why_no_answer
 from pipeline.answering.ask import Trace
 from pipeline.answering.detector_prompts import taken_as, unused_words
+from pipeline.answering.json_records import relation_given
 from pipeline.answering.pair_table import HOLDS, ScoredPair
-from pipeline.answering.worked_out import relation_given
 from pipeline.diagnosis.verdict import MODULE_OF, Diagnosis
 from pipeline.language.counted import counted
 from pipeline.language.glossary import glossary

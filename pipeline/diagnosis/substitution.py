@@ -1,17 +1,28 @@
-"""Rank an expression with every subset of the oracles (see `oracles`)."""
+"""Rank an expression with every subset of the oracles (see `oracles`); a sentence by solving its whole tree anew."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import prod
+
 import numpy as np
 
+from pipeline.answering.evidence import ATTRIBUTE_HOLDS, HOLDS, SceneEvidence
+from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import (
+    MIN_RELATION,
+    PairTable,
+    ScoredPair,
     Side,
     one_object_twice,
     pair_table,
     side,
 )
+from pipeline.answering.ranking import Candidates, SolvedReading, solve
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.oracles import (
+    ALL_ORACLES,
     CONF,
     LIFT,
     RECALL,
@@ -19,11 +30,17 @@ from pipeline.diagnosis.oracles import (
     SUBSETS,
     CandidateSet,
     OracleScores,
+    decided,
+    margins_of,
     relation_of,
     role_of,
 )
-from pipeline.diagnosis.sentence_substitution import substitute_sentence
-from pipeline.labels.cases import HIT, Case
+from pipeline.geometry.frame import Frame
+from pipeline.geometry.viewer import ViewerAxes
+from pipeline.labels.cases import HIT, Case, Meant
+from pipeline.language.attributes import Attribute
+from pipeline.language.tree import Attachment
+from pipeline.relations.scorer import probabilities_beyond
 
 
 def substitute(evidence: FrameEvidence, case: Case) -> OracleScores:
@@ -72,3 +89,198 @@ def _side(role: CandidateSet, conf: np.ndarray, weight: float, scores: tuple[flo
     true = np.where(role.object >= 0, *scores)
     both = side(role.index, np.stack([role.scores, true]), weight)
     return Side(both.index, both.scores[conf], both.log[conf])
+
+
+@dataclass(frozen=True, eq=False)
+class SentenceScores(OracleScores):
+    """Sentence pairs under all subsets of the oracles, with the solved tree."""
+
+    tree: SubstitutedTree
+
+    def pair_at(self, at: int) -> ScoredPair:
+        """Pair of `plain` with links and factors."""
+        solved, columns = self.tree.solved(0), self.covered.shape[1]
+        pair = solved.pair(at // columns * prod(solved.table.shape[1:]) + at % columns)
+        return self.tree.of_frame(replace(self.plain.pair(at), links=pair.links, factors=pair.factors))
+
+    def decided_margin(self, subset: int) -> float:
+        """Margin by decided relations and attributes."""
+        table = self.tree.solved(subset, decide=True).table
+        return float(margins_of(table, self.covered[: table.shape[0], : prod(table.shape[1:])])[0])
+
+
+def substitute_sentence(evidence: FrameEvidence, case: Case, meant: Meant) -> SentenceScores:
+    """Rank a sentence's pairs with every subset of the oracles; `meant` is that of the case."""
+    tree, top = SubstitutedTree(evidence, meant), meant.root.pairwise
+    roles = [tree.roles[name] for name in (meant.root.label, *(() if top is None else (top.nodes[0].label,)))]
+    shape = tuple(len(role.index) for role in roles)
+    subsets = 2 * SUBSETS if meant.attributes else SUBSETS
+    log, p = np.full((subsets, *shape), -np.inf), np.full((subsets, *shape), MIN_RELATION)
+    sides = [np.zeros((2, subsets, n)) for n in shape]
+    for subset in range(subsets):
+        table = tree.solved(subset).table
+        part = (subset, *(slice(n) for n in table.shape))
+        log[part], p[part] = table.log_score, table.p_relation
+        for both, part_side in zip(sides, (table.target, *table.ends), strict=True):
+            both[:, subset, : len(part_side.index)] = part_side.scores, part_side.log
+    target, *ends = (Side(role.index, *both) for role, both in zip(roles, sides, strict=True))
+    config = evidence.answers.source.config.rank
+    hits = [(role.overlap >= HIT).astype(np.int32) for role in roles]
+    right = np.asarray(hits[0][:, case.acceptable].any(axis=1))
+    covered = right[:, None]
+    if top is not None:
+        covered = (hits[0] @ evidence.truth.acceptable_pairs(case).astype(np.int32) @ hits[1].T) > 0
+    return SentenceScores(
+        target=roles[0],
+        reference=_no_one(evidence) if top is None else roles[1],
+        table=PairTable(target, tuple(ends), p, log, evidence.mask_sizes, config),
+        p_relation=p,
+        covered=covered,
+        right=right,
+        tree=tree,
+    )
+
+
+class SubstitutedTree:
+    """Sentence solved with some modules replaced by the truth.
+
+    Candidates of all names stand in a single list of G entries, those of each name under its own.
+    """
+
+    def __init__(self, evidence: FrameEvidence, meant: Meant) -> None:
+        self._evidence, self._meant = evidence, meant
+        self.roles = {name: role_of(evidence, name, asked) for name, asked in meant.classes.items()}
+        stops = np.cumsum([len(role.index) for role in self.roles.values()])
+        self._entries = {
+            name: np.arange(stop - len(role.index), stop)
+            for (name, role), stop in zip(self.roles.items(), stops, strict=True)
+        }
+        parts = ("index", "scores", "object", "shape_of", "overlap")
+        joined = {part: np.concatenate([getattr(role, part) for role in self.roles.values()]) for part in parts}
+        self._all = everything = CandidateSet(found=0, **joined)
+        grid, shape = np.ix_(everything.index, everything.index), everything.shape_of
+        two = (shape[:, None] >= 0) & (shape[None] >= 0) & (shape[:, None] != shape[None])
+        same = evidence.same[grid]
+        self._same = same, np.where(two, evidence.same_box[grid], same)
+        self._relations: dict[str, np.ndarray] = {}
+        self._scenes: dict[tuple[int, bool, bool], SubstitutedEvidence] = {}
+        self._judged: tuple[dict, dict] = ({}, {})
+
+    def solved(self, subset: int, decide: bool = False) -> SolvedReading:
+        """Tree under a subset of the oracles; with `decide` relations and attributes as in `decided_margin`."""
+        recall, lift, srm, conf, attribute = (subset >> k & 1 for k in range(len(ALL_ORACLES)))
+        every = self._all
+        true = self._evidence.answers.source.config.rank.true_scores
+        scores = np.where(every.object >= 0, *true) if conf else every.scores
+        candidates = {}
+        for name, role in self.roles.items():
+            there = self._entries[name][: None if recall else role.found]
+            candidates[name] = Candidates(there, scores[there])
+
+        objects, known = self._evidence.answers.objects, self._evidence.detections
+        ids = [objects[k].id if k < known else -1 for k in every.index.tolist()]
+        beyond = getattr(self._evidence.answers.source.scorer, "beyond", {})
+
+        def lookup(attachment: Attachment, heads: np.ndarray, ends: Sequence[np.ndarray]) -> np.ndarray:
+            relation = attachment.relation
+            if relation not in self._evidence.truth.states:
+                given = beyond.get(relation)
+                # The truth of these is what the rule says of true boxes.
+                true = int(lift or (srm and given is not None))
+                lifted = [o.lifted for o in self._scene(true, False, False).objects]
+                given = None if srm else self._still_given(given, ids) if lift else given
+                p = probabilities_beyond(relation, lifted, heads, ends, self._same[lift], given, ids)
+            else:
+                if relation not in self._relations:
+                    self._relations[relation] = relation_of(self._evidence, relation, every, every)
+                table = self._relations[relation][lift, srm]
+                p = table[np.ix_(ends[0], heads)].T if attachment.inverse else table[np.ix_(heads, ends[0])]
+            return decided(p, HOLDS) if decide else p
+
+        scene = self._scene(lift, bool(attribute), decide)
+        config = self._evidence.answers.source.config.rank.of(ids)
+        sizes = self._evidence.mask_sizes[every.index]
+        return solve(self._meant.root, candidates, lookup, self._same[lift], sizes, config, scene)
+
+    def _still_given(
+        self, given: Mapping[tuple[int, ...], float] | None, ids: Sequence[int]
+    ) -> Mapping[tuple[int, ...], float] | None:
+        """Given probabilities of objects with true boxes: true boxes say nothing else of them."""
+        if not given:
+            return given
+        off = self._evidence.off(self._all.index, self._all.shape_of)
+        wrong = {i for i, gone in zip(ids, off.tolist(), strict=True) if gone}
+        return {row: p for row, p in given.items() if wrong.isdisjoint(row)}
+
+    def attribute(self, name: str, attribute: Attribute) -> np.ndarray | None:
+        """(K,) float64: attribute of all candidates of a name by true pixels and boxes; None where not judged."""
+        return self._scene(1, False, False).attribute(attribute, self._entries[name])
+
+    def of_frame(self, pair: ScoredPair) -> ScoredPair:
+        """Pair with entries of this list renumbered as in the evidence."""
+        index = self._all.index.tolist()
+        return replace(
+            pair,
+            factors=tuple(replace(f, object=index[f.object]) for f in pair.factors),
+            links=tuple(
+                replace(k, a=index[k.a], b=index[k.b], c=None if k.c is None else index[k.c]) for k in pair.links
+            ),
+        )
+
+    def _scene(self, lift: int, attribute: bool, decide: bool) -> SubstitutedEvidence:
+        key = (lift, attribute, decide)
+        if key not in self._scenes:
+            context = self._evidence.answers.context
+            told: dict[str, np.ndarray] = {}
+            for (name, text), known in self._meant.attributes.items() if attribute else ():
+                entries, objects = self._entries[name], self.roles[name].object
+                told.setdefault(text, np.full(len(self._all.index), np.nan))[entries] = np.where(
+                    objects >= 0, known[objects], np.nan
+                )
+            self._scenes[key] = SubstitutedEvidence(
+                self._objects(lift), context.frame, context.viewer, self._judged[lift], told, decide
+            )
+        return self._scenes[key]
+
+    def _objects(self, lift: int) -> list[SceneObject]:
+        every, evidence = self._all, self._evidence
+        shown = np.where(every.shape_of >= 0, evidence.detections + every.shape_of, every.index)
+        return [evidence.object_at(int(k)) for k in (shown if lift else every.index)]
+
+
+class SubstitutedEvidence(SceneEvidence):
+    """Attributes of a sentence's candidates, with some replaced by the truth.
+
+    `told`: (G,) float64 by attribute, NaN for kept values; `decide`: attributes count as .99 where present and .01
+    elsewhere; `judged`: cache of judgements by pixels and boxes.
+    """
+
+    def __init__(
+        self,
+        objects: Sequence[SceneObject],
+        frame: Frame,
+        viewer: ViewerAxes,
+        judged: dict[tuple[str, bytes], np.ndarray | None],
+        told: dict[str, np.ndarray],
+        decide: bool,
+    ) -> None:
+        super().__init__(objects, frame, viewer)
+        self._judged, self._told, self._decides = judged, told, decide
+
+    def attribute(self, attribute: Attribute, index: np.ndarray) -> np.ndarray | None:
+        """Attribute as by `SceneEvidence.attribute`, replaced where told."""
+        text = str(attribute)
+        key = text, index.tobytes()
+        if key not in self._judged:
+            self._judged[key] = super().attribute(attribute, index)
+        found = self._judged[key]
+        if text in self._told:
+            told = self._told[text][index]
+            found = np.where(np.isnan(told), HOLDS if found is None else found, told)
+        return decided(found, ATTRIBUTE_HOLDS) if self._decides and found is not None else found
+
+
+def _no_one(evidence: FrameEvidence) -> CandidateSet:
+    """Empty reference."""
+    none = np.array([-1])
+    return CandidateSet(none, 1, np.ones(1), none, none, np.zeros((1, evidence.labelled)))

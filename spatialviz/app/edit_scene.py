@@ -12,9 +12,8 @@ import numpy as np
 import viser.transforms as vtf
 
 from pipeline.diagnosis.whatif import Outcome
-from pipeline.diagnosis.whatif.asked_pair import REACH, asked_pair
 from pipeline.diagnosis.whatif.decision_map import DecisionMap
-from pipeline.diagnosis.whatif.placement import pulled
+from pipeline.diagnosis.whatif.placement import REACH, asked_pair, pulled
 from pipeline.diagnosis.whatif.region import Region
 from pipeline.geometry.boxes import Box3D, edge_lines
 from pipeline.geometry.floor_grid import over_floor

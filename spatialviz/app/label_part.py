@@ -13,7 +13,7 @@ from pipeline.corrections.label_editor import LabelEditor, Outcome
 from pipeline.corrections.label_view import ANYTHING, LabelView, Target
 from pipeline.corrections.scene import labelled_objects
 from pipeline.corrections.wording import consequences, outcome_text
-from pipeline.diagnosis.whatif.shown import ShownObjects
+from pipeline.diagnosis.whatif.answer_view import ShownObjects
 from pipeline.system.errors import needed, require
 from spatialviz.app.channel import Command
 from spatialviz.app.context import Part

@@ -15,8 +15,7 @@ import numpy as np
 import viser
 import viser.transforms as vtf
 
-from pipeline.diagnosis.whatif.answer_view import Ghost
-from pipeline.diagnosis.whatif.shown import ShownObjects
+from pipeline.diagnosis.whatif.answer_view import Ghost, ShownObjects
 from pipeline.diagnosis.whatif.state import CameraView
 from pipeline.geometry.boxes import CUBE, CUBE_FACES, Box3D, boxes_on_ray, edge_lines
 from pipeline.geometry.camera import Camera

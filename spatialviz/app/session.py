@@ -18,7 +18,7 @@ from pipeline.datasets.base import dataset_notes, named_frame
 from pipeline.datasets.demo import DEMO_EXPRESSION
 from pipeline.diagnosis.offers import Offers, first_question, offers_of
 from pipeline.diagnosis.verdict import Diagnosis
-from pipeline.diagnosis.whatif.shown import NOTHING, shown_objects
+from pipeline.diagnosis.whatif.answer_view import NOTHING, shown_objects
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.system.errors import InputError, UnknownClass, require

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from slow_cases import mostly_slow
 
 from pipeline.answering import FittedRanking
-from pipeline.answering.pair_standing import standing
+from pipeline.answering.fitted_ranking import standing
 
 RELATION_SHARES = 18
 """The first column of shares: of the relation, among the pairs of the same target."""
