@@ -59,15 +59,15 @@ class Draft:
         return None if self.number is None else object_ref(self.frame, self.number, "mask")
 
     def back(self) -> Draft:
-        """Without its last step."""
+        """Draft without the last step."""
         return replace(self, at=max(self.at - 1, 0))
 
     def forth(self) -> Draft:
-        """With the step that was taken back last."""
+        """Draft with the step taken back last."""
         return replace(self, at=min(self.at + 1, len(self.steps) - 1))
 
     def after(self, *parts: np.ndarray) -> Draft:
-        """Add a step, in place of those taken back."""
+        """Add a step, in place of steps taken back."""
         step = tuple(encode_run_length(np.ascontiguousarray(p)) for p in parts)
         if step == self.steps[self.at]:
             return self
@@ -76,14 +76,14 @@ class Draft:
 
 
 def new_draft(frame: EffectiveFrame, number: int | None) -> Draft:
-    """Begin a draft of an object, or of a new one; InputError for no such object."""
+    """Begin a draft of an old or new object; InputError for no such object."""
     mask = np.zeros(frame.size, np.bool_) if number is None else pixels_of(frame, number)
     version = 0 if number is None else frame.version(object_ref(frame.frame, number, "mask"))
     return Draft(frame.frame, number, *frame.size, version, ((encode_run_length(mask),),))
 
 
 def with_gesture(draft: Draft, gesture: Gesture, canvas: Canvas | None = None) -> Draft:
-    """Apply a gesture; InputError where it means nothing."""
+    """Apply a gesture; InputError for a meaningless gesture."""
     if gesture.kind != "cut":
         require(len(draft.parts) <= 1, "the object is cut", cause="apply the parts, or take the cut back, then draw")
         return draft.after(applied(draft.mask, gesture, canvas))
@@ -110,7 +110,7 @@ def with_depth_split(draft: Draft, canvas: Canvas) -> Draft:
 
 
 def edits_of_draft(draft: Draft, frame: EffectiveFrame, label: str = "") -> Edits:
-    """Edits of one action that save a draft; `label` is the class of a new object.
+    """Edits for saving a draft; `label` is the class of a new object.
 
     InputError for no change, no pixel, no class, or pixels that somebody else has changed.
     """
@@ -177,7 +177,7 @@ def split_by_line(mask: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def split_by_depth(mask: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Split a mask (H, W) bool where no surface of the depth (H, W), metres, joins it; the largest first.
+    """Split a mask (H, W) bool where no surface of the depth (H, W), metres, joins the parts; the largest first.
 
     Pixels without depth, and small parts, go to the nearest part. InputError for one part, or too many.
     """

@@ -60,11 +60,11 @@ class JournalLocation:
 
     @property
     def words(self) -> tuple[str, ...]:
-        """Options of a command that find this journal."""
+        """Command options for this journal."""
         return journal_words(self.where, self.project)
 
     def to_read(self) -> Journal | None:
-        """Open the journal; None where nothing was ever corrected; InputError where it cannot be opened."""
+        """Open the journal; None where nothing was ever corrected; InputError where opening fails."""
         if self._journal is None and (self.where is None or not is_url(self.where)):
             path = self.labels.root / JOURNAL_FILE if self.where is None else Path(self.where).expanduser()
             if not path.exists():
@@ -72,7 +72,7 @@ class JournalLocation:
         return self.to_write()
 
     def to_write(self) -> Journal:
-        """Open the journal, or make it; InputError where it cannot be opened, or not yet."""
+        """Open or make the journal; InputError on failure, or while opening."""
         if self._journal is not None:
             return self._journal
         with self._lock:
@@ -85,7 +85,7 @@ class JournalLocation:
             raise InputError("the journal cannot be opened", got="it does not answer yet", path=str(self)) from None
 
     def check(self) -> str:
-        """Open a journal that exists; the reason where it cannot be reached now, else ""; DamagedJournal for damage."""
+        """Open an existing journal; the reason where out of reach now, else ""; DamagedJournal for damage."""
         try:
             self.to_read()
         except InputError as error:
@@ -95,7 +95,7 @@ class JournalLocation:
         return ""
 
     def _open(self) -> Future[Journal]:
-        """Open on a thread, so that a silent database holds nobody up."""
+        """Open on a thread: a silent database holds nobody up."""
         opening: Future[Journal] = Future()
 
         def work() -> None:
@@ -126,7 +126,7 @@ class JournalLocation:
 
 
 def journal_words(where: str | Path | None, project: str | None = None) -> tuple[str, ...]:
-    """Options of a command that find a journal, without a password."""
+    """Command options for a journal, without a password."""
     words = () if where is None else ("--journal", without_password(where))
     return words if project is None else (*words, "--project", project)
 
@@ -161,7 +161,7 @@ def dump_unsaved(location: JournalLocation, folders: Sequence[Path] | None = Non
 
 
 def _written(lists: list[list[dict]], author: str, folders: Sequence[Path]) -> tuple[Path, ...]:
-    """Write the files into the first folder that takes all of them; () for none."""
+    """Write the files into the first folder with room for all; else ()."""
     stem = "-".join(("unsaved", re.sub(r"[^A-Za-z0-9]+", "_", author), datetime.now().strftime("%Y%m%d-%H%M%S")))
     for folder in folders:
         files: list[Path] = []

@@ -38,7 +38,7 @@ class Judge:
         self._kept: tuple[tuple[str, str, bytes], EffectiveFrame | None, FrameCases | None] | None = None
 
     def labels(self, name: str) -> Labels | None:
-        """Labels of a source that hold its truth."""
+        """Labels with the truth of a source."""
         return self._runs[name].labels if name in self._runs else self._labels.get(name)
 
     def truth(self, name: str, source: Pipeline, context: PreparedFrame) -> FrameCases | None:
@@ -57,7 +57,7 @@ class Judge:
         return self._kept[2]
 
     def labelled(self, name: str, source: Pipeline, context: PreparedFrame) -> FrameCases | None:
-        """Truth of a frame by labels; None for none, or unreadable ones."""
+        """Truth of a frame by labels; None for no readable labels."""
         try:
             return self.truth(name, source, context) if self.labels(name) is not None else None
         except InputError:
@@ -95,7 +95,7 @@ class Judge:
     def judge_refused(
         self, name: str, source: Pipeline, context: PreparedFrame, problem: InputError, expression: str | None
     ) -> Diagnosis | str | None:
-        """Verdict on a labelled expression that could not be asked; None for any other."""
+        """Verdict on a labelled expression beyond asking; None for any other."""
         try:
             truth = self.truth(name, source, context)
             known = self.known(name, context.frame.id, truth, expression)

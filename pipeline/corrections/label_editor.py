@@ -46,7 +46,7 @@ class LabelEditor:
         return Corrector(self.labels, self._dataset)
 
     def __contains__(self, frame: str) -> bool:
-        """True for a frame of the labels, or one to take in: see `take_in`."""
+        """True for a frame of the labels, or to take in: see `take_in`."""
         known, dataset = frame in self.corrector.index.of_frame, self._dataset
         return known or (dataset is not None and grows(self.labels) and frame in dataset.frame_ids)
 
@@ -65,7 +65,7 @@ class LabelEditor:
 
     @property
     def waiting(self) -> tuple[Waiting, ...]:
-        """Actions that wait to be saved, in order; frames show them as saved."""
+        """Waiting actions in order, shown in frames as saved."""
         return self.location.unsaved.waiting(self.author)
 
     @property
@@ -93,13 +93,13 @@ class LabelEditor:
         return name
 
     def frame(self, frame: str) -> EffectiveFrame:
-        """Frame with all that is saved or waits; InputError for no such frame, or an unreadable journal or dataset."""
+        """Frame with all saved and waiting edits; InputError for no such frame, or an unreadable journal or dataset."""
         self.take_in(frame)
         # An event that waits is named by its group, so that one that was saved is another.
         return self.corrector.frame(frame, self.events(frame))
 
     def saved(self, frame: str) -> EffectiveFrame:
-        """Frame with all that is saved, made ahead; for any thread; raises as `frame`."""
+        """Frame with all saved edits, made ahead; for any thread; raises as `frame`."""
         journal = self.location.to_read()
         return self.corrector.frame(frame, () if journal is None else journal.events(frame=frame))
 
@@ -108,7 +108,7 @@ class LabelEditor:
         return self.frame(frame) if self.events(frame) and frame in self else None
 
     def events(self, frame: str) -> list[Event]:
-        """Events of a frame, then waiting ones; InputError where the journal was never readable."""
+        """Events of a frame, then waiting edits; InputError where the journal was never readable."""
         found = self._read(frame)
         # Another thread may have saved what waits, and not have said so yet.
         groups = {e.group for e in found}
@@ -126,14 +126,14 @@ class LabelEditor:
         return any(e.ulid == event.ulid for e in self._events.get(event.ref.frame, ()))
 
     def replaced(self, frame: str) -> bool:
-        """True where the journal lacks its former events of a frame: another file; for any thread."""
+        """True where the journal lacks former events of a frame: another file; for any thread."""
         try:
             return bool(self._events.get(frame)) and not self._now(frame)[0]
         except InputError:
             return False
 
     def _now(self, frame: str) -> tuple[tuple[Event, ...], tuple[Event, ...]]:
-        """Known events of a frame that still stand in the journal, and newer ones."""
+        """Known events of a frame still in the journal, and newer events."""
         journal, known = self.location.to_read(), self._events.get(frame, ())
         if journal is None:
             return known, ()
@@ -219,12 +219,12 @@ class LabelEditor:
         return outcome
 
     def _remember(self, outcome: Saved) -> None:
-        """Keep saved events until they are read."""
+        """Keep saved events until read."""
         with self._lock:
             self._saved = (*self._saved, *outcome.events)
 
     def decide(self, conflict: Conflict, mine: Collection[int]) -> Outcome | None:
-        """Settle a conflict: save one's own edits in the disputes numbered by `mine`.
+        """Settle a conflict: save own edits in the disputes numbered by `mine`.
 
         None where nothing of one's own is left; Conflict where a field changed again.
         """
@@ -239,7 +239,7 @@ class LabelEditor:
         return self.location.unsaved.retry(self.author, self.location.to_write, self._remember)
 
     def undo(self, group: str | None = None) -> Outcome | None:
-        """Take back the newest action, or that of a group; a waiting one is dropped; None for none.
+        """Take back the newest action, or the action of a group; a waiting action is dropped; None for no action.
 
         NotSaved or InputError where the journal cannot be written or read.
         """
@@ -297,7 +297,7 @@ def event_lines(
     expression: str | None = None,
     waiting: Iterable[str] = (),
 ) -> tuple[EventLine, ...]:
-    """Edits of objects, a pair or an expression, newest first, of one frame's events.
+    """Edits of objects, a pair or an expression, newest first, of a frame's events.
 
     `waiting` are groups not saved yet; `author` is who looks.
     """

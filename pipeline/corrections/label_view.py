@@ -67,7 +67,7 @@ class LabelView:
         return numbers.index(number) if number in numbers else None
 
     def places(self, *numbers: int) -> tuple[int, ...] | None:
-        """Places of objects; None where one stands no longer."""
+        """Places of objects; None for any rejected object."""
         found = tuple(place for place in map(self.place, numbers) if place is not None)
         return found if len(found) == len(numbers) else None
 
@@ -103,7 +103,7 @@ class LabelView:
 
 
 def paired(pair: tuple[int, ...] | None, selected: int | None, before: int | None) -> tuple[int, ...] | None:
-    """Pair after a selection: the selected object, and the one before."""
+    """Pair after a selection: the selected object, and the object before."""
     if selected is None or (pair is not None and selected in pair):
         return pair
     other = next((i for i in (before, *(pair or ())) if i not in (None, selected)), None)

@@ -103,7 +103,7 @@ class ObjectCard:
 
 
 def object_card(frame: EffectiveFrame, number: int) -> ObjectCard:
-    """Describe an object that stands, or was rejected; InputError for no such object."""
+    """Describe a standing or rejected object; InputError for no such object."""
     row = needed(frame.object(number), f"frame {frame.frame} has no object {number}")
     box, viewer = labelled_box(row), viewer_of(frame)
     created = number not in frame.auto.objects
@@ -216,7 +216,7 @@ class ExpressionCard:
 
 
 def expression_cards(frame: EffectiveFrame, pair: Iterable[int] = ()) -> tuple[ExpressionCard, ...]:
-    """Expressions of a frame: of the pair first, withdrawn ones last."""
+    """Expressions of a frame: of the pair first, withdrawn last."""
     withdrawn = {w.id: w.reason for w in frame.withdrawn}
     statuses = statuses_of_items(frame.statuses)
     cards = [_card(frame, name, withdrawn.get(name, ""), statuses) for name in frame.sentences]
@@ -225,7 +225,7 @@ def expression_cards(frame: EffectiveFrame, pair: Iterable[int] = ()) -> tuple[E
 
 
 def expression_card(frame: EffectiveFrame, name: str) -> ExpressionCard:
-    """Expression by id; InputError for no such one."""
+    """Expression by id; InputError for no such id."""
     require(name in frame.sentences, f"frame {frame.frame} has no such expression", got=repr(name)[:60])
     withdrawn = next((w.reason for w in frame.withdrawn if w.id == name), "")
     return _card(frame, name, withdrawn, statuses_of_items(frame.statuses))
@@ -260,7 +260,7 @@ def answers_with(card: ExpressionCard, number: int, certainty: Certainty) -> tup
 
 
 def set_answer(frame: EffectiveFrame, name: str, number: int, certainty: Certainty, reason: str = "") -> Edits:
-    """Set whether an expression is true of one object; InputError for no such one, no change, or no answer left."""
+    """Set the truth of an expression for an object; InputError for no such id, no change, or no answer left."""
     card = expression_card(frame, name)
     require(card.certainty(number) != certainty, "it says so already", got=f"object {number}: {certainty}")
     return set_answers(frame, name, *answers_with(card, number, certainty), reason)

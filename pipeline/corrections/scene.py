@@ -121,7 +121,7 @@ def withdrawn_by(frame: EffectiveFrame, expression: str) -> str | None:
 
 
 def answered_case(frame: EffectiveFrame, truth: FrameCases, case: Case, trace: Trace) -> Case:
-    """Case by which an answer is judged, where a person set or accepted the targets: all of them are meant.
+    """Case by which an answer is judged, where a person set or accepted the targets: all are meant.
 
     The labelled pair becomes that of the answer, else stays, or becomes the first one's where no longer right.
     """

@@ -69,7 +69,7 @@ def box_axes(box: Box3D, viewer: ViewerAxes) -> np.ndarray:
 
 
 def side_views(frame: Frame, viewer: ViewerAxes, box: Box3D, mask: np.ndarray, most: int = MOST_POINTS) -> SideViews:
-    """Points in and around a box (camera frame), thinned evenly to `most`, half of them in the mask (H, W) bool."""
+    """Points in and around a box (camera frame), thinned evenly to `most`, half from the mask (H, W) bool."""
     axes, reach = box_axes(box, viewer), AROUND_M + AROUND_SHARE * float(box.size.max())
     half = np.abs(axes @ box.R) @ box.size / 2 + reach
     v, u = np.nonzero(frame.depth > 0)

@@ -85,7 +85,7 @@ class _Candidate:
 
 
 def find_support(context: PreparedFrame, box: Box3D, objects: Sequence[SceneObject], number: int) -> Support:
-    """Find the highest level surface under a box that can carry it.
+    """Find the highest level surface under a box with a chance to carry.
 
     An object can carry where at least half of the footprint lies within its extents: the book beside a mug does not
     carry it. Its level points are grouped by height, those in and around the footprint where there are enough, else
@@ -190,7 +190,7 @@ def _length(entry: SceneObject) -> float:
 
 
 def _surfaces_of(entry: SceneObject, level: _Level, near: np.ndarray) -> list[_Candidate]:
-    """Level surfaces of an object, else its upper extent."""
+    """Level surfaces of an object, else the upper extent."""
     own = level.owner == entry.id
     mine = np.flatnonzero(own & near)
     if len(mine) < LEAST_POINTS:
@@ -270,7 +270,7 @@ def fit_to_points(frame: EffectiveFrame, number: int, corrector: Corrector, reas
 
 
 def support_of(frame: EffectiveFrame, number: int, corrector: Corrector) -> tuple[Support, float]:
-    """Support of an object, and its gap in metres; raises as `find_support`."""
+    """Support of an object, and the gap in metres; raises as `find_support`."""
     context, box = _relifter(corrector).context(frame.frame), _box(frame, number)
     support = find_support(context, box, labelled_objects(frame), number)
     return support, gap_below(box, support, context.viewer)
@@ -279,7 +279,7 @@ def support_of(frame: EffectiveFrame, number: int, corrector: Corrector) -> tupl
 def snap_to_support(
     frame: EffectiveFrame, number: int, corrector: Corrector, way: SnapMode = "extend", reason: str = ""
 ) -> Edits:
-    """Edit the box down or up to its support; InputError as `find_support`, or for no object, box or change."""
+    """Edit the box down or up to the support; InputError as `find_support`, or for no object, box or change."""
     support, gap = support_of(frame, number, corrector)
     on = support_name(frame, support)
     require(abs(gap) >= SAME_M, f"object {number} stands on {on} already")

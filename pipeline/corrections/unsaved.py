@@ -65,12 +65,12 @@ class Unsaved:
         return self._disputed.get(author, ())
 
     def keep(self, action: Waiting) -> None:
-        """Keep an action until it is saved."""
+        """Keep an action until saved."""
         with self._lock:
             self._waiting[action.author] = (*self.waiting(action.author), action)
 
     def dispute(self, author: str, conflict: Conflict) -> None:
-        """Keep an action until its author decides."""
+        """Keep an action until the author decides."""
         with self._lock:
             self._disputed[author] = (*self.disputed(author), conflict)
 
@@ -80,7 +80,7 @@ class Unsaved:
             self._disputed[author] = tuple(c for c in self.disputed(author) if c is not conflict)
 
     def drop_last(self, author: str) -> Waiting | None:
-        """Give up the newest waiting action; None for none; InputError while it is being saved."""
+        """Give up the newest waiting action; None for no action; InputError during saving."""
         require(self._saving.acquire(timeout=1.0), "it is being saved at this moment", expected="try again")
         try:
             with self._lock:
@@ -93,7 +93,7 @@ class Unsaved:
     def retry(
         self, author: str, journal: Callable[[], Journal], saved: Callable[[Saved], None] = lambda _: None
     ) -> tuple[Saved | Conflict | Waiting, ...]:
-        """Save waiting actions of an author again, oldest first, until one fails.
+        """Save waiting actions of an author again, oldest first, until a failure.
 
         A conflict no longer waits: the author decides, with later actions on the same fields, which were made on it.
         Nothing is tried while another thread does. `saved` is called before an action stops waiting.
@@ -120,7 +120,7 @@ class Unsaved:
         return tuple(done)
 
     def _disputed_with_later(self, author: str, conflict: Conflict) -> Conflict:
-        """Move the first waiting action, with all made on it, to the disputes.
+        """Move the first waiting action, with all later actions on the same fields, to the disputes.
 
         Saved alone, later versions could hit those of somebody else.
         """
@@ -148,7 +148,7 @@ class Unsaved:
 
 
 def unsaved_actions(unsaved: Unsaved, author: str) -> list[list[dict[str, Any]]]:
-    """Unsaved edits of an author as lists of actions for `spatialviz correct`, one after the other.
+    """Unsaved edits of an author as lists of actions for `spatialviz correct`, in order.
 
     Fields of new objects follow in a second list, disputes last.
     """
@@ -181,19 +181,19 @@ class Dispute:
 
     @property
     def ref(self) -> FieldRef:
-        """Field that names the dispute."""
+        """Field to name the dispute by."""
         return self.rivals[0].edit.ref
 
 
 def disputes(conflict: Conflict, setting: Setting) -> tuple[Dispute, ...]:
-    """Disputed fields of an action: a relation with its inverse, and the answers of an expression, are one."""
+    """Disputed fields of an action: a relation goes with the inverse, and all answers of an expression together."""
     groups = grouped(conflict.edits or tuple(r.edit for r in conflict.rivals), lambda e: _together(e.ref, setting))
     rivals = grouped(conflict.rivals, lambda r: _together(r.edit.ref, setting))
     return tuple(Dispute(tuple(members), tuple(rivals[key])) for key, members in groups.items() if key in rivals)
 
 
 def decided(conflict: Conflict, frame: EffectiveFrame, mine: Collection[int]) -> tuple[Edit, ...]:
-    """Edits to save after all: undisputed ones, and those of the disputes numbered by `mine`.
+    """Edits to save after all: undisputed, and of the disputes numbered by `mine`.
 
     They are made on what the person was shown: another change is a conflict again.
     """

@@ -117,7 +117,7 @@ def completions(typed: str, vocabulary: Vocabulary, most: int = MOST) -> tuple[C
 
 
 def _how(wanted: str, spoken: str) -> int:
-    """Rank of a name for the typed text; `trash can` and `trashcan` are one name."""
+    """Rank of a name for the typed text; `trash can` equals `trashcan`."""
     if not wanted:
         return _NONE
     joined, short = spoken.replace(" ", ""), wanted.replace(" ", "")

@@ -41,7 +41,7 @@ def object_text(number: int, frame: EffectiveFrame | None) -> str:
 
 
 def sentence_text(name: str, frame: EffectiveFrame | None) -> str:
-    """Words of an expression in quotes; the id for an unknown one."""
+    """Words of an expression in quotes; the id for an unknown expression."""
     row = None if frame is None else frame.expression(name)
     if row is None:
         return f"expression {name}"
@@ -319,7 +319,7 @@ def _relation_changes(
 
 
 def _folded(frame: EffectiveFrame, a: int, b: int, relation: str) -> tuple[int, int, str]:
-    """Common name of a relation and its mirror image."""
+    """Common name of a relation and the mirror image."""
     inverse = frame.setting.inverse(relation)
     return (a, b, relation) if inverse is None else min((a, b, relation), (b, a, inverse))
 

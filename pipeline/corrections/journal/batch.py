@@ -234,7 +234,7 @@ _LIST: TypeAdapter[list[Any]] = TypeAdapter(
 
 
 def read_actions(path: Path) -> list[Any]:
-    """Read actions from a JSON file; InputError names the entry that is none."""
+    """Read actions from a JSON file; InputError names the wrong entry."""
     try:
         return actions_of(read_json(Path(path)), path)
     except InputError:
@@ -255,7 +255,7 @@ def actions_of(entries: Any, path: Path | None = None) -> list[Any]:
 def apply_actions(
     corrector: Corrector, journal: Journal, todo: Sequence[Action], author: str, *, again: str | None = None
 ) -> Saved | Conflict:
-    """Save actions as one event group: all, or none.
+    """Save actions as a single event group, all or none.
 
     An action without `base` may not change another author's value: a conflict. `again` is `NotSaved.group` on a retry:
     an action that reached the journal is not saved twice. InputError names the action that cannot be done; NotSaved as

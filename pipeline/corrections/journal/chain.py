@@ -112,7 +112,7 @@ def _link(previous: str, row: Row) -> str | None:
 
 
 def judged_alone(rows: Sequence[tuple[int, Row | None]]) -> Verdict:
-    """Check events of version 1, which had no chain, for what is impossible; arguments as of `judged`.
+    """Check events of version 1, without a chain, for impossible content; arguments as of `judged`.
 
     A flipped bit that makes another possible text goes unseen where no other event speaks of the cell.
     """
@@ -135,7 +135,7 @@ def judged_alone(rows: Sequence[tuple[int, Row | None]]) -> Verdict:
 
 
 def _wrong(row: Row) -> str | None:
-    """Impossible content of one event, in words."""
+    """Impossible content of an event, in words."""
     try:
         ref = FieldRef(row["kind"], row["frame"], row["key"], row["field"])
         for value in (row["after"], *([] if row["before"] is None else [row["before"]])):
@@ -204,7 +204,7 @@ def _is_anchor(value: Any) -> bool:
 
 
 def _one_bit_apart(a: Any, b: Any) -> bool:
-    """True where the JSON of two values differs in one bit, as after a flip."""
+    """True where the JSON of two values differs in a single bit, as after a flip."""
     one, other = (json.dumps(v).encode() for v in (a, b))
     return len(one) == len(other) and sum((x ^ y).bit_count() for x, y in zip(one, other, strict=True)) == 1
 
@@ -253,7 +253,7 @@ class Store(Protocol):
         ...
 
     def reading(self, fresh: bool = False) -> AbstractContextManager[Run]:
-        """Begin a snapshot that waits for no writer; `fresh` drops cached pages."""
+        """Begin a snapshot without waiting for writers; `fresh` drops cached pages."""
         ...
 
     def writing(self) -> AbstractContextManager[Run]:
@@ -265,7 +265,7 @@ class Store(Protocol):
         ...
 
     def create(self, run: Run, first: str) -> None:
-        """Make the tables, and the triggers that refuse changes; `first` is the hash before the first event."""
+        """Make the tables, and the triggers against changes; `first` is the hash before the first event."""
         ...
 
     def keep(self, run: Run) -> str:
@@ -273,12 +273,12 @@ class Store(Protocol):
         ...
 
     def close(self) -> None:
-        """Close all connections; the next use opens new ones."""
+        """Close all connections; the next use opens others."""
         ...
 
 
 def made(id_type: str, time_type: str) -> list[str]:
-    """Statements that make both tables, always in the same words."""
+    """Statements for both tables, always in the same words."""
     columns = ", \n\t".join(_EVENTS).format(id=id_type, time=time_type)
     head = ", \n\t".join(_HEAD)
     indexes = [f"CREATE INDEX events_of_{name} ON events ({some})" for name, some in _INDEXES.items()]
@@ -286,7 +286,7 @@ def made(id_type: str, time_type: str) -> list[str]:
 
 
 def fingerprint(statements: Iterable[str]) -> str:
-    """Hash of the statements that made the tables: 64 hexadecimal digits."""
+    """Hash of the tables' statements: 64 hexadecimal digits."""
     return hashlib.sha256("\n".join(statements).encode("utf-8", "surrogateescape")).hexdigest()
 
 
@@ -325,7 +325,7 @@ def rows(store: Store, run: Run, where: str = "", *values: Any, names: Sequence[
 
 
 def write_rows(store: Store, run: Run, events: Iterable[Row], last: Head = NOTHING) -> list[dict[str, Any]]:
-    """Chain events to the last one, insert them, and update the head; return them with hashes."""
+    """Chain events to the last event, insert, and update the head; return the rows with hashes."""
     made = chained(last.hash, events)
     statement = f"INSERT INTO events ({columns(STORED, '{}')}) VALUES ({', '.join('?' * len(STORED))})"
     for row in made:

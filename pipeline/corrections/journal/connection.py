@@ -67,7 +67,7 @@ def store_at(where: str | Path) -> Store:
 
 
 def _come_instead(path: Path) -> None:
-    """Examine a file that replaced an open journal; raise unless it is a journal of this version."""
+    """Examine a file in the place of an open journal; raise unless a journal of this version."""
     found = examine(path).believe()
     require(
         found.version == VERSION, "another file stands in the place of the journal", cause="open it anew", path=path
@@ -124,7 +124,7 @@ def prepare(store: Store) -> tuple[str, ...]:
 
 
 def reason_of(error: BaseException, location: str = "") -> str:
-    """Database message in one line; plainer for a full disk, where `location` is a file."""
+    """Database message in a line; plainer for a full disk, where `location` is a file."""
     message = state_of(error).get("M") or str(error)
     under = error.__cause__ and error.__cause__.__cause__
     if isinstance(under, OSError) and str(under) not in message:
@@ -174,7 +174,7 @@ def _free(path: Path) -> Path:
 
 
 def copy_whole(path: Path, to: Path) -> None:
-    """Copy a journal with its log, synced and examined before it takes its name.
+    """Copy a journal with its log, synced and examined before the final name.
 
     DamagedJournal where the copy is not whole; OSError or sqlite3.Error where it cannot be written.
     """
@@ -213,7 +213,7 @@ def back_up(where: str | Path, to: Path) -> Examined:
 
 
 def recover(where: str | Path, to: Path) -> tuple[Examined, Examined]:
-    """Write the intact events of a journal into a new one; return the examined old and new journal.
+    """Write the intact events into a new journal; return the examined old and new journal.
 
     An undo or redo of a lost event is left out. InputError for a server, a taken name, or nothing intact.
     """

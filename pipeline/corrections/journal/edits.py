@@ -77,7 +77,7 @@ def set_box(frame: EffectiveFrame, number: int, box: Box3D | None, reason: str =
 
 
 def new_numbers(frame: EffectiveFrame, count: int) -> list[int]:
-    """Draw random five-digit numbers of new objects, so that two people at once rarely meet."""
+    """Draw random five-digit numbers of new objects, so two people at once rarely meet."""
     taken = {*frame.objects, *frame.left_out}
     free = [n for n in range(FIRST_NEW_OBJECT, 10 * FIRST_NEW_OBJECT) if n not in taken]
     return random.SystemRandom().sample(free, count)
@@ -119,7 +119,7 @@ def merge_objects(frame: EffectiveFrame, numbers: Iterable[int], reason: str = "
 
 
 def split_object(frame: EffectiveFrame, number: int, masks: Sequence[np.ndarray | str], reason: str = "") -> Edits:
-    """Split an object by masks: the first mask stays, each other one makes a new object of its class."""
+    """Split an object by masks: the first mask stays, each other mask makes a new object of the class."""
     require(len(masks) >= 2, "a split needs two masks", got=len(masks))
     label = _row(frame, number)["label"]
     note = reason or f"split off object {number}"
@@ -136,7 +136,7 @@ def set_relation(frame: EffectiveFrame, a: int, b: int, relation: str, state: in
 
 
 def judge(frame: EffectiveFrame, ref: FieldRef, status: str | None, author: str, reason: str = "") -> Edits:
-    """Judge an item for one person, changing no label; None takes the judgement back.
+    """Judge an item for a single person, changing no label; None takes the judgement back.
 
     `ref` is a status of an object, expression or relation ("left.status"); "accepted" of a relation keeps its state
     now.
@@ -181,7 +181,7 @@ def judge_missing(frame: EffectiveFrame, what: str, status: str | None, author: 
 
 
 def settle(frame: EffectiveFrame, ref: FieldRef, status: str, reason: str = "", state: int | None = None) -> Edits:
-    """Settle an item that reviewers judge differently, for all of them.
+    """Settle an item of differing judgements, for all reviewers.
 
     `state` (T, U, F) is for a relation: the labels follow; by default unchanged.
     """
@@ -198,7 +198,7 @@ def settle(frame: EffectiveFrame, ref: FieldRef, status: str, reason: str = "", 
 
 
 def _both_ways(frame: EffectiveFrame, ref: FieldRef) -> list[FieldRef]:
-    """Relation (or status) cell, with that of its inverse where the profile has one."""
+    """Relation (or status) cell, with the inverse where the profile has any."""
     relation, status = state_ref(ref).field, ".status" if ref.field.endswith(".status") else ""
     inverse, (a, b) = frame.setting.inverse(relation), ref.numbers
     return [ref] if inverse is None else [ref, relation_ref(frame.frame, b, a, f"{inverse}{status}")]
@@ -235,7 +235,7 @@ def add_sentence(
     b: int,
     reason: str = "",
 ) -> Edits:
-    """Add a true expression "a RELATION b" in a person's words, with the other objects it is true of.
+    """Add a true expression "a RELATION b" in a person's words, with all true answers.
 
     `words` are target, relation and reference as the text names them. Contradicting relations are corrected with it.
     InputError for no such pair or relation, or where the labels say so already.
@@ -275,7 +275,7 @@ def set_answers(
     acceptable: Iterable[int] | None = None,
     reason: str = "",
 ) -> Edits:
-    """Set the objects that an expression is true of beyond doubt, and with doubt (by default none more).
+    """Set the answers of an expression beyond doubt, and with doubt (by default none more).
 
     InputError for no answer, no such expression or object, or a target that is not acceptable.
     """
@@ -307,7 +307,7 @@ def set_note(frame: EffectiveFrame, note: str | None, reason: str = "") -> Edits
 
 
 def set_value(frame: EffectiveFrame, ref: FieldRef, value: Any, reason: str = "") -> Edits:
-    """Set any one cell as it is kept, and nothing else."""
+    """Set any cell as kept, and nothing else."""
     return (_edit(frame, ref, value, reason),)
 
 
@@ -370,7 +370,7 @@ def _code(frame: EffectiveFrame, mask: np.ndarray | str) -> str:
 
 
 def pixels_of(frame: EffectiveFrame, number: int) -> np.ndarray:
-    """Mask (H, W) bool of an object, or its filled 2D box; InputError for no such object."""
+    """Mask (H, W) bool of an object, or the filled 2D box; InputError for no such object."""
     row = _row(frame, number)
     return (
         box_mask(np.array(row["bbox"], np.float32), *frame.size)

@@ -95,7 +95,7 @@ class Relifter:
         return None if name == NONE else open_second_opinion(name)
 
     def lifted(self, frame: str, row: Row, box: Any) -> SceneObject:
-        """Object from its effective row and a person's 3D box."""
+        """Object from an effective row and a person's 3D box."""
         return self._object(self.context(frame), row, box, human_bbox=True)
 
     def __call__(
@@ -119,7 +119,7 @@ class Relifter:
         return found, Pairs.of_columns(numbers, labels.relations)
 
     def _object(self, context: PreparedFrame, row: Row, box: Any, human_bbox: bool) -> SceneObject:
-        """Object from its mask, else the pixels in its 3D box, else its 2D box."""
+        """Object from a mask, else the pixels in the 3D box, else the 2D box."""
         frame, source = context.frame, row["mask_source"]
         bbox = np.array(row["bbox"], np.float32)
         if row["mask"] is not None and source != "box":
@@ -172,7 +172,7 @@ class Corrector:
         self._lock = threading.RLock()
 
     def frame(self, frame: str, journal: Journal | Sequence[Event]) -> EffectiveFrame:
-        """Apply the events of a frame; InputError for no such frame, or one that the dataset cannot load."""
+        """Apply the events of a frame; InputError for no such frame, or an unreadable picture."""
         require(frame in self.index.of_frame, "the labels have no such frame", got=repr(frame), path=self.labels.root)
         events = journal.events(frame=frame) if isinstance(journal, Journal) else tuple(journal)
         key = frame, tuple([e.ulid for e in events])
@@ -230,7 +230,7 @@ class EffectiveLabels(Labels):
 
     @cached_property
     def decided(self) -> dict[str, tuple[int, int]]:
-        """Count what people decided (set, accepted, judged), and of how many: objects, relations, sentences."""
+        """Count people's decisions (set, accepted, judged), and of how many: objects, relations, sentences."""
         by_table: dict[str, set[tuple[str, str, str]]] = {table: set() for table in _KEYS}
         entries = zip(*(self.provenance.column(n).to_pylist() for n in (*_NAMED, "origin")), strict=True)
         for table, frame, key, column, origin in entries:
@@ -308,7 +308,7 @@ def effective_frame(
     relift: Relift | None = None,
     known: EffectiveFrame | None = None,
 ) -> EffectiveFrame:
-    """Apply the events of a frame, in the order of their saving, to its automatic labels.
+    """Apply the events of a frame, in the order of saving, to the automatic labels.
 
     `known` is the frame after the first of these events: only what the others change is made anew. Without `relift`,
     what follows from new pixels or boxes is stale. InputError where the frame cannot be loaded.
@@ -367,7 +367,7 @@ def _entity(ref: FieldRef) -> Any:
 
 
 def _lift(frame: EffectiveFrame, relift: Relift | None) -> Pairs | None:
-    """Update, or mark stale, what follows from pixels and boxes; return the relations judged anew."""
+    """Update, or mark stale, all consequences of pixels and boxes; return the relations judged anew."""
     auto, background = frame.auto, frame.setting.config.is_background
     newly_related = any(
         n in auto.objects and background(auto.objects[n]["label"]) and not background(frame.objects[n]["label"])

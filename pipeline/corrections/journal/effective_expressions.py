@@ -27,7 +27,7 @@ OPEN_FIELDS = ("text", *SETS)
 
 
 def correct_expressions(frame: EffectiveFrame, known: EffectiveFrame | None, said: Collection[str], anew: bool) -> None:
-    """Apply corrections of expressions, and update those that follow from objects and relations.
+    """Apply corrections of expressions, and update consequences of objects and relations.
 
     `known` is the frame before (None from the automatic labels), `said` the expressions with new events, `anew` True
     where objects changed.
@@ -113,7 +113,7 @@ def _name_cause(frame: EffectiveFrame, before: tuple[Origin, Origin], names: Col
 
 
 def _add(frame: EffectiveFrame, name: str, fields: dict[str, list[Event]]) -> None:
-    """Apply the events of an expression that a person added."""
+    """Apply the events of an added expression."""
     seeds = fields.pop("exists", [])
     seed = frame.note(seeds, replay(None, seeds)) if seeds else None
     frame.outcomes.pop(name, None)
@@ -143,7 +143,7 @@ def _correct(
     reason: str | None = None,
     human: Collection[str] = (),
 ) -> None:
-    """Apply the events of one expression, after what the pairs say at place `at`."""
+    """Apply the events of an expression, after the pairs' answers at place `at`."""
     name, was, human = row["id"], dict(row), set(human)
     reason = reason if at is None else _follow(frame, row, at)
     for column in sorted(fields):
@@ -175,7 +175,7 @@ def _correct(
 
 
 def _follow(frame: EffectiveFrame, row: Row, at: int) -> str | None:
-    """Update an expression's names, answers and margin; the reason where it is withdrawn."""
+    """Update an expression's names, answers and margin; the reason where withdrawn."""
     now, ends = frame.answered, (row["target_object"], row["reference_object"])
     assert now is not None
     assert frame.asked is not None

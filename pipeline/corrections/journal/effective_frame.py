@@ -98,7 +98,7 @@ class EffectiveFrame:
         return tuple(sorted(chain.from_iterable(self.ignored.values()), key=attrgetter("event.id")))
 
     def note(self, events: Sequence[Event], replayed: Replayed) -> Replayed:
-        """Keep the version of a replayed cell and its events without effect; return the argument."""
+        """Keep the version and the ineffective events of a replayed cell; return the argument."""
         ref = events[0].ref
         self.versions[ref], self.ignored[ref] = replayed.version, replayed.unapplied
         self.statuses.pop(ref, None)
@@ -163,13 +163,13 @@ class EffectiveFrame:
         return self.objects.get(number) or self.left_out.get(number)
 
     def expression(self, name: str) -> Row | None:
-        """Row of an expression now, also of a withdrawn one; None for no such id."""
+        """Row of an expression now, also of a withdrawn expression; None for no such id."""
         found = self.outcomes.get(name)
         return found.row if isinstance(found, Withdrawn) else found
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Ids of all expressions, also of withdrawn ones."""
+        """Ids of all expressions, also of withdrawn expressions."""
         return tuple(self.outcomes)
 
     def version(self, ref: FieldRef) -> int:
@@ -216,7 +216,7 @@ class Setting:
 
 
 def setting_of(labels: Labels) -> Setting:
-    """Read the settings from the manifest; InputError for labels that this release cannot make."""
+    """Read the settings from the manifest; InputError for labels beyond this release."""
     manifest = labels.manifest
     detector = str(manifest.models.get("detector", ""))
     names = labels.objects.column("label").unique().to_pylist()

@@ -86,7 +86,7 @@ def _correct_object(frame: EffectiveFrame, number: int, fields: Mapping[str, Seq
 
 
 def _from_bbox(row: Row, fields: Mapping[str, Sequence[Event]]) -> bool:
-    """True where an object's pixels were those of its 2D box when people set them."""
+    """True where an object's automatic pixels were only the 2D box."""
     released = any(e.after is None for e in fields["mask"])
     return released or (row["mask_source"] == "box" and "bbox" in fields)
 
@@ -119,7 +119,7 @@ def mask_facts(code: str, auto: FrameRows) -> tuple[list[float], int]:
 
 
 def new_row(number: int, seed: Mapping[str, Any], auto: FrameRows, setting: Setting) -> Row:
-    """Row of an object that a person added, before lifting."""
+    """Row of an added object, before lifting."""
     mask, box = seed.get("mask"), seed.get("box")
     bbox, pixels = seed.get("bbox"), 0
     if mask is not None:
@@ -169,7 +169,7 @@ def relate_objects(frame: EffectiveFrame, relifted: Pairs | None) -> None:
 
 
 def correct_pairs(frame: EffectiveFrame, said: Collection[tuple[int, int]], ends: Collection[int] | None) -> None:
-    """Apply corrections of relations to those that follow from the objects.
+    """Apply corrections to the relations of the objects.
 
     `said` are pairs (ascending) with new events, `ends` objects whose relations are made anew; None for all.
     """
@@ -210,7 +210,7 @@ def correct_pairs(frame: EffectiveFrame, said: Collection[tuple[int, int]], ends
 
 
 def _restore(frame: EffectiveFrame, a: int, b: int | slice) -> None:
-    """Restore the relations of two objects, or of one with all, both ways."""
+    """Restore the relations of two objects, or of an object with all, both ways."""
     i, j = frame.pairs.index_of(a), b if isinstance(b, slice) else frame.pairs.index_of(b)
     if i is None or j is None:
         return
@@ -220,7 +220,7 @@ def _restore(frame: EffectiveFrame, a: int, b: int | slice) -> None:
 
 
 def _note_moved(frame: EffectiveFrame, first: Collection[int], second: Collection[int]) -> None:
-    """Put the origins of relations, both ways, that follow from another geometry or wait for it."""
+    """Put the origins of relations, both ways, after another geometry."""
     causes, numbers = frame.moved, frame.pairs.numbers
     if not causes:
         return
@@ -244,7 +244,7 @@ def _correct_relation(
     ref: FieldRef,
     human: dict[tuple[int, int, str], Event],
 ) -> None:
-    """Apply the events of a relation or its status; a person's value is entered in `human`."""
+    """Apply the events of a relation or a status; a person's value is entered in `human`."""
     auto, events, (a, b) = frame.auto, judged[ref], ref.numbers
     i, j = frame.pairs.index_of(a), frame.pairs.index_of(b)
     relation = ref.field.removesuffix(".status")
@@ -278,7 +278,7 @@ def _correct_relation(
 
 
 def _ruled_out_before(ref: FieldRef, judged: Mapping[FieldRef, Sequence[Event]]) -> bool:
-    """True where a person had already ruled the relation out (see `correct_pairs`) when it was corrected."""
+    """True where a person had already ruled the relation out (see `correct_pairs`) at the correction."""
     stands = standing(judged[ref])
     if ref.field not in INVERSE or not stands:
         return False

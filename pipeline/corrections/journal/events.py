@@ -27,7 +27,7 @@ def grouped(things: Iterable[Thing], key: Callable[[Thing], Key]) -> dict[Key, l
 
 
 def new_ulid() -> str:
-    """Make 26 characters that sort by time: 48 bits of milliseconds, 80 random bits (github.com/ulid/spec)."""
+    """Make 26 characters, sorted by time: 48 bits of milliseconds, 80 random bits (github.com/ulid/spec)."""
     number = (time.time_ns() // 1_000_000) << 80 | int.from_bytes(os.urandom(10), "big")
     return "".join(CROCKFORD[(number >> shift) & 31] for shift in range(125, -5, -5))
 

@@ -86,7 +86,7 @@ class Examined:
 
     @property
     def standing(self) -> tuple[Row, ...]:
-        """Intact events without an undo or redo of a lost one: the content of a recovered journal."""
+        """Intact events without an undo or redo of lost events: the content of a recovered journal."""
         found: dict[str, Row] = {}
         for row in self.intact:
             if row["undo_of"] is None or row["undo_of"] in found:
@@ -95,7 +95,7 @@ class Examined:
 
     @property
     def help(self) -> str | None:
-        """Advice for a damaged journal; None for a sound one."""
+        """Advice for a damaged journal; None for a sound journal."""
         return None if not self.damage else _RECOVER if self.standing else _BACKUP
 
     @property
@@ -124,17 +124,17 @@ def known_version(version: int | None, location: str) -> None:
 
 
 def is_empty(path: Path) -> bool:
-    """True for a file that is there and, with its log, has no bytes."""
+    """True for an existing file without bytes, log included."""
     return path.exists() and not any(f.exists() and f.stat().st_size for f in (path, Path(f"{path}-wal")))
 
 
 def empty_file(path: Path) -> InputError:
-    """Make the error of a file that `is_empty`."""
+    """Make the error of an empty file."""
     return InputError("the journal is an empty file", cause="put a copy in its place, or remove it", path=path)
 
 
 def examine(path: Path) -> Examined:
-    """Read an SQLite journal in full, changing nothing; InputError where it cannot be opened."""
+    """Read an SQLite journal in full, changing nothing; InputError where opening fails."""
     # Where nobody has it open no log is there, and none need be made to read it.
     alone = not Path(f"{path}-wal").exists()
     found = _examine(path, alone)
@@ -163,7 +163,7 @@ def _examine(path: Path, alone: bool) -> Examined:
 
 
 def _mended(path: Path) -> Examined | None:
-    """Examine a copy with a new file header, which holds nothing of the journal; None where it is of no use."""
+    """Examine a copy with a new file header; None for no use."""
     with suppress(*_ERRORS, OSError, InputError), scratch_folder() as folder:
         copy, log = Path(folder) / path.name, Path(f"{path}-wal")
         # A larger one is no journal of people's work, and would be copied for nothing.
@@ -191,7 +191,7 @@ def _mended(path: Path) -> Examined | None:
 
 @contextmanager
 def read_only(path: Path, alone: bool = False) -> Iterator[sqlite3.Connection]:
-    """Open a connection that changes nothing, also when closed last; `alone`: nobody has the file open, and no log."""
+    """Open a connection without any change, also when closed last; `alone`: nobody has the file open, and no log."""
     connection = connected(path.expanduser().absolute(), "ro&immutable=1" if alone else "ro")
     try:
         connection.isolation_level = None
@@ -203,12 +203,12 @@ def read_only(path: Path, alone: bool = False) -> Iterator[sqlite3.Connection]:
 
 
 def _any_text(text: bytes) -> str:
-    """Decode also what is no UTF-8."""
+    """Decode any bytes, also no UTF-8."""
     return text.decode("utf-8", "surrogateescape")
 
 
 def _header(path: Path) -> str | None:
-    """Fault of the file's first bytes that SQLite lets pass (sqlite.org/fileformat.html, 1.3)."""
+    """Fault of the file's first bytes, ignored by SQLite (sqlite.org/fileformat.html, 1.3)."""
     head = b""
     with suppress(OSError), open(path, "rb") as file:
         head = file.read(100)
@@ -287,7 +287,7 @@ def _one(connection: sqlite3.Connection, query: str, damage: list[str]) -> tuple
 
 
 def _rows(connection: sqlite3.Connection, names: Sequence[str], damage: list[str]) -> list[tuple[int, Row | None]]:
-    """Read all events by id, without an index; None for an unreadable one."""
+    """Read all events by id, without an index; None for an unreadable event."""
     columns = ", ".join(f'"{name}"' for name in names)
     found: list[tuple[int, Row | None]] = []
     query = f"SELECT {columns} FROM events NOT INDEXED ORDER BY id"
@@ -318,7 +318,7 @@ def _rows(connection: sqlite3.Connection, names: Sequence[str], damage: list[str
 
 
 def _row(names: Sequence[str], values: Sequence[Any]) -> Row | None:
-    """Parse an event; None where a column holds no value of its type."""
+    """Parse an event; None for a column of another type."""
     try:
         return row_of(names, values, _parsed)
     except (TypeError, ValueError, RecursionError):

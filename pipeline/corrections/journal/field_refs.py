@@ -89,10 +89,20 @@ class FieldRef:
 
 
 def object_ref(frame: str, number: int, field: str) -> FieldRef:
+    """Cell of an object.
+
+    >>> str(object_ref("kitchen/0", 3, "label"))
+    'label of object 3 in kitchen/0'
+    """
     return FieldRef("object", frame, str(int(number)), field)
 
 
 def relation_ref(frame: str, a: int, b: int, relation: str) -> FieldRef:
+    """Cell of a relation of an ordered pair.
+
+    >>> str(relation_ref("kitchen/0", 3, 5, "left"))
+    'left of relation 3,5 in kitchen/0'
+    """
     return FieldRef("relation", frame, f"{int(a)},{int(b)}", relation)
 
 
@@ -132,7 +142,7 @@ def _is_number(text: str) -> bool:
 
 
 def plain_text(value: Any, what: str, longest: int) -> str:
-    """Check a text that every database keeps; InputError for an empty or long text, or no characters."""
+    """Check a text for any database; InputError for an empty or long text, or no characters."""
     require(isinstance(value, str) and value.strip(), f"{what} must be a text that is not empty", got=Shown(value))
     require(len(value) <= longest, f"{what} is too long", got=f"{len(value)} characters", expected=f"at most {longest}")
     if "\x00" in value or any("\ud800" <= c <= "\udfff" for c in value):
@@ -141,12 +151,16 @@ def plain_text(value: Any, what: str, longest: int) -> str:
 
 
 def checked(ref: FieldRef, value: Any) -> Any:
-    """Check a cell's value, and make its numbers plain; InputError for no value of the field."""
+    """Check a cell's value, with plain numbers; InputError for no value of the field."""
     return None if value is None and ref.field in _NULLABLE[ref.kind] else FIELDS[ref.kind][ref.field](value)
 
 
 def same_value(a: Any, b: Any) -> bool:
-    """Compare two values, numbers to within rounding."""
+    """Compare two values, numbers to within rounding.
+
+    >>> same_value([1, 2.0], [1.0, 2]), same_value(True, 1)
+    (True, False)
+    """
     if isinstance(a, bool) or isinstance(b, bool):
         return a is b
     if isinstance(a, (int, float)) and isinstance(b, (int, float)):

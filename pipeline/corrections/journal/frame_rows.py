@@ -58,7 +58,7 @@ class Pairs:
         return found
 
     def of_objects(self, numbers: Iterable[int]) -> Pairs:
-        """Select other objects; pairs of new ones have no row."""
+        """Select other objects; pairs of new objects have no row."""
         found = Pairs.empty(numbers)
         kept = np.isin(found.numbers, self.numbers)
         to, at = np.flatnonzero(kept), np.searchsorted(self.numbers, found.numbers[kept])
@@ -67,7 +67,7 @@ class Pairs:
         return found
 
     def copy(self) -> Pairs:
-        """Copy with matrices of its own."""
+        """Copy with separate matrices."""
         return replace(self, **{name: getattr(self, name).copy() for name in MATRICES})
 
     def index_of(self, number: int | None) -> int | None:
@@ -198,7 +198,7 @@ class Answered:
 
     @classmethod
     def of(cls, asked: Asked, pairs: Pairs, labels: tuple[str, ...]) -> Answered:
-        """Answer expressions by pairs whose objects have these class names; nothing is `changed`."""
+        """Answer expressions by pairs and their objects' class names; nothing is `changed`."""
         numbers, e, n = pairs.numbers, len(asked.ids), len(pairs.numbers)
         sets, kin = np.zeros((e, 2, n), np.bool_), np.zeros((e, n), np.bool_)
         holds, margins, related = np.zeros(e, np.bool_), np.full(e, np.nan), np.zeros(e, np.bool_)

@@ -67,7 +67,7 @@ class Journal:
         self.close()
 
     def append(self, edits: Iterable[Edit], author: str, *, group: str | None = None) -> Saved | Conflict:
-        """Save the edits of one action, all or none; on return they are on the disk.
+        """Save the edits of an action, all or none; on return on the disk.
 
         `group` is that of `NotSaved` on a retry: an action that reached the journal is not saved twice. Conflict where
         a cell changed since the author saw it. InputError for no edit, two of one cell, or no author. NotSaved for a
@@ -126,7 +126,7 @@ class Journal:
             ) from error  # fmt: skip
 
     def _read_back(self, group: str, previous: str, hashes: Sequence[str]) -> tuple[Event, ...]:
-        """Read a saved action anew; InputError where it is not as written."""
+        """Read a saved action anew; InputError for another content."""
         # What is kept in memory would say what was written, and not what is there.
         with reading(self.store, fresh=True) as run:
             where = 'WHERE project = ? AND "group" = ? ORDER BY id'
@@ -217,7 +217,7 @@ class Journal:
 
 
 def _last(run: Run) -> Head:
-    """Head that the next event is chained to; InputError where the last event is not as saved."""
+    """Head before the next event; InputError for another last event than saved."""
     head, newest = head_of(run), run("SELECT id, hash FROM events ORDER BY id DESC LIMIT 1")
     if head is None or [tuple(row) for row in newest] != ([(head.last, head.hash)] if head.events else []):
         raise InputError("the journal is damaged: its last event is not the one that was saved last")
@@ -230,11 +230,19 @@ def _event(row: dict[str, Any]) -> Event:
 
 
 def open_journal(where: str | Path, *, project: str = "", labels: str = "", must_exist: bool = False) -> Journal:
-    """Open a journal, or make one; all events are checked first.
+    """Open or make a journal; all events are checked first.
 
     `where` is an SQLite path or a URL "postgresql://user@host/database" (extra: postgres). A version 1 journal is
     chained, and the original kept beside. InputError where it cannot be opened or made, or of a newer release;
     DamagedJournal says what is damaged, which events are intact, and how to go on.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> from pipeline.corrections import Edit, object_ref, undo
+    >>> with TemporaryDirectory() as folder, open_journal(f"{folder}/journal.sqlite") as journal:
+    ...     saved = journal.append([Edit(object_ref("kitchen/0", 3, "label"), "mug", "cup")], "ann")
+    ...     taken = undo(journal, "ann")
+    ...     [(event.action, event.after) for event in journal.events()]
+    [('edit', 'cup'), ('undo', 'mug')]
     """
     warnings: list[str] = []
     if not is_url(where):
@@ -270,7 +278,7 @@ def open_journal(where: str | Path, *, project: str = "", labels: str = "", must
 def journal_of(
     labels: Labels, where: str | Path | None = None, *, project: str | None = None, must_exist: bool = False
 ) -> Journal:
-    """Open the journal of labels, by default beside them; raises as `open_journal`.
+    """Open the journal of labels, by default beside the labels; raises as `open_journal`.
 
     In a shared database the project is by default the name of the dataset's folder.
     """

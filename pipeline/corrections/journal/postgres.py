@@ -103,7 +103,7 @@ class PostgresStore:
         pass
 
     def _taken(self) -> Any:
-        """Take a connection that answers."""
+        """Take an answering connection."""
         address = self._address
         with suppress(IndexError):
             link = self._idle.pop()
@@ -172,7 +172,7 @@ class PostgresStore:
 
     @contextmanager
     def _given_back(self, link: Any) -> Iterator[None]:
-        """Return a connection at the end of the block, unless it broke."""
+        """Return a connection at the end of the block, unless broken."""
         try:
             yield
         except BaseException as error:
@@ -217,7 +217,7 @@ class PostgresStore:
 
 
 def without_password(where: str | Path) -> str:
-    """Address that opens a journal again, without secrets."""
+    """Address of a journal without secrets."""
     found = _URL.fullmatch(str(where))
     if found is None:
         return str(where).rpartition("@")[2].partition("?")[0] if "://" in str(where) else str(where)
@@ -360,7 +360,7 @@ def state_of(error: BaseException | None) -> dict[str, str]:
 
 
 def has_answered(error: Exception) -> bool:
-    """True for an error that a present server reports, such as a wrong password."""
+    """True for an error from a present server, such as a wrong password."""
     code = state_of(error).get("C", "")
     return bool(code) and not code.startswith(_GONE)
 
@@ -379,7 +379,7 @@ class Server:
         """When it may be looked for."""
 
     def ask(self, question: Callable[[], Answer], connect: Callable[[], Any]) -> Answer:
-        """Return the answer of `question`, or raise its error; TimeoutError while another thread waits.
+        """Return the answer of `question`, or raise the error; TimeoutError while another thread waits.
 
         `connect` makes a connection, to find out whether the server is back.
         """
@@ -413,7 +413,7 @@ class Server:
             link.close()
 
     def know(self, away: Exception | None) -> None:
-        """Note that the server answers, or is away."""
+        """Note an answering or absent server."""
         with self._lock:
             self._away, self._again = away, time.monotonic() + AGAIN_S
 

@@ -59,7 +59,7 @@ class Replayed:
 
 
 def standing_at(events: Sequence[Event]) -> list[tuple[Event, int]]:
-    """Edits of a cell that stand, by version, each with the `id` of the event by which.
+    """Standing edits of a cell, by version, each with the `id` of the reviving event.
 
     Only a cell's newest event can be taken back: a stack.
     """
@@ -76,14 +76,14 @@ def standing_at(events: Sequence[Event]) -> list[tuple[Event, int]]:
 
 
 def standing(events: Sequence[Event]) -> list[Event]:
-    """Edits of a cell that stand, by version."""
+    """Standing edits of a cell, by version."""
     return [event for event, _ in standing_at(events)]
 
 
 def replay(
     automatic: Any, events: Sequence[Event], *, trusted: bool = False, released_by_none: bool = False
 ) -> Replayed:
-    """Apply the events of a cell to its automatic label, by version.
+    """Apply the events of a cell to the automatic label, by version.
 
     An event applies where the value is what its author saw; others are listed, unless a later event settles the cell.
     `trusted` cells follow from other corrections, and are not compared. With `released_by_none`, None restores the
@@ -127,7 +127,7 @@ def by_ref(events: Iterable[Event]) -> dict[FieldRef, list[Event]]:
 
 
 def judgement_ref(frame: str, kind: str, a: int, b: int | None, what: str, author: str) -> FieldRef:
-    """Cell of a judgement of an item, or, by OF_ALL, of its settlement; InputError for no such item.
+    """Cell of a judgement of an item, or, by OF_ALL, of a settlement; InputError for no such item.
 
     `a` and `b` are the objects of a pair; an object and None, -1 for a missing one; -1 and None of an expression.
     `what` is the relation, the expression's id, "" of an object, or the place of a missing one.
@@ -153,7 +153,7 @@ def replayed_judgement(
     objects: Collection[int],
     expressions: Collection[str],
 ) -> Replayed:
-    """Judgement after its events; without effect where its item is gone or another thing.
+    """Judgement after the events; without effect on a lost or other item.
 
     `boxes` are 2D boxes of automatic objects, `objects` and `expressions` those present.
     """
@@ -197,7 +197,7 @@ class Origin:
 
 
 def provenance_schema() -> pa.Schema:
-    """Schema of provenance: a row a value that is not the labeller's; `was` is the labeller's value as JSON."""
+    """Schema of provenance: a row a value of other origin than the labeller; `was` is the labeller's value as JSON."""
     kinds = {"frame_index": pa.int32(), "time": pa.timestamp("us", "UTC")}
     return pa.schema([pa.field(name, kinds.get(name, pa.string())) for name in ORIGIN_FIELDS])
 
@@ -218,7 +218,7 @@ class History:
 
 
 def history(events: Iterable[Event]) -> History:
-    """Replay the actions of one person: an edit ends what could be brought back."""
+    """Replay the actions of a person: an edit ends all redo."""
     done: list[tuple[Event, ...]] = []
     undone: list[tuple[Event, ...]] = []
     for members in actions_of(events):
@@ -241,7 +241,7 @@ def actions_of(events: Iterable[Event]) -> list[tuple[Event, ...]]:
 def undo(
     journal: Journal, author: str, *, group: str | None = None, again: str | None = None
 ) -> Saved | Conflict | None:
-    """Take back a person's newest action, or that of a group; None where nothing is left.
+    """Take back a person's newest action, or the action of a group; None where nothing is left.
 
     `again` is `NotSaved.group` on a retry. Conflict, and nothing changed, where a cell has a standing later edit.
     InputError for no such action; NotSaved as `Journal.append`.
@@ -252,12 +252,12 @@ def undo(
 def redo(
     journal: Journal, author: str, *, group: str | None = None, again: str | None = None
 ) -> Saved | Conflict | None:
-    """Bring back what a person took back last; as `undo`, whose group is named."""
+    """Bring back the action taken back last; as `undo`, by the group of the undo."""
     return _take_back(journal, author, "redo", group, again)
 
 
 def newest(journal: Journal, author: str, action: Turn) -> tuple[Event, ...] | None:
-    """Action that `undo` takes back, the last of `history(...).done`, or that `redo` brings back.
+    """Action for `undo`, the last of `history(...).done`, or for `redo`.
 
     Read from the newest event on, in pages: an action stands unless a later one took it back.
     """
@@ -272,7 +272,7 @@ def newest(journal: Journal, author: str, action: Turn) -> tuple[Event, ...] | N
 
 
 def _stands(members: tuple[Event, ...], action: Turn, taken: Taken) -> bool:
-    """True for an action of the stack that no later one has taken."""
+    """True for an action of the stack, not taken later."""
     return (members[0].action == "undo") == (action == "redo") and not any(e.ulid in taken[action] for e in members)
 
 
@@ -293,7 +293,7 @@ def _newest_first(journal: Journal, author: str) -> Iterator[tuple[Event, ...]]:
 
 
 def _of_group(journal: Journal, author: str, action: Turn, group: str) -> tuple[Event, ...]:
-    """Action of a group; InputError where it cannot be taken or brought back."""
+    """Action of a group; InputError where neither undo nor redo applies."""
     members = journal.events(author=author, group=group)
     later = actions_of(journal.events(author=author, after=members[-1].id)) if members else []
     taken: Taken = defaultdict(set)
@@ -320,7 +320,7 @@ def _take_back(
 
 
 def edits_back(journal: Journal, members: Sequence[Event]) -> list[Edit]:
-    """Edits that take events back, or bring back undone ones.
+    """Edits for taking events back, or for reviving undone events.
 
     A cell must stand as right after the event; else the edit is based on the event's own version: a conflict.
     """

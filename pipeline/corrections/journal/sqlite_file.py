@@ -105,7 +105,7 @@ class SqliteStore:
         return can_be_written(self.file)
 
     def settle(self) -> None:
-        """Set the write-ahead log; of two openers of a new file one tries again."""
+        """Set the write-ahead log; of two openers of a new file the second tries again."""
         until = time.monotonic() + BUSY_S
         connection = self._taken()
         try:
@@ -198,7 +198,7 @@ def can_be_written(path: Path) -> bool:
 
 
 def plain_reason(message: str, path: Path) -> str:
-    """SQLite's message, plainer for a full disk, which it calls "disk I/O error" too."""
+    """SQLite's message, plainer for a full disk, also a "disk I/O error" there."""
     if message != "disk I/O error":
         return message
     try:
@@ -284,7 +284,7 @@ def _frames_saved(index: bytes, salt: bytes) -> int | None:
 
 
 def _sums(words: np.ndarray, before: np.ndarray | None = None) -> np.ndarray:
-    """Checksums (N, 2) of rows of 32-bit words, from those before.
+    """Checksums (N, 2) of rows of 32-bit words, from the sums before.
 
     A step is s' = M s + B w, modulo 2^32; so all of a row's are one product.
     """
@@ -316,7 +316,7 @@ _ESCAPE = re.compile(r"\\([0-7]{3})")
 
 
 def network_file_system(path: str | Path, mounts: str | Path = "/proc/self/mounts") -> str | None:
-    """Kind of network file system of a path; None for a local one.
+    """Kind of network file system of a path; None for a local file system.
 
     SQLite's write-ahead log needs shared memory, and so one machine (sqlite.org/wal.html).
     """

@@ -71,12 +71,12 @@ class States:
 
     @property
     def now(self) -> ExportedFrom:
-        """Newest state; with the dataset where a correction needs it."""
+        """Newest state; with the dataset where needed."""
         full = self._pixels and self._corrector(True) is not None
         return ExportedFrom(self.version, None if self._last is None else self._last.ulid, full)
 
     def check(self, state: ExportedFrom) -> None:
-        """Refuse a state of other labels or another journal, or one that needs the missing dataset."""
+        """Refuse a state of other labels or another journal, or for want of the dataset."""
         require(
             state.labels == self.version, "the file was exported from other automatic labels", got=state.labels,
             expected=self.version, cause="were the labels made again since?", path=self.labels.root,
@@ -169,7 +169,7 @@ class Claims:
             self.notes[f"reading stopped after {MOST_PROBLEMS} problems"] += 1
 
     def say(self, where: str, ref: FieldRef, value: Any, state: ExportedFrom) -> None:
-        """Claim a cell's value unless it is the exported one."""
+        """Claim a cell's value unless exported so."""
         try:
             value = checked(ref, value)
         except InputError as error:
@@ -180,19 +180,19 @@ class Claims:
     def say_fields(
         self, where: str, row: Mapping[str, Any], ref: FieldRef, fields: Iterable[str], state: ExportedFrom
     ) -> None:
-        """Claim the fields that a row has."""
+        """Claim the fields of a row."""
         for name in fields:
             if name in row:
                 self.say(where, replace(ref, field=name), row[name], state)
 
     def put(self, claim: Claim) -> None:
-        """Keep a claim; a second one of the same cell must agree."""
+        """Keep a claim; a second claim on the cell must agree."""
         before = self.found.setdefault(claim.ref, claim)
         if before is not claim and not same_value(before.value, claim.value):
             self.problem(claim.where, f"says otherwise of {claim.ref} than {before.where}")
 
     def say_new(self, where: str, frame: str, seed: dict[str, Any], state: ExportedFrom) -> None:
-        """Claim a new object; its number follows from its content, so that a second import adds nothing."""
+        """Claim a new object; the number follows from the content, so a second import adds nothing."""
         try:
             seed = checked(object_ref(frame, FIRST_NEW_OBJECT, "exists"), seed)
         except InputError as error:
@@ -203,7 +203,7 @@ class Claims:
         self.put(Claim(where, object_ref(frame, number, "exists"), seed, state))
 
     def say_deleted(self, where: str, frame: str, seen: set[int], state: ExportedFrom) -> None:
-        """Reject the exported objects of a frame that the file lacks."""
+        """Reject the exported objects of a frame without an annotation."""
         for number in self.states.frame(frame, state).objects.keys() - seen:
             self.put(Claim(where, object_ref(frame, number, "status"), "rejected", state))
 
@@ -215,7 +215,7 @@ _CONTEXT = {"frame", "frame_index", "base", "made_by", "provenance"}
 
 
 def read_lines(path: Path, claims: Claims, state_of: StateOf, *, reject_deleted: bool) -> None:
-    """Read a file of rows of one table or several; InputError for an unreadable file or an unknown state."""
+    """Read a file of rows of any tables; InputError for an unreadable file or an unknown state."""
     table = path.stem if path.stem in TABLES else None
     seen: dict[str, tuple[set[int], ExportedFrom]] = {}
     twice: set[int] = set()
@@ -339,7 +339,7 @@ def same_mask(code: Any, was: str | None, size: tuple[int, int]) -> bool:
 
 
 def check_pair(base: EffectiveFrame, a: int, b: int) -> None:
-    """Refuse a pair that the export cannot have had."""
+    """Refuse a pair outside the export."""
     require(a != b, "an object has no relation to itself", got=a)
     for number in (a, b):
         require(

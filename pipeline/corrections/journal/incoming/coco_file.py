@@ -53,7 +53,7 @@ Annotations = dict[int, tuple[str, int]]
 
 
 def load_coco(path: Path) -> Any:
-    """Read a JSON file; InputError for a missing, too large or invalid one."""
+    """Read a JSON file; InputError for a missing, too large or invalid file."""
     with as_input_error(
         "not a readable JSON file", OSError, ValueError, MemoryError, got=lambda e: str(e)[:100], path=path
     ):
@@ -68,13 +68,13 @@ def listed(content: Any, key: str, name: str) -> list[Any]:
 
 
 def entries(rows: list[Any], what: str, key: str = "id") -> Iterator[tuple[str, Any]]:
-    """Rows of a list, each with its name in messages."""
+    """Rows of a list, each with a name for messages."""
     for index, row in enumerate(rows):
         yield f"{what} {row.get(key) if isinstance(row, dict) else index!r}", row
 
 
 def base_of(content: Any) -> Any:
-    """State that a file names as exported from; None for none."""
+    """State named by a file; None for no name."""
     info = content.get("info") if isinstance(content, dict) else None
     return info.get("base") if isinstance(info, dict) else None
 
@@ -181,7 +181,7 @@ def _categories(categories: list[Any], name: str, claims: Claims) -> dict[int, s
 
 
 def _stated(row: Row) -> Any:
-    """Object of an annotation, also among attributes, where tools keep it."""
+    """Object of an annotation, also among attributes, as of tools."""
     attributes = row.get("attributes")
     if row.get("object") is not None or not isinstance(attributes, dict):
         return row.get("object")
@@ -190,7 +190,7 @@ def _stated(row: Row) -> Any:
 
 
 def number_of(row: Row) -> int | None:
-    """Object number of an annotation; None for a new one; InputError for no number."""
+    """Object number of an annotation; None for a new object; InputError for no number."""
     value = _stated(row)
     require(
         value is None or (type(value) is int and 0 <= value < 2**31), "object must be a number", got=Shown(value, 40)
@@ -232,7 +232,7 @@ class _Reader:
         return matched
 
     def row_of(self, row: Row, number: int | None) -> Row:
-        """Convert an annotation to a row of objects; of an exported one only changes."""
+        """Convert an annotation to a row of objects; of an exported object only changes."""
         category: Any = row.get("category_id")
         require(type(category) is int and category in self.categories, "no such category", got=Shown(category, 40))
         label = self.categories[category]
@@ -266,7 +266,7 @@ class _Reader:
         return same_outline(before, pixels, self.outline) if polygons else bool((before == pixels).all())
 
     def _rectangle(self, row: Row, was: Row, drawn: np.ndarray | None) -> Row:
-        """2D box changed on purpose; that of a new mask follows from it."""
+        """2D box changed on purpose, not by a new mask."""
         if "bbox" not in row:
             return {}
         box, before = rectangle_of(row["bbox"]), list(was["bbox"])

@@ -77,7 +77,7 @@ def import_corrections(
     *,
     open_dataset: Callable[[], Dataset | None] | None = None,
 ) -> ImportReport:
-    """Save the changes that somebody made in an export as one action, or nothing.
+    """Save the changes of an edited export in a single action, or nothing.
 
     `path` is a file or folder of a COCO or JSONL export; without `journal` nothing can be saved; `open_dataset` is
     called where the export holds what follows from corrected pixels. InputError for an unreadable file, or one of other
@@ -177,7 +177,7 @@ class _Source:
         self._known: dict[Any, ExportedFrom] = {}
 
     def state(self, stated: Any) -> ExportedFrom:
-        """State named by a row or file; InputError for none, or an unknown one."""
+        """State named by a row or file; InputError for no state, or an unknown state."""
         key = stated if isinstance(stated, str) else None
         if key not in self._known:
             told = None if stated is None or self._given is not None else ExportedFrom.parse(stated)
@@ -244,7 +244,7 @@ def settle(claims: Claims, reason: str) -> tuple[list[Edit], list[str], int]:
 
 
 def _contradiction(where: str, edit: Edit, exported: Any, claims: Claims) -> str:
-    """Word an edit that a later correction, or its consequence, stands against."""
+    """Word an edit against a later correction or consequence."""
     event = claims.states.newest(edit.ref.frame, edit.ref)
     by = "it was recomputed since"
     if event is not None:
@@ -254,7 +254,7 @@ def _contradiction(where: str, edit: Edit, exported: Any, claims: Claims) -> str
 
 
 def _grouped(claims: Iterable[Claim]) -> list[list[Claim]]:
-    """Group claims into actions (the answers of an expression are one), by frame."""
+    """Group claims into actions (with all answers of an expression), by frame."""
 
     def action(claim: Claim) -> Any:
         ref = claim.ref
@@ -305,7 +305,7 @@ def _edits(group: Sequence[Claim], base: EffectiveFrame, now: EffectiveFrame, re
 
 
 def _answers(claimed: dict[str, Any], name: str, now: EffectiveFrame, reason: str) -> tuple[Edit, ...]:
-    """Edit answers; where one list was changed, the other follows."""
+    """Edit answers; a single changed list brings the other."""
     if set(claimed) == {"ambiguous"}:
         return actions.set_ambiguous(now, name, claimed["ambiguous"], reason)
     row = now.expressions.get(name) or now.auto.expressions[name]

@@ -39,7 +39,7 @@ def near(one: Sequence[float], other: Sequence[float], slack: float) -> bool:
 
 
 def mask_of(segmentation: Any, size: tuple[int, int]) -> np.ndarray | None:
-    """Mask (H, W) bool of COCO's `segmentation`; None for an empty one; InputError for no code or polygons of that
+    """Mask (H, W) bool of COCO's `segmentation`; None if empty; InputError for no code or polygons of that
     size.
     """
     if segmentation in (None, [], {}):
@@ -73,7 +73,7 @@ def polygons_of(segmentation: Any) -> list[np.ndarray]:
 
 
 def polygon_mask(polygons: list[np.ndarray], size: tuple[int, int]) -> np.ndarray:
-    """Mask (H, W) bool of the pixels inside any polygon, as the COCO API has them."""
+    """Mask (H, W) bool of the pixels inside any polygon, as in the COCO API."""
     clipped = [np.clip(p, 0, np.array(size[::-1], np.float64)) for p in polygons]
     length = sum(float(np.abs(np.diff(p, axis=0, append=p[:1])).max(axis=1).sum()) + len(p) for p in clipped)
     require(
@@ -109,7 +109,7 @@ def _filled(mask: np.ndarray) -> np.ndarray:
 
 
 def is_rectangle(segmentation: Any) -> bool:
-    """True for one upright rectangular polygon: the export of a 2D box without a mask."""
+    """True for a single upright rectangular polygon: the export of a 2D box without a mask."""
     if not isinstance(segmentation, list) or len(segmentation) != 1:
         return False
     (corners,) = polygons_of(segmentation)
