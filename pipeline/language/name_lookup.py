@@ -12,7 +12,7 @@ from typing import Literal
 from pipeline.language.name_table import Synonyms, default_synonyms
 from pipeline.language.normal import HEAD_ENDS, base_of, forms_of, key_of, singular, spellings
 
-How = Literal["exact", "synonym", "kind", "spelling", "vectors"]
+How = Literal["exact", "synonym", "kind", "spelling"]
 
 PACKAGING, PACKED = "packaging", "packed good"
 """Names of the table under which stand the things that others are sold in, and what is sold in them."""

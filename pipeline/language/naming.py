@@ -7,9 +7,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import groupby
-from typing import Any, Protocol
-
-import numpy as np
 
 from pipeline.language.name_lookup import How, KnownNames, known_as, lookups, respelled
 from pipeline.language.name_table import Synonyms, default_synonyms
@@ -33,9 +30,6 @@ __all__ = [
 GENERIC = frozenset({"thing", "object", "item", "one", "stuff", "piece", "something", "anything"})
 """Words, in the singular, that mean a thing of any class; to `meanings` they are words like others."""
 
-LEAST_SIMILAR = 0.5
-"""Names whose text vectors are less similar to the query's (cosine) are not taken for it."""
-
 RELATING = frozenset(
     {"left", "right", "behind", "above", "below", "under", "over", "on", "in", "inside", "near", "next", "to", "from",
      "between", "front", "that", "is", "than"}
@@ -46,12 +40,6 @@ _SURE, _MENDED = 0.7, 0.85
 """Below the first score a misspelt word is looked for; the second is the factor of what is found by mending it."""
 
 
-class TextVectors(Protocol):
-    """A file of text vectors, as opened by `pipeline.language.vectors`."""
-
-    def phrases(self, names: Sequence[str], *, allow_missing: bool = False) -> Any: ...
-
-
 @dataclass(frozen=True)
 class Meaning:
     """A known name that a query may stand for."""
@@ -59,10 +47,10 @@ class Meaning:
     name: str  # As it is spelled among the known names
     score: float  # 1 for the very name, less the less surely the query means it; `meanings` lists the values
     # By its own spelling; by another name of it; as a kind of the query, as what it holds, or as the nearest more
-    # general or similar thing; the same after a misspelt word was corrected; by text vectors
+    # general or similar thing; the same after a misspelt word was corrected
     how: How
     # The word, of the query or of the table, at which the name was found: `mug` where `coffee mug` is taken for `mug`,
-    # `cup` where a `cup` is taken for a `mug`; for a misspelt query, as it is spelled right; "" for exact and vectors
+    # `cup` where a `cup` is taken for a `mug`; for a misspelt query, as it is spelled right; "" for exact
     via: str
     # Positions among the query's words in normal form of those that the name says nothing of: 0 where `zorb mug` is
     # taken for `mug`. None of a name that the table knows (`coffee mug`)
@@ -117,9 +105,7 @@ def match(query: str, names: Sequence[str], synonyms: Synonyms | None = None) ->
     return tuple(m.name for m in sorted(found[0], key=lambda m: m.how != "exact")) if found else ()
 
 
-def meanings(
-    query: str, names: Sequence[str], synonyms: Synonyms | None = None, vectors: TextVectors | None = None
-) -> tuple[Meaning, ...]:
+def meanings(query: str, names: Sequence[str], synonyms: Synonyms | None = None) -> tuple[Meaning, ...]:
     """Known names that a query may stand for, best first, each with a score and how the name was found.
 
     Found in tiers; a name counts in the first that has it, and `match` gives the first that has any:
@@ -137,8 +123,7 @@ def meanings(
     7. one step up: `armchair` -> `chair`, `mug` -> `cup` (0.6);
     8. of a query that the table does not know, kinds of its head: `kitchen table` -> `dining table` (0.55); not where
        its first words say what is inside, so `cheese box` never is a `sugar box`;
-    9. what is often taken for it: `monitor` -> `tv` (0.5);
-    10. by text vectors of class names, if any: half the cosine, from 0.5 up; only where no other tier has a name.
+    9. what is often taken for it: `monitor` -> `tv` (0.5).
 
     Examples
     --------
@@ -148,8 +133,6 @@ def meanings(
     """
     known = known_as(tuple(names), synonyms or default_synonyms())
     found = _tiers(normal_form(query), known)
-    if not found and vectors is not None:
-        return _by_vectors(query, known.names, vectors)
     return tuple(sorted((m for tier in found for m in tier), key=lambda m: -m.score))
 
 
@@ -201,14 +184,6 @@ def _walk(wanted: str, known: KnownNames) -> tuple[tuple[Meaning, ...], ...]:
             taken |= set(best)
             tiers.append(tuple(best[i] for i in sorted(best)))
     return tuple(tiers)
-
-
-def _by_vectors(query: str, names: tuple[str, ...], vectors: TextVectors) -> tuple[Meaning, ...]:
-    rows = vectors.phrases([query, *names], allow_missing=True).vectors.astype(np.float64)
-    lengths = np.linalg.norm(rows, axis=1)
-    cosine = rows[1:] @ rows[0] / np.maximum(lengths[1:] * lengths[0], np.finfo(np.float64).tiny)
-    order = [int(i) for i in np.argsort(-cosine, kind="stable") if cosine[i] >= LEAST_SIMILAR]
-    return tuple(Meaning(names[i], round(0.5 * float(min(cosine[i], 1.0)), 3), "vectors", "") for i in order)
 
 
 @lru_cache(maxsize=1)

@@ -129,8 +129,8 @@ class ClassLookup:
                 expected=f"--vectors with the file {self.language.name}",
             )
         if unknown and self._file is not None:
-            table = self._file.phrases(unknown, normalised=self.language.normalised)
-            self._found.update(zip(unknown, table.vectors, strict=True))
+            found = self._file.phrases(unknown, normalised=self.language.normalised)
+            self._found.update(zip(unknown, found, strict=True))
             known.update(self._found)
         rows = [known[n] if n in known else known[normal_form(n)] for n in labels]
         return np.array(rows, np.float64).reshape(len(rows), self.language.dimension)

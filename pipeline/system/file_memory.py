@@ -30,7 +30,7 @@ class FileMemory:
     absent: set[str] = field(default_factory=set)
 
 
-def memory_path(path: Path, cache: Path | None) -> Path:
+def memory_path(path: Path) -> Path:
     """Path in the cache by a file's size, time and samples of content, not by name.
 
     To read all of several gigabytes would cost what the cache is to save.
@@ -44,7 +44,7 @@ def memory_path(path: Path, cache: Path | None) -> Path:
                 digest.update(file.read(_SAMPLE))
     except OSError as error:
         raise InputError("the text vectors cannot be read", got=error, path=path) from error
-    return (cache or cache_folder()) / "text_vectors" / f"{digest.hexdigest()}.npz"
+    return cache_folder() / "text_vectors" / f"{digest.hexdigest()}.npz"
 
 
 def recall(path: Path, dimension: int) -> FileMemory:
@@ -74,9 +74,9 @@ def keep(path: Path, memory: FileMemory, dimension: int) -> None:
     keep_whole(path, lambda file: np.savez(file, said=about, vectors=vectors))
 
 
-def remembered_fingerprint(path: Path, cache: Path | None, dimension: int, compute: Callable[[], str]) -> str:
+def remembered_fingerprint(path: Path, dimension: int, compute: Callable[[], str]) -> str:
     """Fingerprint of a file, computed once."""
-    location = memory_path(path, cache)
+    location = memory_path(path)
     memory = recall(location, dimension)
     if memory.fingerprint is None:
         memory.fingerprint = compute()

@@ -143,8 +143,8 @@ def _language(job: LabelTraining, data: LabelData) -> tuple[ClassVectors | None,
     if job.vectors is None:
         return None, None
     source = open_vectors(job.vectors)
-    table = source.phrases(data.names, normalised=job.normalised)
-    return ClassVectors(data.names, table.vectors), LanguageContract.of(source, normalised=job.normalised)
+    vectors = source.phrases(data.names, normalised=job.normalised)
+    return ClassVectors(data.names, vectors), LanguageContract.of(source, normalised=job.normalised)
 
 
 def _worded(scorer: OnnxScorer, frame: LabelledFrame, names: Sequence[str]) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Which known names a query may stand for: tiers, scores, kinds, brands, compounds, misspelt words, text vectors."""
+"""Which known names a query may stand for: tiers, scores, kinds, brands, compounds, misspelt words."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.language import Meaning, match, meanings, normal_form, open_vectors
+from pipeline.language import Meaning, match, meanings, normal_form
 from pipeline.language.name_table import NAMES, Synonyms, checked_table, default_synonyms
 from pipeline.language.naming import GENERIC, is_compound, known_words, spelt
 from pipeline.language.normal import key_of
@@ -105,16 +105,6 @@ def test_a_misspelt_word_of_a_known_name_is_mended_before_it_is_left_out() -> No
 def test_what_a_package_holds_may_stand_behind_it() -> None:
     assert [m.name for m in meanings("tin of meat", YCB)] == ["potted meat can"]
     assert meanings("tin of paint", YCB) == ()
-
-
-def test_text_vectors_come_last(tmp_path: Path) -> None:
-    file = tmp_path / "vectors.json"
-    file.write_text(json.dumps({"kind": "word", "vectors": {"gizmo": [1, 0.2], "widget": [1, 0], "mug": [0, 1]}}))
-    vectors = open_vectors(file)
-    found = meanings("gizmo", ["mug", "widget"], vectors=vectors)
-    assert [(m.name, m.how) for m in found] == [("widget", "vectors")]
-    assert found[0].score == pytest.approx(0.5 / np.hypot(1, 0.2), abs=1e-3)
-    assert [m.how for m in meanings("cup", ["mug", "widget"], vectors=vectors)] == ["kind"]
 
 
 @given(st.lists(st.sampled_from([*COCO, *YCB])), st.one_of(st.text(max_size=30), st.sampled_from(sorted(GENERIC))))

@@ -46,10 +46,10 @@ def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_damaged_text_is_refused(tmp_path: Path, content: bytes, message: str) -> None:
     path = written(tmp_path / "bad.vec", content)
     with pytest.raises(InputError, match=message) as caught:
-        open_vectors(path).vector("mug")
+        open_vectors(path).phrases(["mug"])
     assert "\n" not in str(caught.value)
     with pytest.raises(InputError, match=message):
-        open_vectors(written(tmp_path / "bad.vec.gz", gzip.compress(content))).vector("mug")
+        open_vectors(written(tmp_path / "bad.vec.gz", gzip.compress(content))).phrases(["mug"])
 
 
 def test_packed_text_cut_short_is_refused(tmp_path: Path) -> None:
@@ -57,7 +57,7 @@ def test_packed_text_cut_short_is_refused(tmp_path: Path) -> None:
     for end in (5, 60, len(packed) - 4):
         path = written(tmp_path / "cut.vec.gz", packed[:end])
         with pytest.raises(InputError):
-            open_vectors(path).vector("mug")
+            open_vectors(path).phrases(["mug"])
 
 
 def test_a_model_cut_anywhere_is_refused(tmp_path: Path) -> None:
@@ -125,12 +125,13 @@ def test_numbers_that_are_not_finite_in_a_model_are_refused(tmp_path: Path) -> N
     matrix = np.full((4, 2), np.nan, "<f4")
     path = written(tmp_path / "bad.bin", fasttext_bytes(["chair"], buckets=3, dimension=2, matrix=matrix))
     with pytest.raises(InputError, match="no finite numbers for 'chair'"):
-        open_vectors(path).vector("chair")
+        open_vectors(path).phrases(["chair"])
 
 
 def test_a_word_of_a_megabyte_has_no_subwords(tmp_path: Path) -> None:
     vectors = open_vectors(written(tmp_path / "model.bin", fasttext_bytes()))
-    assert vectors.phrases(["q" * 1_000_000], allow_missing=True).unknown
+    with pytest.raises(InputError, match="no word"):
+        vectors.phrases(["q" * 1_000_000])
 
 
 NAMES = npy_bytes(np.array(["mug", "can"]))

@@ -5,16 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 from pipeline.language.vectors.contract import LanguageContract
-from pipeline.language.vectors.phrases import PhraseTable, PhraseVector, VectorFile, VectorSource
-from pipeline.language.vectors.tables import read_json, read_npz
+from pipeline.language.vectors.phrases import VectorFile
 from pipeline.system.errors import InputError, require
 
-__all__ = ["LanguageContract", "PhraseTable", "PhraseVector", "VectorFile", "VectorSource", "open_vectors"]
+__all__ = ["LanguageContract", "VectorFile", "open_vectors"]
 
 FORMATS = ".vec, .vec.gz, .bin, .npz, .json"
 
 
-def open_vectors(path: str | Path, *, kind: str | None = None, cache: Path | None = None) -> VectorFile:
+def open_vectors(path: str | Path) -> VectorFile:
     """Open a file of text vectors, in the format of the file's ending.
 
     ========== ==================================================================================================
@@ -24,13 +23,7 @@ def open_vectors(path: str | Path, *, kind: str | None = None, cache: Path | Non
     .json      {"kind": "word" | "phrase", "vectors": {name: [D numbers], ...}}
     ========== ==================================================================================================
 
-    Parameters
-    ----------
-    kind : {"word", "phrase"}, optional
-        Kind of the entries of an .npz or .json file, where the file does not say it or says it wrongly. Entries
-        that are words may be averaged over a phrase; entries that are whole phrases (CLIP, MiniLM) may not.
-    cache : Path, optional
-        Folder of what a .vec file was found to hold and of the hashes of large files; that of the user by default.
+    Entries of kind "word" may be averaged over a phrase; whole phrases (CLIP, MiniLM) may not.
 
     Raises
     ------
@@ -45,35 +38,24 @@ def open_vectors(path: str | Path, *, kind: str | None = None, cache: Path | Non
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = Path(folder, "words.json")
     ...     _ = path.write_text('{"kind": "word", "vectors": {"coffee": [1, 0], "table": [0, 1]}}')
-    ...     print(open_vectors(path).vector("CoffeeTables").vector)
-    [0.5 0.5]
+    ...     print(open_vectors(path).phrases(["CoffeeTables"]))
+    [[0.5 0.5]]
     """
     path = Path(path)
     require(path.is_file(), "there is no file of text vectors", expected=FORMATS, path=path)
     name = path.name.lower()
-    if kind not in (None, "word", "phrase"):
-        raise InputError("text vectors are of words or of phrases", got=repr(kind), expected="word or phrase")
-    require(
-        not (name.endswith((".vec", ".vec.gz", ".bin")) and kind == "phrase"),
-        "FastText's files hold vectors of words",
-        got="kind 'phrase'",
-        expected="word",
-        path=path,
-    )
-    return VectorFile(_source(path, name, kind, cache))
-
-
-def _source(path: Path, name: str, kind: str | None, cache: Path | None) -> VectorSource:
     if name.endswith((".vec", ".vec.gz")):
         from pipeline.language.vectors.vec_text import VecFile
 
-        return VecFile.open(path, cache)
+        return VecFile.open(path)
     if name.endswith(".bin"):
         from pipeline.language.vectors.fasttext_bin import FastTextBinary
 
-        return FastTextBinary.open(path, cache)
+        return FastTextBinary.open(path)
     if name.endswith((".npz", ".json")):
-        return (read_npz if name.endswith(".npz") else read_json)(path, kind)
+        from pipeline.language.vectors.tables import read_json, read_npz
+
+        return (read_npz if name.endswith(".npz") else read_json)(path)
     causes = {".ftz": "a quantised model; take the .bin or .vec it was made from", ".gz": "unpack it first"}
     raise InputError(
         "the format of the text vectors is not known",

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import xxhash
 
-from pipeline.language.vectors.phrases import utf8
+from pipeline.language.vectors.phrases import VectorFile, utf8
 from pipeline.system.errors import InputError
 from pipeline.system.file_memory import remembered_fingerprint
 from pipeline.system.safe_files import opened
@@ -68,7 +68,7 @@ class Subwords:
 
 
 @dataclass(frozen=True, eq=False)
-class FastTextBinary:
+class FastTextBinary(VectorFile):
     """A .bin model of FastText. A word's vector is the mean of its own row and those of its subwords.
 
     Memory holds two numbers a word of the vocabulary; the matrix stays on disk, and only the rows that are asked for
@@ -80,7 +80,6 @@ class FastTextBinary:
     words: int  # Size of the vocabulary
     subwords: Subwords
     end: int  # End of the matrix in the file; what follows is of no use here
-    cache: Path | None
     _map: mmap.mmap = field(repr=False)
     _matrix: np.ndarray = field(repr=False)
     _hashes: np.ndarray = field(repr=False)
@@ -90,7 +89,7 @@ class FastTextBinary:
     kind = "word"
 
     @classmethod
-    def open(cls, path: Path, cache: Path | None = None) -> FastTextBinary:
+    def open(cls, path: Path) -> FastTextBinary:
         """Map a model and read its dictionary; InputError for no model, a quantised or a damaged model."""
         try:
             with opened(path, "model") as file:
@@ -99,15 +98,11 @@ class FastTextBinary:
             raise
         except (OSError, ValueError) as error:
             raise InputError("the FastText model cannot be read", got=error, path=path) from error
-        return _parsed(path, data, cache)
-
-    @property
-    def name(self) -> str:
-        return self.path.name
+        return _parsed(path, data)
 
     def fingerprint(self) -> str:
         """Hash of the file up to the end of the matrix."""
-        return remembered_fingerprint(self.path, self.cache, self.dimension, self._digest)
+        return remembered_fingerprint(self.path, self.dimension, self._digest)
 
     def _digest(self) -> str:
         digest = xxhash.xxh3_128()
@@ -126,9 +121,6 @@ class FastTextBinary:
             if vector is not None:
                 found[word] = vector
         return found
-
-    def whole(self, name: str) -> np.ndarray | None:
-        return None
 
     def infer(self, word: str) -> np.ndarray | None:
         data = utf8(word)
@@ -163,7 +155,7 @@ class FastTextBinary:
         return narrow if narrow.any() else None
 
 
-def _parsed(path: Path, data: mmap.mmap, cache: Path | None) -> FastTextBinary:
+def _parsed(path: Path, data: mmap.mmap) -> FastTextBinary:
     size = len(data)
 
     def damaged(got: str, cause: str | None = None) -> InputError:
@@ -212,7 +204,7 @@ def _parsed(path: Path, data: mmap.mmap, cache: Path | None) -> FastTextBinary:
         if one == other:
             raise damaged(f"the word {one.decode('utf-8', 'replace')[:60]!r} twice")
     subwords = Subwords(shortest, longest, buckets)
-    return FastTextBinary(path, dimension, words, subwords, end, cache, data, matrix, ordered, order, starts)
+    return FastTextBinary(path, dimension, words, subwords, end, data, matrix, ordered, order, starts)
 
 
 def _dictionary(

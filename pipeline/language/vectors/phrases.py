@@ -1,11 +1,11 @@
-"""Vectors of phrases from vectors of words, with a list of unknown words."""
+"""Vectors of phrases from vectors of words."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from pathlib import Path
 
 import numpy as np
 
@@ -17,165 +17,79 @@ _NAMED = 8
 """At most so many names in an error."""
 
 
-class VectorSource(Protocol):
-    """Interface of a format. A vector is (D,) float32, finite and not all zero, or unknown."""
+class VectorFile:
+    """Vectors of class names from one file; a format says how they are found.
+
+    A vector is (D,) float32, finite and not all zero, or the word is unknown.
+    """
+
+    path: Path
+    dimension: int
+    kind: str  # "word": a phrase may be the mean of its words; "phrase": only whole entries count
 
     @property
     def name(self) -> str:
-        """Name of the file."""
-        ...
-
-    @property
-    def dimension(self) -> int: ...
-
-    @property
-    def kind(self) -> str:
-        """Kind of entries. `word`: a phrase may be the mean of its words; `phrase`: only whole entries count."""
-        ...
+        return self.path.name
 
     def fingerprint(self) -> str:
         """Hash of the contents, the same for the same vectors elsewhere."""
-        ...
+        raise NotImplementedError
 
     def find(self, spellings: Iterable[str]) -> Mapping[str, np.ndarray]:
         """Vectors of the spellings in the file, letter by letter."""
-        ...
+        raise NotImplementedError
 
     def whole(self, name: str) -> np.ndarray | None:
         """Vector of a name held as one entry."""
-        ...
+        return None
 
     def infer(self, word: str) -> np.ndarray | None:
         """Vector of a word outside the file, from the parts of its spelling."""
-        ...
+        return None
 
-
-@dataclass(frozen=True, eq=False)
-class PhraseVector:
-    """The vector of one name."""
-
-    vector: np.ndarray  # (D,) float32
-    missing: tuple[str, ...] = ()  # Words without a vector, which do not count in the mean
-    inferred: tuple[str, ...] = ()  # Words outside the vocabulary, with vectors from their subwords
-
-
-@dataclass(frozen=True, eq=False)
-class PhraseTable:
-    """The vectors of several names."""
-
-    names: tuple[str, ...]  # In the order of the call
-    vectors: np.ndarray  # (N, D) float32
-    missing: dict[str, tuple[str, ...]]  # The words without a vector, of each name that has such
-    inferred: dict[str, tuple[str, ...]]  # The words whose vectors come from subwords, of each name that has such
-    # The names of which no word is known; their rows are zeros, and they stand in `missing` too
-    unknown: tuple[str, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class VectorFile:
-    """Vectors of class names, from one file."""
-
-    source: VectorSource
-
-    @property
-    def name(self) -> str:
-        return self.source.name
-
-    @property
-    def dimension(self) -> int:
-        return self.source.dimension
-
-    @property
-    def kind(self) -> str:
-        return self.source.kind
-
-    def fingerprint(self) -> str:
-        """Hash of the contents, the same for the same vectors elsewhere."""
-        return self.source.fingerprint()
-
-    def vector(self, phrase: str, *, normalised: bool = False, allow_missing: bool = False) -> PhraseVector:
-        """Vector of a name, as in `phrases`. Of a .vec file, ask for all names at once instead."""
-        table = self.phrases([phrase], normalised=normalised, allow_missing=allow_missing)
-        return PhraseVector(table.vectors[0], table.missing.get(phrase, ()), table.inferred.get(phrase, ()))
-
-    def phrases(self, names: Sequence[str], *, normalised: bool = False, allow_missing: bool = False) -> PhraseTable:
-        """Vectors of names.
+    def phrases(self, names: Sequence[str], *, normalised: bool = False) -> np.ndarray:
+        """Vectors of class names as a dataset spells them (`trash_can`, `CoffeeTable`), (N, D) float32.
 
         A name that the file holds as one entry has that entry's vector. Any other has the mean of the vectors of its
         words, all alike, in a file of words; in a file of phrases it is not known. A word is looked up in lower case
         first, then as written, with a capital, in capitals; for `t-shirt`, its parts stand in where all of them are
-        known; last, where the file has them, its subwords.
+        known; last, where the file has them, its subwords. Words that are not known do not count.
 
-        Parameters
-        ----------
-        names : sequence of str
-            Class names as a dataset spells them: `trash_can`, `CoffeeTable`.
-        normalised : bool
-            Divide every vector by its length before the mean is taken, as FastText's getSentenceVector
-            does. The mean itself is not normalised again.
-        allow_missing : bool
-            Give a name of which no word is known a row of zeros, and a place in `unknown`, instead of an error.
+        With `normalised` every vector is divided by its length before the mean is taken, as FastText's
+        getSentenceVector does. The mean itself is not normalised again.
 
         Raises
         ------
         InputError
-            Names of which no word is known, unless they are allowed; a file that turns out to be damaged.
+            Names of which no word is known; a file that turns out to be damaged.
         """
         if isinstance(names, str):
             raise InputError("names of classes are a sequence", got=repr(names), expected="a list of names")
-        distinct = dict.fromkeys(names)
-        whole = {name: self.source.whole(name) for name in distinct}
-        words = {n: phrase_words(n) for n in distinct if whole[n] is None and self.kind == "word"}
+        whole = {name: self.whole(name) for name in dict.fromkeys(names)}
+        words = {n: phrase_words(n) for n, vector in whole.items() if vector is None and self.kind == "word"}
         asked = (s for group in words.values() for w in group for one in (w, *w.parts) for s in one.spellings)
-        found = self.source.find(dict.fromkeys(asked)) if words else {}
+        found = self.find(dict.fromkeys(asked)) if words else {}
         rows: dict[str, np.ndarray] = {}
-        missing: dict[str, tuple[str, ...]] = {}
-        inferred: dict[str, tuple[str, ...]] = {}
         for name, vector in whole.items():
-            if vector is not None:
-                rows[name] = _unit(vector) if normalised else vector
-                continue
-            parts, lost, guessed = self._known(words.get(name, ()), found)
+            parts = self._of_words(words.get(name, ()), found) if vector is None else [vector]
             if parts:
                 rows[name] = np.stack([_unit(p) if normalised else p for p in parts]).mean(axis=0, dtype=np.float64)
-            if lost or not parts:
-                missing[name] = tuple(lost) or (readable(name) or name,)
-            if guessed:
-                inferred[name] = tuple(guessed)
-        unknown = tuple(name for name in distinct if name not in rows)
-        if unknown and not allow_missing:
+        unknown = [name for name in whole if name not in rows]
+        if unknown:
             raise self._not_known(unknown)
-        vectors = np.zeros((len(names), self.dimension), np.float32)
-        for k, name in enumerate(names):
-            if name in rows:
-                vectors[k] = rows[name]
+        vectors = np.array([rows[name] for name in names], np.float32).reshape(len(names), self.dimension)
         vectors.flags.writeable = False
-        return PhraseTable(tuple(names), vectors, missing, inferred, unknown)
+        return vectors
 
-    def _known(
-        self, words: Sequence[Word], found: Mapping[str, np.ndarray]
-    ) -> tuple[list[np.ndarray], list[str], list[str]]:
-        """Vectors of the mean, unknown words, and words known by their subwords."""
+    def _of_words(self, words: Sequence[Word], found: Mapping[str, np.ndarray]) -> list[np.ndarray]:
         vectors: list[np.ndarray] = []
-        missing: list[str] = []
-        inferred: list[str] = []
         for word in words:
             direct = _first(word, found)
-            pieces = [_first(p, found) for p in word.parts]
-            known = [p for p in pieces if p is not None]
-            if direct is not None:
-                vectors.append(direct)
-            elif known and len(known) == len(pieces):
-                vectors += known
-            elif (guess := self.source.infer(word.text)) is not None:
-                vectors.append(guess)
-                inferred.append(word.text)
-            elif known:
-                vectors += known
-                missing += [w.text for w, p in zip(word.parts, pieces, strict=True) if p is None]
-            else:
-                missing.append(word.text)
-        return vectors, missing, inferred
+            pieces = [p for p in (_first(part, found) for part in word.parts) if p is not None]
+            if direct is None and (not pieces or len(pieces) < len(word.parts)):
+                direct = self.infer(word.text)
+            vectors += pieces if direct is None else [direct]
+        return vectors
 
     def _not_known(self, unknown: Sequence[str]) -> InputError:
         listed = ", ".join(repr(n[:60]) for n in unknown[:_NAMED])

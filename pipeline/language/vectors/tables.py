@@ -16,6 +16,7 @@ import xxhash
 
 from pipeline.language.naming import normal_form
 from pipeline.language.noun_phrase import readable
+from pipeline.language.vectors.phrases import VectorFile
 from pipeline.system.errors import InputError, as_input_error, require
 from pipeline.system.safe_files import open_archive, opened, parse_json, read_text
 
@@ -31,13 +32,14 @@ _BLOCK = 1 << 16
 
 
 @dataclass(frozen=True, eq=False)
-class VectorTable:
+class VectorTable(VectorFile):
     """Names and their vectors. The first of two entries with the same name counts."""
 
-    name: str
+    path: Path
     kind: str
     names: tuple[str, ...]
     vectors: np.ndarray  # (N, D) float16, float32 or float64
+    dimension: int = field(init=False)
     _rows: dict[str, int] = field(init=False, repr=False)
     _normal: dict[str, int] = field(init=False, repr=False)
 
@@ -52,10 +54,7 @@ class VectorTable:
             normal.pop("", None)
         object.__setattr__(self, "_rows", rows)
         object.__setattr__(self, "_normal", normal)
-
-    @property
-    def dimension(self) -> int:
-        return self.vectors.shape[1]
+        object.__setattr__(self, "dimension", self.vectors.shape[1])
 
     def fingerprint(self) -> str:
         """Hash of kind, names and vectors, however packed."""
@@ -82,16 +81,13 @@ class VectorTable:
         candidates = (normal, normal.replace(" ", "_"), name)
         return self._vector(next((self._rows[c] for c in candidates if c in self._rows), None))
 
-    def infer(self, word: str) -> np.ndarray | None:
-        return None
-
     def _vector(self, row: int | None) -> np.ndarray | None:
         """Row as float32; zeros stand for a name without a vector."""
         vector = None if row is None else self.vectors[row].astype(np.float32)
         return vector if vector is not None and vector.any() else None
 
 
-def read_npz(path: Path, kind: str | None = None) -> VectorTable:
+def read_npz(path: Path) -> VectorTable:
     """Read `words`, `phrases` or `names` (N,) of unicode, `vectors` (N, D) of floats and perhaps `kind`.
 
     InputError where the file is damaged, lacks an array, holds Python objects, or its arrays do not fit each other.
@@ -107,14 +103,14 @@ def read_npz(path: Path, kind: str | None = None) -> VectorTable:
                     expected=f"vectors, and one of {', '.join(NAME_KEYS)}",
                     path=path,
                 )
-            stored_kind = str(_member(archive, "kind", path).item()) if kind is None and "kind" in keys else None
+            kind = str(_member(archive, "kind", path).item()) if "kind" in keys else NAME_KEYS[present[0]]
             names = _texts(_member(archive, present[0], path), present[0], path)
             vectors = _member(archive, "vectors", path)
     except (OSError, ValueError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
         if isinstance(error, InputError):
             raise
         raise InputError("the file of text vectors cannot be read", got=error, path=path) from error
-    return _table(path, kind or stored_kind or NAME_KEYS[present[0]], names, vectors)
+    return _table(path, kind, names, vectors)
 
 
 def _member(archive: zipfile.ZipFile, key: str, path: Path) -> np.ndarray:
@@ -159,7 +155,7 @@ def _texts(names: np.ndarray, key: str, path: Path) -> list[str]:
         raise InputError(f"the array {key!r} is not UTF-8", got=error, path=path) from error
 
 
-def read_json(path: Path, kind: str | None = None) -> VectorTable:
+def read_json(path: Path) -> VectorTable:
     """Read {"kind": "word" | "phrase", "vectors": {name: [D numbers]}}, by default of kind `phrase`."""
     with as_input_error("the file of text vectors cannot be read", OSError, ValueError, got=str, path=path):
         loaded = parse_json(read_text(path), path, object_pairs_hook=_no_repeats)
@@ -177,7 +173,7 @@ def read_json(path: Path, kind: str | None = None) -> VectorTable:
         vectors = np.array(list(entries.values()), np.float64)
     except OverflowError as error:
         raise InputError("the text vectors hold a number that is no float", got=error, path=path) from error
-    return _table(path, kind or loaded.get("kind", "phrase"), list(entries), vectors)
+    return _table(path, loaded.get("kind", "phrase"), list(entries), vectors)
 
 
 def _no_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -218,4 +214,4 @@ def _table(path: Path, kind: Any, names: Sequence[str], vectors: np.ndarray) -> 
             raise InputError(
                 "a text vector is not finite", got=f"that of {names[start + int(bad[0])][:60]!r}", path=path
             )
-    return VectorTable(path.name, kind, tuple(names), vectors)
+    return VectorTable(path, kind, tuple(names), vectors)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import xxhash
 
-from pipeline.language.vectors.phrases import utf8
+from pipeline.language.vectors.phrases import VectorFile, utf8
 from pipeline.system.errors import InputError, require
 from pipeline.system.file_memory import FileMemory, keep, memory_path, recall
 from pipeline.system.safe_files import opened
@@ -26,7 +26,7 @@ _BYTES_A_NUMBER, _BYTES_A_WORD = 32, 1 << 16
 
 
 @dataclass(frozen=True, eq=False)
-class VecFile:
+class VecFile(VectorFile):
     """A .vec file. Words are as the file spells them; the first of two equal words counts, as in gensim.
 
     The file is read from its beginning to its end once for all the words of a call, whatever they are; what was
@@ -37,12 +37,11 @@ class VecFile:
     path: Path
     words: int
     dimension: int
-    cache: Path | None
 
     kind = "word"
 
     @classmethod
-    def open(cls, path: Path, cache: Path | None = None) -> VecFile:
+    def open(cls, path: Path) -> VecFile:
         """Read the header; InputError without two sensible numbers at the beginning."""
         with _opened(path) as file:
             line = file.readline(64)
@@ -63,11 +62,7 @@ class VecFile:
             expected=f"at least one word of 1 to {MAX_DIMENSION} dimensions",
             path=path,
         )
-        return cls(path, words, dimension, cache)
-
-    @property
-    def name(self) -> str:
-        return self.path.name
+        return cls(path, words, dimension)
 
     def fingerprint(self) -> str:
         """Hash of the text, the same packed and unpacked."""
@@ -78,15 +73,9 @@ class VecFile:
         known = self._known(wanted).vectors
         return {w: known[w] for w in wanted if w in known}
 
-    def whole(self, name: str) -> np.ndarray | None:
-        return None
-
-    def infer(self, word: str) -> np.ndarray | None:
-        return None
-
     @cached_property
     def _location(self) -> Path:
-        return memory_path(self.path, self.cache)
+        return memory_path(self.path)
 
     @cached_property
     def _memory(self) -> FileMemory:
