@@ -31,10 +31,10 @@ TIED = 5e-4
 class AnswerWords:
     """Best pair in words."""
 
-    # holds: Every relation of the answer has a probability of at least a half; None where that is so of a question that
-    # was asked in part
+    # Every relation of the answer has a probability of at least a half; None where that is so of a question that was
+    # asked in part
     holds: bool | None
-    # lead: What stands before the pair: nothing, that there is no such pair, or that a pair of less confidence is one
+    # What stands before the pair: nothing, that there is no such pair, or that a pair of less confidence is one
     lead: str
     numbers: str  # The relation's probability (of several the weakest's) and the product of all factors
     below: str  # The posterior over the candidate pairs, and its margin to the next one

@@ -41,8 +41,7 @@ class AskConfig:
     lift: LiftConfig = field(default_factory=LiftConfig)
     rank: RankConfig = field(default_factory=RankConfig)
     relations: tuple[str, ...] | None = None  # What the expression may use; None for everything the scorer knows
-    # score_calibration: Makes P(x | name) of the scores of a detector that is not exact; the objects keep their raw
-    # scores
+    # Makes P(x | name) of the scores of a detector that is not exact; the objects keep their raw scores
     score_calibration: ScoreCalibration | None = None
 
     def __post_init__(self) -> None:
@@ -59,21 +58,21 @@ class Trace:
     objects: tuple[SceneObject, ...]  # All proposals of all names, lifted; each thing once
     candidates: dict[str, Candidates]  # Class name as asked -> places in `objects` and scores
     scores: RelationScores
-    # timings: Seconds by stage: parse, frame (up vector and depth edges, once for a frame), opm, lift, srm, prm; and
-    # masks, what a segmenter took where it was run
+    # Seconds by stage: parse, frame (up vector and depth edges, once for a frame), opm, lift, srm, prm; and masks, what
+    # a segmenter took where it was run
     timings: dict[str, float]
     detector: str
     scorer: str
     exact: bool  # The objects are the dataset's own
-    # score_calibration: What made the candidates' scores of the detector's; None where they are its own
+    # What made the candidates' scores of the detector's; None where they are its own
     score_calibration: ScoreCalibration | None = None
     ranking: Ranking | None = None  # None where a class was not found
-    # answered: The answer in words where it was given elsewhere without what ranked it: then the first pair is it, if
-    # it is one of the objects, and numbers of the pairs are no part of it
+    # The answer in words where it was given elsewhere without what ranked it: then the first pair is it, if it is one
+    # of the objects, and numbers of the pairs are no part of it
     answered: str | None = None
     own_scores: bool = False  # An imported ranking that is not the product of the factors
-    # numbers: by identity the place of a thing among all that the detector finds in the frame,
-    # by which it is called; empty where that is not known without looking
+    # by identity the place of a thing among all that the detector finds in the frame, by which it is called; empty
+    # where that is not known without looking
     numbers: Mapping[int, int] = field(default_factory=dict)
 
     def __repr__(self) -> str:

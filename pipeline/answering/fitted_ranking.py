@@ -75,8 +75,8 @@ def curves(factors: np.ndarray) -> np.ndarray:
 class FittedRanking:
     """Fitted model of a file's ranking."""
 
-    # weights: (K,) float64: of `curves` and `standing`; the difference of two sums is how much more the one pair
-    # scores, about, on `scale`
+    # (K,) float64: of `curves` and `standing`; the difference of two sums is how much more the one pair scores, about,
+    # on `scale`
     weights: np.ndarray
     unit: float  # So much more is one more of the log odds that it scores more at all
     scale: Scale = "values"  # In what scores are sums

@@ -36,7 +36,7 @@ class SceneObject:
     bbox: np.ndarray  # (4,) float32: x0, y0, x1, y1, pixels
     mask: np.ndarray  # (H, W) bool
     lifted: LiftedObject
-    # told: P(attribute | object) where an imported file gives it, by attribute
+    # P(attribute | object) where an imported file gives it, by attribute
     told: Mapping[str, float] = field(default_factory=dict)
     box_from: str = ""  # Of imported predictions: "given", or "worked out" where the file gives no 3D box of it
 

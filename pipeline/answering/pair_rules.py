@@ -110,7 +110,7 @@ class RunRules:
     """Ranking rule shown by the lines of a file together."""
 
     shown: FittedRanking | None
-    # true_scores: What is high and low for a thing by this file: of what nothing ever had, no score is known
+    # What is high and low for a thing by this file: of what nothing ever had, no score is known
     true_scores: tuple[float, float]
 
     @staticmethod
@@ -144,26 +144,25 @@ def _told_scores(header: Header, line: Prediction, factors: Factors) -> dict[Pai
 class PairRule:
     """Scores of the pairs of a line."""
 
-    # given: dict of (target id, reference id) to float: as the line says, or by the model where it says no scores
+    # dict of (target id, reference id) to float: as the line says, or by the model where it says no scores
     given: dict[Pair, float]
-    # factors: dict of (target id, reference id) to (P(target), P(reference), P(relation)): what these scores were given
-    # for
+    # dict of (target id, reference id) to (P(target), P(reference), P(relation)): what these scores were given for
     factors: Factors = field(default_factory=dict)
-    # model: (ids (P..., 2), factors (..., P..., 3)) -> (..., P...): what the pairs of a line score by what is known of
-    # the ranking, on `scale`; None where nothing is, and their scores stand
+    # (ids (P..., 2), factors (..., P..., 3)) -> (..., P...): what the pairs of a line score by what is known of the
+    # ranking, on `scale`; None where nothing is, and their scores stand
     model: Model | None = None
-    # unit: So much more score is one more of the log odds of standing higher; 0 where the model is the ranking itself,
-    # and nothing that was fitted to it
+    # So much more score is one more of the log odds of standing higher; 0 where the model is the ranking itself, and
+    # nothing that was fitted to it
     unit: float = 0.0
     scale: Scale = "values"  # On which the model is a sum; see `shown_ranking.SCALES`
     told: bool = True  # The scores are the system's own, and no product
     true_scores: tuple[float, float] = RankConfig().true_scores
-    # answered: Of a line that does not tell what ranked: its answer in words, which no number of ours may stand beside
+    # Of a line that does not tell what ranked: its answer in words, which no number of ours may stand beside
     answered: str | None = None
     scored: bool = False  # `given` are scores of the file
-    # first: What was answered, where it is still to be put first among the pairs that are two things: `among`
+    # What was answered, where it is still to be put first among the pairs that are two things: `among`
     first: PredictedAnswer | None = None
-    # ids: (N,) int64: of the list of objects that the table of pairs is about
+    # (N,) int64: of the list of objects that the table of pairs is about
     ids: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def among(self, ids: Sequence[int], same: np.ndarray) -> PairRule | None:

@@ -72,8 +72,7 @@ class ScoredPair:
     """Candidate answer."""
 
     target: int
-    # reference: Places in the list of objects; None where no pair was allowed, or no relation to another object was
-    # asked
+    # Places in the list of objects; None where no pair was allowed, or no relation to another object was asked
     reference: int | None
     # p_target, p_reference, p_relation: The three factors
     p_target: float
@@ -82,10 +81,10 @@ class ScoredPair:
     log_score: float  # S, the weighted sum of logs
     product: float  # Of the factors, with those of all further relations of the expression
     probability: float  # Posterior over all allowed pairs
-    # links: All relations of the expression with the objects that fill them; empty where only the one was asked
+    # All relations of the expression with the objects that fill them; empty where only the one was asked
     links: tuple[Link, ...] = ()
     second_reference: int | None = None  # The other end of "between"
-    # factors: What the expression says of its objects one by one: attributes, choices, what they are not
+    # What the expression says of its objects one by one: attributes, choices, what they are not
     factors: tuple[Factor, ...] = ()
 
     def __repr__(self) -> str:
@@ -128,8 +127,7 @@ class Side:
 
     index: np.ndarray  # (K,) int64: places in the list of objects
     scores: np.ndarray  # (..., K) float64: P(x | name), 0..1
-    # log: (..., K) float64: what each adds to S: its own weighted log score, and the best of everything that hangs on
-    # it
+    # (..., K) float64: what each adds to S: its own weighted log score, and the best of everything that hangs on it
     log: np.ndarray
 
 

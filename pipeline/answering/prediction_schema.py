@@ -57,25 +57,24 @@ class Header:
     spatialviz_predictions: int = VERSION  # Version of the schema
     system: Name = "predictions"  # Name of the pipeline
     boxes: Literal["xyxy", "xywh", "cxcywh", "yxyx"] = "xyxy"  # How 2D boxes are written
-    # box_unit: What they and points are in: pixels, or shares (0..1) or thousandths of the picture's width and height
+    # What they and points are in: pixels, or shares (0..1) or thousandths of the picture's width and height
     box_unit: Literal["pixels", "shares", "thousandths"] = "pixels"
-    # coordinates: Frame of 3D boxes: the camera's with y down and z forward, or y up and z backward; or the dataset's
-    # world
+    # Frame of 3D boxes: the camera's with y down and z forward, or y up and z backward; or the dataset's world
     coordinates: Literal["camera_opencv", "camera_opengl", "world"] = "camera_opencv"
     length: Literal["m", "cm", "mm"] = "m"  # Unit of 3D boxes
-    # ranking: How pairs are ranked: by the product of P(target), P(reference) and P(relation) with these weights; by
-    # scores of the system's own, given as "pairs"; or "none": not told
+    # How pairs are ranked: by the product of P(target), P(reference) and P(relation) with these weights; by scores of
+    # the system's own, given as "pairs"; or "none": not told
     ranking: Literal["product", "pair_scores", "none"] = "none"
     weights: Weights = field(default_factory=Weights)
-    # same: Which proposals count as one thing, and so never as a pair: those with one id, or also those that overlap
+    # Which proposals count as one thing, and so never as a pair: those with one id, or also those that overlap
     same: Literal["ids", "overlap"] = "ids"
     exact: StrictBool = False  # The proposals are the dataset's own annotations
     events: StrictBool = False  # The lines are events of a trace: what they tell of one expression is joined
-    # scorer: A relation scorer of ours that made the probabilities ("rule", "trained", an ONNX file), which can be
-    # asked again; None for one that cannot
+    # A relation scorer of ours that made the probabilities ("rule", "trained", an ONNX file), which can be asked again;
+    # None for one that cannot
     scorer: str | None = None
-    # confidence: Score that is given to an object that was not proposed, where the truth is put in place; None for the
-    # median of the right proposals
+    # Score that is given to an object that was not proposed, where the truth is put in place; None for the median of
+    # the right proposals
     confidence: Share | None = None
     settings: dict[str, Any] | None = None  # Of a run of ours that was exported: how it was answered
     notes: str = ""  # For people
@@ -91,9 +90,9 @@ class Proposal:
     score: Share  # P(object | name), 0..1
     box: Four | None = None  # As the header says; may be left out where an earlier line of the frame told it of this id
     name: str = ""  # What the detector calls it; empty for the name that was asked
-    # mask: COCO's run-length code, of the frame's size; without it the box is all that is known
+    # COCO's run-length code, of the frame's size; without it the box is all that is known
     mask: RunLength | None = None
-    # dropped: It did not go on to the ranking: cut off by K, suppressed by a better one, or below the minimum score
+    # It did not go on to the ranking: cut off by K, suppressed by a better one, or below the minimum score
     dropped: Literal["rank", "overlap", "threshold"] | None = None
 
 
@@ -106,7 +105,7 @@ class PredictedBox:
     # center, size: Full edge lengths along the box's own axes
     center: Three | None = None
     size: Three | None = None
-    # rotation: Row by row; its columns are the box's axes. None for a box along the axes of the frame.
+    # Row by row; its columns are the box's axes. None for a box along the axes of the frame.
     rotation: Annotated[tuple[Number, ...], Field(min_length=9, max_length=9)] | None = None
     corners: Annotated[tuple[Three, ...], Field(min_length=8, max_length=8)] | None = None
 
@@ -142,12 +141,12 @@ class Prediction:
     reference: Name | None = None
     proposals: dict[Name, tuple[Proposal, ...]] | None = None  # By the name that was asked; from level 1 on
     unknown: dict[Name, str] | None = None  # Names that the detector could not be asked for, and why
-    # boxes_3d: dict of int to PredictedBox: by id, null where an object has none; from level 2 on
+    # dict of int to PredictedBox: by id, null where an object has none; from level 2 on
     boxes_3d: dict[Key, PredictedBox | None] | None = None
-    # relations: P("a RELATION b") by relation; from level 3 on. Of "between" rows of three objects.
+    # P("a RELATION b") by relation; from level 3 on. Of "between" rows of three objects.
     relations: dict[str, tuple[Row, ...]] | None = None
     attributes: dict[Name, tuple[tuple[Id, Share], ...]] | None = None  # P(attribute | object) by attribute ("red")
-    # pairs: The system's own scores of pairs, higher is better; the reference is null where none is asked
+    # The system's own scores of pairs, higher is better; the reference is null where none is asked
     pairs: tuple[tuple[Id, Id | None, Number], ...] | None = None
 
     @property

@@ -62,10 +62,9 @@ class Predictions:
 
     path: Path
     header: Header
-    # lines: dict of (str, str) to Prediction: by frame and text, boxes and masks filled in from earlier lines of the
-    # frame
+    # dict of (str, str) to Prediction: by frame and text, boxes and masks filled in from earlier lines of the frame
     lines: dict[tuple[str, str], Prediction]
-    # numbers: dict of (str, str) to int: the number of each line in the file, from 1, for messages
+    # dict of (str, str) to int: the number of each line in the file, from 1, for messages
     numbers: dict[tuple[str, str], int]
     least: int | None = None  # The level of the file that these lines are some of
     cut_off: int | None = None  # The number of a last line that a killed writer left half, and that is not read

@@ -40,7 +40,7 @@ class Candidates:
     index: np.ndarray  # (K,) int64: places in the list of objects
     scores: np.ndarray  # (K,) float64: P(x | name), 0..1
     labels: tuple[str, ...] = ()  # What the detector calls each under this name; empty where it is of no matter
-    # raw_scores: (K,) float64: what the detector itself said, before any calibration; None for the same as `scores`
+    # (K,) float64: what the detector itself said, before any calibration; None for the same as `scores`
     raw_scores: np.ndarray | None = None
 
     @property

@@ -134,8 +134,8 @@ class MissedNames:
     """Help for names not found."""
 
     below: dict[str, float]  # Names that were not found, with the best score below the detector's minimum
-    # seen: What the detector finds in the frame, with a score of at least SURE, where it is asked for all that it
-    # knows, the commonest first; empty for one that knows any name
+    # What the detector finds in the frame, with a score of at least SURE, where it is asked for all that it knows, the
+    # commonest first; empty for one that knows any name
     seen: dict[str, int]
 
 

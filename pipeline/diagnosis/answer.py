@@ -40,7 +40,7 @@ class Answer(InNotebook):
     trace: Trace | None = None  # Every stage's input and output; None where the expression cannot be read or asked
     problem: str | None = None  # Why it cannot
     diagnosis: Diagnosis | None = None  # None where there is no verdict
-    # unjudged: Why there is a truth and no verdict on this answer; None also where no truth is known at all
+    # Why there is a truth and no verdict on this answer; None also where no truth is known at all
     unjudged: str | None = None
     origin: AnswerSource | None = None  # What answered it, where one is asked from Python: edits and the page need it
     edits: Edited | None = None  # What it was answered under, as JSON; None for none

@@ -187,7 +187,7 @@ class FrameEvidence:
         box = None if given is None else try_box(given, predictions.header, context.frame.camera, False)
         if box is None:
             return None
-        lo, hi, _ = extents(np.empty((0, 3)), box, context.viewer)
+        lo, hi = extents(np.empty((0, 3)), box, context.viewer)
         true, size = self.truth.geometry["lo"][n], self.truth.geometry["size"][n]
         return float(np.abs([lo - true, hi - true - size]).max())
 
@@ -291,7 +291,7 @@ class TrueObjects:
         except InputError:
             box = None
         quality = Quality(int(truth.facts["mask_pixels"][k]), 0, 0.0, 0.0, False, float("nan"), False, "annotation")
-        lifted = LiftedObject(np.empty((0, 3), np.float32), box, 1.0, row["lo"], row["hi"], "box", None, quality)
+        lifted = LiftedObject(np.empty((0, 3), np.float32), box, 1.0, row["lo"], row["hi"], None, quality)
         return self._entry(k, np.zeros((0, 0), np.bool_), lifted)
 
     def _lift(self, k: int) -> SceneObject:

@@ -103,9 +103,19 @@ def judge_without_ranking(evidence: FrameEvidence, case: Case, parse_ok: bool, m
     ends = np.ones(len(hits), np.bool_) if reference is None else iou_2d(reference[None], truth.boxes)[0] >= HIT
     fits = bool((pairs & hits[:, None] & ends[None]).any())
     diagnosis = Diagnosis(
-        verdict="", detail=None, lucky=False, repair=(), right_with=None, margins=np.full(SUBSETS, np.nan),
-        winner=None, right=None, gold=parse_ok, untold=unavailable_oracles(evidence, case, parse_ok), case=case, evidence=evidence,
-    )  # fmt: skip
+        verdict="",
+        detail=None,
+        lucky=False,
+        repair=(),
+        right_with=None,
+        margins=np.full(SUBSETS, np.nan),
+        winner=None,
+        right=None,
+        gold=parse_ok,
+        untold=unavailable_oracles(evidence, case, parse_ok),
+        case=case,
+        evidence=evidence,
+    )
     if hits[case.target_object] or (line.answer is not None and line.answer.yes):
         return replace(diagnosis, verdict="CORRECT", lucky=reference is not None and not fits)
     if not parse_ok:

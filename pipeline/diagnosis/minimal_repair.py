@@ -21,10 +21,10 @@ class FactorRepair:
     # right, winner: The factor of the best acceptable pair and of the answer now
     right: float
     winner: float
-    # right_above: The right pair wins as soon as its factor is above this; None where no probability is enough
+    # The right pair wins as soon as its factor is above this; None where no probability is enough
     right_above: float | None
-    # winner_below: The right pair wins as soon as the answer's factor is below this; None where none is low enough, or
-    # it is shared by both pairs, so that it cannot be lowered for one alone
+    # The right pair wins as soon as the answer's factor is below this; None where none is low enough, or it is shared
+    # by both pairs, so that it cannot be lowered for one alone
     winner_below: float | None
 
 

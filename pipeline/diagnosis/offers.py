@@ -23,10 +23,10 @@ class Offers:
     """Names and questions suggested for a frame."""
 
     names: tuple[str, ...] = ()
-    # questions: At most so many as were wanted; none where up is only assumed, unless they are labelled
+    # At most so many as were wanted; none where up is only assumed, unless they are labelled
     questions: tuple[str, ...] = ()
-    # by: Who says that they are there: "the labels", "the annotations", "the file of predictions", "detections of at
-    # least 0.50"
+    # Who says that they are there: "the labels", "the annotations", "the file of predictions", "detections of at least
+    # 0.50"
     by: str = ""
 
     @property

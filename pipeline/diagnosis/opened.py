@@ -35,7 +35,7 @@ class Opened:
 
     pipeline: Pipeline
     labels: Labels | None = None  # What is true; without them the frames' annotations say it, where there are any
-    # viewer: Shows this, or an answer of it. The core has no screen: `spatialviz.open` sets it.
+    # Shows this, or an answer of it. The core has no screen: `spatialviz.open` sets it.
     viewer: Callable[..., Any] | None = None
 
     def __repr__(self) -> str:

@@ -74,8 +74,7 @@ class CandidateSet:
     found: int  # How many of them are candidates
     scores: np.ndarray  # (K,) float64
     object: np.ndarray  # (K,) int64: the labelled object of the asked class that each is; -1 for a false positive
-    # shape_of: (K,) int64: the labelled object whose geometry LIFT gives it, of whatever class; -1 where it keeps its
-    # own
+    # (K,) int64: the labelled object whose geometry LIFT gives it, of whatever class; -1 where it keeps its own
     shape_of: np.ndarray
     overlap: np.ndarray  # (K, N) float64: with every labelled object
 
@@ -86,10 +85,10 @@ class OracleScores:
 
     target: CandidateSet
     reference: CandidateSet
-    # table: One scene a subset, of which there are S; no pair is there whose objects are one thing, or not recalled
+    # One scene a subset, of which there are S; no pair is there whose objects are one thing, or not recalled
     table: PairTable
-    # p_relation: (2, 2, T, R) float64: without and with LIFT, without and with SRM; of a sentence (S, T, R) or, without
-    # a relation, (S, T)
+    # (2, 2, T, R) float64: without and with LIFT, without and with SRM; of a sentence (S, T, R) or, without a relation,
+    # (S, T)
     p_relation: np.ndarray
     covered: np.ndarray  # (T, R) bool: acceptable pairs; without a relation R is 1
     right: np.ndarray  # (T,) bool: targets of which the expression is or may be true

@@ -74,19 +74,19 @@ class Diagnosis:
     """Verdict with the repair, and the evidence behind both."""
 
     verdict: str  # One of VERDICTS
-    # detail: WORDS, GRAMMAR, UNSUPPORTED (not in files of earlier versions); AMBIGUOUS, BAD_LABEL, BAD_BOX, SUSPECT;
-    # RANK, THRESHOLD, LOCALISATION, ABSENT; DEGENERATE; CHOICE; CONSTANT (of imported relations: about as probable of
-    # every pair); SCORE (of imported pair scores: the right pair would stand first by what all others scored); the
-    # oracles of COMPOUND; of UNEXPLAINED what the file gives (ANSWER, PROPOSALS, BOXES), or NOT-SEPARABLE
+    # WORDS, GRAMMAR, UNSUPPORTED (not in files of earlier versions); AMBIGUOUS, BAD_LABEL, BAD_BOX, SUSPECT; RANK,
+    # THRESHOLD, LOCALISATION, ABSENT; DEGENERATE; CHOICE; CONSTANT (of imported relations: about as probable of every
+    # pair); SCORE (of imported pair scores: the right pair would stand first by what all others scored); the oracles of
+    # COMPOUND; of UNEXPLAINED what the file gives (ANSWER, PROPOSALS, BOXES), or NOT-SEPARABLE
     detail: str | None
     lucky: bool  # Right, but with a pair that is not acceptable
-    # repair: The smallest set of oracles with which an acceptable pair wins; empty where none is needed or none helps
+    # The smallest set of oracles with which an acceptable pair wins; empty where none is needed or none helps
     repair: tuple[str, ...]
-    # right_with: Bit s is set where the target is right with the oracles of subset s (`oracles`), on the gold triple;
-    # None where predictions that were imported do not tell
+    # Bit s is set where the target is right with the oracles of subset s (`oracles`), on the gold triple; None where
+    # predictions that were imported do not tell
     right_with: int | None
-    # margins: (S,) float64: of all S subsets, sixteen or with attributes thirty-two: S of the best acceptable pair less
-    # S of the best other one under each subset; NaN without any pair
+    # (S,) float64: of all S subsets, sixteen or with attributes thirty-two: S of the best acceptable pair less S of the
+    # best other one under each subset; NaN without any pair
     margins: np.ndarray
     # winner, right: The answer, and the best acceptable pair among the candidates
     winner: ScoredPair | None
@@ -96,17 +96,17 @@ class Diagnosis:
     false_reference: bool = False
     missed: Missed | None = None  # With OPM-TARGET and OPM-REF
     missed_name: str | None = None  # The class name of which the right object is missing
-    # pseudo: LIFT's truth was the box of the label for an object of either pair: the dataset has no pixels of it
+    # LIFT's truth was the box of the label for an object of either pair: the dataset has no pixels of it
     pseudo: bool = False
-    # mends: Where an acceptable pair stood among the candidates and lost: every oracle that alone makes one win
+    # Where an acceptable pair stood among the candidates and lost: every oracle that alone makes one win
     mends: tuple[str, ...] = ()
-    # needed: What one factor alone would have to be for the best acceptable pair to win; empty where one wins
+    # What one factor alone would have to be for the best acceptable pair to win; empty where one wins
     needed: tuple[FactorRepair, ...] = ()
     text: str = ""  # The verdict in words
-    # untold: Of imported predictions: the oracles that cannot be put in place by what the file gives, and why; what
+    # Of imported predictions: the oracles that cannot be put in place by what the file gives, and why; what
     # `right_with` says of subsets with these counts nowhere
     untold: dict[str, str] = field(default_factory=dict)
-    # gold: The expression was read as meant; else the evidence is that of the gold names, not the trace's own
+    # The expression was read as meant; else the evidence is that of the gold names, not the trace's own
     gold: bool = True
     case: Case = field(kw_only=True)
     evidence: FrameEvidence = field(kw_only=True, repr=False)

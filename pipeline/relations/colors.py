@@ -81,8 +81,8 @@ _LINEAR = ((np.arange(256) / 255.0) ** 2.2).astype(np.float32)
 class ObjectColors:
     """Colours of objects."""
 
-    # shares: (N, 15) float64: of each object's pixels, by BASIC_COLORS and FURTHER_COLORS; the basic ones sum to 1. NaN
-    # for an empty mask.
+    # (N, 15) float64: of each object's pixels, by BASIC_COLORS and FURTHER_COLORS; the basic ones sum to 1. NaN for an
+    # empty mask.
     shares: np.ndarray
     lightness: np.ndarray  # (N, 15) float64: mean CIELAB L of the pixels of that colour, in the light of the frame
 

@@ -34,14 +34,14 @@ class NetworkContract:
     mean: np.ndarray
     std: np.ndarray
     vocabulary: tuple[str, ...]  # The relation of each output
-    # calibration: Platt's sigmoid of each relation; of a softmax network the inverse temperature and 0
+    # Platt's sigmoid of each relation; of a softmax network the inverse temperature and 0
     calibration: dict[str, Platt]
     seed: int  # Seed of data and training
     data: str  # Hash of the training data
     # "sigmoid": each relation is a question of its own. "softmax": exactly one relation of the vocabulary fits a pair
     # best.
     output: Output = "sigmoid"
-    # prior: Share of each class in the training pairs of a softmax network, in the order of the vocabulary; else empty
+    # Share of each class in the training pairs of a softmax network, in the order of the vocabulary; else empty
     prior: tuple[float, ...] = ()
     language: LanguageContract | None = None  # The text vectors behind a "+lang" contract
     classes: str = ""  # Hash of the class vectors beside the file, see `class_vectors`; "" without language

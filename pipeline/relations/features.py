@@ -55,15 +55,15 @@ class FeatureSet:
 
     name: str
     columns: tuple[str, ...]  # Name of each feature; their number is the network's input dimension
-    # describe: (objects, viewer, appearance) -> (N, K) float64, one row an object; NaN for an object without points and
-    # box. With language, its geometry alone.
+    # (objects, viewer, appearance) -> (N, K) float64, one row an object; NaN for an object without points and box. With
+    # language, its geometry alone.
     describe: Describe
-    # pair: (N, K + language) -> (N, N, D) float64: the features of "a to b" at [a, b]. Leading dimensions are a batch.
+    # (N, K + language) -> (N, N, D) float64: the features of "a to b" at [a, b]. Leading dimensions are a batch.
     pair: Callable[[np.ndarray], np.ndarray]
     lengths: tuple[int, ...]  # Columns of the description that are lengths: they grow with the scene, the others do not
     named: tuple[int, ...] = ()  # Columns that follow from the class name, all 0 where that tells nothing
     shown: bool = False  # Objects are described by their 2D boxes or class names: `describe` needs the appearance
-    # language: Dimension of the phrase vectors that stand after the geometry in each object's row; 0 without language
+    # Dimension of the phrase vectors that stand after the geometry in each object's row; 0 without language
     language: int = 0
 
     @property

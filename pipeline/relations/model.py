@@ -21,7 +21,7 @@ from pipeline.metrics.calibration_metrics import antisymmetric, antisymmetric_lo
 from pipeline.relations.class_vectors import ClassLookup
 from pipeline.relations.contract import NetworkContract
 from pipeline.relations.features import Appearance
-from pipeline.relations.scorer import RelationScores, RuleScorer
+from pipeline.relations.scorer import RelationScorer, RelationScores, RuleScorer, rule_probabilities
 from pipeline.system.errors import InputError, require
 from pipeline.system.onnx_session import metadata, open_session, run_limited, signature
 
@@ -89,17 +89,7 @@ class OnnxScorer:
             The network is given 2D boxes or class names and there is no appearance, or a class it does not know.
         """
         rule = RuleScorer().score(objects, viewer, relations=relations)
-        probabilities = rule.probabilities.copy()
-        scored_by = dict(rule.scored_by)
-        found = self.of_pairs(objects, viewer, appearance)
-        for k, relation in enumerate(self.contract.vocabulary):
-            if relation in rule.relations:
-                probabilities[..., rule.relations.index(relation)] = found[..., k]
-                scored_by[relation] = self.name
-        # What a thing is to itself is not a question for a network.
-        same = np.eye(len(objects), dtype=np.bool_)
-        probabilities[same] = rule.probabilities[same]
-        return RelationScores(rule.relations, rule.states, probabilities, scored_by)
+        return combined(rule.states, self.of_pairs(objects, viewer, appearance), self, rule.relations)
 
     def of_pairs(
         self, objects: Sequence[LiftedObject], viewer: ViewerAxes, appearance: Appearance | None = None
@@ -161,3 +151,27 @@ class OnnxScorer:
     def _calibrated(self, rows: np.ndarray) -> np.ndarray:
         slope, shift = np.array([self.contract.calibration[r] for r in self.contract.vocabulary]).T
         return self.logits(rows) * slope + shift
+
+
+def combined(
+    states: np.ndarray,
+    network: np.ndarray | None,
+    scorer: RelationScorer,
+    relations: tuple[str, ...] = PAIRWISE,
+) -> RelationScores:
+    """Scores by the network where it has an output, else by the rule.
+
+    `states`: (..., N, N, R) int8 of `relations`; `network`: (..., N, N, V) float64, None for the rule alone.
+    """
+    probabilities = rule_probabilities(states)
+    scored_by: dict[str, str] = dict.fromkeys(relations, RuleScorer.name)
+    if network is not None and isinstance(scorer, OnnxScorer):
+        # What a thing is to itself is not a question for a network.
+        own = np.eye(states.shape[-2], dtype=np.bool_)
+        kept = probabilities[..., own, :]
+        for k, relation in enumerate(scorer.contract.vocabulary):
+            if relation in relations:
+                probabilities[..., relations.index(relation)] = network[..., k]
+                scored_by[relation] = scorer.name
+        probabilities[..., own, :] = kept
+    return RelationScores(relations, states, probabilities, scored_by)

@@ -64,7 +64,7 @@ class PairMeasures:
     center: np.ndarray
     extent: np.ndarray
     delta: np.ndarray  # (N, N, 3) float64: centre of a less that of b, metres
-    # gap: (N, N, 3) float64: signed distance between the extents, metres: positive where a lies after b along the axis,
+    # (N, N, 3) float64: signed distance between the extents, metres: positive where a lies after b along the axis,
     # negative where before, 0 where they overlap
     gap: np.ndarray
     # overlap, overlap_share: (N, N, 3) float64: length of the overlap in metres, and as a share of the shorter extent
@@ -112,9 +112,9 @@ class AllMeasures:
 
     pairs: PairMeasures
     profile: Profile
-    # clouds: sequence of (M, 3) float: each object's points along (right, up, forward); without them extents stand in
+    # sequence of (M, 3) float: each object's points along (right, up, forward); without them extents stand in
     clouds: Sequence[np.ndarray] | None = None
-    # given: ((..., N, N), (..., N, N)) float64: `surface` and `share` where they are known: of a batch of scenes always
+    # ((..., N, N), (..., N, N)) float64: `surface` and `share` where they are known: of a batch of scenes always
     given: tuple[np.ndarray, np.ndarray] | None = None
 
     @cached_property

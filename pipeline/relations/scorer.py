@@ -32,8 +32,8 @@ class RelationScores:
     probabilities: np.ndarray  # (N, N, R) float64: P("a RELATION b") at [a, b]
     scored_by: dict[str, str]  # Relation -> name of what scored it ("rule" where no network has a head for it)
     beyond: Beyond = field(default_factory=dict)
-    # given: (N, N, R) bool: which of the probabilities are as they were given, of a file or of arrays; the others are
-    # worked out in their place. None where nothing is given.
+    # (N, N, R) bool: which of the probabilities are as they were given, of a file or of arrays; the others are worked
+    # out in their place. None where nothing is given.
     given: np.ndarray | None = None
 
     def __repr__(self) -> str:

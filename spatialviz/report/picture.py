@@ -261,8 +261,8 @@ class AnswerRoles:
     roles: dict[int, Role]  # index -> target or reference, for the answer's objects
     right: tuple[int, int] | None  # Indices of the best right pair among the detections
     labelled: dict[int, int]  # index -> the labelled object that it is
-    # truth: dict of int to (Role, SceneObject): index of a labelled object -> its role and itself: the labelled target
-    # and reference, where they are known
+    # dict of int to (Role, SceneObject): index of a labelled object -> its role and itself: the labelled target and
+    # reference, where they are known
     truth: dict[int, tuple[Role, SceneObject]]
     exact: bool  # The detections are the dataset's own
     numbers: Mapping[int, int]  # as `Trace.numbers`

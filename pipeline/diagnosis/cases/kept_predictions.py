@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, FiniteFloat
+from pydantic import BaseModel, FiniteFloat
 
 from pipeline.answering.ask import AskConfig
 from pipeline.answering.fitted_ranking import FittedRanking, Scale
@@ -26,11 +26,7 @@ from pipeline.relations.supplied import SuppliedRelations
 from pipeline.system.errors import require
 
 
-class _StrictModel(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
-
-class ShownRankingRecord(_StrictModel):
+class ShownRankingRecord(BaseModel, extra="forbid"):
     """`FittedRanking` as JSON."""
 
     weights: tuple[FiniteFloat, ...]
@@ -38,13 +34,13 @@ class ShownRankingRecord(_StrictModel):
     scale: Scale = "values"
 
 
-class ShownRecord(_StrictModel):
+class ShownRecord(BaseModel, extra="forbid"):
     """Findings from a whole file of predictions."""
 
     level: int
     true_scores: tuple[FiniteFloat, FiniteFloat]
     ranking: ShownRankingRecord | None = None
-    # relations: The scorer's fit by relation; None where the file names its scorer
+    # The scorer's fit by relation; None where the file names its scorer
     relations: dict[str, tuple[FiniteFloat, ...] | None] | None = None
 
     @property

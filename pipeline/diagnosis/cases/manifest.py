@@ -253,7 +253,7 @@ def read_truth(record: Any, frame_id: str, path: Path) -> tuple[FrameCases, Case
         _table(saved.alike, n, "alike", {"0": 0, "1": 1}, path).astype(np.bool_), states,
         () if case is None else (case,),
         np.array([o.number for o in saved.objects], np.int64), judged, geometry,
-        {name: np.array([_float(getattr(o, name)) for o in saved.objects], np.float64) for name in _FACTS},
+        {name: np.array([getattr(o, name) for o in saved.objects], np.float64) for name in _FACTS},
         tuple(o.mask for o in saved.objects),
     )  # fmt: skip
     return truth, case, saved.mark, saved.confidence
@@ -287,7 +287,3 @@ def _row(values: np.ndarray) -> list[float] | None:
 
 def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
-
-
-def _float(value: float | None) -> float:
-    return float("nan") if value is None else value

@@ -51,8 +51,8 @@ class ReplayedCase:
     warnings: tuple[str, ...]  # What moved without changing the answer, and what the case was run with besides its own
     record: dict[str, Any]  # The whole answer of now
     answered: Answer
-    # moved: The first module whose own output is another now: PARSE, OPM, LIFT, SRM or PRM; None where none is. What
-    # follows it gets another input, so that the verdict may blame a later one, or one that is as it was.
+    # The first module whose own output is another now: PARSE, OPM, LIFT, SRM or PRM; None where none is. What follows
+    # it gets another input, so that the verdict may blame a later one, or one that is as it was.
     moved: str | None = None
 
     @property

@@ -152,14 +152,14 @@ class AnswerView:
     loaded: LoadedFrame | None = None  # None where the frame is broken
     trace: Trace | None = None
     found: ShownObjects = NOTHING  # What `shown` is made of
-    # pair: The chosen pair (with "between", all three), as places in `shown.objects`; kept by objects, not by rank
+    # The chosen pair (with "between", all three), as places in `shown.objects`; kept by objects, not by rank
     pair: tuple[int, ...] | None = None
     selected: int | None = None  # Place in `shown.objects`
-    # judged: The verdict on the answer, why there is none, or None where nothing is known of the truth
+    # The verdict on the answer, why there is none, or None where nothing is known of the truth
     judged: Diagnosis | str | None = None
     other: OtherAnswer | None = None  # The answer of a run to compare with
     edits: Edits = field(default_factory=Edits)  # Of the question that is asked; they stay when it is asked again
-    # edited: `trace` is the answer under the edits, and this has the one without them; None where nothing is edited
+    # `trace` is the answer under the edits, and this has the one without them; None where nothing is edited
     edited: BothAnswers | None = None
 
     @cached_property

@@ -18,12 +18,12 @@ from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import PairTable, RankConfig, one_object_twice, pair_table, side
 from pipeline.answering.ranking import rank
 from pipeline.diagnosis.whatif.edits import Edits
-from pipeline.diagnosis.whatif.pair_tables import combined, describe
+from pipeline.diagnosis.whatif.pair_tables import describe
 from pipeline.diagnosis.whatif.rerun import Baseline, Outcome, rerun, with_superlatives
 from pipeline.geometry.palette import instance_colors
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import Node
-from pipeline.relations.model import OnnxScorer
+from pipeline.relations.model import OnnxScorer, combined
 from pipeline.relations.pair_measures import AllMeasures, enclosed_share, surface_heights
 from pipeline.relations.predicates import pair_states, predicates_of
 from pipeline.relations.relations import Profile, measure_pairs

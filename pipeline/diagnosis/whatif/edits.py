@@ -221,12 +221,12 @@ class Edits:
     __pydantic_config__ = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
     format: Literal["spatialviz-edits-1"] = FORMAT
-    # boxes: mapping of key to PlacedBox
+    # mapping of key to PlacedBox
     boxes: Annotated[Mapping[Key, PlacedBox], Field(max_length=MOST_EDITS)] = field(default_factory=dict)
-    # masks: mapping of key to RunLength
+    # mapping of key to RunLength
     masks: Annotated[Mapping[Key, _Mask], Field(max_length=MOST_EDITS)] = field(default_factory=dict)
     hidden: Annotated[frozenset[Key], Field(max_length=MOST_EDITS)] = frozenset()
-    # confidences: mapping of (name, key) to float: 0..1; the name as it is asked in the expression
+    # mapping of (name, key) to float: 0..1; the name as it is asked in the expression
     confidences: _Confidences = field(default_factory=dict)
     relations: _Relations = field(default_factory=dict)  # mapping of (relation, key of a, key of b) to float: 0..1
     k: Annotated[int, Field(ge=1, le=100_000)] | None = None

@@ -18,7 +18,7 @@ from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.proposals.base import Proposals
-from pipeline.relations.model import OnnxScorer
+from pipeline.relations.model import OnnxScorer, combined
 from pipeline.relations.pair_measures import AllMeasures, enclosed_share, points_decide, surface_heights
 from pipeline.relations.predicates import pair_states
 from pipeline.relations.relations import Profile, known_extents, measure_pairs, pairwise_states
@@ -115,21 +115,6 @@ def describe(objects: Sequence[SceneObject], viewer: ViewerAxes, frame: Frame, s
     appearance = appearance_of(objects, frame)
     lifted: list[LiftedObject] = [o.lifted for o in objects]
     return scorer.with_words(scorer.features.describe(lifted, viewer, appearance), appearance.labels)
-
-
-def combined(states: np.ndarray, network: np.ndarray | None, scorer: RelationScorer) -> RelationScores:
-    """Scores of PAIRWISE, combined as by the scorer; states (..., N, N, 9), network (..., N, N, V)."""
-    probabilities = rule_probabilities(states)
-    scored_by: dict[str, str] = dict.fromkeys(PAIRWISE, RuleScorer.name)
-    if network is not None and isinstance(scorer, OnnxScorer):
-        own = np.eye(states.shape[-2], dtype=np.bool_)
-        kept = probabilities[..., own, :]
-        for k, relation in enumerate(scorer.contract.vocabulary):
-            if relation in PAIRWISE:
-                probabilities[..., PAIRWISE.index(relation)] = network[..., k]
-                scored_by[relation] = scorer.name
-        probabilities[..., own, :] = kept
-    return RelationScores(PAIRWISE, states, probabilities, scored_by)
 
 
 def _renewed(

@@ -52,12 +52,12 @@ class Region:
 
     relation: str
     patches: tuple[RegionPart, ...]
-    # axes: (3, 2, 3) float64: segments from the reference's middle along the viewer's right, up and forward, camera
-    # frame, metres
+    # (3, 2, 3) float64: segments from the reference's middle along the viewer's right, up and forward, camera frame,
+    # metres
     axes: np.ndarray
     dead_zone: float  # Half width of the undecided strip along the relation's axis, metres; 0 where it has none
-    # exact: Every point of the plane that is drawn is judged as the rule judges it. The solids of above, below, on and
-    # in take extents for points, and their U is what lies inside U and outside T.
+    # Every point of the plane that is drawn is judged as the rule judges it. The solids of above, below, on and in take
+    # extents for points, and their U is what lies inside U and outside T.
     exact: bool
 
 

@@ -51,11 +51,11 @@ class ViewState:
     dataset: Text  # Its name on the page
     frame: Text  # Frame id
     expression: Text = ""
-    # selection: Keys of the selected objects (`pipeline.diagnosis.whatif.pair_tables`)
+    # Keys of the selected objects (`pipeline.diagnosis.whatif.pair_tables`)
     selection: Annotated[tuple[Text, ...], Field(max_length=2000)] = ()
     pair: tuple[Text, Text] | None = None  # Keys of the pair that is shown; None for the winner
     camera: CameraView | None = None
-    # toggles: What is shown and how
+    # What is shown and how
     toggles: Annotated[Mapping[Text, Toggle], Field(max_length=200)] = field(default_factory=dict)
     edits: Edits = field(default_factory=Edits)
     run: Text | None = None  # Folder of the evaluation run that the expression is of
