@@ -83,12 +83,10 @@ class _Tables:
 class AvdDataset(Recording):
     """Frames of id the image's name without its ending; of several scans `Home_001_1/000110000010101`.
 
-    The opened folder is a scan or holds scans. The camera is plain pinhole:
-    what `cameras.txt` has beyond that are fisheye coefficients, whose effect is
-    within 1 %. Depth beyond `FARTHEST_M` is left out. Boxes are 2D; an
-    annotation's `instance` is the dataset's number. Poses and the up vector come
-    from `image_structs.mat`. Images that annotations.json lists and that are not
-    there are broken frames.
+    The opened folder is a scan or holds scans. The camera is plain pinhole: what `cameras.txt` has beyond that are
+    fisheye coefficients, whose effect is within 1 %. Depth beyond `FARTHEST_M` is left out. Boxes are 2D; an
+    annotation's `instance` is the dataset's number. Poses and the up vector come from `image_structs.mat`. Images that
+    annotations.json lists and that are not there are broken frames.
     """
 
     format = "avd"
@@ -149,10 +147,8 @@ class AvdDataset(Recording):
         return self._frame(frame_id, (rgb, metres), K, pose, path, depth, annotations, notes, up)
 
     def moves(self, frame_id: str) -> dict[str, str]:
-        """Frame ids by possible move of the robot; see `base.moves`.
-
-        A pointer to an image that is not there is left out.
-        """
+        """Frame ids by possible move of the robot; see `base.moves`. A pointer to an image that is not there is left
+        out."""
         scan, stem = self._stem(frame_id)
         entry = self._tables.get(scan.name, lambda: _read_tables(scan)).annotations.get(stem, {})
         found = {move: image_stem(entry.get(move)) for move in MOVES}
@@ -172,10 +168,8 @@ class AvdDataset(Recording):
         return self._scans[name], stem
 
     def _camera(self, scan: _Scan) -> tuple[AvdCamera | None, Path]:
-        """Camera of the scan and the file to blame; None without a file or where the settings give the intrinsics.
-
-        A broken file matters only where no person told them.
-        """
+        """Camera of the scan and the file to blame; None without a file or where the settings give the intrinsics. A
+        broken file matters only where no person told them."""
         path = next((path for path in scan.camera_files if path.is_file()), None)
         if path is None:
             return None, scan.camera_files[0]

@@ -111,10 +111,8 @@ def read_names(path: Path) -> dict[int, str]:
 
 
 def read_annotations(path: Path) -> dict[str, Mapping[str, Any]]:
-    """Entries of an `annotations.json` by image name without ending.
-
-    Keys that are no names of colour images are left out, and so never become part of a path.
-    """
+    """Entries of an `annotations.json` by image name without ending. Keys that are no names of colour images are left
+    out, and so never become part of a path."""
     table: dict[str, Mapping[str, Any]] = {}
     for name, entry in read_json(path).items():
         stem = image_stem(name)
@@ -142,10 +140,8 @@ def read_boxes(
     size: tuple[int, int],
     notes: list[str],
 ) -> tuple[Annotation, ...]:
-    """Annotated instances of an image, in pixels of the image.
-
-    `annotated, size` (width, height): Of the image that the boxes speak of, and of the one that is there.
-    """
+    """Annotated instances of an image, in pixels of the image. `annotated, size` (width, height): Of the image that the
+    boxes speak of, and of the one that is there."""
     rows = entry.get("bounding_boxes", [])
     if not isinstance(rows, list):
         notes.append("no annotations, bounding_boxes is no list")
@@ -176,9 +172,8 @@ def read_boxes(
 def read_poses(path: Path) -> AvdPoses:
     """Poses of a scan, and the up direction of the world.
 
-    The height axis of that world is y; which of its ends is up differs from
-    reconstruction to reconstruction. The robot's cameras are level within a few
-    degrees, so that it is the end that agrees, over all images, with the
+    The height axis of that world is y; which of its ends is up differs from reconstruction to reconstruction. The
+    robot's cameras are level within a few degrees, so that it is the end that agrees, over all images, with the
     opposite of the camera's own y: the mean of R[1, 1] has its sign.
     """
     table = read_mat(path, "image_structs", "scale")

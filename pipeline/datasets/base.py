@@ -287,11 +287,8 @@ def _ask(dataset: Dataset, capability: str, nothing: Any, *arguments: str) -> An
 
 
 class Frames(Sequence[Frame]):
-    """Sequence of all frames of a dataset, decoded on access and not kept.
-
-    `frames[0]`, `frames["000001/000000"]` (the keys of `resolve_frame`), `frames[-3:]`, `len(frames)`, and a loop.
-    A broken frame raises InputError.
-    """
+    """Sequence of all frames of a dataset, decoded on access and not kept. `frames[0]`, `frames["000001/000000"]` (the
+    keys of `resolve_frame`), `frames[-3:]`, `len(frames)`, and a loop. A broken frame raises InputError."""
 
     def __init__(self, dataset: Dataset, ids: tuple[str, ...] | None = None) -> None:
         self._dataset = dataset

@@ -37,10 +37,9 @@ SCENES_KEPT = 8
 class BopDataset(Recording):
     """Frames of id `<scene>/<image:06d>`; the scene is the folder's name.
 
-    The opened folder may be a dataset, one of its splits, a dataset of splits
-    (`test/000001`; with more than one split the id begins with the split's
-    name), or a single scene. Class names and exact boxes come from a `models`
-    folder inside the opened one; without it the classes are `obj_000012`.
+    The opened folder may be a dataset, one of its splits, a dataset of splits (`test/000001`; with more than one split
+    the id begins with the split's name), or a single scene. Class names and exact boxes come from a `models` folder
+    inside the opened one; without it the classes are `obj_000012`.
     """
 
     format = "bop"
@@ -286,11 +285,8 @@ def _rigid_mm(entry: Mapping[str, Any], R_key: str, t_key: str, path: Path) -> n
 
 
 def read_models(root: Path) -> dict[int, ObjectModel]:
-    """Objects by number, from `models/models_info.json` and variants (`models_eval`, ...).
-
-    Where several folders speak of an object, `models` comes first and the
-    others fill in what it leaves out.
-    """
+    """Objects by number, from `models/models_info.json` and variants (`models_eval`, ...). Where several folders speak
+    of an object, `models` comes first and the others fill in what it leaves out."""
     models: dict[int, ObjectModel] = {}
     for folder in listing(root)[0]:
         path = root / folder / "models_info.json"
@@ -324,11 +320,8 @@ def _model(entry: Mapping[str, Any]) -> ObjectModel:
 
 
 def annotated_objects(folder: Path) -> set[int]:
-    """Object numbers in a scene's `scene_gt.json`.
-
-    Matched rather than parsed: parsing every scene of a large dataset takes
-    seconds, and a malformed scene is reported frame by frame anyway.
-    """
+    """Object numbers in a scene's `scene_gt.json`. Matched rather than parsed: parsing every scene of a large dataset
+    takes seconds, and a malformed scene is reported frame by frame anyway."""
     path = folder / "scene_gt.json"
     if not path.is_file():
         return set()

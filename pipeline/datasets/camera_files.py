@@ -49,15 +49,15 @@ class Stated:
     path: Blob | None = None  # The file that says it
 
     def scaled(self, size: tuple[int, int], other: tuple[int, int]) -> np.ndarray | None:
-        """Intrinsics K for a picture of `size` (width, height), with colour of size `other` before resizing.
-
-        A file that names no size is taken to speak of whichever of both has its middle at the principal point.
-        """
+        """Intrinsics K for a picture of `size` (width, height), with colour of size `other` before resizing. A file
+        that names no size is taken to speak of whichever of both has its middle at the principal point."""
         if self.K is None:
             return None
         known = self.size
         if known is None:
-            fit = [s for s in dict.fromkeys((size, other)) if _is_middle(self.K, s)]
+            cx, cy = self.K[:2, 2]
+            middle = {s: max(abs(cx / s[0] - 0.5), abs(cy / s[1] - 0.5)) for s in (size, other)}
+            fit = [s for s, off in middle.items() if off < CENTRED]
             # Where neither has it, the camera's own check tells.
             known = fit[0] if fit else size
         sx, sy = size[0] / known[0], size[1] / known[1]
@@ -80,10 +80,6 @@ class Stated:
 
 
 NOTHING = Stated()
-
-
-def _is_middle(K: np.ndarray, size: tuple[int, int]) -> bool:
-    return all(abs(K[axis, 2] / size[axis] - 0.5) < CENTRED for axis in (0, 1))
 
 
 def read_stated(path: Blob) -> Stated:

@@ -69,9 +69,7 @@ def camera_plan(
 
 def _from_above(poses: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(N, 2) positions and headings of poses ((N, 4, 4), world, metres) along the level axes of most and least spread.
-
-    The second axis is the first turned left, seen from above.
-    """
+    The second axis is the first turned left, seen from above."""
     centered = poses[:, :3, 3] - poses[:, :3, 3].mean(axis=0)
     level = centered - np.outer(centered @ up, up)
     first = np.linalg.svd(level)[2][0]

@@ -24,10 +24,7 @@ ROUNDING = 1e-2
 
 
 def nearest_rotation(R: np.ndarray) -> np.ndarray:
-    """Nearest rotation to a rounded matrix, by SVD (orthogonal Procrustes).
-
-    `R` (3, 3) float.
-    """
+    """Nearest rotation to a rounded matrix, by SVD (orthogonal Procrustes). `R` (3, 3) float."""
     R = np.asarray(R, dtype=np.float64)
     require(np.isfinite(R).all(), "a rotation with inf or NaN")
     deviation = float(np.abs(R @ R.T - np.eye(3)).max())
@@ -67,11 +64,8 @@ def pose_from_matrix(T: np.ndarray) -> np.ndarray:
 
 
 def pose_from_quaternion(values: np.ndarray) -> np.ndarray:
-    """T_world_camera (4, 4) from tx ty tz qx qy qz qw (7,), metres.
-
-    The quaternion may be rounded; the formula is the usual one for a unit
-    quaternion (Shoemake 1985).
-    """
+    """T_world_camera (4, 4) from tx ty tz qx qy qz qw (7,), metres. The quaternion may be rounded; the formula is the
+    usual one for a unit quaternion (Shoemake 1985)."""
     require(np.isfinite(values).all(), "inf or NaN, the tracker was lost")
     length = float(np.linalg.norm(values[3:]))
     require(abs(length - 1) <= ROUNDING, "the quaternion does not have length 1", got=f"{length:.3g}")

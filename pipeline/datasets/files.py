@@ -23,10 +23,8 @@ CUT_OFF = "was the copy or the download interrupted?"
 
 
 class Blob(Protocol):
-    """A file at any place: a path, or a member of an archive, table or stream.
-
-    One that holds an array and no encoded picture also has `pixels()`. `os.fspath` says what a message calls it.
-    """
+    """A file at any place: a path, or a member of an archive, table or stream. One that holds an array and no encoded
+    picture also has `pixels()`. `os.fspath` says what a message calls it."""
 
     @property
     def name(self) -> str: ...
@@ -128,10 +126,8 @@ def read_mat(path: Blob, *names: str) -> dict[str, Any]:
 
 
 def listing(folder: Path, links: bool = True) -> tuple[list[str], list[str]]:
-    """Folder and file names in natural order, without hidden names.
-
-    Without `links` a folder that is a link counts as a file.
-    """
+    """Folder and file names in natural order, without hidden names. Without `links` a folder that is a link counts as a
+    file."""
     memo = _LISTED.get()
     if memo is not None and (folder, links) in memo:
         return memo[folder, links]

@@ -95,10 +95,8 @@ class SceneFolder:
 
     @classmethod
     def of(cls, files: Files, told: bool) -> SceneFolder:
-        """List the frames of a folder; InputError where colour and depth do not pair or camera files differ.
-
-        `told` says that the intrinsics are known already.
-        """
+        """List the frames of a folder; InputError where colour and depth do not pair or camera files differ. `told`
+        says that the intrinsics are known already."""
         root = files.root
         colors, depths = files.of("color"), files.of("depth")
         naming = choose_naming(colors, depths, files.flat)
@@ -134,9 +132,8 @@ class FolderDataset(Recording):
     """Colour and depth files paired by the number or the rest of their names, in two folders or in one.
 
     A camera file beside them, or one a frame, is read whatever it is called, as long as a word of its name tells it.
-    Poses come from `pose/N.txt` (a 4x4 matrix) or `pose.txt` (a line
-    tx ty tz qx qy qz qw a frame), both camera-to-world. Lines belong to the
-    frames in order where there are as many, and otherwise line N to number N.
+    Poses come from `pose/N.txt` (a 4x4 matrix) or `pose.txt` (a line tx ty tz qx qy qz qw a frame), both
+    camera-to-world. Lines belong to the frames in order where there are as many, and otherwise line N to number N.
     Label pictures hold a number a pixel, 0 for none; `labels.txt` names the numbers.
     """
 

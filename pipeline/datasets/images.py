@@ -1,8 +1,7 @@
 """Decoding colour, depth and mask files, with the checks a decoder leaves out.
 
-A decoder may return what it could read of a cut-off file. Every file is
-therefore walked to its end first: a PNG chunk by chunk with its checksums, a
-JPEG marker by marker to its end-of-image marker, a PGM by its size.
+A decoder may return what it could read of a cut-off file. Every file is therefore walked to its end first: a PNG chunk
+by chunk with its checksums, a JPEG marker by marker to its end-of-image marker, a PGM by its size.
 """
 
 from __future__ import annotations
@@ -73,10 +72,7 @@ def read_mask(path: Blob) -> np.ndarray:
 
 
 def read_depth(path: Blob, units_per_metre: float | None, nothing: int | None = None, rotated: int = 0) -> np.ndarray:
-    """A depth file as (H, W) float32 metres, 0 where nothing was measured.
-
-    `units_per_metre`: 1000 for millimetres.
-    """
+    """A depth file as (H, W) float32 metres, 0 where nothing was measured. `units_per_metre`: 1000 for millimetres."""
     stored = read_stored(path, rotated)
     if units_per_metre is None:
         require(
@@ -132,10 +128,8 @@ DIAGONAL_35MM = 43.2666
 
 
 def exif_focal(path: Blob, height: int, width: int) -> tuple[float, float] | None:
-    """Focal length of the picture's EXIF: (pixels, millimetres as of 35 mm film), or None.
-
-    The diagonals are compared, as in `depth_pro/utils.py` of apple/ml-depth-pro (CIPA DCG-001).
-    """
+    """Focal length of the picture's EXIF: (pixels, millimetres as of 35 mm film), or None. The diagonals are compared,
+    as in `depth_pro/utils.py` of apple/ml-depth-pro (CIPA DCG-001)."""
     try:
         with Image.open(io.BytesIO(read_bytes(path))) as picture:
             millimetres = float(picture.getexif().get_ifd(EXIF_TABLE).get(FOCAL_35MM) or 0)
@@ -199,11 +193,8 @@ def _check_png(data: bytes, path: Blob) -> None:
 
 
 def _check_jpeg(data: bytes, path: Blob) -> None:
-    """Walk the markers to EOI (ITU T.81, annex B).
-
-    Segments are skipped by their length, so that the end of an embedded
-    thumbnail is not taken for the end of the picture.
-    """
+    """Walk the markers to EOI (ITU T.81, annex B). Segments are skipped by their length, so that the end of an embedded
+    thumbnail is not taken for the end of the picture."""
     position = 2
     while position + 2 <= len(data):
         require(data[position] == 0xFF, "a corrupt JPEG: no marker", got=f"at byte {position}", path=path)
@@ -278,9 +269,8 @@ def _decode_numpy(data: bytes, path: Blob) -> np.ndarray:
 def _decode_exr(data: bytes, path: Blob) -> np.ndarray:
     """Single channel of an OpenEXR file, or the first of several equal channels.
 
-    OpenCV's wheels either lack OpenEXR (5.0) or hide it behind an environment
-    variable that is read when OpenCV is imported (4.x), so the format's own
-    package reads it.
+    OpenCV's wheels either lack OpenEXR (5.0) or hide it behind an environment variable that is read when OpenCV is
+    imported (4.x), so the format's own package reads it.
     """
     try:
         import OpenEXR  # pyright: ignore[reportMissingImports]

@@ -76,10 +76,7 @@ class Files:
 
 
 def files_by_role(root: Path, depth: bool = True) -> Files | None:
-    """Files of a recording by role; None without colour and depth by name.
-
-    Without `depth` colour alone will do.
-    """
+    """Files of a recording by role; None without colour and depth by name. Without `depth` colour alone will do."""
     folders, names = readable(root)
     own = _by_name(names)
     beside = sum(len(_files(root, folder, "depth")) for folder in folders if role_of(folder)[0] == "depth")

@@ -117,7 +117,9 @@ class ParquetDataset(Recording):
         self._rows: dict[str, tuple[Path, int]] = {}
         for table in tables:
             for row, name in enumerate(_ids(table, columns.names)):
-                self._rows[name if len(tables) == 1 else f"{_above(table, root)}/{name}"] = table, row
+                # Of several tables the name goes first, with its chunk if it is in one.
+                above = "" if table.parent in (root, root / "data") else f"{table.parent.name}/"
+                self._rows[name if len(tables) == 1 else f"{above}{table.stem}/{name}"] = table, row
         self.frame_ids = tuple(self._rows)
         require(self.frame_ids, "a table without a row", path=root)
         unit = str(_info(features, str(self._columns["depth"])).get("depth_unit"))
@@ -173,11 +175,6 @@ def _picture_columns(columns: Any, features: Mapping[str, Any]) -> dict[str, str
     colors = [name for name in names if role_of(name)[0] == "color" and name != depth]
     same = [name for name in colors if depth is not None and role_of(name)[1] == role_of(depth)[1]]
     return {"color": next(iter((*same, *colors)), None), "depth": depth}
-
-
-def _above(table: Path, root: Path) -> str:
-    """Prefix of ids for a table, with the chunk if any."""
-    return table.stem if table.parent in (root, root / "data") else f"{table.parent.name}/{table.stem}"
 
 
 def _is_array(column: Any) -> bool:

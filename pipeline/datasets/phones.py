@@ -35,10 +35,8 @@ COLOR, DEPTH, CAMERA, TRAJECTORY = "lowres_wide", "lowres_depth", "lowres_wide_i
 
 
 class ArkitScenesDataset(FolderDataset):
-    """Frames of a scan of ARKitScenes: `lowres_wide/`, `lowres_depth/` (mm), a `.pincam` for each, and the `.traj`.
-
-    The trajectory is world-to-camera, and z is up in its world.
-    """
+    """Frames of a scan of ARKitScenes: `lowres_wide/`, `lowres_depth/` (mm), a `.pincam` for each, and the `.traj`. The
+    trajectory is world-to-camera, and z is up in its world."""
 
     format = "arkitscenes"
     rule = DepthRule(1000.0, "ARKitScenes'")

@@ -34,19 +34,14 @@ class Doubt:
 
 
 def depth_doubt(frame: Frame) -> Doubt | None:
-    """Evidence against measured depth; None for a stand-in camera or estimated depth.
-
-    Of a camera that is made up nothing can be said, and what a network estimates has no unit that could be wrong.
-    """
+    """Evidence against measured depth; None for a stand-in camera or estimated depth. Of a camera that is made up
+    nothing can be said, and what a network estimates has no unit that could be wrong."""
     return None if frame.camera.untold or frame.depth_source else plausibility(frame)
 
 
 def plausibility(frame: Frame) -> Doubt | None:
-    """Evidence against the depth of a frame, or None.
-
-    The sizes of annotated things of known classes decide where they can. Else the range of depth and the height of the
-    camera above the lowest level that it sees must both be odd.
-    """
+    """Evidence against the depth of a frame, or None. The sizes of annotated things of known classes decide where they
+    can. Else the range of depth and the height of the camera above the lowest level that it sees must both be odd."""
     sizes = doubt_by_sizes(annotated_sizes(frame))
     if sizes is not None:
         return sizes

@@ -106,10 +106,8 @@ class PosedPictures(Recording):
 
 
 class NerfstudioDataset(PosedPictures):
-    """Pictures of `transforms.json`: camera-to-world poses of OpenGL cameras, depth in millimetres.
-
-    Its world has z up by the makers' convention, which reconstructions keep only roughly: it is not declared.
-    """
+    """Pictures of `transforms.json`: camera-to-world poses of OpenGL cameras, depth in millimetres. Its world has z up
+    by the makers' convention, which reconstructions keep only roughly: it is not declared."""
 
     format = "nerfstudio"
     rule = DepthRule(1000.0, "nerfstudio's")
@@ -155,10 +153,8 @@ class NerfstudioDataset(PosedPictures):
 
 
 class ColmapDataset(PosedPictures):
-    """Pictures of a COLMAP text model, `cameras.txt` and `images.txt`; their poses are world-to-camera.
-
-    The length of the model's unit is whatever the reconstruction took it for: the poses are right up to scale.
-    """
+    """Pictures of a COLMAP text model, `cameras.txt` and `images.txt`; their poses are world-to-camera. The length of
+    the model's unit is whatever the reconstruction took it for: the poses are right up to scale."""
 
     format = "colmap"
 

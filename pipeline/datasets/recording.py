@@ -126,10 +126,8 @@ class Recording:
         )
 
     def _metres(self, found: Listed, rgb: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-        """Depth (H, W) float32 metres, and the option for the unit where unknown.
-
-        A stand-in of one metre where it is to be estimated, smaller than a large picture that nothing is drawn on.
-        """
+        """Depth (H, W) float32 metres, and the option for the unit where unknown. A stand-in of one metre where it is
+        to be estimated, smaller than a large picture that nothing is drawn on."""
         if found.depth is None:
             shrink = 1.0 if found.annotate is not None else min(1.0, LONGEST_ALONE / max(rgb.shape[:2]))
             return np.ones((round(rgb.shape[0] * shrink), round(rgb.shape[1] * shrink)), np.float32), ()
@@ -179,10 +177,8 @@ class Recording:
         untold: tuple[str, ...] = (),
         fits: bool = False,
     ) -> Frame:
-        """Assemble a Frame; errors in intrinsics name `source`, `up` ((3,), camera frame) is declared.
-
-        Where K `fits`, it is made for this size of whatever intrinsics were told.
-        """
+        """Assemble a Frame; errors in intrinsics name `source`, `up` ((3,), camera frame) is declared. Where K `fits`,
+        it is made for this size of whatever intrinsics were told."""
         settings = replace(self._settings, intrinsics=None) if fits else self._settings
         camera = make_camera(K, pair[1].shape, pose, settings, source, untold)
         if camera.untold and not self._settings.estimated:

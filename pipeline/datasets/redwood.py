@@ -37,12 +37,10 @@ class _Layout:
 class RedwoodDataset(Recording):
     """Frames of id the colour file's stem; depth in millimetres, poses camera-to-world.
 
-    The opened folder holds the images, or one folder that holds them. The
-    camera file and the trajectory stand beside the images or in the opened
-    folder; the camera file alone is also looked for one folder above the opened
-    one, by its four names and nothing else. Block k of the trajectory is frame k
-    where there are as many of both; else the blocks' own numbers are the files',
-    where both begin at the same number.
+    The opened folder holds the images, or one folder that holds them. The camera file and the trajectory stand beside
+    the images or in the opened folder; the camera file alone is also looked for one folder above the opened one, by its
+    four names and nothing else. Block k of the trajectory is frame k where there are as many of both; else the blocks'
+    own numbers are the files', where both begin at the same number.
     """
 
     format = "redwood"
@@ -123,11 +121,8 @@ def _stated(path: Path) -> Stated:
 
 
 def _poses(path: Path | None, keys: list[Key]) -> dict[Key, np.ndarray]:
-    """The 4x4 matrices of a trajectory by frame, not yet checked to be poses; none without a trajectory.
-
-    A block is a line of three whole numbers, of which the first counts the
-    frames, and four lines of a camera-to-world matrix.
-    """
+    """The 4x4 matrices of a trajectory by frame, not yet checked to be poses; none without a trajectory. A block is a
+    line of three whole numbers, of which the first counts the frames, and four lines of a camera-to-world matrix."""
     if path is None:
         return {}
     lines = numbered_lines(path)

@@ -1,8 +1,7 @@
 """The frame of a saved case: colour and depth without loss, the camera, the annotations.
 
-`pipeline.diagnosis.cases` writes the folder and reads all of it; here its frame is
-a dataset of one. The files have fixed names, so that a case can name none
-outside its folder, and the sha256 of each stands in `spatialviz-case.json`.
+`pipeline.diagnosis.cases` writes the folder and reads all of it; here its frame is a dataset of one. The files have
+fixed names, so that a case can name none outside its folder, and the sha256 of each stands in `spatialviz-case.json`.
 """
 
 from __future__ import annotations
@@ -75,10 +74,8 @@ class _SavedViewer(BaseModel):
 
 
 class SavedFrame(_Strict):
-    """A frame without pixels. `units` is depth units per metre, None where depth.npy holds float32 metres.
-
-    `up` is null in older cases where it was found from the depth; then it is that of the kept answer.
-    """
+    """A frame without pixels. `units` is depth units per metre, None where depth.npy holds float32 metres. `up` is null
+    in older cases where it was found from the depth; then it is that of the kept answer."""
 
     id: str = Field(min_length=1)
     width: int = Field(ge=1)

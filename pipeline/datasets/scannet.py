@@ -21,10 +21,9 @@ from pipeline.system.errors import require
 class ScanNetDataset(Recording):
     """Frames of id N, the name of the colour file; depth in millimetres, poses camera-to-world.
 
-    The frame has the size and the intrinsics of the depth image; a colour image
-    of another size is resized to it, which is noted in the dataset's first
-    frame. ScanNet's world is level only where a scan was axis-aligned
-    afterwards, so that no up vector is declared.
+    The frame has the size and the intrinsics of the depth image; a colour image of another size is resized to it, which
+    is noted in the dataset's first frame. ScanNet's world is level only where a scan was axis-aligned afterwards, so
+    that no up vector is declared.
     """
 
     format = "scannet"

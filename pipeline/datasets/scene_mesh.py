@@ -1,8 +1,7 @@
 """Context mesh: posed frames around a frame, fused.
 
-Fusion is Open3D's truncated signed distance volume (extra `open3d`); the mesh is
-kept on disk by content. What the frame itself shows is left out of the mesh:
-there its own cloud stands.
+Fusion is Open3D's truncated signed distance volume (extra `open3d`); the mesh is kept on disk by content. What the
+frame itself shows is left out of the mesh: there its own cloud stands.
 """
 
 from __future__ import annotations

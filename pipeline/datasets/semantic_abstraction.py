@@ -80,16 +80,13 @@ class _FileScene:
 class SemanticAbstractionDataset(Recording):
     """Frames of id the file's path without its ending; in a file of several items `/k` behind it.
 
-    Depth is in metres, the pose and the boxes too (the scene's 0.6 units are
-    one metre). Annotations are the objects of `seg` that have a pixel; their
-    `index` is the object's id. The box of an object is that of all its points
-    in the scene's bounds, seen or hidden, along the scene's axes: x is level
-    and away from the camera, z the height. The pose is `cam_pose` where it
-    takes the depth to the file's own points, else the reading of it that does;
-    where none does there is no pose, and there are no boxes. An id with
-    `@randomized` behind it is the view with randomised materials, where it has
-    one, and with `@synonyms` the view whose objects go by their other names;
-    such ids are in the splits and not in `frame_ids`.
+    Depth is in metres, the pose and the boxes too (the scene's 0.6 units are one metre). Annotations are the objects of
+    `seg` that have a pixel; their `index` is the object's id. The box of an object is that of all its points in the
+    scene's bounds, seen or hidden, along the scene's axes: x is level and away from the camera, z the height. The pose
+    is `cam_pose` where it takes the depth to the file's own points, else the reading of it that does; where none does
+    there is no pose, and there are no boxes. An id with `@randomized` behind it is the view with randomised materials,
+    where it has one, and with `@synonyms` the view whose objects go by their other names; such ids are in the splits
+    and not in `frame_ids`.
     """
 
     format = "semantic-abstraction"
@@ -142,9 +139,8 @@ class SemanticAbstractionDataset(Recording):
     def given_expressions(self, frame_id: str) -> tuple[GivenExpression, ...]:
         """The dataset's own expressions; see `base.given_expressions`.
 
-        The target is one object by its id, the reference every object of its
-        class. Of both only the annotated ones are given: a target may be hidden.
-        Expressions of other relations than the six are left out.
+        The target is one object by its id, the reference every object of its class. Of both only the annotated ones are
+        given: a target may be hidden. Expressions of other relations than the six are left out.
         """
         path, item = self._view(frame_id)
         with open_view(path) as file:
@@ -184,9 +180,8 @@ class SemanticAbstractionDataset(Recording):
     def splits(self) -> dict[str, tuple[str, ...]]:
         """Frames of the split files, by "vool/train" and so on; see `base.splits`.
 
-        Files that are not here, and paths that lead outside, are left out. The
-        frames of `unseen_instances_dr` are those with randomised materials, the
-        frames of `unseen_instances_synonyms` those with the other names.
+        Files that are not here, and paths that lead outside, are left out. The frames of `unseen_instances_dr` are
+        those with randomised materials, the frames of `unseen_instances_synonyms` those with the other names.
         """
         found: dict[str, tuple[str, ...]] = {}
         for kind, path in split_files(self.root).items():
@@ -307,10 +302,8 @@ def _is_view(root: Path, view: str) -> bool:
 
 
 def _recognises(root: Path) -> bool:
-    """Recognise views in the folder, below split files, or in most folders.
-
-    Not any folder with a view somewhere below: that may hold other datasets too.
-    """
+    """Recognise views in the folder, below split files, or in most folders. Not any folder with a view somewhere below:
+    that may hold other datasets too."""
     own = _views_below(root, 0)
     if own:
         return _is_view(root, own[0])

@@ -59,10 +59,8 @@ def _owners(values: np.ndarray, ids: list[int]) -> np.ndarray:
 
 
 def depth_samples(seg: np.ndarray, depth: np.ndarray, ids: list[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows, columns and owners of at most `SAMPLES_AN_OBJECT` pixels with depth per object, evenly spread.
-
-    So many of each, since a wall or a floor looks much the same upside down.
-    """
+    """Rows, columns and owners of at most `SAMPLES_AN_OBJECT` pixels with depth per object, evenly spread. So many of
+    each, since a wall or a floor looks much the same upside down."""
     owner = _owners(seg, ids)
     owner = np.where(depth > 0, owner, -1).ravel()
     pixels = np.flatnonzero(owner >= 0)

@@ -24,9 +24,8 @@ _IMAGE = re.compile(r"(frame-[0-9]{1,12})\.(color|depth)\.(png|jpg|jpeg)")
 class SevenScenesDataset(Recording):
     """Frames in the folder itself (id `frame-000000`) or in `seq-XX` (id `seq-01/frame-000000`).
 
-    A `camera-intrinsics.txt` in the opened folder, or beside the frames, wins
-    over the format's own 585, 585, 320, 240, which is for 640x480 only. 7-Scenes
-    promises no world axis that points up and carries no annotations.
+    A `camera-intrinsics.txt` in the opened folder, or beside the frames, wins over the format's own 585, 585, 320, 240,
+    which is for 640x480 only. 7-Scenes promises no world axis that points up and carries no annotations.
     """
 
     format = "7-scenes"

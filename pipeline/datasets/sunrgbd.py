@@ -45,22 +45,17 @@ _SWAP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 
 
 def camera_from_upright(Rtilt: np.ndarray) -> np.ndarray:
-    """(3, 3) rotation from SUN RGB-D's upright frame (z up, metres) to the camera frame.
-
-    The dataset defines upright = Rtilt @ (x, z, -y) of the camera's x, y, z
-    (its toolbox, read3dPoints.m); this is the inverse.
-    """
+    """(3, 3) rotation from SUN RGB-D's upright frame (z up, metres) to the camera frame. The dataset defines upright =
+    Rtilt @ (x, z, -y) of the camera's x, y, z (its toolbox, read3dPoints.m); this is the inverse."""
     return _SWAP @ nearest_rotation(Rtilt).T
 
 
 class SunRgbdDataset(Recording):
     """Frames of id their folder's path below the opened one; the folder's own name where it is opened itself.
 
-    The depth is that of `depth/`, as measured; `depth_bfx/`, whose holes were
-    filled in, is read only where there is no `depth/`, with a note. The up
-    vector comes from the tilt in `extrinsics/` (the newest file) and is
-    declared. Annotation files are not read. Folders that are links are not
-    followed below the opened one.
+    The depth is that of `depth/`, as measured; `depth_bfx/`, whose holes were filled in, is read only where there is no
+    `depth/`, with a note. The up vector comes from the tilt in `extrinsics/` (the newest file) and is declared.
+    Annotation files are not read. Folders that are links are not followed below the opened one.
     """
 
     format = "sunrgbd"
@@ -109,11 +104,8 @@ def _is_frame(folder: Path) -> bool:
 
 
 def _looks_like_a_frame(folder: Path, folders: list[str], files: list[str]) -> bool:
-    """Test for the layout of a single SUN RGB-D picture, perhaps broken.
-
-    SUN3D's recordings have the same folders with many images in them, and other
-    recordings have image/ and depth/ alone.
-    """
+    """Test for the layout of a single SUN RGB-D picture, perhaps broken. SUN3D's recordings have the same folders with
+    many images in them, and other recordings have image/ and depth/ alone."""
     names = set(folders)
     if not names & {"extrinsics", "depth_bfx"}:
         return False
@@ -135,10 +127,8 @@ def _frames_below(root: Path, levels: int, prefix: str = "") -> list[str]:
 
 
 def _recognises(root: Path) -> bool:
-    """Recognise a frame, a folder of mostly frames, or the dataset's own tree.
-
-    Not any folder with a frame somewhere below: that may hold other datasets too.
-    """
+    """Recognise a frame, a folder of mostly frames, or the dataset's own tree. Not any folder with a frame somewhere
+    below: that may hold other datasets too."""
     if _is_frame(root):
         return True
     folders = readable(root, links=False)[0]
@@ -167,10 +157,9 @@ OFF_PIXEL = 0.1
 class SunRgbdVoteNetDataset(Recording):
     """Frames of id the image's stem, with the file's own boxes and up vector.
 
-    The depth image is rebuilt exactly from the list of points. The export
-    counts pixels from 1, so that 1 is taken off the principal point and off the
-    corner of each 2D box. Boxes are given in the camera frame. The opened
-    folder is `sunrgbd_trainval` or holds it.
+    The depth image is rebuilt exactly from the list of points. The export counts pixels from 1, so that 1 is taken off
+    the principal point and off the corner of each 2D box. Boxes are given in the camera frame. The opened folder is
+    `sunrgbd_trainval` or holds it.
     """
 
     format = "sunrgbd-votenet"
@@ -293,10 +282,8 @@ def _depth_image(points: np.ndarray, K: np.ndarray, size: tuple[int, int], path:
 
 
 def _annotation(index: int, name: str, values: np.ndarray, R_camera_upright: np.ndarray) -> Annotation:
-    """Annotation of a line: 2D box x y w h, centroid, half sizes w l h, orientation x y; upright frame, metres.
-
-    The second half size lies along the orientation, the first across it, the third along z.
-    """
+    """Annotation of a line: 2D box x y w h, centroid, half sizes w l h, orientation x y; upright frame, metres. The
+    second half size lies along the orientation, the first across it, the third along z."""
     require(np.isfinite(values).all(), "inf or NaN")
     x, y, w, h = values[:4]
     require(w > 0 and h > 0, "an empty 2D box")

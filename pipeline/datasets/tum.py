@@ -50,13 +50,11 @@ class _Entry:
 class TumDataset(Recording):
     """Frames of the lines of rgb.txt in order of time; the id is the time stamp as written.
 
-    Colour and depth belong together where they lie within 20 ms, the nearest
-    first and each image once; a colour image that is left without depth is a
-    broken frame. The pose is the nearest line of groundtruth.txt within 20 ms.
-    The intrinsics are those of the camera that the folder's name tells
-    (freiburg1, 2 or 3), else the default of the format. These and the depth's
-    unit stand in no file, which a note says. The world axes of the motion
-    capture are not declared.
+    Colour and depth belong together where they lie within 20 ms, the nearest first and each image once; a colour image
+    that is left without depth is a broken frame. The pose is the nearest line of groundtruth.txt within 20 ms. The
+    intrinsics are those of the camera that the folder's name tells (freiburg1, 2 or 3), else the default of the format.
+    These and the depth's unit stand in no file, which a note says. The world axes of the motion capture are not
+    declared.
     """
 
     format = "tum"
@@ -129,10 +127,8 @@ def _entries(root: Path, name: str) -> list[_Entry]:
 
 
 def match_times(a: np.ndarray, b: np.ndarray) -> dict[int, int]:
-    """Matches of two sorted lists of times within 20 ms, nearest first, each time used once.
-
-    The greedy rule is that of the dataset's own associate.py.
-    """
+    """Matches of two sorted lists of times within 20 ms, nearest first, each time used once. The greedy rule is that of
+    the dataset's own associate.py."""
     low = np.searchsorted(b, a - WITHIN - _ROUNDING, side="left")
     high = np.searchsorted(b, a + WITHIN + _ROUNDING, side="right")
     count = high - low

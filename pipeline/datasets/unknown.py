@@ -49,10 +49,8 @@ def kind_of(name: str) -> str:
 
 
 def unknown(path: Path, recognised: Callable[[Path], bool]) -> UnknownFormat:
-    """Error for an unrecognised path: contents and advice in a line.
-
-    `recognised` says whether a reader would open another one.
-    """
+    """Error for an unrecognised path: contents and advice in a line. `recognised` says whether a reader would open
+    another one."""
     what, expected = _file(path) if path.is_file() else _folder(path, recognised)
     return UnknownFormat(f"no dataset is recognised here: {what}", expected=expected, path=path)
 

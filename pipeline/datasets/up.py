@@ -136,10 +136,8 @@ class UpGiven(ChangedFrames):
 
 
 def with_given_up(dataset: Dataset, settings: Settings, level_at: str | None = None) -> Dataset:
-    """Dataset with the up of the settings; unchanged without any.
-
-    `level_at`: "FRAME:U,V", or "U,V" of the first frame: the surface at this pixel is level.
-    """
+    """Dataset with the up of the settings; unchanged without any. `level_at`: "FRAME:U,V", or "U,V" of the first frame:
+    the surface at this pixel is level."""
     frame_up = dict(settings.frame_up)
     if level_at is not None:
         key, u, v = parse_level_at(level_at)
@@ -236,11 +234,8 @@ def vote(scene: str, voters: Sequence[Voter]) -> SceneVote:
 
 
 def scene_vote(dataset: Dataset, frame_id: str) -> SceneVote:
-    """Vote of a frame's scene, cached per dataset and process.
-
-    It depends on the scene alone, not on the frame that asks, so that every process finds the same.
-    Frames that are broken or have no pose do not vote.
-    """
+    """Vote of a frame's scene, cached per dataset and process. It depends on the scene alone, not on the frame that
+    asks, so that every process finds the same. Frames that are broken or have no pose do not vote."""
     scene = scene_of(dataset, frame_id)
     with _LOCK:
         known = _VOTES.setdefault(dataset, {})

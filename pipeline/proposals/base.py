@@ -244,10 +244,8 @@ def suppress(boxes: np.ndarray, nms_iou: float = NMS_IOU) -> np.ndarray:
 def class_wise(
     boxes: np.ndarray, scores: np.ndarray, classes: np.ndarray, k: int, *, nms_iou: float = NMS_IOU
 ) -> np.ndarray:
-    """Indices (M,) int64 of the best `k` of each class after suppression within the class, best first.
-
-    `boxes` (N, 4) float; `scores` (N,) float; `classes` (N,) int.
-    """
+    """Indices (M,) int64 of the best `k` of each class after suppression within the class, best first. `boxes` (N, 4)
+    float; `scores` (N,) float; `classes` (N,) int."""
     order = np.argsort(-scores, kind="stable")
     kept = [np.zeros(0, np.int64)]
     for one in np.unique(classes):

@@ -144,10 +144,7 @@ def output_names(config: BoxOutput) -> list[str]:
 
 
 def decode(outputs: Mapping[str, np.ndarray], config: BoxOutput, classes: int, size: tuple[int, int]) -> BoxCandidates:
-    """Boxes and probabilities.
-
-    `size` (int, int): Height and width of the input.
-    """
+    """Boxes and probabilities. `size` (int, int): Height and width of the input."""
     count = classes + (config.background != "none")
     if config.form == "rows":
         boxes, scores = _rows(outputs[config.rows or ""], config.columns, config.activation, count)
@@ -210,10 +207,8 @@ def _separate(outputs: Mapping[str, np.ndarray], config: BoxOutput, count: int) 
 def _distances(
     outputs: Mapping[str, np.ndarray], config: BoxOutput, count: int, size: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Boxes of generalised focal loss heads: from a cell's centre the mean of each distribution, times the stride.
-
-    Li et al., Generalized Focal Loss, NeurIPS 2020, equation 5. PicoDet and NanoDet give these maps.
-    """
+    """Boxes of generalised focal loss heads: from a cell's centre the mean of each distribution, times the stride. Li
+    et al., Generalized Focal Loss, NeurIPS 2020, equation 5. PicoDet and NanoDet give these maps."""
     boxes, scores = [], []
     assert isinstance(config.scores, tuple)
     for score_name, name, stride in zip(config.scores, config.distances, config.strides, strict=True):

@@ -38,7 +38,12 @@ class BoxDetector(NetworkDetector):
         self.config_path = Path(config) if config is not None else find_box_model(self.path)
         self.config = read_box_model(self.config_path)
         self.min_score = self.config.output.min_score if min_score is None else min_score
-        self.vocabulary = self.config.names or self._names_inside()
+        self.vocabulary = self.config.names or needed(
+            metadata_names(self._session),
+            "the class names of the detector are not known",
+            expected="names or names_file",
+            path=self.config_path,
+        )
         picture = self.config.input
         self._input, (height, width) = checked_input(self._session, picture, picture.extra, self.config_path)
         if height is None or width is None:
@@ -86,11 +91,3 @@ class BoxDetector(NetworkDetector):
         outputs = dict(zip(self._outputs, values, strict=True))
         with in_file(self.config_path):
             return decode(outputs, self.config.output, len(self.vocabulary or ()), self._sides), placement
-
-    def _names_inside(self) -> tuple[str, ...]:
-        return needed(
-            metadata_names(self._session),
-            "the class names of the detector are not known",
-            expected="names or names_file",
-            path=self.config_path,
-        )

@@ -142,7 +142,8 @@ class CachedSegmenter:
             made, has_mask = self.segmenter.segment(frame, boxes[missing], [str(labels[i]) for i in missing])
             for i, mask, has in zip(missing, made, has_mask, strict=True):
                 known[i] = kept = mask & has
-                _store_mask(paths[i], kept)
+                shape_and_bits = {"shape": np.array(kept.shape), "bits": np.packbits(kept)}
+                keep_whole(paths[i], partial(np.savez_compressed, **shape_and_bits))
         masks = np.array(known, np.bool_).reshape(-1, *shape)
         return masks, np.asarray(masks.any(axis=(1, 2)))
 
@@ -151,10 +152,6 @@ class CachedSegmenter:
         parts = [_MASK_VERSION, frame.content_hash, self.fingerprint(), box.tobytes().hex()]
         key = xxhash.xxh3_128_hexdigest("\x1f".join(parts).encode())
         return self.folder / key[:2] / f"{key}.npz"
-
-
-def _store_mask(path: Path, mask: np.ndarray) -> None:
-    keep_whole(path, lambda file: np.savez_compressed(file, shape=np.array(mask.shape), bits=np.packbits(mask)))
 
 
 def _load_mask(path: Path, shape: tuple[int, int]) -> np.ndarray | None:

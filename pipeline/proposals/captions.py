@@ -57,10 +57,8 @@ def check_bert(tokenizer: Any, path: Path) -> None:
 
 
 def build_captions(names: Sequence[str], tokenizer: Any, limit: int = MAX_TOKENS) -> list[Caption]:
-    """Fewest captions holding all names in order, at most `limit` tokens each; names are never cut.
-
-    Names that read the same stand in a caption once, for the first of them.
-    """
+    """Fewest captions holding all names in order, at most `limit` tokens each; names are never cut. Names that read the
+    same stand in a caption once, for the first of them."""
     groups: list[list[tuple[int, str, list[int]]]] = [[]]
     length = 2
     seen: set[str] = set()

@@ -188,10 +188,8 @@ YOLO_SEG_CONTRACTS = (
 
 
 def yolo_seg_tensors(session: Any) -> tuple[Any, list[str], bool, int | None] | None:
-    """Input, names of rows and prototypes, suppression inside, and number of classes.
-
-    None where this is no such model; the number is None where only the class names tell it.
-    """
+    """Input, names of rows and prototypes, suppression inside, and number of classes. None where this is no such model;
+    the number is None where only the class names tell it."""
     inputs, outputs = session.get_inputs(), session.get_outputs()
     fits = len(inputs) == 1 and len(inputs[0].shape) == 4 and inputs[0].shape[1] == 3
     rows = next((o for o in outputs if len(o.shape) == 3), None)

@@ -133,9 +133,8 @@ class _Cut:
 class DepthSegmenter:
     """Segmenter by depth and colour; method and figures in the module's docstring.
 
-    Masks stay inside their boxes, widened to whole pixels. `has_mask` is False
-    for boxes narrower than three pixels, outside of the picture, or as large
-    as it: their masks are the filled box.
+    Masks stay inside their boxes, widened to whole pixels. `has_mask` is False for boxes narrower than three pixels,
+    outside of the picture, or as large as it: their masks are the filled box.
     """
 
     name = "depth"

@@ -128,10 +128,8 @@ def find_names(model: Path) -> Path:
 
 
 def resized_shape(height: int, width: int) -> tuple[int, int]:
-    """Height and width with the shorter side 800, and the longer at most 1333, rounded as in Detic's code.
-
-    That is detectron2's `ResizeShortestEdge`, which differs from transformers' by a pixel.
-    """
+    """Height and width with the shorter side 800, and the longer at most 1333, rounded as in Detic's code. That is
+    detectron2's `ResizeShortestEdge`, which differs from transformers' by a pixel."""
     scale = SHORTEST / min(height, width)
     # In two steps, as there: one alone rounds otherwise at a half.
     high, wide = (float(SHORTEST), scale * width) if height < width else (scale * height, float(SHORTEST))

@@ -114,15 +114,16 @@ class EnsembleDetector:
         names = sorted({str(name) for name in groups.values()})
         classes = np.array([names.index(str(groups[label])) for label in labels], np.int64)
         if self.fusion == "wbf":
-            could = [sum(self._gives(own, name) for own in known) if one is None else len(found) for name in names]
+            # Detectors asked for `own` names (None: any) that could have said a name.
+            could = [
+                len(found) if one is not None
+                else sum(own is None or any(same_name(n, name, self.synonyms) for n in own) for own in known)
+                for name in names
+            ]  # fmt: skip
             fused = fuse_boxes(boxes, scores, classes, np.array(could, np.int64), FUSION_IOU)
         else:
             fused = _suppressed(boxes, scores, classes)
         return _proposals(frame, fused, labels, found)
-
-    def _gives(self, names: Sequence[str] | None, name: str) -> bool:
-        """Test whether a detector asked for `names` (None: any) could have answered `name`."""
-        return names is None or any(same_name(own, name, self.synonyms) for own in names)
 
 
 def _together(known: Sequence[tuple[str, ...] | None]) -> tuple[str, ...] | None:

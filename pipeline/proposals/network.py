@@ -58,9 +58,7 @@ class NetworkDetector:
 
     def _best(self, scores: np.ndarray, wanted: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
         """The score (N,) and the index in `wanted` (N,) of each row's best class, of (N, C) scores of all classes.
-
-        Vocabularies such as that of LVIS hold names twice. Where nothing is wanted, scores are below 0.
-        """
+        Vocabularies such as that of LVIS hold names twice. Where nothing is wanted, scores are below 0."""
         index_of = {name: k for k, name in enumerate(wanted)}
         columns = [c for c, name in enumerate(self.vocabulary or ()) if name in index_of]
         if not columns:
@@ -147,10 +145,8 @@ CLIP_STD = np.array([0.26862954, 0.26130258, 0.27577711], np.float32)
 
 
 def pillow_resized(rgb: np.ndarray, height: int, width: int, *, cubic: bool = False) -> np.ndarray:
-    """Resize (height, width, 3) uint8 as Pillow does, with a wider filter for downscaling.
-
-    OpenCV's bilinear filter skips pixels there, and its cubic filter has another coefficient (-0.75, not -0.5).
-    """
+    """Resize (height, width, 3) uint8 as Pillow does, with a wider filter for downscaling. OpenCV's bilinear filter
+    skips pixels there, and its cubic filter has another coefficient (-0.75, not -0.5)."""
     from PIL import Image
 
     resample = Image.Resampling.BICUBIC if cubic else Image.Resampling.BILINEAR

@@ -98,10 +98,8 @@ class PromptedSegmenter:
     def _tried(
         self, features: dict[str, np.ndarray], boxes: np.ndarray, size: tuple[int, int]
     ) -> tuple[bool, list[np.ndarray]]:
-        """Test whether several boxes in a run give the same masks as alone, and the logits.
-
-        An exported graph may declare a free number of boxes and still hold the one that it was traced with.
-        """
+        """Test whether several boxes in a run give the same masks as alone, and the logits. An exported graph may
+        declare a free number of boxes and still hold the one that it was traced with."""
         last = self._checked(features, boxes[-1:], size)[0]
         try:
             together = self._checked(features, boxes, size)

@@ -1,22 +1,19 @@
 """The recorded output of any detector, from a JSON file or a folder of NPZ files.
 
-JSON: `{"frames": {"<frame id>": [{"label": "mug", "score": 0.9, "bbox": [x0, y0, x1, y1],
-"mask": {"size": [H, W], "counts": ...}, "id": 3}]}}`. A mask is COCO run-length encoding
-(compressed string or list of counts) or the path of a PNG beside the file; it
-may be left out. NPZ: one file a frame, named after the frame id with "/"
-replaced by "__", with arrays boxes (N, 4), scores (N,), labels (N,) str and,
-optionally, masks (N, H, W), or mask_counts (N,) of compressed run-length codes
-(empty for none) with mask_size (2,), and ids (N,) int, below 0 for none.
+JSON: `{"frames": {"<frame id>": [{"label": "mug", "score": 0.9, "bbox": [x0, y0, x1, y1], "mask": {"size": [H, W],
+"counts": ...}, "id": 3}]}}`. A mask is COCO run-length encoding (compressed string or list of counts) or the path of a
+PNG beside the file; it may be left out. NPZ: one file a frame, named after the frame id with "/" replaced by "__", with
+arrays boxes (N, 4), scores (N,), labels (N,) str and, optionally, masks (N, H, W), or mask_counts (N,) of compressed
+run-length codes (empty for none) with mask_size (2,), and ids (N,) int, below 0 for none.
 
-Either may say which detector made it: `"made_by": "<name>: <fingerprint>"` beside
-"frames", or in a file `recording.json` in the folder.
+Either may say which detector made it: `"made_by": "<name>: <fingerprint>"` beside "frames", or in a file
+`recording.json` in the folder.
 
 Files that other programs publish (`pipeline.proposals.detection_files`: COCO results, the sinks of supervision,
 Grounded SAM), or a folder of them, are played back too.
 
-An id says which thing a detection is of: one and the same thing, found under
-several names, has one id. Where any detection of a frame has none, each is a
-thing of its own.
+An id says which thing a detection is of: one and the same thing, found under several names, has one id. Where any
+detection of a frame has none, each is a thing of its own.
 """
 
 from __future__ import annotations

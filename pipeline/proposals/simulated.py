@@ -360,10 +360,8 @@ def resized(mask: np.ndarray, pixels: int) -> np.ndarray:
 
 
 def truncated(mask: np.ndarray, angle: float, share: float) -> np.ndarray:
-    """Part of a mask ((h, w) bool) on one side of a straight cut, keeping `share` of the pixels.
-
-    `angle`, in radians, is the direction along which the cut pixels lie.
-    """
+    """Part of a mask ((h, w) bool) on one side of a straight cut, keeping `share` of the pixels. `angle`, in radians,
+    is the direction along which the cut pixels lie."""
     v, u = np.nonzero(mask)
     along = u * np.cos(angle) + v * np.sin(angle)
     stays = along <= np.quantile(along, share)
@@ -373,10 +371,8 @@ def truncated(mask: np.ndarray, angle: float, share: float) -> np.ndarray:
 
 
 def leaked(mask: np.ndarray, angle: float, free: np.ndarray) -> np.ndarray:
-    """Mask ((h, w) bool) merged with the `free` surroundings ((h, w) bool) on one side.
-
-    The side is that of `angle`, in radians, as seen from the mask's centre; the leak fills what is given there.
-    """
+    """Mask ((h, w) bool) merged with the `free` surroundings ((h, w) bool) on one side. The side is that of `angle`, in
+    radians, as seen from the mask's centre; the leak fills what is given there."""
     v, u = np.nonzero(mask)
     rows, columns = np.ogrid[: mask.shape[0], : mask.shape[1]]
     side = (columns - u.mean()) * np.cos(angle) + (rows - v.mean()) * np.sin(angle) > 0

@@ -1,12 +1,11 @@
 """Instance segmentation in the Ultralytics `-seg` export contract, by ONNX Runtime.
 
-Input: RGB / 255, letterboxed with grey 114, (1, 3, H, W). Outputs: (1, 4+C+32, N)
-rows of cx, cy, w, h in input pixels, C class probabilities and 32 mask
-coefficients; (1, 32, H/4, W/4) mask prototypes. A mask is
-sigmoid(coefficients @ prototypes), cropped to its box.
+Input: RGB / 255, letterboxed with grey 114, (1, 3, H, W). Outputs: (1, 4+C+32, N) rows of cx, cy, w, h in input pixels,
+C class probabilities and 32 mask coefficients; (1, 32, H/4, W/4) mask prototypes. A mask is sigmoid(coefficients @
+prototypes), cropped to its box.
 
-Exports with the suppression inside (nms=True, or the end-to-end models) give
-(1, N, 6+32) rows of x0, y0, x1, y1, score, class number and coefficients instead.
+Exports with the suppression inside (nms=True, or the end-to-end models) give (1, N, 6+32) rows of x0, y0, x1, y1,
+score, class number and coefficients instead.
 """
 
 from __future__ import annotations
@@ -209,10 +208,8 @@ class Letterbox:
 
 
 def letterbox(rgb: np.ndarray, height: int, width: int, pad: int = 114) -> tuple[np.ndarray, Letterbox]:
-    """The picture scaled to fit (height, width), centred, the rest filled with grey.
-
-    `image` (height, width, 3) uint8.
-    """
+    """The picture scaled to fit (height, width), centred, the rest filled with grey. `image` (height, width, 3)
+    uint8."""
     h, w = rgb.shape[:2]
     scale = min(height / h, width / w)
     inner_w, inner_h = min(max(round(w * scale), 1), width), min(max(round(h * scale), 1), height)

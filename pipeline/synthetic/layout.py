@@ -59,11 +59,8 @@ class Instance:
 
 @dataclass(frozen=True)
 class Focus:
-    """A place worth looking at.
-
-    `target` (3,) in metres, world; `heading` the direction of view in plan, radians from +x;
-    `spread` how far the heading may turn; `near` and `far` bound the distance.
-    """
+    """A place worth looking at. `target` (3,) in metres, world; `heading` the direction of view in plan, radians from
+    +x; `spread` how far the heading may turn; `near` and `far` bound the distance."""
 
     target: np.ndarray
     heading: float
@@ -115,10 +112,8 @@ def foot_of(model: ObjectModel, yaw: float) -> np.ndarray:
 
 
 def overlaps(a: np.ndarray, b: np.ndarray, touch: float = TOUCH_M) -> np.ndarray:
-    """Overlap (A, B) bool of upright boxes by more than `touch` metres along every separating axis.
-
-    The separating axis theorem in plan (the two axes of each rectangle) and an interval test in height.
-    """
+    """Overlap (A, B) bool of upright boxes by more than `touch` metres along every separating axis. The separating axis
+    theorem in plan (the two axes of each rectangle) and an interval test in height."""
     delta = b[None, :, :3] - a[:, None, :3]
     hit = np.abs(delta[..., 2]) < a[:, None, 5] + b[None, :, 5] - touch
     # Most boxes are far apart in plan, which the circles around them tell at a fraction of the cost.
@@ -205,9 +200,8 @@ class Layout:
     ) -> int | None:
         """Rest the model on a surface of instance `on`.
 
-        `at` is in the surface's own -1..1 coordinates (x, y); without it any
-        free place is taken. `yaw` is relative to the supporting object. None
-        where nothing is free, or where `on` itself found no place.
+        `at` is in the surface's own -1..1 coordinates (x, y); without it any free place is taken. `yaw` is relative to
+        the supporting object. None where nothing is free, or where `on` itself found no place.
         """
         if on is None:
             return None

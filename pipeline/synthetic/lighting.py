@@ -35,11 +35,8 @@ LAMPS = 2
 
 @dataclass(frozen=True)
 class LightMap:
-    """Indirect and lamp light at every second pixel.
-
-    `entries` (rows * columns, 9) float32: irradiance, and the position and
-    normal of the surface it belongs to, side by side so that each is fetched once.
-    """
+    """Indirect and lamp light at every second pixel. `entries` (rows * columns, 9) float32: irradiance, and the
+    position and normal of the surface it belongs to, side by side so that each is fetched once."""
 
     entries: np.ndarray
     rows: int
@@ -155,11 +152,8 @@ def light_map(scene: TracedRoom, s: Surfaces, h: int, w: int) -> LightMap:
 
 
 def _tame(light: np.ndarray, position: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """Clip entries much darker or brighter than the neighbourhood.
-
-    On folds finer than the map no neighbour lies on the same smooth surface,
-    so that the noise of an entry's few rays would stay.
-    """
+    """Clip entries much darker or brighter than the neighbourhood. On folds finer than the map no neighbour lies on the
+    same smooth surface, so that the noise of an entry's few rays would stay."""
     h, w = depth.shape
     widths = ((2, 2), (2, 2), (0, 0))
     L, P = (np.pad(a, widths, mode="edge") for a in (light, position))
@@ -184,10 +178,8 @@ def _smooth(
     reach: tuple[int, int],
     likeness: float,
 ) -> np.ndarray:
-    """Mean over neighbours `step` apart on the same smooth surface.
-
-    With a `likeness` above 0, only over those whose light is within that share of its own.
-    """
+    """Mean over neighbours `step` apart on the same smooth surface. With a `likeness` above 0, only over those whose
+    light is within that share of its own."""
     h, w = depth.shape
     offsets = [step * k for k in range(*reach)]
     pad = step * max(abs(reach[0]), reach[1])

@@ -124,10 +124,8 @@ TextureKey = tuple[object, ...]
 
 
 def rgb(hex_code: str) -> tuple[float, float, float]:
-    """Linear reflectance (0..1 each) of an sRGB colour written like "#a1b2c3".
-
-    The transfer function is that of IEC 61966-2-1.
-    """
+    """Linear reflectance (0..1 each) of an sRGB colour written like "#a1b2c3". The transfer function is that of IEC
+    61966-2-1."""
     s = [int(hex_code[k : k + 2], 16) / 255 for k in (1, 3, 5)]
     r, g, b = (c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in s)
     return (r, g, b)
@@ -172,10 +170,7 @@ class ModelPart:
 
 @dataclass(frozen=True)
 class RestSurface:
-    """A level rectangle things may rest on, in the model's frame, metres.
-
-    `room` is the free height above it.
-    """
+    """A level rectangle things may rest on, in the model's frame, metres. `room` is the free height above it."""
 
     z: float
     x0: float

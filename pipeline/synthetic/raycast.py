@@ -47,9 +47,7 @@ class TracedRoom:
     @cached_property
     def normals(self) -> tuple[np.ndarray, np.ndarray]:
         """(F, 3, 3) float32 world normal at each corner, smoothed over round surfaces, and (F, 3) float32 of each face.
-
-        Only colour needs them, and they cost as much as the rest of a scene.
-        """
+        Only colour needs them, and they cost as much as the rest of a scene."""
         return _normals(self.vertices, self.faces)
 
     def trace(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
@@ -121,11 +119,8 @@ def build_scene(room: Room) -> TracedRoom:
 
 
 def _normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Corner normals ((F, 3, 3)) and face normals ((F, 3)), float32.
-
-    A corner's normal is the area-weighted mean over the faces around its
-    vertex that are within the smoothing angle of its own face.
-    """
+    """Corner normals ((F, 3, 3)) and face normals ((F, 3)), float32. A corner's normal is the area-weighted mean over
+    the faces around its vertex that are within the smoothing angle of its own face."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     weighted = np.cross(b - a, c - a)
     flat = weighted / np.maximum(np.linalg.norm(weighted, axis=1, keepdims=True), 1e-15)
@@ -172,13 +167,8 @@ def _model_tracer(model: ObjectModel) -> EmbreeScene:
 
 
 def silhouette(room: Room, index: int, camera: Camera, most: int = 60_000) -> tuple[int, np.ndarray, np.ndarray]:
-    """Unoccluded silhouette of an instance.
-
-    As in the BOP toolkit, it also counts what would fall outside the picture,
-    here up to one picture size beyond each edge.
-
-    `v, u` (N,) int: The rows and columns of those that hit.
-    """
+    """Unoccluded silhouette of an instance. As in the BOP toolkit, it also counts what would fall outside the picture,
+    here up to one picture size beyond each edge. `v, u` (N,) int: The rows and columns of those that hit."""
     instance = room.instances[index]
     pose = pose_of(camera)
     corners = (instance.box.corners - pose[:3, 3]) @ pose[:3, :3]

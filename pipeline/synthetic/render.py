@@ -105,11 +105,8 @@ EDGE_M = 0.04
 
 
 def noise_sigma(z: np.ndarray) -> np.ndarray:
-    """Standard deviation of the depth noise in metres at depth z (metres).
-
-    1.2 mm * (0.4 + z^2): the quadratic growth of structured-light error
-    (Khoshelham and Elberink 2012), as used for the measurements of the method.
-    """
+    """Standard deviation of the depth noise in metres at depth z (metres). 1.2 mm * (0.4 + z^2): the quadratic growth
+    of structured-light error (Khoshelham and Elberink 2012), as used for the measurements of the method."""
     return 0.0012 * (0.4 + np.square(z))
 
 

@@ -317,11 +317,8 @@ THINGS = 3
 
 
 def stocked_bookshelf(p: Palette, rng: Rng) -> ObjectModel:
-    """A bookshelf with rows of books as parts.
-
-    Its surfaces are the top, then what the books leave free of each board from
-    the lowest up. The books of one board end in a lying pile.
-    """
+    """A bookshelf with rows of books as parts. Its surfaces are the top, then what the books leave free of each board
+    from the lowest up. The books of one board end in a lying pile."""
     empty = f.bookshelf(p, rng)
     top, *boards = empty.surfaces
     piled = int(rng.integers(1, len(boards) - 1))
@@ -378,11 +375,8 @@ def furnish_wall_shelf(room: Layout, p: Palette, shelf: int | None) -> None:
 def _book_row(
     p: Palette, rng: Rng, board: RestSurface, most: int, keep: float, start: float, back: float, from_right: bool
 ) -> tuple[list[ModelPart], RestSurface]:
-    """Up to `most` upright books along a board from an end.
-
-    They begin `start` from that end, stand `back` from the board's rear edge
-    and leave at least `keep` metres free, which is the second result.
-    """
+    """Up to `most` upright books along a board from an end. They begin `start` from that end, stand `back` from the
+    board's rear edge and leave at least `keep` metres free, which is the second result."""
     parts: list[ModelPart] = []
     reach = start
     for _ in range(most):

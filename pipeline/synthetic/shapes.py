@@ -36,11 +36,8 @@ def _shell_grid(n: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def block(size: Vec, at: Vec, material: Material, radius: float = 0.006, steps: int = 1) -> ModelPart:
-    """A box of `size` with rounded edges; centre in plan at `at[:2]`, BOTTOM at `at[2]`.
-
-    Round edges catch the light, which is what tells furniture from crates; a
-    large radius with more steps makes a cushion.
-    """
+    """A box of `size` with rounded edges; centre in plan at `at[:2]`, BOTTOM at `at[2]`. Round edges catch the light,
+    which is what tells furniture from crates; a large radius with more steps makes a cushion."""
     half = np.asarray(size, dtype=np.float64) / 2
     radius = float(min(radius, 0.98 * half.min()))
     grid, faces = _shell_grid(2 * (steps + 1))

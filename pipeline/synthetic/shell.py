@@ -23,11 +23,8 @@ def build_shell(
     window: tuple[float, float],
     door: tuple[str, float] | None,
 ) -> tuple[ModelPart, ...]:
-    """The unannotated parts of a room.
-
-    `window` (float, float): Middle of the window along the right-hand wall (y, metres) and its width; `door` (str,
-    float) or None: The wall ("front" or "left") and the place along it.
-    """
+    """The unannotated parts of a room. `window` (float, float): Middle of the window along the right-hand wall (y,
+    metres) and its width; `door` (str, float) or None: The wall ("front" or "left") and the place along it."""
     w, d, h, t = width, depth, height, WALL_M
     wall = Material(rgb(palette.wall), ("plaster",), 1.3)
     feature = Material(rgb(palette.feature), ("plaster",), 1.3)

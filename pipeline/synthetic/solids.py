@@ -23,10 +23,8 @@ _CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A unit solid under an affine map, world frame with z up, metres.
-
-    box: the cube of side 1; cylinder: radius 1 about z, height 1; ball: radius 1. All around the origin.
-    """
+    """A unit solid under an affine map, world frame with z up, metres. box: the cube of side 1; cylinder: radius 1
+    about z, height 1; ball: radius 1. All around the origin."""
 
     kind: Literal["box", "cylinder", "ball"]
     A: np.ndarray  # (3, 3) float64
@@ -89,10 +87,8 @@ def solid(
     kind: Literal["box", "cylinder", "ball"], size: tuple[float, float, float], foot: np.ndarray, yaw: float,
     at: tuple[float, float, float] = (0, 0, 0), lean: float = 0.0,
 ) -> Solid:  # fmt: skip
-    """A solid of a size along own axes, with the lowest point `at` in the frame of a thing on `foot`.
-
-    `lean` tilts it backwards (towards +y of the thing), radians.
-    """
+    """A solid of a size along own axes, with the lowest point `at` in the frame of a thing on `foot`. `lean` tilts it
+    backwards (towards +y of the thing), radians."""
     half = np.array(size) if kind == "box" else np.array(size) / (2, 2, 1 if kind == "cylinder" else 2)
     c, s, cl, sl = np.cos(yaw), np.sin(yaw), np.cos(lean), np.sin(lean)
     turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])

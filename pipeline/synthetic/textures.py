@@ -15,11 +15,8 @@ SIZE = 512
 
 @lru_cache(maxsize=256)
 def pyramid(key: TextureKey) -> tuple[np.ndarray, ...]:
-    """Texture of `key` and halvings down to 4 pixels: (S, S, 3) float32, linear.
-
-    Tinted kinds (wood, fabric, ...) have a mean near 1; painted kinds (rug,
-    picture, screen, ...) hold the final colours.
-    """
+    """Texture of `key` and halvings down to 4 pixels: (S, S, 3) float32, linear. Tinted kinds (wood, fabric, ...) have
+    a mean near 1; painted kinds (rug, picture, screen, ...) hold the final colours."""
     kind, *arguments = key
     image = np.clip(_KINDS[str(kind)](*arguments), 0.0, 2.0).astype(np.float32)
     levels = [np.ascontiguousarray(image)]
@@ -30,11 +27,8 @@ def pyramid(key: TextureKey) -> tuple[np.ndarray, ...]:
 
 
 def sample(key: TextureKey, uv: np.ndarray, footprint: np.ndarray) -> np.ndarray:
-    """Colours ((N, 3) float32) at texture coordinates `uv` ((N, 2) in repeats).
-
-    `footprint` ((N,)) is the width of a pixel in repeats; it selects the mip
-    level, so that far floors do not shimmer.
-    """
+    """Colours ((N, 3) float32) at texture coordinates `uv` ((N, 2) in repeats). `footprint` ((N,)) is the width of a
+    pixel in repeats; it selects the mip level, so that far floors do not shimmer."""
     levels = pyramid(key)
     level = np.clip(np.rint(np.log2(np.maximum(footprint * SIZE, 1e-6))), 0, len(levels) - 1).astype(np.int8)
     out = np.empty((len(uv), 3), dtype=np.float32)

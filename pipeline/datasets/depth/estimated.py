@@ -42,7 +42,9 @@ class EstimatedDepth(ChangedFrames):
         focal = "is made up" if made_up else "by the network" if K is None else "of the camera"
         name, file = self.model.name, self.model.path.name
         camera = replace(camera, K=camera.K if found.K is None else found.K, untold=untold)
-        source = f"estimated by {name} ({file}): {self.model.metres_by}, focal length {focal}"
+        by_focal = self.model.contract.output.canonical_focal is not None
+        metres = "metres by the focal length" if by_focal else "metres as it learnt them"
+        source = f"estimated by {name} ({file}): {metres}, focal length {focal}"
         notes = (*notes, f"depth is {source}")
         with in_file(self.model.path):
             return replace(frame, depth=found.depth, camera=camera, depth_source=source, notes=notes)

@@ -55,17 +55,8 @@ class DepthModel:
         """Cache key of the estimates, besides picture and camera."""
         return f"{VERSION}:{model_hash(self.path)}:{self.contract.model_dump_json()}"
 
-    @property
-    def metres_by(self) -> str:
-        """Origin of the metres, in words."""
-        by_focal = self.contract.output.canonical_focal is not None
-        return "metres by the focal length" if by_focal else "metres as it learnt them"
-
     def estimate(self, rgb: np.ndarray, K: np.ndarray | None) -> DepthEstimate:
-        """The depth of a picture.
-
-        `rgb` (H, W, 3) uint8; `K` (3, 3) float64 or None: Its camera, where it is known.
-        """
+        """The depth of a picture. `rgb` (H, W, 3) uint8; `K` (3, 3) float64 or None: Its camera, where it is known."""
         height, width = rgb.shape[:2]
         tensor, placement = place_picture(rgb, *self._size(height, width), self.contract.input)
         values = run_session(

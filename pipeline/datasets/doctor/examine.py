@@ -174,10 +174,7 @@ def _spread(count: int, wanted: int) -> list[int]:
 def examine_frames(
     dataset: Dataset, frames: Sequence[Frame], units: float | None, settings: Settings | None = None
 ) -> Examination:
-    """Examine frames in memory.
-
-    `units`: depth units in a metre as read, None where unknown.
-    """
+    """Examine frames in memory. `units`: depth units in a metre as read, None where unknown."""
     settings = settings or Settings()
     size = Counter(frame.depth.shape for frame in frames).most_common(1)[0][0]
     seen = Seen(dataset, tuple(frame for frame in frames if frame.depth.shape == size), units, settings)

@@ -111,10 +111,7 @@ def score(landing: Landing) -> float:
 
 
 def by_block(landing: Landing, views: Views) -> np.ndarray:
-    """Score 0..1 of each block of each pair, (P * B,).
-
-    NaN where a pair has no pose.
-    """
+    """Score 0..1 of each block of each pair, (P * B,). NaN where a pair has no pose."""
     met = np.maximum(landing.met, np.maximum(LEAST_MET * landing.lifted, 1.0))
     return np.where(posed(views.poses, views.pairs)[:, None], landing.landed / met, np.nan).ravel()
 

@@ -269,10 +269,8 @@ ODD, EVEN = 0.08, 0.04
 
 
 def center_by_middle(K: np.ndarray, size: tuple[int, int]) -> tuple[Opinion | None, Cause]:
-    """Opinion on the principal point, None without evidence, and the cause: swapped numbers or another image size.
-
-    `K` (3, 3) float64; `size` (int, int): Height and width, pixels.
-    """
+    """Opinion on the principal point, None without evidence, and the cause: swapped numbers or another image size. `K`
+    (3, 3) float64; `size` (int, int): Height and width, pixels."""
     middle = np.array([(size[1] - 1) / 2, (size[0] - 1) / 2])
     told = float(np.abs(K[:2, 2] - middle).max())
     text, evidence = f"it is {told:.0f} pixels off the middle of the picture", {"off_middle": round(told, 1)}

@@ -181,10 +181,8 @@ class PosedViews:
     # How well
 
     def at(self, hypothesis: Hypothesis, tolerance: float = FINE) -> float:
-        """Score of a hypothesis, by default at the deciding tolerance.
-
-        Where some poses are missing, what it has before the views as read on the other pairs counts.
-        """
+        """Score of a hypothesis, by default at the deciding tolerance. Where some poses are missing, what it has before
+        the views as read on the other pairs counts."""
         lead = self._of_blocks(hypothesis, tolerance)
         if np.isfinite(lead).all():
             return self._scores[hypothesis, tolerance]
