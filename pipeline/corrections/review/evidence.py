@@ -71,13 +71,14 @@ class QueueItems:
         """Reasons as rows of evidence, without settled and missing labels."""
         hidden = set() if settled else set(self.settled)
         found = [reason for reason in reasons if reason[0].plain not in hidden]
-        cell = dict(zip(*reversed(self.cells.cells_of([key for key, *_ in found])), strict=True))
-        first = self.cells.states.size
-        known = [(cell[key], *rest) if key in cell
-                 else (first + self.others.setdefault(key.plain, len(self.others)), *rest)
-                 for key, *rest in found if key in cell or key.kind != "relation"]  # fmt: skip
-        item, weight, reason = zip(*known, strict=True) if known else ((), (), ())
-        return EvidenceRows(np.array(item, np.int64), np.array(weight, np.float64), np.array(reason, object))
+        numbers, cells = self.cells.cells_of([key for key, *_ in found])
+        number = dict(zip(cells, numbers.tolist(), strict=True))
+        for key, *_ in found:
+            if key.kind != "relation":
+                number[key] = self.cells.states.size + self.others.setdefault(key.plain, len(self.others))
+        known = [(number[key], weight, words) for key, weight, words in found if key in number]
+        item, weight, words = zip(*known, strict=True) if known else ((), (), ())
+        return EvidenceRows(np.array(item, np.int64), np.array(weight, np.float64), np.array(words, object))
 
     def cell_rows(self, item: np.ndarray, weight: np.ndarray, reason: np.ndarray) -> EvidenceRows:
         """Evidence against cells, without settled ones."""

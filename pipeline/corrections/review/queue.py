@@ -131,24 +131,27 @@ def _ranked(
     right = np.zeros(cells.states.size + len(others))
     np.add.at(right, at, np.log1p(-np.minimum(weight, 1 - 1e-12)))
     score = -np.expm1(right)
-    shown = np.concatenate(
-        [(score[: cells.states.size] >= LEAST) | items.settled_cells, np.ones(len(others), np.bool_)]
-    )
-    item = np.flatnonzero(shown)
-    of_cell = item[: len(item) - len(others)]
-    row, column = np.divmod(of_cell, max(len(cells.relations), 1))
-    nothing = np.full(len(of_cell), None, object)
+    cell = np.flatnonzero((score[: cells.states.size] >= LEAST) | items.settled_cells)
+    row, column = np.divmod(cell, max(len(cells.relations), 1))
     columns = {
         "frame": cells.frame[row], "frame_index": cells.frame_index[row],
-        "kind": np.full(len(row), "relation", object), "a": cells.a[row], "b": cells.b[row].astype(np.float64),
-        "relation": np.array(cells.relations, object)[column], "expression": nothing, "place": nothing,
-        "label": letters(cells.states.ravel()[of_cell]).astype(object),
-        **{name: values[of_cell] for name, values in doubted.items()}, "order": column,
+        "kind": np.full(len(row), "relation", object), "a": cells.a[row], "b": cells.b[row],
+        "relation": np.array(cells.relations, object)[column],
+        "label": letters(cells.states.ravel()[cell]).astype(object),
+        **{name: values[cell] for name, values in doubted.items()},
     }  # fmt: skip
-    columns = {k: np.concatenate([columns[k], v]) for k, v in _other_rows(labels, others).items()}
-    columns["score"] = score[item]
-    keys = (np.nan_to_num(columns[k].astype(np.float64), nan=-1) for k in ("order", "b", "a", "frame_index"))
-    order = np.lexsort((*keys, -columns["score"]))
+    arrays = [
+        pa.array(columns[name], kind, from_pandas=True, safe=False) if name in columns else pa.nulls(len(row), kind)
+        for name, kind in QUEUE_COLUMNS.items()
+    ]
+    schema = pa.schema(list(QUEUE_COLUMNS.items()))
+    rows = pa.concat_tables(
+        [pa.Table.from_arrays(arrays, schema=schema), pa.Table.from_pylist(_other_rows(labels, others), schema)]
+    ).combine_chunks()
+    item = np.append(cell, cells.states.size + np.arange(len(others)))
+    rows = rows.set_column(rows.schema.get_field_index("score"), "score", pa.array(score[item]))
+    keys = (rows.column(name).fill_null(-1).to_numpy() for name in ("b", "a", "frame_index"))
+    order = np.lexsort((np.append(column, np.full(len(others), -1)), *keys, -score[item]))
     rank = np.full(len(score), -1, np.int64)
     rank[item[order]] = np.arange(len(order))
     # A label whose evidence is all too weak has no row: its place is -1.
@@ -157,43 +160,28 @@ def _ranked(
     kept = kept[np.lexsort((-weight[kept], at[kept]))]
     offsets = np.concatenate([[0], np.cumsum(np.bincount(at[kept], minlength=len(order)))])
     reasons = pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), pa.array(reason[kept], pa.string()))
-    return pa.table(
-        [*(pa.array(columns[n][order], t, from_pandas=True, safe=False) for n, t in QUEUE_COLUMNS.items()), reasons],
-        [*QUEUE_COLUMNS, "reasons"],
-    )
+    return rows.take(order).append_column("reasons", reasons)
 
 
-def _other_rows(labels: Labels, keys: Sequence[ItemKey]) -> dict[str, np.ndarray]:
-    """Columns of objects and expressions."""
-    index = _looked_up(labels.frames, "frame_index") if keys else {}
-    names = _looked_up(labels.objects, "label", "object") if keys else {}
-    sentences = _looked_up(labels.expressions, ("text", "target_object", "reference_object"), "id") if keys else {}
-    none = None, None, None
-    rows = [
-        (k.frame, index.get((k.frame,), 0), k.kind, *(
-            (k.a, k.b, None, None, k.what or None, names.get((k.frame, k.a))) if k.kind == "object"
-            else (k.a if b is None else a, k.b if b is None else b, None, k.what, None, text)
-        ), None, None, -1)
-        for k in keys for text, a, b in [sentences.get((k.frame, k.what), none)]
-    ]  # fmt: skip
-    kinds = {
-        "frame_index": np.int64,
-        "a": np.int64,
-        "b": float,
-        "probability": float,
-        "wrong": float,
-        "order": np.int64,
-    }
-    names_of = [name for name in QUEUE_COLUMNS if name != "score"]
-    columns = zip(*rows, strict=True) if rows else [()] * (len(names_of) + 1)
-    return {
-        name: np.array(values, kinds.get(name, object))
-        for name, values in zip([*names_of, "order"], columns, strict=True)
-    }
+def _other_rows(labels: Labels, keys: Sequence[ItemKey]) -> list[dict[str, Any]]:
+    """Rows of objects and expressions."""
+    if not keys:
+        return []
+    frames = _by_key(labels.frames, ("frame",), "frame_index")
+    objects = _by_key(labels.objects, ("frame", "object"), "label")
+    sentences = _by_key(labels.expressions, ("frame", "id"), "text", "target_object", "reference_object")
+    found: list[dict[str, Any]] = []
+    for k in keys:
+        row = {"frame": k.frame, "kind": k.kind, "frame_index": 0, "a": k.a, "b": k.b, **frames.get((k.frame,), {})}
+        if k.kind == "object":
+            found.append({**row, "place": k.what or None, **objects.get((k.frame, k.a), {})})
+            continue
+        said = sentences.get((k.frame, k.what), {})
+        ends = {"a": said.get("target_object", k.a), "b": said.get("reference_object", k.b)}
+        found.append({**row, **ends, "expression": k.what, "label": said.get("text")})
+    return found
 
 
-def _looked_up(table: pa.Table, values: str | tuple[str, ...], *key: str) -> dict[tuple[Any, ...], Any]:
-    of = zip(*(table.column(name).to_pylist() for name in ("frame", *key)), strict=True)
-    if isinstance(values, str):
-        return dict(zip(of, table.column(values).to_pylist(), strict=True))
-    return dict(zip(of, zip(*(table.column(name).to_pylist() for name in values), strict=True), strict=True))
+def _by_key(table: pa.Table, key: tuple[str, ...], *columns: str) -> dict[tuple[Any, ...], dict[str, Any]]:
+    rows = table.select(list(columns)).to_pylist()
+    return dict(zip(zip(*(table.column(name).to_pylist() for name in key), strict=True), rows, strict=True))
