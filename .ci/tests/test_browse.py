@@ -18,7 +18,7 @@ from spatialviz.app.browse import Browse
 from spatialviz.app.channel import Call, Command
 from spatialviz.app.context import Context, Idle, Shared, commands_of
 from spatialviz.app.frames import FramePictures
-from spatialviz.app.layout import Page
+from spatialviz.app.layout import BrowserPage
 
 
 @cache
@@ -26,13 +26,16 @@ def opened() -> tuple[Run, Pipeline]:
     return open_run(demo_run()), open_pipeline("demo")
 
 
+NOTHING_DONE: Any = dict.fromkeys(("receive", "clicked", "draw", "handle", "open_frame"), lambda *_, **__: None)
+
+
 class Desk(Context):
     """A page without a browser."""
 
     def __init__(self, runs: dict[str, Run]) -> None:
-        super().__init__("0" * 32, Shared(FrameStore({"demo": opened()[1]}), runs, {}, {}, {}))
+        super().__init__("0" * 32, Shared(FrameStore({"demo": opened()[1]}), runs, {}, {}, {}), **NOTHING_DONE)
         self.calls: dict[str, Any] = {}
-        self.page = Page(lambda m: self.calls.update({m.name: m.data}) if isinstance(m, Call) else None)
+        self.page = BrowserPage(lambda m: self.calls.update({m.name: m.data}) if isinstance(m, Call) else None)
         self.browse = Browse(self)
         self.browse.follow()
 

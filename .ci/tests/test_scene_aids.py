@@ -22,7 +22,7 @@ from spatialviz.app.channel import Call
 from spatialviz.app.context import Context, Shared
 from spatialviz.app.edit_scene import OTHERS, map_legend, winner_colors
 from spatialviz.app.frame_cloud import SceneAids
-from spatialviz.app.layout import Page
+from spatialviz.app.layout import BrowserPage
 from spatialviz.app.picture import depth_bar
 from spatialviz.app.scene import Tag
 from spatialviz.app.selection import Pointing
@@ -42,21 +42,21 @@ def opened() -> tuple[Pipeline, State]:
     return source, replace(state, pair=state.at(state.ranked[0]))
 
 
+NOTHING_DONE: Any = dict.fromkeys(("receive", "clicked", "draw", "handle", "open_frame"), lambda *_, **__: None)
+
+
 class Desk(Context):
     """A page without a browser: its state, the calls that it was sent, and its tools."""
 
     def __init__(self) -> None:
         source, state = opened()
-        super().__init__("0" * 32, Shared(FrameStore({"demo": source}), {}, {}, {}, {}))
+        super().__init__("0" * 32, Shared(FrameStore({"demo": source}), {}, {}, {}, {}), **NOTHING_DONE)
         self.state = state
         self.calls: list[Call] = []
         self.level: list[tuple[int, int]] = []
-        self.page = Page(lambda message: self.calls.append(message) if isinstance(message, Call) else None)
+        self.page = BrowserPage(lambda message: self.calls.append(message) if isinstance(message, Call) else None)
         self.aids = SceneAids(self)
         self.pointing = Pointing(self, {"level": lambda _, u, v: self.level.append((u, v))})
-
-    def draw(self, live: bool = False) -> None:
-        """Nothing is drawn."""
 
     def aided(self, state: State) -> list[Tag]:
         """The tags of a state."""

@@ -2,7 +2,7 @@
 
 The browser sends a `Hello` first, then `Command`s and, where its address changes by hand, `Go`s: they are handled one
 at a time on a thread of the page. What comes back are `Patch`es (elements by their id, as HTML), `Call`s of functions
-of the page, and the `Address` of what is shown.
+of the page, and the `PageAddress` of what is shown.
 """
 
 from __future__ import annotations
@@ -239,7 +239,7 @@ class Call:
 
 
 @dataclass(frozen=True)
-class Address:
+class PageAddress:
     """What the page's address and title say now.
 
     Attributes
@@ -265,7 +265,7 @@ class Scene:
     type: Literal["scene"] = "scene"
 
 
-Outgoing: TypeAlias = "Patch | Call | Address | Scene"
+Outgoing: TypeAlias = "Patch | Call | PageAddress | Scene"
 
 
 def read(text: str | bytes) -> Incoming:

@@ -1,4 +1,4 @@
-"""What all parts of a page share: they know this, and not each other."""
+"""State, browser and scene of one page, shared by its parts, which do not know each other."""
 
 from __future__ import annotations
 
@@ -25,11 +25,10 @@ from pipeline.labels.reading import Labels
 from pipeline.system.errors import InputError
 from spatialviz.app.channel import Channel, Command, Incoming
 from spatialviz.app.frames import FramePictures
-from spatialviz.app.layout import Dialog, Page
+from spatialviz.app.layout import BrowserPage, Dialog
 from spatialviz.app.scene import SceneView
 from spatialviz.app.scene_client import SceneClient
 from spatialviz.app.state import State
-from spatialviz.app.url_state import Place
 
 LOG_LENGTH = 200
 Method = TypeVar("Method", bound=Callable[..., Any])
@@ -84,13 +83,22 @@ class Shared:
 
 
 class Context:
-    """One page: its state, its browser, its scene, and what can be done with all of it (the session does it).
+    """One page: its state, its browser and its scene.
 
     Parameters
     ----------
     page_id : str
         As the browser has chosen it.
     shared : Shared
+    receive, clicked : callable
+        Take a message of the browser, and a click in the scene: the pixel that was hit, and the boxes on the way, the
+        smallest first.
+    draw : callable
+        Bring the page up to the state; with `live=True` only what follows a hand that drags.
+    handle : callable
+        Carry out a command; unknown ones are ignored, and what cannot be done is said.
+    open_frame : callable
+        Show another frame.
 
     Attributes
     ----------
@@ -110,20 +118,31 @@ class Context:
         Called then, such as to listen no more to what runs on for others.
     """
 
-    def __init__(self, page_id: str, shared: Shared) -> None:
+    def __init__(
+        self,
+        page_id: str,
+        shared: Shared,
+        *,
+        receive: Callable[[Incoming], None],
+        clicked: Callable[[tuple[int, int] | None, list[int]], None],
+        draw: Callable[..., None],
+        handle: Callable[[Command], None],
+        open_frame: Callable[[str], None],
+    ) -> None:
+        self.draw, self.handle, self.open_frame = draw, handle, open_frame
         self.reviewed: Mapping[str, tuple[int, int]] = {}
         self.leave: list[Callable[[], None]] = []
         self.shared, self.log, self.closed = shared, list[tuple[str, str]](), threading.Event()
         source, opened = next(iter(shared.store.sources.items()))
         first = opened.dataset.frame_ids[0]
         self.state = State(source, first, dark=shared.dark, text=DEMO_EXPRESSION, correctable=bool(shared.journals))
-        self.channel = Channel(page_id[:6], self.receive)
+        self.channel = Channel(page_id[:6], receive)
         self.post = self.channel.post
-        self.page = Page(self.channel.send)
+        self.page = BrowserPage(self.channel.send)
         self.dialog = Dialog(self.page)
         self.editors = LabelEditors(shared.journals, shared.store.sources, shared.author)
         self.client = SceneClient()
-        self.scene = SceneView(self.client, lambda pixel, boxes: self.post(lambda: self.clicked(pixel, boxes)))
+        self.scene = SceneView(self.client, lambda pixel, boxes: self.post(lambda: clicked(pixel, boxes)))
 
     @property
     def source(self) -> Pipeline:
@@ -158,33 +177,6 @@ class Context:
         """Change what is looked at, and draw it."""
         self.state = replace(self.state, **changes)
         self.draw()
-
-    def receive(self, message: Incoming) -> None:
-        """Do what the browser says."""
-
-    def clicked(self, pixel: tuple[int, int] | None, boxes: list[int]) -> None:
-        """A click in the scene: the pixel that was hit, and the boxes on the way, the smallest first."""
-
-    def handle(self, message: Command) -> None:
-        """Carry out a command; unknown ones are ignored, and what cannot be done is said."""
-
-    def draw(self, live: bool = False) -> None:
-        """Bring the page up to the state; while a hand drags something (`live`), only what follows the hand."""
-
-    def say_address(self) -> None:
-        """Have the address say what is looked at."""
-
-    def go(self, place: Place) -> None:
-        """Look at a place; what it does not say stays as it is."""
-
-    def open_frame(self, frame_id: str) -> None:
-        """Show another frame."""
-
-    def reopen(self) -> None:
-        """Open the frame anew, with its question."""
-
-    def ask(self, text: str) -> None:
-        """Ask the frame that is shown."""
 
 
 class Part:

@@ -43,8 +43,9 @@ FILLED = 4
 class Evaluate(Part):
     """The run of the source that a client looks at."""
 
-    def __init__(self, ctx: Context) -> None:
+    def __init__(self, ctx: Context, go: Callable[[Place], None], say_address: Callable[[], None]) -> None:
         super().__init__(ctx)
+        self._go, self._say_address = go, say_address
         others = ctx.shared.others
         self._all = {name: figures_of(run, others.get(name)) for name, run in ctx.shared.runs.items()}
         self._source: str | None = None
@@ -107,7 +108,7 @@ class Evaluate(Part):
     def find(self, query: str) -> None:
         """Search."""
         self.search(query)
-        self.ctx.say_address()
+        self._say_address()
 
     def search(self, query: str | None) -> None:
         """List what matches a search; without one, what a run shows at first."""
@@ -211,7 +212,7 @@ class Evaluate(Part):
             (row,) = listing.figures.rows.read(listing.found[place : place + 1])
             at = row["frame"], row["id"], row["text"]
             self.state = replace(self.state, evaluating=False, listing=replace(listing, at=at))
-            self.ctx.go(Place(self.state.source, at[0], at[2]))
+            self._go(Place(self.state.source, at[0], at[2]))
             self.ctx.draw()
 
     @command("next-failure")
@@ -232,7 +233,7 @@ class Evaluate(Part):
             self.state = replace(self.state, listing=opened)
             if opened.place is None:
                 self.search("")
-            self.ctx.say_address()
+            self._say_address()
 
     # ---- the selected ---------------------------------------------------------------
 

@@ -25,7 +25,7 @@ NO_LABELS = "no labels are open: `spatialviz view DATASET --labels LABELS`"
 class LabelPart(Part):
     """A part of one page that shows or corrects the labels of the source that is looked at.
 
-    What cannot be done raises InputError: `Session.handle` says why.
+    What cannot be done raises InputError: `PageSession.handle` says why.
     """
 
     @property

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import shlex
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 
@@ -28,6 +29,7 @@ from spatialviz.app.retrain_panel import RetrainPanel
 from spatialviz.app.review_html import pair_html, review_head_html
 from spatialviz.app.review_queue import ReviewQueue
 from spatialviz.app.sentences import Conflicts, Sentences
+from spatialviz.app.url_state import Place
 
 
 class Labelling(LabelPart):
@@ -41,10 +43,17 @@ class Labelling(LabelPart):
     object : LabelObject
     """
 
-    def __init__(self, ctx: Context) -> None:
+    def __init__(
+        self,
+        ctx: Context,
+        go: Callable[[Place], None],
+        ask: Callable[[str], None],
+        reopen: Callable[[], None],
+    ) -> None:
         super().__init__(ctx)
+        self._reopen = reopen
         self.pixels, self.object = Pixels(ctx), LabelObject(ctx)
-        self._following = ReviewQueue(ctx), RetrainPanel(ctx), self.pixels, SidePanel(ctx), RightPair(ctx)
+        self._following = ReviewQueue(ctx), RetrainPanel(ctx, go), self.pixels, SidePanel(ctx), RightPair(ctx, ask)
         self.parts = self, self.object, *self._following, Sentences(ctx), Conflicts(ctx)
         if ctx.shared.journals:
             threading.Thread(target=_watch, args=(ctx, self), daemon=True, name="labels-watch").start()
@@ -61,7 +70,7 @@ class Labelling(LabelPart):
         """Show the labels, or the answer again."""
         if self.state.labels is not None:
             self.state = replace(self.state, labels=None)
-            self.ctx.reopen()
+            self._reopen()
         else:
             self.show()
             self.ctx.draw()
@@ -180,8 +189,9 @@ def _watch(ctx: Context, labels: Labelling) -> None:
 class RightPair(LabelPart):
     """Says what is true of the question of one client."""
 
-    def __init__(self, ctx: Context) -> None:
+    def __init__(self, ctx: Context, ask: Callable[[str], None]) -> None:
         super().__init__(ctx)
+        self._ask = ask
         self._kept = ("", "")
         self._query: Query | None = None
 
@@ -195,7 +205,7 @@ class RightPair(LabelPart):
             said, bad = outcome_text(outcome, "kept as true", editor.frame(state.frame_id))
             self._kept = (state.frame_id, state.text) if isinstance(outcome, Saved) else ("", "")
             self.ctx.toast("Not saved" if bad else "This pair is right", said, bad)
-            self.ctx.ask(state.text)
+            self._ask(state.text)
 
     @command("right-undo")
     def take_back(self) -> None:
@@ -203,7 +213,7 @@ class RightPair(LabelPart):
         if self._kept == (self.state.frame_id, self.state.text):
             outcome, self._kept = self.editor.undo(), ("", "")
             self.ctx.toast("Taken back", outcome_text(outcome, "taken back", None)[0])
-            self.ctx.ask(self.state.text)
+            self._ask(self.state.text)
 
     @command("right-objects")
     def means(self) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-from spatialviz.app.channel import Address, Call, Outgoing, Patch
+from spatialviz.app.channel import Call, Outgoing, PageAddress, Patch
 from spatialviz.app.markup import BAD, Child, Element, button, changed, h, note
 
 KEPT_CALLS = ("strip", "plan", "tags", "keys", "theme", "task", "pixels", "pixelsPicture", "asking", "scale", "measure",
@@ -16,7 +16,7 @@ KEPT_CALLS = ("strip", "plan", "tags", "keys", "theme", "task", "pixels", "pixel
 """Calls that a page which comes back must hear again."""
 
 
-class Page:
+class BrowserPage:
     """What one browser shows. Any thread may call it; what does not change sends nothing.
 
     Parameters
@@ -29,7 +29,7 @@ class Page:
         self._send = send
         self._shown: dict[str, Element] = {}
         self._calls: dict[str, Any] = {}
-        self._address: Address | None = None
+        self._address: PageAddress | None = None
         self._parts: list[tuple[str, str]] | None = None
         self._lock = threading.RLock()
         self.downloads: dict[str, tuple[str, bytes]] = {}
@@ -85,7 +85,7 @@ class Page:
 
     def say_address(self, query: str, title: str, push: bool) -> None:
         """Have the address say what is shown."""
-        address, before = Address(query, title, push), self._address
+        address, before = PageAddress(query, title, push), self._address
         if before is None or (before.query, before.title) != (query, title):
             self._address = address
             self._send(address)
@@ -97,7 +97,7 @@ class Page:
             for name, data in self._calls.items():
                 self._send(Call(name, data))
             if self._address is not None:
-                self._send(Address(self._address.query, self._address.title, False))
+                self._send(PageAddress(self._address.query, self._address.title, False))
 
 
 class Dialog:
@@ -105,7 +105,7 @@ class Dialog:
 
     Parameters
     ----------
-    page : Page
+    page : BrowserPage
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class Dialog:
         Of the dialog that is open; empty where none is.
     """
 
-    def __init__(self, page: Page) -> None:
+    def __init__(self, page: BrowserPage) -> None:
         self._page = page
         self.title = ""
         self._parts: tuple[Element, Element] = h.div(), h.div()

@@ -16,7 +16,7 @@ from pipeline.system.errors import InputError, require
 from pipeline.system.freed_memory import collect
 from spatialviz.app.channel import Hello, read
 from spatialviz.app.context import Shared
-from spatialviz.app.session import Session
+from spatialviz.app.session import PageSession
 from spatialviz.app.site import PAGE_ID, Access
 from spatialviz.app.viser_socket import SceneConnection, subprotocol
 from spatialviz.options import warn
@@ -119,7 +119,7 @@ class Pages:
 
     def __init__(self, shared: Shared, access: Access, max_clients: int) -> None:
         self._shared, self._access, self._most = shared, access, max_clients
-        self._sessions: dict[str, Session] = {}
+        self._sessions: dict[str, PageSession] = {}
         self._scenes: dict[str, Any] = {}
         self._making = asyncio.Lock()
         self._gate = Gate(max_clients)
@@ -128,20 +128,20 @@ class Pages:
 
     def listen(self, server: viser.ViserServer) -> None:
         """Give the scenes of viser's clients to the pages whose frames they are."""
-        shown: dict[int, Session] = {}
+        shown: dict[int, PageSession] = {}
 
         @server.on_client_connect
         async def _(client: viser.ClientHandle) -> None:
             session = self._sessions.get(PAGE_ID.get(""))
             if session is not None:
                 shown[client.client_id] = session
-                session.post(lambda: session.client.attach(client))
+                session.ctx.post(lambda: session.ctx.client.attach(client))
 
         @server.on_client_disconnect
         async def _(client: viser.ClientHandle) -> None:
             session = shown.pop(client.client_id, None)
             if session is not None:
-                session.post(lambda: session.client.detach(client))
+                session.ctx.post(lambda: session.ctx.client.detach(client))
 
     async def scene(self, page_id: str, connection: Any, viser_handler: Callable[[Any], Awaitable[None]]) -> None:
         """Serve viser's socket of a page's scene; one that comes later takes its place."""
@@ -194,24 +194,24 @@ class Pages:
         session = self._sessions.get(page_id) or await self._opened(page_id, connection)
         if session is None:
             return
-        outgoing = session.channel.attach(connection)
+        outgoing = session.ctx.channel.attach(connection)
         name = self._access.name(connection.request)
         if name:
             # Labels are corrected under the name of the token that the browser has, and under no other.
-            session.post(lambda: session.editors.sign_for_token(name))
-        session.channel.receive(first)
-        sending = asyncio.create_task(session.channel.serve(connection, outgoing))
+            session.ctx.post(lambda: session.ctx.editors.sign_for_token(name))
+        session.ctx.channel.receive(first)
+        sending = asyncio.create_task(session.ctx.channel.serve(connection, outgoing))
         try:
             await self._listen_to(connection, session)
         except websockets.exceptions.ConnectionClosed:
             pass
         finally:
-            session.channel.detach(outgoing)
+            session.ctx.channel.detach(outgoing)
             sending.cancel()
             await asyncio.gather(sending, return_exceptions=True)
             asyncio.get_running_loop().call_later(KEPT_SECONDS + 1, self._release)
 
-    async def _opened(self, page_id: str, connection: Any) -> Session | None:
+    async def _opened(self, page_id: str, connection: Any) -> PageSession | None:
         """The session of a new page; None where there is no room, or the browser has gone meanwhile."""
         async with self._making:
             if page_id in self._sessions:
@@ -223,20 +223,20 @@ class Pages:
                 return None
             if connection.close_code is not None:
                 return None
-            session = self._sessions[page_id] = await asyncio.to_thread(Session, page_id, self._shared)
+            session = self._sessions[page_id] = await asyncio.to_thread(PageSession, page_id, self._shared)
             return session
 
-    async def _listen_to(self, connection: Any, session: Session) -> None:
+    async def _listen_to(self, connection: Any, session: PageSession) -> None:
         pace, garbage = Pace(), 0
         async for text in connection:
             await pace.keep()
-            while session.channel.behind > BACKLOG:
+            while session.ctx.channel.behind > BACKLOG:
                 # What is not read yet waits with who has sent it.
                 await asyncio.sleep(BEHIND_SECONDS)
             try:
                 message = read(text)
                 require(not isinstance(message, Hello), "a page says hello once")
-                session.channel.receive(message)
+                session.ctx.channel.receive(message)
             except InputError as error:
                 garbage += 1
                 self.log(str(error))
@@ -247,11 +247,11 @@ class Pages:
     def download(self, page_id: str, key: str) -> tuple[str, bytes] | None:
         """Name and content of a file that a page was told to fetch, once."""
         session = self._sessions.get(page_id)
-        return None if session is None else session.page.downloads.pop(key, None)
+        return None if session is None else session.ctx.page.downloads.pop(key, None)
 
     def _release(self, full: bool = False) -> None:
         """Close the sessions of pages that did not come back; where all are taken, also that which left first."""
-        gone = sorted((s.channel.left, key) for key, s in self._sessions.items() if not s.channel.connected)
+        gone = sorted((s.ctx.channel.left, key) for key, s in self._sessions.items() if not s.ctx.channel.connected)
         late = time.monotonic() - KEPT_SECONDS
         over = [key for number, (left, key) in enumerate(gone) if left < late or (full and not number)]
         for key in over:

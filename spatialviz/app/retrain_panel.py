@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
@@ -25,8 +25,9 @@ from spatialviz.app.url_state import Place
 class RetrainPanel(LabelPart):
     """Trains, compares, makes the run again, and installs by choice."""
 
-    def __init__(self, ctx: Context) -> None:
+    def __init__(self, ctx: Context, go: Callable[[Place], None]) -> None:
         super().__init__(ctx)
+        self._go = go
         journals = ctx.shared.journals
         self._last = {name: place.jobs.training.seen for name, place in journals.items()}
         ctx.leave += [
@@ -89,7 +90,7 @@ class RetrainPanel(LabelPart):
     def open_expression(self, said: str) -> None:
         """Ask an expression of the comparison: "frame|text"."""
         frame, _, text = said.partition("|")
-        self.ctx.go(Place(self.state.source, frame, text))
+        self._go(Place(self.state.source, frame, text))
 
     def follow(self) -> None:
         """Bring the section up to what is known."""

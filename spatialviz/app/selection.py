@@ -24,7 +24,7 @@ from spatialviz.app.toolbar import FLAGS, LARGEST_POINT, LEAST_POINT
 from spatialviz.app.url_state import CameraMode
 
 
-class Selection(Part):
+class ObjectSelection(Part):
     """Selects objects of one client."""
 
     def __init__(self, ctx: Context, taken: Callable[[int, int], bool]) -> None:
@@ -126,6 +126,10 @@ class LevelSurface(Part):
     Up is a fact of the data: what one client says holds for all of them, until the program ends or it is saved.
     """
 
+    def __init__(self, ctx: Context, reopen: Callable[[], None]) -> None:
+        super().__init__(ctx)
+        self._reopen = reopen
+
     def on_pixel(self, loaded: LoadedFrame, u: int, v: int) -> None:
         """A click on a pixel of a level surface."""
         frame = loaded.context.frame
@@ -137,7 +141,7 @@ class LevelSurface(Part):
         self.ctx.shared.store.set_up_hint(self.state.source, UpHint(frame.id, (u, v), (x, y, z)))
         self.ctx.note(f"frame {frame.id}: the surface at {u},{v} is level, up {x:.3f}, {y:.3f}, {z:.3f} in the camera")
         self.state = replace(self.state, picking="")
-        self.ctx.reopen()
+        self._reopen()
 
     @command("level-keep")
     def keep(self) -> None:
@@ -154,7 +158,7 @@ class LevelSurface(Part):
         """Up as it was before anything was said."""
         if self.state.source in self.ctx.shared.store.told:
             self.ctx.shared.store.set_up_hint(self.state.source, None)
-            self.ctx.reopen()
+            self._reopen()
 
 
 POINT_STEP = 1.25

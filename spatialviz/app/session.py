@@ -35,7 +35,7 @@ from spatialviz.app import (
 from spatialviz.app.answer import answer_in_words
 from spatialviz.app.browse import Browse
 from spatialviz.app.channel import Command, Go, Hello, Incoming, Scene
-from spatialviz.app.context import Context, Idle, Shared, command, commands_of, there
+from spatialviz.app.context import Context, Idle, Part, Shared, command, commands_of, there
 from spatialviz.app.labelling import Labelling
 from spatialviz.app.picture import overlay_marks
 from spatialviz.app.stages import opened
@@ -47,28 +47,42 @@ REST_SECONDS = 0.4
 """A camera that has not moved for so long is at rest."""
 
 
-class Session(Context):
+class PageSession(Part):
     """Everything of one page.
 
     Commands are handled one at a time on the page's own thread, so that no lock is needed for the state.
     """
 
     def __init__(self, page_id: str, shared: Shared) -> None:
-        super().__init__(page_id, shared)
+        super().__init__(
+            Context(
+                page_id,
+                shared,
+                receive=self.receive,
+                clicked=self.clicked,
+                draw=self.draw,
+                handle=self.handle,
+                open_frame=self.open_frame,
+            )
+        )
+        ctx = self.ctx
         self._scene = Scene(f"/scene/{page_id}/")
         self._asked = tuple[str, ...]()
         self._begun = self._correcting = False
         self._pushed: Place | None = None
         self._turning: asyncio.TimerHandle | None = None
-        self._judge = Judge(shared.runs, shared.labels, shared.others, self.editors.corrected)
-        self.client.camera.on_update(self._turned)
-        level = selection.LevelSurface(self)
-        pointing = selection.Pointing(self, {"level": level.on_pixel})
-        self._selection = selection.Selection(self, pointing.on_pixel)
-        self._aids, self._cloud = frame_cloud.SceneAids(self), frame_cloud.FrameCloud(self)
-        self._runs = evaluate.Evaluate(self)
-        self._what_if, self._browse = what_if.WhatIf(self, self._judged), Browse(self)
-        self._labels, self._strings = Labelling(self), view_strings.ViewStrings(self, self._runs.reveal)
+        self._judge = Judge(shared.runs, shared.labels, shared.others, ctx.editors.corrected)
+        ctx.client.camera.on_update(self._turned)
+        level = selection.LevelSurface(ctx, self.reopen)
+        pointing = selection.Pointing(ctx, {"level": level.on_pixel})
+        self._selection = selection.ObjectSelection(ctx, pointing.on_pixel)
+        self._aids, self._cloud = frame_cloud.SceneAids(ctx), frame_cloud.FrameCloud(ctx)
+        self._runs = evaluate.Evaluate(ctx, self.go, self.say_address)
+        self._what_if, self._browse = what_if.WhatIf(ctx, self._judged), Browse(ctx)
+        self._labels, self._strings = (
+            Labelling(ctx, self.go, self.ask, self.reopen),
+            view_strings.ViewStrings(ctx, self._runs.reveal, self.go, self.ask),
+        )
         parts = (
             self,
             self._selection,
@@ -78,20 +92,20 @@ class Session(Context):
             self._browse,
             level,
             pointing,
-            selection.ViewSettings(self),
-            keys.Keys(self),
-            depth_check.DepthCheck(self),
-            view_strings.Keeping(self, self._judge, self._strings.now, self._runs.selected),
+            selection.ViewSettings(ctx),
+            keys.Keys(ctx),
+            depth_check.DepthCheck(ctx),
+            view_strings.Keeping(ctx, self._judge, self._strings.now, self._runs.selected),
             *self._labels.parts,
         )
         self._commands = {name: run for part in parts for name, run in commands_of(part).items()}
 
     def close(self) -> None:
-        self.closed.set()
-        for leave in self.leave:
+        self.ctx.closed.set()
+        for leave in self.ctx.leave:
             leave()
-        self.post(self._forget)
-        self.channel.close()
+        self.ctx.post(self._forget)
+        self.ctx.channel.close()
 
     def _forget(self) -> None:
         """Let go of frames and clouds at once: sessions refer to themselves, and are collected late."""
@@ -102,20 +116,20 @@ class Session(Context):
 
     def receive(self, message: Incoming) -> None:
         if isinstance(message, Hello):
-            self.channel.send(self._scene)
-            self.page.again()
+            self.ctx.channel.send(self._scene)
+            self.ctx.page.again()
             if self._begun:
                 return
             if message.theme:
                 self.state = replace(self.state, dark=message.theme == "dark")
-            self.client.set_dark(self.state.dark)
+            self.ctx.client.set_dark(self.state.dark)
             try:
-                self.editors.greet(message.author)
+                self.ctx.editors.greet(message.author)
             except InputError as error:
-                self.note(str(error))
-            self._begin(Place.read(message.address, self.shared.store.sources))
+                self.ctx.note(str(error))
+            self._begin(Place.read(message.address, self.ctx.shared.store.sources))
         elif isinstance(message, Go):
-            self.go(Place.read(message.address, self.shared.store.sources), restoring=True)
+            self.go(Place.read(message.address, self.ctx.shared.store.sources), restoring=True)
         else:
             self.handle(message)
 
@@ -124,7 +138,7 @@ class Session(Context):
         if self._turning is not None:
             self._turning.cancel()
         loop = asyncio.get_running_loop()
-        self._turning = loop.call_later(REST_SECONDS, self.post, self.say_address)
+        self._turning = loop.call_later(REST_SECONDS, self.ctx.post, self.say_address)
 
     # ---- commands -------------------------------------------------------------------
 
@@ -136,7 +150,7 @@ class Session(Context):
                 if message.name in self._commands:
                     self._commands[message.name](*message.arguments)
         except InputError as error:
-            self.fail(error)
+            self.ctx.fail(error)
 
     def clicked(self, pixel: tuple[int, int] | None, boxes: list[int]) -> None:
         """A click in the scene: for the draft of pixels, else it selects."""
@@ -146,16 +160,16 @@ class Session(Context):
 
     @command("close-dialog")
     def _close_dialog(self) -> None:
-        self.dialog.close()
+        self.ctx.dialog.close()
 
     @command("data")
     def _turn_to_source(self, name: str) -> None:
-        require(name in self.shared.store.sources, "this dataset is not open here", got=name)
+        require(name in self.ctx.shared.store.sources, "this dataset is not open here", got=name)
         self.go(Place(name))
 
     @property
     def _exact(self) -> bool:
-        return self.source.detector is not None and self.source.detector.exact
+        return self.ctx.source.detector is not None and self.ctx.source.detector.exact
 
     # ---- places ---------------------------------------------------------------------
 
@@ -164,16 +178,16 @@ class Session(Context):
         task = place.task == "evaluate" or (place.task == "label" and self.state.correctable)
         if place.frame is not None or place.text is not None or task:
             if place.text is None and place.task is None and self.state.correctable:
-                self.editors.wanted = ANYTHING
+                self.ctx.editors.wanted = ANYTHING
             self.go(place, restoring=True)
-        elif self.shared.first_view is not None:
+        elif self.ctx.shared.first_view is not None:
             try:
-                self._strings.open(self.shared.first_view)
+                self._strings.open(self.ctx.shared.first_view)
             except InputError as error:
-                self.fail(error)
-        elif self.state.source in self.shared.labels:
+                self.ctx.fail(error)
+        elif self.state.source in self.ctx.shared.labels:
             # Labels were named to be looked at; the queue begins to be built.
-            self.editors.wanted = ANYTHING
+            self.ctx.editors.wanted = ANYTHING
         if not self._begun:
             # With a run, its first failure; the frames follow.
             self._runs.follow()
@@ -188,7 +202,7 @@ class Session(Context):
             self._pushed = place
         here = self.state
         source = place.source or here.source
-        ids = self.shared.store.sources[source].dataset.frame_ids
+        ids = self.ctx.shared.store.sources[source].dataset.frame_ids
         frame, text = place.frame, place.text
         if frame not in ids:
             # A question belongs to its frame.
@@ -203,7 +217,7 @@ class Session(Context):
         here = self.state
         labelling = restoring and place.task == "label" and here.correctable
         if labelling:
-            self.editors.wanted = Target(frame, place.item or ())
+            self.ctx.editors.wanted = Target(frame, place.item or ())
         elif restoring:
             here = self.state = replace(here, labels=None)
         same = (source, frame) == (here.source, here.frame_id) and text in (None, here.text)
@@ -217,24 +231,24 @@ class Session(Context):
             self.handle(Command("pair", ((place.pair or 1) - 1,)))
             self.draw()
             if same and self.state.loaded is not None:
-                self.scene.viewpoint.place(self.state.camera)
+                self.ctx.scene.viewpoint.place(self.state.camera)
         if place.camera is not None:
-            self.scene.viewpoint.turn_to(*place.camera)
+            self.ctx.scene.viewpoint.turn_to(*place.camera)
 
     def say_address(self) -> None:
         """Have the address say what is looked at."""
         if not self._begun:
             return
         state = self.state
-        place = replace(state.at_place, find=self._runs.found, camera=self.scene.viewpoint.turned_to())
+        place = replace(state.at_place, find=self._runs.found, camera=self.ctx.scene.viewpoint.turned_to())
         before, self._pushed = self._pushed, place
         title = f"{state.text or 'frame'} · {state.source} {state.frame_id} · spatialviz"
-        self.page.say_address(place.query(), title, before is not None and not place.same_view(before))
+        self.ctx.page.say_address(place.query(), title, before is not None and not place.same_view(before))
 
     @command("stage")
     def _open_stage(self, name: str) -> None:
         """Open the evidence of a module, or close it."""
-        self.show(stage="-" if opened(self.state) == name else name)
+        self.ctx.show(stage="-" if opened(self.state) == name else name)
 
     @command("hover")
     def _hover(self, number: int) -> None:
@@ -257,7 +271,7 @@ class Session(Context):
         """Offer what could be asked of this frame: its names, relations, and what was asked lately."""
         offered = self.state.offers
         found = completions(typed, offered.names, offered.questions, self._asked)
-        self.page.call("asking", {"typed": typed, "offers": found})
+        self.ctx.page.call("asking", {"typed": typed, "offers": found})
 
     # ---- frames ---------------------------------------------------------------------
 
@@ -268,26 +282,26 @@ class Session(Context):
     @command("open")
     def open_frame(self, frame_id: str, first: bool = False, asking: str | None = None) -> None:
         """Show a frame and ask `asking` of it; without, what was asked before, or on a `first` frame what fits it."""
-        frame_id = named_frame(self.source.dataset.frame_ids, frame_id, self.source.dataset.root)
+        frame_id = named_frame(self.ctx.source.dataset.frame_ids, frame_id, self.ctx.source.dataset.root)
         if frame_id == self.state.frame_id and not first:
             return
         self._begun = True
-        self.page.call("working", "finding the objects")
-        stays = asking is None and (self.state.labels is not None or self.editors.wanted is not None)
+        self.ctx.page.call("working", "finding the objects")
+        stays = asking is None and (self.state.labels is not None or self.ctx.editors.wanted is not None)
         # A frame that the labels lack is shown with its answer, and why is said.
-        correcting = stays and (editor := self.editors.of(self.state.source)) is not None and frame_id in editor
+        correcting = stays and (editor := self.ctx.editors.of(self.state.source)) is not None and frame_id in editor
         self.state = replace(self.state.unasked, frame_id=frame_id, problem="", marks=(), offers=Offers())
         try:
             loaded = self._load(first, scored=not correcting)
         except InputError as error:
             self.state = replace(self.state, loaded=None, problem=str(error), found=NOTHING)
-            self.note(str(error))
+            self.ctx.note(str(error))
         else:
             if stays:
                 try:
                     self._labels.show()
                 except InputError as error:
-                    self.fail(error)
+                    self.ctx.fail(error)
             if not correcting:
                 self._ask_first(loaded, first, asking)
         self.draw()
@@ -296,37 +310,37 @@ class Session(Context):
     def _load(self, first: bool, scored: bool) -> LoadedFrame:
         """Take the frame into the state, with what may be asked of it where it is to be `scored`."""
         frame_id = self.state.frame_id
-        loaded = self.shared.store.load(self.state.source, frame_id)
+        loaded = self.ctx.shared.store.load(self.state.source, frame_id)
         viewer = loaded.context.viewer
         if scored:
-            truth = self._judge.labelled(self.state.source, self.source, loaded.context)
-            offers = offers_of(self.source, loaded.context, loaded.objects, truth)
+            truth = self._judge.labelled(self.state.source, self.ctx.source, loaded.context)
+            offers = offers_of(self.ctx.source, loaded.context, loaded.objects, truth)
             self.state = replace(self.state, offers=offers)
         self.state = replace(self.state, loaded=loaded, found=shown_objects(loaded, None, self._exact))
         self._cloud.place_anew = first
         remarks = [f"frame {frame_id}: {counted(len(loaded.objects), 'object')}, up {viewer.up_source}"]
-        remarks += dataset_notes(self.source.dataset) if first else ()
+        remarks += dataset_notes(self.ctx.source.dataset) if first else ()
         remarks += filter(None, [loaded.problem])
         for remark in (*remarks, *(f"frame {frame_id}: {remark}" for remark in loaded.context.frame.notes)):
-            self.note(remark)
+            self.ctx.note(remark)
         return loaded
 
     def _ask_first(self, loaded: LoadedFrame, first: bool, asking: str | None) -> None:
         """Ask a frame that was opened what was asked before; a `first` one perhaps what it suggests."""
         text = self.state.text if asking is None else asking
-        if self.source.detector is None:
+        if self.ctx.source.detector is None:
             text = ""
         elif first and asking is None and not self._can_ask(loaded, text):
-            text = first_question(self.source, loaded.context, self.state.offers.questions)
+            text = first_question(self.ctx.source, loaded.context, self.state.offers.questions)
         self.state = replace(self.state, text=text)
         if text:
             self.ask(text, draw=False)
         else:
-            self.page.call("question", "")
+            self.ctx.page.call("question", "")
 
     def _can_ask(self, loaded: LoadedFrame, text: str) -> bool:
         try:
-            trace = self.source.ask(loaded.context, text)
+            trace = self.ctx.source.ask(loaded.context, text)
         except InputError:
             return False
         # What names nothing of this dataset is no first question of it.
@@ -337,39 +351,39 @@ class Session(Context):
     @command("ask")
     def ask(self, text: str, draw: bool = True) -> None:
         if view_strings.BEGINS.match(text):
-            self.page.call("question", self.state.text)
+            self.ctx.page.call("question", self.state.text)
             self._strings.restore(text)
             return
         loaded = self.state.loaded
         if loaded is None:
             return
-        self.page.call("working", "answering")
+        self.ctx.page.call("working", "answering")
         self.state = replace(self.state.unasked, text=text, selected=self.state.selected)
-        self.page.call("question", text)
+        self.ctx.page.call("question", text)
         self._asked = tuple(dict.fromkeys((text, *self._asked)))[:RECENT]
         try:
-            trace = self.source.ask(loaded.context, text)
+            trace = self.ctx.source.ask(loaded.context, text)
         except InputError as error:
             shown = shown_objects(loaded, None, self._exact)
             # Which names a frame has is said beside the field; the detector knows many more.
             said = error.what if isinstance(error, UnknownClass) else str(error)
             name, expression = self.state.source, self.state.expression_id(text)
-            judged = self._judge.judge_refused(name, self.source, loaded.context, error, expression)
+            judged = self._judge.judge_refused(name, self.ctx.source, loaded.context, error, expression)
             stopped = "OPM" if isinstance(error, UnknownClass) else "PARSE"
             self.state = replace(self.state, error=said, stopped=stopped, judged=judged, found=shown, selected=None)
-            self.note(f"“{text}”: {error}")
+            self.ctx.note(f"“{text}”: {error}")
         else:
             self._answered(loaded, trace)
             said = answer_in_words(self.state, trace)
-            self.note(said)
-            self.page.call("announce", said)
+            self.ctx.note(said)
+            self.ctx.page.call("announce", said)
         if draw:
             self.draw()
 
     def _judged(self, trace: Trace, rank: RankConfig | None = None) -> Diagnosis | str | None:
         """The verdict on an answer of the frame that is looked at; `rank` are the weights of an edited one."""
         state, expression = self.state, self.state.expression_id(trace.query.text)
-        return self._judge.judge(state.source, self.source, there(state.loaded).context, trace, expression, rank)
+        return self._judge.judge(state.source, self.ctx.source, there(state.loaded).context, trace, expression, rank)
 
     def _answered(self, loaded: LoadedFrame, trace: Trace) -> None:
         """Take an answer into the state, with its verdict and what the other run says."""
@@ -407,7 +421,7 @@ class Session(Context):
     def _clear(self) -> None:
         shown = shown_objects(there(self.state.loaded), None, self._exact)
         self.state = replace(self.state.unasked, text="", found=shown)
-        self.page.call("question", "")
+        self.ctx.page.call("question", "")
         self.draw()
 
     # ---- drawing --------------------------------------------------------------------
@@ -415,10 +429,10 @@ class Session(Context):
     def draw(self, live: bool = False) -> None:
         """Bring the page up to the state; while a hand drags something (`live`), only what follows the hand."""
         if live:
-            with self.page.together():
-                filling.fill_answer(self)
+            with self.ctx.page.together():
+                filling.fill_answer(self.ctx)
                 self._draw_scene(live=True)
-                self.page.call("overlay", "".join(mark.html for mark in overlay_marks(self.state)))
+                self.ctx.page.call("overlay", "".join(mark.html for mark in overlay_marks(self.state)))
             return
         self._what_if.check()
         self._labels.detail()
@@ -427,8 +441,8 @@ class Session(Context):
             # A drag that only tries something must not become one that is saved.
             self._correcting, self.state = correcting, replace(self.state, mode="off")
             # What is asked is asked of the answers.
-            self.page.call("question", "" if correcting else self.state.text)
-        filling.fill_page(self)
+            self.ctx.page.call("question", "" if correcting else self.state.text)
+        filling.fill_page(self.ctx)
         self._runs.follow()
         self._labels.follow()
         self._browse.follow()
@@ -439,7 +453,7 @@ class Session(Context):
     def _draw_scene(self, live: bool = False) -> None:
         """Boxes, pair lines and names, and what belongs to the edits; `live` follows a drag."""
         self._cloud.dress()
-        tags = [*self.scene.draw(self.state), *self._aids.follow()]
-        self.page.call("tags", [asdict(tag) for tag in tags])
+        tags = [*self.ctx.scene.draw(self.state), *self._aids.follow()]
+        self.ctx.page.call("tags", [asdict(tag) for tag in tags])
         self._what_if.follow(live)
         self._labels.object.follow(live)

@@ -38,9 +38,15 @@ def _text(text: str, rows: int, name: str) -> Element:
 class ViewStrings(Part):
     """Writes the view of one client as a string, and takes one back."""
 
-    def __init__(self, ctx: Context, reveal: Callable[[str, str], None]) -> None:
+    def __init__(
+        self,
+        ctx: Context,
+        reveal: Callable[[str, str], None],
+        go: Callable[[Place], None],
+        ask: Callable[[str], None],
+    ) -> None:
         super().__init__(ctx)
-        self._reveal = reveal
+        self._reveal, self._go, self._ask = reveal, go, ask
         self._waiting: ViewState | None = None
 
     def now(self) -> ViewState:
@@ -129,14 +135,14 @@ class ViewStrings(Part):
 
     def _look(self, view: ViewState) -> None:
         if view.dataset != self.state.source:
-            self.ctx.go(Place(view.dataset))
+            self._go(Place(view.dataset))
         run = self.ctx.shared.runs.get(view.dataset)
         if view.run is not None and (run is None or run.folder.resolve().name != Path(view.run).name):
             self.ctx.note(f"the view is of the run {view.run}, which is not open here")
         elif view.expression_id is not None:
             self._reveal(view.frame, view.expression_id)
         self.state = with_settings(self.state, view)
-        self.ctx.go(Place(view.dataset, view.frame, view.expression))
+        self._go(Place(view.dataset, view.frame, view.expression))
         if view.edits != self.state.edits:
             self._edit(view)
         self.state = with_objects(self.state, self.ctx.source, view)
@@ -153,10 +159,10 @@ class ViewStrings(Part):
         """Ask again with the edits of a view; without any where they cannot be applied."""
         self.state = replace(self.state, edits=view.edits)
         try:
-            self.ctx.ask(view.expression)
+            self._ask(view.expression)
         except InputError:
             self.state = replace(self.state, edits=Edits(), edited=None)
-            self.ctx.ask(view.expression)
+            self._ask(view.expression)
             raise
 
 
