@@ -8,7 +8,7 @@ read back as that very tree.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, islice, product
@@ -20,12 +20,13 @@ from pipeline.labels.labelling import FrameLabels, row_hash
 from pipeline.labels.plan import LabelConfig
 from pipeline.labels.reading import Columns
 from pipeline.labels.tree_truth import TreeTruth
-from pipeline.labels.tree_wording import tree_text
 from pipeline.labels.wording import VARIED_PHRASES, can_be_worded
 from pipeline.language.attributes import BASIC_COLORS, attribute
+from pipeline.language.choices import EXTREMES, ORDINALS
 from pipeline.language.expression import parse
 from pipeline.language.lexicon import SCENE
 from pipeline.language.naming import normal_form, same_class
+from pipeline.language.noun_phrase import noun_phrase, readable
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tokens import MAX_LENGTH
 from pipeline.language.tree import Attachment, Choice, Node, Order, described
@@ -34,7 +35,7 @@ from pipeline.system.errors import InputError
 
 LOOKS = (*((color,) for color in BASIC_COLORS), ("big", "large"), ("small",))
 COUNTED = ("second", "third", "fourth", "fifth")
-EXTREMES: dict[Order, tuple[str, ...]] = {
+EXTREME_WORDS: dict[Order, tuple[str, ...]] = {
     "left": ("leftmost", "farthest to the left"), "right": ("rightmost", "farthest to the right"),
     "near": ("nearest", "closest"), "far": ("farthest",), "high": ("highest", "topmost"), "low": ("lowest",),
     "tall": ("tallest",), "short": ("shortest",), "big": ("biggest", "largest"), "small": ("smallest",),
@@ -190,7 +191,7 @@ class _Maker:
 
     def extremes(self) -> Iterator[Node]:
         for base in self._bases():
-            for order, words in EXTREMES.items():
+            for order, words in EXTREME_WORDS.items():
                 yield replace(base, choices=(Choice(order, 1, self._one_of(words, order, base.label)),))
             if not base.attachments:
                 for relation, phrase in TO_VIEWER:
@@ -288,3 +289,53 @@ def _lessened(tree: Node) -> Iterator[Node]:
         if any(n.attributes for n in attachment.nodes):
             bare = tuple(replace(n, label=n.name, head="", attributes=()) for n in attachment.nodes)
             yield replace(tree, attachments=(*before, replace(attachment, nodes=bare), *after))
+
+
+SENTENCE_FRAMES = ("{}", "{}", "{}", "find {}", "show me {}", "point to {}", "where {is_} {}?", "I am looking for {}")
+_NUMBERED = {number: word for word, number in reversed(ORDINALS.items()) if word.isalpha()}
+
+
+def tree_text(root: Node, several: Collection[int], key: int) -> str:
+    """Sentence of a tree: `find the leftmost book that is on the table`.
+
+    Parameters
+    ----------
+    several
+        Mentions of the nouns that mean several things: they take `a`, since `the` would claim that there is one.
+    key
+        At least 0; it chooses among the forms. Equal input gives equal text.
+    """
+    key, frame = divmod(key, len(SENTENCE_FRAMES))
+    return SENTENCE_FRAMES[frame].format(
+        phrase_text(root, several, linked=key % 2 > 0), is_=noun_phrase(readable(root.name)).verb
+    )
+
+
+def phrase_text(node: Node, several: Collection[int], *, linked: bool = False) -> str:
+    """Word a noun phrase; `linked` puts a relative clause before relations."""
+    if node.viewer:
+        return f"the {node.label}"
+    before, after = zip(*(_around(choice) for choice in node.choices), strict=True) if node.choices else ((), ())
+    words = [*before, node.label.removesuffix(node.name).strip(), readable(node.name)]
+    noun = noun_phrase(" ".join(w for w in words if w))
+    parts = [noun.indefinite() if node.mention in several else noun.definite(), *dict.fromkeys(after)]
+    for number, attachment in enumerate(node.attachments):
+        # `from the left on the table` would be hard to read.
+        linked = linked or any(after)
+        parts.append(_relation(attachment, several, number, linked=linked, verb=noun.verb))
+    return " ".join(p for p in parts if p)
+
+
+def _around(choice: Choice) -> tuple[str, str]:
+    if choice.text in EXTREMES:
+        return (choice.text if choice.rank == 1 else f"{_NUMBERED[choice.rank or 1]} {choice.text}"), ""
+    first, _, rest = choice.text.partition(" ")
+    return (first, rest) if first in ORDINALS else ("", choice.text)
+
+
+def _relation(attachment: Attachment, several: Collection[int], number: int, *, linked: bool, verb: str) -> str:
+    (end,) = attachment.nodes
+    link = f"that {verb} " if not number and (linked or attachment.negated) else ""
+    joint = "" if not number else "but " if attachment.negated else "and "
+    negation = "not " if attachment.negated else ""
+    return f"{joint}{link}{negation}{attachment.phrase} {phrase_text(end, several)}"

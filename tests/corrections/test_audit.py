@@ -16,8 +16,8 @@ from scenes import frame_of, upright
 from pipeline.answering import Pipeline, open_pipeline
 from pipeline.corrections import AuditReport
 from pipeline.corrections.audit.geometry import FACING, has_front
-from pipeline.corrections.audit.job import audit
 from pipeline.corrections.audit.labels import audit_labels
+from pipeline.corrections.audit.report import audit
 from pipeline.corrections.audit.sentences import audit_sentences
 from pipeline.corrections.audit.suspicion import PRIOR, AuditItem, Evidence, agreement_weight, wrong_probability
 from pipeline.corrections.audit.systems import SystemAnswers, read_answers

@@ -16,8 +16,8 @@ from scenes import frame_of, upright
 
 from pipeline.answering import open_pipeline
 from pipeline.corrections import AuditReport
-from pipeline.corrections.audit.job import audit
 from pipeline.corrections.audit.questions import audit_questions
+from pipeline.corrections.audit.report import audit
 from pipeline.datasets import InMemoryDataset, open_dataset
 from pipeline.evaluation import Question, published_right, read_question_answers, read_questions
 from pipeline.evaluation.robospatial import inside, own_right

@@ -31,16 +31,16 @@ from pipeline.labels.card import dataset_card
 from pipeline.labels.labelling import FrameLabels
 from pipeline.labels.sentence_maker import (
     COUNTED,
-    EXTREMES,
+    EXTREME_WORDS,
     LOOKS,
     PHRASES,
     SECONDS,
     SIDES,
     MadeSentence,
     make_sentences,
+    tree_text,
 )
 from pipeline.labels.tree_truth import TreeTruth
-from pipeline.labels.tree_wording import tree_text
 from pipeline.language import PAIRWISE, Attachment, Choice, Node, attribute, parse, same_names
 from pipeline.relations import F, T, U
 from pipeline.system import InputError
@@ -95,7 +95,7 @@ def test_every_sentence_is_read_as_the_tree_it_was_made_from(seen: tuple[Seen, .
 
 NOUNS = st.sampled_from(["mug", "coffee table", "book", "armchair", "potted plant", "scissors"])
 CHOICES = st.one_of(
-    st.sampled_from([(Choice(order, 1, text),) for order, words in EXTREMES.items() for text in words]),
+    st.sampled_from([(Choice(order, 1, text),) for order, words in EXTREME_WORDS.items() for text in words]),
     st.sampled_from([(Choice(order, 2, text),) for order, text in SECONDS.items()]),
     st.sampled_from([(Choice("left", k, f"{word} from the left"),) for k, word in enumerate(COUNTED, 2)]),
     st.sampled_from(

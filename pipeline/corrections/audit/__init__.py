@@ -2,6 +2,6 @@
 
 `suspicion` holds an item, its evidence and how pieces of evidence are joined to one probability; `systems` says where
 runs agree with each other against the truth; `geometry` and `sentences` compare what a sentence says with the annotated
-frame; `labels` joins the review queue; `questions` audits RoboSpatial-Home; `report` ranks and writes all of it; `job`
-does it for whatever it is given.
+frame; `labels` joins the review queue; `questions` audits RoboSpatial-Home; `report` does it
+for whatever it is given, ranks and writes.
 """
