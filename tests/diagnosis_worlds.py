@@ -67,6 +67,8 @@ def world(seed: int, rank: RankConfig | None = None) -> tuple[FrameEvidence, Cas
     detector = NoDetector()
     source = SimpleNamespace(
         line=None,
+        predictions=None,
+        scorer=None,
         config=SimpleNamespace(rank=rank or RankConfig(), k=10, score_calibration=None),
         needed_detector=lambda: detector,
         unfiltered_detector=lambda: detector,

@@ -68,13 +68,8 @@ class ImportedDetector:
         self.exact = predictions.header.exact
         self.told_by_ids = predictions.header.same == "ids"
         self._drops = {"rank", "overlap", "threshold"} if below else {"rank", "overlap"}
-
         lines = predictions.lines.values() if line is None else (line,)
-        self._names = tuple(dict.fromkeys(name for one in lines for name in one.proposals or {}))
-
-    @property
-    def vocabulary(self) -> tuple[str, ...]:
-        return self._names
+        self.vocabulary = tuple(dict.fromkeys(name for one in lines for name in one.proposals or {}))
 
     def fingerprint(self) -> str:
         return f"imported:{self.predictions.content_hash}"
@@ -91,7 +86,7 @@ class ImportedDetector:
             return no_proposals(frame.height, frame.width)
         header, lines = self.predictions.header, self.predictions.of_frame(frame.id)
         lines = lines if self.line is None else (self.line,)
-        names: tuple[str, ...] = self.vocabulary
+        names = self.vocabulary
         for label in labels or ():
             if self.line is not None and label in (self.line.unknown or {}):
                 raise UnknownClass((self.line.unknown or {})[label])

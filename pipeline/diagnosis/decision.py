@@ -97,7 +97,7 @@ def diagnose(
 
 
 def _decided(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | None) -> Diagnosis:
-    if (line := getattr(evidence.answers.source, "line", None)) is not None and not line.ranked:
+    if (line := evidence.answers.source.line) is not None and not line.ranked:
         return judge_without_ranking(evidence, case, parse_ok, mark)
     found = substitute(evidence, case)
     pair, alone = found.pair(), found.alone()

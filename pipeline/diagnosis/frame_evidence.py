@@ -134,7 +134,7 @@ class FrameEvidence:
     @property
     def asked_again(self) -> bool:
         """True where the relation scorer can score other geometry."""
-        return bool(getattr(getattr(self.answers.source, "scorer", None), "asked_again", True))
+        return bool(getattr(self.answers.source.scorer, "asked_again", True))
 
     def off(self, indices: np.ndarray, shapes: np.ndarray) -> np.ndarray:
         """(K,) bool: detections with extents off their labelled object's by more than a quarter of the larger and
@@ -143,8 +143,7 @@ class FrameEvidence:
         `shapes` (K,) are the labelled objects, -1 for none. Of predictions only where the file gives 3D boxes: the
         basis of its relations.
         """
-        source = self.answers.source
-        line, predictions = getattr(source, "line", None), getattr(source, "predictions", None)
+        line, predictions = self.answers.source.line, self.answers.source.predictions
         known = (shapes >= 0) & (indices < self.detections)
         if line is not None and predictions is not None:
             known &= any(predictions.box_of(line.frame, i) is not None for i in line.objects)
@@ -159,7 +158,7 @@ class FrameEvidence:
     def unusual(self, indices: np.ndarray) -> np.ndarray:
         """(K,) bool: detections with a 3D box much farther from the labelled object than other lines' boxes of the
         frame."""
-        line, predictions = (getattr(self.answers.source, name, None) for name in ("line", "predictions"))
+        line, predictions = self.answers.source.line, self.answers.source.predictions
         found, known = np.zeros(len(indices), np.bool_), enumerate(indices.tolist())
         own = [(k, int(self.match[i])) for k, i in known if i < self.detections and self.match[i] >= 0]
         if line is None or predictions is None or not own:
@@ -194,8 +193,7 @@ class FrameEvidence:
     @cached_property
     def words(self) -> np.ndarray:
         """(K,) float64, rising: distinct probabilities of a scorer that chooses among a few words; else none."""
-        source = self.answers.source
-        line, predictions = getattr(source, "line", None), getattr(source, "predictions", None)
+        line, predictions = self.answers.source.line, self.answers.source.predictions
         lines = () if line is None or predictions is None else predictions.of_frame(line.frame)
         every = [r[-1] for one in lines for pairs in (one.relations or {}).values() for r in pairs]
         found = np.unique(every)

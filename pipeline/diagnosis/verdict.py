@@ -190,7 +190,7 @@ def explain(
 
 
 def _unexplained(d: Diagnosis, case: Case) -> str:
-    line = getattr(d.evidence.answers.source, "line", None)
+    line = d.evidence.answers.source.line
     return unexplained(d.detail, case.target, line is None or line.ranked or line.answer is not None)
 
 

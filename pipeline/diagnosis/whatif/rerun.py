@@ -297,23 +297,17 @@ def _tables(
 
 
 def _with_relations(scores: RelationScores, keys: tuple[str, ...], edits: Edits) -> RelationScores:
-    for relation, _, _ in edits.relations:
+    known, index = ({name: k for k, name in enumerate(names)} for names in (scores.relations, keys))
+    probabilities = scores.probabilities.copy()
+    for (relation, a, b), p in edits.relations.items():
         require(
             relation in (*PAIRWISE, "closest", "farthest"),
             "there is no probability of this relation for two objects",
             got=repr(relation),
             expected=", ".join((*PAIRWISE, "closest", "farthest")),
         )
-    known = {r: k for k, r in enumerate(scores.relations)}
-    index = {key: at for at, key in enumerate(keys)}
-    given = [
-        (index[a], index[b], known[r], p)
-        for (r, a, b), p in edits.relations.items()
-        if r in known and a in index and b in index
-    ]
-    probabilities = scores.probabilities.copy()
-    for a, b, r, p in given:
-        probabilities[a, b, r] = p
+        if relation in known and a in index and b in index:
+            probabilities[index[a], index[b], known[relation]] = p
     return replace(scores, probabilities=probabilities)
 
 
