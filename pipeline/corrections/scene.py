@@ -69,7 +69,7 @@ def _labelled(row: dict[str, Any], size: tuple[int, int]) -> SceneObject:
     )  # fmt: skip
     lo, hi = (np.full(3, np.nan) if row[k] is None else np.array(row[k], np.float64) for k in ("lo", "hi"))
     lifted = LiftedObject(
-        np.empty((0, 3), np.float32), labelled_box(row), number("yaw_confidence", 0.0), lo, hi, "box", None, quality
+        np.empty((0, 3), np.float32), labelled_box(row), number("yaw_confidence", 0.0), lo, hi, None, quality
     )
     return SceneObject(row["object"], row["label"], number("score", 1.0), bbox, mask, lifted)
 

@@ -201,8 +201,8 @@ class FrameEvidence:
 
     def follows(self, relation: str) -> bool:
         """True where a scorer that cannot be asked again may depend on its boxes, by the evidence of its file."""
-        told = getattr(getattr(self.answers.source.scorer, "stand_in", None), "follows", None)
-        return told is None or told(relation)
+        follows = getattr(getattr(self.answers.source.scorer, "stand_in", None), "follows", None)
+        return follows is None or follows(relation)
 
     def stand_in(self, relation: str) -> np.ndarray | None:
         """Relation matrix as `probabilities`, all by the stand-in of a scorer that cannot be asked again; None for
@@ -230,9 +230,9 @@ class FrameEvidence:
                 if scores is not None:
                     table[np.ix_(indices, indices)] = scores.of(relation)
         for relation in relations:
-            told = self.answers.probabilities(relation)
-            if told is not None:
-                self._probabilities[relation][:d, :d] = told
+            given = self.answers.probabilities(relation)
+            if given is not None:
+                self._probabilities[relation][:d, :d] = given
 
     def _involved(self, relations: Sequence[str]) -> np.ndarray:
         """Indices of the candidates and labelled objects in the cases of these relations, rising."""

@@ -141,8 +141,8 @@ def draw_relations(figures: Sequence[SystemFigures], tables: Sequence[Table], ou
     tones = {f.title: TONES[k % len(TONES)] for k, f in enumerate(figures)}
     curves = [("exact", np.array([0, 100.0]), np.array([0, 100.0]), PALE_TONE, "--")]
     for system in figures:
-        some = (diagram := system.calibration.pooled).count > 0
-        name = f"{system.title} (ECE {100 * system.calibration.pooled_ece:.1f})"
+        some = (diagram := system.calibration.diagram).count > 0
+        name = f"{system.title} (ECE {100 * diagram.ece:.1f})"
         x, y = 100 * diagram.confidence[some], 100 * diagram.frequency[some]
         curves.append((name, x, y, tones[system.title], "-"))
     title = "Do probabilities of relations mean what they say?"

@@ -112,7 +112,7 @@ def system_figures(
         system.title,
         metrics,
         relation_estimates(cell_outcomes(p, truth), own, relations=names, config=config),
-        calibration_metrics(p, truth, names),
+        calibration_metrics(p, truth),
         top1,
         top2,
         _tuned(system, states, counted),
@@ -172,7 +172,7 @@ def always_no(records: RelationRecords, *, held_out: bool = False) -> list[Row]:
         truth = records.truth(relations)[counted]
         zeros = np.zeros(truth.shape)
         metrics = multi_label_metrics(zeros, truth, relations=relations)
-        calibration = calibration_metrics(zeros, truth, relations)
+        calibration = calibration_metrics(zeros, truth)
         name = "always no" if len(sets) == 1 else f"always no ({', '.join(PHRASE[r] for r in relations)})"
         cells: list[Cell] = [metrics.micro_f1, metrics.macro_f1, metrics.all_negative_accuracy]
         rows.append(Row(name, (*cells, *_rest(metrics, calibration, None, None))))
@@ -183,7 +183,7 @@ def _rest(
     metrics: RelationMetrics, calibration: CalibrationMetrics, top1: Estimate | None, top2: Estimate | None
 ) -> tuple[Cell, ...]:
     return (
-        metrics.mean_average_precision, calibration.pooled_brier, calibration.pooled_ece, top1, top2,
+        metrics.mean_average_precision, calibration.brier, calibration.diagram.ece, top1, top2,
         len(metrics.relations), metrics.pairs, int(metrics.undecided.sum()),
     )  # fmt: skip
 

@@ -119,7 +119,6 @@ class LiftedObject:
     yaw_confidence: float
     lo: np.ndarray  # (3,) float64, extents along (right, up, forward), metres; NaN without points and box
     hi: np.ndarray  # (3,) float64
-    extents_from: Literal["points", "box"]  # "points", or "box" where only a box was there
     evidence: PixelEvidence | None
     quality: Quality
 
@@ -129,35 +128,26 @@ class LiftedObject:
     def moved_to(self, box: Box3D, viewer: ViewerAxes) -> LiftedObject:
         """Object after an edit of the box: the points move by the same affine map."""
         if self.box is None or not len(self.points):
-            lo, hi, source = extents(np.empty((0, 3)), box, viewer)
-            return replace(self, box=box, lo=lo, hi=hi, extents_from=source)
+            lo, hi = extents(np.empty((0, 3)), box, viewer)
+            return replace(self, box=box, lo=lo, hi=hi)
         scale = box.size / np.maximum(self.box.size, 1e-6)
         local = (self.points - self.box.center) @ self.box.R * scale
         points = (local @ box.R.T + box.center).astype(np.float32)
-        lo, hi, source = extents(points, box, viewer)
-        return replace(self, points=points, box=box, lo=lo, hi=hi, extents_from=source)
+        lo, hi = extents(points, box, viewer)
+        return replace(self, points=points, box=box, lo=lo, hi=hi)
 
 
-def extents(
-    points: np.ndarray, box: Box3D | None, viewer: ViewerAxes
-) -> tuple[np.ndarray, np.ndarray, Literal["points", "box"]]:
-    """Extents of an object along (right, up, forward), for rules and features alike.
+def extents(points: np.ndarray, box: Box3D | None, viewer: ViewerAxes) -> tuple[np.ndarray, np.ndarray]:
+    """Extents of an object along (right, up, forward), (3,) float64 each, metres, for rules and features alike.
 
-    Returns
-    -------
-    lo, hi : (3,) float64
-        1st and 99th percentile of the points, metres; of the box's corners where there are no points; NaN where there
-        is neither.
-    source : str
-        "points" or "box".
+    1st and 99th percentile of the points; of the box's corners where there are no points; NaN where there is neither.
     """
     if len(points):
-        lo, hi = extents_of(points @ viewer.matrix.T.astype(points.dtype))
-        return lo, hi, "points"
+        return extents_of(points @ viewer.matrix.T.astype(points.dtype))
     if box is not None:
         corners = box.corners @ viewer.matrix.T
-        return corners.min(axis=0), corners.max(axis=0), "box"
-    return np.full(3, np.nan), np.full(3, np.nan), "box"
+        return corners.min(axis=0), corners.max(axis=0)
+    return np.full(3, np.nan), np.full(3, np.nan)
 
 
 def depth_edges(depth: np.ndarray, config: LiftConfig | None = None) -> np.ndarray:
@@ -329,8 +319,7 @@ def _lift_one(
         mask_source=mask_source,
     )
     box, confidence = fit_box(points, viewer, config.box) if boxes else (None, 0.0)
-    lo, hi, source = extents(points, box, viewer)
-    return LiftedObject(points, box, confidence, lo, hi, source, evidence, quality)
+    return LiftedObject(points, box, confidence, *extents(points, box, viewer), evidence, quality)
 
 
 def fit_box(points: np.ndarray, viewer: ViewerAxes, mode: BoxMode = "gravity") -> tuple[Box3D | None, float]:

@@ -47,18 +47,6 @@ def composed(first: str, then: str) -> str | None:
     return next((name for name in CONVENTIONS if np.allclose(standard_poses(T, name), both)), None)
 
 
-def as_convention(T: np.ndarray, convention: str) -> np.ndarray:
-    """Matrices of a file in a convention, (..., 4, 4), for standard poses; the inverse of `standard_poses`."""
-    way, axes, *order = convention.split()
-    out = np.array(T, np.float64)
-    out[..., :3, :3] = out[..., :3, :3] @ _AXES[axes].T
-    if way == _WAYS[1]:
-        out = _inverse(out)
-    if order:
-        out[..., :3, :3] = _reordered(out[..., :3, :3], -1)
-    return out
-
-
 def _inverse(T: np.ndarray) -> np.ndarray:
     out = T.copy()
     R = T[..., :3, :3].swapaxes(-1, -2)

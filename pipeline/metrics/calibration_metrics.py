@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.language.relation_names import DIRECTIONAL, INVERSE
-from pipeline.metrics.inputs import checked_cells, checked_flags, checked_names, checked_probabilities
+from pipeline.language.relation_names import INVERSE
+from pipeline.metrics.inputs import checked_cells, checked_flags, checked_probabilities
 from pipeline.metrics.intervals import ratio
 from pipeline.system.errors import require
 
@@ -34,15 +34,10 @@ class ReliabilityDiagram:
 
 @dataclass(frozen=True)
 class CalibrationMetrics:
-    """Calibration of each relation and of all known cells together; NaN where no cell is known."""
+    """Calibration of all known cells together; NaN where no cell is known."""
 
-    relations: tuple[str, ...]
-    brier: np.ndarray  # (R,) float64
-    ece: np.ndarray  # (R,) float64
-    diagrams: tuple[ReliabilityDiagram, ...]
-    pooled_brier: float
-    pooled_ece: float
-    pooled: ReliabilityDiagram
+    brier: float
+    diagram: ReliabilityDiagram
 
 
 def reliability_diagram(p: Any, holds: Any, bins: int = ECE_BINS) -> ReliabilityDiagram:
@@ -80,28 +75,15 @@ def brier_score(p: Any, holds: Any) -> float:
     return float(ratio(np.square(p - holds).sum(), len(p)))
 
 
-def calibration_metrics(
-    p: Any, truth: Any, relations: Sequence[str] = DIRECTIONAL, bins: int = ECE_BINS
-) -> CalibrationMetrics:
-    """Calibration of multi-label relation probabilities, (P, R), by states, (P, R) int8: 1 T, 0 U (left out), -1 F.
+def calibration_metrics(p: Any, truth: Any) -> CalibrationMetrics:
+    """Calibration of relation probabilities, (P, R), by states, (P, R) int8: 1 T, 0 U (left out), -1 F.
 
     InputError where shapes differ, probabilities are NaN or outside 0..1, or a state is none.
     """
     p, truth = checked_cells(p, truth)
-    names = checked_names(relations, p.shape[1])
     known, holds = truth != 0, truth > 0
-    diagrams = tuple(reliability_diagram(p[known[:, k], k], holds[known[:, k], k], bins) for k in range(p.shape[1]))
     squared = np.where(known, np.square(p - holds), 0.0)
-    pooled = reliability_diagram(p[known], holds[known], bins)
-    return CalibrationMetrics(
-        relations=names,
-        brier=ratio(squared.sum(axis=0), known.sum(axis=0)),
-        ece=np.array([d.ece for d in diagrams]),
-        diagrams=diagrams,
-        pooled_brier=float(ratio(squared.sum(), known.sum())),
-        pooled_ece=pooled.ece,
-        pooled=pooled,
-    )
+    return CalibrationMetrics(float(ratio(squared.sum(), known.sum())), reliability_diagram(p[known], holds[known]))
 
 
 def _checked(p: Any, holds: Any) -> tuple[np.ndarray, np.ndarray]:

@@ -109,33 +109,3 @@ def checked_clusters(clusters: Any, rows: int) -> tuple[np.ndarray, int]:
     )
     names, index = np.unique(ids, return_inverse=True)
     return index.astype(np.int64), len(names)
-
-
-def checked_boxes(boxes: Any, what: str, may_miss: bool = False) -> np.ndarray:
-    """Check boxes, (N, 4) float64, x0, y0, x1, y1 with x1 >= x0 and y1 >= y0; rows of NaN only where `may_miss`."""
-    found = np.asarray(boxes)
-    if found.size == 0 and found.ndim <= 2:
-        found = np.zeros((0, 4))
-    require(
-        found.ndim == 2 and found.shape[1] == 4 and found.dtype.kind in "iuf",
-        f"{what} must be boxes of shape (N, 4)",
-        got=f"{found.dtype} {found.shape}",
-    )
-    found = found.astype(np.float64)
-    finite = np.isfinite(found)
-    wrong = ~finite.all(axis=1)
-    if may_miss:
-        wrong &= ~np.isnan(found).all(axis=1)
-    if wrong.any():
-        row = int(wrong.argmax())
-        asked = "finite, or NaN as a whole," if may_miss else "finite"
-        raise InputError(f"{what} must be {asked}", got=f"{found[row].tolist()} in row {row}")
-    swapped = (found[:, 2:] < found[:, :2]).any(axis=1)
-    if swapped.any():
-        row = int(swapped.argmax())
-        raise InputError(
-            f"{what} must be x0, y0, x1, y1 with x1 >= x0 and y1 >= y0",
-            got=f"{found[row].tolist()} in row {row}",
-            cause="is this x, y, width, height?",
-        )
-    return found

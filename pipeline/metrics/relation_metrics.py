@@ -43,12 +43,10 @@ class RelationMetrics:
     relations: tuple[str, ...]  # The order of everything with shape (R,)
     pairs: int
     positives: np.ndarray  # (R,) int64, cells whose truth is T, F, U
-    negatives: np.ndarray  # (R,) int64
     undecided: np.ndarray  # (R,) int64
     tp: np.ndarray  # (R,) int64
     fp: np.ndarray  # (R,) int64
     fn: np.ndarray  # (R,) int64
-    thresholds: np.ndarray  # (R,) float64
     precision: np.ndarray  # (R,) float64
     recall: np.ndarray  # (R,) float64
     f1: np.ndarray  # (R,) float64
@@ -111,12 +109,10 @@ def multi_label_metrics(
         relations=names,
         pairs=len(p),
         positives=positives,
-        negatives=negatives,
         undecided=len(p) - known,
         tp=tp,
         fp=fp,
         fn=fn,
-        thresholds=cut,
         precision=ratio(tp, tp + fp),
         recall=ratio(tp, positives),
         f1=f1,

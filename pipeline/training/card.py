@@ -299,8 +299,8 @@ def evaluate(
         "all_negative_accuracy": _defined(metrics.all_negative_accuracy),
         "positives_per_pair": _defined(ratio(metrics.positives.sum(), len(t))),
         "doubtful_share": _defined(ratio(metrics.undecided.sum(), t.size)),
-        "brier": _defined(calibration.pooled_brier),
-        "ece": _defined(calibration.pooled_ece),
+        "brier": _defined(calibration.brier),
+        "ece": _defined(calibration.diagram.ece),
     }
     if rule is not None:
         report["differing"] = differing_cells(p, t, _cells(rule))

@@ -8,11 +8,11 @@ from typing import Any
 
 import cv2
 import numpy as np
+from pose_files import as_convention
 
 from pipeline.datasets import InMemoryDataset
 from pipeline.datasets.doctor.examine import Examination, chosen_frames, examine_frames
 from pipeline.geometry import Frame, Registration, intrinsics, registered
-from pipeline.geometry.pose_convention import as_convention
 from pipeline.system import InputError
 
 UNITS = 1000.0

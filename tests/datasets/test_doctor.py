@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 from dataset_writers import write_png
+from pose_files import as_convention
 from slow_cases import mostly_slow
 
 from pipeline.answering import open_pipeline, relate_frames
@@ -30,7 +31,6 @@ from pipeline.datasets.doctor.examine import chosen_frames, examine_frames
 from pipeline.datasets.plausible import camera_height, plausibility
 from pipeline.datasets.settings import FILE_NAME
 from pipeline.geometry import Frame, to_world
-from pipeline.geometry.pose_convention import as_convention
 from pipeline.language import size_factor
 from pipeline.synthetic import render_dataset
 from pipeline.system import InputError

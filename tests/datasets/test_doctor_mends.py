@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from benchmarks.doctor_plants import Planted, judge
 from benchmarks.doctor_scenes import Rendered, shelf_scan, table_top, walk
+from pose_files import as_convention
 
 from pipeline.datasets import InMemoryDataset, demo_path, open_dataset, overlay
 from pipeline.datasets.doctor.examine import Examination, examine_frames
@@ -21,7 +22,7 @@ from pipeline.datasets.doctor.seen import Seen
 from pipeline.datasets.doctor.trying import Agreement, Opinion, diagnosed
 from pipeline.datasets.settings import Settings
 from pipeline.geometry import Frame, Registration, registered
-from pipeline.geometry.pose_convention import CONVENTIONS, as_convention, composed, standard_poses
+from pipeline.geometry.pose_convention import CONVENTIONS, composed, standard_poses
 
 
 @pytest.fixture(scope="module")

@@ -31,9 +31,9 @@ def solid(center: np.ndarray, size: np.ndarray, viewer: ViewerAxes = VIEWER) -> 
     """A box without points, its centre and size given along (right, up, forward)."""
     R = viewer.R_level_camera.T
     box = Box3D(center @ viewer.matrix, R, np.asarray(size, float))
-    lo, hi, origin = extents(np.empty((0, 3)), box, viewer)
+    lo, hi = extents(np.empty((0, 3)), box, viewer)
     quality = Quality(1, 0, 0, 0, False, 1, False, "box")
-    return LiftedObject(np.empty((0, 3), np.float32), box, 1.0, lo, hi, origin, None, quality)
+    return LiftedObject(np.empty((0, 3), np.float32), box, 1.0, lo, hi, None, quality)
 
 
 def rule(target: LiftedObject, reference: LiftedObject, relation: str, profile: Profile) -> int:

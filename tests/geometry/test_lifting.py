@@ -328,15 +328,13 @@ def test_extents_come_from_points_then_the_box_then_nowhere() -> None:
     viewer = viewer_axes(up_of(20))
     points = np.random.default_rng(0).normal(size=(500, 3)).astype(np.float32) + 3
     box = Box3D(np.array([0, 0, 2.0]), np.eye(3), np.ones(3))
-    lo, hi, source = extents(points, box, viewer)
-    assert source == "points"
+    lo, hi = extents(points, box, viewer)
     expected = np.percentile(points @ viewer.matrix.T, [1, 99], axis=0)
     np.testing.assert_allclose(np.stack([lo, hi]), expected, atol=1e-4)
-    lo, hi, source = extents(points[:0], box, viewer)
-    assert source == "box"
+    lo, hi = extents(points[:0], box, viewer)
     np.testing.assert_allclose(lo, (box.corners @ viewer.matrix.T).min(axis=0))
     np.testing.assert_allclose(hi, (box.corners @ viewer.matrix.T).max(axis=0))
-    lo, hi, _ = extents(points[:0], None, viewer)
+    lo, hi = extents(points[:0], None, viewer)
     assert np.isnan([lo, hi]).all()
 
 
@@ -347,7 +345,7 @@ def test_points_move_with_an_edited_box(seed: int) -> None:
     (found,) = lift(FLAT, CAMERA, [flat_mask(100, 200, 100, 200)], LEVEL)
     cloud = filled_cloud(Box3D(np.array([0, 0, 2.0]), random_rotation(rng), np.array([0.5, 0.4, 0.3])), rng, 2000)
     box, _ = pca_box(cloud)
-    lo, hi, _ = extents(cloud, box, LEVEL)
+    lo, hi = extents(cloud, box, LEVEL)
     found = replace(found, points=cloud.astype(np.float32), box=box, lo=lo, hi=hi)
     edited = Box3D(rng.normal(size=3), random_rotation(rng), rng.uniform(0.1, 2, 3))
     moved = found.moved_to(edited, LEVEL)
@@ -365,6 +363,6 @@ def test_points_move_with_an_edited_box(seed: int) -> None:
 def test_a_drawn_box_gives_an_object_without_points_its_extents() -> None:
     (found,) = lift(np.zeros_like(FLAT), CAMERA, [flat_mask(10, 60, 10, 60)], LEVEL)
     drawn = found.moved_to(Box3D(np.array([0, 0, 2.0]), np.eye(3), np.ones(3)), LEVEL)
-    assert drawn.extents_from == "box"
+    assert not len(drawn.points)
     np.testing.assert_allclose(drawn.lo, [-0.5, -0.5, 1.5])
     np.testing.assert_allclose(drawn.hi, [0.5, 0.5, 2.5])

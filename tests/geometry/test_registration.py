@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pose_files import as_convention
 from scenes import random_rotation
 
 from pipeline.datasets import demo_path, open_dataset
@@ -25,7 +26,6 @@ from pipeline.geometry import (
     standard_poses,
     to_world,
 )
-from pipeline.geometry.pose_convention import as_convention
 from pipeline.system import InputError
 
 

@@ -15,9 +15,9 @@ from pipeline.geometry.lifting import fit_box
 def lifted(points: np.ndarray, viewer: ViewerAxes, mode: Any = "gravity") -> LiftedObject:
     points = points.astype(np.float32)
     box, confidence = fit_box(points, viewer, mode)
-    lo, hi, source = extents(points, box, viewer)
+    lo, hi = extents(points, box, viewer)
     quality = Quality(len(points), len(points), 1.0, 0.0, False, 2.0, False, "annotation")
-    return LiftedObject(points, box, confidence, lo, hi, source, None, quality)
+    return LiftedObject(points, box, confidence, lo, hi, None, quality)
 
 
 def random_rows(seed: int, count: int = 6) -> np.ndarray:

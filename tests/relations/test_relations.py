@@ -278,7 +278,7 @@ def test_pitching_the_camera_changes_nothing(seed: int) -> None:
     for pitch, roll in ((0.0, 0.0), (rng.uniform(-35, 60), 0.0), (rng.uniform(-20, 40), rng.uniform(-10, 10))):
         viewer = viewer_axes(up_of(pitch, roll))
         seen = [cloud @ viewer.R_level_camera for cloud in clouds]
-        lo, hi, _ = zip(*(extents(s, None, viewer) for s in seen), strict=True)
+        lo, hi = zip(*(extents(s, None, viewer) for s in seen), strict=True)
         found.append((np.stack(lo), np.stack(hi)))
     for lo, hi in found[1:]:
         np.testing.assert_allclose(lo, found[0][0], atol=1e-9)
