@@ -156,7 +156,7 @@ RENAMED = {"bench srm": "ablation", "bench-srm": "ablation"}
 """Earlier names of commands, which still work."""
 REMOVED = {"bench": "benches are scripts of a checkout: `cd tests; python -m benchmarks.stages`, and others beside it"}
 REMOVED_OPTIONS = {
-    ("view", "--also"): "two detectors are compared by `spatialviz agree`, their answers by `spatialviz failures A "
+    ("view", "--also"): "two detectors are compared by `detect --agree`, their answers by `spatialviz failures A "
     "--compare B --answers`, of runs or of files that `ask --json` wrote",
     ("review", "--detector"): "label the frames with the other detector, and `review LABELS --other ITS_LABELS`",
 }

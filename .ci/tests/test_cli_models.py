@@ -42,6 +42,7 @@ def test_two_detectors_are_fused_and_what_they_see_is_recorded(other: Path, tmp_
     ("words", "message"),
     [
         (AGREE, "--also"),
+        (["view", "demo", "--also", "simulated"], "--compare B --answers"),
         ([*AGREE, "--also", "nonsense"], "nonsense"),
         ([*AGREE, "--also", "simulated=WORK/nowhere.toml"], "nowhere.toml"),
         ([*AGREE, "--also", "simulated", "--iou", 0], "the least overlap must be above 0"),
