@@ -38,8 +38,6 @@ class Box3D:
     size : (3,) float64
         Full edge lengths along those axes, metres.
 
-    Examples
-    --------
     >>> import numpy as np
     >>> from pipeline import Box3D
     >>> box = Box3D(np.array([0, 0, 2]), np.eye(3), np.array([0.4, 0.2, 0.3]))
@@ -144,8 +142,6 @@ def iou_2d(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     (N, M) float64
         0..1; 0 where either box is empty.
 
-    Examples
-    --------
     >>> from pipeline.geometry import iou_2d
     >>> iou_2d([[0, 0, 2, 2]], [[0, 0, 2, 1], [1, 0, 3, 2]]).round(3)
     array([[0.5  , 0.333]])
@@ -173,8 +169,6 @@ def iou_3d(a: Box3D, b: Box3D) -> float:
     each inside the other and of the points where an edge of one crosses a face
     of the other; its volume comes from Qhull.
 
-    Examples
-    --------
     >>> import numpy as np
     >>> from pipeline.geometry import Box3D, iou_3d
     >>> a = Box3D(np.zeros(3), np.eye(3), np.ones(3))

@@ -42,8 +42,6 @@ class Camera:
         Options that would say what is unknown of the camera or of the depth's unit; while there are any, the camera
         is a stand-in to look at the frame, and nothing may be measured by it.
 
-    Examples
-    --------
     >>> from pipeline import Camera
     >>> from pipeline.geometry import intrinsics
     >>> Camera(intrinsics(570, 570, 320, 240), 640, 480)
@@ -169,8 +167,6 @@ def backproject(depth: np.ndarray, camera: Camera, v: np.ndarray, u: np.ndarray)
     (N, 3) float32
         Metres, camera frame. Pixels without depth (0) come back as zeros.
 
-    Examples
-    --------
     >>> import numpy as np
     >>> from pipeline.geometry import Camera, backproject, intrinsics, project
     >>> camera = Camera(intrinsics(500, 500, 320, 240), 640, 480)

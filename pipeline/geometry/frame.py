@@ -43,8 +43,6 @@ class Annotation:
     fixed : bool
         The 3D box stands as it is: none is fitted to the points.
 
-    Examples
-    --------
     >>> from pipeline import Annotation
     >>> Annotation(0, "mug", [210, 140, 260, 200])
     <Annotation 0 'mug' at 210 140 260 200>
@@ -97,8 +95,6 @@ class Frame:
     depth_source : str
         Network that estimated the depth, and the source of its metres, in words; empty where a sensor measured it.
 
-    Examples
-    --------
     >>> import numpy as np
     >>> from pipeline import Frame
     >>> from pipeline.geometry import intrinsics

@@ -98,14 +98,8 @@ def land(
 ) -> Landing:
     """Lift, move and compare points with cameras K, (F, 3, 3), and poses T_world_camera, (F, 4, 4).
 
-    Parameters
-    ----------
-    scale : float
-        True depth by depth as read.
-    tolerance : float
-        Relative depth at which a point counts half.
-    colour : bool
-        A point with detail must also land on the same, where the views have it.
+    `scale` is true depth by depth as read; `tolerance` the relative depth at which a point counts half. With `colour`
+    a point with detail must also land on the same, where the views have it.
     """
     a, b = views.pairs[:, 0], views.pairs[:, 1]
     R_b = poses[b, :3, :3].transpose(0, 2, 1)

@@ -249,21 +249,10 @@ def _plane_of(cloud: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def level_normal_at(depth: np.ndarray, camera: Camera, u: int, v: int) -> np.ndarray:
-    """Up vector from a pixel of a level surface, chosen by a person.
+    """Up vector, (3,), camera frame, from a pixel (column u, row v) of a level surface, chosen by a person.
 
-    The plane around the pixel is grown to the connected region that lies in it, and fitted to that.
-
-    Parameters
-    ----------
-    depth : (H, W) float32
-        Metres, 0 where missing.
-    u, v : int
-        Column and row.
-
-    Returns
-    -------
-    (3,) float64
-        Unit normal, camera frame, on the side from which the surface is seen: that of one who looks down on it.
+    The plane around the pixel is grown to the connected region that lies in it, and fitted to that. It points to the
+    side from which the surface is seen: that of one who looks down on it.
 
     Raises
     ------

@@ -263,8 +263,6 @@ def lift(
     InputError
         The camera is only a stand-in (`Camera.untold`).
 
-    Examples
-    --------
     >>> import numpy as np
     >>> from pipeline.geometry import IMAGE_UP, Camera, intrinsics, lift, viewer_axes
     >>> depth, mask = np.full((480, 640), 2, np.float32), np.zeros((480, 640), bool)

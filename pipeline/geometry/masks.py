@@ -115,8 +115,6 @@ def decode_crop(
 def encode_run_length(mask: np.ndarray) -> str:
     """Encode a mask, (H, W) bool, in COCO's compressed run-length code.
 
-    Examples
-    --------
     >>> import numpy as np
     >>> from pipeline.geometry import decode_run_length, encode_run_length
     >>> code = encode_run_length(np.array([[False, True], [False, True]]))

@@ -12,7 +12,7 @@ from pipeline.geometry.viewer import ViewerAxes
 PARTS = ("right", "up", "forward")
 WAYS = (("right", "left"), ("up", "down"), ("forward", "back"))
 PLACES = 3
-"""Digits of a metre that are told."""
+"""Digits of a metre in words."""
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from pipeline.geometry.frame import Frame
 from pipeline.geometry.registration import Registration
 
 WIDE = 640
-"""Pixels are told at this width of a picture."""
+"""Distances in pixels are at this width of a picture."""
 NEAR_PX = 2.0
 """An outline of depth counts half so far from an edge of colour."""
 MOVED_PX = 8.0

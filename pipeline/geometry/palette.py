@@ -1,6 +1,6 @@
 """Fixed colours of roles and of dropped pixels: the same in 3D, 2D, tables and chips.
 
-Roles stay apart where one kind of cone is missing, and can be read as text on the page's grounds (tests hold
+Roles stay distinct where one kind of cone is missing, and can be read as text on the page's grounds (tests hold
 both); every role is doubled by a word, a line width or a line style wherever it is shown.
 """
 
@@ -31,7 +31,7 @@ ON_LIGHT: dict[Role, RGB] = {
     "edited": (92, 57, 0),
     "bad": (180, 17, 35),
 }
-"""As on a dark ground: "bad" what failed, a word beside it."""
+"""As on a dark ground; "bad" is a failure, with a word."""
 
 LINE_WIDTH: dict[Role, float] = {"other": 1.3, "reference": 3.2, "target": 3.2, "truth": 1.6, "edited": 2.5}
 FACE_OPACITY: dict[Role, float] = {"other": 0.035, "reference": 0.15, "target": 0.15}
@@ -103,7 +103,7 @@ VERDICTS: dict[str, RGB] = {
     "COMPOUND": (140, 92, 60),
     "UNEXPLAINED": (96, 100, 108),
 }
-"""A colour for each verdict; the blues are the detector's. Wherever it is shown, the word stands beside it."""
+"""A colour for each verdict; the blues are the detector's. It is always shown with the word."""
 
 
 def ink(color: str) -> str:

@@ -41,7 +41,7 @@ class PictureInput(ContractTable):
     """Mean and std in the order of `colour`."""
     fit: Literal["letterbox", "letterbox-top-left", "stretch"] = "letterbox"
     pad: Annotated[int, Field(ge=0, le=255)] | Triple = 114
-    """What stands beside the picture: one value, or one each of red, green and blue."""
+    """Padding around the picture: one value, or one each of red, green and blue."""
     interpolation: Literal["linear", "cubic", "area"] = "linear"
     """area: the mean over what a pixel covers where the picture shrinks, linear where it grows."""
 

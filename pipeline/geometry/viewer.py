@@ -55,8 +55,6 @@ def viewer_axes(up: np.ndarray, up_source: UpSource = "declared", up_doubt: str 
     Forward is the camera's z made level. Looking nearly straight down (or up),
     forward is where the top (or bottom) of the image points.
 
-    Examples
-    --------
     >>> import numpy as np
     >>> from pipeline.geometry import viewer_axes
     >>> axes = viewer_axes(np.array([0, -np.cos(0.5), -np.sin(0.5)]))
@@ -76,12 +74,7 @@ def viewer_axes(up: np.ndarray, up_source: UpSource = "declared", up_doubt: str 
 def resolve_up(depth: np.ndarray, camera: Camera, scene_up: np.ndarray | None = None) -> Camera:
     """Camera with an up vector: own, else the scene's, else of a level plane, else assumed.
 
-    Parameters
-    ----------
-    depth : (H, W) float32
-        Metres.
-    scene_up : (3,) float64, optional
-        The up of the frame's scene in the world; see `pipeline.datasets.up`. It needs a pose.
+    `scene_up`, (3,), is the up of the frame's scene in the world (see `pipeline.datasets.up`); it needs a pose.
     """
     if camera.up is not None:
         return camera if camera.up_source else camera.with_up(camera.up, "declared")

@@ -18,20 +18,10 @@ Viewed = tuple[np.ndarray, np.ndarray, float]
 def viewpoint(
     kind: str, points: np.ndarray, to_show: np.ndarray, camera: Camera, aspect: float, about: np.ndarray | None = None
 ) -> Viewed:
-    """Viewpoint of a frame.
+    """Viewpoint of a frame, by (N, 3) points and, for a pair, (M, 3) points `about`, shown frame, metres.
 
-    Parameters
-    ----------
-    kind : str
-        "sensor", "top", "pair", or another for all of the frame; without points it is always the sensor's.
-    points : (N, 3) float
-        Of the frame, shown frame, metres.
-    to_show : (3, 3)
-        From the camera frame into the shown frame.
-    aspect : float
-        Width over height of the view.
-    about : (M, 3) float, optional
-        Points that "pair" shows, shown frame; by default all of the frame.
+    `kind` is "sensor", "top", "pair", or another for all of the frame; without points it is always the sensor's.
+    `to_show`, (3, 3), turns the camera frame into the shown frame; `aspect` is width over height of the view.
     """
     middle = np.median(points, axis=0) if len(points) else np.array([0.0, 2.0, 0.0])
     if kind == "sensor" or not len(points):

@@ -12,7 +12,7 @@ from pipeline.geometry.registration import Registration
 
 FOCALS = (0.76, 0.8, 0.84, 0.88, 0.92, 0.96, 1.0, 1.04, 1.08, 1.13, 1.18, 1.24, 1.3)
 SHIFTS_M = (-0.06, -0.03, 0.0, 0.03, 0.06)
-"""Where the search begins: focal lengths of the colour camera by the depth camera's, and places beside it."""
+"""Where the search begins: focal lengths of the colour camera by the depth camera's, and shifts, metres."""
 MOST_FOCAL, MOST_M, MOST_CENTER = 1.4, 0.12, 0.1
 """And its bound: a focal length so many times as long or short, metres aside, and a principal point that is off by a
 share of the width."""
@@ -36,12 +36,7 @@ class Fitted:
 def estimated(outlines: Outlines, regions: np.ndarray | None = None, near: Registration | None = None) -> Fitted:
     """Warp with most outlines of depth on edges of colour, region by region; one for all frames.
 
-    Parameters
-    ----------
-    regions : (R,) bool, optional
-        Regions that count, by default all.
-    near : Registration, optional
-        Start of the search, besides no warp; by default everywhere.
+    Of `regions`, (R,) bool, all count by default; the search starts at no warp and `near`, by default everywhere.
     """
     identity = Registration.none(outlines.camera)
     own = {(near, every): outlines.near(identity, near, every) for _, near, every in (*LOOKING, *SETTLING)}

@@ -197,8 +197,6 @@ def attribute(words: str) -> Attribute | None:
     "red", "dark blue", "light-grey", "reddish brown", "cream-coloured", "very big", "round", "wooden".
     Whether a word stands as an adjective at all ("an orange", "glass") is for the reader of the sentence to say.
 
-    Examples
-    --------
     >>> from pipeline.language import attribute
     >>> str(attribute("navy")), attribute("large").kind, attribute("laptop")
     ('dark blue', 'size', None)
@@ -219,7 +217,7 @@ def attribute(words: str) -> Attribute | None:
     last = _single(tokens[-1])
     if last is not None and last.kind == "color":
         return _qualified(tokens[:-1], last)
-    # "stainless steel": the same said twice.
+    # "stainless steel": the same twice.
     return last if last is not None and all(_single(t) == last for t in tokens) else None
 
 

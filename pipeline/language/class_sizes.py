@@ -29,8 +29,6 @@ def size_table() -> dict[str, tuple[float, float]]:
 def size_range(label: str) -> tuple[float, float] | None:
     """Range of a class's longest edge, metres, by any of its names; None outside the table.
 
-    Examples
-    --------
     >>> from pipeline.language import size_range
     >>> low, high = size_range("mug")
     >>> low < 0.1 < high

@@ -58,8 +58,6 @@ def parse(
         The text is no such expression: empty, too long, without relation, target or reference, with a relation that
         is unknown or not on offer, negated, or judged from an object's own front. The message suggests what is near.
 
-    Examples
-    --------
     >>> from pipeline.language import parse
     >>> query = parse("the red mug to the left of the laptop on the table")
     >>> [reading.description for reading in query.readings]

@@ -52,8 +52,6 @@ def explained(name: str) -> GlossaryTerm | None:
 def find_term(name: str) -> GlossaryTerm:
     """Term of a name in any case; InputError lists the known names.
 
-    Examples
-    --------
     >>> from pipeline.language import find_term
     >>> find_term("lift").name
     'LIFT'

@@ -26,8 +26,6 @@ _TOLD = {"about", "source", "licence"}
 class Synonyms:
     """Synonyms, kinds, and exceptions of class names.
 
-    Examples
-    --------
     >>> from pipeline.language import default_synonyms, match
     >>> table = default_synonyms().extended([["bin", "waste bucket"]])
     >>> match("waste bucket", ["trash can", "bin"], table)

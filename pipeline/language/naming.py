@@ -60,8 +60,6 @@ class Meaning:
 def same_class(a: str, b: str, synonyms: Synonyms | None = None) -> bool:
     """Test if two names mean the same class: one spelling, or synonyms. `box` and `cracker box` do not.
 
-    Examples
-    --------
     >>> from pipeline.language import same_class
     >>> same_class("garbage bin", "TrashCan"), same_class("box", "cracker box")
     (True, False)
@@ -78,7 +76,7 @@ def is_named(query: str, name: str, synonyms: Synonyms | None = None) -> bool:
 
 
 def same_or_kind(a: str, b: str, synonyms: Synonyms | None = None) -> bool:
-    """Test if two names may be said of one thing: one class, or surely a kind of the other.
+    """Test if two names fit one thing: one class, or surely a kind of the other.
 
     `cracker box` and `box`, `mug` and `cup`; not merely near it (`monitor` and `tv`).
     """
@@ -94,13 +92,11 @@ def match(query: str, names: Sequence[str], synonyms: Synonyms | None = None) ->
     Names come out as they are spelled in `names`, without repeats, the very name before synonyms, and in their order
     among those of one kind. The table of `synonyms` is the project's own by default.
 
-    Examples
-    --------
     >>> from pipeline.language import match
     >>> match("cup", ["coffee_mug", "laptop", "teacup"]), match("zorb", ["laptop"])
     (('coffee_mug', 'teacup'), ())
     """
-    # A misspelt query is unknown, so that whoever asks is told. The very name stands before its synonyms.
+    # A misspelt query is unknown, so that the user hears of it. The very name stands before its synonyms.
     found = _walk(normal_form(query), known_as(tuple(names), synonyms or default_synonyms()))
     return tuple(m.name for m in sorted(found[0], key=lambda m: m.how != "exact")) if found else ()
 
@@ -125,8 +121,6 @@ def meanings(query: str, names: Sequence[str], synonyms: Synonyms | None = None)
        its first words say what is inside, so `cheese box` never is a `sugar box`;
     9. what is often taken for it: `monitor` -> `tv` (0.5).
 
-    Examples
-    --------
     >>> from pipeline.language import meanings
     >>> [(m.name, m.score, m.how) for m in meanings("office chiar", ["chair", "desk"])]
     [('chair', 0.552, 'spelling')]
@@ -200,8 +194,6 @@ def is_compound(words: Sequence[str]) -> bool:
 def suggest(query: str, names: Iterable[str], n: int = 3) -> tuple[str, ...]:
     """Known names nearest to an unknown name, at most `n`, best first: by letters, and by words in common.
 
-    Examples
-    --------
     >>> from pipeline.language import suggest
     >>> suggest("labtop", ["chair", "lamp", "laptop"])
     ('laptop', 'lamp')

@@ -82,8 +82,6 @@ def normal_form(name: str) -> str:
     and possessives go; the head noun becomes singular. A qualifier in parentheses stays (`bat (animal)`). Applying it
     twice changes nothing.
 
-    Examples
-    --------
     >>> from pipeline.language import normal_form
     >>> normal_form("boxes_of_tissues"), normal_form("The CoffeeTables")
     ('box of tissues', 'coffee table')

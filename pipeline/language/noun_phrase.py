@@ -143,8 +143,6 @@ def readable(name: str, *, brief: bool = True) -> str:
 
     With `brief`, only the first of several spellings (`bookcase / shelf`) stays and a qualifier (`bat (animal)`) goes.
 
-    Examples
-    --------
     >>> from pipeline.language import readable
     >>> readable("Monitor/TV"), readable("T-Shirt_stack")
     ('monitor', 'T-Shirt stack')

@@ -121,7 +121,7 @@ class RegionReader(ChainReader):
             return at + 1
         return None
 
-    # ---- things told by others -------------------------------------------------------------------------------------
+    # ---- object clauses -----------------------------------------------------------------------------------------
 
     def _object_clause(self, at: int) -> int | None:
         """Read `the shelf (that) the jar stands on`: a relation from the inner thing; None elsewhere."""

@@ -38,7 +38,7 @@ def checked(relations: tuple[Relation, ...]) -> dict[str, Relation]:
 RELATIONS = checked(DECLARED)
 """The declared relations by name, in their order."""
 PHRASE = {r.name: r.phrase for r in DECLARED}
-"""How each is said between two nouns."""
+"""Wording of each between two nouns."""
 PAIRWISE = tuple(r.name for r in DECLARED if r.pairwise)
 """Relations with a state for every ordered pair, in the order in which they are always shown."""
 VOCABULARIES: dict[str, tuple[str, ...]] = {

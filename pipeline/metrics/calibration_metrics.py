@@ -59,8 +59,6 @@ def reliability_diagram(p: Any, holds: Any, bins: int = ECE_BINS) -> Reliability
 def expected_calibration_error(p: Any, holds: Any, bins: int = ECE_BINS) -> float:
     """Expected calibration error of (M,) probabilities and (M,) bool; NaN without any.
 
-    Examples
-    --------
     >>> import numpy as np
     >>> from pipeline.metrics import expected_calibration_error
     >>> round(expected_calibration_error([0.8] * 10, np.arange(10) < 6), 3)
@@ -100,12 +98,9 @@ FEWEST_POSITIVES = 50
 
 
 def antisymmetric(logits: np.ndarray, vocabulary: Sequence[str]) -> np.ndarray:
-    """Average the logits of "a left of b" and "b right of a", so that both are the same.
+    """Average the logits, (..., N, N, R), of "a left of b" and "b right of a", so that both are the same.
 
-    Parameters
-    ----------
-    logits : (..., N, N, R) float
-        In the order of `vocabulary`; relations without their inverse in it stay as they are.
+    Relations without their inverse in the vocabulary stay as they are.
     """
     result = logits.copy()
     for k, relation in enumerate(vocabulary):
@@ -124,7 +119,7 @@ def antisymmetric_log_softmax(logits: np.ndarray, vocabulary: Sequence[str]) -> 
     The logits of two pairs have no common zero, and so only what does not depend
     on it is averaged: among the relations with an inverse, the logarithm of each
     one's share. How much falls to these together and to each of the others (on,
-    in) stays as the network said it of that pair.
+    in) stays as in the network's output for that pair.
     """
     result = log_softmax(logits)
     mirrored = [k for k, relation in enumerate(vocabulary) if INVERSE.get(relation) in vocabulary]
@@ -195,14 +190,9 @@ def _cross_entropy(x: np.ndarray, target: np.ndarray, weights: np.ndarray) -> fl
 def fit_calibration(
     logits: Sequence[np.ndarray], truth: Sequence[np.ndarray], vocabulary: Sequence[str]
 ) -> dict[str, Platt]:
-    """Fit a sigmoid for each relation; inverse relations share a sigmoid, so that antisymmetry stays exact.
+    """Fit a sigmoid for each relation to antisymmetric logits, (N, N, R) a view, and states, int8.
 
-    Parameters
-    ----------
-    logits : sequence of (N, N, R) float
-        Of each view, antisymmetric.
-    truth : sequence of (N, N, R) int8
-        States; U and the diagonal take no part.
+    Inverse relations share a sigmoid, so that antisymmetry stays exact; U and the diagonal take no part.
     """
     found: dict[str, Platt] = {}
     for k, relation in enumerate(vocabulary):
@@ -233,17 +223,8 @@ def fit_temperature(
 ) -> dict[str, Platt]:
     """Fit a temperature for all classes, by the likelihood of held-out pairs (Guo et al. 2017, section 4.2).
 
-    Parameters
-    ----------
-    logits : sequence of (N, N, R) float
-        Of each view, of a softmax network.
-    truth : sequence of (N, N) int
-        Index of the one true relation in `vocabulary`; -1 for pairs that take no part.
-
-    Returns
-    -------
-    dict of str to (1 / temperature, 0)
-        The identity with fewer than 50 pairs.
+    `logits` are (N, N, R) a view, of a softmax network, `truth` the index of the true relation, (N, N), -1 for pairs
+    that take no part. It is (1 / temperature, 0) for each relation; the identity with fewer than 50 pairs.
     """
     z, t = labelled_pairs(logits, truth, len(vocabulary))
     slope = 1.0

@@ -49,8 +49,6 @@ class BootstrapConfig:
 class Estimate:
     """A figure with its interval.
 
-    Examples
-    --------
     >>> from pipeline.metrics import Estimate
     >>> Estimate(0.627, 0.599, 0.654, n=1200, clusters=40).formatted()
     '62.7 [59.9, 65.4]'
@@ -223,8 +221,6 @@ def share_estimate(flags: Any, clusters: Any, confidence: float = 0.95) -> Estim
     It takes the rows as independent, and so is too narrow where those of a cluster resemble each other; unlike a
     bootstrap it has a width where there are few rows or all are alike.
 
-    Examples
-    --------
     >>> from pipeline.metrics import share_estimate
     >>> share_estimate([True] * 8 + [False] * 2, ["kitchen"] * 5 + ["office"] * 5).formatted()
     '80.0 [49.0, 94.3]'
@@ -285,8 +281,6 @@ def mcnemar(first: Any, second: Any) -> McNemar:
     first, second : (N,) bool
         Right answers of each system, question by question.
 
-    Examples
-    --------
     >>> from pipeline.metrics import mcnemar
     >>> mcnemar([True] * 9 + [False], [False] * 6 + [True] * 4)
     McNemar(n=10, b=6, c=1, p_value=0.125)
@@ -340,8 +334,6 @@ class Agreement:
 def cohen_kappa(first: Sequence[str], second: Sequence[str]) -> Agreement:
     """Cohen's kappa of two reviewers' judgements of the same items, in the same order; InputError for other lengths.
 
-    Examples
-    --------
     >>> from pipeline.metrics import cohen_kappa
     >>> cohen_kappa(["yes", "yes", "no", "no"], ["yes", "no", "no", "no"]).kappa
     0.5

@@ -89,8 +89,6 @@ def multi_label_metrics(
     Parameters and errors are those of `cell_outcomes`; thresholds of `tuned_thresholds` must come from other pairs
     than these, and `relations` names the R columns.
 
-    Examples
-    --------
     >>> from pipeline.metrics import multi_label_metrics
     >>> found = multi_label_metrics([[0.9, 0.2], [0.4, 0.7]], [[1, -1], [1, 0]], relations=["on", "in"])
     >>> found.recall.tolist(), round(found.micro_f1, 3)
@@ -284,12 +282,8 @@ class SingleLabelMetrics:
 def true_ranks(p: Any, truth: Any) -> np.ndarray:
     """Rank of the true relation by probability, (P,) int64, 0 for the most probable, -1 where unknown.
 
-    Parameters
-    ----------
-    p : (P, R) float
-        Each row a distribution over the relations; of equals the earlier column comes first.
-    truth : (P,) int
-        Column of the true relation, -1 where it is not known.
+    `p`, (P, R), has a distribution in each row, and of equals the earlier column comes first; `truth`, (P,), is the
+    column of the true relation, -1 where unknown.
 
     Raises
     ------

@@ -99,8 +99,6 @@ def split_frames(frames: Sequence[FrameKey], kind: SplitKind | None = None, seed
     InputError
         Too few scenes or frames.
 
-    Examples
-    --------
     >>> from pipeline.metrics import TEST, FrameKey, split_frames
     >>> frames = [FrameKey(f"{scene}/{k}", scene, k) for scene in ("bath", "hall", "kitchen") for k in range(4)]
     >>> plan = split_frames(frames)

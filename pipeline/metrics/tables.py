@@ -23,8 +23,6 @@ NOTHING_SHARED: Mapping[str, Any] = MappingProxyType({})
 class Row:
     """A line of a table: name, cells, and their source.
 
-    Examples
-    --------
     >>> from pipeline.metrics import Row, Table, markdown
     >>> print(markdown([Table("srm", "Relations", ("F1", "pairs"), (Row("rules", (0.913, 1200)),))]))
     ## Relations

@@ -30,8 +30,6 @@ def open_vectors(path: str | Path) -> VectorFile:
     InputError
         There is no such file, the format is not known, or the file is damaged.
 
-    Examples
-    --------
     >>> import tempfile
     >>> from pathlib import Path
     >>> from pipeline.language import open_vectors
