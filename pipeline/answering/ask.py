@@ -92,7 +92,7 @@ class Trace:
         found = self.candidates[name]
         at = int(np.flatnonzero(found.index == index)[0])
         label = found.labels[at] if found.labels else self.objects[index].label
-        return replace(self.objects[index], label=label, score=float(found.told[at]))
+        return replace(self.objects[index], label=label, score=float(found.detector_scores[at]))
 
     def names_in(self, pair: ScoredPair) -> dict[int, str]:
         """Names of the question for the objects of a pair, by place in `objects`."""
@@ -231,7 +231,7 @@ def ranked(
     """
     rule = config.rule
     if rule is not None:
-        trace = replace(trace, answered=rule.answered, own_scores=rule.told)
+        trace = replace(trace, answered=rule.answered, own_scores=rule.own_scores)
     if trace.missing or (rule is not None and rule.answered is not None and not rule.given):
         return trace
     with timed(trace.timings, "prm"):

@@ -60,12 +60,12 @@ def detections(
             unknown[label] = error
     if not unknown:
         return found, query
-    told = without(query, {label: str(error.what) for label, error in unknown.items()})
-    root = told.default.root
+    left = without(query, {label: str(error.what) for label, error in unknown.items()})
+    root = left.default.root
     if not (root.attachments or root.choices or root.attributes) and len(found[query.target]) > 1:
         raise next(iter(unknown.values()))
-    asked = {n.label for reading in told.readings for n in reading.root.walk()}
-    return {label: run for label, run in found.items() if label in asked}, told
+    asked = {n.label for reading in left.readings for n in reading.root.walk()}
+    return {label: run for label, run in found.items() if label in asked}, left
 
 
 def whole_names(query: Query, detector: Detector, synonyms: Synonyms | None = None) -> Query:
@@ -173,9 +173,9 @@ def _pruned(node: Node, gone: Collection[str]) -> Node:
 
 def unused_words(query: Query) -> tuple[tuple[str, str], ...]:
     """Unused words of a question, each with the reason."""
-    told = [(query.text[s.start : s.end], s.note) for s in query.unused]
+    unused = [(query.text[s.start : s.end], s.note) for s in query.unused]
     attributes = dict.fromkeys(a for n in query.nodes for a in n.attributes if not a.judged)
-    return (*told, *((str(a), "is not judged here, and left to the detector") for a in attributes))
+    return (*unused, *((str(a), "is not judged here, and left to the detector") for a in attributes))
 
 
 def taken_as(query: Query, found: Mapping[str, Sequence[str]]) -> tuple[tuple[str, Meaning], ...]:
@@ -183,9 +183,9 @@ def taken_as(query: Query, found: Mapping[str, Sequence[str]]) -> tuple[tuple[st
 
     `found`: what the detector calls what it found, by label of the question.
     """
-    told = []
+    replaced = []
     for node in query.nodes:
         if not node.anything:
             names = tuple(dict.fromkeys(found.get(node.label, ())))
-            told += [(node.name, m) for m in meanings(node.name, names) if m.how != "exact"]
-    return tuple(dict.fromkeys(told))
+            replaced += [(node.name, m) for m in meanings(node.name, names) if m.how != "exact"]
+    return tuple(dict.fromkeys(replaced))

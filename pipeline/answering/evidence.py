@@ -61,7 +61,7 @@ class SceneEvidence:
         """(K,) float64: P(attribute | x) of some objects, compared with each other; None where not judged."""
         some = [self.objects[i] for i in index]
         alike = np.ones((len(some), len(some)), np.bool_)
-        given = np.array([o.told.get(str(attribute), np.nan) for o in some], np.float64)
+        given = np.array([o.given_attributes.get(str(attribute), np.nan) for o in some], np.float64)
         found = None
         if np.isnan(given).any() or not len(some):
             found = attribute_probabilities(

@@ -83,12 +83,12 @@ class FittedRanking:
 
     def sums(self, factors: np.ndarray, ids: np.ndarray | None = None) -> np.ndarray:
         """(..., P) float64: sums of factors (..., P, 3) of the pairs of a line with these ids (P, 2)."""
-        told = curves(factors)
+        features = curves(factors)
         # Cases of before were kept with the first curves only.
-        if ids is not None and len(self.weights) > told.shape[-1]:
-            told = np.concatenate([told, standing(factors, ids)], axis=-1)
-        known = min(told.shape[-1], len(self.weights))
-        return np.asarray(told[..., :known] @ self.weights[:known])
+        if ids is not None and len(self.weights) > features.shape[-1]:
+            features = np.concatenate([features, standing(factors, ids)], axis=-1)
+        known = min(features.shape[-1], len(self.weights))
+        return np.asarray(features[..., :known] @ self.weights[:known])
 
     @staticmethod
     def of(lines: Sequence[Compared]) -> FittedRanking | None:
@@ -234,8 +234,8 @@ def standing(factors: np.ndarray, ids: np.ndarray) -> np.ndarray:
             found += [np.clip((v - mean) / np.maximum(std, _EVEN), -_FAR, _FAR)]
     else:
         found += [np.zeros(clear.shape[:2])] * 6
-    told = np.stack([np.asarray(f) for f in found], axis=-1).astype(np.float64)
-    return told.reshape(*factors.shape[:-1], len(found))
+    features = np.stack([np.asarray(f) for f in found], axis=-1).astype(np.float64)
+    return features.reshape(*factors.shape[:-1], len(found))
 
 
 def _shares(clear: np.ndarray, ids: np.ndarray, known: np.ndarray) -> list[np.ndarray]:

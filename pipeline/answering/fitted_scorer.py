@@ -108,9 +108,9 @@ class FittedScorer:
         for r, relation in enumerate(found.relations):
             if (weights := self.weights.get(relation)) is not None:
                 # Cases of before were kept with the first columns only.
-                told = np.clip(1 / (1 + np.exp(-away[..., : len(weights)] @ weights)), 1 - _SURE, _SURE)
+                fitted = np.clip(1 / (1 + np.exp(-away[..., : len(weights)] @ weights)), 1 - _SURE, _SURE)
                 here = probabilities[boxed[:, None], boxed, r]
-                probabilities[boxed[:, None], boxed, r] = np.where(others, told, here)
+                probabilities[boxed[:, None], boxed, r] = np.where(others, fitted, here)
         return replace(found, probabilities=probabilities)
 
 

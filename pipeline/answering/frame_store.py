@@ -65,7 +65,7 @@ class LoadedFrame:
     context: PreparedFrame
     objects: tuple[SceneObject, ...]  # Everything the detector finds in it; empty without a detector
     problem: str = ""  # Why a detector could not be asked about this frame
-    told: UpHint | None = None  # What was said of up since the program began
+    up_hint: UpHint | None = None  # What was said of up since the program began
     doubt: str = ""  # What speaks against its depth, with the command that looks into it; empty where nothing does
     _thumbs: dict[bytes, bytes] = field(default_factory=dict, repr=False, compare=False)
     _painted: WeakValueDictionary[Hashable, np.ndarray] = field(
@@ -130,7 +130,7 @@ class FrameStore:
         self._ahead: OrderedDict[Key, Callable[[LoadedFrame], object] | None] = OrderedDict()
         self._ahead_runs = False
         self._lock = threading.Lock()
-        self.told: dict[str, UpHint] = {}
+        self.up_hints: dict[str, UpHint] = {}
         """By source what was said last of its up."""
         self._untold: dict[str, Dataset] = {}
 
@@ -230,24 +230,24 @@ class FrameStore:
             except InputError as error:
                 problem = str(error)
         doubt = _doubt(context.frame, opened.dataset.root)
-        return LoadedFrame(context, objects, problem, self.told.get(key[0]), doubt)
+        return LoadedFrame(context, objects, problem, self.up_hints.get(key[0]), doubt)
 
     def _give_way(self, making: _Making | None = None) -> None:
         """Pause unawaited work while somebody is being answered."""
         while (making is None or not making.wanted) and self._busy() and threading.main_thread().is_alive():
             time.sleep(YIELD_SECONDS)
 
-    def set_up_hint(self, source: str, told: UpHint | None) -> None:
+    def set_up_hint(self, source: str, hint: UpHint | None) -> None:
         """Set up of a pipeline, for every later load; None takes back all."""
         with self._lock:
             opened = self.sources[source]
-            if told is None:
-                self.told.pop(source, None)
+            if hint is None:
+                self.up_hints.pop(source, None)
                 dataset = self._untold.pop(source, opened.dataset)
             else:
-                self.told[source] = told
+                self.up_hints[source] = hint
                 self._untold.setdefault(source, opened.dataset)
-                dataset = with_frame_up(opened.dataset, told.frame_id, told.up)
+                dataset = with_frame_up(opened.dataset, hint.frame_id, hint.up)
             self.sources[source] = replace(opened, dataset=dataset)
             for known in (self._loaded, self._shown, self._making):
                 for key in [key for key in list(known) if key[0] == source]:

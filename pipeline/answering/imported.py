@@ -132,14 +132,16 @@ class ImportedDetector:
 
     def finished(self, entry: SceneObject, context: PreparedFrame) -> SceneObject:
         """Object as lifted here, with the given box, its points moved to match, and given attributes."""
-        told = {} if self.line is None else {
+        attributes = {} if self.line is None else {
             name: p for name, rows in (self.line.attributes or {}).items() for i, p in rows if i == entry.id
         }  # fmt: skip
         box = self.box(context.frame, entry.id)
         moved = entry.lifted
         if box is not None and not (moved.box is not None and alike(moved.box, box)):
             moved = moved.moved_to(box, context.viewer)
-        return replace(entry, lifted=moved, told=told, box_from="worked out" if box is None else "given")
+        return replace(
+            entry, lifted=moved, given_attributes=attributes, box_from="worked out" if box is None else "given"
+        )
 
 
 def alike(a: Box3D, b: Box3D) -> bool:

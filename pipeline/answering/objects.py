@@ -37,7 +37,7 @@ class SceneObject:
     mask: np.ndarray  # (H, W) bool
     lifted: LiftedObject
     # P(attribute | object) where an imported file gives it, by attribute
-    told: Mapping[str, float] = field(default_factory=dict)
+    given_attributes: Mapping[str, float] = field(default_factory=dict)
     box_from: str = ""  # Of imported predictions: "given", or "worked out" where the file gives no 3D box of it
 
     def __repr__(self) -> str:

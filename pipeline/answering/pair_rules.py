@@ -2,7 +2,7 @@
 
 Given scores of pairs are kept. With other factors, P(target), P(reference) and P(relation), a pair scores by so much
 more or less as a model of the ranking says: the pipeline where it can be asked again (`Rescore`), the product named by
-the header, else the fit of the file (`shown_ranking`). A ranking not explained by its factors has no model: it is not
+the header, else the fit of the file (`fitted_ranking`). A ranking not explained by its factors has no model: it is not
 separable into modules, and nothing is said of them.
 """
 
@@ -56,8 +56,8 @@ def missing_row(line: Prediction, gold: tuple[str, str, str] | None = None) -> t
 
 def _lacking(line: Prediction, asked: tuple[str, str, str] | None) -> tuple[str, int, int] | None:
     relation, (first, second) = _ends(line, asked)
-    told = {row[:2] for row in (line.relations or {}).get(relation, ())}
-    return next(((relation, a, b) for a in first for b in second if a != b and (a, b) not in told), None)
+    rows = {row[:2] for row in (line.relations or {}).get(relation, ())}
+    return next(((relation, a, b) for a in first for b in second if a != b and (a, b) not in rows), None)
 
 
 def _ends(line: Prediction, asked: tuple[str, str, str] | None) -> tuple[str, list[dict[int, float]]]:
@@ -77,11 +77,11 @@ def _asked(line: Prediction) -> tuple[str, str, str] | None:
     """
     if line.target and line.relation and line.reference:
         return line.target, line.relation, line.reference
-    names, told = tuple(line.proposals or ()), tuple(line.relations or ())
+    names, relations = tuple(line.proposals or ()), tuple(line.relations or ())
     read = _read(line.text, names)
-    if (read is not None and read[1] in told) or len(told) != 1 or not 1 <= len(names) <= 2:
+    if (read is not None and read[1] in relations) or len(relations) != 1 or not 1 <= len(names) <= 2:
         return read
-    tried = ((a, told[0], b) for a, b in ((names[0], names[-1]), (names[-1], names[0])))
+    tried = ((a, relations[0], b) for a, b in ((names[0], names[-1]), (names[-1], names[0])))
     return next((asked for asked in tried if _fits(line, asked)), None)
 
 
@@ -119,7 +119,7 @@ class RunRules:
         compared = []
         for line in predictions.lines.values():
             factors = factors_of(line)
-            scores = _told_scores(predictions.header, line, factors)
+            scores = _pair_scores(predictions.header, line, factors)
             both = [pair for pair in factors if pair in scores]
             if both:
                 rows = np.array([factors[p] for p in both]), np.array([scores[p] for p in both])
@@ -130,7 +130,7 @@ class RunRules:
         return RunRules(FittedRanking.of(compared), (float(high), float(low)))
 
 
-def _told_scores(header: Header, line: Prediction, factors: Factors) -> dict[Pair, float]:
+def _pair_scores(header: Header, line: Prediction, factors: Factors) -> dict[Pair, float]:
     """Scores of pairs, -1 for no reference; without any 1 for the answer's, and 0."""
     if header.ranking == "pair_scores":
         return {(a, -1 if b is None else b): s for a, b, s in line.pairs or ()}
@@ -154,8 +154,8 @@ class PairRule:
     # So much more score is one more of the log odds of standing higher; 0 where the model is the ranking itself, and
     # nothing that was fitted to it
     unit: float = 0.0
-    scale: Scale = "values"  # On which the model is a sum; see `shown_ranking.SCALES`
-    told: bool = True  # The scores are the system's own, and no product
+    scale: Scale = "values"  # On which the model is a sum; see `fitted_ranking.SCALES`
+    own_scores: bool = True  # The scores are the system's own, and no product
     true_scores: tuple[float, float] = RankConfig().true_scores
     # Of a line that does not tell what ranked: its answer in words, which no number of ours may stand beside
     answered: str | None = None
@@ -181,7 +181,7 @@ class PairRule:
         if first is None or not any(_answers(first, pair) for pair in self.given):
             return self
         put = _answered_first(first, scores, 0.0 if self.scored else 1.0)
-        return None if put == scores and not self.told else replace(self, given=self.given | put, first=None)
+        return None if put == scores and not self.own_scores else replace(self, given=self.given | put, first=None)
 
     @cached_property
     def _known(self) -> tuple[dict[Pair, int], np.ndarray, np.ndarray, np.ndarray]:
@@ -266,7 +266,7 @@ def line_rule(run: RunRules, header: Header, line: Prediction, rescore: Rescore 
     """Rule of a line; None for the header's product agreeing with the answer."""
     known, model = PairRule({}), run.shown and partial(_shown, run.shown)
     if header.ranking == "product":
-        known, model = replace(known, told=False), partial(_product, header)
+        known, model = replace(known, own_scores=False), partial(_product, header)
     elif rescore is not None:
         model = partial(_rescored, rescore, line)
     elif run.shown is not None:
@@ -277,29 +277,29 @@ def line_rule(run: RunRules, header: Header, line: Prediction, rescore: Rescore 
         # Of one that had nothing to rank it is known how it would have been.
         return replace(known, **_unranked(header, line), model=model if line.relations is not None else None)
     factors, first = factors_of(line), line.answer
-    told = _told_scores(header, line, factors)
+    scores = _pair_scores(header, line, factors)
     # Of a sentence of more than two names no factors are known, and so nothing of what another truth would score.
     rule = replace(known, factors=factors, model=model if factors else None, first=first)
     of_three = any(len(row) > 3 for rows in (line.relations or {}).values() for row in rows)
     if header.ranking == "pair_scores" and not (of_three and first):
-        return replace(rule, given=_unscored_last(told, factors), scored=True)
+        return replace(rule, given=_unscored_last(scores, factors), scored=True)
     if first is None:
         return None
-    if of_three or 1.0 not in told.values():
-        return replace(rule, **_unranked(header, line), model=None, told=True, first=None)
+    if of_three or 1.0 not in scores.values():
+        return replace(rule, **_unranked(header, line), model=None, own_scores=True, first=None)
     if rule.model is None:
-        return replace(rule, given=told, first=None)
+        return replace(rule, given=scores, first=None)
     # Of the answer it is known that it stands above all others, and no more.
     scores = rule.model(np.array(list(factors), np.int64), np.array(list(factors.values()))).tolist()
     return replace(rule, given=dict(zip(factors, scores, strict=True)))
 
 
-def _unscored_last(told: dict[Pair, float], factors: Factors) -> dict[Pair, float]:
+def _unscored_last(scores: dict[Pair, float], factors: Factors) -> dict[Pair, float]:
     """Scores with unranked pairs of known factors below all ranked ones."""
-    if not told or factors.keys() <= told.keys():
-        return told
-    least = min(told.values())
-    return {**dict.fromkeys(factors, least - STEP * (abs(least) or 1.0)), **told}
+    if not scores or factors.keys() <= scores.keys():
+        return scores
+    least = min(scores.values())
+    return {**dict.fromkeys(factors, least - STEP * (abs(least) or 1.0)), **scores}
 
 
 def _answers(answer: PredictedAnswer, pair: Pair) -> bool:

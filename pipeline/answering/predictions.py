@@ -88,8 +88,8 @@ class Predictions:
         """JSON record of the system, for a run's manifest."""
         field_, lines = self.lacking
         lacks = {"field": field_, "line": min(lines), "lines": len(lines)} if lines else None
-        told = {"system": self.header.system, "level": self.level, "lacks": lacks}
-        return {**told, "lines": len(self.lines), "file": self.content_hash}
+        record = {"system": self.header.system, "level": self.level, "lacks": lacks}
+        return {**record, "lines": len(self.lines), "file": self.content_hash}
 
     @property
     def unread(self) -> str | None:
@@ -279,9 +279,9 @@ def faults(line: Prediction, header: Header) -> Iterator[tuple[str, str, str]]:
             yield f"relations.{relation}", f"no such relation; expected one of {', '.join(RELATIONS)}", ""
         used += [(f"relations.{relation}.{k}", i) for k, row in enumerate(rows) for i in row[:-1]]  # type: ignore[misc]
         yield from _twice(f"relations.{relation}", [row[:-1] for row in rows])
-    for attribute, told in (line.attributes or {}).items():
-        used += [(f"attributes.{attribute}.{k}", i) for k, (i, _) in enumerate(told)]
-        yield from _twice(f"attributes.{attribute}", [row[:-1] for row in told])
+    for attribute, rows in (line.attributes or {}).items():
+        used += [(f"attributes.{attribute}.{k}", i) for k, (i, _) in enumerate(rows)]
+        yield from _twice(f"attributes.{attribute}", [row[:-1] for row in rows])
     used += [(f"pairs.{k}", i) for k, row in enumerate(line.pairs or ()) for i in row[:2]]
     yield from _twice("pairs", [row[:-1] for row in line.pairs or ()])
     for field_, i in used:

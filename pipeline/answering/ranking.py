@@ -44,7 +44,7 @@ class Candidates:
     raw_scores: np.ndarray | None = None
 
     @property
-    def told(self) -> np.ndarray:
+    def detector_scores(self) -> np.ndarray:
         """(K,) float64: detector's own scores."""
         return self.scores if self.raw_scores is None else self.raw_scores
 
@@ -173,8 +173,8 @@ class _Solver:
         branches = [self._branch(a, here.index) for a in node.attachments if a.of_pairs]
         belief = here.scores / max(float(here.scores.max(initial=0.0)), MIN_SCORE)
         factors += self._negations(node, here.index)
-        for told in (*(p for _, _, p in factors), *(b.belief for b in branches)):
-            belief = belief * told
+        for p in (*(p for _, _, p in factors), *(b.belief for b in branches)):
+            belief = belief * p
         factors += self._choices(node, here.index, belief)
         alone = own.log + sum((np.log(np.maximum(p, MIN_SCORE)) for _, _, p in factors), np.zeros(len(own.log)))
         best = alone + sum((_max_over_ends(b.total) for b in branches), np.zeros(len(own.log)))
@@ -198,8 +198,8 @@ class _Solver:
     def _attributes(self, node: Node, index: np.ndarray) -> list[tuple[Kind, str, np.ndarray]]:
         if self.evidence is None:
             return []
-        told = [(a, self.evidence.attribute(a, index)) for a in node.attributes]
-        return [("attribute", str(a), p) for a, p in told if p is not None]
+        judged = [(a, self.evidence.attribute(a, index)) for a in node.attributes]
+        return [("attribute", str(a), p) for a, p in judged if p is not None]
 
     def _negations(self, node: Node, index: np.ndarray) -> list[tuple[Kind, str, np.ndarray]]:
         """Negated relations to any reference, and negated names."""
@@ -296,9 +296,9 @@ def _links(
         second = objects[1] if len(objects) > 1 else None
         links.append(Link(branch.attachment.relation, here, objects[0], probability, second, branch.attachment.inverse))
         for end, k in zip(branch.ends, ends, strict=True):
-            below, told, factor = _links(end, k, None)
+            below, stated, factor = _links(end, k, None)
             links += below
-            factors += told
+            factors += stated
             product *= factor
     return tuple(links), tuple(factors), product
 

@@ -38,8 +38,8 @@ class Tracer:
         self._open: ContextVar[tuple[str, str, set[int]]] = ContextVar("expression")
         self._ids: dict[str, dict[tuple[float, ...], int]] = {}
         for _, event in read_contents(self.path) if append else ():
-            for told in chain.from_iterable(event.get("proposals", {}).values()):
-                self._ids.setdefault(event["frame"], {})[tuple(told["box"])] = told["id"]
+            for found in chain.from_iterable(event.get("proposals", {}).values()):
+                self._ids.setdefault(event["frame"], {})[tuple(found["box"])] = found["id"]
 
     def expression(
         self,
@@ -85,8 +85,8 @@ class Tracer:
         given = {part: list(values) for part, values in parts.items() if values is not None}
         lengths = {part: len(values) for part, values in given.items()}
         require(len(set(lengths.values())) == 1, f"proposals of {name!r} differ in number", got=lengths)
-        told = [dict(zip(given, values, strict=True)) for values in zip(*given.values(), strict=True)]
-        self._event((), proposals={name: [{k: v for k, v in one.items() if v is not None} for one in told]})
+        rows = [dict(zip(given, values, strict=True)) for values in zip(*given.values(), strict=True)]
+        self._event((), proposals={name: [{k: v for k, v in one.items() if v is not None} for one in rows]})
         self._expression()[2].update(numbers)
         return numbers
 
@@ -212,10 +212,10 @@ def given_box(box: Any) -> Any:
         parts = {"corners": box}
     if parts is None:
         return None
-    told = {name: plain(value) for name, value in parts.items()}
-    if "rotation" in told and len(told["rotation"]) == 3:
-        told["rotation"] = [number for row in told["rotation"] for number in row]
-    return told
+    record = {name: plain(value) for name, value in parts.items()}
+    if "rotation" in record and len(record["rotation"]) == 3:
+        record["rotation"] = [number for row in record["rotation"] for number in row]
+    return record
 
 
 def _run_length(mask: Any) -> Any:

@@ -146,7 +146,7 @@ class LevelSurface(Part):
     @command("level-keep")
     def keep(self) -> None:
         """Write what was said into the settings beside the data."""
-        told, root = there(self.ctx.shared.store.told.get(self.state.source)), self.ctx.source.dataset.root
+        told, root = there(self.ctx.shared.store.up_hints.get(self.state.source)), self.ctx.source.dataset.root
         try:
             require(root.resolve() != demo_path().resolve(), "the built-in demo stays as it is", path=root)
             self.ctx.toast("Up is kept", str(write_settings(root, None, None, frame_up={told.frame_id: told.up})))
@@ -156,7 +156,7 @@ class LevelSurface(Part):
     @command("level-back")
     def take_back(self) -> None:
         """Up as it was before anything was said."""
-        if self.state.source in self.ctx.shared.store.told:
+        if self.state.source in self.ctx.shared.store.up_hints:
             self.ctx.shared.store.set_up_hint(self.state.source, None)
             self._reopen()
 

@@ -225,11 +225,11 @@ def level_html(state: State) -> Element | None:
     if state.picking == "level":
         return note(PICK)
     loaded = state.loaded
-    if loaded is None or loaded.told is None or loaded.context.viewer.up_source != "given":
+    if loaded is None or loaded.up_hint is None or loaded.context.viewer.up_source != "given":
         return None
     return h.div(
         "Up as you said, until the program ends; it is said again by ",
-        h.code(f"--level-at {loaded.told.words}"),
+        h.code(f"--level-at {loaded.up_hint.words}"),
         " ",
         button("save", "level-keep", "keep it in spatialviz.toml beside the data"),
         " ",

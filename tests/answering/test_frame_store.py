@@ -28,7 +28,7 @@ def test_a_frame_is_loaded_once_whoever_asks_for_it(source: Pipeline) -> None:
         found = list(pool.map(lambda _: store.load("demo", first), range(4)))
     assert {id(loaded) for loaded in found} == {id(store.kept("demo", first))}
     loaded = found[0]
-    assert (loaded.problem, loaded.told, loaded.doubt) == ("", None, "")
+    assert (loaded.problem, loaded.up_hint, loaded.doubt) == ("", None, "")
     assert len(loaded.objects) == len(loaded.context.frame.annotations)
     colors = loaded.painted("rgb", lambda: loaded.context.frame.rgb)
     assert loaded.painted("rgb", lambda: pytest.fail("made twice")) is colors
@@ -95,7 +95,7 @@ def test_up_that_was_told_holds_for_all_until_it_is_taken_back(source: Pipeline)
     assert told.words == f"{first}:12,34"
     store.set_up_hint("demo", told)
     after = store.load("demo", first)
-    assert after.told == told
+    assert after.up_hint == told
     assert after.context.viewer.up_source == "given"
     np.testing.assert_allclose(after.context.viewer.up, [0, -1, 0], atol=1e-6)
     store.set_up_hint("demo", None)

@@ -123,7 +123,7 @@ def test_a_pair_that_is_looked_at_gives_its_objects_their_names_in_it(run: Run) 
                     entry, before = seen.shown.objects[place], view.shown.objects[place]
                     at = trace.candidates[name].index.tolist().index(index)
                     assert entry.label == trace.candidates[name].labels[at]
-                    assert entry.score == pytest.approx(trace.candidates[name].told[at])
+                    assert entry.score == pytest.approx(trace.candidates[name].detector_scores[at])
                     assert seen.shown.names[place].rpartition("·")[2] == view.shown.names[place].rpartition("·")[2]
                     swapped += entry.label != before.label
             if swapped:

@@ -1,6 +1,6 @@
 """Predictions of another pipeline in a case: the lines of its frame, and findings from the whole file.
 
-A ranking and a scorer that cannot be asked again are known by all pairs of their file (`pair_rules`, `shown_scorer`);
+A ranking and a scorer that cannot be asked again are known by all pairs of their file (`pair_rules`, `fitted_scorer`);
 a case has those of one frame, and so keeps what was found.
 """
 

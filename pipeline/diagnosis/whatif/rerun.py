@@ -269,7 +269,7 @@ def _with_confidences(candidates: dict[str, Candidates], keys: tuple[str, ...], 
     for name, own in candidates.items():
         given = [edits.confidences.get((name, keys[at]), np.nan) for at in own.index.tolist()]
         told = np.isfinite(np.array(given, np.float64))
-        scores, raw = (np.where(told, given, p) for p in (own.scores, own.told))
+        scores, raw = (np.where(told, given, p) for p in (own.scores, own.detector_scores))
         result[name] = replace(own, scores=scores, raw_scores=raw)
     return result
 
