@@ -1,4 +1,4 @@
-"""Agreement of two detectors: detections of one thing, detections that only one made, and the figures of that."""
+"""Agreement of two detectors: detections of the same object, detections by one alone, and summary figures."""
 
 from __future__ import annotations
 
@@ -25,31 +25,20 @@ MIN_IOU = 0.5
 
 @dataclass(frozen=True)
 class Layer:
-    """What one detector found in a frame.
+    """Detections of a detector in a frame."""
 
-    Attributes
-    ----------
-    boxes : (N, 4) float
-        x0, y0, x1, y1 in pixels.
-    scores : (N,) float
-    masks : tuple of ((H, W) bool or None)
-        None where there is only the box.
-    names : tuple of str or None
-        What the detector can find; None where that is anything.
-    """
-
-    boxes: np.ndarray
-    scores: np.ndarray
+    boxes: np.ndarray  # (N, 4) float: x0, y0, x1, y1 in pixels
+    scores: np.ndarray  # (N,) float
     labels: tuple[str, ...]
-    masks: tuple[np.ndarray | None, ...]
-    names: tuple[str, ...] | None = None
+    masks: tuple[np.ndarray | None, ...]  # tuple of ((H, W) bool or None): none where there is only the box
+    names: tuple[str, ...] | None = None  # What the detector can find; None where that is anything
 
     def __len__(self) -> int:
         return len(self.labels)
 
 
 def layer_of_proposals(found: Proposals, names: Sequence[str] | None = None) -> Layer:
-    """Layer of a detector's proposals; `names` are the asked ones."""
+    """Layer of a detector's proposals; `names` are the asked names."""
     has = np.ones(len(found), np.bool_) if found.has_mask is None else found.has_mask
     masks = tuple(found.masks[i] if found.masks is not None and has[i] else None for i in range(len(found)))
     labels = tuple(found.label(i) for i in range(len(found)))
@@ -58,48 +47,38 @@ def layer_of_proposals(found: Proposals, names: Sequence[str] | None = None) -> 
 
 @dataclass(frozen=True)
 class FrameAgreement:
-    """Two layers of one frame, matched.
-
-    Attributes
-    ----------
-    scores_a, scores_b : (N,), (M,) float64
-    pairs : (P, 2) int64
-        Places in `a` and in `b` of detections of one thing; each detection is in one pair at most.
-    iou : (P,) float64
-        By masks where both have one, else by boxes.
-    same : (P,) bool
-        Both gave it the same name.
-    beyond_a, beyond_b : (N,), (M,) bool
-        In no pair, and of a class that the other detector does not know: no disagreement.
-    nearest_a, nearest_b : (N,), (M,) float64
-        The greatest overlap with anything of the other detector.
-    """
+    """Two matched layers of a frame."""
 
     labels_a: tuple[str, ...]
     labels_b: tuple[str, ...]
+    # scores_a, scores_b: (N,), (M,) float64
     scores_a: np.ndarray
     scores_b: np.ndarray
+    # pairs: (P, 2) int64: places in `a` and in `b` of detections of one thing; each detection is in one pair at most
     pairs: np.ndarray
-    iou: np.ndarray
-    same: np.ndarray
+    iou: np.ndarray  # (P,) float64: by masks where both have one, else by boxes
+    same: np.ndarray  # (P,) bool: both gave it the same name
+    # beyond_a, beyond_b: (N,), (M,) bool: in no pair, and of a class that the other detector does not know: no
+    # disagreement
     beyond_a: np.ndarray
     beyond_b: np.ndarray
+    # nearest_a, nearest_b: (N,), (M,) float64: the greatest overlap with anything of the other detector
     nearest_a: np.ndarray
     nearest_b: np.ndarray
 
     @property
     def only_a(self) -> np.ndarray:
-        """(K,) int64: detections of the first alone, of classes that the second knows; the highest score first."""
+        """(K,) int64: detections of the first alone, though the other knows the class; highest score first."""
         return _alone(self.scores_a, self.pairs[:, 0], self.beyond_a)
 
     @property
     def only_b(self) -> np.ndarray:
-        """(K,) int64: detections of the second alone, of classes that the first knows; the highest score first."""
+        """(K,) int64: detections of the second alone, though the other knows the class; highest score first."""
         return _alone(self.scores_b, self.pairs[:, 1], self.beyond_b)
 
     @property
     def named_otherwise(self) -> np.ndarray:
-        """(K,) int64: indices in `pairs` of things with different names, the highest scores first."""
+        """(K,) int64: places in `pairs` with differing names, highest scores first."""
         found = np.flatnonzero(~self.same)
         return found[np.argsort(-self.pair_scores[found].max(axis=1), kind="stable")]
 
@@ -110,25 +89,13 @@ class FrameAgreement:
 
 
 def agree(a: Layer, b: Layer, *, min_iou: float = MIN_IOU, synonyms: Synonyms | None = None) -> FrameAgreement:
-    """Match the detections of two detectors one to one.
+    """Match the detections of two detectors, each at most once.
 
     Of all ways to pair detections that overlap by `min_iou` or more, the one with the most pairs of the same name,
     among these the one with the most pairs, among these the one with the greatest sum of overlaps. So the counts depend
     neither on the order of the detections nor on which detector comes first.
 
-    Parameters
-    ----------
-    a, b : Layer
-        Of the same frame.
-    min_iou : float
-        Above 0, at most 1.
-    synonyms : Synonyms, optional
-        Which names mean the same.
-
-    Raises
-    ------
-    InputError
-        An overlap out of range, or masks of different size.
+    `a`, `b`: of the same frame; `min_iou`: above 0, at most 1; `synonyms`: which names mean the same.
     """
     require(0 < min_iou <= 1, "the least overlap must be above 0 and at most 1", got=min_iou)
     overlap = overlaps(a, b)
@@ -151,7 +118,7 @@ def agree(a: Layer, b: Layer, *, min_iou: float = MIN_IOU, synonyms: Synonyms | 
 
 
 def matched(overlap: np.ndarray, same: np.ndarray, min_iou: float) -> np.ndarray:
-    """(P, 2) int64: the best one-to-one pairs of overlaps (N, M) and `same` names (N, M) bool, as `agree` says."""
+    """(P, 2) int64: best matching of overlaps (N, M) and `same` names (N, M) bool, as in `agree`."""
     from scipy.optimize import linear_sum_assignment
 
     allowed = (overlap >= min_iou) & (overlap > 0)
@@ -166,7 +133,7 @@ def matched(overlap: np.ndarray, same: np.ndarray, min_iou: float) -> np.ndarray
 
 
 def overlaps(a: Layer, b: Layer) -> np.ndarray:
-    """(N, M) float64: intersection over union, by masks where both have one, else by boxes."""
+    """(N, M) float64: intersection over union, by masks where both have any, else by boxes."""
     found = iou_2d(a.boxes, b.boxes)
     rows = [i for i, mask in enumerate(a.masks) if mask is not None]
     columns = [j for j, mask in enumerate(b.masks) if mask is not None]
@@ -199,22 +166,18 @@ def _alone(scores: np.ndarray, paired: np.ndarray, beyond: np.ndarray) -> np.nda
 
 
 def figures(found: Iterable[FrameAgreement], synonyms: Synonyms | None = None) -> dict[str, Any]:
-    """Sum up frames as JSON, rounded to 1e-6; `synonyms` as in the comparison.
+    """Sums over frames as JSON, rounded to 1e-6; `synonyms` are those of the comparison.
 
-    Returns
-    -------
-    dict
-        frames; a, b : detections of each, without those of classes that the other does not know; both : things that
-        both found under the same name; otherwise : that they name differently; only_a, only_b; beyond_a, beyond_b :
-        found alone, of classes that the other does not know, which count nowhere else.
-        share : 2 both / (a + b), the positive specific agreement. Cohen's kappa tends to it where the places without
-        any object are beyond counting, as in pictures (Hripcsak and Rothschild, JAMIA 12, 2005); share_placed : the
-        same whatever the names; None where neither found anything.
-        name_kappa : Cohen's kappa of the names of what both found, None where there is no choice of names; mean_iou,
-        score_correlation (Spearman's; None for fewer than three, or equal scores) : of what both found.
-        classes : the most frequent first, each with name, a, b, both, otherwise, only_a, only_b, share, mean_iou; a
-        thing that is named otherwise stands with both its names, under those of the first detector where it has them.
-        renamed : [name, other name, count], the commonest first.
+    Returns frames; a, b : detections of each, without those of classes that the other does not know; both : things that
+    both found under the same name; otherwise : that they name differently; only_a, only_b; beyond_a, beyond_b : found
+    alone, of classes that the other does not know, which count nowhere else. share : 2 both / (a + b), the positive
+    specific agreement. Cohen's kappa tends to it where the places without any object are beyond counting, as in
+    pictures (Hripcsak and Rothschild, JAMIA 12, 2005); share_placed : the same whatever the names; None where neither
+    found anything. name_kappa : Cohen's kappa of the names of what both found, None where there is no choice of names;
+    mean_iou, score_correlation (Spearman's; None for fewer than three, or equal scores) : of what both found. classes :
+    the most frequent first, each with name, a, b, both, otherwise, only_a, only_b, share, mean_iou; a thing that is
+    named otherwise stands with both its names, under those of the first detector where it has them. renamed : [name,
+    other name, count], the commonest first.
     """
     frames = list(found)
     scores = np.concatenate([np.zeros((0, 2)), *(f.pair_scores for f in frames)])
@@ -298,7 +261,7 @@ def _classes(frames: list[FrameAgreement], synonyms: Synonyms | None) -> list[di
 def find_layer(
     frame: Frame, detector: Detector, names: Sequence[str] | None = None, synonyms: Synonyms | None = None
 ) -> Layer:
-    """Detect the known ones of the given names in a frame; None for everything."""
+    """Detect the given names in a frame, without unknown ones; None for everything."""
     if names is None:
         return layer_of_proposals(detector.detect(frame, None), known_names(detector))
     known = [name for name in names if knows(detector.vocabulary, name, synonyms)]
@@ -333,10 +296,6 @@ def agree_frames(
     progress : callable, optional
         Called with (frames done, frames in all).
 
-    Yields
-    ------
-    (frame id, FrameAgreement)
-
     Raises
     ------
     InputError
@@ -366,7 +325,7 @@ def agree_frames(
 
 
 def agreement_record(frame_id: str, found: FrameAgreement, synonyms: Synonyms | None = None) -> dict[str, Any]:
-    """One frame: the figures, and every detection by its place in its detector's list."""
+    """Record of a frame: the figures, and every detection by its place in its detector's list."""
     sums = figures([found], synonyms)
     del sums["frames"], sums["classes"]
 

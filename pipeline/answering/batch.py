@@ -26,21 +26,9 @@ from pipeline.system.errors import InputError
 class FrameAnswers:
     """Frame with all detections for a set of class names.
 
-    Parameters
-    ----------
-    names : sequence of str
-        All class names that will be asked for.
-    relations : collection of str
-        All relations that will be.
-    clock : StageClock, optional
-        Is told what each stage took.
-
-    Attributes
-    ----------
-    candidates : dict of str to Candidates
-        A name that the detector does not know has none.
-    unknown : dict of str to str
-        Names that the detector refused, and why.
+    `names`: all class names that will be asked for; `relations`: all relations that will be; `clock`: is told what each
+    stage took; `candidates`: A name that the detector does not know has none; `unknown`: names that the detector
+    refused, and why.
     """
 
     def __init__(

@@ -56,21 +56,9 @@ class SceneObject:
 class PreparedFrame:
     """Frame with every result independent of the question, computed once.
 
-    Parameters
-    ----------
-    boxes : bool
-        Fit 3D boxes; without them lifting is a third cheaper, and all relations are the same.
-    up_doubt : str
-        See `ViewerAxes`.
-
-    Attributes
-    ----------
-    frame : Frame
-        With the camera's up vector resolved.
-    edges : (H, W) bool
-        Depth edges.
-    seconds : float
-        What making it took.
+    `boxes`: fit 3D boxes; without them lifting is a third cheaper, and all relations are the same; `up_doubt`: see
+    `ViewerAxes`; `frame`: with the camera's up vector resolved; `edges`: (H, W) bool: depth edges; `seconds`: what
+    making it took.
     """
 
     def __init__(

@@ -51,27 +51,12 @@ def matched(overlap: np.ndarray, alike: np.ndarray | bool = True) -> np.ndarray:
 class FrameEvidence:
     """Detections and labelled objects of a frame in a single list: first D detections, then N labelled objects.
 
-    Parameters
-    ----------
-    confidence : float
-        Score of an object that the oracle RECALL adds, 0..1.
-    cases : sequence of Case, optional
-        The expressions that will be diagnosed; all of the frame by default.
-
-    Attributes
-    ----------
-    overlap : (D, N) float64
-        IoU of the 2D boxes.
-    match : (D,) int64
-        The labelled object that each detection is, of whatever class: the best overlap of at least a half; -1 for none.
-    same : (D + N, D + N) bool
-        One and the same thing.
-    same_box : (D + N, D + N) bool
-        The same, by identity and 2D box alone, whatever the masks.
-    mask_sizes : (D + N,) int64
-        Pixels.
-    roles : dict
-        What may fill the roles of expressions, kept by `substitution`.
+    `confidence`: score of an object that the oracle RECALL adds, 0..1; `cases`: the expressions that will be diagnosed;
+    all of the frame by default; `overlap`: (D, N) float64: IoU of the 2D boxes; `match`: (D,) int64: the labelled
+    object that each detection is, of whatever class: the best overlap of at least a half; -1 for none; `same`: (D + N,
+    D + N) bool: one and the same thing; `same_box`: (D + N, D + N) bool: the same, by identity and 2D box alone,
+    whatever the masks; `mask_sizes`: (D + N,) int64: pixels; `roles`: what may fill the roles of expressions, kept by
+    `substitution`.
     """
 
     def __init__(

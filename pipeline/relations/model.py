@@ -31,17 +31,8 @@ __all__ = ["NetworkContract", "OnnxScorer"]
 class OnnxScorer:
     """Relation network run by ONNX Runtime; relations without an output are scored by the rule.
 
-    Parameters
-    ----------
-    vectors : Path, optional
-        The text vectors a language network was trained with, for classes it was not trained on.
-
-    Attributes
-    ----------
-    name : str
-        That of its feature contract.
-    path : Path
-        Its file.
+    `vectors`: the text vectors a language network was trained with, for classes it was not trained on; `name`: that of
+    its feature contract; `path`: its file.
 
     Raises
     ------

@@ -51,19 +51,8 @@ class Outcome:
 class Baseline:
     """Question about a frame, with every result independent of edits. Safe to use from several threads.
 
-    Parameters
-    ----------
-    text : str
-        The expression.
-
-    Attributes
-    ----------
-    found : dict of str to Proposals
-        The detector's whole run for each name, before suppression and K.
-    keys : dict of str to tuple of str
-        Of `found`.
-    outcome : Outcome
-        The answer without edits.
+    `text`: the expression; `found`: the detector's whole run for each name, before suppression and K; `keys`: of
+    `found`; `outcome`: the answer without edits.
     """
 
     def __init__(self, source: Pipeline, context: PreparedFrame, text: str) -> None:
