@@ -12,11 +12,11 @@ from pipeline.synthetic import decor as c
 from pipeline.synthetic import furniture as f
 from pipeline.synthetic import objects as o
 from pipeline.synthetic.layout import Layout
-from pipeline.synthetic.model import PALETTES, Material, Model, Palette, Surface, assemble, cloth, wood
+from pipeline.synthetic.model import PALETTES, Material, ObjectModel, Palette, RestSurface, assemble, cloth, wood
 from pipeline.synthetic.shapes import block
 
 Rng = np.random.Generator
-Maker = Callable[[Palette, Rng], Model]
+Maker = Callable[[Palette, Rng], ObjectModel]
 
 CONTAINERS = ("crate", "drawer", "suitcase", "trunk", "hamper", "cart", "briefcase", "basket")
 """One of each in a room, so that a sentence can mean just one: half of them on furniture where there is room, the
@@ -30,7 +30,7 @@ CONTENT: tuple[Maker, ...] = (
 )  # fmt: skip
 
 
-def container(label: str, p: Palette, rng: Rng) -> Model:
+def container(label: str, p: Palette, rng: Rng) -> ObjectModel:
     """An open container: a bottom and four walls."""
     kinds = (wood(p, rng), cloth(p.accents[0]), Material((0.55, 0.32, 0.12), ("basket",), 0.13))
     material = kinds[int(rng.integers(len(kinds)))]
@@ -40,7 +40,7 @@ def container(label: str, p: Palette, rng: Rng) -> Model:
     inner = w - 2 * WALL
     parts += [block((inner, WALL, h - WALL), (0, s * (d - WALL) / 2, WALL), material, 0.003) for s in (-1, 1)]
     gap = WALL + 0.003
-    return assemble(label, parts, [Surface(WALL, -w / 2 + gap, w / 2 - gap, -d / 2 + gap, d / 2 - gap)])
+    return assemble(label, parts, [RestSurface(WALL, -w / 2 + gap, w / 2 - gap, -d / 2 + gap, d / 2 - gap)])
 
 
 def inside(room: Room, k: int) -> bool:

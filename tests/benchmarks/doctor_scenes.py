@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.geometry import Camera, Frame, Registration, intrinsics, registered
 from pipeline.synthetic import Room, camera_at, exact_view, make_room, render_view
 from pipeline.synthetic.layout import FLOOR, Layout
-from pipeline.synthetic.model import PALETTES, STEEL, WHITE, Model, Palette, Surface, assemble, paint
+from pipeline.synthetic.model import PALETTES, STEEL, WHITE, ObjectModel, Palette, RestSurface, assemble, paint
 from pipeline.synthetic.objects import book, bottle, bowl, mug, standing_book, vase
 from pipeline.synthetic.raycast import build_scene, pixel_rays, pose_of
 from pipeline.synthetic.rooms import furnish_bookshelf, stocked_bookshelf
@@ -132,12 +132,12 @@ SCENES: dict[str, Callable[[int], list[Rendered]]] = {
 # What is in them
 
 
-def _table(palette: Palette, rng: Rng) -> Model:
+def _table(palette: Palette, rng: Rng) -> ObjectModel:
     """A plain board, often larger than the picture, so that only what lies on it and the arms have outlines."""
     w, d = rng.uniform(0.9, 1.9), rng.uniform(0.7, 1.4)
     color = paint(palette.accents[int(rng.integers(len(palette.accents)))])
     legs = [block((0.05, 0.05, 0.68), (x, y, 0), STEEL, 0.002) for x in (-0.3, 0.3) for y in (-0.2, 0.2)]
-    top = Surface(0.72, -w / 2, w / 2, -d / 2, d / 2)
+    top = RestSurface(0.72, -w / 2, w / 2, -d / 2, d / 2)
     return assemble("table", [block((w, d, 0.04), (0, 0, 0.68), color, 0.003), *legs], [top])
 
 

@@ -17,7 +17,7 @@ from scipy.special import ndtri
 
 from pipeline.geometry.camera import Camera, intrinsics
 from pipeline.geometry.viewer import viewer_axes
-from pipeline.synthetic.raycast import Tracer, pixel_rays, pose_of
+from pipeline.synthetic.raycast import EmbreeScene, pixel_rays, pose_of
 
 ROOMS, CAMERAS = 60, 150
 """Rooms tried for a world, and cameras tried in a room."""
@@ -56,7 +56,7 @@ class _Scene:
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         self.normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-15)
         self.owner = np.repeat(owners, [len(mesh.faces) for mesh in meshes])
-        self.tracer = Tracer(np.concatenate(points), faces)
+        self.tracer = EmbreeScene(np.concatenate(points), faces)
 
     def seen(self, camera: Camera, step: int = 1) -> _View:
         v, u = np.mgrid[step // 2 : camera.height : step, step // 2 : camera.width : step]

@@ -13,7 +13,7 @@ from pipeline.geometry import lift_pixels, to_world
 from pipeline.synthetic import Room, camera_at, choose_views, make_room, render_view, sense
 from pipeline.synthetic.layout import FLOOR, TOUCH_M, WALL, overlaps, part_boxes
 from pipeline.synthetic.lighting import sunlight
-from pipeline.synthetic.model import Model
+from pipeline.synthetic.model import ObjectModel
 from pipeline.synthetic.raycast import OFFSET_M, build_scene, find_surfaces, pixel_rays
 from pipeline.synthetic.render import exact_view, noise_sigma
 from pipeline.system import InputError
@@ -123,7 +123,7 @@ def test_a_shelfs_books_are_seen_stand_on_its_boards_and_are_named_as_the_shelf(
         assert (np.min([part.low for part in covers], axis=0) >= model.low - 1e-12).all()
         assert (np.max([part.high for part in covers], axis=0) <= model.high + 1e-12).all()
         # The parts of one shelf's books do not run into each other or into its frame.
-        boxes = part_boxes(Model("books", tuple(covers)), np.zeros(3), 0.0)
+        boxes = part_boxes(ObjectModel("books", tuple(covers)), np.zeros(3), 0.0)
         assert overlaps(boxes, boxes).sum() == len(covers)
         v, u = np.nonzero(frame.instances == index)
         points = lift_pixels(frame.depth_exact[v, u], frame.camera, v, u)

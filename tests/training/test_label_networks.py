@@ -23,7 +23,7 @@ from pipeline.relations import (
     FEATURES,
     Appearance,
     ClassVectors,
-    Contract,
+    NetworkContract,
     OnnxScorer,
     T,
     make_scorer,
@@ -238,7 +238,7 @@ SOFT = {"output": "softmax", "prior": json.dumps([1 / 6] * 6)}
     ],
 )  # fmt: skip
 def test_a_wrong_pairing_is_refused(tmp_path: Path, changes: dict[str, str], message: str) -> None:
-    contract = Contract(
+    contract = NetworkContract(
         "rel14", FEATURES["rel14"].columns, np.zeros(14), np.ones(14), DIRECTIONAL,
         dict.fromkeys(DIRECTIONAL, (1.0, 0.0)), 0, "abc",
     )  # fmt: skip
