@@ -35,20 +35,17 @@ def read_chain(text: str, known: NameIndex) -> Chain:
     """Read an expression passed by `tokens.check_text`; InputError suggests a known relation close to the words."""
     tokens = tokenize(text, known)
     # `pillow on bed` may be a class, and yet here the pillow that lies on a bed is meant.
-    split = tokenize(text, known, hold_names=False) if any(t.guards for t in tokens) else None
+    split = [tokenize(text, known, hold_names=False)] if any(t.guards for t in tokens) else []
     problem = None
-    for held in (tokens, split):
-        if held is None:
-            continue
+    for held in (tokens, *split):
         try:
             chain = _GrammarReader(text, held, known.words).read()
         except InputError as error:
             problem = problem or error
         else:
-            if chain.clauses or held is split or split is None:
+            if chain.clauses or held is not tokens or not split:
                 return chain
-    if problem is None:
-        return _GrammarReader(text, tokens, known.words).read()
+    assert problem is not None
     raise problem
 
 

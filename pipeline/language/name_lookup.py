@@ -140,9 +140,9 @@ def _is_a(form: str, general: str, table: Synonyms) -> bool:
 
 
 @lru_cache(maxsize=4096)
-def is_packed(word: str, table: Synonyms | None = None) -> bool:
+def is_packed(word: str) -> bool:
     """Test if a thing is a package or is sold in packages."""
-    table = table or default_synonyms()
+    table = default_synonyms()
     return _is_a(word, PACKAGING, table) or _is_a(word, PACKED, table)
 
 

@@ -7,19 +7,43 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import xxhash
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from pipeline.language.normal import key_of, normal_form
-from pipeline.system.errors import InputError, as_input_error
+from pipeline.system.errors import as_input_error
+from pipeline.system.reading import checked
 from pipeline.system.safe_files import read_json
 
 NAMES = Path(__file__).with_name("names")
 """The project's own table: every JSON file in here. `docs/names.md` says what its keys mean."""
 
-_FORM = '{"groups": [["bin", "trash can"], ...], "kinds": {"cup": ["mug", ...]}, "exceptions": ["hot dog", ...]}'
-_TOLD = {"about", "source", "licence"}
+
+def _named(name: str) -> str:
+    if not normal_form(name):
+        raise ValueError("a name without letters")
+    return name
+
+
+Name = Annotated[str, AfterValidator(_named)]
+Group = Annotated[list[Name], Field(min_length=2)]
+
+
+class NameFile(BaseModel):
+    """A JSON file of names; `docs/names.md` describes the keys."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    groups: list[Group] = []
+    near: list[Group] = []
+    exceptions: list[Name] = []
+    names: list[Name] = []
+    kinds: dict[Name, list[Name]] = {}
+    about: Any = None
+    source: Any = None
+    licence: Any = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,14 +101,15 @@ class Synonyms:
         if extra is None:
             return default_synonyms()
         path = Path(extra)
-        read = checked_table(_json_of(path), path)
-        ours = default_synonyms().extended(read["groups"], read["exceptions"])
+        wrong = "the synonym table is wrong at {}"
+        read = checked(NameFile.model_validate, _json_of(path), wrong, path, keys=NameFile.model_fields)
+        ours = default_synonyms().extended(read.groups, read.exceptions)
         kinds = dict(ours.kinds)
-        for general, names in read["kinds"].items():
+        for general, names in read.kinds.items():
             general = normal_form(general)
             kinds[general] = kinds.get(general, frozenset()) | frozenset(map(normal_form, names))
-        near = (*ours.near, *(frozenset(map(normal_form, g)) for g in read["near"]))
-        return cls(ours.groups, ours.exceptions, kinds, near, ours.plain | frozenset(map(normal_form, read["names"])))
+        near = (*ours.near, *(frozenset(map(normal_form, g)) for g in read.near))
+        return cls(ours.groups, ours.exceptions, kinds, near, ours.plain | frozenset(map(normal_form, read.names)))
 
     def extended(self, groups: Iterable[Iterable[str]], exceptions: Iterable[str] = ()) -> Synonyms:
         """Copy with more groups and exceptions, added as `load` describes."""
@@ -195,34 +220,3 @@ def _json_of(path: Path) -> Any:
     unreadable = "the synonym table cannot be read"
     with as_input_error(unreadable, OSError, ValueError, got=str, expected="a JSON file", path=path):
         return read_json(path)
-
-
-def checked_table(table: Any, path: Path) -> dict[str, Any]:
-    """Groups, exceptions, kinds and near names of a file; InputError for another shape."""
-    if not isinstance(table, dict):
-        raise InputError("the synonym table has the wrong shape", got=type(table).__name__, expected=_FORM, path=path)
-    read: dict[str, Any] = {"groups": [], "exceptions": [], "kinds": {}, "near": [], "names": []}
-    unknown = sorted(set(table) - set(read) - _TOLD)
-    if unknown:
-        raise InputError("unknown key in the synonym table", got=repr(unknown[0]), expected=_FORM, path=path)
-    read |= {key: value for key, value in table.items() if key in read}
-    for key, kind, called in (("groups", list, "list"), ("near", list, "list"), ("kinds", dict, "object")):
-        if not isinstance(read[key], kind):
-            raise InputError(
-                f"{key} of the synonym table are no {called}", got=repr(read[key])[:60], expected=_FORM, path=path
-            )
-    for names in [
-        *read["groups"],
-        *read["near"],
-        read["exceptions"],
-        read["names"],
-        [*read["kinds"]],
-        *read["kinds"].values(),
-    ]:
-        good = isinstance(names, list) and all(isinstance(n, str) and normal_form(n) for n in names)
-        if not good:
-            raise InputError("a group of the synonym table is no list of names", got=repr(names)[:60], path=path)
-    for group in [*read["groups"], *read["near"]]:
-        if len(group) < 2:
-            raise InputError("a group of the synonym table needs two names", got=repr(group)[:60], path=path)
-    return read

@@ -75,7 +75,8 @@ def not_known(tokens: Sequence[Token], at: int, text: str) -> InputError:
     """Error for a word that relates two things in a way that is not judged, or close to such a word."""
     word = tokens[at].text
     near = _close_phrases(tokens, range(max(at - 1, 0), at + 1))
-    hint = _did_you_mean(near) if near else "known relations: " + ", ".join(PHRASE.values())
+    meant = " or ".join(f"'{phrase}'" for phrase in near)
+    hint = f"did you mean {meant}?" if near else "known relations: " + ", ".join(PHRASE.values())
     error = Unsupported if tokens[at].plain in lexicon.UNKNOWN_RELATIONS | lexicon.ACTIONS else InputError
     return error(f"'{word}' is not a known relation", got=f"'{text}'", cause=hint)
 
@@ -93,7 +94,3 @@ def _close_phrases(tokens: Sequence[Token], starts: range) -> list[str]:
                 score = difflib.SequenceMatcher(None, phrase, run).ratio()
                 scores[phrase] = max(score, scores.get(phrase, 0.0))
     return sorted(scores, key=lambda p: (-scores[p], len(p), p))[:3]
-
-
-def _did_you_mean(phrases: Sequence[str]) -> str:
-    return "did you mean " + " or ".join(f"'{p}'" for p in phrases) + "?"

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.language import Meaning, match, meanings, normal_form
-from pipeline.language.name_table import NAMES, Synonyms, checked_table, default_synonyms
+from pipeline.language.name_table import NAMES, NameFile, Synonyms, default_synonyms
 from pipeline.language.naming import GENERIC, is_compound, known_words, spelt
 from pipeline.language.normal import key_of
 from pipeline.proposals.class_names import synonyms_hash
@@ -120,11 +120,11 @@ def test_meanings_are_known_names_once_each_best_first(names: list[str], query: 
 def test_the_files_of_names_are_sound(file: Path) -> None:
     table = json.loads(file.read_text(encoding="utf-8"))
     assert all(table[key] for key in ("about", "source", "licence"))
-    read = checked_table(table, file)
-    kinds = [name for general, names in read["kinds"].items() for name in (general, *names)]
-    listed = [n for group in (*read["groups"], *read["near"], read["exceptions"], read["names"]) for n in group]
+    read = NameFile.model_validate(table)
+    kinds = [name for general, names in read.kinds.items() for name in (general, *names)]
+    listed = [n for group in (*read.groups, *read.near, read.exceptions, read.names) for n in group]
     assert [n for n in (*kinds, *listed) if normal_form(n) != n] == []
-    spelled = [frozenset(map(key_of, group)) for group in read["groups"]]
+    spelled = [frozenset(map(key_of, group)) for group in read.groups]
     assert all(len(group) > 1 for group in spelled)
     assert len(set(spelled)) == len(spelled)
 
