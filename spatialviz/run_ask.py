@@ -25,7 +25,7 @@ from pipeline.datasets.settings import ASSUMED, DECLARE
 from pipeline.datasets.up import told_up
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.asking import ask_and_judge, labelled_truth
-from pipeline.diagnosis.offers import offers_of
+from pipeline.diagnosis.suggested_questions import suggest_questions
 from pipeline.diagnosis.verdict import shown_verdict
 from pipeline.evaluation.run_folder import open_run
 from pipeline.evaluation.systems import EvalSpec
@@ -101,7 +101,7 @@ def _complete(command: AskCommand) -> int:
     context = source.prepare(one_frame(source.dataset.frame_ids, command.frame, source.dataset.root))
     objects = all_objects(context, source.needed_detector())
     truth = None if labels is None else labelled_truth(context.frame.id, source, labels)
-    offered = offers_of(source, context, objects, truth)
+    offered = suggest_questions(source, context, objects, truth)
     found = completions(" ".join(command.expressions), offered.names, offered.questions)
     command.write(iter(found), print_rows, ("text", "kind", "detail"), [tuple(offer.values()) for offer in found])
     return FINE if found else NO

@@ -16,7 +16,7 @@ from pipeline.datasets.saved_case import MANIFEST
 from pipeline.diagnosis.answer import Answer, answer_record
 from pipeline.diagnosis.asking import answer, edited_verdicts, frame_truth
 from pipeline.diagnosis.cases.manifest import ExpectedRecord
-from pipeline.diagnosis.cases.replay import Result, find_cases, replay_all
+from pipeline.diagnosis.cases.replay import ReplayResult, find_cases, replay_all
 from pipeline.diagnosis.cases.saving import open_case, save_case
 from pipeline.diagnosis.whatif import Baseline, Edits, Outcome, edits_record, load_edits, rerun, what_changed
 from pipeline.diagnosis.whatif.decision_map import decision_map, map_picture, map_record
@@ -261,7 +261,7 @@ def print_saved(now: Answer, folder: Path) -> None:
     say(f"kept -> {folder}   run it again: spatialviz replay {folder}")
 
 
-def print_replay(result: Result) -> None:
+def print_replay(result: ReplayResult) -> None:
     """Print before and after of a case."""
     say((f"{result.status:<8}", _STYLE[result.status]), " ", (str(result.path), "bold"))
     if result.replay is None:
@@ -297,7 +297,7 @@ def print_totals(totals: dict[str, int]) -> None:
     say(f"{counted(count, 'case')}: {shown}")
 
 
-def replay_record(result: Result) -> dict[str, Any]:
+def replay_record(result: ReplayResult) -> dict[str, Any]:
     """Record of a line of `replay --json`."""
     replay = result.replay
     if replay is None:

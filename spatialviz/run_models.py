@@ -15,11 +15,11 @@ from pipeline.answering.calibrating import annotated_names, calibrate_scores
 from pipeline.answering.model_catalogue import (
     Adapter,
     FileReport,
-    Here,
+    Inventory,
     adapters,
     describe_file,
     is_fetched,
-    look_around,
+    take_inventory,
 )
 from pipeline.answering.pipeline import open_pipeline
 from pipeline.answering.recording import RecordingReport, record_detections
@@ -128,7 +128,7 @@ def run_calibrate(command: CalibrateCommand) -> int:
 
 def run_models(command: ModelsCommand) -> int:
     if not command.files:
-        known, here = adapters(), look_around()
+        known, here = adapters(), take_inventory()
         command.write(catalogue_record(known, here), print_catalogue, known, here)
         return FINE
     reports = [describe_file(path) for path in command.files]
@@ -226,7 +226,7 @@ def print_calibration(calibration: ScoreCalibration, report: dict[str, Any], out
     say(f"-> {out}")
 
 
-def catalogue_record(known: Sequence[Adapter], here: Here) -> dict[str, Any]:
+def catalogue_record(known: Sequence[Adapter], here: Inventory) -> dict[str, Any]:
     """JSON record of the catalogue."""
     return {
         "adapters": [
@@ -245,7 +245,7 @@ def catalogue_record(known: Sequence[Adapter], here: Here) -> dict[str, Any]:
     }
 
 
-def print_catalogue(known: Sequence[Adapter], here: Here) -> None:
+def print_catalogue(known: Sequence[Adapter], here: Inventory) -> None:
     """Print adapters with their contracts and public files, then the inventory of this machine."""
     for adapter in known:
         say(adapter.option, style="bold")

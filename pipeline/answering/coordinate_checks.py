@@ -78,7 +78,7 @@ def check_places(frames: Sequence[tuple[ImportedPipeline, str]]) -> None:
                     checked_box(p.box, header, frame.width, frame.height, where, predictions.path)
                     found2d = box_2d(p.box, header, frame.width, frame.height)
                     sizes.append((float((found2d[2:] - found2d[:2]).max()), where))
-        plain = _Plain(predictions)
+        plain = _PixelDetector(predictions)
         proposals = detector.detect(context.frame, None) if detector.vocabulary else None
         for o in context.lift(proposals, plain) if proposals is not None else ():
             given = predictions.box_of(frame_id, o.id)
@@ -141,7 +141,7 @@ def _answered_spot(line: Prediction, header: Header, width: int, height: int) ->
     return box_2d(line.answer.box, header, width, height).reshape(2, 2).mean(axis=0)
 
 
-class _Plain:
+class _PixelDetector:
     """Detector by name alone, with objects lifted here from their pixels, ignoring boxes of the file."""
 
     exact, reads_annotations, vocabulary = False, False, None

@@ -257,7 +257,7 @@ class FrameStore:
 KEPT_PICTURES, KEPT_PLANS = 600, 16
 
 
-class PicturesBehind:
+class BackgroundPictures:
     """Thumbnails of frames and plans of cameras, of several pipelines: made on own threads, a few kept."""
 
     def __init__(self, sources: Mapping[str, Pipeline]) -> None:

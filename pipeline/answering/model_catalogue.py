@@ -78,7 +78,7 @@ class FileReport:
 
 
 @dataclass(frozen=True)
-class Here:
+class Inventory:
     """Inventory of this machine."""
 
     version: str  # Of ONNX Runtime
@@ -113,11 +113,11 @@ def is_fetched(model: KnownModel) -> bool:
     )
 
 
-def look_around() -> Here:
+def take_inventory() -> Inventory:
     """Take the inventory of this machine."""
     import onnxruntime as ort
 
-    return Here(
+    return Inventory(
         ort.__version__,
         tuple(ort.get_available_providers()),
         tuple((str(hub_id), path) for hub_id, path in all_fetched()),

@@ -20,16 +20,16 @@ if TYPE_CHECKING:
         judge_trace,
         labelled_truth,
     )
-    from pipeline.diagnosis.cases.replay import Result, find_cases, replay_all
+    from pipeline.diagnosis.cases.replay import ReplayResult, find_cases, replay_all
     from pipeline.diagnosis.cases.saving import open_case, save_case
     from pipeline.diagnosis.decision import diagnose
     from pipeline.diagnosis.frame_evidence import FrameEvidence
     from pipeline.diagnosis.marks import MARKS, read_marks
-    from pipeline.diagnosis.offers import Offers, first_question, offers_of
     from pipeline.diagnosis.oracles import ALL_ORACLES, CONF, LIFT, ORACLES, SRM, SUBSETS, names_of
     from pipeline.diagnosis.sentence_truth import sentence_case
     from pipeline.diagnosis.stages import failed_stages, stages_of, unasked_stages
     from pipeline.diagnosis.substitution import substitute
+    from pipeline.diagnosis.suggested_questions import SuggestedQuestions, first_answered, suggest_questions
     from pipeline.diagnosis.verdict import MODULE_OF, VERDICTS, Diagnosis, Missed, shown_verdicts
     from pipeline.diagnosis.whatif import Baseline, Edits, edits_record, load_edits, what_changed
     from pipeline.diagnosis.whatif.answer_view import AnswerView, BothAnswers, OtherAnswer, shown_objects

@@ -10,7 +10,7 @@ from collections import OrderedDict
 
 import numpy as np
 
-from pipeline.answering.frame_store import LoadedFrame, PicturesBehind
+from pipeline.answering.frame_store import BackgroundPictures, LoadedFrame
 from pipeline.system.encoded_pictures import jpeg, png
 
 KEPT_BYTES = 96 * 2**20
@@ -68,7 +68,7 @@ WIDTHS = (160, 480, 960)
 ADDRESS = re.compile(r"/app/frame/([0-9]{1,3})/([0-9]{1,9})/([0-9]{1,4})\.jpg")
 
 
-class FramePictures(PicturesBehind):
+class FramePictures(BackgroundPictures):
     """Those of all sources of a server; any page may ask for any of them."""
 
     def url(self, source: str, frame_id: str, width: int = WIDTHS[0]) -> str:

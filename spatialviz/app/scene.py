@@ -15,7 +15,7 @@ import numpy as np
 import viser
 import viser.transforms as vtf
 
-from pipeline.diagnosis.whatif.answer_view import Ghost, ShownObjects
+from pipeline.diagnosis.whatif.answer_view import ExtraBox, ShownObjects
 from pipeline.diagnosis.whatif.state import CameraView
 from pipeline.geometry.boxes import CUBE, CUBE_FACES, Box3D, boxes_on_ray, edge_lines
 from pipeline.geometry.camera import Camera
@@ -98,7 +98,7 @@ class SceneView:
             tags = self._draw_axes(state) + self._draw_ghosts(state.ghosts if flags.ghosts else (), colors)
             return tags + self._draw_tags(state.shown, role_of, selected, flags.labels, colors)
 
-    def _draw_ghosts(self, ghosts: Sequence[Ghost], colors: Mapping[Role, RGB]) -> list[Tag]:
+    def _draw_ghosts(self, ghosts: Sequence[ExtraBox], colors: Mapping[Role, RGB]) -> list[Tag]:
         """Boxes beside the answer's, in lines of their own and a little larger."""
         tags = []
         for role in ("truth", "edited"):

@@ -16,7 +16,7 @@ from pipeline.corrections.judging import Judge
 from pipeline.corrections.label_view import ANYTHING, Target
 from pipeline.datasets.base import dataset_notes, named_frame
 from pipeline.datasets.demo import DEMO_EXPRESSION
-from pipeline.diagnosis.offers import Offers, first_question, offers_of
+from pipeline.diagnosis.suggested_questions import SuggestedQuestions, first_answered, suggest_questions
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif.answer_view import NOTHING, shown_objects
 from pipeline.language.counted import counted
@@ -290,7 +290,7 @@ class PageSession(Part):
         stays = asking is None and (self.state.labels is not None or self.ctx.editors.wanted is not None)
         # A frame that the labels lack is shown with its answer, and why is said.
         correcting = stays and (editor := self.ctx.editors.of(self.state.source)) is not None and frame_id in editor
-        self.state = replace(self.state.unasked, frame_id=frame_id, problem="", marks=(), offers=Offers())
+        self.state = replace(self.state.unasked, frame_id=frame_id, problem="", marks=(), offers=SuggestedQuestions())
         try:
             loaded = self._load(first, scored=not correcting)
         except InputError as error:
@@ -314,7 +314,7 @@ class PageSession(Part):
         viewer = loaded.context.viewer
         if scored:
             truth = self._judge.labelled(self.state.source, self.ctx.source, loaded.context)
-            offers = offers_of(self.ctx.source, loaded.context, loaded.objects, truth)
+            offers = suggest_questions(self.ctx.source, loaded.context, loaded.objects, truth)
             self.state = replace(self.state, offers=offers)
         self.state = replace(self.state, loaded=loaded, found=shown_objects(loaded, None, self._exact))
         self._cloud.place_anew = first
@@ -331,7 +331,7 @@ class PageSession(Part):
         if self.ctx.source.detector is None:
             text = ""
         elif first and asking is None and not self._can_ask(loaded, text):
-            text = first_question(self.ctx.source, loaded.context, self.state.offers.questions)
+            text = first_answered(self.ctx.source, loaded.context, self.state.offers.questions)
         self.state = replace(self.state, text=text)
         if text:
             self.ask(text, draw=False)

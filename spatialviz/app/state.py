@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from pipeline.corrections.label_view import LabelView
-from pipeline.diagnosis.offers import Offers
+from pipeline.diagnosis.suggested_questions import SuggestedQuestions
 from pipeline.diagnosis.whatif.answer_view import AnswerView
 from pipeline.evaluation.run_figures import Listing, Recorded, recorded_verdict
 from pipeline.geometry.measure import Measurement, measure
@@ -52,7 +52,7 @@ class State(AnswerView):
         Why the expression could not be asked.
     stopped : str
         The stage that refused it.
-    offers : Offers
+    offers : SuggestedQuestions
         What can be asked of the frame.
     listing : Listing or None
         What is searched of the source's run.
@@ -86,7 +86,7 @@ class State(AnswerView):
     camera: CameraMode = "pair"
     flags: SceneFlags = field(default_factory=SceneFlags)
     dark: bool = True
-    offers: Offers = field(default_factory=Offers)
+    offers: SuggestedQuestions = field(default_factory=SuggestedQuestions)
     listing: Listing | None = None
     mode: EditMode = "off"
     labels: LabelView | None = None

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from waiting import LONG_S
 
-from pipeline.answering import FrameStore, PicturesBehind, Pipeline, UpHint, open_pipeline
+from pipeline.answering import BackgroundPictures, FrameStore, Pipeline, UpHint, open_pipeline
 from pipeline.answering.frame_store import FEWEST_KEPT
 from pipeline.system import InputError
 
@@ -103,7 +103,7 @@ def test_up_that_was_told_holds_for_all_until_it_is_taken_back(source: Pipeline)
 
 
 def test_pictures_and_plans_are_made_behind(source: Pipeline, monkeypatch: pytest.MonkeyPatch) -> None:
-    behind, ids, told = PicturesBehind({"demo": source}), source.dataset.frame_ids, list[Any]()
+    behind, ids, told = BackgroundPictures({"demo": source}), source.dataset.frame_ids, list[Any]()
     done = threading.Event()
     behind.plan("demo", ids[0], lambda plan: (told.append(plan), done.set()))
     data = behind.picture("demo", ids[0], 160).result(LONG_S)

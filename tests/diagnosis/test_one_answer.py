@@ -13,10 +13,10 @@ from pipeline.diagnosis import (
     AnswerView,
     Baseline,
     Edits,
-    first_question,
+    first_answered,
     frame_truth,
-    offers_of,
     shown_objects,
+    suggest_questions,
     what_changed,
 )
 from pipeline.diagnosis.answer import Answer
@@ -182,16 +182,16 @@ def test_what_is_offered_is_there_and_what_is_asked_first_has_an_answer(run: Run
     context = source.prepare(0)
     objects = all_objects(context, source.needed_detector())
     truth = frame_truth(source, context, run.labels)
-    labelled = offers_of(source, context, objects, truth)
+    labelled = suggest_questions(source, context, objects, truth)
     there = {a.label for a in context.frame.annotations}
     assert labelled.by == "the labels"
     assert set(labelled.names) <= there
     texts = {r["text"] for r in run.records.to_pylist() if r["frame"] == context.frame.id}
     assert len(labelled.questions) == 3
     assert set(labelled.questions) <= texts
-    annotated = offers_of(source, context, objects)
+    annotated = suggest_questions(source, context, objects)
     assert set(annotated.names) == {o.label for o in all_objects(context, AnnotationDetector())}
-    asked = first_question(source, context, ("zebra left of the giraffe", "gibberish", *annotated.questions))
+    asked = first_answered(source, context, ("zebra left of the giraffe", "gibberish", *annotated.questions))
     assert asked in annotated.questions
     assert source.ask(context, asked).ranking is not None
-    assert first_question(source, context, ("zebra left of the giraffe",)) == ""
+    assert first_answered(source, context, ("zebra left of the giraffe",)) == ""

@@ -18,7 +18,7 @@ from slow_cases import mostly_slow
 from pipeline.answering import ImportedPipeline, Prediction, open_pipeline, read_predictions, write_predictions
 from pipeline.answering.imported import open_imported
 from pipeline.datasets import MANIFEST, demo_labels
-from pipeline.diagnosis import Result, frame_truth, open_case, replay_all, save_case
+from pipeline.diagnosis import ReplayResult, frame_truth, open_case, replay_all, save_case
 from pipeline.diagnosis.cases.manifest import PREDICTIONS
 from pipeline.labels import Labels, open_labels
 from pipeline.system import InputError
@@ -70,7 +70,7 @@ def kept(tmp_path_factory: pytest.TempPathFactory, labels: Labels, asked: list[t
     return folder
 
 
-def replayed(folder: Path, predictions: Path | None = None) -> Iterator[Result]:
+def replayed(folder: Path, predictions: Path | None = None) -> Iterator[ReplayResult]:
     read = None if predictions is None else read_predictions(predictions)
     return replay_all(sorted((folder / "cases").iterdir()), predictions=read)
 

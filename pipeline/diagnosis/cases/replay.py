@@ -186,7 +186,7 @@ def _moved(what: str, before: float, after: float, tolerance: float) -> list[str
 
 
 @dataclass(frozen=True)
-class Result:
+class ReplayResult:
     """Outcome of a case."""
 
     path: Path
@@ -223,7 +223,7 @@ def replay_all(
     model: Path | None = None,
     min_score: float | None = None,
     predictions: Predictions | None = None,
-) -> Iterator[Result]:
+) -> Iterator[ReplayResult]:
     """Run cases again, lazily.
 
     Parameters
@@ -264,6 +264,6 @@ def replay_all(
             if update and moved:
                 opened.expect(replay.record)
         except InputError as error:
-            yield Result(folder, "damaged", None, str(error))
+            yield ReplayResult(folder, "damaged", None, str(error))
             continue
-        yield Result(folder, "updated" if update and moved else "same" if replay.same else "changed", replay)
+        yield ReplayResult(folder, "updated" if update and moved else "same" if replay.same else "changed", replay)

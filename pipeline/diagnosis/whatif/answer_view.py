@@ -104,7 +104,7 @@ class OtherAnswer:
 
 
 @dataclass(frozen=True)
-class Ghost:
+class ExtraBox:
     """Extra box in a view: of the label, or of another run's answer."""
 
     key: str
@@ -232,10 +232,10 @@ class AnswerView:
         return [ends for ends in (chosen, *(o for o in others if o != chosen)) if ends[0] != ends[1]]
 
     @property
-    def ghosts(self) -> list[Ghost]:
+    def ghosts(self) -> list[ExtraBox]:
         """Labelled target and reference in 3D, and the other run's where different."""
         boxes = self.judged.labelled_boxes() if isinstance(self.judged, Diagnosis) else {}
-        found = [Ghost(name, f"labelled {name}", box, "truth") for name, box in boxes.items()]
+        found = [ExtraBox(name, f"labelled {name}", box, "truth") for name, box in boxes.items()]
         other, mine = self.other, self.ranked[0] if self.ranked else None
         if other is None or other.trace is None or other.best is None:
             return found
@@ -246,7 +246,7 @@ class AnswerView:
         for name, place, own in ends:
             entry = None if place is None else other.trace.objects[place]
             if entry is not None and entry.lifted.box is not None and not same_thing(self.trace, own, entry):
-                found.append(Ghost(f"other-{name}", f"{other.name}: {entry.label}", entry.lifted.box, "edited"))
+                found.append(ExtraBox(f"other-{name}", f"{other.name}: {entry.label}", entry.lifted.box, "edited"))
         return found
 
     @property

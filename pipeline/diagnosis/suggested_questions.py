@@ -19,7 +19,7 @@ from pipeline.system.errors import InputError
 
 
 @dataclass(frozen=True)
-class Offers:
+class SuggestedQuestions:
     """Names and questions suggested for a frame."""
 
     names: tuple[str, ...] = ()
@@ -35,13 +35,13 @@ class Offers:
         return f"In this frame by {self.by}: {', '.join(self.names)}" if self.names else ""
 
 
-def offers_of(
+def suggest_questions(
     source: Pipeline,
     context: PreparedFrame,
     objects: Sequence[SceneObject],
     truth: FrameCases | None = None,
     count: int = 3,
-) -> Offers:
+) -> SuggestedQuestions:
     """Suggest questions about a frame, by its labels, its annotations, an imported file, or sure detections.
 
     Parameters
@@ -58,9 +58,11 @@ def offers_of(
     if source.predictions is not None:
         lines = source.predictions.of_frame(context.frame.id)
         names = {name for line in lines for name in line.proposals or {}}
-        return Offers(tuple(sorted(names)), tuple(line.text for line in lines[:count]), "the file of predictions")
+        return SuggestedQuestions(
+            tuple(sorted(names)), tuple(line.text for line in lines[:count]), "the file of predictions"
+        )
     if truth is not None and truth.cases:
-        return Offers(tuple(sorted(set(truth.labels))), _labelled(source, truth.cases, count), "the labels")
+        return SuggestedQuestions(tuple(sorted(set(truth.labels))), _labelled(source, truth.cases, count), "the labels")
     by = "the annotations"
     if context.frame.annotations:
         objects = all_objects(context, AnnotationDetector())
@@ -68,7 +70,7 @@ def offers_of(
         objects, by = [o for o in objects if o.score >= SURE], f"detections of at least {SURE:.2f}"
     scores = source.score(context, objects) if objects else None
     questions = () if scores is None else suggest_expressions(objects, scores, context.viewer, count)
-    return Offers(tuple(sorted({o.label for o in objects})), questions, by)
+    return SuggestedQuestions(tuple(sorted({o.label for o in objects})), questions, by)
 
 
 def _labelled(source: Pipeline, cases: Sequence[Case], count: int) -> tuple[str, ...]:
@@ -86,7 +88,7 @@ def _labelled(source: Pipeline, cases: Sequence[Case], count: int) -> tuple[str,
     return tuple(c.text for c in chosen)
 
 
-def first_question(source: Pipeline, context: PreparedFrame, questions: Sequence[str]) -> str:
+def first_answered(source: Pipeline, context: PreparedFrame, questions: Sequence[str]) -> str:
     """First question with an answer; empty for none."""
     for text in questions:
         try:
