@@ -45,8 +45,8 @@ class CloudPart:
 class Cloud:
     """The points of a frame."""
 
-    v: np.ndarray  # (N,) int32, pixels
-    u: np.ndarray  # (N,) int32
+    v: np.ndarray  # (N,) int32, rows of pixels
+    u: np.ndarray  # (N,) int32, columns
     points: np.ndarray  # (N, 3) float32, in the shown frame: x right, y forward, z up, metres
     parts: tuple[CloudPart, ...]  # Those of the first cloud come first
 

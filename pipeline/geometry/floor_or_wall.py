@@ -168,9 +168,9 @@ class SurfaceBlocks:
     points: np.ndarray  # (N, 3) float32, camera frame, metres; normals point towards the camera
     normals: np.ndarray  # (N, 3) float32
     flat: np.ndarray  # (N,) bool, the normal is known
-    v: np.ndarray  # (N,) int64, row and column of the block
-    u: np.ndarray  # (N,) int64
-    shape: tuple[int, int]  # (int, int), rows and columns of blocks
+    v: np.ndarray  # (N,) int64, row of the block
+    u: np.ndarray  # (N,) int64, column of the block
+    shape: tuple[int, int]  # Rows and columns of blocks
 
     @cached_property
     def voters(self) -> np.ndarray:

@@ -30,9 +30,9 @@ class Views:
     K: np.ndarray  # (F, 3, 3) float64
     poses: np.ndarray  # (F, 4, 4) float64, T_world_camera as read
     pairs: np.ndarray  # (P, 2) int64, from view, to view
-    u: np.ndarray  # (F, N) float32, pixels of each view on a grid, and their depth, 0 where missing
-    v: np.ndarray  # (F, N) float32
-    z: np.ndarray  # (F, N) float32
+    u: np.ndarray  # (F, N) float32, columns of a grid of pixels of each view
+    v: np.ndarray  # (F, N) float32, rows
+    z: np.ndarray  # (F, N) float32, depth there, metres as read, 0 where missing
     # (F, H, W) float32 or None, brightness against its surroundings, of colour that a point must also land on
     detail: np.ndarray | None = None
 

@@ -64,7 +64,7 @@ class LiftConfig:
 class PixelEvidence:
     """Outcomes of the pixels of a mask."""
 
-    codes: np.ndarray  # (h, w) uint8, A `Pixel` value for each pixel of the mask's bounding rectangle
+    codes: np.ndarray  # (h, w) uint8, a `Pixel` value for each pixel of the mask's bounding rectangle
     x0: int  # Upper left corner of that rectangle in the image, pixels
     y0: int
 

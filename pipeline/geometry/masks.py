@@ -26,7 +26,7 @@ class RunLength:
 
     __pydantic_config__ = ConfigDict(extra="forbid")
 
-    size: tuple[int, int]  # (int, int), height and width, pixels
+    size: tuple[int, int]  # Height and width, pixels
     counts: str | tuple[int, ...]  # Compressed, or the lengths themselves
 
     @staticmethod

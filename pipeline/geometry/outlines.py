@@ -46,9 +46,9 @@ AWAY_STEPS = 4.0
 class Outlines:
     """Depth outlines of frames of one size and camera, and distances of their pixels from edges of colour."""
 
-    u: np.ndarray  # (N,) float64, pixels on the nearer side of depth steps, metres
-    v: np.ndarray  # (N,) float64
-    z: np.ndarray  # (N,) float64
+    u: np.ndarray  # (N,) float64, columns of pixels on the nearer side of depth steps
+    v: np.ndarray  # (N,) float64, rows
+    z: np.ndarray  # (N,) float64, depth, metres
     frame: np.ndarray  # (N,) int64, index of the frame of each
     way: np.ndarray  # (N,) int64, index of the direction across the outline
     region: np.ndarray  # (N,) int64, index of the region of the picture that it lies in, row by row of `REGIONS`

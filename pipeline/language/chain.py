@@ -40,7 +40,7 @@ class Clause:
     closed: bool = False  # Nothing later may modify its references, as in `table with a lamp on top`
     negated: bool = False
     choice: Choice | None = None
-    # (str, Choice or None) or None, another relation, and a side of the noun with it, for the same words: `on the left
+    # Another relation, and a side of the noun with it, for the same words: `on the left
     # side of the table` may be a place on it
     otherwise: tuple[str, Choice | None] | None = None
 

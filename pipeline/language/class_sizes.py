@@ -46,8 +46,8 @@ class SizeFactor:
     # Divided by anything between, most things have sizes of their classes (5 where all is five times too long)
     low: float
     high: float
-    things: int  # Things of known classes, and those that fit as they are
-    fitting: int
+    things: int  # Things of known classes
+    fitting: int  # Things that fit their classes as they are
 
     @property
     def middle(self) -> float:

@@ -36,7 +36,7 @@ class Phrase:
     count: int | None = None
     viewer: bool = False
     named: bool = False  # The vocabulary holds the name together
-    where: tuple[int, int] = (0, 0)  # (int, int), the tokens of the thing
+    where: tuple[int, int] = (0, 0)  # The tokens of the thing
     # tuple of (int, int, str), character ranges separate from the thing: its choices, and attributes without a thing
     modifiers: tuple[tuple[int, int, Role], ...] = ()
     superlative: Token | None = None  # `nearest` and the like, which may be a relation: `the nearest chair to the door`

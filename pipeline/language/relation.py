@@ -25,7 +25,7 @@ class Relation:
     swapped_reads: tuple[str, ...] = ()  # The phrases of that, of REFERENCE to TARGET
     # The relation that b has to a where a has this one to b; its own name where it is symmetric
     inverse: str | None = None
-    # (int, int) or None, of a direction: its axis among the viewer's (right, up, forward), and on which side (-1, 1)
+    # Of a direction: its axis among the viewer's (right, up, forward), and on which side (-1, 1)
     # the target lies
     axis: tuple[int, Literal[-1, 1]] | None = None
     viewer_dependent: bool = False  # It depends on where the camera stands
@@ -35,7 +35,7 @@ class Relation:
     coarser: str | None = None  # Stand-in in a vocabulary that lacks it
     # View of diagrams of its pairs: from above ("plan") or from the viewer's position ("side")
     seen_from: Literal["plan", "side"] = "plan"
-    color: tuple[int, int, int] = (110, 110, 110)  # (int, int, int), colour in pictures of statistics
+    color: tuple[int, int, int] = (110, 110, 110)  # Colour in pictures of statistics
     since: str = "1.0.0"  # The version of the labels' schema that brought its columns; labels of an older one have none
 
 

@@ -264,8 +264,8 @@ class McNemar:
     """McNemar's exact test."""
 
     n: int  # Questions
-    b: int  # Questions that only the first, only the second system answered rightly
-    c: int
+    b: int  # Questions that only the first system answered rightly
+    c: int  # Questions that only the second system answered rightly
     p_value: float  # Two-sided; 1 where the systems never disagree
 
 
@@ -311,9 +311,8 @@ class Agreement:
 
     judgements: tuple[str, ...]  # All judgements, sorted: the order of rows and columns
     table: np.ndarray  # (J, J) int64, items by the judgement of the first (rows) and the second (columns)
-    # Share of items judged alike, and the share by chance with each one's own habits; NaN without items
-    observed: float
-    expected: float
+    observed: float  # Share of items judged alike; NaN without items
+    expected: float  # Share by chance, with each one's own habits; NaN without items
     kappa: float  # (observed - expected) / (1 - expected); NaN where both always judged one and the same
 
     @property

@@ -42,8 +42,8 @@ class RelationMetrics:
 
     relations: tuple[str, ...]  # The order of everything with shape (R,)
     pairs: int
-    positives: np.ndarray  # (R,) int64, cells whose truth is T, F, U
-    undecided: np.ndarray  # (R,) int64
+    positives: np.ndarray  # (R,) int64, cells whose truth is T
+    undecided: np.ndarray  # (R,) int64, cells whose truth is U
     tp: np.ndarray  # (R,) int64
     fp: np.ndarray  # (R,) int64
     fn: np.ndarray  # (R,) int64
@@ -51,8 +51,8 @@ class RelationMetrics:
     recall: np.ndarray  # (R,) float64
     f1: np.ndarray  # (R,) float64
     average_precision: np.ndarray  # (R,) float64, does not depend on the thresholds
-    micro_f1: float  # F1 of the counts of all relations; mean F1 over the relations that have one
-    macro_f1: float
+    micro_f1: float  # F1 of the counts of all relations
+    macro_f1: float  # Mean F1 over the relations that have one
     element_accuracy: float  # Share of known cells that are right
     all_negative_accuracy: float  # The same for a scorer that always answers no: the share of negatives
     mean_average_precision: float  # Over the relations that have one
@@ -266,17 +266,13 @@ SUM_TOLERANCE = 1e-3
 class SingleLabelMetrics:
     """The figures of a single-label relation scorer."""
 
-    relations: tuple[str, ...]
-    pairs: int  # Pairs that count, and pairs left out because their relation is not known
-    unknown: int
+    pairs: int  # Pairs that count: with a known relation
     confusion: np.ndarray  # (R, R) int64, pairs by true relation (row) and most probable one (column)
-    # (R,) float64, naN without support: precision of what is never predicted, recall and F1 of what never holds
-    precision: np.ndarray
-    recall: np.ndarray  # (R,) float64
-    f1: np.ndarray  # (R,) float64
-    top1: float  # Share of pairs whose true relation is the most probable, is among the two most probable
-    top2: float
-    macro_f1: float  # Over the relations that have one
+    precision: np.ndarray  # (R,) float64, NaN for what is never predicted
+    recall: np.ndarray  # (R,) float64, NaN for what never holds
+    f1: np.ndarray  # (R,) float64, NaN for what never holds
+    top1: float  # Share of pairs whose true relation is the most probable
+    top2: float  # Share of pairs whose true relation is among the two most probable
 
 
 def true_ranks(p: Any, truth: Any) -> np.ndarray:
@@ -300,24 +296,20 @@ def single_label_metrics(p: Any, truth: Any, relations: Sequence[str]) -> Single
     """Compute every figure of a single-label relation scorer; arguments and errors as in `true_ranks`."""
     p, truth = _checked(p, truth)
     count = p.shape[1]
-    names = checked_names(relations, count)
+    checked_names(relations, count)
     known = truth >= 0
     ranks = true_ranks(p, truth)[known]
     index = truth[known] * count + p[known].argmax(axis=1)
     confusion = np.bincount(index, minlength=count * count).reshape(count, count)
     right, text, holds = np.diag(confusion), confusion.sum(axis=0), confusion.sum(axis=1)
-    f1 = f1_of(right, text - right, holds - right)
     return SingleLabelMetrics(
-        relations=names,
         pairs=len(ranks),
-        unknown=int((~known).sum()),
         confusion=confusion,
         precision=ratio(right, text),
         recall=ratio(right, holds),
-        f1=f1,
+        f1=f1_of(right, text - right, holds - right),
         top1=float(ratio((ranks == 0).sum(), len(ranks))),
         top2=float(ratio((ranks < 2).sum(), len(ranks))),
-        macro_f1=float(mean_of_defined(f1)),
     )
 
 
