@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import xxhash
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
@@ -46,6 +46,16 @@ class NameFile(BaseModel):
     licence: Any = None
 
 
+Value = TypeVar("Value", bound=Hashable)
+
+
+def _grouped(pairs: Iterable[tuple[str, Value]]) -> dict[str, frozenset[Value]]:
+    found: dict[str, set[Value]] = {}
+    for key, value in pairs:
+        found.setdefault(key, set()).add(value)
+    return {key: frozenset(values) for key, values in found.items()}
+
+
 @dataclass(frozen=True, eq=False)
 class Synonyms:
     """Synonyms, kinds, and exceptions of class names.
@@ -67,20 +77,6 @@ class Synonyms:
     near: tuple[frozenset[str], ...] = ()
     # Further names of things, in normal form, of which the table only says that there are such
     plain: frozenset[str] = frozenset()
-    _indices: dict[str, frozenset[int]] = field(init=False, repr=False)
-    _excepted: frozenset[str] = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        indices: dict[str, set[int]] = {}
-        for number, group in enumerate(self.groups):
-            for name in group:
-                indices.setdefault(key_of(name), set()).add(number)
-        excepted = {key_of(n) for n in self.exceptions}
-        # What holds for the trash can holds for the garbage can.
-        keys = [{key_of(n) for n in group} for group in self.groups]
-        excepted |= {key for group in keys if not excepted.isdisjoint(group) for key in group}
-        object.__setattr__(self, "_indices", {k: frozenset(v) for k, v in indices.items()})
-        object.__setattr__(self, "_excepted", frozenset(excepted))
 
     @classmethod
     def load(cls, extra: str | Path | None = None) -> Synonyms:
@@ -148,20 +144,23 @@ class Synonyms:
         return self._taken.get(key_of(name), frozenset())
 
     @cached_property
+    def _indices(self) -> dict[str, frozenset[int]]:
+        return _grouped((key_of(name), number) for number, group in enumerate(self.groups) for name in group)
+
+    @cached_property
+    def _excepted(self) -> frozenset[str]:
+        excepted = frozenset(map(key_of, self.exceptions))
+        # What holds for the trash can holds for the garbage can.
+        keys = (frozenset(map(key_of, group)) for group in self.groups)
+        return excepted.union(*(group for group in keys if not excepted.isdisjoint(group)))
+
+    @cached_property
     def _general(self) -> dict[str, frozenset[str]]:
-        found: dict[str, set[str]] = {}
-        for general, names in self.kinds.items():
-            for name in names:
-                found.setdefault(key_of(name), set()).add(general)
-        return {key: frozenset(names) for key, names in found.items()}
+        return _grouped((key_of(name), general) for general, names in self.kinds.items() for name in names)
 
     @cached_property
     def _taken(self) -> dict[str, frozenset[str]]:
-        found: dict[str, set[str]] = {}
-        for group in self.near:
-            for name in group:
-                found.setdefault(key_of(name), set()).update(group - {name})
-        return {key: frozenset(names) for key, names in found.items()}
+        return _grouped((key_of(name), other) for group in self.near for name in group for other in group - {name})
 
     @cached_property
     def names(self) -> frozenset[str]:
@@ -200,7 +199,7 @@ def default_synonyms() -> Synonyms:
     """The project's own table, read once."""
     groups: list[frozenset[str]] = []
     exceptions: set[str] = set()
-    kinds: dict[str, set[str]] = {}
+    kinds: list[tuple[str, str]] = []
     near: list[frozenset[str]] = []
     plain: set[str] = set()
     for path in sorted(NAMES.glob("*.json")):
@@ -210,10 +209,8 @@ def default_synonyms() -> Synonyms:
         exceptions |= set(read.get("exceptions", ()))
         near += map(frozenset, read.get("near", ()))
         plain |= set(read.get("names", ()))
-        for general, names in read.get("kinds", {}).items():
-            kinds.setdefault(general, set()).update(names)
-    frozen = {general: frozenset(names) for general, names in kinds.items()}
-    return Synonyms(tuple(groups), frozenset(exceptions), frozen, tuple(near), frozenset(plain))
+        kinds += [(general, name) for general, names in read.get("kinds", {}).items() for name in names]
+    return Synonyms(tuple(groups), frozenset(exceptions), _grouped(kinds), tuple(near), frozenset(plain))
 
 
 def _json_of(path: Path) -> Any:

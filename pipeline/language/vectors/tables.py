@@ -8,6 +8,7 @@ import zipfile
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -40,21 +41,17 @@ class VectorTable(VectorFile):
     names: tuple[str, ...]
     vectors: np.ndarray  # (N, D) float16, float32 or float64
     dimension: int = field(init=False)
-    _rows: dict[str, int] = field(init=False, repr=False)
-    _normal: dict[str, int] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        rows: dict[str, int] = {}
-        for k, name in enumerate(self.names):
-            rows.setdefault(name, k)
-        normal: dict[str, int] = {}
-        if self.kind == "phrase":
-            for name, k in rows.items():
-                normal.setdefault(normal_form(name), k)
-            normal.pop("", None)
-        object.__setattr__(self, "_rows", rows)
-        object.__setattr__(self, "_normal", normal)
         object.__setattr__(self, "dimension", self.vectors.shape[1])
+
+    @cached_property
+    def _rows(self) -> dict[str, int]:
+        return {name: k for k, name in reversed([*enumerate(self.names)])}
+
+    @cached_property
+    def _normal(self) -> dict[str, int]:
+        return {form: k for k, name in reversed([*enumerate(self.names)]) if (form := normal_form(name))}
 
     def fingerprint(self) -> str:
         """Hash of kind, names and vectors, however packed."""
