@@ -6,6 +6,7 @@ from pathlib import Path
 
 from pipeline.language.vectors.contract import LanguageContract
 from pipeline.language.vectors.phrases import VectorFile
+from pipeline.language.vectors.tables import read_json, read_npz
 from pipeline.system.errors import InputError, require
 
 __all__ = ["LanguageContract", "VectorFile", "open_vectors"]
@@ -51,8 +52,6 @@ def open_vectors(path: str | Path) -> VectorFile:
 
         return FastTextBinary.open(path)
     if name.endswith((".npz", ".json")):
-        from pipeline.language.vectors.tables import read_json, read_npz
-
         return (read_npz if name.endswith(".npz") else read_json)(path)
     causes = {".ftz": "a quantised model; take the .bin or .vec it was made from", ".gz": "unpack it first"}
     raise InputError(
