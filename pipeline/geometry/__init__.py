@@ -21,6 +21,6 @@ if TYPE_CHECKING:
     from pipeline.geometry.registration import Registration, registered
     from pipeline.geometry.viewer import ViewerAxes, resolve_up, viewer_axes
     from pipeline.geometry.viewpoints import viewpoint
-    from pipeline.geometry.warp_search import Fitted, estimated
+    from pipeline.geometry.warp_search import WarpEstimate, estimate_warp
 
 __getattr__ = lazy_exports(__name__, __file__)

@@ -26,15 +26,17 @@ SETTLING = ((0.5, NEAR_PX, 1), (0.25, NEAR_PX, 1), (0.12, NEAR_PX, 1))
 
 
 @dataclass(frozen=True)
-class Fitted:
+class WarpEstimate:
     """A warp found by the search."""
 
     warp: Registration
     bounded: bool  # It lies at the bound of what is searched, so that it is none
 
 
-def estimated(outlines: Outlines, regions: np.ndarray | None = None, near: Registration | None = None) -> Fitted:
-    """Warp with most outlines of depth on edges of colour, region by region; one for all frames.
+def estimate_warp(
+    outlines: Outlines, regions: np.ndarray | None = None, near: Registration | None = None
+) -> WarpEstimate:
+    """Estimate the warp with most outlines of depth on edges of colour, region by region; one for all frames.
 
     Of `regions`, (R,) bool, all count by default; the search starts at no warp and `near`, by default everywhere.
     """
@@ -57,7 +59,7 @@ def estimated(outlines: Outlines, regions: np.ndarray | None = None, near: Regis
     center = max(abs(best.cx - identity.cx), abs(best.cy - identity.cy)) / outlines.away.shape[3]
     focal = abs(np.log(best.fx / identity.fx)) / np.log(MOST_FOCAL)
     aside = max(abs(best.tx), abs(best.ty)) / MOST_M
-    return Fitted(best, bool(max(focal, aside, center / MOST_CENTER) >= 1))
+    return WarpEstimate(best, bool(max(focal, aside, center / MOST_CENTER) >= 1))
 
 
 def _climbed(

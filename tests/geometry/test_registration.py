@@ -18,7 +18,7 @@ from pipeline.geometry import (
     Registration,
     agreement,
     check_convention,
-    estimated,
+    estimate_warp,
     intrinsics,
     lift_pixels,
     project,
@@ -143,7 +143,7 @@ def test_a_planted_warp_is_estimated(warp: tuple[float, float, float]) -> None:
         moved.append(replace(frame, depth=depth, camera=camera))
     outlines, plain = Outlines.of(moved), Outlines.of(frames)
     told = Registration.none(outlines.camera)
-    found = estimated(outlines).warp
+    found = estimate_warp(outlines).warp
     best = agreement(plain, Registration.none(plain.camera))
     assert agreement(outlines, told) < 0.75 * best
     assert agreement(outlines, found) > 0.9 * best

@@ -16,7 +16,7 @@ from pipeline.datasets.up import Voter, vote
 from pipeline.geometry.level_plane import decided, up_hypotheses
 from pipeline.geometry.outlines import REGIONS, WIDE, Outlines, mean_known
 from pipeline.geometry.registration import Registration
-from pipeline.geometry.warp_search import Fitted, estimated
+from pipeline.geometry.warp_search import WarpEstimate, estimate_warp
 
 UNITS = {
     1.0: "metres", 39.3701: "inches", 100.0: "centimetres", 256.0: "1/256 m, as in KITTI", 500.0: "1/500 m",
@@ -108,7 +108,7 @@ def _registration(seen: Seen) -> Opinion:
         text = f"outlines of depth in {regions} of {own.size} regions of the picture, {frames} frames: too few to tell"
         return Opinion("registration", "unknown", text)
     peak = mean_known(outlines.by_region(outlines.above_chance(told)))
-    fitted = estimated(outlines)
+    fitted = estimate_warp(outlines)
     gain = np.nan_to_num(outlines.near(fitted.warp) - near)
     gained, off = mean_known(outlines.by_region(gain)), displacement(fitted.warp, outlines)
     by_frame = outlines.by_frame(gain)
@@ -138,12 +138,12 @@ def _registration(seen: Seen) -> Opinion:
     return Opinion("registration", "fine", text, evidence=evidence)
 
 
-def _holds_elsewhere(outlines: Outlines, fitted: Fitted) -> bool:
+def _holds_elsewhere(outlines: Outlines, fitted: WarpEstimate) -> bool:
     """Cross-validate a warp on each row and column of regions left out of the fit."""
     near = outlines.near(Registration.none(outlines.camera))
     grid = np.arange(REGIONS[0] * REGIONS[1]).reshape(REGIONS)
     for left_out in (*grid, *grid.T):
-        warp = estimated(outlines, ~np.isin(grid.ravel(), left_out), fitted.warp).warp
+        warp = estimate_warp(outlines, ~np.isin(grid.ravel(), left_out), fitted.warp).warp
         gain = outlines.by_region(np.nan_to_num(outlines.near(warp) - near))[left_out]
         if np.isfinite(gain).any() and mean_known(gain) < LEAST_ELSEWHERE:
             return False
