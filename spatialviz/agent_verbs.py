@@ -331,7 +331,12 @@ class ReplayVerb(Verb):
 
 
 VERBS: dict[str, type[Verb]] = {
-    "contents": ContentsVerb, "ask": AskVerb, "why": WhyVerb, "whatif": WhatIfVerb, "failures": FailuresVerb, "query": QueryVerb,
+    "contents": ContentsVerb,
+    "ask": AskVerb,
+    "why": WhyVerb,
+    "whatif": WhatIfVerb,
+    "failures": FailuresVerb,
+    "query": QueryVerb,
     "replay": ReplayVerb,
-}  # fmt: skip
+}
 """What only reads."""

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pipeline.system.safe_files import parse_json, read_json, read_text
 
 from pipeline.labels.exports.coco import BOXES, EXPRESSION_KEYS, EXTENT, FRAME_KEYS, QUALITY
 from pipeline.labels.exports.exporting import BLOCK, FORMATS, MARK
@@ -17,6 +16,7 @@ from pipeline.labels.reading import MANIFEST_FILE, arrow_schema, build_table, co
 from pipeline.labels.schema import TABLES
 from pipeline.system.arrow import pa, pj
 from pipeline.system.errors import InputError, Shown, as_input_error, first_line, kind_and_text, needed, require
+from pipeline.system.safe_files import parse_json, read_json, read_text
 
 
 def import_labels(path: str | Path, format: str) -> dict[str, pa.Table]:

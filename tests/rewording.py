@@ -6,12 +6,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pipeline.system.safe_files import read_json
-
 from pipeline.labels.merge import write_manifest, write_merged
 from pipeline.labels.reading import MANIFEST_FILE, Labels, open_labels
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, as_input_error, require
+from pipeline.system.safe_files import read_json
 from pipeline.system.whole_files import temporary_folder
 
 

@@ -245,4 +245,4 @@ if __name__ == "__main__":
     import json
     import sys
 
-    print(json.dumps(bench_evaluation(*sys.argv[1:]), indent=2))
+    print(json.dumps(bench_evaluation((sys.argv[1:] or ["demo"])[0]), indent=2))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ import pytest
 from pipeline.corrections import CANCELLED, QueueConfig, QueueJob, QueueProgress, review_queue, write_queue
 from pipeline.corrections.review.label_jobs import LabelJobs
 from pipeline.labels import Labels
-from pipeline.system import DetectorSetup, InputError, SharedJob
+from pipeline.system import InputError, SharedJob
 
 
 class Held:
@@ -83,37 +82,34 @@ def test_one_runs_at_a_time_and_who_comes_later_finds_it() -> None:
     assert held.waiting == []
 
 
-def test_the_first_queue_is_there_before_the_detector_is_asked(demo_labels: Labels, tmp_path: Path) -> None:
-    frame = demo_labels.frames.column("frame")[0].as_py()
-    recording = tmp_path / "recording.json"
-    recording.write_text(json.dumps({"frames": {frame: []}}))
+def test_the_first_queue_is_there_before_networks_are_trained(demo_labels: Labels, tmp_path: Path) -> None:
     held, jobs = Held(), LabelJobs()
     jobs.queue = SharedJob(QueueProgress(), held.start)
     outs: list[Path] = []
 
     def job_for(out: Path) -> QueueJob:
         outs.append(out)
-        return QueueJob(
-            demo_labels.root, out, str(tmp_path / "none.sqlite"), networks=False,
-            detector=DetectorSetup("recorded", recording),
-        )  # fmt: skip
+        return QueueJob(demo_labels.root, out, str(tmp_path / "none.sqlite"), networks=True)
+
+    def damaged(job: QueueJob, report: Callable[[Any], None]) -> dict[str, Any]:
+        raise InputError("the labels are damaged")
 
     assert jobs.make(job_for)
     assert not jobs.make(job_for)
-    assert held.waiting[0].argument.detector is None
+    assert not held.waiting[0].argument.networks
     held.waiting[0].work = lambda job, report: quick(job, demo_labels, report)
     held.run()
     seen = jobs.queue.seen
     assert seen.running
     assert seen.job is not None
-    assert seen.job.detector is not None, "what was asked for follows by itself"
+    assert seen.job.networks, "what was asked for follows by itself"
     assert seen.work is not None
     assert len(seen.work) == 0
-    recording.unlink()
+    held.waiting[0].work = damaged
     held.run()
     seen = jobs.queue.seen
     assert not seen.running
-    assert "recording" in seen.problem
+    assert "damaged" in seen.problem
     assert seen.work is not None, "the queue that there was stays"
     assert not any(out.parent.exists() for out in outs)
     assert jobs.make(job_for)
