@@ -88,9 +88,10 @@ def files(draw: st.DrawFn, ranking: str | None = None) -> tuple[Case, Header, Pr
         relation: tuple((*pair, draw(SHARES)) for pair in draw(st.permutations(list(dict.fromkeys(some)))))
         for relation, some in draw(st.permutations(list(told.items())))
     }
-    boxes = {i: None if draw(st.booleans()) else PredictedBox((0.1 * i, 0.0, 2.0), (0.2, 0.3, 0.2)) for i in dict.fromkeys(
-        (*under[names[0]], *under[names[1]])
-    )}  # fmt: skip
+    boxes = {
+        i: None if draw(st.booleans()) else PredictedBox((0.1 * i, 0.0, 2.0), (0.2, 0.3, 0.2))
+        for i in dict.fromkeys((*under[names[0]], *under[names[1]]))
+    }
     a, b = draw(st.sampled_from(pairs)) if pairs else (None, None)
     answer = None if a is None else PredictedAnswer(a, b if draw(st.booleans()) else None)
     line = Prediction(
