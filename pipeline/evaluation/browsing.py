@@ -28,10 +28,7 @@ SHOWN = (
 def labelled_boxes(records: pa.Table, labels: Labels) -> np.ndarray:
     """(N, 2, 4) float64: the labelled target's and reference's box of each expression; x0, y0, x1, y1, pixels.
 
-    Raises
-    ------
-    InputError
-        The labels are damaged, or not those of the run.
+    Raises InputError: the labels are damaged, or not those of the run.
     """
     objects = read_table(labels.root / "objects.parquet", "objects", ["frame_index", "bbox"])
     frame = objects.column("frame_index").to_numpy()
@@ -48,17 +45,9 @@ def labelled_boxes(records: pa.Table, labels: Labels) -> np.ndarray:
 class RunRows:
     """The expressions of a run, by their numbers in its records.
 
-    Parameters
-    ----------
-    folder : Path
-        Of the run.
-    second : pyarrow.Table, optional
-        Records of a run to compare with.
+    `second`: records of a run to compare with.
 
-    Raises
-    ------
-    InputError
-        The two have no expression in common, or the notes of the run cannot be read.
+    Raises InputError: the two have no expression in common, or the notes of the run cannot be read.
     """
 
     def __init__(self, records: pa.Table, folder: Path, second: pa.Table | None = None) -> None:

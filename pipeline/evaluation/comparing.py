@@ -35,37 +35,22 @@ SECOND_COLUMNS = ("verdict", "detail", "lucky", "said", "margin", "box", "refere
 
 @dataclass(frozen=True)
 class Comparison:
-    """What changed from one run to another.
+    """What changed from one run to another."""
 
-    Attributes
-    ----------
-    shared : int
-        Expressions that both answered.
-    only_before, only_after : int
-        Expressions that only one of them has.
-    differences : dict of str to Estimate
-        By measure: after less before, with its clustered interval.
-    tests : dict of str to McNemar
-        `b` counts what only the run after got right, `c` what only the run before did.
-    fixed, broken, other_reason : tuple of dict
-        Expressions (id, frame, text) that became right, became wrong, and are
-        right both times with another target, reference, or one that is only now (or no longer) acceptable.
-    measure : str
-        The measure by which they are sorted into these.
-    verdicts : dict of str to dict of str to int, or None
-        How many expressions went from which verdict to which: [before][after], all of them, those that stayed too;
-        None where a run has no verdicts.
-    """
-
-    shared: int
+    shared: int  # expressions that both answered
+    # only_before, only_after: expressions that only one of them has
     only_before: int
     only_after: int
-    differences: dict[str, Estimate]
-    tests: dict[str, McNemar]
+    differences: dict[str, Estimate]  # by measure: after less before, with its clustered interval
+    tests: dict[str, McNemar]  # `b` counts what only the run after got right, `c` what only the run before did
+    # fixed, broken, other_reason: expressions (id, frame, text) that became right, became wrong, and are right both
+    # times with another target, reference, or one that is only now (or no longer) acceptable
     fixed: tuple[dict[str, Any], ...]
     broken: tuple[dict[str, Any], ...]
     other_reason: tuple[dict[str, Any], ...]
-    measure: str
+    measure: str  # the measure by which they are sorted into these
+    # verdicts: how many expressions went from which verdict to which: [before][after], all of them, those that stayed
+    # too; None where a run has no verdicts
     verdicts: dict[str, dict[str, int]] | None = None
 
     def record(self) -> dict[str, Any]:
@@ -87,17 +72,9 @@ class Comparison:
 def compare(before: pa.Table, after: pa.Table, measure: str = "set_correct") -> Comparison:
     """Compare two runs by their common expressions.
 
-    Parameters
-    ----------
-    before, after : pyarrow.Table
-        Records.
-    measure : str
-        One of MEASURES.
+    `before`, `after`: records. `measure`: one of MEASURES.
 
-    Raises
-    ------
-    InputError
-        They have no expression in common.
+    Raises InputError: they have no expression in common.
     """
     shared = shared_rows(before, after)
     require(len(shared[0]), "the two runs have no expression in common", cause="were they made with other labels?")
@@ -147,10 +124,7 @@ def changes(first: pa.Table, second: pa.Table, measure: str = "set_correct") -> 
 def with_second(records: pa.Table, second: pa.Table, measure: str = "set_correct") -> pa.Table:
     """Add `change` and the second run's columns (`second_verdict`, …) to a run's records; null without a counterpart.
 
-    Raises
-    ------
-    InputError
-        They have no expression in common.
+    Raises InputError: they have no expression in common.
     """
     own, other = shared_rows(records, second)
     require(len(own), "the two runs have no expression in common", cause="were they made with other labels?")
@@ -187,21 +161,12 @@ Boxes = tuple[list[float] | None, list[float] | None]
 def answer_differences(first: Path, second: Path) -> dict[str, Any]:
     """Compare two sets of answers by frame and text, without labels or verdicts.
 
-    Parameters
-    ----------
-    first, second : Path
-        A run folder, or a file of `ask --json`.
+    `first`, `second`: a run folder, or a file of `ask --json`.
 
-    Returns
-    -------
-    dict
-        As JSON: shared, same, only_first, only_second (counts of expressions); answers: of each one that differs its
-        frame, text, what differs ("target" or "reference": the boxes overlap by less than HIT) and both answers.
+    Returns as JSON: shared, same, only_first, only_second (counts of expressions); answers: of each one that differs
+    its frame, text, what differs ("target" or "reference": the boxes overlap by less than HIT) and both answers.
 
-    Raises
-    ------
-    InputError
-        Neither a run nor answers; no expression in common.
+    Raises InputError: neither a run nor answers; no expression in common.
     """
     one, other = answered_boxes(first), answered_boxes(second)
     shared = [key for key in one if key in other]

@@ -23,24 +23,17 @@ OTHERS = (UNDECIDED, NOTHING, UNJUDGED, UNLABELLED, NO_ANSWER)
 
 @dataclass(frozen=True)
 class Confusion:
-    """Counts of what was meant against what came.
-
-    Attributes
-    ----------
-    rows, columns : tuple of str
-        Relations that were meant; relations, and other outcomes, that came.
-    counts : (R, C) int64
-        Each expression, or each relation of a pair, stands in one cell: a row sums to all of its relation.
-    note : str
-        The rule by which a cell is chosen.
-    """
+    """Counts of what was meant against what came."""
 
     key: str
     title: str
+    # rows, columns: relations that were meant; relations, and other outcomes, that came
     rows: tuple[str, ...]
     columns: tuple[str, ...]
+    # counts (R, C) int64: each expression, or each relation of a pair, stands in one cell: a row sums to all of its
+    # relation
     counts: np.ndarray
-    note: str
+    note: str  # the rule by which a cell is chosen
 
     def record(self) -> dict[str, Any]:
         """Convert to JSON."""
@@ -59,21 +52,11 @@ class Confusion:
 
 @dataclass(frozen=True)
 class Standings:
-    """In which relation the answer of each expression stands.
+    """In which relation the answer of each expression stands."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        The relations of the labels.
-    meant : (E,) int64
-        Which of `names` was asked.
-    cell : (E,) int64
-        Which of `columns` the answer stands in.
-    """
-
-    names: tuple[str, ...]
-    meant: np.ndarray
-    cell: np.ndarray
+    names: tuple[str, ...]  # the relations of the labels
+    meant: np.ndarray  # (E,) int64: which of `names` was asked
+    cell: np.ndarray  # (E,) int64: which of `columns` the answer stands in
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -114,19 +97,10 @@ def answer_standings(records: pa.Table, labels: Labels, content_hash: str | None
 def answer_confusion(records: pa.Table, labels: Labels, content_hash: str | None = None) -> Confusion:
     """Count the asked relation against the labelled relation of the answer's two objects.
 
-    Parameters
-    ----------
-    records : pyarrow.Table
-        A run's records.
-    labels : Labels
-        The labels that the run was made with.
-    content_hash : str, optional
-        Of their expressions when the run was made; other labels are refused.
+    `labels`: the labels that the run was made with. `content_hash`: of their expressions when the run was made; other
+    labels are refused.
 
-    Raises
-    ------
-    InputError
-        The labels are damaged, or not those of the run.
+    Raises InputError: the labels are damaged, or not those of the run.
     """
     return count_standings(answer_standings(records, labels, content_hash))
 
@@ -151,20 +125,11 @@ def count_standings(found: Standings) -> Confusion:
 def stands_in(states: np.ndarray, margins: np.ndarray, meant: np.ndarray, undecided: int, nothing: int) -> np.ndarray:
     """Column of each pair: the meant relation where it holds, `undecided` where it may, else the clearest other.
 
-    Parameters
-    ----------
-    states : (P, R) int8
-        1 holds, 0 in doubt, -1 does not hold.
-    margins : (P, R) float
-        NaN counts as 0; of equal ones the first wins.
-    meant : (P,) int
-        Column of the relation that was asked.
-    doubt, nothing : int
-        Columns where the asked one is in doubt, and where none holds.
+    `states` (P, R) int8: 1 holds, 0 in doubt, -1 does not hold. `margins` (P, R) float: NaN counts as 0; of equal ones
+    the first wins. `meant` (P,) int: column of the relation that was asked. `doubt`, `nothing`: columns where the asked
+    one is in doubt, and where none holds.
 
-    Returns
-    -------
-    (P,) int64
+    Returns (P,) int64.
     """
     every = np.arange(len(meant))
     held = np.where(states == T, np.nan_to_num(np.asarray(margins, np.float64)), -np.inf)

@@ -24,25 +24,19 @@ UNTOLD = "no relation probabilities are given"
 
 @dataclass(frozen=True)
 class Deltas:
-    """Set-valued accuracy on the gold parse with parts of the pipeline replaced by the truth.
-
-    Attributes
-    ----------
-    value : (2^K,) float64
-        v(S) for each subset of the K oracles; of an expression of which some oracles are not known, without these.
-    single : dict of str to Estimate
-        v({m}) - v(none), not clipped: a negative one says that the module made up for an error of another.
-        These do not add up.
-    shapley : dict of str to Estimate
-        phi_m = sum over S without m of |S|! (K - 1 - |S|)! / K! (v(S + m) - v(S)). These add up to v(all) - v(none).
-    untold : dict of str to str
-        The oracles whose costs cannot be worked out, which the two do not hold, and why.
-    """
+    """Set-valued accuracy on the gold parse with parts of the pipeline replaced by the truth."""
 
     expressions: int
+    # value (2^K,) float64: v(S) for each subset of the K oracles; of an expression of which some oracles are not known,
+    # without these
     value: np.ndarray
+    # single: v({m}) - v(none), not clipped: a negative one says that the module made up for an error of another. These
+    # do not add up.
     single: dict[str, Estimate]
+    # shapley: phi_m = sum over S without m of |S|! (K - 1 - |S|)! / K! (v(S + m) - v(S)). These add up to v(all) -
+    # v(none).
     shapley: dict[str, Estimate]
+    # untold: the oracles whose costs cannot be worked out, which the two do not hold, and why
     untold: dict[str, str] = field(default_factory=dict)
 
     def record(self) -> dict[str, Any]:
@@ -83,16 +77,10 @@ def oracle_deltas(
 ) -> Deltas:
     """The deltas of a run.
 
-    Parameters
-    ----------
-    right_with : (E,) int, or (E, 2^K) float64
-        Of each expression, bit s set where the answer is right with subset s; or 1 for it in column s.
-    clusters : (E,)
-        What resembles each other, for the intervals: scenes, or frames.
-    oracles : sequence of str
-        Those that the subsets are of, in the order of their bits.
-    untold : mapping of str to str, optional
-        Those whose costs are left out, and why.
+    `right_with` (E,) int, or (E, 2^K) float64: of each expression, bit s set where the answer is right with subset s;
+    or 1 for it in column s. `clusters` (E,): what resembles each other, for the intervals: scenes, or frames.
+    `oracles`: those that the subsets are of, in the order of their bits. `untold`: those whose costs are left out, and
+    why.
     """
     right, subsets = np.asarray(right_with), 1 << len(oracles)
     if right.ndim < 2:
@@ -107,21 +95,13 @@ def oracle_deltas(
 
 @dataclass(frozen=True, eq=False)
 class KnownOracles:
-    """What is known of the expressions of a run.
+    """What is known of the expressions of a run."""
 
-    Attributes
-    ----------
-    right : (E, S) float64
-        1 where the answer is right under a subset of the oracles, as far as these can be put in place.
-    known : (E,) int64
-        The bits of the oracles that can.
-    why : dict of str to list of str or None
-        Of each expression, by oracle and PARSE: why it cannot.
-    """
-
+    # right (E, S) float64: 1 where the answer is right under a subset of the oracles, as far as these can be put in
+    # place
     right: np.ndarray
-    known: np.ndarray
-    why: dict[str, list[str | None]]
+    known: np.ndarray  # (E,) int64: the bits of the oracles that can
+    why: dict[str, list[str | None]]  # of each expression, by oracle and PARSE: why it cannot
 
     @staticmethod
     def of(records: pa.Table) -> KnownOracles:

@@ -43,40 +43,22 @@ _ORDERS = {"verdict": VERDICTS, f"{SECOND}verdict": VERDICTS, CHANGE: tuple(CHAN
 
 @dataclass(frozen=True)
 class FacetValue:
-    """One value of a facet.
-
-    Attributes
-    ----------
-    term : str
-        The search for it.
-    count : int
-        Expressions that have it, of those that the rest of the search leaves.
-    state : int
-        1 where the search asks for it, -1 where it asks for what has it not, else 0.
-    """
+    """One value of a facet."""
 
     name: str
-    term: str
-    count: int
-    state: int = 0
+    term: str  # the search for it
+    count: int  # expressions that have it, of those that the rest of the search leaves
+    state: int = 0  # 1 where the search asks for it, -1 where it asks for what has it not, else 0
 
 
 @dataclass(frozen=True)
 class Facet:
-    """One property of the expressions.
-
-    Attributes
-    ----------
-    values : tuple of FacetValue
-        Those that occur, and those that are asked for.
-    ranges : bool
-        Its values are ranges of a number: one at a time.
-    """
+    """One property of the expressions."""
 
     name: str
     title: str
-    values: tuple[FacetValue, ...]
-    ranges: bool = False
+    values: tuple[FacetValue, ...]  # those that occur, and those that are asked for
+    ranges: bool = False  # its values are ranges of a number: one at a time
 
     def record(self) -> dict[str, Any]:
         """Convert to JSON."""
@@ -86,10 +68,7 @@ class Facet:
 class Facets:
     """Counts the facets of one run.
 
-    Parameters
-    ----------
-    records : pyarrow.Table
-        With the columns `change` and `marks` where there are any.
+    `records`: with the columns `change` and `marks` where there are any.
     """
 
     def __init__(self, records: pa.Table) -> None:
@@ -105,10 +84,7 @@ class Facets:
     def of(self, query: str = "") -> tuple[Facet, ...]:
         """The facets under a search.
 
-        Raises
-        ------
-        InputError
-            The search cannot be read.
+        Raises InputError: the search cannot be read.
         """
         terms = terms_of(query, self._records.schema)
         left: dict[str, np.ndarray] = {}
@@ -158,10 +134,7 @@ def _state(term: str, own: Sequence[Term]) -> int:
 def with_value(query: str, term: str, schema: pa.Schema, without: bool = False) -> str:
     """Add a value of a facet to a search, or take it away where it is asked for already; `without` excludes it.
 
-    Raises
-    ------
-    InputError
-        One of the two cannot be read.
+    Raises InputError: one of the two cannot be read.
     """
     terms = terms_of(query, schema)
     wanted = terms_of(term, schema)

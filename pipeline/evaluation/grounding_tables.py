@@ -294,12 +294,7 @@ def held_out_warning(
 ) -> str | None:
     """Reason why the figures of a calibration are not held out; None where they are.
 
-    Parameters
-    ----------
-    frames : mapping of str to (scene, picture's hash or None)
-        Those that were evaluated, by id.
-    dataset : str
-        Its folder's name.
+    `frames`: those that were evaluated, by id. `dataset`: its folder's name.
     """
     if not calibration.frames:
         return "the score calibration does not say which frames it was fitted on: its effect may not be held out"

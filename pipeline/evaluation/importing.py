@@ -68,26 +68,12 @@ def import_run(
 ) -> RunReport:
     """Judge the predictions of another pipeline on a dataset and its labels; the run folder keeps a copy.
 
-    Parameters
-    ----------
-    predictions : str or Path
-        A file as `docs/predictions.md` describes it.
-    dataset, labels, out
-        As for `evaluate`.
-    name : str, optional
-        Of the system in tables; the header's by default.
-    rescore : callable, optional
-        Ranks pairs anew as the pipeline does; see `pair_rules.Rescore`. With it one process works.
-    workers, plots, overwrite, progress
-        As for `evaluate_dataset`.
-    options
-        Of the dataset: intrinsics, depth_scale, up, ...
+    `predictions`: a file as `docs/predictions.md` describes it. `name`: of the system in tables; the header's by
+    default. `rescore`: ranks pairs anew as the pipeline does; see `pair_rules.Rescore`. With it one process works.
+    `options`: of the dataset: intrinsics, depth_scale, up, ...
 
-    Raises
-    ------
-    InputError
-        The file does not follow the schema, its frames or coordinates are not the dataset's, or no line is an
-        expression of the labels; nothing is written then.
+    Raises InputError: the file does not follow the schema, its frames or coordinates are not the dataset's, or no line
+    is an expression of the labels; nothing is written then.
     """
     given: dict[str, Any] = {"predictions": Path(predictions), **options}
     if rescore is not None:
@@ -138,7 +124,6 @@ def import_records(
     ----------
     records : iterable of dict or Prediction, or path
         As the lines of `docs/predictions.md`, or the file of them; a header may come first.
-    dataset, labels : str or Path
     out : str or Path, optional
         The run's folder; by default a temporary one.
     header : Header or mapping, optional
@@ -150,7 +135,6 @@ def import_records(
     ------
     InputError
         As `import_run`; messages count the records from 1, without the header. No record.
-
     Warns
     -----
     UserWarning
@@ -233,10 +217,7 @@ def _beside_all(source: ImportedPipeline, labels: Labels) -> str | None:
 def export_run(run: Run, out: str | Path) -> int:
     """Write a run of ours as predictions of level 3; gives the number of lines.
 
-    Raises
-    ------
-    InputError
-        The file exists, the run is not of the pipeline, or its data cannot be opened.
+    Raises InputError: the file exists, the run is not of the pipeline, or its data cannot be opened.
     """
     kept = run.spec.options.get("predictions")
     require(not kept, "the run is made of predictions already", expected="nothing to write: the file", path=kept)

@@ -60,26 +60,16 @@ PaperTables = Callable[..., "list[Table]"]
 
 @dataclass(frozen=True)
 class RunReport:
-    """What an evaluation left.
-
-    Attributes
-    ----------
-    pairs : int
-        On which relations were measured alone.
-    warnings : tuple of str
-        Why figures say less than they seem to.
-    shares : tuple of Share
-        What answers have in common with what made the labels.
-    """
+    """What an evaluation left."""
 
     folder: Path
     tables: tuple[Table, ...]
     expressions: int
     seconds: float
     comparison: Comparison | None
-    pairs: int = 0
-    warnings: tuple[str, ...] = ()
-    shares: tuple[Share, ...] = ()
+    pairs: int = 0  # on which relations were measured alone
+    warnings: tuple[str, ...] = ()  # why figures say less than they seem to
+    shares: tuple[Share, ...] = ()  # what answers have in common with what made the labels
 
     def __repr__(self) -> str:
         return f"<RunReport {self.folder.name}: {self.expressions} expressions, {len(self.tables)} tables>"
@@ -101,26 +91,13 @@ def evaluate_dataset(
 ) -> RunReport:
     """Evaluate a dataset on its labels and write the run folder, whole or not at all.
 
-    Parameters
-    ----------
-    out : Path
-        `tables.md`, `tables.tex`, `tables/*.csv`, `slices.md`, `records.parquet`, `relation_records.parquet`,
-        `diagnosis.json`, `plots/`, `run.json`.
-    name : str, optional
-        Of the system in the tables; by default detector and relation scorer.
-    others : sequence of Path
-        Runs on the same labels, whose systems become further rows.
-    against : Path, optional
-        The run to compare with: `comparison.json`.
-    paper : callable, optional
-        Makes the paper's tables, which stand first and are those of the report: `pipeline.paper.tables_of_folder`.
-    plots : bool
-        Draw; without the extra `report` they are left out with a warning.
+    `out`: `tables.md`, `tables.tex`, `tables/*.csv`, `slices.md`, `records.parquet`, `relation_records.parquet`,
+    `diagnosis.json`, `plots/`, `run.json`. `name`: of the system in the tables; by default detector and relation
+    scorer. `others`: runs on the same labels, whose systems become further rows. `against`: the run to compare with:
+    `comparison.json`. `paper`: makes the paper's tables, which stand first and are those of the report:
+    `pipeline.paper.tables_of_folder`. `plots`: draw; without the extra `report` they are left out with a warning.
 
-    Raises
-    ------
-    InputError
-        Dataset, labels or runs cannot be used, or `out` holds something else.
+    Raises InputError: dataset, labels or runs cannot be used, or `out` holds something else.
     """
     start = perf_counter()
     out = Path(out)
@@ -256,9 +233,6 @@ def evaluate(
 
     Parameters
     ----------
-    dataset : str or Path
-        A folder, or "demo".
-    labels : str, Path or Labels
     out : str or Path
         Run folder to write.
     limit : int, optional
@@ -267,15 +241,8 @@ def evaluate(
         A run to compare with.
     relations : bool
         Measure relations alone too, pair by pair.
-    name, workers, plots, overwrite, progress
-        As for `evaluate_dataset`. More than one worker needs a script that starts under `if __name__ == "__main__":`.
     options
         Further arguments of `open_pipeline`: detector, model, min_score, srm, config, ...
-
-    Raises
-    ------
-    InputError
-        As `evaluate_dataset`.
     """
     vectors = options.get("vectors")
     alone = RelationSpec(vectors=None if vectors is None else str(vectors)) if relations else None
@@ -295,19 +262,9 @@ def other_systems(
 
     A name that is taken is told apart by its run's folder, and by a number where that is not enough.
 
-    Parameters
-    ----------
-    name : str
-        Of the run that they stand beside.
-    content_hash : str
-        Of the expressions that were asked.
-    makers : Makers
-        Of the labels.
+    `name`: of the run that they stand beside. `content_hash`: of the expressions that were asked.
 
-    Raises
-    ------
-    InputError
-        There is no run, or it is of other labels.
+    Raises InputError: there is no run, or it is of other labels.
     """
     found: dict[str, tuple[pa.Table, tuple[Share, ...]]] = {}
     taken = {name}
@@ -345,23 +302,12 @@ MOST = 20
 
 @dataclass(frozen=True)
 class RunDiagnosis:
-    """The diagnosis of a run and of those beside it.
+    """The diagnosis of a run and of those beside it."""
 
-    Attributes
-    ----------
-    summaries : dict of str to RunSummary
-        By system; those without verdicts are left out.
-    slices : tuple of Slices
-        By every dimension that the runs have.
-    confusions : tuple of Confusion
-        That of the answers first, then of each network.
-    shares : mapping of str to sequence of Share
-        What systems have in common with what made the labels.
-    """
-
-    summaries: dict[str, RunSummary]
-    slices: tuple[Slices, ...]
-    confusions: tuple[Confusion, ...]
+    summaries: dict[str, RunSummary]  # by system; those without verdicts are left out
+    slices: tuple[Slices, ...]  # by every dimension that the runs have
+    confusions: tuple[Confusion, ...]  # that of the answers first, then of each network
+    # shares: what systems have in common with what made the labels
     shares: Mapping[str, Sequence[Share]] = field(default_factory=dict)
 
     @property
@@ -402,16 +348,8 @@ def diagnose_run(
 ) -> RunDiagnosis:
     """Summaries, slices and confusions of runs; the first is the run itself.
 
-    Parameters
-    ----------
-    systems : mapping of str to pyarrow.Table
-        Records by system.
-    labels : Labels, optional
-        Of the first run: needed for the confusion of its answers.
-    relations : RelationRecords, optional
-        Of the first run: they tell what the networks take for what.
-    shares : mapping of str to sequence of Share
-        As `RunDiagnosis.shares`.
+    `systems`: records by system. `labels`: of the first run: needed for the confusion of its answers. `relations`: of
+    the first run: they tell what the networks take for what.
     """
     confusions = [] if labels is None else [answer_confusion(next(iter(systems.values())), labels)]
     confusions += network_confusion(relations)

@@ -35,30 +35,13 @@ def judge_again(
 ) -> dict[str, Any]:
     """Judge a run, labels or a saved case again, by this version, into a new folder; the old one stays as it is.
 
-    Parameters
-    ----------
-    path : str or Path
-        A folder of `eval` or `import-run`, of `label`, or of `save-case`.
-    out : str or Path
-        Must not exist, or be empty.
-    workers : int
-        Processes, of a run or of labels.
-    plots : bool
-        Draw those of a run.
-    progress : callable, optional
-        Called with (done, in all).
-    system : callable, optional
-        Gives the system of a `run.json` that is not the pipeline's: `pipeline.paper.recorded_system`.
+    `path`: a folder of `eval` or `import-run`, of `label`, or of `save-case`. `out`: must not exist, or be empty.
+    `workers`: processes, of a run or of labels. `plots`: draw those of a run. `system`: gives the system of a
+    `run.json` that is not the pipeline's: `pipeline.paper.recorded_system`.
 
-    Returns
-    -------
-    dict
-        "kind" ("run", "labels" or "case"), "out", and what there is to count.
+    Returns "kind" ("run", "labels" or "case"), "out", and what there is to count.
 
-    Raises
-    ------
-    InputError
-        It is none of these, its data or models are gone, or `out` is in use.
+    Raises InputError: it is none of these, its data or models are gone, or `out` is in use.
     """
     path, out = Path(path), Path(out)
     if (path / CASE_FILE).is_file():

@@ -62,24 +62,12 @@ _FARTHEST = 1.0
 
 @dataclass(frozen=True)
 class BoxAnswer:
-    """A box in an answer.
+    """A box in an answer."""
 
-    Attributes
-    ----------
-    box : (x0, y0, x1, y1) or None
-        Shares of the picture's width and height, 0 to 1, of an area above 0.
-    scale : str or None
-        How the numbers were read: "1", "100", "1000", "1024", "pixels".
-    notes : tuple of str
-        What had to be mended or assumed.
-    reason : str or None
-        Why there is no box.
-    """
-
-    box: Corners | None
-    scale: str | None = None
-    notes: tuple[str, ...] = ()
-    reason: str | None = None
+    box: Corners | None  # shares of the picture's width and height, 0 to 1, of an area above 0
+    scale: str | None = None  # how the numbers were read: "1", "100", "1000", "1024", "pixels"
+    notes: tuple[str, ...] = ()  # what had to be mended or assumed
+    reason: str | None = None  # why there is no box
 
 
 @dataclass(frozen=True)
@@ -101,19 +89,12 @@ def parse_box(text: str, size: tuple[int, int] | None = None, scale: BoxScale = 
     Corners in the wrong order are put right and what lies outside is cut off, both with a note. A corner with width
     and height is refused.
 
-    Parameters
-    ----------
-    size : (width, height), optional
-        Of the picture as it was sent, pixels.
-    scale : float, "pixels" or "auto"
-        What the far edge is. "auto": numbers up to 1 are shares. Larger ones are pixels where they lie within the
-        picture, else thousandths where they are whole and at most 1000; some models that count in thousandths can so
-        be misread, and need to be told. Signs (%, px, location tokens) and shares with a decimal point count before it.
+    `size`: of the picture as it was sent, pixels. `scale`: what the far edge is. "auto": numbers up to 1 are shares.
+    Larger ones are pixels where they lie within the picture, else thousandths where they are whole and at most 1000;
+    some models that count in thousandths can so be misread, and need to be told. Signs (%, px, location tokens) and
+    shares with a decimal point count before it.
 
-    Raises
-    ------
-    InputError
-        The scale cannot be used; never for what the model wrote.
+    Raises InputError: the scale cannot be used; never for what the model wrote.
     """
     require(
         scale in ("auto", "pixels") or (isinstance(scale, int | float) and 0 < scale < math.inf),
@@ -247,18 +228,10 @@ def _found(written: list[str], boxes: int, scale: float | None = None) -> _BoxNu
 
 @dataclass(frozen=True)
 class YesNo:
-    """A yes or a no.
+    """A yes or a no."""
 
-    Attributes
-    ----------
-    value : bool or None
-        None where the answer is neither, or both.
-    reason : str or None
-        Why there is none.
-    """
-
-    value: bool | None
-    reason: str | None = None
+    value: bool | None  # None where the answer is neither, or both
+    reason: str | None = None  # why there is none
 
 
 def spoken_part(text: str) -> tuple[str, str | None]:

@@ -51,10 +51,7 @@ TIP = "tip:"
 class Page:
     """Pictures of one kind: a PNG each, and a page that holds them as SVG and needs no network.
 
-    Parameters
-    ----------
-    above : str
-        Caveat that stands before what is said below each title.
+    `above`: caveat that stands before what is said below each title.
     """
 
     def __init__(self, folder: Path, above: str = "") -> None:
@@ -98,16 +95,8 @@ def interval(e: Estimate) -> tuple[float, float]:
 def draw(systems: Mapping[str, pa.Table], tables: Sequence[Table], out: Path, caveat: str = "") -> None:
     """Write `relations.png`, `overlap.png`, `classes.png`, `plots.html`, and `calibration.png` where scores are.
 
-    Parameters
-    ----------
-    systems : mapping of str to pyarrow.Table
-        Records by system.
-    tables : sequence of Table
-        Those of the run: the relation table gives the bars their intervals.
-    out : Path
-        A folder to make.
-    caveat : str
-        What the figures are where truth and systems have a maker in common: below each title.
+    `systems`: records by system. `tables`: those of the run: the relation table gives the bars their intervals.
+    `caveat`: what the figures are where truth and systems have a maker in common: below each title.
     """
     out.mkdir(parents=True)
     page = Page(out, caveat)
@@ -291,14 +280,8 @@ def draw_diagnosis(
     Pictures are of the first system; the page has those of all, and every slice. Without verdicts, only confusions are
     drawn.
 
-    Parameters
-    ----------
-    out : Path
-        A folder, made where it is missing.
-    caveats : str
-        HTML that stands above all.
-    caveat : str
-        What the figures are where truth and systems have a maker in common: before what stands below each title.
+    `out`: a folder, made where it is missing. `caveats`: HTML that stands above all. `caveat`: what the figures are
+    where truth and systems have a maker in common: before what stands below each title.
     """
     out.mkdir(parents=True, exist_ok=True)
     page = Page(out, caveat)

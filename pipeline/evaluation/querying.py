@@ -28,15 +28,10 @@ LABELS = "labels_"
 
 @dataclass(frozen=True)
 class QueryRows:
-    """What a query gives.
-
-    Attributes
-    ----------
-    rows : iterator of tuple
-        As they are fetched; to be used while the database is open, and before the next query.
-    """
+    """What a query gives."""
 
     columns: tuple[str, ...]
+    # rows: as they are fetched; to be used while the database is open, and before the next query
     rows: Iterator[tuple[Any, ...]]
 
 
@@ -44,10 +39,7 @@ class RunDatabase:
     """The view "records", and "labels_frames", "labels_objects", "labels_relations", "labels_expressions" where the
     labels of the run are still where they were. Open it with `open_database`.
 
-    Attributes
-    ----------
-    labels : str or None
-        Where the labels of the run were.
+    `labels`: where the labels of the run were.
     """
 
     def __init__(self, tables: Mapping[str, Path], spill: Path, labels: str | None) -> None:
@@ -59,17 +51,10 @@ class RunDatabase:
     def select(self, sql: str, parameters: Sequence[Any] = (), seconds: float | None = None) -> QueryRows:
         """Run one SELECT.
 
-        Parameters
-        ----------
-        parameters : sequence
-            In the places of "?".
-        seconds : float, optional
-            How long it may take, without the time in which nobody asks for rows; at most the limit `query_seconds`.
+        `parameters`: in the places of "?". `seconds`: how long it may take, without the time in which nobody asks for
+        rows; at most the limit `query_seconds`.
 
-        Raises
-        ------
-        InputError
-            It is not one SELECT, DuckDB refuses it, or it takes more memory or time than it may.
+        Raises InputError: it is not one SELECT, DuckDB refuses it, or it takes more memory or time than it may.
         """
         most = current_limits().query_seconds
         allowed = most if seconds is None else min(seconds, most)
@@ -155,10 +140,7 @@ class RunDatabase:
 def open_database(run: Path) -> Iterator[RunDatabase]:
     """Open a run and its labels as views of a database without access to anything else.
 
-    Raises
-    ------
-    InputError
-        There is no run, or the tables of its labels are damaged.
+    Raises InputError: there is no run, or the tables of its labels are damaged.
     """
     run = Path(run)
     read_records(run, [])

@@ -329,19 +329,13 @@ def raw_records(records: pa.Table) -> pa.Table:
 
 @dataclass(frozen=True)
 class DetectorScores:
-    """All detections of a run, each once: a name is asked once of a frame.
+    """All detections of a run, each once: a name is asked once of a frame."""
 
-    Attributes
-    ----------
-    raw, calibrated : (D,) float64
-    hits : (D,) bool
-    frames, scenes : (D,) str
-        Of each.
-    """
-
+    # raw, calibrated (D,) float64
     raw: np.ndarray
     calibrated: np.ndarray
-    hits: np.ndarray
+    hits: np.ndarray  # (D,) bool
+    # frames, scenes (D,) str: of each
     frames: np.ndarray
     scenes: np.ndarray
 
@@ -369,10 +363,7 @@ def detector_scores(records: pa.Table) -> DetectorScores:
 def read_records(run: Path, columns: list[str] | None = None) -> pa.Table:
     """Read the records of a run folder, or some columns; with none only the file's head.
 
-    Raises
-    ------
-    InputError
-        There is no run, or it measured relations alone.
+    Raises InputError: there is no run, or it measured relations alone.
     """
     path = Path(run) / "records.parquet"
     try:

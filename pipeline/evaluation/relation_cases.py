@@ -41,35 +41,18 @@ Geometry = Literal["lifted", "stored"]
 
 @dataclass(frozen=True, eq=False)
 class FramePairs:
-    """The labelled pairs of one frame's usable objects.
-
-    Attributes
-    ----------
-    numbers : (N,) int
-        The objects' numbers in the labels, rising.
-    labels : tuple of str
-        Their class names.
-    a, b : (P,) int64
-        Indices in `numbers`.
-    relations : tuple of str
-        Those that were labelled.
-    states : (P, R) int8
-        1 T, 0 U or not judged, -1 F.
-    geometry : dict of str to array
-        Columns of the objects' table, a row an object.
-    frame : dict
-        width, height, up of the frame.
-    """
+    """The labelled pairs of one frame's usable objects."""
 
     key: FrameKey
-    numbers: np.ndarray
-    labels: tuple[str, ...]
+    numbers: np.ndarray  # (N,) int: the objects' numbers in the labels, rising
+    labels: tuple[str, ...]  # their class names
+    # a, b (P,) int64: indices in `numbers`
     a: np.ndarray
     b: np.ndarray
-    relations: tuple[str, ...]
-    states: np.ndarray
-    geometry: dict[str, np.ndarray]
-    frame: dict[str, Any]
+    relations: tuple[str, ...]  # those that were labelled
+    states: np.ndarray  # (P, R) int8: 1 T, 0 U or not judged, -1 F
+    geometry: dict[str, np.ndarray]  # columns of the objects' table, a row an object
+    frame: dict[str, Any]  # width, height, up of the frame
 
 
 def spread(count: int, limit: int | None) -> np.ndarray:
@@ -138,15 +121,9 @@ def score_lifted(
 ) -> list[np.ndarray]:
     """Score pairs by each system, on objects lifted from the dataset's annotations and depth.
 
-    Returns
-    -------
-    list of (P, R_k) float32
-        In the order of each system's relations.
+    Returns list of (P, R_k) float32: in the order of each system's relations.
 
-    Raises
-    ------
-    InputError
-        The dataset lacks a labelled object, or a network lacks the vector of a class.
+    Raises InputError: the dataset lacks a labelled object, or a network lacks the vector of a class.
     """
     detector = labelled_detector(source)
     proposals = detector.detect(context.frame, None)
@@ -190,33 +167,17 @@ def score_stored(systems: Sequence[RelationSystem], pairs: FramePairs) -> list[n
 
 @dataclass(frozen=True)
 class RelationSpec:
-    """How relations are measured alone, as plain values that a process can be given.
+    """How relations are measured alone, as plain values that a process can be given."""
 
-    Attributes
-    ----------
-    others : tuple of str
-        Relation scorers beside the run's own: "trained", "rule", or paths of networks.
-    vectors : str or None
-        Text vectors for the language networks among all of them.
-    geometry : str or None
-        "lifted": the labelled objects as the dataset's annotations and depth give them now. "stored": their
-        boxes and extents as the labels have them. By default lifted, where the labels were made of annotations.
-    frames : int or None
-        Only so many frames, spread evenly over those with labelled pairs.
-    pairs : str
-        "all", or "held-out": without the frames that any of the networks was trained or calibrated on.
-    vlm_pairs : int
-        How many pairs a vision-language model is asked about, drawn at random.
-    seed : int
-        Of that draw.
-    """
-
-    others: tuple[str, ...] = ()
-    vectors: str | None = None
+    others: tuple[str, ...] = ()  # relation scorers beside the run's own: "trained", "rule", or paths of networks
+    vectors: str | None = None  # text vectors for the language networks among all of them
+    # geometry: "lifted": the labelled objects as the dataset's annotations and depth give them now. "stored": their
+    # boxes and extents as the labels have them. By default lifted, where the labels were made of annotations.
     geometry: Geometry | None = None
-    frames: int | None = None
+    frames: int | None = None  # only so many frames, spread evenly over those with labelled pairs
+    # pairs: "all", or "held-out": without the frames that any of the networks was trained or calibrated on
     pairs: Literal["all", "held-out"] = "all"
-    vlm_pairs: int = 200
+    vlm_pairs: int = 200  # how many pairs a vision-language model is asked about, drawn at random
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -231,41 +192,22 @@ class RelationSpec:
 
 @dataclass(frozen=True, eq=False)
 class RelationSystem:
-    """A relation scorer as a row of the tables.
+    """A relation scorer as a row of the tables."""
 
-    Attributes
-    ----------
-    name : str
-        Unlike that of any other in the run; its name in the records.
-    title : str
-        What the tables call it.
-    relations : tuple of str
-        What it is measured on: the relations it judges itself, as far as they were labelled.
-    unlabelled : tuple of str
-        Those it judges which were not labelled.
-    prior : tuple of float
-        Of a softmax network, in the order of its vocabulary; else empty.
-    recorded : bool
-        Whether it is known what it learnt from: False for networks of labels that do not say so.
-    """
-
-    name: str
-    title: str
+    name: str  # unlike that of any other in the run; its name in the records
+    title: str  # what the tables call it
     scorer: RelationScorer
-    relations: tuple[str, ...]
-    unlabelled: tuple[str, ...] = ()
-    prior: tuple[float, ...] = ()
+    relations: tuple[str, ...]  # what it is measured on: the relations it judges itself, as far as they were labelled
+    unlabelled: tuple[str, ...] = ()  # those it judges which were not labelled
+    prior: tuple[float, ...] = ()  # of a softmax network, in the order of its vocabulary; else empty
     trained_on: TrainedOn | None = None
-    recorded: bool = True
+    recorded: bool = True  # whether it is known what it learnt from: False for networks of labels that do not say so
 
 
 def geometry_of_labels(spec: RelationSpec, labels: Labels) -> Geometry:
     """Geometry as asked for, else as fits the labels.
 
-    Raises
-    ------
-    InputError
-        Objects are to be lifted from annotations, and the labels are of a detector.
+    Raises InputError: objects are to be lifted from annotations, and the labels are of a detector.
     """
     detector = labels.manifest.models.get("detector", "")
     annotated = detector.startswith("annotations")
@@ -284,15 +226,9 @@ def geometry_of_labels(spec: RelationSpec, labels: Labels) -> Geometry:
 def open_systems(options: Mapping[str, Any], spec: RelationSpec, labels: Labels) -> tuple[RelationSystem, ...]:
     """The run's own relation scorer, then the others.
 
-    Parameters
-    ----------
-    options : mapping
-        Arguments of `open_pipeline`: srm, vectors.
+    `options`: arguments of `open_pipeline`: srm, vectors.
 
-    Raises
-    ------
-    InputError
-        A scorer that cannot be opened, or one that judges nothing of what was labelled.
+    Raises InputError: a scorer that cannot be opened, or one that judges nothing of what was labelled.
     """
     vectors = spec.vectors if spec.vectors is not None else options.get("vectors")
     found: dict[str, RelationSystem] = {}

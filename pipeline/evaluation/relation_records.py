@@ -37,46 +37,26 @@ SYSTEMS_KEY = b"spatialviz.relation_systems"
 
 @dataclass(frozen=True, eq=False)
 class SystemRecords:
-    """What one scorer says of P pairs.
-
-    Attributes
-    ----------
-    p : (P, R_k) float32
-    part : (P,) int8
-        TRAIN or VALIDATION for pairs of frames that it learnt from, else DROPPED.
-    prior : tuple of float
-        Of a softmax network all of whose relations were labelled, in the order of `relations`; else empty.
-    """
+    """What one scorer says of P pairs."""
 
     name: str
     title: str
     relations: tuple[str, ...]
-    p: np.ndarray
-    part: np.ndarray
+    p: np.ndarray  # (P, R_k) float32
+    part: np.ndarray  # (P,) int8: TRAIN or VALIDATION for pairs of frames that it learnt from, else DROPPED
+    # prior: of a softmax network all of whose relations were labelled, in the order of `relations`; else empty
     prior: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class RelationRecords:
-    """All pairs.
+    """All pairs."""
 
-    Attributes
-    ----------
-    relations : tuple of str
-        Those that were labelled.
-    states : (P, R) int8
-    frame_index : (P,) int32
-    scenes : tuple of str
-        Names, in the order of the frames.
-    scene : (P,) int32
-        Indices in `scenes`.
-    """
-
-    relations: tuple[str, ...]
-    states: np.ndarray
-    frame_index: np.ndarray
-    scenes: tuple[str, ...]
-    scene: np.ndarray
+    relations: tuple[str, ...]  # those that were labelled
+    states: np.ndarray  # (P, R) int8
+    frame_index: np.ndarray  # (P,) int32
+    scenes: tuple[str, ...]  # names, in the order of the frames
+    scene: np.ndarray  # (P,) int32: indices in `scenes`
     systems: tuple[SystemRecords, ...]
 
     def __len__(self) -> int:
@@ -94,12 +74,7 @@ class RelationRecords:
 class RelationPass:
     """What a process opens once to score the labelled pairs of frames.
 
-    Parameters
-    ----------
-    options : dict
-        Arguments of `open_pipeline`.
-    chosen : collection of int
-        Indices of the frames that are scored.
+    `options`: arguments of `open_pipeline`. `chosen`: indices of the frames that are scored.
     """
 
     def __init__(self, spec: RelationSpec, options: dict[str, Any], labels: Labels, chosen: Sequence[int]) -> None:
@@ -194,10 +169,7 @@ def read_pair_names(path: Path) -> list[tuple[str, str, str]]:
 def read_relation_records(path: Path) -> RelationRecords:
     """Relation records as arrays.
 
-    Raises
-    ------
-    InputError
-        The file is missing, or is something else.
+    Raises InputError: the file is missing, or is something else.
     """
     try:
         rows = read_parquet(path, ["frame_index", "scene", "state", "p", "learnt_from"])

@@ -54,25 +54,17 @@ BY_RELATION = ("precision", "recall", "F1", "F1, tuned threshold", "AP", "positi
 
 @dataclass(frozen=True, eq=False)
 class SystemFigures:
-    """Every figure of one scorer.
-
-    Attributes
-    ----------
-    estimates : RelationEstimates
-        The same with intervals.
-    top1, top2 : Estimate or None
-        Where it says which one relation fits, and all it can say was labelled.
-    tuned : (R,) float64
-        F1 at the thresholds that are best on the network's validation frames, on the pairs of frames that it has
-        not seen at all; NaN without either.
-    """
+    """Every figure of one scorer."""
 
     title: str
     metrics: RelationMetrics
-    estimates: RelationEstimates
+    estimates: RelationEstimates  # the same with intervals
     calibration: CalibrationMetrics
+    # top1, top2: where it says which one relation fits, and all it can say was labelled
     top1: Estimate | None
     top2: Estimate | None
+    # tuned (R,) float64: F1 at the thresholds that are best on the network's validation frames, on the pairs of frames
+    # that it has not seen at all; NaN without either
     tuned: np.ndarray
 
 
@@ -94,15 +86,8 @@ def system_figures(
 ) -> SystemFigures:
     """Figures of a scorer.
 
-    Parameters
-    ----------
-    system : SystemRecords
-        Of P pairs.
-    states : (P, R_k) int8
-        Of its relations.
-    clusters : (P,) int
-    counted : (P,) bool
-        The pairs that are measured; the others only serve to find thresholds.
+    `states` (P, R_k) int8: of its relations. `clusters` (P,) int. `counted` (P,) bool: the pairs that are measured; the
+    others only serve to find thresholds.
     """
     p, truth, names = system.p[counted].astype(np.float64), states[counted], system.relations
     own = clusters[counted]
@@ -216,16 +201,8 @@ def relation_tables(
 ) -> list[Table]:
     """Tables of relation scorers: overall, and by relation.
 
-    Parameters
-    ----------
-    no_rows : sequence of Row
-        Those of `always_no`.
-    unit : str
-        What the intervals are drawn over, "scene" or "frame".
-    notes : sequence of str
-        What else a reader must know: of what pairs, and what was learnt from them.
-    shares : mapping of str to Share
-        What scorers have in common with what made the labels, by their titles.
+    `unit`: what the intervals are drawn over, "scene" or "frame". `notes`: what else a reader must know: of what pairs,
+    and what was learnt from them. `shares`: what scorers have in common with what made the labels, by their titles.
     """
     text = " ".join(notes)
     titles = {f.title: shares[f.title].title if f.title in shares else "" for f in figures}
@@ -265,12 +242,7 @@ def leak_warnings(
 ) -> list[str]:
     """Warn of pairs and scenes from a scorer's training, and of relations without labels.
 
-    Parameters
-    ----------
-    systems : sequence of RelationSystem
-        In the order of the records.
-    held_out : bool
-        Pairs that were learnt from are left out.
+    `systems`: in the order of the records. `held_out`: pairs that were learnt from are left out.
     """
     found: dict[str, list[str]] = {}
     for own, system in zip(records.systems, systems, strict=True):
@@ -306,27 +278,15 @@ def _leaks(
 
 @dataclass(frozen=True, eq=False)
 class RelationRun:
-    """Relations alone, measured.
+    """Relations alone, measured."""
 
-    Attributes
-    ----------
-    figures : tuple of SystemFigures
-        A scorer each, then the vision-language model.
-    record : dict
-        For the manifest.
-    pairs : int
-        That were measured.
-    shares : dict of str to Share
-        What scorers have in common with what made the labels, by their titles.
-    """
-
-    figures: tuple[SystemFigures, ...]
+    figures: tuple[SystemFigures, ...]  # a scorer each, then the vision-language model
     tables: tuple[Table, ...]
     warnings: tuple[str, ...]
     records: RelationRecords
     record: dict[str, Any]
     pairs: int
-    shares: dict[str, Share]
+    shares: dict[str, Share]  # what scorers have in common with what made the labels, by their titles
 
 
 @contextmanager
@@ -346,10 +306,7 @@ def measure_relations(
 ) -> RelationRun:
     """The tables of a run's relation records.
 
-    Raises
-    ------
-    InputError
-        No pair is left to be measured.
+    Raises InputError: no pair is left to be measured.
     """
     how = spec.relations
     assert how is not None

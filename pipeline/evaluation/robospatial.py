@@ -44,27 +44,15 @@ _TUPLE, _LIST = re.compile(rf"\({_NUMBER},{_NUMBER}\)"), re.compile(rf"\[{_NUMBE
 
 @dataclass(frozen=True)
 class Question:
-    """An item.
+    """An item."""
 
-    Attributes
-    ----------
-    id : str
-        "context_0": the category and the row.
-    frame : str
-        Of the dataset that its folder is.
-    category, text, answer : str
-        As published.
-    mask : Blob or None
-        Nonzero where a point is right.
-    """
-
-    id: str
-    frame: str
+    id: str  # "context_0": the category and the row
+    frame: str  # of the dataset that its folder is
     category: str
     text: str
     answer: str
     picture: Blob
-    mask: Blob | None = None
+    mask: Blob | None = None  # nonzero where a point is right
 
     @property
     def yes(self) -> bool | None:
@@ -93,10 +81,7 @@ def is_robospatial(root: Path) -> bool:
 def read_questions(root: Path) -> list[Question]:
     """The items of a folder.
 
-    Raises
-    ------
-    InputError
-        It is not the benchmark, or damaged.
+    Raises InputError: it is not the benchmark, or damaged.
     """
     if (root / FILE).is_file():
         return [
@@ -138,10 +123,7 @@ class QuestionAnswers:
 def read_question_answers(path: Path, questions: Sequence[Question]) -> QuestionAnswers:
     """Answers in the published form: a list of items whose `answer` is the system's; matched by `img` and `question`.
 
-    Raises
-    ------
-    InputError
-        The file is damaged, or answers none of the items.
+    Raises InputError: the file is damaged, or answers none of the items.
     """
     by_key = {(q.id, q.text): q.id for q in questions}
     keys = [((item_name(e["img"]), e["question"]), e["answer"]) for e in robospatial_entries(path)]

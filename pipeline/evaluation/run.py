@@ -32,11 +32,7 @@ Progress = Callable[[int, int], None]
 
 
 class Evaluator:
-    """What a process opens once.
-
-    Parameters
-    ----------
-    """
+    """What a process opens once."""
 
     def __init__(self, spec: EvalSpec) -> None:
         self.spec = spec
@@ -52,10 +48,7 @@ class Evaluator:
     def frame(self, truth: FrameCases, context: PreparedFrame | None = None) -> list[dict[str, Any]]:
         """Records of a frame's expressions; the frame is loaded unless given.
 
-        Raises
-        ------
-        InputError
-            The dataset has no such frame, or it cannot be used any more.
+        Raises InputError: the dataset has no such frame, or it cannot be used any more.
         """
         if self._chosen is not None:
             kept = tuple(c for c in truth.cases if (truth.frame_index, c.id) in self._chosen)
@@ -114,17 +107,9 @@ def evaluate_labels(
 
     The rows do not depend on the number of workers, nor on how many frames make a block.
 
-    Parameters
-    ----------
-    progress : callable, optional
-        Counts expressions; frames where no expression is asked.
-    relations : callable, optional
-        Is given the relation records (see `relation_records`), block by block. Without it there are none.
+    `relations`: is given the relation records (see `relation_records`), block by block. Without it there are none.
 
-    Raises
-    ------
-    InputError
-        Nothing can be evaluated, a frame of the labels cannot be used, or a worker was killed.
+    Raises InputError: nothing can be evaluated, a frame of the labels cannot be used, or a worker was killed.
     """
     spec = spec if relations is not None else replace(spec, relations=None)
     _, labels = spec.open()
@@ -180,10 +165,7 @@ def right_scores(source: Pipeline, context: PreparedFrame, truth: FrameCases) ->
 def median_confidence(source: Pipeline, labels: Labels, looked_at: int = LOOKED_AT) -> tuple[float | None, int]:
     """Median score of right candidates, None without any, and their number.
 
-    Parameters
-    ----------
-    looked_at : int
-        Frames that are looked at, spread evenly.
+    `looked_at`: frames that are looked at, spread evenly.
     """
     found = [np.zeros(0)]
     for index in frames_in(labels, "expressions", looked_at).tolist():

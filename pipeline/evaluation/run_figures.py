@@ -36,25 +36,14 @@ Found = TypeVar("Found")
 
 @dataclass(frozen=True, eq=False)
 class Listing:
-    """The expressions of a run that match a search.
-
-    Attributes
-    ----------
-    figures : RunFigures
-        Of the run.
-    error : str
-        Why the search cannot be carried out; what was found before stays.
-    found : (N,) int64
-        Numbers of the rows that match, in the order of the list.
-    at : (str, str, str) or None
-        Frame, id and text of the one that is open.
-    """
+    """The expressions of a run that match a search."""
 
     figures: RunFigures
     query: str = ""
-    error: str = ""
+    error: str = ""  # why the search cannot be carried out; what was found before stays
+    # found (N,) int64: numbers of the rows that match, in the order of the list
     found: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
-    at: tuple[str, str, str] | None = None
+    at: tuple[str, str, str] | None = None  # frame, id and text of the one that is open
 
     @property
     def count(self) -> int:
@@ -74,15 +63,9 @@ class Listing:
 class RunFigures:
     """The figures of one run; each is made when it is first read, or says why it cannot be.
 
-    Parameters
-    ----------
-    second : Run or None
-        To compare with.
+    `second`: to compare with.
 
-    Raises
-    ------
-    InputError
-        The run has no verdicts, or the two have no expression in common.
+    Raises InputError: the run has no verdicts, or the two have no expression in common.
     """
 
     def __init__(self, run: Run, second: Run | None) -> None:
@@ -174,13 +157,7 @@ AGAIN = "spatialviz eval --judge-again RUN --out NEW"
 
 @dataclass(frozen=True)
 class Recorded:
-    """The verdict on an expression as its run has it.
-
-    Attributes
-    ----------
-    said : str
-        In words.
-    """
+    """The verdict on an expression as its run has it."""
 
     verdict: str
     detail: str | None

@@ -51,15 +51,9 @@ Answered = Callable[[str, str], Answer]
 
 @dataclass(frozen=True)
 class Failure(InNotebook):
-    """One expression of a run.
+    """One expression of a run."""
 
-    Attributes
-    ----------
-    row : mapping
-        Its record: column -> value, as in `records.parquet`.
-    """
-
-    row: Mapping[str, Any]
+    row: Mapping[str, Any]  # its record: column -> value, as in `records.parquet`
     again: Answered = field(repr=False, compare=False)
 
     def __repr__(self) -> str:
@@ -82,17 +76,10 @@ class Failures(InNotebook):
     `len(found)`, and a loop.
 
     What reads Arrow's streams takes it as it is: `polars.DataFrame(found)`, `pyarrow.table(found)`.
-
-    Attributes
-    ----------
-    search : str
-        What found them.
-    table : pyarrow.Table
-        All columns of the run's records.
     """
 
-    search: str
-    table: pa.Table
+    search: str  # what found them
+    table: pa.Table  # all columns of the run's records
     again: Answered = field(repr=False)
 
     def __repr__(self) -> str:
@@ -135,10 +122,7 @@ def found_failures(rows: RunRows, search: str, again: Answered) -> Failures:
 def asked_again(opened: Opened, spec: EvalSpec, frame: str, expression: str) -> Answer:
     """Answer an expression of the labels (its id) now, and judge it by the run's specification.
 
-    Raises
-    ------
-    InputError
-        The dataset has no such frame, or the labels no such expression.
+    Raises InputError: the dataset has no such frame, or the labels no such expression.
     """
     assert opened.labels is not None
     source, root = opened.pipeline, opened.labels.root
@@ -152,23 +136,12 @@ def asked_again(opened: Opened, spec: EvalSpec, frame: str, expression: str) -> 
 
 @dataclass(frozen=True, eq=False)
 class Run(InNotebook):
-    """A finished evaluation.
-
-    Attributes
-    ----------
-    folder : Path
-    name : str
-        Of the system.
-    manifest : dict
-        The whole of `run.json`.
-    spec : EvalSpec
-        What was evaluated on what; paths are those of this machine.
-    """
+    """A finished evaluation."""
 
     folder: Path
     name: str
-    manifest: Mapping[str, Any]
-    spec: EvalSpec
+    manifest: Mapping[str, Any]  # the whole of `run.json`
+    spec: EvalSpec  # what was evaluated on what; paths are those of this machine
 
     def __repr__(self) -> str:
         return f"<Run {self.folder.name}: {self.name}, {self.manifest.get('expressions')} expressions>"
@@ -312,10 +285,7 @@ def _resolved_model(written: str, folder: Path) -> Path:
 def read_manifest(folder: Path) -> dict[str, Any]:
     """The whole of `run.json`.
 
-    Raises
-    ------
-    InputError
-        No run there, or a manifest that cannot be read.
+    Raises InputError: no run there, or a manifest that cannot be read.
     """
     path = folder / RUN_FILE
     try:
@@ -336,7 +306,6 @@ def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | No
 
     Parameters
     ----------
-    folder : str or Path
     dataset, labels : str, optional
         Where they are now, if they are no longer where the run found them.
     given

@@ -31,18 +31,10 @@ _MARK = re.compile(r"\w[\w.+-]*")
 
 @dataclass(frozen=True)
 class Notes:
-    """What stands in the file.
+    """What stands in the file."""
 
-    Attributes
-    ----------
-    marks : dict of str to list of (str, str)
-        By mark the expressions that have it, as (frame, id).
-    filters : dict of str to str
-        Searches by the names that they are kept under.
-    """
-
-    marks: dict[str, list[Key]] = field(default_factory=dict)
-    filters: dict[str, str] = field(default_factory=dict)
+    marks: dict[str, list[Key]] = field(default_factory=dict)  # by mark the expressions that have it, as (frame, id)
+    filters: dict[str, str] = field(default_factory=dict)  # searches by the names that they are kept under
     format: str = FORMAT
 
     def marks_of(self, keys: Iterable[Key]) -> list[list[str]]:
@@ -68,10 +60,7 @@ def notes_path(run: Path) -> Path:
 def read_notes(path: Path) -> Notes:
     """Read the notes of a file; none without a file.
 
-    Raises
-    ------
-    InputError
-        It cannot be read.
+    Raises InputError: it cannot be read.
     """
     try:
         text = read_bytes(path, "text")
@@ -87,10 +76,7 @@ def read_notes(path: Path) -> Notes:
 def mark(path: Path, keys: Iterable[Key], name: str, on: bool = True) -> Notes:
     """Give expressions a mark, or take it away; returns the notes.
 
-    Raises
-    ------
-    InputError
-        The name is no mark, or the file cannot be read or written.
+    Raises InputError: the name is no mark, or the file cannot be read or written.
     """
     name = name.strip().lower()
     require(
@@ -110,10 +96,7 @@ def mark(path: Path, keys: Iterable[Key], name: str, on: bool = True) -> Notes:
 def keep_filter(path: Path, name: str, query: str | None) -> Notes:
     """Keep a search under a name, or forget the one of that name; returns the notes.
 
-    Raises
-    ------
-    InputError
-        The name is empty or too long, or the file cannot be read or written.
+    Raises InputError: the name is empty or too long, or the file cannot be read or written.
     """
     name = " ".join(name.split())
     require(0 < len(name) <= LONGEST_NAME, f"a filter has a name of up to {LONGEST_NAME} characters", got=repr(name))

@@ -60,43 +60,25 @@ _ABOUT_RIGHT = {"verdict", "lucky", "correct", "strict_correct", "set_correct", 
 
 @dataclass(frozen=True)
 class Field:
-    """What can be asked for.
-
-    Attributes
-    ----------
-    kind : str
-        "text", "words", "number", "flag" or "names" (a list of names).
-    values : tuple of str
-        Of a text, the most frequent ones first, as `field:value` takes them; of a number the least and the greatest.
-    """
+    """What can be asked for."""
 
     name: str
     column: str
-    kind: Kind
+    kind: Kind  # "text", "words", "number", "flag" or "names" (a list of names)
+    # values: of a text, the most frequent ones first, as `field:value` takes them; of a number the least and the
+    # greatest
     values: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Search:
-    """A compiled search.
+    """A compiled search."""
 
-    Attributes
-    ----------
-    where : str
-        SQL with a "?" for each parameter; columns are those of the records.
-    order : tuple of (str, bool)
-        Columns to sort by; True for descending.
-    columns : tuple of str
-        All that are read.
-    about_right : bool
-        A term asks for a verdict or for what is right, and not for its complement.
-    """
-
-    where: str
+    where: str  # SQL with a "?" for each parameter; columns are those of the records
     parameters: tuple[Any, ...]
-    order: tuple[tuple[str, bool], ...]
-    columns: tuple[str, ...]
-    about_right: bool = False
+    order: tuple[tuple[str, bool], ...]  # columns to sort by; True for descending
+    columns: tuple[str, ...]  # all that are read
+    about_right: bool = False  # a term asks for a verdict or for what is right, and not for its complement
 
 
 _KINDS: tuple[tuple[str, Kind], ...] = (
@@ -122,10 +104,7 @@ def fields_of(schema: pa.Schema) -> dict[str, Field]:
 def compile_search(query: str, schema: pa.Schema) -> Search:
     """Read a search against the columns of a run.
 
-    Raises
-    ------
-    InputError
-        It cannot be read, names an unknown field or verdict, or compares what has no order.
+    Raises InputError: it cannot be read, names an unknown field or verdict, or compares what has no order.
     """
     fields = fields_of(schema)
     parts, parameters, order, columns = [], [], [], []
@@ -156,10 +135,7 @@ def compile_search(query: str, schema: pa.Schema) -> Search:
 def find_rows(records: pa.Table, query: str) -> np.ndarray:
     """(N,) int64: indices of the rows of a search, in the order of the run or as asked.
 
-    Raises
-    ------
-    InputError
-        The search cannot be read.
+    Raises InputError: the search cannot be read.
     """
     return _rows(records, compile_search(query, records.schema))
 
@@ -167,10 +143,7 @@ def find_rows(records: pa.Table, query: str) -> np.ndarray:
 def terms_of(query: str, schema: pa.Schema) -> list[tuple[str, Term]]:
     """Terms of a search with their columns; "" for an order.
 
-    Raises
-    ------
-    InputError
-        The search cannot be read.
+    Raises InputError: the search cannot be read.
     """
     fields = fields_of(schema)
     found = []
@@ -183,10 +156,7 @@ def terms_of(query: str, schema: pa.Schema) -> list[tuple[str, Term]]:
 def find_failures(records: pa.Table, query: str = "") -> pa.Table:
     """Search among FAILURES, or among all rows where the search names a verdict or correctness (`lucky`).
 
-    Raises
-    ------
-    InputError
-        As in `find_rows`; or the run has no verdicts.
+    Raises InputError: as in `find_rows`; or the run has no verdicts.
     """
     need_verdicts(records)
     return records.take(_rows(records, compile_search(among_failures(query, records.schema), records.schema)))
@@ -388,13 +358,7 @@ def _occurring(field: Field, column: Any, most: int) -> tuple[str, ...]:
 
 
 def complete(typed: str, fields: Sequence[Field], most: int = 20) -> list[str]:
-    """Complete the last word of a search, each offer as the whole word.
-
-    Parameters
-    ----------
-    fields : sequence of Field
-        From `completions`.
-    """
+    """Complete the last word of a search, each offer as the whole word."""
     words = list(_WORD.finditer(typed))
     word = words[-1][0] if words and words[-1].end() == len(typed) else ""
     minus, bare = ("-", word[1:]) if word.startswith("-") else ("", word)

@@ -15,16 +15,10 @@ _WORD = re.compile(r"\S+")
 
 @dataclass(frozen=True)
 class Value:
-    """One value of a term.
-
-    Attributes
-    ----------
-    quoted : bool
-        Then `*` and `none` mean themselves.
-    """
+    """One value of a term."""
 
     text: str
-    quoted: bool = False
+    quoted: bool = False  # then `*` and `none` mean themselves
 
     @property
     def written(self) -> str:
@@ -34,21 +28,11 @@ class Value:
 
 @dataclass(frozen=True)
 class Term:
-    """One condition of a search; all of them must hold.
+    """One condition of a search; all of them must hold."""
 
-    Attributes
-    ----------
-    field : str or None
-        None for a free word.
-    operator : str
-        One of : = != < <= > >=; ":" for a free word.
-    values : tuple of Value
-        Any of them may hold.
-    """
-
-    field: str | None
-    operator: str
-    values: tuple[Value, ...]
+    field: str | None  # None for a free word
+    operator: str  # one of : = != < <= > >=; ":" for a free word
+    values: tuple[Value, ...]  # any of them may hold
     negated: bool = False
 
     @property
@@ -61,10 +45,7 @@ class Term:
 def read_terms(text: str) -> tuple[Term, ...]:
     """Take a search apart.
 
-    Raises
-    ------
-    InputError
-        A quote is not closed, or a value is missing.
+    Raises InputError: a quote is not closed, or a value is missing.
     """
     terms = []
     at = len(text) - len(text.lstrip())

@@ -73,32 +73,16 @@ class _Line(BaseModel):
 
 @dataclass(frozen=True)
 class Sentence:
-    """A sentence with what is right. Of the last three one is given; empty, it says that nothing is right.
+    """A sentence with what is right. Of the last three one is given; empty, it says that nothing is right."""
 
-    Attributes
-    ----------
-    line : int
-        Of the file, from 1.
-    frame : str
-        Id of the frame.
-    targets : tuple of int or None
-        Indices of the acceptable annotations.
-    points : tuple of (u, v) or None
-        Pixels; a box that holds one is right.
-    boxes : tuple of (x0, y0, x1, y1) or None
-        Pixels; a box that overlaps one by half is right.
-    id : str
-        Its own in a published benchmark; else empty.
-    """
-
-    line: int
-    frame: str
+    line: int  # of the file, from 1
+    frame: str  # id of the frame
     text: str
     kind: str
-    targets: tuple[int, ...] | None = None
-    points: tuple[Point, ...] | None = None
-    boxes: tuple[Corners, ...] | None = None
-    id: str = ""
+    targets: tuple[int, ...] | None = None  # indices of the acceptable annotations
+    points: tuple[Point, ...] | None = None  # pixels; a box that holds one is right
+    boxes: tuple[Corners, ...] | None = None  # pixels; a box that overlaps one by half is right
+    id: str = ""  # its own in a published benchmark; else empty
 
     @property
     def nothing(self) -> bool:
@@ -108,12 +92,8 @@ class Sentence:
     def accepts(self, entry: SceneObject, truth: np.ndarray, exact: bool) -> bool:
         """Judge an object as an answer.
 
-        Parameters
-        ----------
-        truth : (T, 4) float
-            Boxes of the acceptable annotations, pixels.
-        exact : bool
-            The objects are the annotations themselves.
+        `truth` (T, 4) float: boxes of the acceptable annotations, pixels. `exact`: the objects are the annotations
+        themselves.
         """
         if self.points is not None:
             x0, y0, x1, y1 = entry.bbox
@@ -153,15 +133,10 @@ def read_sentence_file(path: Path, source: Pipeline, name: str | None = None) ->
     """The sentences of a file of JSON lines that are about a dataset: those that name it, and those that name none; or
     of a benchmark as it is published, told by its ending.
 
-    Parameters
-    ----------
-    name : str, optional
-        The dataset's name; by default that of its folder.
+    `name`: the dataset's name; by default that of its folder.
 
-    Raises
-    ------
-    InputError
-        The file or a line of it cannot be read, a frame is not there, or no sentence is about this dataset.
+    Raises InputError: the file or a line of it cannot be read, a frame is not there, or no sentence is about this
+    dataset.
     """
     if path.suffix in SUFFIXES:
         sentences, left_out = published_sentences(path, source.dataset)
@@ -199,10 +174,7 @@ def of_line(number: int, error: InputError, path: Path) -> InputError:
 def published_sentences(path: Path, dataset: Dataset) -> tuple[list[Sentence], dict[str, int]]:
     """Sentences of a published file about a dataset's frames, and the number left out, by reason.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, or is none of the published forms.
+    Raises InputError: the file cannot be read, or is none of the published forms.
     """
     rows = _rows(path)
     first = rows[0]

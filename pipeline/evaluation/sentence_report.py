@@ -41,20 +41,13 @@ Shares = dict[str, "Estimate | int"]
 
 @dataclass(frozen=True)
 class SentenceReport:
-    """A judged file.
-
-    Attributes
-    ----------
-    kinds : dict of str to Shares
-        In the order in which the kinds first stand in the file.
-    failures : dict of (outcome, detail) to int
-        In the order of Outcome, the most frequent first.
-    """
+    """A judged file."""
 
     asked: SentenceFile
     judged: tuple[Judged, ...]
     overall: Shares
-    kinds: dict[str, Shares]
+    kinds: dict[str, Shares]  # in the order in which the kinds first stand in the file
+    # failures dict of (outcome, detail) to int: in the order of Outcome, the most frequent first
     failures: dict[tuple[str, str | None], int]
 
     @property
@@ -187,10 +180,8 @@ def evaluate_sentences(
 ) -> SentenceReport:
     """Judge the sentences of a file; with `out`, a folder with a line for each of them in `sentences.jsonl`.
 
-    Raises
-    ------
-    InputError
-        As `read_sentence_file` and `judge_sentences`; or the folder cannot be written. Nothing is left of it then.
+    Raises InputError: as `read_sentence_file` and `judge_sentences`; or the folder cannot be written. Nothing is left
+    of it then.
     """
     if out is not None:
         check_target(out, overwrite=overwrite, mark=FILE)

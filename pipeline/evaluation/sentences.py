@@ -29,44 +29,26 @@ Outcome = Literal["CORRECT", "PARSE", "REFUSED", "WRONG"]
 
 @dataclass(frozen=True)
 class Judged:
-    """What became of a sentence.
-
-    Attributes
-    ----------
-    outcome : str
-        CORRECT: the right object, several that fit equally well and are all right, or a refusal where nothing is
-        right. PARSE: not read as it is. REFUSED: read, and yet no answer. WRONG: an answer that is not right.
-    detail : str or None
-        Of PARSE WORDS, GRAMMAR, UNSUPPORTED; of REFUSED MISSING (a name was not found), TIED (several things fit),
-        DEGENERATE (too few different objects); of WRONG OBJECT, or NOTHING where a refusal would have been right.
-    answered : bool
-        An object was given. The nearest one that is told with "no such pair" counts, save where nothing is right.
-    reason : str or None
-        Why there was no answer.
-    text : str or None
-        The answer in words.
-    entry : SceneObject or None
-        The object that answers.
-    trace : Trace or None
-        None where it could not be asked.
-    diagnosis : Diagnosis or None
-        Which module failed, by the frame's annotations and what is right; None where that cannot be told.
-    unjudged : str or None
-        Why it cannot.
-    iou_3d : float or None
-        Of a published benchmark: of the answer's 3D box with that of the annotation that is right, by `acc_iou`.
-    """
+    """What became of a sentence."""
 
     sentence: Sentence
+    # outcome: CORRECT: the right object, several that fit equally well and are all right, or a refusal where nothing is
+    # right. PARSE: not read as it is. REFUSED: read, and yet no answer. WRONG: an answer that is not right.
     outcome: Outcome
+    # detail: of PARSE WORDS, GRAMMAR, UNSUPPORTED; of REFUSED MISSING (a name was not found), TIED (several things
+    # fit), DEGENERATE (too few different objects); of WRONG OBJECT, or NOTHING where a refusal would have been right
     detail: str | None
+    # answered: an object was given. The nearest one that is told with "no such pair" counts, save where nothing is
+    # right.
     answered: bool
-    reason: str | None = None
-    text: str | None = None
-    entry: SceneObject | None = None
-    trace: Trace | None = None
+    reason: str | None = None  # why there was no answer
+    text: str | None = None  # the answer in words
+    entry: SceneObject | None = None  # the object that answers
+    trace: Trace | None = None  # None where it could not be asked
+    # diagnosis: which module failed, by the frame's annotations and what is right; None where that cannot be told
     diagnosis: Diagnosis | None = None
-    unjudged: str | None = None
+    unjudged: str | None = None  # why it cannot
+    # iou_3d: of a published benchmark: of the answer's 3D box with that of the annotation that is right, by `acc_iou`
     iou_3d: float | None = None
 
     @property
@@ -109,10 +91,7 @@ def judge_sentences(
 ) -> tuple[Judged, ...]:
     """Every sentence answered and judged, in the order of the file; `progress` is told (done, in all).
 
-    Raises
-    ------
-    InputError
-        A frame cannot be used, or has no annotation of an index that a sentence names.
+    Raises InputError: a frame cannot be used, or has no annotation of an index that a sentence names.
     """
     source.needed_detector()
     found: list[Judged] = []

@@ -46,24 +46,12 @@ Kind = Literal[
 
 @dataclass(frozen=True)
 class Share:
-    """One thing that labels and a measured system have from the same maker.
-
-    Attributes
-    ----------
-    about : str
-        "masks", "relations" or "boxes".
-    kind : str
-        One of Kind.
-    title : str
-        In a few words what the figures are then; empty where accuracy stays accuracy.
-    text : str
-        What the figures can show and cannot.
-    """
+    """One thing that labels and a measured system have from the same maker."""
 
     about: Literal["masks", "relations", "boxes"]
     kind: Kind
-    title: str
-    text: str
+    title: str  # in a few words what the figures are then; empty where accuracy stays accuracy
+    text: str  # what the figures can show and cannot
 
     @property
     def sentence(self) -> str:
@@ -77,24 +65,12 @@ class Share:
 
 @dataclass(frozen=True)
 class Measured:
-    """What is measured, as far as labels may share it.
+    """What is measured, as far as labels may share it."""
 
-    Attributes
-    ----------
-    masks : MaskMakers or None
-        None where no detector takes part, or none that is known.
-    scorer : str or None
-        "rule", "trained", or what the network is called; None where relations are not judged.
-    network : str or None
-        Hash of the network's file, where that is known.
-    rule_too : tuple of str
-        Relations that the rule judges because the network has no output for them.
-    """
-
-    masks: MaskMakers | None
-    scorer: str | None
-    network: str | None = None
-    rule_too: tuple[str, ...] = ()
+    masks: MaskMakers | None  # None where no detector takes part, or none that is known
+    scorer: str | None  # "rule", "trained", or what the network is called; None where relations are not judged
+    network: str | None = None  # hash of the network's file, where that is known
+    rule_too: tuple[str, ...] = ()  # relations that the rule judges because the network has no output for them
 
     @property
     def imported(self) -> bool:
@@ -108,13 +84,7 @@ class Measured:
 
 
 def measured_of(source: Pipeline, relations: Sequence[str]) -> Measured:
-    """Measured parts of a pipeline.
-
-    Parameters
-    ----------
-    relations : sequence of str
-        Those that are asked.
-    """
+    """Measured parts of a pipeline."""
     detector = source.needed_detector()
     masks = mask_makers(f"{detector.name}: {detector.fingerprint()}")
     scorer = source.scorer
@@ -157,12 +127,7 @@ def shared_makers(makers: Makers, measured: Measured) -> tuple[Share, ...]:
 def shares_of_run(manifest: Mapping[str, Any], labels: str | Path | None) -> tuple[Share, ...]:
     """Shares that a run records; of an earlier release those that follow from both manifests.
 
-    Parameters
-    ----------
-    manifest : mapping
-        Of `run.json`.
-    labels : str, Path or None
-        Where the run's labels are, as far as that is known.
+    `labels`: where the run's labels are, as far as that is known.
     """
     text = manifest.get("shares")
     if isinstance(text, list):
@@ -299,10 +264,7 @@ def titles_of(shares: Mapping[str, Sequence[Share]]) -> str:
 def with_caveats(table: Table, shares: Mapping[str, Sequence[Share]]) -> Table:
     """Add to a table's title and notes what its figures can show and cannot.
 
-    Parameters
-    ----------
-    shares : mapping of str to sequence of Share
-        By the systems that it is of.
+    `shares`: by the systems that it is of.
     """
     named: dict[str, list[str]] = {}
     for name, found in shares.items():

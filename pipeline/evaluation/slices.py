@@ -24,25 +24,14 @@ MEASURES = ("set_correct", "correct", "lucky")
 
 @dataclass(frozen=True)
 class Dimension:
-    """What a run is cut by.
+    """What a run is cut by."""
 
-    Attributes
-    ----------
-    name : str
-        Also the field of a search.
-    column : str
-        Of the records; "" for the system.
-    edges : tuple of float
-        Where the bins of a number begin; the last has no end. Empty for a text.
-    order : str
-        Texts by "count", by "name", or relations in their own order.
-    """
-
-    name: str
+    name: str  # also the field of a search
     title: str
-    column: str
-    edges: tuple[float, ...] = ()
+    column: str  # of the records; "" for the system
+    edges: tuple[float, ...] = ()  # where the bins of a number begin; the last has no end. Empty for a text.
     unit: str = ""
+    # order: texts by "count", by "name", or relations in their own order
     order: Literal["count", "name", "relation"] = "count"
 
 
@@ -68,31 +57,19 @@ DIMENSIONS: dict[str, Dimension] = {
 
 @dataclass(frozen=True)
 class Slice:
-    """One part of a run.
-
-    Attributes
-    ----------
-    query : str or None
-        The search that finds just its expressions (`search.find_rows`); None for the others taken together.
-    set_correct, correct : Estimate
-        Accuracy: set-valued, and of the labelled target alone.
-    lucky : Estimate or None
-        Share of CORRECT with a pair that is not acceptable; None without verdicts.
-    verdicts : dict of str to Estimate
-        Shares of the slice, which sum to one; empty without verdicts.
-    counts : dict of str to int
-        Expressions by verdict.
-    """
+    """One part of a run."""
 
     system: str
     name: str
+    # query: the search that finds just its expressions (`search.find_rows`); None for the others taken together
     query: str | None
     n: int
+    # set_correct, correct: accuracy: set-valued, and of the labelled target alone
     set_correct: Estimate
     correct: Estimate
-    lucky: Estimate | None
-    verdicts: dict[str, Estimate]
-    counts: dict[str, int]
+    lucky: Estimate | None  # share of CORRECT with a pair that is not acceptable; None without verdicts
+    verdicts: dict[str, Estimate]  # shares of the slice, which sum to one; empty without verdicts
+    counts: dict[str, int]  # expressions by verdict
 
     def record(self) -> dict[str, Any]:
         """Convert to JSON."""
@@ -110,19 +87,11 @@ class Slice:
 
 @dataclass(frozen=True)
 class Slices:
-    """A run, or several, cut by one dimension.
-
-    Attributes
-    ----------
-    slices : tuple of Slice
-        System by system; those of one system hold each of its expressions once.
-    unit : str
-        What intervals are drawn over.
-    """
+    """A run, or several, cut by one dimension."""
 
     dimension: Dimension
-    slices: tuple[Slice, ...]
-    unit: str
+    slices: tuple[Slice, ...]  # system by system; those of one system hold each of its expressions once
+    unit: str  # what intervals are drawn over
 
     def record(self) -> dict[str, Any]:
         """Convert to JSON."""
@@ -140,10 +109,7 @@ class Slices:
 def dimension_named(name: str) -> Dimension:
     """A dimension.
 
-    Raises
-    ------
-    InputError
-        There is none of that name.
+    Raises InputError: there is none of that name.
     """
     found = DIMENSIONS.get(name.strip().lower())
     if found is None:
@@ -159,20 +125,11 @@ def slice_by(
 ) -> Slices:
     """Cut runs by one dimension.
 
-    Parameters
-    ----------
-    systems : mapping of str to pyarrow.Table
-        Records by system.
-    config : BootstrapConfig, optional
-        Intervals come from resamples of whole scenes (frames, where the run has one scene) among those in which a
-        slice occurs: the same figures as of its rows alone. A slice of one scene has none.
-    most : int, optional
-        Of texts only so many, the most frequent; the rest is one slice, "N others".
+    `systems`: records by system. `config`: intervals come from resamples of whole scenes (frames, where the run has one
+    scene) among those in which a slice occurs: the same figures as of its rows alone. A slice of one scene has none.
+    `most`: of texts only so many, the most frequent; the rest is one slice, "N others".
 
-    Raises
-    ------
-    InputError
-        An unknown dimension, or a run that lacks its column.
+    Raises InputError: an unknown dimension, or a run that lacks its column.
     """
     cut = dimension_named(dimension) if isinstance(dimension, str) else dimension
     found: list[Slice] = []
@@ -229,20 +186,13 @@ def _is_true(flags: pa.ChunkedArray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Coded:
-    """A column as numbers: expression `row[k]` has value `code[k]`.
-
-    Attributes
-    ----------
-    keys : list
-        Values, or of a number its bins, in the order in which they are shown; unknown ones, None or -1, come last.
-    parts : tuple of (str, str)
-        The name of each value, and the search that finds it.
-    row, code : (N,) int64
-    """
+    """A column as numbers: expression `row[k]` has value `code[k]`."""
 
     cut: Dimension
+    # keys: values, or of a number its bins, in the order in which they are shown; unknown ones, None or -1, come last
     keys: list[Any]
-    parts: tuple[tuple[str, str], ...]
+    parts: tuple[tuple[str, str], ...]  # the name of each value, and the search that finds it
+    # row, code (N,) int64
     row: np.ndarray
     code: np.ndarray
 

@@ -34,11 +34,7 @@ RANKING_ALONE = ("SCORE", "DEGENERATE")
 
 @dataclass(frozen=True)
 class Share:
-    """How many expressions, and which share of those that were diagnosed.
-
-    Attributes
-    ----------
-    """
+    """How many expressions, and which share of those that were diagnosed."""
 
     count: int
     estimate: Estimate
@@ -50,49 +46,25 @@ class Share:
 
 @dataclass(frozen=True)
 class RunSummary:
-    """A run's verdicts and deltas.
-
-    Attributes
-    ----------
-    expressions : int
-        That were diagnosed.
-    unit : str
-        What intervals are drawn over: "scene" or "frame".
-    verdicts : dict of str to Share
-        Each of VERDICTS, ATTRIBUTE where it occurs; the shares sum to one.
-    details : dict of (str, str) to Share
-        (verdict, detail) that occur, in the order of VERDICTS, the most frequent first.
-    lucky : Share
-        CORRECT with a pair that is not acceptable.
-    accuracy : Estimate
-        Set-valued, as answered.
-    parse : Estimate
-        v(none) - accuracy: what the gold parse would gain.
-    deltas : Deltas or None
-        None where no expression tells what the truth in place of a module would do: imported predictions without
-        relation probabilities.
-    residual : Estimate
-        What stays wrong with all oracles together.
-    residual_causes : dict of (str, str or None) to int
-        Verdicts and details of these expressions.
-    unknown : Estimate
-        What is lost to nobody knows which module: it is in none of the costs, and not in the residual.
-    untold : dict of str to str
-        The oracles, and PARSE, whose costs cannot be worked out, and why.
-    """
+    """A run's verdicts and deltas."""
 
     expressions: int
-    unit: str
-    verdicts: dict[str, Share]
+    unit: str  # what intervals are drawn over: "scene" or "frame"
+    verdicts: dict[str, Share]  # each of VERDICTS, ATTRIBUTE where it occurs; the shares sum to one
+    # details dict of (str, str) to Share: (verdict, detail) that occur, in the order of VERDICTS, the most frequent
+    # first
     details: dict[tuple[str, str], Share]
-    lucky: Share
-    accuracy: Estimate
-    parse: Estimate
+    lucky: Share  # CORRECT with a pair that is not acceptable
+    accuracy: Estimate  # set-valued, as answered
+    parse: Estimate  # v(none) - accuracy: what the gold parse would gain
+    # deltas: None where no expression tells what the truth in place of a module would do: imported predictions without
+    # relation probabilities
     deltas: Deltas | None
-    residual: Estimate
+    residual: Estimate  # what stays wrong with all oracles together
+    # residual_causes dict of (str, str or None) to int: verdicts and details of these expressions
     residual_causes: dict[tuple[str, str | None], int]
-    unknown: Estimate
-    untold: dict[str, str]
+    unknown: Estimate  # what is lost to nobody knows which module: it is in none of the costs, and not in the residual
+    untold: dict[str, str]  # the oracles, and PARSE, whose costs cannot be worked out, and why
 
     @property
     def loss(self) -> dict[str, Estimate]:
@@ -161,15 +133,9 @@ def need_verdicts(records: pa.Table) -> None:
 def summarise_run(records: pa.Table, config: BootstrapConfig | None = None) -> RunSummary:
     """Verdicts with clustered intervals, and where the accuracy goes.
 
-    Parameters
-    ----------
-    records : pyarrow.Table
-        A run's records; expressions without a verdict do not count.
+    `records`: a run's records; expressions without a verdict do not count.
 
-    Raises
-    ------
-    InputError
-        The run has no verdicts, or unknown ones.
+    Raises InputError: the run has no verdicts, or unknown ones.
     """
     need_verdicts(records)
     if records.column("verdict").null_count:

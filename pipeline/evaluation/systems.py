@@ -71,12 +71,7 @@ class System(Protocol):
     def kept(self, spec: EvalSpec, source: Pipeline, folder: Path, out: Path) -> tuple[EvalSpec, dict[str, Any]]:
         """Copy the sources of answers into a run's folder (`out`, written as `folder`).
 
-        Returns
-        -------
-        spec : EvalSpec
-            Of the copy.
-        record : dict
-            Further keys of `run.json`.
+        Returns `spec`: of the copy. `record`: further keys of `run.json`.
         """
         ...
 
@@ -108,40 +103,21 @@ class AskedPairs:
 
 @dataclass(frozen=True)
 class EvalSpec:
-    """An evaluation as plain values that a process can be given.
-
-    Attributes
-    ----------
-    options : dict
-        Arguments of `open_pipeline`: detector, model, srm, config, ...
-    system : System or None
-        By default the pipeline, or with the option `predictions` what another pipeline gave.
-    pairs : PairSystem or None
-        Asked about labelled pairs beside the relation scorers.
-    limit : int or None
-        Only so many expressions, spread evenly over the frames.
-    grounding : bool
-        Answer the expressions.
-    relations : RelationSpec or None
-        Measure relations alone too, and how.
-    confidence : float or None
-        Score of an object that the oracle RECALL adds: the median of the run's right detections.
-    verdicts : bool
-        Diagnose each expression; without, the evaluation is a third cheaper.
-    marks : dict
-        Labels that a person marked: (frame, id of the expression) -> "BAD_LABEL" or "BAD_BOX".
-    """
+    """An evaluation as plain values that a process can be given."""
 
     dataset: str
     labels: str
+    # options: arguments of `open_pipeline`: detector, model, srm, config, ...
     options: dict[str, Any] = field(default_factory=dict)
-    system: System | None = None
-    pairs: PairSystem | None = None
-    limit: int | None = None
-    grounding: bool = True
-    relations: RelationSpec | None = None
+    system: System | None = None  # by default the pipeline, or with the option `predictions` what another pipeline gave
+    pairs: PairSystem | None = None  # asked about labelled pairs beside the relation scorers
+    limit: int | None = None  # only so many expressions, spread evenly over the frames
+    grounding: bool = True  # answer the expressions
+    relations: RelationSpec | None = None  # measure relations alone too, and how
+    # confidence: score of an object that the oracle RECALL adds: the median of the run's right detections
     confidence: float | None = None
-    verdicts: bool = True
+    verdicts: bool = True  # diagnose each expression; without, the evaluation is a third cheaper
+    # marks: labels that a person marked: (frame, id of the expression) -> "BAD_LABEL" or "BAD_BOX"
     marks: dict[tuple[str, str], str] = field(default_factory=dict)
 
     def open(self) -> tuple[Pipeline, Labels]:
@@ -278,13 +254,7 @@ def _row(
     class_names: tuple[str, ...],
     clock: StageClock,
 ) -> dict[str, Any]:
-    """Record of an expression.
-
-    Raises
-    ------
-    InputError
-        The line's proposals lack a name that the expression asks for, or its relations a pair.
-    """
+    """Record of an expression."""
     own = source.asked(truth.frame, case.text)
     file, line = file_of(own), line_of(own)
     query, problem = _read(file, line, case, class_names)

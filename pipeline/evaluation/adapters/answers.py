@@ -41,19 +41,11 @@ QUESTIONS = ("text_q", "question", "prompt", "text", "instruction", "query")
 
 @dataclass(frozen=True)
 class Fields:
-    """Where a format's lines have what is asked for.
-
-    Attributes
-    ----------
-    questions : tuple of str
-        The wordings of the question; the one that is an expression of the labels is taken.
-    system : str
-        The model's name.
-    """
+    """Where a format's lines have what is asked for."""
 
     id: str
     answer: str
-    questions: tuple[str, ...]
+    questions: tuple[str, ...]  # the wordings of the question; the one that is an expression of the labels is taken
     pictures: tuple[str, ...] = ()
     system: str = "model_id"
 
@@ -176,14 +168,8 @@ def answer_of(
     Points are read as the published evaluations read them: `x="61.5" y="40.4"` is per cent (Molmo), `"point": [y, x]`
     (Gemini) and `"point_2d": [x, y]` (Qwen) thousandths, and (x, y) shares where it has a decimal point, else pixels.
 
-    Parameters
-    ----------
-    size : callable
-        Gives width and height of the picture, pixels, where they are needed.
-    scale : float, optional
-        What the far edge is in (x, y), where the question told the model.
-    in_pixels : bool
-        (x, y) is in pixels, whatever it looks like.
+    `size`: gives width and height of the picture, pixels, where they are needed. `scale`: what the far edge is in (x,
+    y), where the question told the model. `in_pixels`: (x, y) is in pixels, whatever it looks like.
     """
     spoken, reason = spoken_part(text)
     if reason:

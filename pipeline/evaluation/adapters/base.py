@@ -20,27 +20,15 @@ _WORD = re.compile(r"[^\W_]+")
 
 @dataclass(frozen=True)
 class Published:
-    """A published file, and what it is about.
+    """A published file, and what it is about."""
 
-    Attributes
-    ----------
-    path : Path
-        A file or folder.
-    key : Path or None
-        The file that says what the first leaves open: pictures and classes by number, questions by id.
-    sentences : dict of str to dict of str to tuple of str
-        The labels' expressions by frame, each with the names that it asks for.
-    notes : list of str
-        For an adapter to add what the user should know.
-    elsewhere : list of str
-        The pictures that the dataset does not hold, each with where the file names it.
-    """
-
-    path: Path
-    key: Path | None
+    path: Path  # a file or folder
+    key: Path | None  # the file that says what the first leaves open: pictures and classes by number, questions by id
     dataset: Dataset
+    # sentences: the labels' expressions by frame, each with the names that it asks for
     sentences: Mapping[str, Mapping[str, tuple[str, ...]]]
-    notes: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)  # for an adapter to add what the user should know
+    # elsewhere: the pictures that the dataset does not hold, each with where the file names it
     elsewhere: list[str] = field(default_factory=list)
 
     @cached_property
@@ -99,24 +87,11 @@ def words(text: str) -> str:
 
 @dataclass(frozen=True)
 class PredictionFormat:
-    """A published format of predictions.
+    """A published format of predictions."""
 
-    Attributes
-    ----------
-    read : callable
-        The header and the lines of a file, also as the dicts that `docs/predictions.md` describes.
-    recognises : callable
-        Whether a file's content is of the format. Must be fast and must not raise.
-    description : str
-        One line.
-    level : int
-        What its lines reach.
-    needs : str
-        What must be given besides, with --key; empty for nothing.
-    """
-
+    # read: the header and the lines of a file, also as the dicts that `docs/predictions.md` describes
     read: Callable[[Published], tuple[Header | dict[str, Any], Iterable[Prediction | dict[str, Any]]]]
-    recognises: Callable[[Content], bool]
-    description: str
-    level: int
-    needs: str = ""
+    recognises: Callable[[Content], bool]  # whether a file's content is of the format. Must be fast and must not raise.
+    description: str  # one line
+    level: int  # what its lines reach
+    needs: str = ""  # what must be given besides, with --key; empty for nothing

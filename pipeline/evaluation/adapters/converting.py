@@ -48,19 +48,12 @@ FORMATS: dict[str, PredictionFormat] = {
 
 @dataclass(frozen=True)
 class Converted:
-    """A file that was turned into predictions.
-
-    Attributes
-    ----------
-    path : Path
-        The predictions.
-    lines, answers : int
-        How many lines there are, and how many of them have an answer.
-    """
+    """A file that was turned into predictions."""
 
     format: str
     path: Path
     header: Header
+    # lines, answers: how many lines there are, and how many of them have an answer
     lines: int
     answers: int
     notes: tuple[str, ...]
@@ -77,26 +70,12 @@ def convert_predictions(
 ) -> Converted:
     """Write a published file as predictions.
 
-    Parameters
-    ----------
-    path : str or Path
-        The file, or a folder of files.
-    out : str or Path
-        A new file.
-    dataset : Dataset
-        Its frames are what pictures are matched to.
-    labels : Labels
-        Their expressions are what is asked of detections, and how questions are worded.
-    format : str, optional
-        A name of FORMATS, or a plugin's; by default what the file's content says.
-    key : Path, optional
-        What the file leaves open; see the format's `needs`.
+    `path`: the file, or a folder of files. `dataset`: its frames are what pictures are matched to. `labels`: their
+    expressions are what is asked of detections, and how questions are worded. `format`: a name of FORMATS, or a
+    plugin's; by default what the file's content says. `key`: what the file leaves open; see the format's `needs`.
 
-    Raises
-    ------
-    InputError
-        No such format or none that the file is of; what does not follow it, with its line or entry; a picture that may
-        be of several frames; a file of which no picture is the dataset's, or with nothing to ask.
+    Raises InputError: no such format or none that the file is of; what does not follow it, with its line or entry; a
+    picture that may be of several frames; a file of which no picture is the dataset's, or with nothing to ask.
     """
     path = Path(path)
     require(path.exists(), "there are no predictions", path=path)
@@ -142,17 +121,7 @@ def import_published(
 ) -> RunReport:
     """Import any file of predictions as `import_run` does; other formats are converted first.
 
-    Parameters
-    ----------
-    predictions, dataset, labels, out, more
-        As for `import_run`.
-    format, key
-        As for `convert_predictions`; the format "spatialviz" is that of `docs/predictions.md`.
-
-    Raises
-    ------
-    InputError
-        As those two; nothing is written then.
+    Raises InputError: as those two; nothing is written then.
     """
     path = Path(predictions)
     require(path.exists(), "there are no predictions", path=path)
