@@ -43,30 +43,17 @@ FIRST_ABLATION_ROOM = FIRST_ROOM + 300_000
 
 @dataclass(frozen=True)
 class AblationConfig:
-    """What is compared.
+    """What is compared."""
 
-    Attributes
-    ----------
-    rooms, views, width, height : int
-        One room in three is measured on.
-    pairs : tuple of int
-        Numbers of training pairs; 0 for all.
-    features : tuple of str
-        Feature contracts.
-    networks : int
-        Of each variant, with seeds and pairs of their own; their answers are counted together.
-    labels : str
-        See `Protocol`; what is learnt and what is measured against.
-    """
-
+    # rooms, views, width, height: one room in three is measured on
     rooms: int = 120
     views: int = 2
     width: int = 480
     height: int = 360
-    pairs: tuple[int, ...] = (1000, 0)
-    features: tuple[str, ...] = ("geom2d8", "paper30", "rel14")
-    networks: int = 3
-    labels: Protocol = "exact"
+    pairs: tuple[int, ...] = (1000, 0)  # numbers of training pairs; 0 for all
+    features: tuple[str, ...] = ("geom2d8", "paper30", "rel14")  # feature contracts
+    networks: int = 3  # of each variant, with seeds and pairs of their own; their answers are counted together
+    labels: Protocol = "exact"  # see `Protocol`; what is learnt and what is measured against
     train: TrainConfig = field(default_factory=TrainConfig)
 
     def check(self) -> None:
@@ -114,12 +101,8 @@ def ablation_views(
 ) -> AblationViews:
     """Render the rooms, whatever the `workers`; `progress` is called with (rooms done, of how many).
 
-    Raises
-    ------
-    InputError
-        A number makes no sense.
-    MissingExtra
-        embreex is not installed.
+    Raises InputError: a number makes no sense.
+    Raises MissingExtra: embreex is not installed.
     """
     config.check()
     first = config.train.seed * ROOMS_A_SEED + FIRST_ABLATION_ROOM
@@ -150,19 +133,12 @@ def _room(job: tuple[int, int, int, int, bool]) -> tuple[tuple[FrameSamples, ...
 
 @dataclass(frozen=True)
 class Variant:
-    """A feature contract with a number of training pairs, measured.
+    """A feature contract with a number of training pairs, measured."""
 
-    Attributes
-    ----------
-    features : str
-        "rule" for the bare rule on what is seen.
-    counts : (rooms, 2, 6, 3) float64
-        True positives, false positives and false negatives of each relation of DIRECTIONAL, seen by the usual
-        cameras and by the others, by room.
-    """
-
-    features: str
+    features: str  # "rule" for the bare rule on what is seen
     pairs: int | None
+    # counts (rooms, 2, 6, 3) float64: true positives, false positives and false negatives of each relation of
+    # DIRECTIONAL, seen by the usual cameras and by the others, by room
     counts: np.ndarray
 
     def figures(self, other: Variant | None = None, config: BootstrapConfig | None = None) -> list[Estimate]:
@@ -188,12 +164,8 @@ def _figures(sums: np.ndarray) -> np.ndarray:
 def measure_variant(views: AblationViews, features: str, pairs: int, config: AblationConfig) -> Variant:
     """Train `config.networks` networks of these features on so many pairs (0 for all), and measure them.
 
-    Raises
-    ------
-    InputError
-        There are fewer pairs.
-    MissingExtra
-        torch or onnx is not installed.
+    Raises InputError: there are fewer pairs.
+    Raises MissingExtra: torch or onnx is not installed.
     """
     require_training()
     everything = _pairs(views, features, config.labels)
@@ -256,12 +228,8 @@ def compare_features(
 ) -> Table:
     """Render, train and measure every variant; `progress` is called with (step, done, of how much).
 
-    Raises
-    ------
-    InputError
-        A number makes no sense.
-    MissingExtra
-        torch, onnx or embreex is not installed.
+    Raises InputError: a number makes no sense.
+    Raises MissingExtra: torch, onnx or embreex is not installed.
     """
     config = config or AblationConfig()
     config.check()

@@ -41,10 +41,7 @@ class View:
     def to_frame(self, box: Sequence[float]) -> np.ndarray | None:
         """A box as shares of the picture, in the frame's pixels.
 
-        Returns
-        -------
-        (4,) float32 or None
-            x0, y0, x1, y1, cut at the frame's edges; None where it lies in the padding.
+        Returns (4,) float32: x0, y0, x1, y1, cut at the frame's edges; None where it lies in the padding.
         """
         corners = np.array(box, np.float64).reshape(2, 2) * self.size
         corners = np.clip(corners - self.offset, 0, self.frame_size)
@@ -106,21 +103,11 @@ def score_pairs(
 ) -> PairScores:
     """Ask of each pair whether each relation holds, in LLaVA's words; things are told apart by their names only.
 
-    Parameters
-    ----------
-    objects : sequence
-        Things with a label and a bbox, such as the frame's annotations.
-    pairs : (N, 2) int
-        Indices of a and b in `objects`.
-    relations : sequence of str
-        Out of `PAIRWISE`.
+    `objects`: things with a label and a bbox, such as the frame's annotations. `pairs` (N, 2) int: indices of a and b
+    in `objects`. `relations`: out of `PAIRWISE`.
 
-    Raises
-    ------
-    InputError
-        Arguments out of range.
-    ServerError
-        No answer from the server to any question.
+    Raises InputError: arguments out of range.
+    Raises ServerError: no answer from the server to any question.
     """
     indices = _checked(pairs, len(objects), relations)
     asked = [_question(relation, objects[a].label, objects[b].label) for a, b in indices for relation in relations]
@@ -210,18 +197,11 @@ def ground_many(
 ) -> list[Grounding]:
     """Ask for the boxes of expressions about one frame, such as "the mug left of the laptop"; in their order.
 
-    Parameters
-    ----------
-    box_scale : float, "pixels" or "auto"
-        As `parse_box` takes it; pixels are those of the picture as it is sent. Models that count in thousandths
-        (Qwen3-VL, InternVL) need 1000.
+    `box_scale`: as `parse_box` takes it; pixels are those of the picture as it is sent. Models that count in
+    thousandths (Qwen3-VL, InternVL) need 1000.
 
-    Raises
-    ------
-    InputError
-        An expression that cannot be asked.
-    ServerError
-        No answer from the server to any question.
+    Raises InputError: an expression that cannot be asked.
+    Raises ServerError: no answer from the server to any question.
     """
     # An unusable scale is told before the server is asked.
     parse_box("", (1, 1), box_scale)

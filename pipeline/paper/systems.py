@@ -36,19 +36,11 @@ VLM_FILE = "relation_records_vlm.parquet"
 
 @dataclass(frozen=True)
 class Pointed:
-    """A box for an expression's target.
+    """A box for an expression's target."""
 
-    Attributes
-    ----------
-    box : (4,) float or None
-        x0, y0, x1, y1, pixels.
-    problem : str or None
-        Why there is no box.
-    """
-
-    box: np.ndarray | None
+    box: np.ndarray | None  # (4,) float: x0, y0, x1, y1, pixels
     score: float | None = None
-    problem: str | None = None
+    problem: str | None = None  # why there is no box
 
 
 @dataclass(frozen=True)
@@ -142,10 +134,7 @@ class Vlm:
 def recorded_system(manifest: Mapping[str, Any]) -> System | None:
     """The system of a run's `run.json`, None for the pipeline.
 
-    Raises
-    ------
-    InputError
-        A vision-language model, which is not asked again unasked.
+    Raises InputError: a vision-language model, which is not asked again unasked.
     """
     name = manifest.get("system", OWN)
     if name == "vlm":
@@ -203,10 +192,7 @@ def ask_pairs(
 
     A probability is 0.5, a no, where the answer is not known.
 
-    Raises
-    ------
-    ServerError
-        The server gives no answer at all.
+    Raises ServerError: the server gives no answer at all.
     """
     rows = sample_pairs(counted, how.vlm_pairs, how.seed)
     relations = records.systems[0].relations

@@ -62,25 +62,15 @@ WHAT = {"relations": "Relations alone", "pipeline": "The whole pipeline"}
 
 @dataclass(frozen=True)
 class Evaluated:
-    """What was evaluated on what.
+    """What was evaluated on what."""
 
-    Attributes
-    ----------
-    vocabulary : str
-        Of the labels: "avd", "semantic-abstraction" or "all".
-    dataset, format : str
-        Its name for people, and its layout.
-    ruled : bool
-        The labels' relations are a rule's verdicts, and not the dataset's own.
-    shares : mapping of str to str
-        Of systems and of relation scorers (by title), what their figures are where they are agreement with what made
-        the labels: see `Row.shares`.
-    """
-
-    vocabulary: str
+    vocabulary: str  # of the labels: "avd", "semantic-abstraction" or "all"
+    # dataset, format: its name for people, and its layout
     dataset: str
     format: str
-    ruled: bool = False
+    ruled: bool = False  # the labels' relations are a rule's verdicts, and not the dataset's own
+    # shares: of systems and of relation scorers (by title), what their figures are where they are agreement with what
+    # made the labels: see `Row.shares`
     shares: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -105,14 +95,9 @@ def paper_tables(
 ) -> list[Table]:
     """Make the paper's tables of the labels' vocabulary.
 
-    Parameters
-    ----------
-    systems : mapping of str to pyarrow.Table
-        Records of expressions by system; empty where none were answered.
-    pairs : sequence of Names
-        The pairs of the relation records; needed for the subsets of Semantic Abstraction alone.
-    held_out : bool
-        Only pairs of frames that no network was trained or calibrated on.
+    `systems`: records of expressions by system; empty where none were answered. `pairs`: the pairs of the relation
+    records; needed for the subsets of Semantic Abstraction alone. `held_out`: only pairs of frames that no network was
+    trained or calibrated on.
     """
     found = []
     for shape in evaluated.shapes:
@@ -145,10 +130,7 @@ class Publications(BaseModel, extra="forbid"):
 def read_reported(path: Path = FIGURES) -> tuple[Reported, ...]:
     """All published lines of a file.
 
-    Raises
-    ------
-    InputError
-        It is missing or of another shape.
+    Raises InputError: it is missing or of another shape.
     """
     try:
         text = read_bytes(path, "text")
@@ -304,10 +286,7 @@ def tables_of_folder(
 def tables_of_run(folder: str | Path) -> list[Table]:
     """Make the paper's tables of a finished run; its labels must be at hand.
 
-    Raises
-    ------
-    InputError
-        No run there, no labels, or neither expressions nor relations in it.
+    Raises InputError: no run there, no labels, or neither expressions nor relations in it.
     """
     run = open_run(folder)
     require(
