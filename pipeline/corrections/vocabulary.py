@@ -92,13 +92,7 @@ def completions(typed: str, vocabulary: Vocabulary, most: int = MOST) -> tuple[C
     (`trash can` for `trashcan`, `couch` for `sofa`), and that before a word of
     the table of synonyms that no class has. Frequent classes come first.
 
-    Parameters
-    ----------
-    typed : str
-        The beginning of a name; nothing means the most frequent classes.
-    vocabulary : Vocabulary
-    most : int
-        At most so many.
+    `typed`: the beginning of a name; nothing means the most frequent classes.
     """
     # The end of what is typed is open: "book s" must not lose its last letter as a plural.
     wanted = " ".join(typed.lower().replace("_", " ").split())

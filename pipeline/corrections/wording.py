@@ -156,24 +156,15 @@ def _pair(ref: FieldRef) -> tuple[int, int, str] | None:
 
 @dataclass(frozen=True)
 class BoxChange:
-    """A 3D box that is not what it was.
-
-    Attributes
-    ----------
-    number : int
-    name : str
-        "mug·3".
-    moved, grown : float or None
-        Metres by which its centre moved; factor by which its volume grew. None where there was or is no box.
-    gone : bool
-        There is no box any more.
-    """
+    """A 3D box that is not what it was."""
 
     number: int
-    name: str
+    name: str  # "mug·3"
+    # moved, grown: metres by which its centre moved; factor by which its volume grew. None where there was or is no
+    # box.
     moved: float | None
     grown: float | None
-    gone: bool = False
+    gone: bool = False  # there is no box any more
 
     def __str__(self) -> str:
         if self.gone:
@@ -201,36 +192,19 @@ class RelationChange:
 
 @dataclass(frozen=True)
 class Consequences:
-    """What is different in a frame after an edit.
+    """What is different in a frame after an edit."""
 
-    Attributes
-    ----------
-    appeared, gone : tuple of str
-        Names of objects.
-    unusable : tuple of str
-        Objects that stand but are not asked for, and were before, with the reason.
-    boxes : tuple of BoxChange
-        Without those that a person placed.
-    recomputed : int
-        Relations that were judged anew; a relation and its mirror image are one.
-    changed : tuple of RelationChange
-        Those of objects that were there before that came out otherwise; what a person set is not among them.
-    stale : bool
-        Something could not be recomputed, because the dataset is not at hand.
-    answers : tuple of str
-        Texts of expressions with other answers.
-    withdrawn, returned : tuple of str
-        Texts of expressions that are left out now, or no longer.
-    """
-
+    # appeared, gone: names of objects
     appeared: tuple[str, ...] = ()
     gone: tuple[str, ...] = ()
-    unusable: tuple[str, ...] = ()
-    boxes: tuple[BoxChange, ...] = ()
-    recomputed: int = 0
+    unusable: tuple[str, ...] = ()  # objects that stand but are not asked for, and were before, with the reason
+    boxes: tuple[BoxChange, ...] = ()  # without those that a person placed
+    recomputed: int = 0  # relations that were judged anew; a relation and its mirror image are one
+    # changed: those of objects that were there before that came out otherwise; what a person set is not among them
     changed: tuple[RelationChange, ...] = ()
-    stale: bool = False
-    answers: tuple[str, ...] = ()
+    stale: bool = False  # something could not be recomputed, because the dataset is not at hand
+    answers: tuple[str, ...] = ()  # texts of expressions with other answers
+    # withdrawn, returned: texts of expressions that are left out now, or no longer
     withdrawn: tuple[str, ...] = ()
     returned: tuple[str, ...] = ()
 

@@ -106,20 +106,9 @@ def geometry_evidence(
 ) -> list[Evidence]:
     """Evidence for and against the truth.
 
-    Parameters
-    ----------
-    fit
-        By the viewer's sides.
-    right : (K,) int64
-        The things that are said to be right.
-    own
-        By the reference's own sides, by where it faces; empty where it has no front or its sides do not matter.
-    definite
-        The sentence says "the" of its target.
-    words
-        Target, relation and reference; the last two are empty of other sentences.
-    names
-        Of the things.
+    `right` (K,) int64: the things that are said to be right. `own`: by the reference's own sides, by where it faces;
+    empty where it has no front or its sides do not matter. `definite`: the sentence says "the" of its target. `words`:
+    target, relation and reference; the last two are empty of other sentences.
     """
     sure = np.flatnonzero(fit.states == T)
     worst = int(right[np.lexsort((np.nan_to_num(fit.margins[right]), fit.states[right]))[0]])

@@ -32,12 +32,8 @@ def audit_labels(
 ) -> Iterator[AuditItem]:
     """Audit every expression of labels, in the order of frames.
 
-    Parameters
-    ----------
-    systems
-        Of runs on these labels.
-    config
-        Of the review queue that is joined. Default: what the linter finds and small margins, without networks.
+    `systems`: of runs on these labels. `config`: of the review queue that is joined. Default: what the linter finds and
+    small margins, without networks.
 
     Raises InputError: the labels are damaged.
     """

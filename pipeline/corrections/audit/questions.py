@@ -41,10 +41,7 @@ def audit_questions(
 ) -> Iterator[AuditItem]:
     """Audit every question in order; `progress` is told (done, in all).
 
-    Parameters
-    ----------
-    source
-        The benchmark's frames with a detector, for the geometry of yes/no questions; without it that is left out.
+    `source`: the benchmark's frames with a detector, for the geometry of yes/no questions; without it that is left out.
 
     Raises InputError: a picture or mask cannot be read.
     """

@@ -112,19 +112,9 @@ def audit(
 ) -> AuditReport:
     """The items of labels or of a benchmark, ranked by how probably their truth is wrong.
 
-    Parameters
-    ----------
-    target
-        A labels folder; RoboSpatial-Home's; or, about the frames of `dataset`, a file of sentences as `eval
-        --sentences` takes it.
-    runs
-        Run folders of systems that answered the same items; of RoboSpatial-Home files of answers in its form.
-    options
-        Arguments of `open_pipeline`.
-    queue
-        Of the review queue of labels.
-    progress
-        Told (done, in all).
+    `target`: a labels folder; RoboSpatial-Home's; or, about the frames of `dataset`, a file of sentences as `eval
+    --sentences` takes it. `runs`: run folders of systems that answered the same items; of RoboSpatial-Home files of
+    answers in its form. `options`: arguments of `open_pipeline`. `queue`: of the review queue of labels.
 
     Raises InputError: something cannot be read, or --dataset is missing.
     """

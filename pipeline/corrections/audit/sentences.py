@@ -36,10 +36,7 @@ def audit_sentences(
 ) -> Iterator[AuditItem]:
     """Audit every sentence in the order of frames; `progress` is told (done, in all).
 
-    Parameters
-    ----------
-    source
-        The dataset with its own annotations as the detector.
+    `source`: the dataset with its own annotations as the detector.
     """
     by_frame: dict[str, list[Sentence]] = {}
     for sentence in asked.sentences:

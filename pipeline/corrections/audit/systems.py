@@ -53,12 +53,8 @@ def system_evidence(
 ) -> tuple[Evidence, str | None] | None:
     """Evidence by systems' answers and the object meant by most; None without answers.
 
-    Parameters
-    ----------
-    right : (K, 4) float
-        Boxes that the truth accepts, pixels.
-    named : sequence of (str, (4,) float)
-        The annotated objects by name, so that it can be told which one is meant.
+    `right` (K, 4) float: boxes that the truth accepts, pixels. `named` sequence of (str, (4,) float): the annotated
+    objects by name, so that it can be told which one is meant.
     """
     answered = [(s.name, np.array(s.boxes[key], np.float64)) for s in systems if key in s.boxes]
     if not answered:

@@ -31,25 +31,16 @@ NOISE = 0.0012
 
 @dataclass(frozen=True)
 class Links:
-    """Of each pixel to its neighbour on the right, or below.
+    """Of each pixel to its neighbour on the right, or below."""
 
-    Attributes
-    ----------
-    joined : bool
-        Both have a depth, and no step in depth between them.
-    concave : float32
-        How far one rises out of the other's tangent plane, as a share of the depth; infinite where a normal is missing.
-    turn : float32
-        The angle between the normals where they turn towards each other, as in the crease between a cup and its
-        table; 0 where they turn away, as over the edge of a box. Radians.
-    step : float32
-        The difference of the depths, as a share of the depth.
-    """
-
-    joined: np.ndarray
+    joined: np.ndarray  # both have a depth, and no step in depth between them
+    # concave float32: how far one rises out of the other's tangent plane, as a share of the depth; infinite where a
+    # normal is missing
     concave: np.ndarray
+    # turn float32: the angle between the normals where they turn towards each other, as in the crease between a cup and
+    # its table; 0 where they turn away, as over the edge of a box. Radians.
     turn: np.ndarray
-    step: np.ndarray
+    step: np.ndarray  # float32: the difference of the depths, as a share of the depth
 
     def alike(self, tolerance: float, loose: bool) -> np.ndarray:
         """Where both are of one surface; with `loose`, creases and missing normals do not end one."""
@@ -60,21 +51,13 @@ class Links:
 
 @dataclass(frozen=True)
 class Surface:
-    """What a frame's depth says of its surfaces.
+    """What a frame's depth says of its surfaces."""
 
-    Attributes
-    ----------
-    points, normals : (H, W, 3) float32
-        Camera frame, metres; the depth is smoothed within surfaces.
-    known : (H, W) bool
-        Where there is a normal.
-    right, down : Links
-        (H, W - 1) and (H - 1, W).
-    """
-
+    # points, normals (H, W, 3) float32: camera frame, metres; the depth is smoothed within surfaces
     points: np.ndarray
     normals: np.ndarray
-    known: np.ndarray
+    known: np.ndarray  # (H, W) bool: where there is a normal
+    # right, down: (H, W - 1) and (H - 1, W)
     right: Links
     down: Links
 
@@ -140,21 +123,9 @@ def grown_region(surface: Surface, seeds: np.ndarray, tolerance: float = TOLERAN
     over the edges of a box. From pixel to pixel it may rise out of its tangent
     plane by `tolerance` times the depth.
 
-    Parameters
-    ----------
-    seeds : (N, 2) float
-        x, y in pixels.
-    tolerance : float
-        From `LEAST` to `MOST`.
+    `seeds` (N, 2) float: x, y in pixels. Returns (H, W) bool.
 
-    Returns
-    -------
-    (H, W) bool
-
-    Raises
-    ------
-    InputError
-        A seed is outside of the picture or has no depth near it.
+    Raises InputError: a seed is outside of the picture or has no depth near it.
     """
     height, width = surface.known.shape
     require(LEAST <= tolerance <= MOST, "the tolerance is out of range", got=tolerance, expected=f"{LEAST} to {MOST}")

@@ -36,28 +36,13 @@ THINNEST = 0.7072
 class Gesture:
     """One movement of a hand over a picture.
 
-    Attributes
-    ----------
-    kind : str
-    points : (N, 2) float64
-        x, y in pixels.
-    adds : bool
-        Adds pixels to the mask; otherwise takes them from it.
-    radius : float
-        Of a stroke, pixels.
-    tolerance : float
-        Of "depth".
-
-    Raises
-    ------
-    InputError
-        It is none.
+    Raises InputError: it is none.
     """
 
     kind: Kind
-    points: np.ndarray
-    adds: bool = True
-    radius: float = 1.0
+    points: np.ndarray  # (N, 2) float64: x, y in pixels
+    adds: bool = True  # adds pixels to the mask; otherwise takes them from it
+    radius: float = 1.0  # of a stroke, pixels
     tolerance: float = TOLERANCE
 
     def __post_init__(self) -> None:
@@ -90,17 +75,10 @@ class Gesture:
 def gesture_of(kind: Any, points: Any, height: int, width: int, *, fractions: bool = False, **more: Any) -> Gesture:
     """A gesture from numbers that nobody has checked.
 
-    Parameters
-    ----------
-    points : list of [x, y]
-        Pixels, or with `fractions` shares of width and height; a radius is then a share of the width.
-    more : object
-        `adds`, `radius`, `tolerance` of the gesture.
+    `points`: pixels, or with `fractions` shares of width and height; a radius is then a share of the width. `more`:
+    `adds`, `radius`, `tolerance` of the gesture.
 
-    Raises
-    ------
-    InputError
-        These are no points of the picture, or it is no gesture.
+    Raises InputError: these are no points of the picture, or it is no gesture.
     """
     require(
         not isinstance(points, (list, tuple)) or len(points) <= MOST_POINTS,
@@ -137,10 +115,7 @@ def gesture_of(kind: Any, points: Any, height: int, width: int, *, fractions: bo
 def read_gesture(message: Any, height: int, width: int) -> Gesture:
     """A gesture as the page sends it: {"do", "at": [[x, y], ...], "add", "radius", "tolerance"}, in fractions.
 
-    Raises
-    ------
-    InputError
-        It is none.
+    Raises InputError: it is none.
     """
     require(
         isinstance(message, Mapping) and not set(message) - {"do", "at", "add", "radius", "tolerance"},
@@ -155,12 +130,7 @@ def read_gesture(message: Any, height: int, width: int) -> Gesture:
 
 @dataclass
 class Canvas:
-    """A frame to draw on; what it takes to follow its surfaces is worked out when it is first needed.
-
-    Attributes
-    ----------
-    context : PreparedFrame
-    """
+    """A frame to draw on; what it takes to follow its surfaces is worked out when it is first needed."""
 
     context: PreparedFrame
 
@@ -181,19 +151,9 @@ class Canvas:
 def drawn(gesture: Gesture, height: int, width: int, canvas: Canvas | None = None) -> np.ndarray:
     """The pixels that a gesture means.
 
-    Parameters
-    ----------
-    canvas : Canvas, optional
-        For what follows the depth.
+    `canvas`: for what follows the depth. Returns (H, W) bool.
 
-    Returns
-    -------
-    (H, W) bool
-
-    Raises
-    ------
-    InputError
-        It means no pixel, or the depth is not at hand.
+    Raises InputError: it means no pixel, or the depth is not at hand.
     """
     require(gesture.kind != "cut", "a cut means no pixels")
     if gesture.kind in _FLAT:
@@ -224,17 +184,8 @@ def goes_around(points: np.ndarray) -> bool:
 def stroke_mask(points: np.ndarray, radius: float, height: int, width: int) -> np.ndarray:
     """What a round brush covers on its way.
 
-    Parameters
-    ----------
-    points : (N, 2) float
-        x, y of its middle, pixels; one point is a disc.
-    radius : float
-        Pixels; at least `THINNEST`.
-
-    Returns
-    -------
-    (H, W) bool
-        Pixels whose centre is no further than `radius` from the line.
+    `points` (N, 2) float: x, y of its middle, pixels; one point is a disc. `radius`: pixels; at least `THINNEST`.
+    Returns (H, W) bool: pixels whose centre is no further than `radius` from the line.
     """
     mask = np.zeros((height, width), np.bool_)
     radius = max(float(radius), THINNEST)
@@ -259,14 +210,8 @@ def polygon_mask(points: np.ndarray, height: int, width: int) -> np.ndarray:
 
     `cv2.fillPoly` would add the pixels that the outline touches.
 
-    Parameters
-    ----------
-    points : (N, 2) float
-        Corners x, y, pixels, in the picture or beyond it; the last is joined to the first.
-
-    Returns
-    -------
-    (H, W) bool
+    `points` (N, 2) float: corners x, y, pixels, in the picture or beyond it; the last is joined to the first. Returns
+    (H, W) bool.
     """
     a = np.asarray(points, np.float64).reshape(-1, 2)
     b = np.roll(a, -1, axis=0)

@@ -50,10 +50,7 @@ def found_items(
 ) -> list[int]:
     """Places of open items of a kind, in order, with each word of a text in words, reasons or frame.
 
-    Parameters
-    ----------
-    words
-        What the label of a row of the queue says.
+    `words`: what the label of a row of the queue says.
     """
     is_open = ~np.isin(work.codes, [STATES.index(s) for s in SETTLED]) & ~work.gone
     places = [k for k in np.flatnonzero(is_open).tolist() if kind in (None, work.keys[k].kind)]

@@ -50,12 +50,7 @@ class Noise:
 def estimate_noise(p: np.ndarray, says: np.ndarray) -> Noise:
     """Noise rates by the confident joint.
 
-    Parameters
-    ----------
-    p : (M,) float
-        Out-of-fold probability of "yes".
-    says : (M,) bool
-        What the labels say.
+    `p` (M,) float: out-of-fold probability of "yes". `says` (M,) bool: what the labels say.
 
     Raises InputError: lengths differ, or a probability is not in 0..1.
     """
@@ -78,18 +73,10 @@ def estimate_noise(p: np.ndarray, says: np.ndarray) -> Noise:
 def confident_joint(p: np.ndarray, says: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Thresholds and the confident joint of given and true labels (equation 1 of the paper).
 
-    Parameters
-    ----------
-    p : (M,) float
-    says : (M,) bool
-        Of either answer at least one.
+    `p` (M,) float. `says` (M,) bool: of either answer at least one.
 
-    Returns
-    -------
-    thresholds : (2,) float64
-        Mean probability of each answer over the labels that give it.
-    counts : (2, 2) float64
-        By what labels say and what they should.
+    Returns `thresholds` (2,) float64: mean probability of each answer over the labels that give it. `counts` (2, 2)
+    float64: by what labels say and what they should.
     """
     p, says = _checked(p, says)
     thresholds = np.array([(1 - p[~says]).mean(), p[says].mean()])

@@ -304,10 +304,8 @@ def read_relation_labels(labels: Labels) -> RelationLabels:
 def doubts_of_labels(cells: RelationLabels, data: LabelData, doubts: Doubts) -> tuple[np.ndarray, np.ndarray]:
     """Networks' probabilities for each cell.
 
-    Returns
-    -------
-    probability, wrong : (P, R) float64
-        NaN for pairs of which an object is not usable, and of `wrong` where the label is U.
+    Returns `probability`, `wrong` (P, R) float64: NaN for pairs of which an object is not usable, and of `wrong` where
+    the label is U.
     """
     found = np.full((2, *cells.states.shape), np.nan)
     columns = [cells.relations.index(relation) for relation in doubts.vocabulary]

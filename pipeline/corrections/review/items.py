@@ -268,10 +268,7 @@ class Judgements:
 
         That is so where labels were made again, and where the only word on a label is that of a second opinion.
 
-        Parameters
-        ----------
-        now
-            T, U or F of a relation as the labels are now; None where they have none.
+        `now`: T, U or F of a relation as the labels are now; None where they have none.
         """
         found = self.states()
         for key in found:
@@ -294,15 +291,9 @@ def judgements_of(
 ) -> Judgements:
     """Everyone's words.
 
-    Parameters
-    ----------
-    journal
-        All events, in the order of their saving.
-    automatic
-        What the labeller says of a relation, for those who accepted it by its status alone. Without it, their word
-        is "accepted" where nobody ever changed the relation.
-    ignored
-        ULIDs of events that say nothing of the labels as they are now (`EffectiveLabels.unapplied`).
+    `journal`: all events, in the order of their saving. `automatic`: what the labeller says of a relation, for those
+    who accepted it by its status alone. Without it, their word is "accepted" where nobody ever changed the relation.
+    `ignored`: ULIDs of events that say nothing of the labels as they are now (`EffectiveLabels.unapplied`).
     """
     refs = by_ref(journal.events() if isinstance(journal, Journal) else tuple(journal))
     standing = {ref: [x for x in standing_at(members) if x[0].ulid not in ignored] for ref, members in refs.items()}

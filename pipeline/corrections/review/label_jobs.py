@@ -80,18 +80,10 @@ class QueueJob(CorrectedLabelsJob):
 def make_queue(job: QueueJob, report: Callable[[Step], None]) -> dict[str, Any]:
     """Make the queue, ordered for working through, and store it.
 
-    Parameters
-    ----------
-    report
-        Called with a Step.
-
-    Returns
-    -------
-    dict
-        items (how many), estimated_wrong (relation labels that networks hold for wrong; None without networks),
-        agreement (each two reviewers, how many items both have judged, and Cohen's kappa; None where it means nothing),
-        and last (the newest event that surely counts in it, a `worklist.Mark`). The states of the items then are the
-        queue's column `state`.
+    Returns items (how many), estimated_wrong (relation labels that networks hold for wrong; None without networks),
+    agreement (each two reviewers, how many items both have judged, and Cohen's kappa; None where it means nothing), and
+    last (the newest event that surely counts in it, a `worklist.Mark`). The states of the items then are the queue's
+    column `state`.
 
     Raises InputError: the labels or the journal cannot be read, or hold nothing to learn from.
     Raises MissingExtra: torch is not installed, and networks are to be asked.
@@ -173,10 +165,7 @@ class LabelJobs:
 
         The first is made without networks, so that there is something to begin with; what was asked for follows it.
 
-        Parameters
-        ----------
-        job_for
-            Gives the job for a file that it is to write, which does not stay.
+        `job_for`: gives the job for a file that it is to write, which does not stay.
         """
         folder = ExitStack()
         job = job_for(folder.enter_context(scratch_folder()) / "queue.parquet")

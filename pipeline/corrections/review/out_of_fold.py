@@ -94,13 +94,8 @@ def doubt_labels(
 ) -> Doubts:
     """Confident learning over a labels folder.
 
-    Parameters
-    ----------
-    trusted : sequence of (N, N, R) bool, optional
-        Of each frame: labels that a person has settled. They are learnt from in every pass, and are not wrong: no
-        noise is estimated from them, and what is estimated is of the others.
-    progress
-        Called with (networks trained, of how many).
+    `trusted` sequence of (N, N, R) bool: of each frame: labels that a person has settled. They are learnt from in every
+    pass, and are not wrong: no noise is estimated from them, and what is estimated is of the others.
 
     Raises InputError: there is nothing to learn from, or the configuration makes no sense.
     Raises MissingExtra: torch is not installed.
@@ -139,14 +134,7 @@ def out_of_fold(
 ) -> tuple[np.ndarray, ...]:
     """(N, N, R) float64 of each frame: probabilities by networks trained on the other folds.
 
-    Parameters
-    ----------
-    vocabulary
-        Of the frames' states.
-    folds
-        Of these frames.
-    trained
-        Called after each network.
+    `trained`: called after each network.
     """
     require(
         OUTPUTS[config.vocabulary] == "sigmoid",
@@ -238,12 +226,7 @@ class Folds:
 def make_folds(frames: Sequence[FrameKey], folds: int = FOLDS, seed: int = 0) -> Folds:
     """Part the frames.
 
-    Parameters
-    ----------
-    folds
-        At most so many: no more than there are scenes, or frames of the longest scene.
-    seed
-        Of the order in which scenes are dealt out.
+    `seed`: of the order in which scenes are dealt out.
 
     Raises InputError: fewer than two folds are asked for, or there are fewer than two frames.
     """

@@ -61,30 +61,18 @@ def review_queue(
 ) -> pa.Table:
     """Rank labels by the probability of an error, the worst first.
 
-    Parameters
-    ----------
-    other
-        Of the same dataset, by another detector or run: what they say otherwise counts too.
-    judgements
-        What people said of these labels, which are effective ones then: see `reviewed_labels`. What is settled has no
-        evidence against it, and stands last, with a score of 0.
-    doubts : (LabelData, Doubts), optional
-        Where the networks were already asked.
-    progress
-        Called with (networks trained, of how many).
+    `other`: of the same dataset, by another detector or run: what they say otherwise counts too. `judgements`: what
+    people said of these labels, which are effective ones then: see `reviewed_labels`. What is settled has no evidence
+    against it, and stands last, with a score of 0. `doubts`: where the networks were already asked.
 
-    Returns
-    -------
-    pyarrow.Table
-        One row an item: frame (string), frame_index (int32), kind ("relation", "object", "expression"), a, b (int32,
-        numbers of objects; b null for objects), relation, expression (its id), place, label (T, U or F; the class
-        name; the text), probability (float64, that the relation holds, by networks that have not learnt from it; null
-        without), wrong (float64, that the label is wrong by confident learning alone; null for U, for what is settled,
-        and without networks), score (float64, the same by all evidence), reasons (list of string, the strongest first).
-        Metadata: `estimated_wrong` relation labels of those that are not settled; `elsewhere`, findings that are of no
-        single label; `labels_version`, the automatic labels that it is of. Where an object may be missing, `row_of`
-        tells where (x0,y0,x1,y1), `a` is -1, and the label is the class. The label of an object that was left out is
-        null.
+    Returns one row an item: frame (string), frame_index (int32), kind ("relation", "object", "expression"), a, b
+    (int32, numbers of objects; b null for objects), relation, expression (its id), place, label (T, U or F; the class
+    name; the text), probability (float64, that the relation holds, by networks that have not learnt from it; null
+    without), wrong (float64, that the label is wrong by confident learning alone; null for U, for what is settled, and
+    without networks), score (float64, the same by all evidence), reasons (list of string, the strongest first).
+    Metadata: `estimated_wrong` relation labels of those that are not settled; `elsewhere`, findings that are of no
+    single label; `labels_version`, the automatic labels that it is of. Where an object may be missing, `row_of` tells
+    where (x0,y0,x1,y1), `a` is -1, and the label is the class. The label of an object that was left out is null.
 
     Raises InputError: the labels are damaged, or hold nothing to learn from.
     Raises MissingExtra: torch is not installed.

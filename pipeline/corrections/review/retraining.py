@@ -159,14 +159,7 @@ def retrain(
     Writes `out`, its card beside it (.json), and the comparison (.comparison.json and .comparison.md); all of it or
     nothing.
 
-    Parameters
-    ----------
-    before, after
-        Of one dataset.
-    out
-        The ONNX file to write.
-    progress
-        Called after each epoch with ("before" or "after", the epoch).
+    `out`: the ONNX file to write. `progress`: called after each epoch with ("before" or "after", the epoch).
 
     Raises InputError: the labels have no held-out frame in common, cannot be used, or the configuration makes no sense.
     Raises MissingExtra: torch or onnx is not installed.

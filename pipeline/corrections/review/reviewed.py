@@ -66,12 +66,8 @@ class Reviewed:
 def reviewed_labels(labels: Labels, journal: Journal, folder: Path, dataset: Dataset | None = None) -> Reviewed:
     """Apply a journal to labels, and read the judgements in it.
 
-    Parameters
-    ----------
-    folder
-        A new or empty one, into which effective labels are written; it is left alone where there are no corrections.
-    dataset
-        As of `materialise`.
+    `folder`: a new or empty one, into which effective labels are written; it is left alone where there are no
+    corrections.
 
     Raises InputError: the labels, the journal or a frame cannot be read.
     """
@@ -105,12 +101,7 @@ def without_gone(queue: pa.Table, labels: Labels, states: Mapping[ItemKey, State
 
     It is what `worklist.gone_items` finds frame by frame.
 
-    Parameters
-    ----------
-    labels
-        Effective ones.
-    states
-        As of `states_on_labels`.
+    `labels`: effective ones.
     """
     keys = item_keys(queue)
     pairs = set(read_relation_labels(labels).cells_of(keys)[1])
@@ -170,15 +161,10 @@ def left_for(
     is independent. Items that this person has judged are not asked again, also
     where another says otherwise: they stand first in the queue of all.
 
-    Parameters
-    ----------
-    states
-        Over all people.
-    overlap
-        Share, 0 to 1, of what others have settled that is asked again; which items these are depends on nothing but
-        their names, so that it is the same share for each reviewer and every day. They are strewn among the others.
-    second_opinion_of
-        Instead: what this person has judged, and `author` has not; of these the share `overlap`, or all where it is 0.
+    `states`: over all people. `overlap`: share, 0 to 1, of what others have settled that is asked again; which items
+    these are depends on nothing but their names, so that it is the same share for each reviewer and every day. They are
+    strewn among the others. `second_opinion_of`: instead: what this person has judged, and `author` has not; of these
+    the share `overlap`, or all where it is 0.
 
     Raises InputError: the share is none, or somebody is to be their own second.
     """
@@ -248,10 +234,7 @@ def pair_agreements(judgements: Judgements, inverse: Callable[[str], str | None]
     A settlement is nobody's own word, and does not bear on it. "a left of b" and "b right of a" are one item, so that
     what one key press says counts once.
 
-    Parameters
-    ----------
-    inverse
-        What "b ... a" is called where "a RELATION b" is said, as of `Setting.inverse`; None where nothing is.
+    `inverse`: what "b ... a" is called where "a RELATION b" is said, as of `Setting.inverse`; None where nothing is.
     """
     verdict = {
         author: {k: w.verdict for k, w in _folded(judgements.of(author), inverse).items() if w.status in SETTLED}
@@ -294,20 +277,12 @@ def _of_pairs(pairs: Sequence[tuple[ItemKey, str, str]]) -> Agreement:
 def review_progress(queue: pa.Table, judgements: Judgements, states: Mapping[ItemKey, State]) -> dict[str, Any]:
     """Counts as JSON.
 
-    Parameters
-    ----------
-    queue
-        Of these labels, made now or stored before.
-    states
-        Over all people.
+    `queue`: of these labels, made now or stored before. `states`: over all people.
 
-    Returns
-    -------
-    dict
-        `progress_counts` of the queue, and: share (of the queue that is settled; None of an empty one), kinds (the
-        counts by kind of item), reviewers (by person: items in each state, by their own words), days (by day, UTC:
-        items by their newest word), disagreements (items on which reviewers say different things), estimated_wrong
-        (relation labels that are still wrong by confident learning; None where no network was asked).
+    Returns `progress_counts` of the queue, and: share (of the queue that is settled; None of an empty one), kinds (the
+    counts by kind of item), reviewers (by person: items in each state, by their own words), days (by day, UTC: items by
+    their newest word), disagreements (items on which reviewers say different things), estimated_wrong (relation labels
+    that are still wrong by confident learning; None where no network was asked).
     """
     counts = progress_counts(queue, states)
     column = np.array(queue.column("kind").to_pylist(), object)

@@ -136,14 +136,8 @@ class Worklist:
     ) -> ItemKey | None:
         """Next open item behind `after`, else from the top; undisputed unsure items come last. None at the end.
 
-        Parameters
-        ----------
-        after
-            None, and one that the queue does not hold, stand before the first.
-        skip
-            Put off: not shown.
-        kind
-            Only items of this kind.
+        `after`: None, and one that the queue does not hold, stand before the first. `skip`: put off: not shown. `kind`:
+        only items of this kind.
         """
         start = -1 if after is None else self.indices.get(after.plain, -1)
         shown = ~self.gone if kind is None else ~self.gone & (self.kinds == KINDS.index(kind))
@@ -217,10 +211,7 @@ def write_queue(queue: pa.Table, path: Path) -> None:
 def read_queue(path: str | Path, version: str | None = None) -> pa.Table:
     """A stored queue.
 
-    Parameters
-    ----------
-    version
-        Of the automatic labels that it must be of: see `reviewed.automatic_version`.
+    `version`: of the automatic labels that it must be of: see `reviewed.automatic_version`.
 
     Raises InputError: it is no queue, damaged, or of other labels.
     """
@@ -273,10 +264,7 @@ def _check_columns(queue: pa.Table, path: Path) -> None:
 def frame_states(frame: EffectiveFrame, events: Sequence[Event]) -> dict[ItemKey, State]:
     """States of a frame's items over all people, as by `reviewed.states_on_labels` for all frames.
 
-    Parameters
-    ----------
-    events
-        All of it, in the order of their saving.
+    `events`: all of it, in the order of their saving.
     """
     ignored = {u.event.ulid for u in frame.unapplied if u.kind != "agreed"}
     judgements = judgements_of(events, automatic=lambda k: frame.auto.pairs.state(k.a, k.b, k.what), ignored=ignored)
@@ -286,16 +274,8 @@ def frame_states(frame: EffectiveFrame, events: Sequence[Event]) -> dict[ItemKey
 def refreshed_worklist(work: Worklist, corrector: Corrector, journal: Journal, after: Mark) -> tuple[Worklist, Mark]:
     """Update states and lost items of a list after an event, whoever saved it.
 
-    Parameters
-    ----------
-    after
-        The newest event that is known already. Where the journal lacks it, that is another one now, such as a copy that
-        was put back: then nothing of what was known holds.
-
-    Returns
-    -------
-    newest : Mark
-        The newest event.
+    `after`: the newest event that is known already. Where the journal lacks it, that is another one now, such as a copy
+    that was put back: then nothing of what was known holds. Returns `newest`: the newest event.
 
     Raises InputError: the journal or a frame cannot be read.
     """
