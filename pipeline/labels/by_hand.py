@@ -57,12 +57,8 @@ def begun_labels(
 ) -> Labels:
     """Open labels, or begin without frames in a missing or empty folder; nothing is written yet.
 
-    Parameters
-    ----------
-    options
-        What was declared of the camera: arguments of `open_dataset`.
-    config
-        Of new labels. Default: all relations.
+    `options`: what was declared of the camera: arguments of `open_dataset`. `config`: of new labels. Default: all
+    relations.
 
     Raises InputError: the folder holds something else.
     """

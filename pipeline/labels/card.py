@@ -65,12 +65,7 @@ def dataset_name(labels: Labels) -> str:
 def dataset_card(labels: Labels, *, licence: str = UNKNOWN_LICENCE, files: Mapping[str, str] | None = None) -> str:
     """The README.md of labels: Hugging Face's YAML, then a page for people.
 
-    Parameters
-    ----------
-    licence
-        Of the source dataset.
-    files
-        Path or pattern of each table's files below the folder; by default those of a labels folder.
+    `files`: path or pattern of each table's files below the folder; by default those of a labels folder.
     """
     paths = files or {table: labels.manifest.tables[table].file for table in TABLES}
     # The sentences stand in a labels folder, and in no export.
@@ -222,12 +217,8 @@ def croissant(
 ) -> dict[str, Any]:
     """Croissant 1.0 metadata as JSON-LD.
 
-    Parameters
-    ----------
-    files
-        The files of each table; by default those of a labels folder.
-    schema
-        The Arrow schema of a table in those files, by name.
+    `files`: the files of each table; by default those of a labels folder. `schema`: the Arrow schema of a table in
+    those files, by name.
     """
     manifest, name = labels.manifest, dataset_name(labels)
     found: Mapping[str, Sequence[DataFile]] = files or {

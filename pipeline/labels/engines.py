@@ -237,12 +237,8 @@ def run_ray(
     The annotations of a dataset need no detector, and the first stage is left
     out. Where the labels go, and the dataset, must be reachable from every node.
 
-    Parameters
-    ----------
-    workers
-        Processors of the cluster on this machine, and detector actors at most.
-    gpus_a_detector
-        Share of a GPU that each detector actor is given.
+    `workers`: processors of the cluster on this machine, and detector actors at most. `gpus_a_detector`: share of a GPU
+    that each detector actor is given.
 
     Raises MissingExtra: ray is not installed.
     """

@@ -62,23 +62,10 @@ def label_dataset(
 ) -> LabelReport:
     """Label a dataset into a folder (or URL), and merge the shards.
 
-    Parameters
-    ----------
-    out
-        Must be new or empty; with `resume` and `part` it may hold labels made with the same arguments.
-    engine
-        "local" or "ray"; the rows are the same.
-    workers
-        Processes at once.
-    part
-        Only task k of n (from 1), for arrays of jobs that share `out`; the last
-        to finish, or anyone after, merges.
-    resume
-        Go on in a folder where a run was stopped: finished shards are kept.
-    limit
-        Only the first so many frames.
-    frames_of
-        Only the frames of these splits of the dataset's own.
+    `out`: must be new or empty; with `resume` and `part` it may hold labels made with the same arguments. `engine`:
+    "local" or "ray"; the rows are the same. `part`: only task k of n (from 1), for arrays of jobs that share `out`; the
+    last to finish, or anyone after, merges. `resume`: go on in a folder where a run was stopped: finished shards are
+    kept. `limit`: only the first so many frames. `frames_of`: only the frames of these splits of the dataset's own.
 
     Raises InputError: for a dataset that cannot be opened or changes meanwhile, a folder that holds something else.
     """

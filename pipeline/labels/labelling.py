@@ -62,20 +62,9 @@ def label_objects(
 ) -> FrameLabels:
     """Rows of a frame with lifted objects.
 
-    Parameters
-    ----------
-    objects
-        In any order; those of one detector.
-    frame_index
-        The frame's index in the dataset.
-    exact
-        The objects are the dataset's own: their numbers are its annotations'.
-    network
-        The second opinion.
-    numbers
-        The objects' numbers, where they have some already.
-    given
-        What the dataset itself says of its annotations: the relations under the profile `given`.
+    `objects`: in any order; those of one detector. `frame_index`: the frame's index in the dataset. `exact`: the
+    objects are the dataset's own: their numbers are its annotations'. `numbers`: the objects' numbers, where they have
+    some already. `given`: what the dataset itself says of its annotations: the relations under the profile `given`.
     """
     frame = context.frame
     if numbers is None:
@@ -126,10 +115,7 @@ def judge_list(
 def with_undecided(judged: JudgedPairs, unsure: np.ndarray) -> JudgedPairs:
     """Judgements with U for every pair with an unreliable object.
 
-    Parameters
-    ----------
-    unsure : (N,) bool
-        Objects too small to be cleaned: pixels of what is behind them may be in their extents.
+    `unsure` (N,) bool: objects too small to be cleaned: pixels of what is behind them may be in their extents.
     """
     if not unsure.any():
         return judged
@@ -282,17 +268,8 @@ REACH = 2
 def occluded_share(evidence: PixelEvidence, depth: np.ndarray) -> float:
     """Share of the mask's border with something at least 5 cm nearer beside.
 
-    Parameters
-    ----------
-    evidence
-        The pixels of the mask.
-    depth : (H, W) float32
-        Metres.
-
-    Returns
-    -------
-    float
-        0..1; 0 where no pixel beside the mask has depth.
+    `evidence`: the pixels of the mask. `depth` (H, W) float32: metres. Returns 0..1; 0 where no pixel beside the mask
+    has depth.
     """
     height, width = depth.shape
     h, w = evidence.codes.shape
@@ -327,18 +304,11 @@ def candidate_expressions(
 ) -> dict[str, Any]:
     """True expressions of all pairs of usable objects of a frame, not yet worded.
 
-    Parameters
-    ----------
-    ids, labels
-        Numbers and class names of the objects that were judged.
-    usable : (N,) bool
-        Objects that may be asked for; the others still count as acceptable answers.
+    `ids`, `labels`: numbers and class names of the objects that were judged. `usable` (N,) bool: objects that may be
+    asked for; the others still count as acceptable answers.
 
-    Returns
-    -------
-    dict of str to list
-        Columns of the table `candidates`, in canonical order, one row for each
-        pair and relation that is T; empty where there is none.
+    Returns columns of the table `candidates`, in canonical order, one row for each pair and relation that is T; empty
+    where there is none.
     """
     if len(ids) < 2:
         return {}

@@ -53,12 +53,8 @@ def merge_labels(where: str | Path, selection: SelectConfig | None = None, out: 
     written aside and then put into place at once: what fails before leaves
     earlier tables as they were.
 
-    Parameters
-    ----------
-    where
-        The labels folder, or a URL; then `out` is needed.
-    out
-        Where the merged tables go; the labels folder by default.
+    `where`: the labels folder, or a URL; then `out` is needed. `out`: where the merged tables go; the labels folder by
+    default.
 
     Raises InputError: shards are missing or damaged, or the folder holds no labels.
     """
@@ -304,16 +300,8 @@ def select(
     frame, rarest relation first. Then every relation gets its quota, filled
     in turn from its target classes.
 
-    Parameters
-    ----------
-    ids : (N,) uint64
-        The rows' hashes.
-    frame, relation, target, reference : (N,) int
-        Codes of what the rows say.
-
-    Returns
-    -------
-    (N,) bool
+    `ids` (N,) uint64: the rows' hashes. `frame`, `relation`, `target`, `reference` (N,) int: codes of what the rows
+    say. Returns (N,) bool.
     """
     n = len(ids)
     if not n:

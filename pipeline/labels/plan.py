@@ -126,14 +126,8 @@ def make_plan(
 ) -> Plan:
     """Look at the dataset and lay out the shards; no image is decoded.
 
-    Parameters
-    ----------
-    limit
-        Only the first so many frames.
-    frames_of
-        Only the frames of these splits of the dataset's own, in their order.
-    out
-        Where the labels go: within the dataset's folder, that folder is not part of the input.
+    `limit`: only the first so many frames. `frames_of`: only the frames of these splits of the dataset's own, in their
+    order. `out`: where the labels go: within the dataset's folder, that folder is not part of the input.
 
     Raises InputError: the dataset cannot be opened, has no frames, or nothing finds objects in it.
     """

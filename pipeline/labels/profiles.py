@@ -71,14 +71,9 @@ class RuleJudge(Protocol):
     ) -> JudgedPairs:
         """Judge.
 
-        Parameters
-        ----------
-        lo, hi, centroids : (N, 3) float64
-            Extents and mean points along (right, up, forward), metres.
-        clouds : sequence of (M, 3) float, optional
-            The objects' points along the same axes.
-        relations
-            Those that are wanted: the others may be left at U with margin 0.
+        `lo`, `hi`, `centroids` (N, 3) float64: extents and mean points along (right, up, forward), metres. `clouds`
+        sequence of (M, 3) float: the objects' points along the same axes. `relations`: those that are wanted: the
+        others may be left at U with margin 0.
         """
         ...
 
@@ -252,17 +247,8 @@ def as_given(judged: JudgedPairs, numbers: Sequence[int], given: Sequence[GivenE
     targets) may be meant, their pairs stay U in that relation. A pair of which
     nothing is said stays U throughout: it may have been passed over.
 
-    Parameters
-    ----------
-    judged
-        Of N objects; its states are U where nothing is given.
-    numbers
-        The objects' indices in the dataset's own list of annotations.
-
-    Returns
-    -------
-    JudgedPairs
-        Margins are 0: no geometry was asked.
+    `judged`: of N objects; its states are U where nothing is given. `numbers`: the objects' indices in the dataset's
+    own list of annotations. Returns margins are 0: no geometry was asked.
     """
     index_of = {number: k for k, number in enumerate(numbers)}
     sure, maybe = np.zeros(judged.states.shape, np.bool_), np.zeros(judged.states.shape, np.bool_)

@@ -62,10 +62,7 @@ class MaskMakers:
 def mask_makers(text: str) -> MaskMakers | None:
     """Makers of masks from a manifest's "name: fingerprint" of a detector; None if empty.
 
-    Parameters
-    ----------
-    text
-        `models["detector"]` of labels, `detector` of a run; see `Detector.fingerprint`.
+    `text`: `models["detector"]` of labels, `detector` of a run; see `Detector.fingerprint`.
     """
     name, colon, fingerprint = text.partition(": ")
     if not colon or not name:

@@ -382,18 +382,8 @@ def labelled_dataset(
 ) -> Dataset:
     """Open the dataset of labels, at the place then or now, with the declared camera.
 
-    Parameters
-    ----------
-    manifest
-        Of the labels.
-    path
-        Where it is now.
-    intrinsics
-        fx, fy, cx, cy in pixels, instead of what was declared then.
-    depth_scale
-        Depth units in one metre, instead of what was declared then.
-    up, level_at, depth_model, poses, registration
-        As for `open_dataset`, instead of what was declared then.
+    `path`: where it is now. `intrinsics`: fx, fy, cx, cy in pixels, instead of what was declared then. `depth_scale`:
+    depth units in one metre, instead of what was declared then.
 
     Raises InputError: the labels do not name it, or it cannot be opened.
     """

@@ -80,14 +80,8 @@ def make_sentences(
 ) -> tuple[MadeSentence, ...]:
     """Make sentences of the wanted kinds for a labelled frame; equal input gives equal sentences.
 
-    Parameters
-    ----------
-    objects
-        All of the frame, as they were labelled.
-    config
-        Says which kinds, and how many of each.
-    class_names
-        The names that a reader of the sentences knows.
+    `objects`: all of the frame, as they were labelled. `config`: says which kinds, and how many of each. `class_names`:
+    the names that a reader of the sentences knows.
     """
     rows, judged = labels.objects, labels.judged
     related = [k for k, o in enumerate(objects) if not config.is_background(o.label)]
@@ -298,12 +292,8 @@ _NUMBERED = {number: word for word, number in reversed(ORDINALS.items()) if word
 def tree_text(root: Node, several: Collection[int], key: int) -> str:
     """Sentence of a tree: `find the leftmost book that is on the table`.
 
-    Parameters
-    ----------
-    several
-        Mentions of the nouns that mean several things: they take `a`, since `the` would claim that there is one.
-    key
-        At least 0; it chooses among the forms. Equal input gives equal text.
+    `several`: mentions of the nouns that mean several things: they take `a`, since `the` would claim that there is one.
+    `key`: at least 0; it chooses among the forms. Equal input gives equal text.
     """
     key, frame = divmod(key, len(SENTENCE_FRAMES))
     return SENTENCE_FRAMES[frame].format(

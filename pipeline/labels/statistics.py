@@ -136,11 +136,7 @@ def _states(t: int, u: int, f: int) -> dict[str, Any]:
 def margin_counts(database: Database, relation: str) -> dict[str, np.ndarray]:
     """Histogram of a relation's margins.
 
-    Returns
-    -------
-    dict
-        "state" (N,) 1 or -1; "mm" (N,) int, millimetres, ascending within a
-        state; "n" (N,) how many pairs.
+    Returns "state" (N,) 1 or -1; "mm" (N,) int, millimetres, ascending within a state; "n" (N,) how many pairs.
     """
     state, margin = quoted(relation), quoted(f"{relation}_margin")
     # Counted by the millimetre: exact enough, in memory that does not grow, and the same in whatever order it is read.
@@ -311,14 +307,8 @@ def quoted(name: str) -> str:
 def quantiles(values: np.ndarray, counts: np.ndarray, shares: tuple[float, ...]) -> list[float]:
     """Nearest-rank quantiles of counted values.
 
-    Parameters
-    ----------
-    values : (N,) array
-        Ascending.
-    counts : (N,) int
-        How often each occurs; at least one in all.
-    shares
-        0..1; the quantile of q is the least value that at least a share q does not exceed.
+    `values` (N,) array: ascending. `counts` (N,) int: how often each occurs; at least one in all. `shares`: 0..1; the
+    quantile of q is the least value that at least a share q does not exceed.
     """
     upto = np.cumsum(counts, dtype=np.int64)
     # Rounded, lest 0.05 * 100 ask for the sixth of a hundred.

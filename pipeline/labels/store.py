@@ -29,10 +29,7 @@ class LabelStore:
     place; where the place cannot rename folders (object stores), its files come
     first and `part.json` last. Either way a part that is there is whole.
 
-    Parameters
-    ----------
-    where
-        A path, or a URL such as "s3://bucket/labels" (extra: cluster).
+    `where`: a path, or a URL such as "s3://bucket/labels" (extra: cluster).
     """
 
     def __init__(self, where: str | Path) -> None:

@@ -50,16 +50,8 @@ _VIEWER = {"closest": "near", "farthest": "far"}
 class TreeTruth:
     """A labelled frame, as noun phrases see it.
 
-    Parameters
-    ----------
-    objects
-        Those whose pairs were judged.
-    states : (N, N, R) int8
-        T, U and F in the order of PAIRWISE.
-    usable
-        The others may be what is meant or not.
-    occluded
-        Share of the border beside which something is nearer.
+    `objects`: those whose pairs were judged. `states` (N, N, R) int8: T, U and F in the order of PAIRWISE. `usable`:
+    the others may be what is meant or not. `occluded`: share of the border beside which something is nearer.
     """
 
     def __init__(

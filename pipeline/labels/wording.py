@@ -127,22 +127,12 @@ def expression_text(
     `language.expression.parse`, given the class names, reads it back as the same target, relation and reference.
     A name that the grammar would misread stands in double quotes, or the sentence falls back to the plain form.
 
-    Parameters
-    ----------
-    target, reference
-        Class names as the dataset spells them.
-    relation
-        One of `relations.PAIRWISE`.
-    key
-        0 .. 2**64 - 1, such as a seeded hash; it chooses the sentence. Equal input gives equal text.
-    style
-        Many forms; `mug left of the laptop`; or the published form of Semantic Abstraction, `mug on the left of a
-        laptop`, whose `a` stands before any name.
-    class_names
-        All names of the dataset, where the sentence must also not be mistaken for any other of them.
-    several
-        Whether the target's and the reference's name mean several objects of the frame: those take `a`, since `the`
-        would claim that there is one. The published form has its `a` in any case.
+    `target`, `reference`: class names as the dataset spells them. `relation`: one of `relations.PAIRWISE`. `key`: 0 ..
+    2**64 - 1, such as a seeded hash; it chooses the sentence. Equal input gives equal text. `style`: many forms; `mug
+    left of the laptop`; or the published form of Semantic Abstraction, `mug on the left of a laptop`, whose `a` stands
+    before any name. `class_names`: all names of the dataset, where the sentence must also not be mistaken for any other
+    of them. `several`: whether the target's and the reference's name mean several objects of the frame: those take `a`,
+    since `the` would claim that there is one. The published form has its `a` in any case.
 
     Raises InputError: where an argument is out of range, or no sentence can carry the names: see `can_be_worded`.
     """

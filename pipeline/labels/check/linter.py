@@ -49,17 +49,7 @@ def check_labels(labels: Labels, *, rules: Sequence[str] | None = None) -> Itera
     The tables are read twice: first the objects, for class names and sizes;
     then all, frame by frame. Memory grows with classes, not with frames.
 
-    Parameters
-    ----------
-    labels
-        From `open_labels`.
-    rules
-        Names of rules or of groups ("relation"); all by default.
-
-    Yields
-    ------
-    Finding
-        First of whole files, then frame by frame.
+    `rules`: names of rules or of groups ("relation"); all by default. Yields first of whole files, then frame by frame.
 
     Raises InputError: a rule has no such name; before anything is read.
     """

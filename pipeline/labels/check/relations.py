@@ -195,22 +195,13 @@ MARGIN_TOLERANCE, MARGIN_TOLERANCE_RELATIVE = 1e-4, 1e-4
 
 @dataclass(frozen=True)
 class Expected:
-    """What geometry allows of every ordered pair.
+    """What geometry allows of every ordered pair."""
 
-    Attributes
-    ----------
-    low, high : dict of str to (N, N) int8
-        By relation: the stored state must lie between.
-    margins : dict of str to (N, N) float64
-        Metres; NaN where only its sign is known.
-    distance : (N, N) float64
-        Metres between the extents, NaN where unknown.
-    """
-
+    # low, high dict of str to (N, N) int8: by relation: the stored state must lie between
     low: dict[str, np.ndarray]
     high: dict[str, np.ndarray]
-    margins: dict[str, np.ndarray]
-    distance: np.ndarray
+    margins: dict[str, np.ndarray]  # dict of str to (N, N) float64: metres; NaN where only its sign is known
+    distance: np.ndarray  # (N, N) float64: metres between the extents, NaN where unknown
 
 
 def expected_viewer_cone(view: FrameView) -> Expected:

@@ -51,25 +51,10 @@ class Rows:
 class TableStream:
     """A table of labels, read in order of frames.
 
-    Parameters
-    ----------
-    checked
-        Whether its rows tell their violations.
-
-    Attributes
-    ----------
-    problem : str or None
-        Why it cannot be read at all; it then has no rows.
-    lacking : frozenset of str
-        Columns that are not there or hold something else entirely.
-    other_types : tuple of str
-        Columns of another width than the schema's, in words.
-    extra : tuple of str
-        Columns that the schema does not know.
-    ordered : bool
-        Whether frames come in order.
-    opened : bool
-        Whether it could be read at first.
+    `checked`: whether its rows tell their violations. `problem`: why it cannot be read at all; it then has no rows.
+    `lacking`: columns that are not there or hold something else entirely. `other_types`: columns of another width than
+    the schema's, in words. `extra`: columns that the schema does not know. `ordered`: whether frames come in order.
+    `opened`: whether it could be read at first.
     """
 
     def __init__(self, path: Path, table: str, checked: bool = True) -> None:
@@ -318,12 +303,7 @@ def constraints(table: str) -> dict[str, Constraint]:
 def violations(rows: pa.Table, table: str, skip: frozenset[str] = frozenset()) -> list[Violation]:
     """All cells that break the model of their table, in order of rows.
 
-    Parameters
-    ----------
-    rows
-        Of the table's Arrow schema.
-    skip
-        Columns that the file lacks.
+    `rows`: of the table's Arrow schema. `skip`: columns that the file lacks.
     """
     found: list[Violation] = []
     broken: dict[int, list[str]] = {}

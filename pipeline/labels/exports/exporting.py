@@ -78,22 +78,10 @@ def export_labels(
     Every format says of its rows where their values come from: see
     `pipeline.labels.exports.row_provenance`. Of labels that nobody corrected, all is the labeller's.
 
-    Parameters
-    ----------
-    format
-        A name of FORMATS, or a plugin's.
-    out
-        A folder that does not exist yet or is empty.
-    images
-        Whether the colour images of the frames come too.
-    dataset
-        Where they come from, and the depth for what is measured; the dataset that the manifest names by default.
-    overwrite
-        Replace an earlier export in `out`; a folder of anything else is never replaced.
-    options
-        The format's own options, such as `vqa.VqaConfig`.
-    progress
-        Called with (frames done, frames in all).
+    `format`: a name of FORMATS, or a plugin's. `out`: a folder that does not exist yet or is empty. `images`: whether
+    the colour images of the frames come too. `dataset`: where they come from, and the depth for what is measured; the
+    dataset that the manifest names by default. `overwrite`: replace an earlier export in `out`; a folder of anything
+    else is never replaced. `options`: the format's own options, such as `vqa.VqaConfig`.
 
     Raises InputError: an unknown format, a target that is not empty, damaged labels, or pictures that are not those of
     the labels.

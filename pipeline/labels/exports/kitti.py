@@ -193,11 +193,8 @@ def to_kitti(
 ) -> tuple[np.ndarray, np.ndarray, float] | None:
     """A box of the camera frame as KITTI has it.
 
-    Returns
-    -------
-    (dimensions, location, rotation_y) or None
-        (h, w, l) metres; middle of the bottom face in the level camera frame,
-        metres; radians in -pi..pi. None where the box is not upright.
+    Returns (h, w, l) metres; middle of the bottom face in the level camera frame, metres; radians in -pi..pi. None
+    where the box is not upright.
     """
     own = R_level_camera @ R
     if own[1, 1] <= 0 or max(abs(own[0, 1]), abs(own[2, 1])) > UPRIGHT:

@@ -259,10 +259,7 @@ def _texts(column: Any) -> Any:
 class JsonList:
     """A JSON list written item by item, one a line.
 
-    Parameters
-    ----------
-    file
-        Open for writing; the list begins where it stands.
+    `file`: open for writing; the list begins where it stands.
     """
 
     def __init__(self, file: TextIO) -> None:

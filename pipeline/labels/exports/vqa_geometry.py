@@ -58,12 +58,7 @@ NOTHING = Figures(None, np.full(3, np.nan), np.full(3, np.nan), np.empty((0, 3),
 class Depths:
     """The depth maps that labels were made from, read when first asked for.
 
-    Attributes
-    ----------
-    missing : int
-        How many were asked for in vain.
-    problem : str
-        Why, of the last.
+    `missing`: how many were asked for in vain. `problem`: why, of the last.
     """
 
     def __init__(self, dataset: Callable[[], Dataset] | None) -> None:
@@ -91,12 +86,7 @@ class Depths:
 def figures_of(rows: ExportFrame, config: VqaConfig, depths: Depths, human: frozenset[int]) -> list[Figures]:
     """Geometry of each object of a frame, as far as known.
 
-    Parameters
-    ----------
-    depths
-        Asked only where some object is seen whole.
-    human
-        Numbers of the objects whose 3D box a person set.
+    `depths`: asked only where some object is seen whole. `human`: numbers of the objects whose 3D box a person set.
     """
     if rows.frame["up"] is None:
         return [NOTHING] * len(rows.objects)

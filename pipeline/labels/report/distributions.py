@@ -61,14 +61,7 @@ def distributions(
 ) -> Distributions:
     """Count everything the pictures need.
 
-    Parameters
-    ----------
-    frames
-        How many there are.
-    classes
-        Those whose sizes are shown.
-    sampled
-        See SAMPLED_FRAMES.
+    `frames`: how many there are. `classes`: those whose sizes are shown. `sampled`: see SAMPLED_FRAMES.
     """
     return Distributions(
         {name: margin_counts(database, name) for name in relations},

@@ -53,15 +53,8 @@ def write_report(labels: Labels, statistics: dict[str, Any], out: Path) -> list[
     The folder holds `index.html`, its pictures as PNG (without matplotlib there are none), and `statistics.json`.
     An earlier report there is replaced as a whole.
 
-    Parameters
-    ----------
-    statistics
-        Of the same labels, from `pipeline.labels.statistics.label_statistics`.
-
-    Returns
-    -------
-    list of Path
-        The files, the page first.
+    `statistics`: of the same labels, from `pipeline.labels.statistics.label_statistics`. Returns the files, the page
+    first.
 
     Raises InputError: `out` holds something else, or the labels cannot be read.
     """
