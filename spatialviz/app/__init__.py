@@ -1,1 +1,1 @@
-"""The browser page on viser: it shows Traces and sends commands; it computes nothing."""
+"""Browser page on viser: shows Traces and sends commands, computes nothing."""

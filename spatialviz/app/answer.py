@@ -1,4 +1,4 @@
-"""The head of the answer: its names, its probabilities, the verdict in a sentence, and what the labels say of it."""
+"""Head of the answer: names, probabilities, the verdict in a sentence, and a comparison with the labels."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ NOTHING_TO_ASK = "Nothing can be asked: the dataset has no annotations, and no d
 
 
 def answer_html(state: State, can_ask: bool = True) -> Element:
-    """The answer in one line, the relation's probability and the product, below them the posterior and the verdict."""
+    """Answer in one line, with the relation's probability and the product; below, the posterior and the verdict."""
     trace, under = state.trace, h.div(ground_chips(state), mend_button(state), cls="under")
     if state.problem:
         return panel(note(f"This frame is broken: {state.problem}", BAD), cls="answer")
@@ -42,7 +42,7 @@ def answer_html(state: State, can_ask: bool = True) -> Element:
 
 
 def before_html(state: State, edited: BothAnswers) -> Element:
-    """What was answered without the edits, in one line."""
+    """Answer without the edits, in one line."""
     trace, colors = edited.before.trace, palette(state.dark)
     reason, count = why_no_answer(trace), len(each_edit(state.edits))
     answer: list[Child] = [h.span(reason or "no answer", cls="dim")]
@@ -70,12 +70,12 @@ def before_html(state: State, edited: BothAnswers) -> Element:
 
 
 def verdict_chip_of(judged: Diagnosis) -> Element:
-    """The verdict in its colour, with what it says more."""
+    """Chip with the verdict in its colour, and the tooltip."""
     return verdict_chip(judged.verdict, judged.detail, judged.lucky)
 
 
 def verdict_html(state: State) -> Element | None:
-    """The verdict; its chip opens the stage that failed, which has its sentence; where none did it stands here."""
+    """Verdict chip; opens the failed stage, or carries the verdict's sentence where no stage failed."""
     judged = state.judged
     if state.recorded is not None and not state.recorded.is_that(judged):
         return _recorded(state, state.recorded)
@@ -94,7 +94,7 @@ def verdict_html(state: State) -> Element | None:
 
 
 def _recorded(state: State, found: Recorded) -> Element:
-    """The verdict as the run has it, where it would be another now, and what would be."""
+    """Verdict as recorded in the run, beside the present verdict where the two differ."""
     judged, run = state.judged, None if state.listing is None else state.listing.figures.run
     by = "" if run is None else judged_by(run.manifest)
     now: Child = verdict_chip_of(judged) if isinstance(judged, Diagnosis) else judged or "no verdict"
@@ -109,7 +109,7 @@ def _recorded(state: State, found: Recorded) -> Element:
 
 
 def mend_button(state: State) -> Element | None:
-    """A button that leads to the labels of the verdict; it stands out where the label itself is in doubt."""
+    """Button leading to the labels of the verdict; highlighted where the label itself is in doubt."""
     if not state.correctable or not state.text:
         return None
     doubted = isinstance(state.judged, Diagnosis) and state.judged.verdict == "LABEL"
@@ -118,7 +118,7 @@ def mend_button(state: State) -> Element | None:
 
 
 def answer_in_words(state: State, trace: Trace) -> str:
-    """The answer as a line of the log."""
+    """Answer as a line of the log."""
     sentence = why_no_answer(trace)
     if sentence is None and state.pair is not None:
         sentence = words_of_answer(trace, state.name_of).sentence(pair_words(trace, state.ranked[0], state.name_of))
@@ -126,7 +126,7 @@ def answer_in_words(state: State, trace: Trace) -> str:
 
 
 def _pair(state: State, trace: Trace) -> list[Child]:
-    """The chosen pair, as the answer or beside it."""
+    """Chosen pair, as the answer or as a lower rank."""
     best = state.ranked[0]
     pair = state.chosen or best
     answer = words_of_answer(trace, state.name_of, pair)
@@ -141,7 +141,7 @@ def _pair(state: State, trace: Trace) -> list[Child]:
 
 
 def _alone(state: State, trace: Trace) -> Element | None:
-    """What the verdict is of where there is no pair: as in an evaluation, the best target by its name alone."""
+    """Subject of the verdict without a pair: the best target by name alone, as in an evaluation."""
     candidates = trace.candidates.get(trace.query.target)
     found = None if candidates is None else alone(candidates)
     if found is None or trace.missing or not isinstance(state.judged, Diagnosis):
@@ -161,8 +161,7 @@ def _names(state: State, trace: Trace, pair: ScoredPair) -> Element:
 
 
 def _headline(trace: Trace, pair: ScoredPair) -> Element:
-    """The numbers at the top: that the pair stands in the relation, and the product of all factors; of an answer that
-    came without its ranking that it is so."""
+    """Relation's probability and the product of all factors, or a remark on an imported answer without a ranking."""
     if trace.answered is not None:
         return h.div(_capital(trace.answered), cls="dim", id="answer-heads")
     cells = []
@@ -181,7 +180,7 @@ UNKNOWN = "No verdict: nothing is known of the truth in this frame. It needs lab
 
 
 def verdict_evidence(state: State, trace: Trace) -> list[Child]:
-    """What would mend the answer, and what the other run answers; the verdict itself stands above."""
+    """Repairs of the answer, and the answer of the other run."""
     judged = state.judged
     if not isinstance(judged, Diagnosis):
         return [h.p(UNKNOWN if judged is None else f"No verdict: {judged}.", cls="dim")]
@@ -189,7 +188,7 @@ def verdict_evidence(state: State, trace: Trace) -> list[Child]:
 
 
 def _oracles(d: Diagnosis) -> list[Child]:
-    """Each oracle alone: is the answer right with it, and by what margin; nothing where predictions do not tell."""
+    """Correctness and margin of the answer with each oracle alone; empty for predictions without them."""
     if d.right_with is None:
         return []
     names = [("", 0), *((name, 1 << k) for k, name in enumerate(d.oracles))]
@@ -217,14 +216,14 @@ def _oracle(d: Diagnosis, name: str, right: bool, margin: float) -> Element:
 
 
 def _second(other: OtherAnswer, moved: str) -> Element:
-    """The second run's verdict in a line, and what moved; it opens the two answers."""
+    """Verdict of the second run in a line with the difference; opens both answers."""
     chip = verdict_chip_of(other.judged) if isinstance(other.judged, Diagnosis) else None
     what = (h.span("second run ", cls="dim"), chip, f" {moved or 'no answer'}")
     return h.button(what, cls="plain", do="stage:LABEL", title=f"{other.name}: both answers")
 
 
 def _other(state: State, trace: Trace, other: OtherAnswer) -> list[Child]:
-    """The other run's answer beside this one: what moved."""
+    """Answer of the other run beside this answer, with the difference."""
     mine = state.ranked[0] if state.ranked else None
     if other.error:
         return [h.h3("The second run", h.span(other.name)), note(other.error)]
@@ -247,13 +246,13 @@ def _other(state: State, trace: Trace, other: OtherAnswer) -> list[Child]:
 
 
 def _named_here(state: State, entry: SceneObject) -> str:
-    """An object as this page calls it; by its class alone where this run does not have it."""
+    """Name of an object on this page; its class where this run lacks the object."""
     overlap = iou_2d(np.array([o.bbox for o in state.shown.objects]), entry.bbox)[:, 0]
     return state.shown.names[int(overlap.argmax())] if overlap.max() >= 0.5 else entry.label
 
 
 def verdict_chip(verdict: str, detail: str | None = None, lucky: bool = False) -> Element:
-    """A verdict in its colour, with its detail."""
+    """Verdict in its colour, with a detail."""
     said = shown_detail(detail, lucky)
     more = (" ", h.i(said.lower().replace("_", " "))) if said else None
     return h.span(verdict, more, cls="vd", css={"--c": hex_color(VERDICTS[verdict])}, title=hint_of(verdict))

@@ -1,6 +1,6 @@
-"""The frames of a dataset to choose from: a strip and a grid of marked pictures, and the cameras of a scene.
+"""Frame browser of a dataset: a strip and a grid of marked pictures, and the cameras of a scene.
 
-The browser shows those in sight only: their names and marks are asked for by range, their pictures by address.
+Only frames in sight are loaded: names and marks by range, pictures by address.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Counts = Mapping[str, tuple[int, int]]
 
 
 class Browse(Part):
-    """Opens frames for one client, and fills its strip and its grid of them."""
+    """Opens frames for a client, and fills the strip and the grid."""
 
     def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
@@ -44,19 +44,19 @@ class Browse(Part):
 
     @command("next-frame")
     def step(self, step: int) -> None:
-        """Show the next frame, or the one before."""
+        """Show the next frame, or the previous."""
         self.open_number(self._ids.index(self.state.frame_id) + step)
 
     @command("move")
     def move(self, move: str) -> None:
-        """Go where a move of the dataset's robot leads; one that is not possible does nothing."""
+        """Follow a move of the dataset's robot; an impossible move does nothing."""
         to = moves(self.ctx.source.dataset, self.state.frame_id).get(move)
         if to is not None:
             self.ctx.open_frame(to)
 
     @command("frames-of")
     def choose(self, which: Which) -> None:
-        """List only some of the frames."""
+        """Filter the frames."""
         self._which = which
         self.follow()
 
@@ -67,7 +67,7 @@ class Browse(Part):
 
     @command("frame-rows")
     def rows(self, first: NonNegativeInt, after: NonNegativeInt) -> None:
-        """Say names and marks of the frames from one place of the list up to another."""
+        """Send names and marks of a range of listed frames."""
         ids, counts, places = self._ids, self._counts, self._places[first : min(after, first + MOST_ROWS)]
         rows = [[n, ids[n], *counts.get(ids[n], (0, 0))] for n in places]
         self.ctx.page.call("frameRows", {"from": first, "rows": rows})
@@ -76,7 +76,7 @@ class Browse(Part):
 
     @property
     def _counts(self) -> Counts:
-        """What is said of each frame: of the review while labels are shown, else of the run."""
+        """Counts by frame: of the review while labels are shown, else of the run."""
         if self.state.labels is not None:
             return self.ctx.reviewed
         run = self.ctx.run
@@ -84,7 +84,7 @@ class Browse(Part):
 
     @property
     def _places(self) -> range | tuple[int, ...]:
-        """Numbers of the frames that are listed."""
+        """Numbers of the listed frames."""
         counts, which, source = self._counts, self._which, self.state.source
         before = self._counted
         if before is None or before[:2] != (source, which) or before[2] is not counts:
@@ -96,7 +96,7 @@ class Browse(Part):
 
     @command("strip")
     def follow(self) -> None:
-        """Say what the strip lists, and where the frame that is shown stands in it."""
+        """Send the strip's list and the position of the current frame."""
         state, counts, places = self.state, self._counts, self._places
         labels = state.labels is not None
         kinds = {} if not counts else {"open": "open", "settled": "settled"} if labels else {
@@ -116,7 +116,7 @@ class Browse(Part):
         self.ctx.page.call("strip", data)
 
     def browse(self) -> None:
-        """Behind whatever the user does: make the neighbours ready, and find where the scene's cameras stand."""
+        """In the background, load the neighbours and find the scene's cameras."""
         state, ids, store = self.state, self._ids, self.ctx.shared.store
         at = ids.index(state.frame_id)
         store.prepare(state.source, (*ids[at + 1 : at + 2], *ids[max(0, at - 1) : at]))

@@ -1,8 +1,8 @@
-"""The socket of one page, and its protocol: JSON texts, commands in, patches of the page out.
+"""Socket of a page and its protocol: JSON texts, commands in, patches of the page out.
 
-The browser sends a `Hello` first, then `Command`s and, where its address changes by hand, `Go`s: they are handled one
-at a time on a thread of the page. What comes back are `Patch`es (elements by their id, as HTML), `Call`s of functions
-of the page, and the `PageAddress` of what is shown.
+The browser first sends a `Hello`, then `Command`s and, on a change of the address by hand, `Go`s, handled in order on a
+thread of the page. The server sends `Patch`es (elements by id, as HTML), `Call`s of functions of the page, and the
+`PageAddress` of the view.
 """
 
 from __future__ import annotations
@@ -32,14 +32,9 @@ LASTING = ("ask-typed", "edit-live", "hover", "rows")
 
 
 class Channel:
-    """Jobs of one page, in order, off the server's loop; and its outgoing messages, which any thread may send.
+    """Job queue of a page, in order, off the server's loop; outgoing messages may come from any thread.
 
-    Parameters
-    ----------
-    name : str
-        Of its thread.
-    on_message : callable
-        Handles a message.
+    `name`: of its thread; `on_message`: handles a message.
     """
 
     def __init__(self, name: str, on_message: Callable[[Incoming], None]) -> None:
@@ -60,15 +55,15 @@ class Channel:
 
     @property
     def connected(self) -> bool:
-        """Whether a browser listens."""
+        """True while a browser listens."""
         return self._outgoing is not None
 
     def post(self, job: Callable[[], None]) -> None:
-        """Run something after everything that waits already."""
+        """Queue a job."""
         self._jobs.put(job)
 
     def receive(self, message: Incoming) -> None:
-        """Handle a message of the browser after everything that waits already."""
+        """Queue a message of the browser."""
         kind = message.name if isinstance(message, Command) else ""
         if kind in LASTING:
             self._latest[kind] = message
@@ -76,11 +71,11 @@ class Channel:
 
     @property
     def behind(self) -> int:
-        """How much waits to be handled."""
+        """Number of queued jobs."""
         return self._jobs.qsize()
 
     def send(self, message: Outgoing) -> None:
-        """Send a message, where a browser listens. Any thread may call it."""
+        """Send a message to a connected browser, from any thread."""
         with self._lock:
             loop, outgoing = self._loop, self._outgoing
             if loop is None or outgoing is None or loop.is_closed():
@@ -94,7 +89,7 @@ class Channel:
             loop.call_soon_threadsafe(outgoing.put_nowait, text)
 
     def attach(self, connection: Any) -> asyncio.Queue[str | None]:
-        """A browser is there: what is said from now on waits here. A second one takes the first one's place."""
+        """Connect a browser, in place of an earlier connection, and return the queue of outgoing messages."""
         outgoing: asyncio.Queue[str | None] = asyncio.Queue()
         with self._lock:
             if self._outgoing is not None:
@@ -104,7 +99,7 @@ class Channel:
         return outgoing
 
     async def serve(self, connection: Any, outgoing: asyncio.Queue[str | None]) -> None:
-        """Send what waits until the browser goes away."""
+        """Send queued messages until the browser disconnects."""
         try:
             while (text := await outgoing.get()) is not None:
                 await connection.send(text)
@@ -114,7 +109,7 @@ class Channel:
             pass
 
     def detach(self, outgoing: asyncio.Queue[str | None]) -> None:
-        """The browser that this waits for has gone."""
+        """Disconnect the browser of a queue."""
         with self._lock:
             if self._outgoing is outgoing:
                 self._loop = self._outgoing = None
@@ -122,11 +117,11 @@ class Channel:
                 self.left = time.monotonic()
 
     def close(self) -> None:
-        """Handle what waits, and then nothing."""
+        """Handle the queued jobs, then stop."""
         self._jobs.put(None)
 
     def end(self, until: float) -> None:
-        """Finish what is being handled, at the latest at this time of the monotonic clock, and nothing that waits."""
+        """Finish the current job by a time of the monotonic clock, and drop the queued jobs."""
         self._ended = True
         self.close()
         self._thread.join(max(0.0, until - time.monotonic()))
@@ -150,12 +145,12 @@ _STARTED: WeakSet[Channel] = WeakSet()
 
 
 def answering() -> bool:
-    """Whether any page is being answered."""
+    """True while any page handles a job."""
     return bool(_AT_WORK)
 
 
 def end_all(within: float) -> None:
-    """Finish what every page is at, within so many seconds in all."""
+    """Finish the current job of every page, within a number of seconds in all."""
     until = time.monotonic() + within
     for channel in list(_STARTED):
         channel.end(until)
@@ -170,27 +165,18 @@ DRAWING = "px-"
 
 @dataclass(frozen=True)
 class Hello:
-    """The first message: what the address says, who corrects labels in this browser, and what it likes.
-
-    Attributes
-    ----------
-    address : str
-        The query of the page's address, without "?".
-    author : str
-        The name that the browser has kept; "" for none.
-    theme : str
-        "dark" or "light" as the browser has kept it; "" for what the server was started with.
-    """
+    """First message: address, author and theme as kept by the browser."""
 
     type: Literal["hello"]
-    address: Annotated[str, Field(max_length=LONGEST_ADDRESS)] = ""
-    author: Annotated[str, Field(max_length=LONGEST_ADDRESS)] = ""
+    address: Annotated[str, Field(max_length=LONGEST_ADDRESS)] = ""  # The query of the page's address, without "?"
+    author: Annotated[str, Field(max_length=LONGEST_ADDRESS)] = ""  # The name that the browser has kept; "" for none
+    # "dark" or "light" as the browser has kept it; "" for what the server was started with.
     theme: Literal["", "dark", "light"] = ""
 
 
 @dataclass(frozen=True)
 class Command:
-    """Something a person did. An element's `do` says it as "name" or "name:argument"."""
+    """User action, written in an element's `do` as "name" or "name:argument"."""
 
     name: str
     arguments: tuple[Any, ...] = ()
@@ -198,14 +184,14 @@ class Command:
 
     @classmethod
     def read(cls, text: str) -> Command:
-        """The command of an element's `do`."""
+        """Parse an element's `do`."""
         name, with_argument, argument = text.partition(":")
         return cls(name, (argument,) if with_argument else ())
 
 
 @dataclass(frozen=True)
 class Go:
-    """The address was changed by Back, Forward or by hand: look at what its query says."""
+    """Change of the address by Back, Forward or hand."""
 
     type: Literal["go"]
     address: Annotated[str, Field(max_length=LONGEST_ADDRESS)]
@@ -217,21 +203,15 @@ _INCOMING: TypeAdapter[Incoming] = TypeAdapter(Annotated[Hello | Command | Go, F
 
 @dataclass(frozen=True)
 class Patch:
-    """Elements to put in the place of those with the same ids.
+    """Elements replacing those of the same ids."""
 
-    Attributes
-    ----------
-    parts : tuple of (str, str)
-        (id, HTML).
-    """
-
-    parts: tuple[tuple[str, str], ...]
+    parts: tuple[tuple[str, str], ...]  # (id, HTML)
     type: Literal["patch"] = "patch"
 
 
 @dataclass(frozen=True)
 class Call:
-    """A function of the page (`calls` of static/core.mjs) and its argument, which can be JSON."""
+    """Function of the page (`calls` of static/core.mjs) and a JSON argument."""
 
     name: str
     data: Any
@@ -240,26 +220,17 @@ class Call:
 
 @dataclass(frozen=True)
 class PageAddress:
-    """What the page's address and title say now.
+    """Address and title of the page."""
 
-    Attributes
-    ----------
-    query : str
-        Without "?".
-    title : str
-    push : bool
-        Whether Back leads to what was shown before.
-    """
-
-    query: str
+    query: str  # Without "?"
     title: str
-    push: bool
+    push: bool  # Whether Back leads to what was shown before
     type: Literal["address"] = "address"
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Whose scene the page's frame shows: its path."""
+    """Path of the scene shown in the page's frame."""
 
     path: str
     type: Literal["scene"] = "scene"
@@ -269,13 +240,7 @@ Outgoing: TypeAlias = "Patch | Call | PageAddress | Scene"
 
 
 def read(text: str | bytes) -> Incoming:
-    """A message of the browser.
-
-    Raises
-    ------
-    InputError
-        For what is none.
-    """
+    """Parse a message of the browser; InputError for an invalid message."""
     message = checked(_INCOMING.validate_json, text, "not a message of the page, at {}")
     if isinstance(message, Command) and len(text) > LONGEST_COMMAND and not message.name.startswith(DRAWING):
         raise InputError("not a message of the page", got=f"a command of {len(text)} characters")
@@ -283,5 +248,5 @@ def read(text: str | bytes) -> Incoming:
 
 
 def write(message: Outgoing) -> str:
-    """A message to the browser."""
+    """Encode a message to the browser."""
     return json.dumps(asdict(message), ensure_ascii=False, separators=(",", ":"))

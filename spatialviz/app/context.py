@@ -1,4 +1,4 @@
-"""State, browser and scene of one page, shared by its parts, which do not know each other."""
+"""State, browser and scene of a page, shared by its mutually independent parts."""
 
 from __future__ import annotations
 
@@ -37,85 +37,42 @@ Thing = TypeVar("Thing")
 
 @dataclass(frozen=True)
 class Shared:
-    """What all pages of a server are made from.
+    """Data and options common to all pages of a server."""
 
-    Attributes
-    ----------
-    store : FrameStore
-        Datasets by name; the first is shown first.
-    runs, others : mapping of str to Run
-        Evaluations to debug, and those whose answers are shown beside, by the names of their sources.
-    labels : mapping of str to Labels
-        What is true where there is no run.
-    journals : mapping of str to JournalLocation
-        Labels that may be corrected.
-    author : str or None
-        Under whose name they are, until the page says another.
-    opened_by : tuple of str
-        The words of the command line, for commands that open the page again.
-    first_view : ViewState or None
-        What is shown first.
-    dark : bool
-    alone : bool
-        Nobody else reaches the server, so that whoever opens the page may have it load a file.
-    """
-
-    store: FrameStore
+    store: FrameStore  # Datasets by name; the first is shown first
+    # runs, others: Evaluations to debug, and those whose answers are shown beside, by the names of their sources
     runs: Mapping[str, Run]
     others: Mapping[str, Run]
-    labels: Mapping[str, Labels]
-    journals: Mapping[str, JournalLocation]
-    author: str | None = None
-    opened_by: tuple[str, ...] = ()
-    first_view: ViewState | None = None
+    labels: Mapping[str, Labels]  # What is true where there is no run
+    journals: Mapping[str, JournalLocation]  # Labels that may be corrected
+    author: str | None = None  # Under whose name they are, until the page says another
+    opened_by: tuple[str, ...] = ()  # The words of the command line, for commands that open the page again
+    first_view: ViewState | None = None  # What is shown first
     dark: bool = True
-    alone: bool = True
+    alone: bool = True  # Nobody else reaches the server, so that whoever opens the page may have it load a file
 
     @cached_property
     def pictures(self) -> FramePictures:
-        """Of all frames."""
+        """Pictures of all frames."""
         return FramePictures(self.store.sources)
 
     @property
     def moving(self) -> bool:
-        """Whether a dataset has a robot's moves."""
+        """True with a dataset of robot moves."""
         return any(has_moves(opened.dataset) for opened in self.store.sources.values())
 
 
 class Context:
-    """One page: its state, its browser and its scene.
+    """State, browser and scene of a page.
 
-    Parameters
-    ----------
-    page_id : str
-        As the browser has chosen it.
-    shared : Shared
-    receive, clicked : callable
-        Take a message of the browser, and a click in the scene: the pixel that was hit, and the boxes on the way, the
-        smallest first.
-    draw : callable
-        Bring the page up to the state; with `live=True` only what follows a hand that drags.
-    handle : callable
-        Carry out a command; unknown ones are ignored, and what cannot be done is said.
-    open_frame : callable
-        Show another frame.
-
-    Attributes
-    ----------
-    state : State
-        What is looked at; only the page's own thread sets it.
-    post : callable
-        Runs something after whatever the user does meanwhile, on the page's own thread.
-    log : list of (str, str)
-        Times and lines of what happened.
-    closed : threading.Event
-        Set when the page has gone.
-    editors : LabelEditors
-        Of the labels that may be corrected.
-    reviewed : mapping of str to (int, int)
-        By frame, how many items of the review are settled, and how many are not.
-    leave : list of callable
-        Called then, such as to listen no more to what runs on for others.
+    `page_id`: as the browser has chosen it; `receive`, `clicked`: take a message of the browser, and a click in the
+    scene: the pixel that was hit, and the boxes on the way, the smallest first; `draw`: bring the page up to the state;
+    with `live=True` only what follows a hand that drags; `handle`: carry out a command; unknown ones are ignored, and
+    what cannot be done is said; `open_frame`: show another frame; `state`: what is looked at; only the page's own
+    thread sets it; `post`: runs something after whatever the user does meanwhile, on the page's own thread; `log`:
+    times and lines of what happened; `closed`: set when the page has gone; `editors`: of the labels that may be
+    corrected; `reviewed`: by frame, how many items of the review are settled, and how many are not; `leave`: called
+    then, such as to listen no more to what runs on for others.
     """
 
     def __init__(
@@ -146,17 +103,17 @@ class Context:
 
     @property
     def source(self) -> Pipeline:
-        """The source that is looked at."""
+        """Current pipeline."""
         return self.shared.store.sources[self.state.source]
 
     @property
     def run(self) -> Run | None:
-        """Its run."""
+        """Run of the current pipeline."""
         return self.shared.runs.get(self.state.source)
 
     @property
     def can_ask(self) -> bool:
-        """Whether the source has a detector."""
+        """True if the pipeline has a detector."""
         return self.source.detector is not None
 
     def note(self, text: str) -> None:
@@ -164,30 +121,30 @@ class Context:
         self.log = [*self.log, (datetime.now().strftime("%H:%M:%S"), text)][-LOG_LENGTH:]
 
     def toast(self, title: str, text: str, bad: bool = False) -> None:
-        """Say something in the corner of the page, and in the log; what is bad stands until it is closed."""
+        """Show a message in the corner of the page, and log it; errors stay until closed."""
         self.note(f"{title}: {text}")
         self.page.toast(title, text, bad)
 
     def fail(self, error: InputError) -> None:
-        """Say why something cannot be done."""
+        """Show the reason of a failure."""
         self.note(str(error))
         self.dialog.refuse(str(error))
 
     def show(self, **changes: Any) -> None:
-        """Change what is looked at, and draw it."""
+        """Change the state, and draw it."""
         self.state = replace(self.state, **changes)
         self.draw()
 
 
 class Part:
-    """A part of one page, with commands of its own."""
+    """Part of a page, with commands of its own."""
 
     def __init__(self, ctx: Context) -> None:
         self.ctx = ctx
 
     @property
     def state(self) -> State:
-        """What is looked at."""
+        """Current state."""
         return self.ctx.state
 
     @state.setter
@@ -196,28 +153,28 @@ class Part:
 
 
 class Idle(Exception):
-    """A command came for what is not there now: nothing happens."""
+    """Command without a present subject; nothing happens."""
 
 
 def there(value: Thing | None) -> Thing:
-    """What a command is for; `Idle` where it is not there."""
+    """Subject of a command; `Idle` without a subject."""
     if value is None:
         raise Idle
     return value
 
 
 def choice(options: Sequence[str], now: str, wanted: str) -> str | None:
-    """One of several by its name, or the "next" after the one that is on; None where there is none such."""
+    """Option by name, or the "next" after the current option; None for an unknown name."""
     if wanted == "next":
         return options[(options.index(now) + 1) % len(options)]
     return wanted if wanted in options else None
 
 
 def command(*names: str) -> Callable[[Method], Method]:
-    """Have the page's commands of these names call a method; "name=argument" calls it with this argument.
+    """Register a method for commands of the page; "name=argument" passes this argument.
 
-    Arguments are converted to the annotated types of the method's parameters that have no default; those that cannot be
-    do nothing. One text stands for several parameters with ":" or "," between them. `by` gets the command's own name.
+    Arguments are converted to the annotated types of the method's parameters without defaults; invalid arguments do
+    nothing. A text with ":" or "," fills several parameters. `by` gets the command's own name.
     """
 
     def mark(method: Method) -> Method:
@@ -228,7 +185,7 @@ def command(*names: str) -> Callable[[Method], Method]:
 
 
 def commands_of(part: object) -> dict[str, Callable[..., None]]:
-    """Functions of a part by the names of the page's commands."""
+    """Functions of a part by command name."""
     found: dict[str, Callable[..., None]] = {}
     for attribute, method in inspect.getmembers(type(part), lambda member: hasattr(member, "commands")):
         for said in method.commands:
@@ -252,7 +209,7 @@ def _call(bound: Callable[..., None], method: Callable[..., None], given: dict[s
 
 @cache
 def _readers(method: Callable[..., None]) -> tuple[Callable[[Any], Any], ...]:
-    """What converts the arguments of a command's method, one by one."""
+    """Converters of the arguments of a command's method."""
     hints = get_type_hints(method, include_extras=True)
     _, *parameters = inspect.signature(method).parameters.values()
     kinds = (hints[p.name] for p in parameters if p.name != "by" and p.default is p.empty)

@@ -1,4 +1,4 @@
-"""Whether depth, camera, poses and up of a recording are right, with outlines before and after what mends them."""
+"""Check of depth, camera, poses and up of a recording, with outlines before and after each repair."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ONE_AT_A_TIME = Lock()
 
 
 class DepthCheck(Part):
-    """Examines the recording that one client looks at, as `spatialviz doctor` does, and shows what it found."""
+    """Examines the current recording as `spatialviz doctor` does, and shows the findings."""
 
     def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
@@ -29,7 +29,7 @@ class DepthCheck(Part):
 
     @command("doctor")
     def examine(self) -> None:
-        """Look at some frames of the recording; nothing is written."""
+        """Examine some frames of the recording; writes nothing."""
         name, dataset = self.state.source, self.ctx.source.dataset
         if name in self._told:
             self.ctx.dialog.show(TITLE, self._told[name])
@@ -57,7 +57,7 @@ class DepthCheck(Part):
 
 
 def opinions_html(found: Examination) -> list[Child]:
-    """Each subject with its opinion, and the pictures: as read on the left, as mended on the right."""
+    """Finding on each subject, with pictures: as read on the left, as repaired on the right."""
     rows = (
         h.tr(h.th(o.about, scope="row"), h.td(h.b(WORDS[o.state])), h.td(o.text, h.div(o.option) if o.option else None))
         for o in found.opinions

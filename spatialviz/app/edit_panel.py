@@ -1,4 +1,4 @@
-"""The Edit tab: what can be changed of the selected object, labelled or not, of the pair and of the settings."""
+"""Edit tab: fields of the selected object, labelled or not, of the pair and of the settings."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ SETTING_NAMES = {
 
 
 def cost_html(state: State, undos: int) -> Element:
-    """What the last answer cost, and the way back."""
+    """Cost of the last answer, and the undo button."""
     edits = each_edit(state.edits)
     nothing = "nothing is edited" if state.trace is not None else "ask something: edits are of a question"
     cost = "" if state.edited is None else f" · recomputed in {state.edited.seconds * 1000:.1f} ms"
@@ -73,7 +73,7 @@ def cost_html(state: State, undos: int) -> Element:
 
 
 def edit_html(state: State, trace: Trace, source: Pipeline, editable: bool, found: DecisionMap | None) -> Element:
-    """Everything that can be edited; `editable` says whether the selected object is among it."""
+    """All editable fields; `editable` includes the selected object."""
     return in_parts(
         handles=row("Handles", segments("edit-mode", MODES, state.mode, "Handles")),
         object=_object(state, trace, editable),
@@ -85,12 +85,12 @@ def edit_html(state: State, trace: Trace, source: Pipeline, editable: bool, foun
 
 
 def in_parts(**parts: Child) -> Element:
-    """A panel of parts that are sent one by one when they change."""
+    """Panel of parts sent separately on change."""
     return panel(h.div(part, id=f"edit-{name}") for name, part in parts.items())
 
 
 def row(label: str, *parts: Child, **more: object) -> Element:
-    """A line of the panel under a name at its left."""
+    """Line of the panel with a label at the left."""
     return h.div(h.span(label, cls="label"), parts, cls="row", **more)
 
 
@@ -214,7 +214,7 @@ def _list(state: State) -> Child:
 
 
 def field(kind: str, value: float, *, hint: str, step: str, name: str, digits: int | None = 2) -> Element:
-    """A number; Enter, or leaving it, sends "kind:value". One that is not taken falls back to what is."""
+    """Number field; Enter or leaving sends "kind:value", and an invalid value is reset."""
     said = f"{value:g}" if digits is None else f"{value:.{digits}f}"
     return h.label(
         h.span(name),
@@ -225,7 +225,7 @@ def field(kind: str, value: float, *, hint: str, step: str, name: str, digits: i
 
 
 def _slider(kind: str, label: str, value: float, hint: str) -> Element:
-    """A probability; the answer follows while it is dragged."""
+    """Probability slider; the answer follows the drag."""
     shown = f"{value:.4f}"
     return h.label(
         h.span(label),
@@ -260,7 +260,7 @@ _FITS = h.div(
 
 
 def saved_html(author: str, said: str, bad: bool, moved: Moved | None) -> Element:
-    """That this is no what-if: under whose name edits are saved, and what came of the last one."""
+    """Notice of saved edits, with the author's name and the outcome of the last edit."""
     color, done = (
         (BAD, "the last action was not saved; you are ") if bad else (GOOD, "edits are saved to the journal as ")
     )
@@ -294,7 +294,7 @@ def _moved(moved: Moved) -> Child:
 
 
 def object_html(card: ObjectCard, name: str, color: RGB, mode: str, author: str) -> Element:
-    """The selected object."""
+    """Selected object."""
     facts = [counted(card.points, "point"), *([] if card.distance is None else [f"{card.distance:.2f} m"])]
     asked = counted(card.expressions, "expression")
     counts = " ".join(f"{n} {state}" for state, n in card.states.items())
@@ -325,7 +325,7 @@ def object_html(card: ObjectCard, name: str, color: RGB, mode: str, author: str)
 
 
 def _status_row(card: ObjectCard, author: str) -> Child:
-    """What this person says of it; beside, what others do."""
+    """Status by this person, beside other people's."""
     own = card.statuses.get(author)
     cells = (
         h.button(
@@ -342,7 +342,7 @@ def _status_row(card: ObjectCard, author: str) -> Child:
 
 
 def _box_rows(numbers: BoxNumbers | None, sends: str, digits: int, *more: Child) -> Child:
-    """Fields for the numbers of a box, and what more stands beside."""
+    """Number fields of a box, with further elements beside."""
     if numbers is None:
         return h.div("No 3D box: there is no depth in its pixels.", cls="dim")
     rows = []
@@ -363,12 +363,12 @@ def _box_rows(numbers: BoxNumbers | None, sends: str, digits: int, *more: Child)
 
 
 def box_command(frame: str, number: int) -> str:
-    """What the number fields of an object's box send: of which object, so that none that is selected since gets it."""
+    """Command of an object's number fields; names the object, so that a later selection is left alone."""
     return "box-set:" + f"{frame}@{number}".replace(":", "_")
 
 
 def numbers_said(numbers: BoxNumbers, sends: str) -> dict[str, str]:
-    """What the number fields say of a box, by what they send."""
+    """Values of a box's number fields by command."""
     return {f"{sends}:yaw": f"{numbers.yaw:.{TURN_DIGITS}f}"} | {
         f"{sends}:{kind}:{axis}": f"{getattr(numbers, kind)[axis]:.{LENGTH_DIGITS}f}"
         for kind in ("center", "size")
@@ -413,7 +413,7 @@ def _short(line: FieldLine, card: ObjectCard) -> str:
 
 
 def rejected_html(left_out: Mapping[int, Mapping[str, Any]]) -> Element | None:
-    """Objects that were rejected, each with a way back."""
+    """Rejected objects, each with a restore button."""
     if not left_out:
         return None
     rows = (

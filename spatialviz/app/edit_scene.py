@@ -1,4 +1,4 @@
-"""What the scene shows of edits: handles, boxes and where those were, the asked region, the decision map."""
+"""Edits in the scene: handles, boxes and their former places, the asked region, the decision map."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ OTHERS: tuple[RGB, ...] = ((166, 122, 214), (84, 178, 160), (186, 170, 84), (208
 
 
 def winner_colors(found: DecisionMap, state: State) -> dict[int, RGB]:
-    """A colour for each object that wins somewhere: the roles of the chosen pair, and others that are like neither."""
+    """Colour of each winning object: the roles of the chosen pair, and distinct colours for others."""
     colors, others = palette(state.dark), cycle(OTHERS)
     role_of: dict[str, Role] = {state.shown.names[i]: role for i, role in state.roles.items()}
     winners = (int(k) for k in np.unique(found.winner) if k >= 0)
@@ -48,10 +48,10 @@ def winner_colors(found: DecisionMap, state: State) -> dict[int, RGB]:
 
 
 class EditScene(Part):
-    """Draws into one client's scene, beside what `SceneView` draws."""
+    """Draws into a client's scene, beside `SceneView`."""
 
     def draw(self, state: State, found: DecisionMap | None, keep_map: bool) -> None:
-        """Bring all of it up to a state; `keep_map` leaves the map as it is."""
+        """Draw everything for a state; `keep_map` leaves the map as drawn."""
         with self.ctx.client.atomic():
             self._draw_boxes(state)
             self._draw_region(state)
@@ -59,7 +59,7 @@ class EditScene(Part):
                 self._draw_map(found, state)
 
     def _draw_boxes(self, state: State) -> None:
-        """Edited objects in the edited colour; thin, the boxes that they had."""
+        """Edited objects in the edited colour, with thin former boxes."""
         edited, edits, color = state.edited, state.edits, palette(state.dark)["edited"]
         now: list[Box3D] = []
         were: list[Box3D] = []
@@ -71,7 +71,7 @@ class EditScene(Part):
         self.ctx.client.lines("/edit/before", edge_lines(were), color, 1.0)
 
     def _boxes(self, outcome: Outcome, keys: set[str]) -> list[Box3D]:
-        """The 3D boxes that objects have in an answer, as they are shown."""
+        """3D boxes of objects in an answer, in the shown frame."""
         boxes = (o.lifted.box for key, o in zip(outcome.keys, outcome.trace.objects, strict=True) if key in keys)
         return [self.ctx.scene.shown_box(box) for box in boxes if box is not None]
 
@@ -138,7 +138,7 @@ class EditScene(Part):
 
 
 def _dead_zone(region: Region) -> np.ndarray:
-    """(2, 2, 3) camera frame: both edges of the doubtful strip beside the reference, across the relation's axis."""
+    """(2, 2, 3) camera frame: edges of the doubtful strip beside the reference, across the relation's axis."""
     middle = region.axes[0, 0]
     right, up, forward = (axis[1] - axis[0] for axis in region.axes)
     axis, _ = RELATIONS[region.relation].axis or (1, 1)
@@ -150,7 +150,7 @@ def _dead_zone(region: Region) -> np.ndarray:
 
 
 def _rims(winner: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """(N, 2, 3): the edges of cells between two winners, and around all of them."""
+    """(N, 2, 3) edges of cells between different winners, and around the map."""
     padded = np.pad(winner, 1, constant_values=-1)
     across, along = padded[:-1, 1:-1] != padded[1:, 1:-1], padded[1:-1, :-1] != padded[1:-1, 1:]
     r, c = np.nonzero(across)
@@ -161,7 +161,7 @@ def _rims(winner: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 
 def map_legend(state: State, found: DecisionMap) -> Element:
-    """Who wins where, with the share of the floor."""
+    """Winners with their shares of the floor."""
     colors = winner_colors(found, state)
     winners, counts = np.unique(found.winner, return_counts=True)
     rows = (
@@ -187,16 +187,10 @@ FACES: tuple[Face, ...] = tuple((axis, side) for axis in range(3) for side in (-
 
 
 class BoxGizmo:
-    """One client's handles: one transform control for move and turn, one for each face for resize.
+    """Box handles of a client: a transform control for move and turn, and a handle on each face for resize.
 
-    Parameters
-    ----------
-    ctx : Context
-    dragged : callable
-        Gets the box as it is now (camera frame), and whether the handle was let go, on the page's own thread. Only the
-        latest box counts where the page is still busy with one before.
-    root : str
-        Scene node under which they stand.
+    `dragged`: gets the box as it is now (camera frame), and whether the handle was let go, on the page's own thread.
+    Only the latest box counts where the page is still busy with one before; `root`: scene node under which they stand.
     """
 
     def __init__(self, ctx: Context, dragged: Callable[[Box3D, bool], None], root: str = "/edit") -> None:
@@ -211,11 +205,11 @@ class BoxGizmo:
 
     @property
     def held(self) -> bool:
-        """Whether a handle is being dragged."""
+        """True during a drag."""
         return self._held is not None
 
     def show(self, box: Box3D | None, mode: EditMode) -> None:
-        """Show the handles of a mode around a box; none where there is no box. One that is held stays where it is."""
+        """Show the handles of a mode around a box, or none without a box; a held handle stays in place."""
         self._box, self._mode = (box, mode) if box is not None and mode != "off" else (None, "off")
         client, held = self._ctx.client, "" if self._held is None else self._held[0].name
         with client.atomic():
@@ -282,7 +276,7 @@ class BoxGizmo:
             self._dragged(self._ctx.scene.camera_box(latest[0]), latest[1])
 
     def _moved(self, face: Face | None, handle: Retained, box: Box3D, was: np.ndarray) -> Box3D:
-        """The box as it was when the hand took the handle, after what the hand has done."""
+        """Box at the grab of the handle, moved by the drag since."""
         if face is None and self._mode == "turn":
             return replace(box, R=vtf.SO3.from_matrix(_matrix(handle) @ was.T).as_matrix() @ box.R)
         if face is None:

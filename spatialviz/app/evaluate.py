@@ -1,4 +1,4 @@
-"""Evaluate: the run of a client's dataset, searched, listed by range, selected, marked, and kept."""
+"""Evaluate: search, list by range, selection, marks and kept searches of a dataset's run."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ FILLED = 4
 
 
 class Evaluate(Part):
-    """The run of the source that a client looks at."""
+    """Run of a client's current pipeline."""
 
     def __init__(self, ctx: Context, go: Callable[[Place], None], say_address: Callable[[], None]) -> None:
         super().__init__(ctx)
@@ -64,7 +64,7 @@ class Evaluate(Part):
     # ---- following the state --------------------------------------------------------
 
     def follow(self) -> None:
-        """Show the run of the source that is looked at now; no row is open any more in another frame."""
+        """Show the run of the current pipeline; close the open row in another frame."""
         source, listing = self.state.source, self.state.listing
         if source != self._source:
             self._source = source
@@ -79,7 +79,7 @@ class Evaluate(Part):
 
     @property
     def _asked(self) -> int | None:
-        """Where the expression that is asked now is in the list; None where it is no row of it."""
+        """Position of the current expression in the list; None if not listed."""
         state, listing = self.state, self.state.listing
         if listing is None:
             return None
@@ -98,7 +98,7 @@ class Evaluate(Part):
 
     @property
     def found(self) -> str | None:
-        """What is searched for, where it is not what a run is searched for at first."""
+        """Search text; None for a run's default search."""
         listing = self.state.listing
         return None if listing is None or listing.query == self._first else listing.query
 
@@ -111,7 +111,7 @@ class Evaluate(Part):
         self._say_address()
 
     def search(self, query: str | None) -> None:
-        """List what matches a search; without one, what a run shows at first."""
+        """List the matches of a search, by default a run's first search."""
         query = self._first if query is None else " ".join(query[:LONGEST_SEARCH].split())
         if self.state.listing is not None and query != self.state.listing.query:
             self._search(query)
@@ -131,26 +131,26 @@ class Evaluate(Part):
 
     @command("complete")
     def complete(self, typed: str) -> None:
-        """Offer words for the last one of a search that is being typed."""
+        """Suggest completions for the last word of a search."""
         fields = self._listing.figures.fields
         offered = complete(typed, fields, OFFERED) if 0 < len(typed) <= LONGEST_SEARCH else ()
         self.ctx.page.show("offers", offers_html(offered))
 
     @command("facet", "facet-not")
     def refine(self, term: str, by: str) -> None:
-        """Ask for one more value of a facet, or leave out what has it; where that is so already, no more."""
+        """Toggle a value of a facet, as wanted or excluded."""
         listing, without = self._listing, by == "facet-not"
         self.find(with_value(listing.query, term[:LONGEST_SEARCH], listing.figures.rows.records.schema, without))
 
     @command("facet-more")
     def unfold(self, name: str) -> None:
-        """Show all values of a facet, or the first ones."""
+        """Toggle between all values of a facet and the first few."""
         self._opened ^= {name}
         self._draw()
 
     @command("filter-keep", "filter-drop")
     def keep(self, name: str, by: str) -> None:
-        """Keep the search under a name, or forget one that was kept."""
+        """Save the search under a name, or delete a saved search."""
         self._note(lambda listing: listing.figures.rows.keep(name, listing.query if by == "filter-keep" else None))
 
     def _note(self, change: Callable[[Listing], None]) -> None:
@@ -169,7 +169,7 @@ class Evaluate(Part):
 
     @command("rows")
     def send_rows(self, first: int, stop: int) -> None:
-        """Send the rows from one place of the list up to another."""
+        """Send a range of rows of the list."""
         listing = self._listing
         first, stop = self._within(first, stop)
         self._span = first, stop = first, min(stop, first + AT_ONCE)
@@ -183,7 +183,7 @@ class Evaluate(Part):
         self._make_pictures(listing, [(k, rows[k - first]) for k, url in enumerate(urls, first) if not url])
 
     def _make_pictures(self, listing: Listing, missing: list[tuple[int, dict[str, Any]]]) -> None:
-        """Make the pictures of rows in sight, a few at a time."""
+        """Make the pictures of visible rows, a few at a time."""
         version, span = self._version, self._span
 
         def make() -> None:
@@ -200,13 +200,13 @@ class Evaluate(Part):
             self.ctx.page.call("pictures", {"version": self._version, "urls": urls})
 
     def _within(self, first: int, stop: int) -> tuple[int, int]:
-        """Two places, as far as they are in the list."""
+        """Range clipped to the list."""
         first, stop = np.clip([first, stop], 0, self._listing.count).tolist()
         return first, max(first, stop)
 
     @command("failure")
     def open(self, place: int) -> None:
-        """Explain the expression at a place of the list."""
+        """Explain the expression at a position of the list."""
         listing = self._listing
         if 0 <= place < listing.count:
             (row,) = listing.figures.rows.read(listing.found[place : place + 1])
@@ -217,14 +217,14 @@ class Evaluate(Part):
 
     @command("next-failure")
     def step(self, step: int) -> None:
-        """Explain the next or the previous one of the list."""
+        """Explain the next or the previous expression of the list."""
         count, at = self._listing.count, self._listing.place
         if count:
             at = self._asked if at is None else at
             self.open((0 if step > 0 else count - 1) if at is None else (at + step) % count)
 
     def reveal(self, frame: str, expression: str) -> None:
-        """Mark an expression as the one that is open, among all of the run where the search did not find it."""
+        """Mark an expression as open, listing the whole run where the search lacks it."""
         listing = self.state.listing
         number = None if listing is None else listing.figures.rows.number(frame, expression)
         if listing is not None and number is not None:
@@ -239,20 +239,20 @@ class Evaluate(Part):
 
     @command("choose")
     def choose(self, place: int) -> None:
-        """Select a row, or no more."""
+        """Toggle the selection of a row."""
         if 0 <= place < self._listing.count:
             numbers = self._listing.found[place : place + 1]
             self._choose(numbers, not self._selected[numbers].all())
 
     @command("choose-span")
     def choose_span(self, first: int, last: int) -> None:
-        """Select all rows from one place to another, both included."""
+        """Select a range of rows, both ends included."""
         first, stop = self._within(first, last)
         self._choose(self._listing.found[first : stop + 1], True)
 
     @command("choose-all=all", "choose-none=none")
     def choose_many(self, which: str) -> None:
-        """Select all that the search has found, or nothing."""
+        """Select all results of the search, or none."""
         self._choose(self._listing.found if which == "all" else np.flatnonzero(self._selected), which == "all")
 
     def _choose(self, numbers: np.ndarray, on: bool) -> None:
@@ -261,19 +261,19 @@ class Evaluate(Part):
         self._show_chosen()
 
     def _show_chosen(self) -> None:
-        """Where selected ones stand in the list, as spans."""
+        """Send the selected positions of the list, as spans."""
         ends = np.flatnonzero(np.diff(self._selected[self._listing.found].astype(np.int8), prepend=0, append=0))
         self.ctx.page.call("chosen", {"version": self._version, "spans": ends.reshape(-1, 2).tolist()})
 
     @command("mark-rows", "unmark-rows")
     def mark(self, name: str, by: str) -> None:
-        """Give the selected a mark, or take it from them."""
+        """Add a mark to the selected rows, or remove the mark."""
         if name.strip():
             numbers = np.flatnonzero(self._selected).tolist()
             self._note(lambda listing: listing.figures.rows.mark(numbers, name, by == "mark-rows"))
 
     def selected(self) -> list[dict[str, Any]]:
-        """The rows that are selected."""
+        """Selected rows."""
         return self._listing.figures.rows.read(np.flatnonzero(self._selected))
 
     # ---- drawing --------------------------------------------------------------------
@@ -311,7 +311,7 @@ class Evaluate(Part):
     # ---- figures --------------------------------------------------------------------
 
     def _show_figures(self, figures: RunFigures) -> None:
-        """Of the whole run, one part after the other, once."""
+        """Figures of the whole run, drawn in turn, once."""
         if self._figured:
             return
         self._figured, page = True, self.ctx.page
@@ -332,7 +332,7 @@ class Evaluate(Part):
 
     @command("cut")
     def cut(self, dimension: str) -> None:
-        """Cut the run by another dimension."""
+        """Slice the run by another dimension."""
         if dimension in CUTS:
             self._cut = dimension
             self.ctx.page.show("run-slices", slices_html(self._listing.figures, dimension))

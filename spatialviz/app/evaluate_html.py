@@ -1,4 +1,4 @@
-"""Evaluate: the facets at the left, the search with its filters, and the rows of the list in the middle."""
+"""Evaluate: facets at the left, search with filters, and the rows of the list in the middle."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ SYNTAX_HINT = (
 
 
 def hint(word: str) -> str:
-    """What the glossary says of a word."""
+    """Glossary entry of a word."""
     return glossary()[word].hint
 
 
 def searches(query: str) -> dict[str, str]:
-    """Attributes by which a click lists what a search finds."""
+    """Attributes of an element listing a search's results on click."""
     return {"do": f"find:{query}"}
 
 
@@ -44,7 +44,7 @@ def searches(query: str) -> dict[str, str]:
 
 
 def facets_html(facets: Sequence[Facet], opened: Collection[str], error: str) -> Element:
-    """All facets; each value is a box to tick, and a small one beside it leaves out what has it."""
+    """All facets; each value has a box to include and a small box to exclude."""
     if error:
         return panel(h.p("The search cannot be read.", cls="dim"))
     return h.div((_facet(f, f.name in opened) for f in facets), cls="facets", role="group", aria_label="Filters")
@@ -96,7 +96,7 @@ def _value(facet: Facet, value: FacetValue, most: int) -> Element:
 
 
 def search_html(query: str) -> Element:
-    """The search field."""
+    """Search field."""
     return h.input(
         cls="find runs", field="find", value=query, title=SYNTAX_HINT, spellcheck="false", autocomplete="off",
         placeholder="search, such as verdict:SRM class:chair margin<0.1   ( / )",
@@ -105,7 +105,7 @@ def search_html(query: str) -> Element:
 
 
 def offers_html(offered: Sequence[str]) -> Element | None:
-    """Words that the last one of the search may become, and how a search is written."""
+    """Completions of the search's last word, and the search syntax."""
     if not offered:
         return None
     words = (
@@ -119,7 +119,7 @@ def offers_html(offered: Sequence[str]) -> Element | None:
 
 
 def filters_html(listing: Listing, notes: Notes, first: str, second: bool, view: str) -> Element:
-    """Searches that are kept under a name, the few that everybody needs, and how what they find is shown."""
+    """Saved searches, common searches, and the choice of view."""
     ready = {"failures": first, "all": ""} | ({"what the second run broke": "change:broken"} if second else {})
     chips = [_filter(name, query, listing.query) for name, query in ready.items()]
     for name, query in notes.filters.items():
@@ -148,7 +148,7 @@ def _filter(name: str, query: str, now: str) -> Element:
 def bar_html(
     listing: Listing, view: str, second: bool, selected: int, marks: Mapping[str, int], notes: Notes
 ) -> Element:
-    """How many were found, how they are shown, and what can be done with the selected ones."""
+    """Number of results, choice of view, and actions on the selected rows."""
     total = listing.figures.rows.records.num_rows
     found = h.h2(h.span(h.b(f"{listing.count:,}"), f" of {total:,} found", role="status"), cls="count")
     if listing.error:
@@ -200,7 +200,7 @@ NUMBERS = ("margin", "p_relation", "object_distance")
 
 
 def heads_html(query: str, second: bool) -> Element:
-    """The heads of the table: a press sorts by the column, another turns the order round, a third leaves it."""
+    """Column heads: a click sorts by the column, a second reverses, a third resets."""
     words = query.split()
     plain = [word for word in words if not word.startswith("sort:")]
     now = next((word for word in words if word.startswith("sort:")), "")
@@ -221,7 +221,7 @@ def heads_html(query: str, second: bool) -> Element:
 
 
 def row_html(row: Mapping[str, Any], view: str) -> Element:
-    """One expression as a card of the grid, or as a line of the table."""
+    """Expression as a card of the grid, or as a row of the table."""
     verdict = verdict_chip(row["verdict"], row["detail"], bool(row["lucky"]))
     marks = [h.span(f"#{name}", cls="tagged") for name in row[MARKS]]
     image = h.img(alt="", decoding="async", draggable="false")
@@ -252,7 +252,7 @@ def row_html(row: Mapping[str, Any], view: str) -> Element:
 
 
 def _second(row: Mapping[str, Any]) -> Element | None:
-    """The verdict of the second run, where anything of it is another one."""
+    """Verdict of the second run, where different."""
     if row.get("change", "same") == "same":
         return None
     if row["second_verdict"] is None:

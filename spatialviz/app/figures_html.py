@@ -1,4 +1,4 @@
-"""The figures of a run: where its accuracy goes, what a second run changed, slices, the confusion of relations."""
+"""Figures of a run: accuracy by module, changes in a second run, slices, confusion of relations."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ AXIS = 10
 
 
 def summary_html(figures: RunFigures) -> Element:
-    """Where the accuracy goes, and the verdicts with their intervals."""
+    """Losses of accuracy, and the verdicts with confidence intervals."""
     summary = figures.summary
     name = h.h2(h.b(figures.run.name), h.span(figures.run.folder.name if isinstance(summary, str) else
                                              counted(summary.expressions, "expression")), cls="runhead")  # fmt: skip
@@ -51,7 +51,7 @@ def summary_html(figures: RunFigures) -> Element:
 
 
 def shares_html(shares: Sequence[Share]) -> Element | None:
-    """What the figures below can show and cannot, in a line; in full where the mouse rests."""
+    """Limits of the figures below, in a line; in full as a tooltip."""
     if not shares:
         return None
     told = "\n".join(share.sentence for share in shares)
@@ -62,19 +62,19 @@ def shares_html(shares: Sequence[Share]) -> Element | None:
 
 
 def percent(e: Estimate) -> str:
-    """An estimate in percent with one digit."""
+    """Estimate in percent with a decimal digit."""
     return f"{100 * e.value:.1f}" if math.isfinite(e.value) else "–"
 
 
 def between(e: Estimate) -> str:
-    """Its interval in percent."""
+    """Confidence interval in percent."""
     # Whole percents say nothing of a share of a few.
     digits = 1 if e.value < 0.02 else 0
     return f"[{100 * e.low:.{digits}f}, {100 * e.high:.{digits}f}]" if math.isfinite(e.low + e.high) else ""
 
 
 def signed(value: float) -> str:
-    """Points with their sign."""
+    """Percentage points with sign."""
     return f"{100 * value:+.1f}".replace("-", "−")
 
 
@@ -84,7 +84,7 @@ def _along(start: float, width: float) -> dict[str, str]:
 
 
 def _waterfall(summary: RunSummary, told: bool) -> tuple[Child, ...]:
-    """From the accuracy as it is, module by module, to 100: each bar begins where the one above ends."""
+    """Bars from the accuracy as measured, module by module, to 100, each starting at the end of the previous."""
     if summary.deltas is None:
         return heading("Where the accuracy goes", ""), _in_words(summary)
     shares = {name: e for name, e in summary.loss.items() if name != "accuracy"}
@@ -143,17 +143,17 @@ def _waterfall(summary: RunSummary, told: bool) -> tuple[Child, ...]:
 
 
 def _in_words(summary: RunSummary) -> Element:
-    """The picture in a sentence."""
+    """Figure in a sentence."""
     return h.p(cost_words(summary), cls="lead", title=f"{hint('accuracy')} {residual_words(summary)}.")
 
 
 def _named(name: str) -> str:
-    """What a bar is called: the verdicts that lists have."""
+    """Name of a bar: the verdicts as listed."""
     return NOT_TOLD if name == "unknown" else shown_oracle(name)
 
 
 def _causes(summary: RunSummary) -> str:
-    """The search for what all oracles together do not mend."""
+    """Search for failures not repaired by all oracles together."""
     verdicts = dict.fromkeys(v for v, _ in summary.residual_causes)
     return f"verdict:{','.join(verdicts)}" if verdicts else "verdict:LABEL"
 
@@ -189,7 +189,7 @@ def _verdicts(summary: RunSummary) -> tuple[Child, ...]:
 
 
 def comparison_html(figures: RunFigures) -> Element | None:
-    """What the second run fixed and broke; each number lists its expressions."""
+    """Failures fixed and introduced by the second run; each number lists its expressions."""
     found = figures.comparison
     if found is None or figures.second is None:
         return None
@@ -225,7 +225,7 @@ def _by_chance(p: float) -> str:
 
 
 def _transitions(found: Comparison) -> Child:
-    """From which verdict to which: before in rows, after in columns; those that stay are left pale."""
+    """Verdict transitions: before in rows, after in columns; unchanged verdicts are pale."""
     if found.verdicts is None:
         return None
     after = [v for v in VERDICTS if any(v in line for line in found.verdicts.values())]
@@ -251,7 +251,7 @@ def _transitions(found: Comparison) -> Child:
 
 
 def slices_html(figures: RunFigures, cut: str) -> Element:
-    """The run cut by one dimension; a row, or a part of its bar, searches for its expressions."""
+    """Run by a dimension; a row, or a part of its bar, searches for its expressions."""
     found = figures.slices(cut)
     chosen = h.div(segments("cut", CUTS, cut, "Cut the run by"), cls="cuts")
     if isinstance(found, str):
@@ -282,7 +282,7 @@ def _slice(s: Slice, found: Slices) -> Element:
 
 
 def confusion_html(figures: RunFigures) -> Element:
-    """Which relation was asked, and in which the answer stands, as a heat map."""
+    """Confusion of asked and answered relations, as a heat map."""
     found = figures.confusion
     if isinstance(found, str):
         return panel(heading("Relations"), note(found))

@@ -1,4 +1,4 @@
-"""Bring every region of the page up to a state."""
+"""Update of every region of the page from a state."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from spatialviz.app.context import Context
 
 
 def fill_page(ctx: Context) -> None:
-    """Fill all regions at once. What would not change sends nothing."""
+    """Fill all regions at once; unchanged content sends nothing."""
     page, state, shared, dataset = ctx.page, ctx.state, ctx.shared, ctx.source.dataset
     page.call("theme", "dark" if state.dark else "light")
     page.call("task", state.task)
@@ -34,7 +34,7 @@ def fill_page(ctx: Context) -> None:
 
 
 def fill_answer(ctx: Context) -> None:
-    """Fill what follows a box that is dragged."""
+    """Fill the regions following a dragged box."""
     state, view = ctx.state, ctx.state.labels
     regions = {
         "answer": sentences.sentence_html(state, view) if view else answer.answer_html(state, ctx.can_ask),

@@ -1,4 +1,4 @@
-"""The frame in one client's scene: its cloud, the room around it, and what helps to judge lengths in it."""
+"""Frame in a client's scene: point cloud, surrounding room, and aids for judging lengths."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ CLOUD = "/cloud/"
 
 
 class FrameCloud(Part):
-    """Keeps a client's cloud, and the room around it, up to its state."""
+    """Keeps a client's cloud and surrounding room up to the state."""
 
     def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
@@ -37,7 +37,7 @@ class FrameCloud(Part):
         self.place_anew = False
 
     def follow(self) -> None:
-        """Bring all of it up to the state; the view is placed anew where it is asked for, or nobody has turned it."""
+        """Draw everything for the state; the view is reset on demand, or until a person turns it."""
         state, scene = self.state, self.ctx.scene
         loaded, viewpoint = state.loaded, scene.viewpoint
         anew, self.place_anew = self.place_anew or viewpoint.untouched, False
@@ -69,7 +69,7 @@ class FrameCloud(Part):
         self._show_room(state)
 
     def dress(self) -> None:
-        """Show the points and the camera, as large as they are wanted."""
+        """Show the points at the chosen size, and the camera."""
         parts, state, client = () if self._loaded is None else self._loaded.cloud.parts, self.state, self.ctx.client
         # Until the rest is there, one point stands for four.
         factor = state.point_size * (1 if all(CLOUD + part.name in client.nodes for part in parts) else 2)
@@ -79,7 +79,7 @@ class FrameCloud(Part):
             client.change("/camera", visible=state.flags.camera)
 
     def _show(self, loaded: LoadedFrame) -> None:
-        """Another frame, of its points the first cloud."""
+        """Show another frame, with the first cloud of points."""
         frame, viewer, scene = loaded.context.frame, loaded.context.viewer, self.ctx.scene
         scene.to_show, scene.cloud = np.stack([viewer.right, viewer.forward, viewer.up]), loaded.cloud
         scene.viewpoint.set_frame(loaded.cloud.points, scene.to_show, frame.camera)
@@ -101,7 +101,7 @@ class FrameCloud(Part):
         )
 
     def _complete(self, loaded: LoadedFrame) -> None:
-        """Send the rest of a frame's cloud, unless another one is shown already."""
+        """Send the rest of a frame's cloud, unless another frame is shown."""
         if loaded is self._loaded:
             with self.ctx.client.atomic():
                 self._add(part for part in loaded.cloud.parts if not part.first)
@@ -123,7 +123,7 @@ class FrameCloud(Part):
             )
 
     def _show_room(self, state: State) -> None:
-        """The frames around this one fused, where that is wanted and possible, dimmed toward the background."""
+        """Neighbouring frames fused, where wanted and possible, dimmed toward the background."""
         room = state.loaded if state.flags.context else None
         key = None if room is None else (room.cloud, state.dark)
         if not self.ctx.client.outdated("/context", key) or room is None:
@@ -141,16 +141,9 @@ class FrameCloud(Part):
 
 
 def unlit_glb(vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray, opacity: float = 1.0) -> bytes:
-    """A binary glTF with one unlit material (KHR_materials_unlit).
+    """Binary glTF with an unlit material (KHR_materials_unlit).
 
-    Parameters
-    ----------
-    vertices : (V, 3) float32
-    faces : (F, 3) int
-    colors : (V, 3) uint8
-        sRGB; glTF wants them linear.
-    opacity : float
-        0..1, of all of it.
+    vertices (V, 3) float32, faces (F, 3) int, colors (V, 3) uint8 sRGB (glTF wants linear), opacity 0..1.
     """
     import trimesh
     from trimesh.exchange.gltf import export_glb
@@ -184,10 +177,10 @@ TAG = "/tags/measured"
 
 
 class SceneAids(Part):
-    """Draws them into one client's scene and page."""
+    """Draws aids into a client's scene and page."""
 
     def follow(self) -> list[Tag]:
-        """Bring them up to the state; returns the names that are to be shown."""
+        """Draw the aids for the state; returns the name tags to show."""
         state = self.state
         loaded = state.loaded
         self._draw_grid(loaded if state.flags.grid else None, state.dark)
@@ -216,7 +209,7 @@ class SceneAids(Part):
         ]
 
     def _looked_at(self, state: State, loaded: LoadedFrame) -> dict[str, object]:
-        """The point whose depth the scale is of: the middle of the chosen pair, else of the cloud."""
+        """Point of the depth scale: the middle of the chosen pair, else of the cloud."""
         ends = [] if state.pair is None else [state.shown.objects[i].lifted.box for i in state.pair[:2]]
         centers = [self.ctx.scene.to_show @ box.center for box in ends if box is not None]
         if centers and state.pair is not None:

@@ -1,4 +1,4 @@
-"""Where a page finds pictures: of anything, by a name made from its bytes, and of frames, by their numbers."""
+"""Addresses of pictures: content-hashed names of any picture, and frames by number."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ KEPT_BYTES = 96 * 2**20
 
 
 class Images:
-    """Encoded pictures by a name that is made from their bytes."""
+    """Encoded pictures by a hash of their bytes."""
 
     def __init__(self) -> None:
         self._kept: OrderedDict[str, bytes] = OrderedDict()
@@ -26,7 +26,7 @@ class Images:
         self._lock = threading.Lock()
 
     def url(self, data: bytes, kind: str) -> str:
-        """Keep a picture, and say where the page finds it; `kind` is "jpg" or "png"."""
+        """Store a picture and return its address; `kind` is "jpg" or "png"."""
         name = f"{hashlib.sha256(data).hexdigest()[:32]}.{kind}"
         with self._lock:
             if name not in self._kept:
@@ -38,7 +38,7 @@ class Images:
         return f"/app/image/{name}"
 
     def get(self, name: str) -> bytes | None:
-        """The picture of a name."""
+        """Picture of a name."""
         with self._lock:
             return self._kept.get(name)
 
@@ -48,17 +48,17 @@ IMAGES = Images()
 
 
 def jpeg_url(rgb: np.ndarray, quality: int = 82) -> str:
-    """Where the page finds a picture ((H, W, 3) uint8, RGB)."""
+    """Address of a picture ((H, W, 3) uint8, RGB)."""
     return IMAGES.url(jpeg(rgb, quality), "jpg")
 
 
 def png_url(bgra: np.ndarray) -> str:
-    """Where the page finds a picture with transparency ((H, W, 4) uint8, BGRA)."""
+    """Address of a picture with transparency ((H, W, 4) uint8, BGRA)."""
     return IMAGES.url(png(bgra), "png")
 
 
 def thumb_url(loaded: LoadedFrame, bbox: np.ndarray) -> str:
-    """Where the page finds a small picture of an object of a frame; "" where it lies outside."""
+    """Address of an object's thumbnail; "" outside the frame."""
     data = loaded.thumb(bbox)
     return IMAGES.url(data, "jpg") if data else ""
 
@@ -69,15 +69,15 @@ ADDRESS = re.compile(r"/app/frame/([0-9]{1,3})/([0-9]{1,9})/([0-9]{1,4})\.jpg")
 
 
 class FramePictures(BackgroundPictures):
-    """Those of all sources of a server; any page may ask for any of them."""
+    """Pictures of all pipelines of a server, open to any page."""
 
     def url(self, source: str, frame_id: str, width: int = WIDTHS[0]) -> str:
-        """Where a page finds the picture of a frame."""
+        """Address of a frame's picture."""
         number = self._sources[source].dataset.frame_ids.index(frame_id)
         return f"/app/frame/{list(self._sources).index(source)}/{number}/{width}.jpg"
 
     async def get(self, path: str) -> bytes | None:
-        """The picture of such an address as JPEG; None for what is no frame or no width of ours, or a broken frame."""
+        """Frame's picture as JPEG; None for an unknown frame or width, or a broken frame."""
         found = ADDRESS.fullmatch(path)
         source, number, width = (0, 0, 0) if found is None else map(int, found.groups())
         if width not in WIDTHS or source >= len(self._sources):

@@ -1,4 +1,4 @@
-"""Keys for everything, the list of them, and the search for a command."""
+"""Keyboard shortcuts, their list, and the search for a command."""
 
 from __future__ import annotations
 
@@ -167,9 +167,9 @@ LIST, SEARCH = "Keys", "Find a command"
 
 
 def keys_of(labelling: bool, moving: bool = True) -> dict[str, Rows]:
-    """Every key by what it is for now; those of moves only where there are any.
+    """Keys by current purpose; keys of moves only for datasets of moves.
 
-    While labels are shown their keys come first, and mean nothing else.
+    Keys of labels come first while labels are shown, and replace other meanings.
     """
     own = LABEL_KEYS if labelling else {}
     taken = {key for rows in own.values() for key, _, _ in rows}
@@ -178,7 +178,7 @@ def keys_of(labelling: bool, moving: bool = True) -> dict[str, Rows]:
 
 
 def meant(message: Command, correcting: bool) -> Command:
-    """The command of a key that was pressed, which depends on whether labels are shown; others unchanged."""
+    """Command of a pressed key, depending on `correcting`; other commands unchanged."""
     if message.name != "key":
         return message
     rows = (row for group in keys_of(correcting).values() for row in group)
@@ -186,7 +186,7 @@ def meant(message: Command, correcting: bool) -> Command:
 
 
 class Keys(Part):
-    """The keys of one client: the page listens for them and sends "key:T"; two dialogs say what they do."""
+    """Keyboard of a client: the page listens for keys and sends "key:T"; two dialogs explain them."""
 
     def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
@@ -199,7 +199,7 @@ class Keys(Part):
 
     @command("help")
     def toggle(self) -> None:
-        """Show the list of keys, or hide it where it is shown."""
+        """Show or hide the list of keys."""
         if self.ctx.dialog.title == LIST:
             self.ctx.dialog.close()
         else:
@@ -209,18 +209,18 @@ class Keys(Part):
 
     @command("commands")
     def search(self) -> None:
-        """Show every command, to be found by its name or key."""
+        """Show every command, searchable by name or key."""
         self.ctx.dialog.show(SEARCH, commands_html(self._keys(self.state.labels is not None)))
 
     @command("run")
     def run(self, key: str) -> None:
-        """Carry out the command of a key."""
+        """Execute the command of a key."""
         self.ctx.dialog.close()
         self.ctx.handle(Command("key", (key,)))
 
 
 def help_html(general: Mapping[str, Rows], labels: Mapping[str, Rows], labelling: bool) -> Element:
-    """The keys and the mouse's ways as lists; those of labels come first while labels are shown."""
+    """Keys and mouse gestures as lists, those of labels first while labels are shown."""
     parts = [h.div(h.h3("At any time"), _groups({**general, **MOUSE}), cls="part")]
     if labels:
         parts.append(h.div(h.h3("While labels are shown"), _groups(labels), cls="part"))
@@ -236,7 +236,7 @@ def _groups(groups: Mapping[str, Rows]) -> list[Element]:
 
 
 def commands_html(groups: Mapping[str, Rows]) -> Element:
-    """A field, and every command, to be narrowed by what is typed."""
+    """Search field and every command, filtered by the typed text."""
     field = h.input(
         cls="find", field="commands", autofocus=True, spellcheck="false", autocomplete="off",
         placeholder="a command or its key", aria_label="Command or key",

@@ -1,4 +1,4 @@
-"""The item that is judged, as one card: what the label says and why it is asked, large buttons, and what comes next."""
+"""Card of the review item: claim and reason, large buttons, and the next items."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ Row = Mapping[str, Any]
 
 
 def plain_reason(reason: str) -> str:
-    """A reason without the name of the rule that gave it."""
+    """Reason without the name of its rule."""
     return RULE.sub("", reason)
 
 
 def idle_card(queued: bool) -> Element:
-    """What to do while no item is open and nothing is selected."""
+    """Instructions without an open item or a selection."""
     start = answer("Begin", "J", "next-item:1", "open the first item of the queue", "yes")
     return h.div(
         h.div("One label after the other" if queued else "The queue is being built", cls="claim"),
@@ -41,18 +41,18 @@ def idle_card(queued: bool) -> Element:
 
 
 def answer(name: str, key: str, do: str, hint: str, cls: str = "", **more: object) -> Element:
-    """A large button with its key."""
+    """Large button with its key."""
     keys = h.span(h.kbd(part) for part in key.split("+"))
     return h.button(h.span(name), keys, cls=cls, do=do, title=f"{hint} ({key})", aria_keyshortcuts=key, **more)
 
 
 def small(name: str, key: str, do: str, hint: str) -> Element:
-    """A lesser one."""
+    """Small button."""
     return h.button(name, h.kbd(key), cls="try", do=do, title=hint, aria_keyshortcuts=key)
 
 
 def item_card(view: LabelView, item: ItemKey | None, row: Row | None, selected: int | None) -> Element | None:
-    """The item that is open, else the selected object; None without either."""
+    """Open item, else the selected object; None without either."""
     reasons = [] if row is None else list(row["reasons"])
     match item:
         case ItemKey(kind="relation") if item.b is not None:
@@ -142,7 +142,7 @@ def _frame(
 
 
 def digits_row(names: Sequence[str], label: str) -> Element | None:
-    """Classes that digits choose."""
+    """Classes chosen by digits."""
     chips = (
         h.button(h.kbd(str(k)), name, cls="try", do=f"digit:{k}", aria_pressed=str(name == label).lower(),
                  title=f"it is a {name} ({k})")
@@ -152,7 +152,7 @@ def digits_row(names: Sequence[str], label: str) -> Element | None:
 
 
 def begin_card(view: LabelView, editor: LabelEditor) -> Element:
-    """What to do in a frame where nothing is labelled yet."""
+    """Instructions for a frame without labels."""
     where = f"Saved from the first stroke, in {editor.labels.root}" if grows(editor.labels) else None
     tools = h.div(
         answer("Rectangle", "Shift+N", "px-new", "drag a rectangle: the surface inside it"),
@@ -170,7 +170,7 @@ def begin_card(view: LabelView, editor: LabelEditor) -> Element:
 
 
 def pace_html(pace: ReviewPace | None, settled: int, items: int) -> Element:
-    """How far, and how fast."""
+    """Progress and speed."""
     parts: list[Child] = [h.span(h.b(f"{settled:,}"), f" of {items:,} settled")] if items else []
     if pace is not None and pace.items:
         parts.append(h.span(h.b(f"{pace.items:,}"), " today"))
@@ -180,7 +180,7 @@ def pace_html(pace: ReviewPace | None, settled: int, items: int) -> Element:
 
 
 def upcoming(place: int, text: str, row: Row, shot: str) -> Element:
-    """An item that comes next: its place in the queue, what it says, its row, and where a small picture of it is."""
+    """Next item: place in the queue, claim, row, and address of a thumbnail."""
     reason = plain_reason(row["reasons"][0]) if row["reasons"] else ""
     return h.button(
         h.img(src=shot, alt="", cls="peek"),
@@ -192,7 +192,7 @@ def upcoming(place: int, text: str, row: Row, shot: str) -> Element:
 
 
 def bulk_html(find: str, found: int, all_items: int) -> Element:
-    """The filter of the queue, and acceptance of all that it finds."""
+    """Filter of the queue, and acceptance of all results."""
     field = h.input(
         cls="find", value=find, live="queue-find:", placeholder="filter: left, mug, 000002 …", spellcheck="false",
         aria_label="Only items whose words or reasons hold this", id="queue-find",

@@ -1,4 +1,4 @@
-"""One labelled object corrected: class, status, 3D box, each field given back; seen from three sides, and large."""
+"""Correction of a labelled object: class, status, 3D box, reset of each field; three side views, and a large crop."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ SELECT = "Select an object: click its row, its pixels or its box."
 
 
 class LabelObject(LabelPart):
-    """Shows and corrects the selected labelled object of one client."""
+    """Shows and corrects a client's selected labelled object."""
 
     def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
@@ -61,12 +61,12 @@ class LabelObject(LabelPart):
 
     @property
     def _box(self) -> Box3D | None:
-        """Of the selected object."""
+        """Box of the selected object."""
         state = self.state
         return None if state.selected is None else state.shown.objects[state.selected].lifted.box
 
     def _edit(self, made: Callable[[EffectiveFrame, int, Corrector], Edits]) -> bool:
-        """Save an edit of the selected object; whether it was."""
+        """Save an edit of the selected object; returns success."""
         number, corrector = needed(self.number, SELECT), self.editor.corrector
         return isinstance(self.save(lambda frame: made(frame, number, corrector)), Saved)
 
@@ -84,7 +84,7 @@ class LabelObject(LabelPart):
 
     @command("class-typed")
     def _complete(self, typed: str) -> None:
-        """Offer the classes that may be meant by what is being typed."""
+        """Suggest classes for the typed text."""
         self._asked = None
         found = completions(typed, self._vocabulary())
         self.ctx.page.call("offer", {"typed": typed, "offers": [c.record() for c in found]})
@@ -95,7 +95,7 @@ class LabelObject(LabelPart):
 
     @command("class")
     def name_class(self, name: str) -> None:
-        """Save another class name; one that no class has is asked for twice."""
+        """Save another class name; an unknown class needs confirmation."""
         name, frame, number = " ".join(name.split()), self.view.frame, needed(self.number, SELECT)
         words, before, self._asked = self._vocabulary(), self._asked, (frame.frame, number, name)
         if not name or name == frame.objects[number]["label"]:
@@ -109,21 +109,21 @@ class LabelObject(LabelPart):
 
     @command("digit")
     def choose_class(self, digit: int) -> None:
-        """Name the object by a digit, from 1, of the classes that are most frequent."""
+        """Name the object by a digit, from 1, of the most frequent classes."""
         names = self.digits
         if self.number is not None and 1 <= digit <= len(names):
             self.name_class(names[digit - 1])
 
     @property
     def digits(self) -> list[str]:
-        """The classes that digits choose."""
+        """Classes chosen by digits."""
         here = Counter(row["label"] for row in self.view.frame.objects.values())
         often = (c.name for c in completions("", self._vocabulary(), 18))
         names = dict.fromkeys((*often, *(name for name, _ in here.most_common())))
         return [name for name in names if name != UNNAMED][:9]
 
     def _learn(self, events: tuple[Event, ...]) -> None:
-        """Class names that this person has given elsewhere can be completed here."""
+        """Add class names from this person's earlier edits to the completions."""
         source = self.state.source
         given = [e.after for e in events if (e.ref.kind, e.ref.field) == ("object", "label")]
         if source in self._words and given:
@@ -133,7 +133,7 @@ class LabelObject(LabelPart):
 
     @command("object-status")
     def set_status(self, status: Literal["accepted", "rejected", "unsure"]) -> None:
-        """Accept, reject or doubt the object; what it is already is taken off again."""
+        """Accept, reject or doubt the object; the same status again removes it."""
         frame, number, author = self.view.frame, needed(self.number, SELECT), self.editor.author
         cell = object_ref(frame.frame, number, "status")
         wanted = None if judgements(frame, number).get(author) == status else status
@@ -142,7 +142,7 @@ class LabelObject(LabelPart):
 
     @command("object-back")
     def bring_back(self, said: str) -> None:
-        """Bring a rejected object back, by its number, else the one that was rejected last, and select it."""
+        """Restore a rejected object, by number, else the last rejected, and select it."""
         frame, author = self.view.frame, self.editor.author
         gone = [n for name, n in self._rejected if name == frame.frame and n in frame.left_out]
         found = int(said) if said.isdecimal() else next(reversed(gone or sorted(frame.left_out)), None)
@@ -168,7 +168,7 @@ class LabelObject(LabelPart):
 
     @command("box-set")
     def _set_number(self, said: str) -> None:
-        """Of an object, as `box_command` says it: OF:center:AXIS:METRES, OF:size:AXIS:METRES, OF:yaw:DEGREES."""
+        """Set a number of an object's box (`box_command`): OF:center:AXIS:METRES, OF:size:AXIS:METRES, OF:yaw:DEGREES."""
         loaded, box = self.state.loaded, self._box
         if loaded is None or box is None:
             return
@@ -216,7 +216,7 @@ class LabelObject(LabelPart):
     # ---- drawing ----------------------------------------------------------------------
 
     def follow(self, live: bool = False) -> None:
-        """Bring the handles and the Edit tab up to the state; `live` follows a drag."""
+        """Draw the handles and the Edit tab for the state; `live` follows a drag."""
         state, view, page = self.state, self.state.labels, self.ctx.page
         if view is None:
             self._gizmo.show(None, "off")
@@ -251,7 +251,7 @@ CROP_MARGIN, CROP_LEAST = 0.35, 96
 
 
 class SidePanel(LabelPart):
-    """The views of one client."""
+    """Side views of a client."""
 
     def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
@@ -260,7 +260,7 @@ class SidePanel(LabelPart):
 
     @property
     def _chosen(self) -> tuple[LabelView, int, SceneObject] | None:
-        """The labels, the number of the selected object, and the object."""
+        """Labels, number of the selected object, and the object."""
         state = self.state
         view = state.labels
         if view is None or state.loaded is None or state.selected is None or state.selected >= len(view.numbers):
@@ -269,7 +269,7 @@ class SidePanel(LabelPart):
 
     @command("next-object")
     def step(self, step: int) -> None:
-        """Select the next object of the frame, by their numbers."""
+        """Select the next object of the frame, by number."""
         state = self.state
         if state.labels is not None and (count := len(state.labels.numbers)):
             at = -1 if state.selected is None and step > 0 else state.selected or 0
@@ -279,7 +279,7 @@ class SidePanel(LabelPart):
 
     @command("side-drag")
     def drag(self, key: str, moves: list[Any]) -> None:
-        """Save what a hand did to the box; the key says which box it was."""
+        """Save a drag of the box named by the key."""
         chosen = self._chosen
         if chosen is None or key != self._key:
             self.ctx.page.call("sidesBack")
@@ -288,7 +288,7 @@ class SidePanel(LabelPart):
 
     @command("side-fit")
     def fit(self, key: str, axis: Literal[0, 1, 2], side: Literal[1, -1]) -> None:
-        """Bring a face to the object's points; the key says of which box."""
+        """Fit a face to the object's points; the key names the box."""
         chosen, views = self._chosen, self._views
         if chosen is None or views is None or key != self._key:
             return
@@ -300,7 +300,7 @@ class SidePanel(LabelPart):
         self._dragged(made)
 
     def _dragged(self, made: Callable[[EffectiveFrame], Edits]) -> None:
-        """Save it; the box in the browser goes back where it cannot be."""
+        """Save a drag; reset the browser's box on failure."""
         try:
             self.save(made)
         except InputError:
@@ -308,7 +308,7 @@ class SidePanel(LabelPart):
             raise
 
     def follow(self) -> None:
-        """Bring the views up to the state; points travel only where they, or the box, are others."""
+        """Draw the views for the state; points are sent only on a change of points or box."""
         chosen = self._chosen
         self.ctx.page.show("crop", None if chosen is None else crops(self.ctx, chosen[0]))
         box = None if chosen is None else chosen[2].lifted.box
@@ -338,7 +338,7 @@ class SidePanel(LabelPart):
 
 
 def crops(ctx: Context, view: LabelView) -> Element | None:
-    """What is looked at, large: as it is, and beside it as the labeller had it where that is another."""
+    """Large crop of the current item, beside the labeller's version where different."""
     state = ctx.state
     if state.loaded is None or state.selected is None:
         return None

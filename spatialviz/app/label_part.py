@@ -1,4 +1,4 @@
-"""What every part of a page can do that shows or corrects labels: it is saved in the journal, and the page follows."""
+"""Base of the page's parts showing or correcting labels: saves in the journal, and updates the page."""
 
 from __future__ import annotations
 
@@ -23,34 +23,34 @@ NO_LABELS = "no labels are open: `spatialviz view DATASET --labels LABELS`"
 
 
 class LabelPart(Part):
-    """A part of one page that shows or corrects the labels of the source that is looked at.
+    """Part of a page showing or correcting labels of the current pipeline.
 
-    What cannot be done raises InputError: `PageSession.handle` says why.
+    Failures raise InputError, shown by `PageSession.handle`.
     """
 
     @property
     def view(self) -> LabelView:
-        """The labels that are shown; InputError where none are."""
+        """Shown labels; InputError without any."""
         return needed(self.state.labels, "show the labels first")
 
     @property
     def location(self) -> JournalLocation:
-        """Where their corrections are kept; InputError where no labels are open."""
+        """Location of the corrections; InputError without open labels."""
         return needed(self.ctx.shared.journals.get(self.state.source), NO_LABELS)
 
     @property
     def editor(self) -> LabelEditor:
-        """Their editor; InputError where no labels are open."""
+        """Editor of the labels; InputError without open labels."""
         return needed(self.ctx.editors.of(self.state.source), NO_LABELS)
 
     @property
     def number(self) -> int | None:
-        """Of the selected labelled object."""
+        """Number of the selected labelled object."""
         view = self.state.labels
         return None if view is None else view.number(self.state.selected)
 
     def look_at(self, wanted: Target) -> None:
-        """Show the labels of a frame, and in it a pair or an object."""
+        """Show the labels of a frame, with a pair or an object."""
         self.ctx.editors.wanted = wanted
         if wanted.frame == self.state.frame_id:
             self.show()
@@ -59,10 +59,7 @@ class LabelPart(Part):
             self.ctx.open_frame(wanted.frame)
 
     def show(self) -> None:
-        """Show the labels of the frame that is looked at, and in them what is wanted; InputError where there are none.
-
-        Draws nothing.
-        """
+        """Take the frame's labels and the wanted item into the state, without drawing; InputError without labels."""
         editors, state = self.ctx.editors, self.state
         wanted, editors.wanted = editors.wanted or ANYTHING, None
         editor = self.editor
@@ -80,7 +77,7 @@ class LabelPart(Part):
             self.ctx.handle(Command("conflict"))
 
     def renew(self) -> None:
-        """Look at the labels again after they changed; what is selected and chosen stays by its number."""
+        """Reload changed labels, keeping the selection and the chosen pair by number."""
         state, view = self.state, self.state.labels
         if view is not None:
             pair = [view.numbers[i] for i in state.pair or ()]
@@ -88,19 +85,13 @@ class LabelPart(Part):
             self.state = _looking_at(state, view, pair, self.number)
 
     def save(self, made: Callable[[EffectiveFrame], Edits], draw: bool = True) -> Outcome:
-        """Save what an action comes down to, made on the labels as this client sees them.
-
-        Raises
-        ------
-        InputError
-            It is none.
-        """
+        """Save the edits of an action, made on the labels as seen by this client; InputError for an invalid action."""
         outcome = self.editor.save(made(self.view.frame))
         self.came_to(outcome, "saved", draw)
         return outcome
 
     def came_to(self, outcome: Outcome, verb: str, draw: bool = True) -> None:
-        """Show what came of an action, and what followed from it."""
+        """Show the outcome of an action, with its consequences."""
         before = None if self.state.labels is None else self.state.labels.frame
         said, bad = outcome_text(outcome, verb, before)
         self.tell(said, bad, None if isinstance(outcome, Conflict) else before)
@@ -113,7 +104,7 @@ class LabelPart(Part):
             self.ctx.handle(Command("conflict"))
 
     def tell(self, said: str, bad: bool = False, before: EffectiveFrame | None = None) -> None:
-        """Say something where the outcome of actions is said, with the labels as they are now; draws nothing."""
+        """Set the message of outcomes, with the current labels, without drawing."""
         self.renew()
         view = self.state.labels
         if view is not None and before is not None and (followed := str(consequences(before, view.frame))):
@@ -127,7 +118,7 @@ class LabelPart(Part):
 
 
 def _looking_at(state: State, view: LabelView, pair: Sequence[int], selected: int | None) -> State:
-    """The state with the labels of a view shown; the pair and the selected object are given by their numbers."""
+    """State with the labels of a view; pair and selection by number."""
     objects = labelled_objects(view.frame)
     return replace(
         state,

@@ -1,6 +1,6 @@
-"""The labels of one client: they are shown and put together here, pairs are looked at, what was done is taken back.
+"""Labels of a client: composition of the parts, choice of pairs, undo.
 
-What others save meanwhile is looked for. *This pair is right*, under any answer, becomes the truth of it at once.
+Polls for other people's edits. *This pair is right*, under any answer, immediately becomes the truth of that answer.
 """
 
 from __future__ import annotations
@@ -33,14 +33,9 @@ from spatialviz.app.url_state import Place
 
 
 class Labelling(LabelPart):
-    """Shows the labels of the source that a client looks at, and takes back what they did to them.
+    """Shows the labels of a client's current pipeline, and undoes this person's edits.
 
-    Attributes
-    ----------
-    parts : tuple of Part
-        All that have commands, with this one.
-    pixels : Pixels
-    object : LabelObject
+    `parts`: all that have commands, with this one.
     """
 
     def __init__(
@@ -67,7 +62,7 @@ class Labelling(LabelPart):
 
     @command("labels")
     def toggle(self) -> None:
-        """Show the labels, or the answer again."""
+        """Switch between labels and answer."""
         if self.state.labels is not None:
             self.state = replace(self.state, labels=None)
             self._reopen()
@@ -76,13 +71,13 @@ class Labelling(LabelPart):
             self.ctx.draw()
 
     def detail(self) -> None:
-        """The chosen pair, or what is selected, may be another: its card, its expressions and its history follow."""
+        """Update card, expressions and history after a change of the chosen pair or selection."""
         state, view = self.state, self.state.labels
         if view is not None:
             self.state = replace(state, labels=view.detailed(self.editor, state.pair, state.selected))
 
     def follow(self) -> None:
-        """Bring everything beside the scene that is of labels up to the state."""
+        """Update all label panels beside the scene."""
         state, journals = self.state, self.ctx.shared.journals
         if journals:
             head = review_head_html(state, state.source in journals, self.ctx.editors.opened(state.source))
@@ -91,12 +86,12 @@ class Labelling(LabelPart):
             part.follow()
 
     def refresh(self) -> None:
-        """Show what waits, and what it is made on, as it is now."""
+        """Show the unsaved edits on the current labels."""
         self.renew()
         self.ctx.draw()
 
     def took(self, frame: str, events: tuple[Event, ...]) -> None:
-        """Others have saved something in a frame, or put another journal in its place: look at it, and say so."""
+        """Reload a frame after other people's edits or a replaced journal, and show a notice."""
         if self.state.labels is None or self.state.frame_id != frame:
             return
         events = tuple(e for e in events if not self.editor.has_seen(e))
@@ -110,25 +105,25 @@ class Labelling(LabelPart):
 
     @command("take-back=undo", "bring-back=redo")
     def taken_back(self, which: str, group: str | None = None) -> None:
-        """Undo or redo one's newest action, or undo the one of a group."""
+        """Undo or redo the author's newest action, or undo the action of a group."""
         require(self.state.labels is not None, "show the labels first")
         outcome = self.editor.undo(group) if which == "undo" else self.editor.redo()
         self.came_to(needed(outcome, f"nothing to {which}"), "taken back" if which == "undo" else "brought back")
 
     @command("undo-group")
     def undo_group(self, group: str) -> None:
-        """Undo one's action of a group."""
+        """Undo the author's action of a group."""
         self.taken_back("undo", group)
 
     @command("save-again")
     def save_again(self) -> None:
-        """Try to save what waits."""
+        """Retry saving the pending edits."""
         for outcome in self.editor.retry():
             self.came_to(outcome, "saved")
 
     @command("author")
     def sign(self, author: str) -> None:
-        """Save what follows under another name, and have the browser remember it."""
+        """Change the author's name, remembered by the browser."""
         self.ctx.editors.sign(author)
         self.ctx.page.call("author", author.strip())
         self.ctx.draw()
@@ -137,20 +132,20 @@ class Labelling(LabelPart):
 
     @command("swap")
     def swap(self) -> None:
-        """The pair the other way round."""
+        """Swap the pair."""
         pair = self.state.pair
         if pair is not None and self.state.labels is not None:
             self.ctx.show(pair=(pair[1], pair[0]))
 
     @command("relation-row")
     def focus_relation(self, relation: str) -> None:
-        """Look at a relation of the pair."""
+        """Focus a relation of the pair."""
         if relation in self.view.relations:
             self.ctx.show(labels=replace(self.view, relation=relation))
 
     @command("next-row")
     def step_relation(self, step: int) -> None:
-        """Look at the next relation of the pair."""
+        """Focus the next relation of the pair."""
         names, now = self.view.relations, self.view.relation
         if names:
             self.focus_relation(names[((names.index(now) if now in names else 0) + step) % len(names)])
@@ -160,9 +155,9 @@ PERIOD_SECONDS = 2.0
 
 
 def _watch(ctx: Context, labels: Labelling) -> None:
-    """Ask the journal every few seconds, on a thread of its own, so that a slow one holds nobody up.
+    """Poll the journal every few seconds on a separate thread, so that a slow journal blocks nobody.
 
-    What is found is handled on the page's own thread.
+    Changes are handled on the page's own thread.
     """
     told = (), ()
     while not ctx.closed.wait(PERIOD_SECONDS):
@@ -187,7 +182,7 @@ def _watch(ctx: Context, labels: Labelling) -> None:
 
 
 class RightPair(LabelPart):
-    """Says what is true of the question of one client."""
+    """Sets the truth of a client's question."""
 
     def __init__(self, ctx: Context, ask: Callable[[str], None]) -> None:
         super().__init__(ctx)
@@ -197,7 +192,7 @@ class RightPair(LabelPart):
 
     @command("right-pair")
     def confirm(self) -> None:
-        """The chosen pair, or the first one, is right."""
+        """Confirm the chosen pair, or the first, as right."""
         state, editor = self.state, self.editor
         pair = state.chosen or next(iter(state.ranked), None)
         if state.labels is None:
@@ -209,7 +204,7 @@ class RightPair(LabelPart):
 
     @command("right-undo")
     def take_back(self) -> None:
-        """It is not, after all."""
+        """Undo the confirmation."""
         if self._kept == (self.state.frame_id, self.state.text):
             outcome, self._kept = self.editor.undo(), ("", "")
             self.ctx.toast("Taken back", outcome_text(outcome, "taken back", None)[0])
@@ -217,13 +212,13 @@ class RightPair(LabelPart):
 
     @command("right-objects")
     def means(self) -> None:
-        """The question that was asked last means the two objects that are chosen among the labels."""
+        """Set the truth of the last question to the two objects chosen among the labels."""
         pair, query = there(self.state.pair), there(self._query)
         a, b = (self.view.numbers[k] for k in pair[:2])
         self.save(lambda frame: right_objects(frame, query, a, b))
 
     def follow(self) -> None:
-        """Offer it under an answer that has a pair."""
+        """Offer the confirmation under an answer with a pair."""
         if self.state.trace is not None:
             self._query = self.state.trace.query
         self.ctx.page.show("right-pair", self._offer())
@@ -252,7 +247,7 @@ class RightPair(LabelPart):
         return h.div(made, None if known else h.span("No truth is known here yet.", cls="dim"), cls="rightpair panel")
 
     def _how_to_correct(self) -> Element:
-        """What corrects the truth of a dataset that is opened without labels."""
+        """Instructions for correcting a dataset opened without labels."""
         path = shlex.quote(str(self.ctx.source.dataset.root))
         commands = (f"spatialviz label {path} --out LABELS", f"spatialviz view {path} --labels LABELS")
         told = h.p("It is what the dataset's annotations say. Labels made of them can be corrected here:", cls="dim")

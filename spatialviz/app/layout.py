@@ -1,4 +1,4 @@
-"""The page of one browser: what stands in each of its regions, what of it must be sent, and its dialog."""
+"""Page of a browser: content of each region, changes to send, and the dialog."""
 
 from __future__ import annotations
 
@@ -17,12 +17,9 @@ KEPT_CALLS = ("strip", "plan", "tags", "keys", "theme", "task", "pixels", "pixel
 
 
 class BrowserPage:
-    """What one browser shows. Any thread may call it; what does not change sends nothing.
+    """Content of a browser's page; thread-safe, and unchanged content sends nothing.
 
-    Parameters
-    ----------
-    send : callable
-        Sends a message, where the browser is there.
+    `send`: sends a message, where the browser is there.
     """
 
     def __init__(self, send: Callable[[Outgoing], None]) -> None:
@@ -36,7 +33,7 @@ class BrowserPage:
         """By a secret name: file name and content of what the browser is about to fetch."""
 
     def show(self, region: str, *content: Child) -> None:
-        """Show this in a region of static/index.html, and nothing else there."""
+        """Replace the content of a region of static/index.html."""
         with self._lock:
             element, before = h.div(*content, id=region), self._shown.get(region)
             self._shown[region] = element
@@ -45,14 +42,14 @@ class BrowserPage:
                 patch += parts
 
     def fill(self, regions: Mapping[str, Child]) -> None:
-        """Show what belongs into several regions as one."""
+        """Replace the content of several regions at once."""
         with self.together():
             for region, content in regions.items():
                 self.show(region, content)
 
     @contextmanager
     def together(self) -> Iterator[list[tuple[str, str]]]:
-        """What is shown meanwhile is sent as one: the parts of the patch."""
+        """Batch the changes made meanwhile; yields the parts of the patch."""
         with self._lock:
             if self._parts is not None:
                 yield self._parts
@@ -66,7 +63,7 @@ class BrowserPage:
                     self._send(Patch(tuple(parts)))
 
     def call(self, name: str, data: Any = None) -> None:
-        """Call a function of the page with what can be JSON."""
+        """Call a function of the page with a JSON value."""
         with self._lock:
             if name not in self._calls or self._calls[name] != data:
                 self._send(Call(name, data))
@@ -74,24 +71,24 @@ class BrowserPage:
                 self._calls[name] = data
 
     def toast(self, title: str, text: str, bad: bool = False) -> None:
-        """Say something in the corner of the page: for some seconds, or until it is closed where it is bad."""
+        """Show a message in the corner of the page for some seconds; errors stay until closed."""
         self.call("toast", {"title": title, "text": text, "bad": bad})
 
     def download(self, name: str, data: bytes) -> None:
-        """Have the browser save a file."""
+        """Save a file by the browser."""
         key = secrets.token_urlsafe(16)
         self.downloads[key] = name, data
         self.call("download", {"path": key, "name": name})
 
     def say_address(self, query: str, title: str, push: bool) -> None:
-        """Have the address say what is shown."""
+        """Set the address and title."""
         address, before = PageAddress(query, title, push), self._address
         if before is None or (before.query, before.title) != (query, title):
             self._address = address
             self._send(address)
 
     def again(self) -> None:
-        """Send all of it to a browser that has come back."""
+        """Send the whole page to a reconnected browser."""
         with self._lock:
             self._send(Patch(tuple((region, element.html) for region, element in self._shown.items())))
             for name, data in self._calls.items():
@@ -101,16 +98,9 @@ class BrowserPage:
 
 
 class Dialog:
-    """Shows something over a client's page.
+    """Dialog over a client's page.
 
-    Parameters
-    ----------
-    page : BrowserPage
-
-    Attributes
-    ----------
-    title : str
-        Of the dialog that is open; empty where none is.
+    `title`: of the dialog that is open; empty where none is.
     """
 
     def __init__(self, page: BrowserPage) -> None:
@@ -119,21 +109,21 @@ class Dialog:
         self._parts: tuple[Element, Element] = h.div(), h.div()
 
     def show(self, title: str, content: Child, *buttons: Element) -> None:
-        """Show content, with buttons and one more to close; the last of them does what the dialog is for."""
+        """Show content with buttons and a close button; the last of the given buttons is the main action."""
         row = [b.with_(cls="try go" if k == len(buttons) else "try") for k, b in enumerate(buttons, start=1)]
         row.append(button("Close", "close-dialog"))
         self.title, self._parts = title, (h.div(content, cls="content"), h.div(row, cls="buttons"))
         self._draw()
 
     def refuse(self, problem: str) -> None:
-        """Say why something cannot be done: in the open dialog, else in the corner of the page."""
+        """Show a problem in the open dialog, else in the corner of the page."""
         if self.title:
             self._draw(note(problem, BAD))
         else:
             self._page.toast("Not possible", problem, bad=True)
 
     def close(self) -> None:
-        """Hide it."""
+        """Hide the dialog."""
         self.title = ""
         self._page.show("dialog")
 

@@ -40,28 +40,20 @@ VOID = ("br", "img", "input", "hr", "meta", "link")
 
 @dataclass(frozen=True, slots=True)
 class Element:
-    """An element of the page.
-
-    Attributes
-    ----------
-    name : str
-    attributes : tuple of (str, str)
-    children : tuple of Element or str
-        Text is not escaped yet.
-    """
+    """Element of the page."""
 
     name: str
     attributes: tuple[tuple[str, str], ...] = ()
-    children: tuple[Element | str, ...] = ()
+    children: tuple[Element | str, ...] = ()  # Text is not escaped yet
 
     @property
     def id(self) -> str:
-        """What it is known by on the page; "" where it is only a part of what has one."""
+        """Id on the page; "" for an element without an id."""
         return dict(self.attributes).get("id", "")
 
     @property
     def html(self) -> str:
-        """The element as HTML."""
+        """Element as HTML."""
         attributes = "".join(f' {name}="{html.escape(value, quote=True)}"' for name, value in self.attributes)
         if self.name in VOID:
             return f"<{self.name}{attributes}>"
@@ -70,11 +62,11 @@ class Element:
 
     @property
     def text(self) -> str:
-        """Its text without elements."""
+        """Text without elements."""
         return "".join(c if isinstance(c, str) else c.text for c in self.children)
 
     def with_(self, **attributes: object) -> Element:
-        """The same with these attributes."""
+        """Copy with further attributes."""
         return replace(self, attributes=_attributes(self.name, dict(self.attributes) | attributes))
 
 
@@ -115,9 +107,9 @@ def _element(name: str, /, *children: Child, **attributes: object) -> Element:
 
 
 class Tags:
-    """Makes elements by their names: `h.div("text", h.span("more"), cls="row", do="pair:3")`.
+    """Makes elements by name: `h.div("text", h.span("more"), cls="row", do="pair:3")`.
 
-    An attribute that is None or False is left out, True stands by its name; `cls` is the class; `_` stands for `-`.
+    Attributes of None or False are left out, True stands by its name; `cls` is the class; `_` stands for `-`.
     """
 
     def __getattr__(self, name: str) -> Callable[..., Element]:
@@ -128,10 +120,10 @@ h = Tags()
 
 
 def changed(before: Element, after: Element) -> Iterator[tuple[str, str]]:
-    """(id, HTML) of the elements that must be replaced to make one element of the page into another of the same id.
+    """Replacements (id, HTML) turning an element of the page into another of the same id.
 
-    Where only elements with ids of their own differ, they are replaced in place of what holds them: a row, not the
-    table. Elements that come, go or change places take what holds them along.
+    Differing descendants with ids are replaced alone: a row, not the table. Added, removed or moved elements replace
+    the whole parent.
     """
     if before == after:
         return
@@ -144,7 +136,7 @@ def changed(before: Element, after: Element) -> Iterator[tuple[str, str]]:
 
 
 def _alike(before: Element, after: Element) -> bool:
-    """Whether two elements differ only within elements inside them that have an id."""
+    """True if two elements differ only within descendants with ids."""
     if (before.name, before.attributes, len(before.children)) != (after.name, after.attributes, len(after.children)):
         return False
     for one, other in zip(before.children, after.children, strict=True):
@@ -162,59 +154,59 @@ CHANGED = 0.005
 
 
 def term(name: str, shown: Child = None) -> Element:
-    """A word of the glossary, which says its meaning while the mouse rests on it or it has the focus."""
+    """Glossary word with its meaning as a tooltip, also on focus."""
     return h.abbr(name if shown is None else shown, title=f"{name}: {find_term(name).hint}", tabindex=0)
 
 
 def with_terms(text: str, *names: str) -> Child:
-    """A text in which these words explain themselves."""
+    """Text with glossary tooltips on the given words."""
     parts = re.split(rf"\b({'|'.join(map(re.escape, names))})\b", text)
     return [term(part) if part in names else part for part in parts]
 
 
 def hint_of(label: str, key_hint: str = "") -> str | None:
-    """What is said of a control: what the glossary says of its label, and its key; None where there is neither."""
+    """Tooltip of a control: glossary entry of its label, and key; None without either."""
     found = explained(label)
     return " ".join(filter(None, (f"{found.name}: {found.hint}" if found else "", key_hint))) or None
 
 
 def dot(color: RGB) -> Element:
-    """A filled square in a role's colour."""
+    """Filled square in a role's colour."""
     return h.span(cls="dot", css={"--c": hex_color(color)})
 
 
 def named(color: RGB, name: str) -> Element:
-    """The name of an object, in the colour of its role."""
+    """Object's name, in the colour of its role."""
     return h.span(dot(color), h.b(name), cls="name", title=name)
 
 
 def words(reason: Pixel) -> str:
-    """What became of a pixel, in words."""
+    """Outcome of a pixel, in words."""
     return reason.name.lower().replace("_", " ")
 
 
 def panel(*children: Child, cls: str = "") -> Element:
-    """Parts inside one block."""
+    """Parts inside a block."""
     return h.section(*children, cls=f"panel {cls}".strip())
 
 
 def heading(text: Child, *aside: Child) -> Element:
-    """A small heading with an optional remark at the right."""
+    """Small heading with an optional remark at the right."""
     return h.h2(text, h.span(*aside))
 
 
 def note(text: Child, color: str = DOUBT) -> Element:
-    """A remark with a coloured edge."""
+    """Remark with a coloured edge."""
     return h.div(text, cls="note", css={"--c": color})
 
 
 def button(label: Child, do: str, title: str = "", cls: str = "", **more: object) -> Element:
-    """A small button: what it says, the command that it sends, and what that is for."""
+    """Small button: label, command, and tooltip."""
     return h.button(label, cls=f"try {cls}".strip(), do=do, title=title or None, **more)
 
 
 def progress(name: str, done: float, of: float) -> Element:
-    """How far something is."""
+    """Progress bar."""
     share = done / of if of else 0.0
     return h.div(
         h.i(css={"width": f"{share:.1%}"}), cls="prog", role="progressbar", aria_valuenow=round(100 * share),
@@ -223,21 +215,21 @@ def progress(name: str, done: float, of: float) -> Element:
 
 
 def joined(parts: Iterable[Child], between: str = " · ") -> Child:
-    """Parts with the same between each two."""
+    """Parts with a separator."""
     return [(between if k else None, part) for k, part in enumerate(parts)]
 
 
 def chosen(is_so: bool, cls: str = "") -> dict[str, object]:
-    """Attributes of a row or a picture of several: the chosen one is marked, and the page scrolls to it."""
+    """Attributes of a row or picture: the chosen is marked, and scrolled into view."""
     return {"cls": f"{cls} sel".strip(), "aria_current": "true", "data_shown": True} if is_so else {"cls": cls}
 
 
 def segments(
     kind: str, options: Mapping[str, str], chosen: str, name: str = "", hints: Mapping[str, str] | None = None
 ) -> Element:
-    """One of several: a press sends "kind:key"; `name` is for those who do not see it.
+    """Choice of an option: a press sends "kind:key"; `name` is the accessible name.
 
-    What is said of each is its hint, by default the glossary's.
+    Hints are by default the glossary's.
     """
     return h.div(
         (
@@ -257,15 +249,15 @@ def segments(
 
 
 def was(now: float, before: float | None) -> str | None:
-    """What is said of a number that the edits changed; None where it is the same."""
+    """Tooltip of a number changed by the edits; None if unchanged."""
     return None if before is None or abs(now - before) < CHANGED else f"was {before:.2f}"
 
 
 def cell(content: Child, hint: str | None = None, cls: str = "n") -> Element:
-    """A cell of a table, marked where its number was another one."""
+    """Table cell, marked after a change of its number."""
     return h.td(content, cls=f"{cls} chg".strip() if hint else cls, title=hint)
 
 
 def detector_score(value: float) -> str:
-    """A detector's score; nothing where the objects are the dataset's own."""
+    """Detector's score; "" for the dataset's own objects."""
     return "" if value >= 0.9995 else f"{value:.2f}"

@@ -1,4 +1,4 @@
-"""The pages that are open: each has its session, which outlives a lost connection by a while."""
+"""Open pages: each has a session, kept for a while after a lost connection."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ LOGGED_SECONDS = 60.0
 
 
 class Pace:
-    """How fast one socket is read: who sends faster waits, and nobody else."""
+    """Rate limit of a socket: fast senders wait, other people do not."""
 
     def __init__(self, burst: float = BURST, per_second: float = PER_SECOND) -> None:
         self._burst, self._per_second = burst, per_second
@@ -58,27 +58,27 @@ class Pace:
 
     @property
     def wait(self) -> float:
-        """Seconds until the next one may come."""
+        """Seconds until the next message is allowed."""
         now = time.monotonic()
         self._allowed, self._last = min(self._burst, self._allowed + self._per_second * (now - self._last)), now
         return max(0.0, (1 - self._allowed) / self._per_second)
 
     def take(self, cost: float = 1.0) -> None:
-        """One has come, or what costs as much as several."""
+        """Count a message, or the cost of several."""
         self._allowed -= cost
 
     async def keep(self) -> None:
-        """Wait until the next message may be read."""
+        """Wait until the next message is allowed."""
         if (wait := self.wait) > 0:
             await asyncio.sleep(wait)
         self.take()
 
 
 class Gate:
-    """Who may open a socket: not who does so all the time, and for a while not who has sent what is no message.
+    """Rate limits on opening sockets; senders of invalid messages are blocked for a while.
 
-    A page that is open stands for itself, new ones for their address: whoever sends garbage under ever new names of
-    pages holds up new pages of that address, and none that is open already.
+    Open pages have a limit each, new pages a limit by address: garbage under ever new page names delays only new pages
+    of that address.
     """
 
     def __init__(self, most_pages: int) -> None:
@@ -86,7 +86,7 @@ class Gate:
         self._paces: OrderedDict[str, Pace] = OrderedDict()
 
     def opens(self, sender: str, page_id: str) -> bool:
-        """Whether a socket may be opened now; `page_id` is of a page that is open, "" of none."""
+        """True if a socket may be opened now; `page_id` is of an open page, or ""."""
         pace = self._pace(page_id or sender, not page_id)
         if pace.wait > 0:
             return False
@@ -94,7 +94,7 @@ class Gate:
         return True
 
     def charge(self, page_id: str) -> None:
-        """A page's socket was closed because of what came by it."""
+        """Penalize a page after an invalid message."""
         self._pace(page_id, False).take(GARBAGE_COSTS)
 
     def _pace(self, who: str, is_new: bool) -> Pace:
@@ -108,14 +108,7 @@ class Gate:
 
 
 class Pages:
-    """Sessions by the ids that the browsers have chosen for their pages.
-
-    Parameters
-    ----------
-    shared : Shared
-    access : Access
-    max_clients : int
-    """
+    """Sessions by the page ids chosen by the browsers."""
 
     def __init__(self, shared: Shared, access: Access, max_clients: int) -> None:
         self._shared, self._access, self._most = shared, access, max_clients
@@ -127,7 +120,7 @@ class Pages:
         self._unsaid = 0
 
     def listen(self, server: viser.ViserServer) -> None:
-        """Give the scenes of viser's clients to the pages whose frames they are."""
+        """Attach the scenes of viser's clients to the pages."""
         shown: dict[int, PageSession] = {}
 
         @server.on_client_connect
@@ -144,7 +137,7 @@ class Pages:
                 session.ctx.post(lambda: session.ctx.client.detach(client))
 
     async def scene(self, page_id: str, connection: Any, viser_handler: Callable[[Any], Awaitable[None]]) -> None:
-        """Serve viser's socket of a page's scene; one that comes later takes its place."""
+        """Serve viser's socket of a page's scene; a later socket takes over."""
         before, self._scenes[page_id] = self._scenes.get(page_id), connection
         if before is not None:
             await before.close(1013, "shown elsewhere")
@@ -165,24 +158,24 @@ class Pages:
                 del self._scenes[page_id]
 
     def has(self, page_id: str) -> bool:
-        """Whether a page is open, or kept for one that may come back."""
+        """True for an open page, or a session kept for a return."""
         return page_id in self._sessions
 
     def opens(self, page_id: str, connection: Any, request: Any) -> bool:
-        """Whether somebody may open a socket of a page now."""
+        """True if a socket of a page may be opened now."""
         address = connection.remote_address
         sender = f"{address[0] if address else ''} {self._access.name(request) or ''}"
         return self._gate.opens(sender, page_id if self.has(page_id) else "")
 
     def closed(self, page_id: str, connection: Any) -> None:
-        """A socket was closed: whoever has sent what is no message waits until the next one."""
+        """Handle a closed socket; invalid messages delay the sender's next socket."""
         sent = connection.protocol.close_sent
         if sent is not None and sent.code in SENT_WRONG:
             self.log(sent.reason or f"closed by {sent.code}")
             self._gate.charge(page_id)
 
     async def socket(self, page_id: str, connection: Any) -> None:
-        """Serve the socket of a page until its browser goes away."""
+        """Serve the socket of a page until the browser disconnects."""
         try:
             # Who never says what a page says first takes no page from others.
             first = read(await asyncio.wait_for(connection.recv(), HELLO_SECONDS))
@@ -212,7 +205,7 @@ class Pages:
             asyncio.get_running_loop().call_later(KEPT_SECONDS + 1, self._release)
 
     async def _opened(self, page_id: str, connection: Any) -> PageSession | None:
-        """The session of a new page; None where there is no room, or the browser has gone meanwhile."""
+        """Session of a new page; None for a full server or a disconnected browser."""
         async with self._making:
             if page_id in self._sessions:
                 return self._sessions[page_id]
@@ -245,12 +238,12 @@ class Pages:
                     return
 
     def download(self, page_id: str, key: str) -> tuple[str, bytes] | None:
-        """Name and content of a file that a page was told to fetch, once."""
+        """Name and content of a page's pending download, once."""
         session = self._sessions.get(page_id)
         return None if session is None else session.ctx.page.downloads.pop(key, None)
 
     def _release(self, full: bool = False) -> None:
-        """Close the sessions of pages that did not come back; where all are taken, also that which left first."""
+        """Close the sessions of lost pages; at a full server, also the session lost first."""
         gone = sorted((s.ctx.channel.left, key) for key, s in self._sessions.items() if not s.ctx.channel.connected)
         late = time.monotonic() - KEPT_SECONDS
         over = [key for number, (left, key) in enumerate(gone) if left < late or (full and not number)]
@@ -263,7 +256,7 @@ class Pages:
             loop.call_later(FORGOTTEN_SECONDS, loop.run_in_executor, None, collect)
 
     def log(self, problem: str) -> None:
-        """One line a minute, whatever is sent."""
+        """Print a problem, at most a line a minute."""
         now, self._unsaid = time.monotonic(), self._unsaid + 1
         if now - self._logged >= LOGGED_SECONDS:
             more = "" if self._unsaid == 1 else f" ({self._unsaid} such messages)"

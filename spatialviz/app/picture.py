@@ -1,4 +1,4 @@
-"""The picture with what is drawn over it, by hand too: tools and draft; the objects with their pictures, the log."""
+"""Picture with overlays and drawing tools; objects with thumbnails, the log."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ IMAGE_WIDTH = 720
 
 
 def image_html(state: State) -> Element:
-    """The frame's picture with masks, boxes and names; a click selects the object under it."""
+    """Frame's picture with masks, boxes and names; a click selects an object."""
     if state.loaded is None:
         return panel(note(state.problem or "no frame"), cls="picture")
     frame = state.loaded.context.frame
@@ -66,7 +66,7 @@ def _svg(frame: Frame, marks: Child, name: str) -> Element:
 
 
 def _quiet_boxes(state: State, unit: float) -> Element | None:
-    """The 2D boxes of all objects, the same whatever is chosen."""
+    """2D boxes of all objects, independent of the choice."""
     if not state.boxes_shown:
         return None
     drawn = "".join(_rectangle(entry.bbox) for entry in state.shown.objects)
@@ -78,7 +78,7 @@ def _path(drawn: str, color: str, width: float, **look: str) -> Element:
 
 
 def overlay_marks(state: State) -> list[Element]:
-    """What is drawn over the picture of what is chosen: boxes and names, as elements of SVG in pixels of the frame."""
+    """SVG boxes and names of the chosen objects over the picture, in pixels of the frame."""
     if state.loaded is None:
         return []
     frame, colors, roles = state.loaded.context.frame, palette(True), state.roles
@@ -107,7 +107,7 @@ def overlay_marks(state: State) -> list[Element]:
 
 
 def name_tag(text: str, x: float, y: float, shape: tuple[int, ...], unit: float, color: str) -> tuple[Element, Element]:
-    """A name on its colour in the picture, its upper left corner at (x, y) or as near as the picture's `shape` lets."""
+    """Name tag in the picture with the upper left corner at (x, y), or at the nearest place within `shape`."""
     width, height = (len(text) * 6.2 + 8) * unit, 14 * unit
     x, y = max(min(x, shape[1] - width), 0), min(max(y, 0), shape[0] - height)
     return (
@@ -122,7 +122,7 @@ def name_tag(text: str, x: float, y: float, shape: tuple[int, ...], unit: float,
 
 
 def _ghost_marks(state: State, frame: Frame) -> Iterator[Element]:
-    """Boxes beside the answer's, which stay while other objects are chosen."""
+    """Extra boxes beside the answer's, independent of the choice."""
     unit, colors = frame.width / 360, palette(True)
     for ghost in state.ghosts if state.flags.ghosts else ():
         drawn, dashes = edges_path(ghost.box, frame.camera), f"{3 * unit:.1f} {2 * unit:.1f}"
@@ -135,7 +135,7 @@ def _rectangle(bbox: np.ndarray) -> str:
 
 
 def _name_place(state: State, i: int) -> tuple[float, float]:
-    """Where the name of an object stands: at its 2D box; where its 3D box is being dragged, at that."""
+    """Place of an object's name: at the 2D box, or at a dragged 3D box."""
     entry, moved = state.shown.objects[i], None if state.labels is None else state.labels.moved
     if state.loaded is not None and moved is not None and moved.number == entry.id:
         edges = box_edges_2d(moved.box, state.loaded.context.frame.camera)
@@ -145,13 +145,13 @@ def _name_place(state: State, i: int) -> tuple[float, float]:
 
 
 def smallest_at(objects: Sequence[SceneObject], pixel: tuple[int, int] | None) -> int | None:
-    """The smallest object whose mask holds a pixel (u, v)."""
+    """Smallest object with a mask at a pixel (u, v)."""
     hits = [] if pixel is None else [i for i, o in enumerate(objects) if o.mask[pixel[::-1]]]
     return min(hits, key=lambda i: objects[i].lifted.quality.mask_pixels, default=None)
 
 
 def log_html(entries: Sequence[tuple[str, str]]) -> Element:
-    """What happened, latest first."""
+    """Log, latest first."""
     rows = [h.li(h.span(time, cls="dim"), " ", text) for time, text in reversed(entries)]
     return h.ol(rows or h.li("nothing yet", cls="dim"), cls="log")
 
@@ -161,7 +161,7 @@ STEPS = 128
 
 
 def depth_bar(state: State) -> Element | None:
-    """The colours of depths with their ends and their middle, metres, while these are shown."""
+    """Colour bar of depths, with minimum, middle and maximum in metres, in the depth view."""
     if state.loaded is None or state.colors != "depth":
         return None
     depth = state.loaded.context.frame.depth
@@ -180,7 +180,7 @@ def depth_bar(state: State) -> Element | None:
 
 
 def objects_html(state: State, loaded: LoadedFrame) -> Element:
-    """The objects as they are numbered, and above them those of the chosen pair once more; a click selects one."""
+    """Objects by number, the chosen pair repeated at the top; a click selects."""
     if not state.shown.objects:
         reason = loaded.problem or "Nothing is annotated or detected in this frame."
         return panel(heading("Objects"), note(reason), cls="objects")
@@ -218,7 +218,7 @@ def _row(state: State, i: int, kind: str) -> Element:
 
 
 def thumb(state: State, i: int) -> Element:
-    """The small picture of an object; an empty place where it has none."""
+    """Object's thumbnail, or an empty placeholder."""
     url = "" if state.loaded is None else thumb_url(state.loaded, state.shown.objects[i].bbox)
     return h.img(src=url, alt="", cls="thumb", loading="lazy") if url else h.span(cls="thumb")
 
@@ -236,7 +236,7 @@ PART_COLORS: tuple[RGB, ...] = (ON_DARK["edited"], ON_DARK["reference"], ON_DARK
 
 
 def pixel_row_html(state: State) -> Element:
-    """The tools above the picture, while labels are shown; each opens the large editor."""
+    """Drawing tools above the picture, while labels are shown; each opens the large editor."""
     hint = "select two objects, one after the other"
     if state.pair is not None and state.pair[0] != state.pair[1]:
         one, other = (state.shown.names[i] for i in state.pair[:2])
@@ -260,7 +260,7 @@ def _tool(name: str, do: str, hint: str, on: bool = True, cls: str = "") -> Elem
 
 
 def mask_url(parts: Sequence[np.ndarray]) -> str:
-    """Masks ((H, W) bool each) as one transparent picture, each part in its colour: where the page finds it."""
+    """Address of masks ((H, W) bool each) as a transparent picture, each part in its colour."""
     height, width = parts[0].shape
     image = np.zeros((height, width, 4), np.uint8)
     colors = [*PART_COLORS, *instance_colors(max(len(parts) - len(PART_COLORS), 0) or 1)]
@@ -270,7 +270,7 @@ def mask_url(parts: Sequence[np.ndarray]) -> str:
 
 
 def outlined(objects: Sequence[SceneObject], names: Sequence[str], without: int | None) -> Iterator[dict[str, Any]]:
-    """The outlines of objects for the editor: lines as x0, y0, x1, y1, ... in pixels."""
+    """Outlines of objects for the editor: lines as x0, y0, x1, y1, ... in pixels."""
     for entry, name in zip(objects, names, strict=True):
         if entry.id != without:
             lines = [line.ravel().tolist() for line in outlines(entry.mask)]
@@ -278,7 +278,7 @@ def outlined(objects: Sequence[SceneObject], names: Sequence[str], without: int 
 
 
 def around(draft: Draft) -> list[int] | None:
-    """x0, y0, x1, y1 of the picture around the object as it was; None where the whole picture is no larger."""
+    """x0, y0, x1, y1 of the picture around the object before the edit; None for the whole picture."""
     (first, *_) = draft.steps[0]
     x0, y0, x1, y1 = decode_crop((draft.height, draft.width), first).box
     side = max(x1 - x0, y1 - y0)
@@ -290,7 +290,7 @@ def around(draft: Draft) -> list[int] | None:
 
 
 def told_of(draft: Draft, lifted: LiftedObject | None, parts: Sequence[np.ndarray]) -> str:
-    """The size of what is drawn, and of the box that it would get."""
+    """Size of the drawn mask and of the resulting box."""
     if len(parts) > 1:
         return f"{len(parts)} parts: " + " + ".join(f"{int(p.sum()):,}" for p in parts) + " pixels"
     pixels = f"{int(parts[0].sum()):,} pixels"
@@ -309,7 +309,7 @@ DRAFT = "/draft/"
 
 
 def draw_draft(ctx: Context, frame: Frame, mask: np.ndarray, box: Box3D | None) -> None:
-    """Show a mask's points in the scene, towards the viewer of the cloud they lie in, and a box (camera frame)."""
+    """Show a mask's points in the scene, slightly towards the viewer, and a box (camera frame)."""
     with ctx.client.atomic():
         ctx.client.clear(DRAFT)
         color = palette(ctx.state.dark)["edited"]

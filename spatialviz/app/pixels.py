@@ -1,4 +1,4 @@
-"""The editor of pixels: what a client draws by hand becomes a draft, and what is applied one action of the journal."""
+"""Pixel editor: drawing becomes a draft, an applied draft an action of the journal."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ Tool = Literal["select", "brush", "erase", "polygon", "rectangle", "depth", "cut
 
 
 class Pixels(LabelPart):
-    """Draws the pixels of one object after the other."""
+    """Draws the pixels of objects in turn."""
 
     def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
@@ -69,7 +69,7 @@ class Pixels(LabelPart):
 
     @command("px-tool")
     def choose(self, tool: Tool) -> None:
-        """Take a tool; where nothing is open yet, begin on the selected object."""
+        """Choose a tool; without a draft, begin on the selected object."""
         view, known = self.view, self._drafts.get(self._key)
         self._tool = tool
         self._tell()
@@ -82,7 +82,7 @@ class Pixels(LabelPart):
 
     @command("px-new")
     def new(self, where: str) -> None:
-        """Begin a new object: with a tool, by clicks in the scene ("scene"), or in a rectangle of the picture."""
+        """Begin a new object with a tool, by clicks in the scene ("scene"), or in a rectangle of the picture."""
         view = self.view
         if self._unapplied(self._drafts.get(self._key)):
             return
@@ -107,7 +107,7 @@ class Pixels(LabelPart):
             self.ctx.handle(Command("image", (fractions,)))
 
     def _unapplied(self, draft: Draft | None) -> bool:
-        """Whether a draft is in the way of another one; says so."""
+        """True, with a message, if an unapplied draft blocks another."""
         if draft is None or not draft.changed:
             return False
         self._open = self._key
@@ -130,17 +130,17 @@ class Pixels(LabelPart):
 
     @command("px-draw")
     def drawn(self, number: NonNegativeInt, made: dict[str, Any]) -> None:
-        """A movement of the hand; its number is told back, so that the page knows what is done."""
+        """Add a stroke to the draft; the stroke's number is sent back as a receipt."""
         self._seen = number
         self._changed(lambda draft, canvas: with_gesture(draft, read_gesture(made, draft.height, draft.width), canvas))
 
     @command("px-hand")
     def hand(self, adds: bool, tolerance: float) -> None:
-        """How clicks in the scene count: adding or removing, and how alike a surface must be."""
+        """Set the mode of clicks in the scene: adding or removing, and the tolerance of surface similarity."""
         self._tolerance, self._adds = tolerance, adds
 
     def on_ray(self, pixel: tuple[int, int] | None) -> bool:
-        """A click in the scene; whether it was meant for the draft."""
+        """Handle a click in the scene; False if not meant for the draft."""
         if self._draft is None or self._view != "scene":
             return False
 
@@ -165,11 +165,11 @@ class Pixels(LabelPart):
 
     @property
     def _fresh(self) -> bool:
-        """Whether the object that is drawn is new, and has no name yet."""
+        """True for a new, unnamed object."""
         return self._draft is not None and self._draft.number in (None, self._outlined)
 
     def _keep(self) -> None:
-        """Save a stroke of a new object at once: it has a name later."""
+        """Save a stroke of a new object at once; naming comes later."""
         draft = self._draft
         if draft is None or not self._fresh or not draft.changed or not draft.mask.any():
             return
@@ -193,7 +193,7 @@ class Pixels(LabelPart):
 
     @command("px-undo=take-back", "px-redo=bring-back")
     def _stepped(self, otherwise: str) -> None:
-        """A step of the draft back or forth; where there is none, an action of the journal."""
+        """Undo or redo a step of the draft; without a step, an action of the journal."""
         draft = there(self._draft)
         moved = draft.back() if otherwise == "take-back" else draft.forth()
         self._drafts[self._key] = moved
@@ -207,7 +207,7 @@ class Pixels(LabelPart):
 
     @command("px-apply")
     def apply(self, stay: bool, label: str) -> None:
-        """Save the draft as one action; with `stay` the editor remains open."""
+        """Save the draft as an action; `stay` keeps the editor open."""
         view, draft = self.view, there(self._draft)
         outcome, number, self._label, self._saving = None, -1, label, True
         try:
@@ -241,7 +241,7 @@ class Pixels(LabelPart):
         self.ctx.draw()
 
     def _decided(self, events: tuple[Event, ...]) -> None:
-        """Drop the draft that was in dispute, once it was saved after all."""
+        """Drop the disputed draft after a late save."""
         if self._saving or self._disputed is None or self._disputed[0] != self._key:
             return
         wanted = self._disputed[1].edits
@@ -251,7 +251,7 @@ class Pixels(LabelPart):
 
     @command("px-merge")
     def merge(self) -> None:
-        """Make the selected object a part of the one that was selected before it."""
+        """Merge the selected object into the previously selected object."""
         view, pair = self.view, self.state.pair
         pair = needed(None if pair is None or pair[0] == pair[1] else pair, "select two objects, one after the other")
         numbers = view.numbers[pair[1]], view.numbers[pair[0]]
@@ -269,7 +269,7 @@ class Pixels(LabelPart):
 
     @command("px-picture")
     def paint(self, kind: Literal["rgb", "depth"]) -> None:
-        """Show the picture's colours or its depth."""
+        """Show the picture's colours or depth."""
         self._kind = kind
         self.follow()
 
@@ -277,7 +277,7 @@ class Pixels(LabelPart):
         self._said, self._bad = said, bad
 
     def follow(self) -> None:
-        """Bring the editor up to the state and the draft."""
+        """Draw the editor for the state and the draft."""
         if self._saving:
             return
         state, view = self.state, self.state.labels

@@ -1,4 +1,4 @@
-"""Retraining on the labels as they are corrected, in a process that all clients see, and what it was worth."""
+"""Retraining on corrected labels, in a process shared by all clients, and the measured gain."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from spatialviz.app.url_state import Place
 
 
 class RetrainPanel(LabelPart):
-    """Trains, compares, makes the run again, and installs by choice."""
+    """Trains, compares, remakes the run, and installs on request."""
 
     def __init__(self, ctx: Context, go: Callable[[Place], None]) -> None:
         super().__init__(ctx)
@@ -36,7 +36,7 @@ class RetrainPanel(LabelPart):
         ]
 
     def _tell(self, name: str) -> None:
-        """Say what has begun or ended, whoever began it, and draw."""
+        """Announce the start or end of a training, and draw."""
         was, now = self._last[name], self.ctx.shared.journals[name].jobs.training.seen
         self._last[name] = now
         if now.running and not was.running:
@@ -50,7 +50,7 @@ class RetrainPanel(LabelPart):
 
     @command("retrain")
     def start(self) -> None:
-        """Train on the labels of the source that is looked at, as they are now."""
+        """Train on the present labels of the current pipeline."""
         name, place, run = self.state.source, self.location, self.ctx.run
         folder = user_data_path("spatialviz") / "retrained"
         if not place.jobs.training.seen.running:
@@ -67,12 +67,12 @@ class RetrainPanel(LabelPart):
 
     @command("stop-training")
     def stop(self) -> None:
-        """End a training, whoever began it; nothing of it stays."""
+        """Cancel a training, begun by any client, and discard the results."""
         self.location.jobs.training.stop()
 
     @command("install")
     def install(self, name: str) -> None:
-        """Install the trained network under a name, and answer the question that is asked with it."""
+        """Install the trained network under a name, and ask the current question again."""
         training = self.location.jobs.training
         network = there(training.seen.record)["network"]
         try:
@@ -93,7 +93,7 @@ class RetrainPanel(LabelPart):
         self._go(Place(self.state.source, frame, text))
 
     def follow(self) -> None:
-        """Bring the section up to what is known."""
+        """Draw the section."""
         place = self.ctx.shared.journals.get(self.state.source)
         if place is None:
             return
@@ -116,7 +116,7 @@ LISTED = 6
 
 
 def _state(training: TrainingProgress, corrections: int | None, with_run: bool) -> Child:
-    """How far it is, or what came of it; `corrections` is None where the journal cannot be read."""
+    """Progress or result; `corrections` is None for an unreadable journal."""
     if training.running:
         what, done, of = training.step
         return progress("Training", done, of), h.div(f"{STEPS.get(what, what)} · {training.seconds:.0f} s", cls="dim")
@@ -141,7 +141,7 @@ def _action(training: TrainingProgress, corrections: int | None) -> Element:
 
 
 def _figures(record: Mapping[str, Any], seconds: float) -> Child:
-    """F1 by relation: learnt from the labels before, after, and of the network in use, on pairs that none has seen."""
+    """F1 by relation on held-out pairs: trained on the labels before and after, and of the installed network."""
     trained, in_use = record["retraining"], record["in_use"]
     held, events = trained["held_out"], record["corrections"]["events"]
     rows = []
@@ -184,7 +184,7 @@ def _f1(figures: Mapping[str, Any], name: str) -> float | None:
 
 
 def _cells(title: str, cells: Sequence[Mapping[str, Any]]) -> Element | None:
-    """The cells that changed most; a click shows the pair."""
+    """Most changed cells; a click shows the pair."""
     rows = [
         h.div(
             h.span(f"{c['a']} {PHRASE[c['relation']]} {c['b']} is {c['label']}"), h.span(c["frame"], cls="dim"),

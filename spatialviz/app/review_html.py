@@ -1,4 +1,4 @@
-"""The Review tab: the queue of what may be wrong, the labels of the pair, and how they came to be."""
+"""Review tab: queue of suspect labels, labels of the pair, and their history."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ MARKS = {"auto": "", "human": "by hand", "recomputed": "recomputed", "stale": "s
 
 
 def review_head_html(state: State, opened: bool, desk: LabelEditor | None) -> Element:
-    """Whether labels are shown, under whose name they are corrected, what came of the last edit, and what waits.
+    """State of the labels: shown or not, author's name, outcome of the last edit, and unsaved edits.
 
-    `desk` is None until labels are shown for the first time.
+    `desk` is None until labels are first shown.
     """
     if not opened:
         return panel(h.div("No labels are open (--labels).", cls="dim hint"))
@@ -122,7 +122,7 @@ def _line(card: PairCard, line: RelationLine, focused: bool) -> Element:
 
 
 def doubt_html(card: PairCard, line: RelationLine, state: int) -> Element:
-    """What geometry says against a judgement, as the question before it is saved."""
+    """Geometric objection to a judgement, as a question before saving."""
     a, b = f"{card.names[0]}·{card.a}", f"{card.names[1]}·{card.b}"
     says, said = letter(F if state == T else T), letter(state)
     return h.div(
@@ -154,9 +154,9 @@ def queue_html(
     names: Names,
     bulk: Element | None = None,
 ) -> Element:
-    """What the queue is made of, how far that is, what filters it, and the list from the current item on.
+    """Sources of the queue, progress, filters, and the list from the current item on.
 
-    `asked` says what the next one is made of besides the rules and the linter.
+    `asked` switches the sources of the next queue besides the rules and the linter.
     """
     again = "build again" if work is not None else "build"
     stop = button("stop", "stop-queue", "ends the asking; the queue that there is stays")
@@ -179,7 +179,7 @@ def queue_html(
 
 
 def _asked(asked: Mapping[str, bool]) -> Element:
-    """What goes into the next queue besides the rules and the linter: switches."""
+    """Switches for sources of the next queue besides the rules and the linter."""
     return h.div(
         h.span("rules and linter", cls="try fixed", title="always in it"),
         _switch("networks", "networks", asked["networks"], "networks that have not learnt from a label"),
@@ -193,7 +193,7 @@ def _switch(name: str, label: str, on: bool, hint: str) -> Element:
 
 
 def _busy(making: QueueProgress) -> Child:
-    """How far a queue that is made is, or why there is none."""
+    """Progress of the queue in preparation, or the reason of a failure."""
     if not making.running:
         failed = making.problem and making.problem != CANCELLED
         stays = "was not made" if making.work is None else "stays as it is"
@@ -204,7 +204,7 @@ def _busy(making: QueueProgress) -> Child:
 
 
 def _known(made: Mapping[str, Any] | None) -> Element | None:
-    """What the queue was made of: what networks said; and how far reviewers agreed by then."""
+    """Origin of the queue: predictions of networks, and the agreement of reviewers so far."""
     if made is None:
         return None
     wrong = made["estimated_wrong"]
@@ -216,7 +216,7 @@ def _known(made: Mapping[str, Any] | None) -> Element | None:
 
 
 def shown_places(work: Worklist, kind: str, item: ItemKey | None) -> Sequence[int]:
-    """The rows around the current one; the list moves on by `STEP`, so that the next item sends few of them."""
+    """Rows around the current item; scrolls by `STEP` rows, so that the next item sends few."""
     at = 0 if item is None else work.indices.get(item.plain, 0)
     start = max(0, at - 3) // STEP * STEP
     places = (k for k in range(start, len(work)) if kind in ("all", work.keys[k].kind) and not work.gone[k])
@@ -242,7 +242,7 @@ def _row(work: Worklist, place: int, names: Names, item: ItemKey | None) -> Elem
 
 
 def said(row: Mapping[str, Any], names: Names) -> str:
-    """What the label says, in words."""
+    """Claim of the label, in words."""
     frame, kind = row["frame"], row["kind"]
 
     def named(number: int) -> str:

@@ -1,4 +1,4 @@
-"""The review queue as one client works through it, with single keys; it is made in another process, for all clients."""
+"""Review queue of a client, worked through with single keys; made in another process, for all clients."""
 
 from __future__ import annotations
 
@@ -50,40 +50,26 @@ DOUBT_TITLE = "Against geometry"
 
 @dataclass
 class SourceQueue:
-    """The queue of one source, as one client knows it.
-
-    Attributes
-    ----------
-    source : Pipeline
-    location : JournalLocation
-    work : Worklist or None
-    newest : Mark
-        The newest event that its states know.
-    seen : QueueProgress
-        Of its making, as it was taken last.
-    behind : bool
-        It has come since the page was drawn.
-    asked : dict of str to bool
-        What the next one is made of besides the rules and the linter.
-    """
+    """Queue of a pipeline, as known to a client."""
 
     source: Pipeline
     location: JournalLocation
     work: Worklist | None = None
-    newest: Mark = NOTHING
-    seen: QueueProgress = field(default_factory=QueueProgress)
-    behind: bool = False
+    newest: Mark = NOTHING  # The newest event that its states know
+    seen: QueueProgress = field(default_factory=QueueProgress)  # Of its making, as it was taken last
+    behind: bool = False  # It has come since the page was drawn
+    # asked: What the next one is made of besides the rules and the linter
     asked: dict[str, bool] = field(default_factory=lambda: {"networks": False})
 
     @cached_property
     def names(self) -> dict[tuple[str, int], str]:
-        """Class names of the labelled objects by frame and number: as the labels were made, then as they were seen."""
+        """Class names of the labelled objects by frame and number: initial labels, updated on sight."""
         columns = (self.location.labels.objects.column(c).to_pylist() for c in ("frame", "object", "label"))
         return {(frame, number): label for frame, number, label in zip(*columns, strict=True)}
 
 
 class ReviewQueue(LabelPart):
-    """Walks through the queue of the source that a client looks at."""
+    """Walks through the queue of a client's current pipeline."""
 
     def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
@@ -113,7 +99,7 @@ class ReviewQueue(LabelPart):
 
     @command("make-queue")
     def make(self) -> None:
-        """Make the queue of the source that is looked at, of what is switched on."""
+        """Make the queue of the current pipeline, from the chosen sources."""
         queue, place, asked = self._queue, self.location, self._queue.asked
         if place.jobs.queue.running:
             return
@@ -130,19 +116,19 @@ class ReviewQueue(LabelPart):
 
     @command("stop-queue")
     def stop(self) -> None:
-        """End what makes the queue, whoever began it; the one that there is stays."""
+        """Stop making the queue, begun by any client; the present queue stays."""
         self.location.jobs.queue.stop()
 
     @command("queue-from")
     def switch(self, what: str) -> None:
-        """Put networks into the next queue, or leave them out."""
+        """Switch networks on or off as a source of the next queue."""
         asked = self._queue.asked
         if what in asked:
             asked[what] = not asked[what]
             self.follow()
 
     def _made(self, queue: SourceQueue) -> None:
-        """Take what is made by now, whoever began it."""
+        """Take over a finished queue, begun by any client."""
         self._take(queue)
         self.follow()
 
@@ -158,7 +144,7 @@ class ReviewQueue(LabelPart):
             self.ctx.note("the review queue is not made" if stopped else f"no review queue: {now.problem}")
 
     def _caught_up(self) -> Worklist | None:
-        """The list of the source that is looked at, with what anybody has saved by now."""
+        """List of the current pipeline, updated with everybody's saved edits."""
         queue = self._queues.get(self.state.source)
         if queue is None or queue.work is None:
             return None
@@ -174,7 +160,7 @@ class ReviewQueue(LabelPart):
 
     @command("next-item")
     def step(self, step: int) -> None:
-        """Look at the next item that is open, or at the one above."""
+        """Show the next open item, or the previous."""
         work, found = there(self._caught_up()), self._item
         if step < 0:
             while (found := work.previous(found)) is not None and self._kind not in ("all", found.kind):
@@ -190,19 +176,19 @@ class ReviewQueue(LabelPart):
         return None if not places else work.keys[next((k for k in places if k > at), places[0])]
 
     def _found(self, work: Worklist) -> list[int]:
-        """The places of what the filter finds of the open items."""
+        """Positions of open items matching the filter."""
         names, kind = self._queue.names, None if self._kind == "all" else self._kind
         return found_items(work, lambda row: said(row, names), kind, self._find)
 
     @command("queue-find")
     def narrow(self, text: str) -> None:
-        """Walk only through items that hold each word of a text."""
+        """Filter the items by the words of a text."""
         self._find = text.strip()
         self.follow()
 
     @command("accept-found")
     def accept_found(self) -> None:
-        """Accept all that the filter finds, as one step."""
+        """Accept all results of the filter, as a single step."""
         work = there(self._caught_up())
         items = [work.keys[k] for k in self._found(work)[:MOST] if self._find]
         if items and isinstance(self.save(lambda _: accept_all(items, self.editor.frame, self.editor.author)), Saved):
@@ -210,13 +196,13 @@ class ReviewQueue(LabelPart):
 
     @command("item")
     def open_row(self, place: int) -> None:
-        """Look at the item of a row."""
+        """Show the item of a row."""
         work = there(self._queue.work)
         if 0 <= place < len(work):
             self.open(work.keys[place])
 
     def open(self, key: ItemKey) -> None:
-        """Show an item: its pair, its object, or the ends of its sentence."""
+        """Show an item: pair, object, or ends of a sentence."""
         work = self._queue.work
         if self.state.labels is not None:
             # Better stay where labels are seen than go where they are not.
@@ -230,7 +216,7 @@ class ReviewQueue(LabelPart):
         self._prefetch(key)
 
     def _prefetch(self, key: ItemKey | None) -> None:
-        """Make the next frame of the queue ready, while this item is looked at."""
+        """Load the next frame of the queue in the background."""
         name, work, editor = self.state.source, self._queue.work, self.editor
         after = None if work is None else self._next(work, key)
         for _ in range(BLOCK):
@@ -250,7 +236,7 @@ class ReviewQueue(LabelPart):
 
     @command("queue-kind")
     def choose_kind(self, kind: str) -> None:
-        """Walk through items of one kind only."""
+        """Filter the items by kind."""
         self._kind = kind
         self._prefetch(self._item)
         self.follow()
@@ -259,11 +245,10 @@ class ReviewQueue(LabelPart):
 
     @command("settle")
     def settle_relation(self, said: str, sure: bool = False) -> None:
-        """Settle a relation: "left:T" of the pair that is shown, "T" of the open item, or without one of that pair.
+        """Settle a relation: "left:T" of the shown pair, "T" of the open item, or else of that pair.
 
-        A key belongs to the open item, whatever is looked at beside it. From
-        there it goes on to the next one. What geometry contradicts by decimetres
-        is asked about before it is saved, unless they are `sure`.
+        Keys belong to the open item, whatever else is shown, and lead on to the next item. A contradiction of
+        decimetres with geometry is asked about before saving, unless `sure`.
         """
         view, item = self.view, self._item
         *named, letter = said.split(":")
@@ -297,10 +282,8 @@ class ReviewQueue(LabelPart):
     def _settle(self, ends: tuple[int, int], relation: str, state: int) -> None:
         """Save the state of a relation.
 
-        A label that is right already is accepted, under this person's name. One
-        that somebody else has settled by hand stays as it is, too: this person's
-        word on it is noted, and reviewers who differ are told; where they do, it
-        is settled for all of them.
+        A label already right is accepted, under this person's name. Another person's decision stays, too: this person's
+        opinion is noted, and reviewers are told of a disagreement; a decision in a disagreement holds for everybody.
         """
         work, item, author = self._queue.work, self._item, self.editor.author
         disputed = work is not None and item is not None and work.is_disputed(item)
@@ -319,20 +302,20 @@ class ReviewQueue(LabelPart):
 
     @command("settle-sure")
     def _sure(self) -> None:
-        """Save what was asked about."""
+        """Save the questioned judgement."""
         self.ctx.dialog.close()
         if self._doubted is not None and self._doubted[0] == self.view.frame.frame:
             self.settle_relation(self._doubted[1], sure=True)
 
     @command("leave-item")
     def leave(self) -> None:
-        """Look at the item no longer; the keys act on what is selected again."""
+        """Close the item; keys act on the selection again."""
         if self._item is not None:
             self.ctx.show(labels=replace(self.view, item=None))
 
     @command("accept-item=accepted", "reject-item=rejected", "unsure-item=unsure")
     def say(self, status: str) -> None:
-        """Say of the item that is looked at, else of the selected object, that it is right, wrong, or unclear."""
+        """Mark the open item, else the selected object, as right, wrong, or unclear."""
         item, number, author = self._item, self.number, self.editor.author
         if item is None and number is None:
             return
@@ -357,7 +340,7 @@ class ReviewQueue(LabelPart):
     # ---- drawing ----------------------------------------------------------------------
 
     def follow(self) -> None:
-        """Bring the list and the item up to the state; the first time, make the queue."""
+        """Draw the list and the item for the state; the first time, make the queue."""
         queue, view, page, item = self._queues.get(self.state.source), self.state.labels, self.ctx.page, self._item
         if queue is None:
             return
@@ -381,7 +364,7 @@ class ReviewQueue(LabelPart):
         page.fill({"review-item": None if view is None else self._card(queue, item), "review-list": rows})
 
     def _card(self, queue: SourceQueue, item: ItemKey | None) -> Element:
-        """The item with its answers, the pace, and what comes next."""
+        """Item with answers, pace, and next items."""
         work, view = queue.work, self.view
         place = None if work is None or item is None else work.indices.get(item.plain)
         row = None if work is None or place is None or work.gone[place] else work.queue.slice(place, 1).to_pylist()[0]
@@ -406,7 +389,7 @@ class ReviewQueue(LabelPart):
         return list(found.values())
 
     def _shot(self, key: ItemKey) -> str:
-        """A small picture of an item's object; of its frame, while that is not loaded or the object is none."""
+        """Thumbnail of an item's object, or of the frame without an object or before loading."""
         loaded = self.ctx.shared.store.kept(self.state.source, key.frame)
         with suppress(InputError):
             row = None if loaded is None else self.editor.corrector.index.rows(key.frame).objects.get(key.a)
@@ -415,7 +398,7 @@ class ReviewQueue(LabelPart):
         return self.ctx.shared.pictures.url(self.state.source, key.frame)
 
     def _paced(self) -> ReviewPace | None:
-        """How fast this person worked today; None while the journal is away."""
+        """Today's pace of this person; None while the journal is unavailable."""
         author = self.editor.author
         with suppress(InputError):
             journal, (last, events) = self.location.to_read(), self._pace

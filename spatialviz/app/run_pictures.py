@@ -1,4 +1,4 @@
-"""Small pictures of a run's answers, with their boxes: made once for all clients, and where a page finds them."""
+"""Thumbnails of a run's answers, with boxes, made once for all clients, and their addresses."""
 
 from __future__ import annotations
 
@@ -23,15 +23,14 @@ PICTURES = 3000
 
 
 class RunPictures:
-    """Those of one run."""
+    """Thumbnails of a run."""
 
     def __init__(self, figures: RunFigures) -> None:
         self._figures = figures
         self._kept: dict[int, str] = {}
 
     def url(self, number: int, row: Mapping[str, Any], make: bool = False) -> str:
-        """Where the page finds the picture of a row; "" where it is not made yet, and unless it should be, or where
-        its frame is broken."""
+        """Address of a row's picture; "" if not made yet, without `make`, or for a broken frame."""
         kept = self._kept.get(number)
         if kept is not None and (not kept or IMAGES.get(kept.rpartition("/")[2]) is not None):
             return kept
@@ -52,5 +51,5 @@ class RunPictures:
 
 @lru_cache(maxsize=8)
 def pictures_of(figures: RunFigures) -> RunPictures:
-    """The pictures of a run, the same for every client."""
+    """Pictures of a run, shared by all clients."""
     return RunPictures(figures)

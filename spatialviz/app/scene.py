@@ -1,7 +1,7 @@
-"""The 3D scene of one client: the frame's cloud, boxes by role, pair lines. It draws what it is given.
+"""3D scene of a client: the frame's cloud, boxes by role, pair lines; draws without computing.
 
-Everything stands in the viewer's level frame with x right, y forward, z up and
-the camera at the origin, so that the floor is level whatever the camera's pitch.
+Everything stands in the viewer's level frame with x right, y forward, z up and the camera at the origin, so that the
+floor is level at any camera pitch.
 """
 
 from __future__ import annotations
@@ -33,31 +33,20 @@ GHOST_GROWTH = 0.012
 
 @dataclass(frozen=True)
 class Tag:
-    """A name that follows a node of the scene, and stands beside what it names.
+    """Name tag at a node of the scene."""
 
-    Attributes
-    ----------
-    node : str
-        Of the scene.
-    text, detail : str
-    color : str
-        "#rrggbb".
-    strong : bool
-    center, extent : tuple of float
-        Middle and half sizes of what it names, from the node, metres; a point without an extent.
-    """
-
-    node: str
+    node: str  # Of the scene
     text: str
     detail: str
-    color: str
+    color: str  # "#rrggbb"
     strong: bool
+    # center, extent: Middle and half sizes of what it names, from the node, metres; a point without an extent
     center: tuple[float, float, float] = (0.0, 0.0, 0.0)
     extent: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 class SceneView:
-    """Draws into one client's scene."""
+    """Draws into a client's scene."""
 
     def __init__(
         self,
@@ -77,7 +66,7 @@ class SceneView:
         client.on_click(clicked)
 
     def draw(self, state: State) -> list[Tag]:
-        """Draw boxes and pair lines, and return the names to show."""
+        """Draw boxes and pair lines, and return the name tags."""
         colors, flags, lines = palette(state.dark), state.flags, self._client.lines
         boxes = ((i, entry.lifted.box) for i, entry in enumerate(state.shown.objects))
         self._boxed = {i: self.shown_box(box) for i, box in boxes if box is not None}
@@ -99,7 +88,7 @@ class SceneView:
             return tags + self._draw_tags(state.shown, role_of, selected, flags.labels, colors)
 
     def _draw_ghosts(self, ghosts: Sequence[ExtraBox], colors: Mapping[Role, RGB]) -> list[Tag]:
-        """Boxes beside the answer's, in lines of their own and a little larger."""
+        """Extra boxes beside the answer's, slightly larger and in distinct lines."""
         tags = []
         for role in ("truth", "edited"):
             members = [self.shown_box(ghost.box) for ghost in ghosts if ghost.role == role]
@@ -120,11 +109,11 @@ class SceneView:
         return tags
 
     def shown_box(self, box: Box3D) -> Box3D:
-        """A box of the camera frame as it is shown."""
+        """Box of the camera frame, in the shown frame."""
         return box.turned(self.to_show)
 
     def camera_box(self, box: Box3D) -> Box3D:
-        """A shown box in the camera frame."""
+        """Shown box, in the camera frame."""
         return box.turned(self.to_show.T)
 
     def _draw_faces(self, shown: Sequence[int], role_of: Mapping[int, Role], colors: Mapping[Role, RGB]) -> None:
@@ -148,7 +137,7 @@ class SceneView:
         )
 
     def _draw_pairs(self, pairs: Sequence[tuple[int, int]], colors: Mapping[Role, RGB]) -> None:
-        """Lines between the boxes of pairs, the chosen one first."""
+        """Lines between the boxes of pairs, the chosen pair first."""
         known = [pair for pair in pairs if self._boxed.keys() >= set(pair)]
         ends = [[self._boxed[a].center, self._boxed[b].center] for a, b in known]
         segments = np.array(ends, np.float32).reshape(-1, 2, 3)
@@ -158,7 +147,7 @@ class SceneView:
         self._client.lines("/pairs/others", segments[first:], (tint[first:] * 0.6).astype(np.uint8), 1.6)
 
     def _draw_axes(self, state: State) -> list[Tag]:
-        """The viewer's right, forward and up at the reference: the frame in which the relation is judged."""
+        """Axes of the relation's frame: the viewer's right, forward and up at the reference."""
         pairs = state.pair_lines if state.flags.axes or state.flags.region else ()
         reference = self._boxed.get(pairs[0][1]) if pairs else None
         tags: list[Tag] = []
@@ -202,12 +191,12 @@ class SceneView:
 
 
 def plain_color(dark: bool) -> RGB:
-    """Of lines that have no role: nearly white on a dark ground, nearly black on a light one."""
+    """Colour of lines without a role: nearly white on dark, nearly black on light."""
     return (245, 247, 250) if dark else (24, 26, 30)
 
 
 def extent(box: Box3D) -> tuple[float, float, float]:
-    """Half of what a shown box takes along the axes of the scene, metres, as a tag has it."""
+    """Half extents of a shown box along the axes of the scene, metres."""
     return triple(np.round(box.half_extent, 4))
 
 
@@ -216,7 +205,7 @@ SAMPLE, FLIGHT = 20_000, 12
 
 
 class Viewpoint:
-    """Moves one client's camera in the level frame of the shown cloud."""
+    """Moves a client's camera in the level frame of the shown cloud."""
 
     def __init__(self, client: SceneClient) -> None:
         self._client = client
@@ -248,14 +237,14 @@ class Viewpoint:
         self._points, self._to_show, self._camera = points[:: len(points) // SAMPLE + 1], R_show_camera, camera
 
     def look_about(self, corners: np.ndarray | None) -> bool:
-        """Have "pair" show these points ((N, 3), shown frame, metres); whether they are others than before."""
+        """Set the subject of "pair" ((N, 3), shown frame, metres); True if changed."""
         before, self._about = self._about, corners
         return before is not corners if before is None or corners is None else not np.array_equal(before, corners)
 
     def place(self, kind: str, steps: int = 1) -> None:
-        """Move the camera to "pair", "sensor", "orbit" or "top", at once, or smoothly in so many steps.
+        """Move the camera to "pair", "sensor", "orbit" or "top", at once, or smoothly in steps.
 
-        Repeated when the shape of the page changes before anybody has turned the view.
+        Repeated on a change of the page's shape until a person turns the view.
         """
         points, lens = needed(self._points, "no cloud is shown"), needed(self._camera, "no cloud is shown")
         eye, look, fov = viewpoint(kind, points, self._to_show, lens, self._aspect, self._about)
@@ -283,7 +272,7 @@ class Viewpoint:
         return float(np.clip(self._client.camera.aspect or 1.3, 0.4, 3.0))
 
     def turned_to(self) -> tuple[CameraView, float] | None:
-        """Where the camera was turned to, in the frame's camera frame, and its field of view; None where it was not."""
+        """Camera view as turned by a person, in the frame's camera frame, with field of view; None if not turned."""
         if self.untouched or self._points is None:
             return None
         camera = self._client.camera
@@ -291,7 +280,7 @@ class Viewpoint:
         return CameraView(*(triple((self._to_show.T @ np.array(v)).round(4)) for v in vectors)), float(camera.fov)
 
     def turn_to(self, view: CameraView, fov: float | None) -> None:
-        """Turn the camera to where it was turned before."""
+        """Restore a camera view."""
         eye, look, up = (self._to_show @ np.array(v) for v in (view.position, view.look_at, view.up))
         if np.linalg.norm(look - eye) < 1e-4 or np.linalg.norm(np.cross(look - eye, up)) < 1e-6:
             return  # No way to look.
@@ -300,7 +289,7 @@ class Viewpoint:
         self._turn(up_direction=up, position=eye, look_at=look, **width)
 
     def focus(self, box: Box3D) -> None:
-        """Turn around an object: look at it from where the camera stands, nearer."""
+        """Look at an object from the camera's place, nearer."""
         center = self._to_show @ box.center
         # The next frame is shown as a whole again.
         self._placed, self.untouched = None, True

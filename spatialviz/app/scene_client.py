@@ -1,5 +1,4 @@
-"""viser's client of one page's scene. What is put into it stands until it is removed, also where the browser's
-frame is not there yet, or has gone and comes back."""
+"""viser's client of a page's scene; nodes persist until removed, also before a browser connects or after a reconnect."""
 
 from __future__ import annotations
 
@@ -20,16 +19,10 @@ UNTURNED = {"aspect": 1.3, "fov": 0.8, **dict.fromkeys(CAMERA[:3], (0.0, 0.0, 0.
 
 
 class Retained:
-    """Stands for a handle of viser: has its values and callbacks, and passes both on while the handle is there.
+    """Stand-in for a handle of viser, keeping values and callbacks, forwarded while the handle exists.
 
-    Parameters
-    ----------
-    values : dict
-        What it has been given.
-    unset : dict
-        What it says of other values meanwhile.
-    kept : tuple of str
-        Values that a person may change in the browser.
+    `values`: what it has been given; `unset`: what it says of other values meanwhile; `kept`: values that a person may
+    change in the browser.
     """
 
     def __init__(self, values: dict[str, Any], unset: dict[str, Any], kept: tuple[str, ...]) -> None:
@@ -46,7 +39,7 @@ class Retained:
             setattr(self.handle, name, value)
 
     def change(self, **values: Any) -> None:
-        """Set what differs; viser sends every assignment."""
+        """Set only differing values; viser sends every assignment."""
         for name, value in values.items():
             if not np.array_equal(getattr(self, name), value):
                 setattr(self, name, value)
@@ -58,20 +51,20 @@ class Retained:
         return callback
 
     def show(self, handle: Any) -> None:
-        """Stand for a handle."""
+        """Attach a handle."""
         for event, callback in self._callbacks:
             getattr(handle, event)(callback)
         vars(self)["handle"] = handle
 
     def keep(self) -> None:
-        """Remember what a person has changed; the handle has gone."""
+        """Save the values changed by a person, after loss of the handle."""
         for name in self._kept:
             self.values[name] = getattr(self.handle, name)
         vars(self)["handle"] = None
 
 
 class SceneClient:
-    """Stands for a `viser.ClientHandle`: `camera`, `atomic`, `flush`, and the nodes of its scene by their names."""
+    """Stand-in for a `viser.ClientHandle`: `camera`, `atomic`, `flush`, and the nodes of the scene by name."""
 
     def __init__(self) -> None:
         self.nodes: dict[str, Retained] = {}
@@ -84,7 +77,7 @@ class SceneClient:
         self._lock = threading.RLock()
 
     def attach(self, client: viser.ClientHandle) -> None:
-        """Show everything to a browser's frame, seen from where it was seen last."""
+        """Send everything to a browser's frame, seen from the last view."""
         with self._lock:
             self.detach()
             for callback in self._clicks:
@@ -100,7 +93,7 @@ class SceneClient:
                     self._stand(name, client)
 
     def detach(self, client: viser.ClientHandle | None = None) -> None:
-        """The browser's frame has gone; another one may come."""
+        """Release the browser's frame; another may come."""
         with self._lock:
             if self._client is None or client not in (None, self._client):
                 return
@@ -113,17 +106,17 @@ class SceneClient:
         node.show(getattr(client.scene, f"add_{self._made_by[name]}")(**node.values))
 
     def on_click(self, callback: Callable[[Any], Any]) -> None:
-        """Have a click in the scene call this; to be said before a browser shows it."""
+        """Register the callback of clicks in the scene, before a browser shows it."""
         self._clicks.append(callback)
 
     def set_dark(self, dark: bool) -> None:
-        """A dark ground, or a light one; viser's own panels, logo and share button are never shown."""
+        """Set a dark or a light ground; viser's own panels, logo and share button stay hidden."""
         self._dark = dark
         if self._client is not None:
             self._client.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False)
 
     def put(self, kind: str, name: str, **values: Any) -> Retained:
-        """Have a node of a name stand with these values, those of viser's `add_KIND`: made once, and then changed."""
+        """Make or change a named node by the values of viser's `add_KIND`."""
         if name in self.nodes:
             self.nodes[name].change(**values)
         else:
@@ -134,12 +127,12 @@ class SceneClient:
         return self.nodes[name]
 
     def change(self, name: str, **values: Any) -> None:
-        """Change the node of a name, where one stands."""
+        """Change the node of a name, if present."""
         if name in self.nodes:
             self.nodes[name].change(**values)
 
     def lines(self, name: str, points: np.ndarray, color: RGB | np.ndarray, width: float) -> None:
-        """Show segments ((N, 2, 3), metres) of a name, in a colour or one for each end; without any they are hidden."""
+        """Show named segments ((N, 2, 3), metres), in a colour or a colour for each end; none are hidden."""
         colors, node = np.asarray(color, np.uint8), self.nodes.get(name)
         if node is not None and colors.ndim > 1 and len(node.points) != len(points):
             self.clear(name)
@@ -150,19 +143,19 @@ class SceneClient:
             self.change(name, visible=False)
 
     def anchor(self, name: str, position: np.ndarray) -> str:
-        """Put a point of a name, which a tag may follow, somewhere; returns its name."""
+        """Place a named point, as an anchor of tags; returns the node's name."""
         self.put("frame", name, show_axes=False, position=triple(position))
         return name
 
     def clear(self, root: str) -> None:
-        """Remove the nodes whose names begin so."""
+        """Remove the nodes with a prefix."""
         for name in [name for name in self.nodes if name.startswith(root)]:
             node = self.nodes.pop(name)
             if node.handle is not None:
                 node.handle.remove()
 
     def outdated(self, root: str, key: object) -> bool:
-        """Whether the nodes whose names begin so were drawn for another key: then they go, to be drawn for this one."""
+        """True, with the nodes removed, if the nodes with a prefix were drawn for another key."""
         if self._drawn.get(root) == key:
             return False
         self.clear(root)
@@ -170,15 +163,13 @@ class SceneClient:
         return True
 
     def atomic(self) -> AbstractContextManager[None]:
-        """As viser's."""
         return nullcontext() if self._client is None else self._client.atomic()
 
     def flush(self) -> None:
-        """As viser's."""
         if self._client is not None:
             self._client.flush()
 
 
 def triple(v: np.ndarray) -> tuple[float, float, float]:
-    """A vector as viser and JSON take it."""
+    """Vector as a tuple, for viser and JSON."""
     return float(v[0]), float(v[1]), float(v[2])

@@ -1,4 +1,4 @@
-"""How a client looks at its dataset: which frame, how it is shown, what is selected, what a click is for."""
+"""View of a dataset by a client: frame, display, selection, and the meaning of a click."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from spatialviz.app.url_state import CameraMode
 
 
 class ObjectSelection(Part):
-    """Selects objects of one client."""
+    """Selects objects of a client."""
 
     def __init__(self, ctx: Context, taken: Callable[[int, int], bool]) -> None:
         super().__init__(ctx)
@@ -33,7 +33,7 @@ class ObjectSelection(Part):
 
     @command("object")
     def select(self, i: int) -> None:
-        """Select an object, or nothing where it is selected already."""
+        """Toggle the selection of an object."""
         state = self.state
         if 0 <= i < len(state.shown.objects):
             now = None if i == state.selected else i
@@ -41,7 +41,7 @@ class ObjectSelection(Part):
             self.ctx.show(selected=now, pair=pair)
 
     def click(self, pixel: tuple[int, int] | None, boxes: list[int]) -> None:
-        """A click in the scene or the picture: what its pixel shows, else the smallest box on the way."""
+        """Select by a click in the scene or the picture: the object at the pixel, else the smallest box on the ray."""
         state = self.state
         if state.loaded is None or (pixel is not None and self._taken(*pixel)):
             return
@@ -52,18 +52,18 @@ class ObjectSelection(Part):
 
     @command("chip")
     def select_role(self, role: str) -> None:
-        """A click on a word of the expression: the object that fills it."""
+        """Select the object of a word of the expression."""
         self.click(None, [there(self.state.pair)[0 if role == "target" else 1]])
 
     @command("image")
     def select_at(self, x: FiniteFloat, y: FiniteFloat) -> None:
-        """A click in the picture, at fractions of its width and height."""
+        """Select by a click in the picture, at fractions of width and height."""
         height, width = there(self.state.loaded).context.frame.depth.shape
         self.click((int(np.clip(x * width, 0, width - 1)), int(np.clip(y * height, 0, height - 1))), [])
 
     @command("pair")
     def choose_pair(self, place: int) -> None:
-        """Choose a ranked pair by its place; the target is selected."""
+        """Choose a ranked pair by rank; selects the target."""
         # A click may be on a row that a newer answer has replaced.
         if 0 <= place < len(self.state.ranked):
             pair = self.state.at(self.state.ranked[place])
@@ -71,7 +71,7 @@ class ObjectSelection(Part):
 
     @command("next-pair")
     def step_pair(self, step: int) -> None:
-        """Choose the next ranked pair, or the one before."""
+        """Choose the next ranked pair, or the previous."""
         pairs = [self.state.at(p) for p in self.state.ranked]
         if pairs:
             at = pairs.index(self.state.pair) if self.state.pair in pairs else 0
@@ -85,7 +85,7 @@ class ObjectSelection(Part):
 
 
 class Pointing(Part):
-    """Gives clicks of one client on pixels, in the picture or in the scene, to the tool that is on."""
+    """Passes a client's clicks on pixels, in the picture or the scene, to the active tool."""
 
     def __init__(self, ctx: Context, tools: Mapping[Tool, Callable[[LoadedFrame, int, int], None]]) -> None:
         super().__init__(ctx)
@@ -93,7 +93,7 @@ class Pointing(Part):
 
     @command("pick")
     def turn_to(self, name: str) -> None:
-        """Turn a tool on; the one that is on, or "", turns it off, and what was measured goes."""
+        """Toggle a tool; "" turns all off, and removes the measurement."""
         state = self.state
         tool = next((t for t in get_args(Tool) if t == name and t != state.picking), "")
         if state.loaded is None or (tool == "level" and state.labels is not None):
@@ -102,7 +102,7 @@ class Pointing(Part):
             self.ctx.show(picking=tool, marks=())
 
     def on_pixel(self, u: int, v: int) -> bool:
-        """A click on a pixel; whether a tool has taken it."""
+        """Handle a click on a pixel; True if taken by a tool."""
         state = self.state
         if not state.picking or state.loaded is None or (state.picking == "level" and state.labels is not None):
             return False
@@ -110,7 +110,7 @@ class Pointing(Part):
         return True
 
     def _mark(self, loaded: LoadedFrame, u: int, v: int) -> None:
-        """One end of a length; a third begins anew."""
+        """Mark an end of a length; a third click begins anew."""
         marks = self.state.marks
         try:
             depth_at(loaded.context.frame.depth, u, v)
@@ -121,9 +121,9 @@ class Pointing(Part):
 
 
 class LevelSurface(Part):
-    """Takes a click of one client as a pixel of a level surface.
+    """Takes a client's click as a pixel of a level surface.
 
-    Up is a fact of the data: what one client says holds for all of them, until the program ends or it is saved.
+    Up is a fact of the data: set by a client, valid for all, until the program ends or saved.
     """
 
     def __init__(self, ctx: Context, reopen: Callable[[], None]) -> None:
@@ -131,7 +131,7 @@ class LevelSurface(Part):
         self._reopen = reopen
 
     def on_pixel(self, loaded: LoadedFrame, u: int, v: int) -> None:
-        """A click on a pixel of a level surface."""
+        """Set up from a pixel of a level surface."""
         frame = loaded.context.frame
         try:
             x, y, z = level_normal_at(frame.depth, frame.camera, u, v).tolist()
@@ -145,7 +145,7 @@ class LevelSurface(Part):
 
     @command("level-keep")
     def keep(self) -> None:
-        """Write what was said into the settings beside the data."""
+        """Save up into the settings beside the data."""
         told, root = there(self.ctx.shared.store.up_hints.get(self.state.source)), self.ctx.source.dataset.root
         try:
             require(root.resolve() != demo_path().resolve(), "the built-in demo stays as it is", path=root)
@@ -155,7 +155,7 @@ class LevelSurface(Part):
 
     @command("level-back")
     def take_back(self) -> None:
-        """Up as it was before anything was said."""
+        """Restore the original up."""
         if self.state.source in self.ctx.shared.store.up_hints:
             self.ctx.shared.store.set_up_hint(self.state.source, None)
             self._reopen()
@@ -165,32 +165,32 @@ POINT_STEP = 1.25
 
 
 class ViewSettings(Part):
-    """Changes how one client looks."""
+    """Changes a client's display."""
 
     @command("color", "next-color=next")
     def paint(self, mode: str) -> None:
-        """Paint the cloud in another way, or in the "next"."""
+        """Set the colours of the cloud, or the "next"."""
         colors = choice(get_args(ColorMode), self.state.colors, mode)
         if colors is not None:
             self.ctx.show(colors=colors)
 
     @command("camera")
     def look_from(self, mode: CameraMode) -> None:
-        """Fly to one of the places to look from."""
+        """Fly to a standard viewpoint."""
         if self.state.loaded is not None:
             self.ctx.show(camera=mode)
             self.ctx.scene.viewpoint.place(mode, FLIGHT)
 
     @command("flag")
     def toggle(self, flag: str) -> None:
-        """Show or hide something."""
+        """Toggle a part of the scene."""
         flags = self.state.flags
         if flag in FLAGS:
             self.ctx.show(flags=replace(flags, **{flag: not getattr(flags, flag)}))
 
     @command("point-size")
     def size_points(self, size: FiniteFloat | Literal["more", "less"]) -> None:
-        """Draw the points by a factor of their size; "more" and "less" are steps."""
+        """Scale the points by a factor; "more" and "less" are steps."""
         step = {"more": POINT_STEP, "less": 1 / POINT_STEP}.get(str(size))
         factor = round(float(size) if step is None else self.state.point_size * step, 2)
         if LEAST_POINT <= factor <= LARGEST_POINT:
@@ -200,6 +200,6 @@ class ViewSettings(Part):
 
     @command("theme")
     def switch_theme(self) -> None:
-        """Dark becomes light, and light dark."""
+        """Switch between dark and light."""
         self.ctx.client.set_dark(not self.state.dark)
         self.ctx.show(dark=not self.state.dark)

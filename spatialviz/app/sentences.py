@@ -1,4 +1,4 @@
-"""Labelled expressions are looked at and corrected, with their history; who was faster is told, and decided on."""
+"""Labelled expressions: view, correction and history; notice and decision of conflicts."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ NEXT_MARK = {None: "BAD_LABEL", "BAD_LABEL": "BAD_BOX", "BAD_BOX": None}
 
 
 class Sentences(LabelPart):
-    """Corrects the expressions of the frame that one client looks at."""
+    """Corrects the expressions of a client's current frame."""
 
     # ---- what is looked at --------------------------------------------------------------
 
     @command("expression")
     def select(self, name: str) -> None:
-        """Look at an expression: its labelled pair is chosen, and its target selected."""
+        """Show an expression, with its labelled pair and target."""
         view = self.view
         card = there(next((c for c in view.expressions if c.id == name), None))
         pair = view.places(card.target_object, card.reference_object)
@@ -48,21 +48,21 @@ class Sentences(LabelPart):
 
     @command("next-expression")
     def step(self, step: int) -> None:
-        """Look at the next expression of the list."""
+        """Show the next expression of the list."""
         names, now = [c.id for c in self.view.expressions], self.view.expression
         if names:
             self.select(names[(names.index(now) + step if now in names else 0) % len(names)])
 
     @command("number")
     def select_object(self, number: int) -> None:
-        """Select an object by its number in the labels."""
+        """Select an object by number in the labels."""
         state, place = self.state, self.view.place(number)
         if place is not None and place != state.selected:
             self.ctx.show(selected=place, pair=paired(state.pair, place, state.selected))
 
     @command("mend")
     def mend(self) -> None:
-        """From the answer of the debugger to the labels that it is judged by: the labelled pair and its expression."""
+        """Switch from the debugger's answer to the underlying labels: the labelled pair and expression."""
         judged = self.state.judged
         if self.state.labels is not None:
             return
@@ -93,10 +93,7 @@ class Sentences(LabelPart):
 
     @command("true-of")
     def answer(self, certainty: Literal["sure", "likely", "no"], number: int | Literal[""]) -> None:
-        """Say whether the expression is true of an object, by default the selected one.
-
-        What is said already is taken off.
-        """
+        """Set the expression's truth of an object, by default the selected; the same again removes it."""
         sentence = there(self.view.sentence)
         which = needed(self.number if number == "" else number, "select an object that the expression is true of")
         now = "no" if sentence.certainty(which) == certainty else certainty
@@ -104,7 +101,7 @@ class Sentences(LabelPart):
 
     @command("mark")
     def mark(self, mark: str) -> None:
-        """Mark the expression BAD_LABEL or BAD_BOX, the same mark again takes it off; "next" steps through them."""
+        """Mark the expression BAD_LABEL or BAD_BOX; the same mark again removes it; "next" steps."""
         wanted = mark if mark in MARKS else None
 
         def made(frame: EffectiveFrame, card: ExpressionCard) -> Edits:
@@ -115,7 +112,7 @@ class Sentences(LabelPart):
 
     @command("expression-status")
     def status(self, status: str) -> None:
-        """Accept or reject the expression as this person sees it; the same again takes it back."""
+        """Accept or reject the expression under this person's name; the same again removes the status."""
         author = self.editor.author
 
         def made(frame: EffectiveFrame, card: ExpressionCard) -> Edits:
@@ -126,18 +123,18 @@ class Sentences(LabelPart):
 
     @command("expression-text")
     def reword(self, text: str) -> None:
-        """Another sentence for the same question."""
+        """Save another wording of the same question."""
         words, sentence = " ".join(text.split()), self.view.sentence
         if sentence is not None and sentence.text != words:
             self._save(lambda frame, card: set_text(frame, card.id, words))
 
 
 class Conflicts(LabelPart):
-    """Shows the conflicts of one client, the oldest first."""
+    """Shows the conflicts of a client, the oldest first."""
 
     @command("conflict")
     def show_first(self) -> None:
-        """Show the oldest conflict that is not decided."""
+        """Show the oldest undecided conflict."""
         if not self.editor.disputed:
             return
         conflict, frame = self.editor.disputed[0], None
@@ -154,7 +151,7 @@ class Conflicts(LabelPart):
 
     @command("decide")
     def decide(self, mine: str) -> None:
-        """Save one's own in the disputes that are named: "0,2"."""
+        """Save the author's own version in the named disputes: "0,2"."""
         self.ctx.dialog.close()
         if not self.editor.disputed:
             return
@@ -168,7 +165,7 @@ class Conflicts(LabelPart):
 
 
 def conflict_html(found: tuple[Dispute, ...], frame: EffectiveFrame | None) -> Element:
-    """Each disputed field: who made it what and when, and what one wanted."""
+    """Disputed fields: author, change and time, beside this person's version."""
     rows = []
     for k, dispute in enumerate(found):
         rival = dispute.rivals[0]
@@ -203,7 +200,7 @@ def conflict_html(found: tuple[Dispute, ...], frame: EffectiveFrame | None) -> E
 
 
 def _choice(k: int, what: str) -> Element:
-    """Theirs or one's own of a disputed field; what is checked is sent when all is decided."""
+    """Choice of a disputed field's version; checked boxes are sent with the final decision."""
     name = f"dispute-{k}"
     theirs = h.label(h.input(type="radio", name=name, value="", checked=True), "keep theirs")
     mine = h.label(h.input(type="radio", name=name, value=k), "mine instead")
@@ -222,7 +219,7 @@ SHOWN, SHOWN_EVENTS = 200, 30
 
 
 def sentence_html(state: State, view: LabelView) -> Element:
-    """The expression that is looked at, and everything that can be done to it."""
+    """Current expression, with all actions."""
     chip = h.div(h.span(), ground_chips(state), cls="under")
     card = view.sentence
     if card is None:
@@ -261,7 +258,7 @@ def sentence_html(state: State, view: LabelView) -> Element:
 
 
 def _answers(state: State, view: LabelView, card: ExpressionCard, row: str = "") -> Element:
-    """The objects that an expression is true of, in a row of the list if its id is given."""
+    """Objects meeting an expression, in a row of the list if `row` is given."""
     numbers = [*card.targets, *(n for n in card.acceptable if n not in card.targets)]
     chips = [_chip(state, view, card, n, row) for n in numbers]
     if row:
@@ -339,7 +336,7 @@ def _origin(card: ExpressionCard, field: str) -> str:
 
 
 def expressions_html(state: State, view: LabelView) -> Element | None:
-    """All expressions of the frame, those of the chosen pair first."""
+    """Expressions of the frame, starting with the chosen pair's."""
     if not view.expressions:
         return None
     left_out = sum(bool(c.withdrawn) for c in view.expressions)
@@ -384,7 +381,7 @@ def _row(state: State, view: LabelView, card: ExpressionCard, kind: str, hidden:
 
 
 def history_html(view: LabelView) -> Element:
-    """Who changed what of the selected object, the chosen pair and the expression."""
+    """History of the selected object, the chosen pair and the expression."""
     if not view.history:
         return panel(heading("History"), h.div("Nobody has changed anything of what is selected.", cls="dim"))
     more = f"newest {SHOWN_EVENTS} of {len(view.history)}" if len(view.history) > SHOWN_EVENTS else ""

@@ -1,4 +1,4 @@
-"""Serve the page: one viser server, one session for each page that is open."""
+"""Server of the page: a viser server, with a session for each open page."""
 
 from __future__ import annotations
 
@@ -54,38 +54,14 @@ def start(
     access: Access | None = None,
     max_clients: int = MAX_CLIENTS,
 ) -> viser.ViserServer:
-    """Start the server and return it; it runs on its own threads.
+    """Start the server on its own threads, and return the server.
 
-    Parameters
-    ----------
-    sources : dict of str to Source
-        Datasets by name; the first is shown first.
-    runs : mapping of str to Run, optional
-        Evaluations to debug, by the name of their source.
-    others : mapping of str to Run, optional
-        Evaluations whose answers are shown beside, by the same names.
-    labels : mapping of str to Labels, optional
-        What is true where there is no run, by the same names.
-    journals : mapping of str to JournalPlace, optional
-        Labels that may be corrected, by the same names.
-    author : str, optional
-        Under whose name they are, until the page says another. Default: the name that a browser has kept, else that of
-        the login.
-    opened_by : sequence of str, optional
-        The words of the command line, for commands that open the page again.
-    first_view : ViewState, optional
-        What is shown first.
-    port : int
-        0 lets the system choose; a port that is taken becomes the next free one.
-    access : Access, optional
-        Who gets in. Default: everybody on this machine, nobody else.
-    max_clients : int
-        Pages that may be open at once.
+    Mappings are by the names in `sources`; the first source is shown first. The other arguments are the fields of
+    `Shared`; without an `author`, names come from the browser, else the login. `port` 0 lets the system choose, and a
+    taken port becomes the next free. By default, `access` admits everybody on this machine, nobody else. `max_clients`
+    limits the open pages.
 
-    Raises
-    ------
-    InputError
-        Where a dataset has no frames, or the address cannot be used.
+    InputError for a dataset without frames, or an unusable address.
     """
     for name, source in sources.items():
         require(source.dataset.frame_ids, f"the dataset {name} has no frames", path=source.dataset.root)
@@ -113,7 +89,7 @@ def start(
 
 
 def _check_address(host: str, port: int) -> None:
-    """viser would try a thousand ports on an address that is not this machine's."""
+    """Reject an address foreign to this machine; viser would try a thousand ports."""
     require(0 <= port <= 65535, "there is no such port", got=port, expected="0 to 65535")
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host or None, 0, type=socket.SOCK_STREAM)[0]
@@ -142,7 +118,7 @@ def serve(
     access: Access | None = None,
     max_clients: int = MAX_CLIENTS,
 ) -> None:
-    """Start the server, say where it is, and wait until it is stopped."""
+    """Start the server, print the address, and wait for the end."""
     access = access or Access.of(host)
     server = start(
         sources, runs=runs, others=others, labels=labels, journals=journals, author=author, opened_by=opened_by,
@@ -179,7 +155,7 @@ def announce(
     open_browser: bool,
     stop: str = "Ctrl-C",
 ) -> None:
-    """Say where a server is, asked for at `host` and `port`, and what stops it; open it where that is wanted."""
+    """Print a server's address, asked for at `host` and `port`, and the way to stop; open a browser if wanted."""
     shown = "127.0.0.1" if host in ("", "0.0.0.0", "::") else f"[{host}]" if ":" in host else host
     address = f"http://{shown}:{server.get_port()}"
     if port and server.get_port() != port:
@@ -199,7 +175,7 @@ def announce(
 
 
 def _end_in_order() -> None:
-    """End by SIGTERM and by a closed terminal as by Ctrl-C: what is not saved yet is kept."""
+    """Treat SIGTERM and a closed terminal as Ctrl-C, so that unsaved edits are kept."""
 
     def end(number: int, frame: object) -> None:
         # A second one would break into the end itself.
@@ -214,7 +190,7 @@ def _end_in_order() -> None:
 
 
 def _say_unsaved(place: JournalLocation) -> None:
-    """Say which corrections could not be saved, and how they can be later."""
+    """Print the unsaved corrections, with instructions for saving later."""
     for found in dump_unsaved(place):
         count = len(found.edits)
         print(

@@ -1,4 +1,4 @@
-"""One client's session: commands come in, a new state is made with the core, the page is drawn from it."""
+"""Session of a client: commands come in, the core makes a new state, the page is drawn from the state."""
 
 from __future__ import annotations
 
@@ -48,9 +48,9 @@ REST_SECONDS = 0.4
 
 
 class PageSession(Part):
-    """Everything of one page.
+    """State and parts of a page.
 
-    Commands are handled one at a time on the page's own thread, so that no lock is needed for the state.
+    Commands are handled in order on the page's own thread, so that the state needs no lock.
     """
 
     def __init__(self, page_id: str, shared: Shared) -> None:
@@ -108,7 +108,7 @@ class PageSession(Part):
         self.ctx.channel.close()
 
     def _forget(self) -> None:
-        """Let go of frames and clouds at once: sessions refer to themselves, and are collected late."""
+        """Release frames and clouds at once; sessions are cyclic, and collected late."""
         self.state = replace(self.state.unasked, loaded=None, found=NOTHING)
         self._cloud.follow()
 
@@ -134,7 +134,7 @@ class PageSession(Part):
             self.handle(message)
 
     async def _turned(self, _: object) -> None:
-        """The camera moves: where it comes to rest is said by the address."""
+        """Update the address after a camera move."""
         if self._turning is not None:
             self._turning.cancel()
         loop = asyncio.get_running_loop()
@@ -143,7 +143,7 @@ class PageSession(Part):
     # ---- commands -------------------------------------------------------------------
 
     def handle(self, message: Command) -> None:
-        """Carry out a command; unknown ones are ignored."""
+        """Execute a command; unknown commands are ignored."""
         message = keys.meant(message, self.state.labels is not None)
         try:
             with suppress(Idle):
@@ -153,7 +153,7 @@ class PageSession(Part):
             self.ctx.fail(error)
 
     def clicked(self, pixel: tuple[int, int] | None, boxes: list[int]) -> None:
-        """A click in the scene: for the draft of pixels, else it selects."""
+        """Handle a click in the scene: for the pixel draft, else a selection."""
         pixel = pixel if self.state.flags.cloud else None
         if not self._labels.pixels.on_ray(pixel):
             self._selection.click(pixel, boxes)
@@ -174,7 +174,7 @@ class PageSession(Part):
     # ---- places ---------------------------------------------------------------------
 
     def _begin(self, place: Place) -> None:
-        """Show what the address says, else what the server was started with, else the first failure or frame."""
+        """Show the place of the address, else of the server's start, else the first failure or frame."""
         task = place.task == "evaluate" or (place.task == "label" and self.state.correctable)
         if place.frame is not None or place.text is not None or task:
             if place.text is None and place.task is None and self.state.correctable:
@@ -197,7 +197,7 @@ class PageSession(Part):
             self.open_frame(self.state.frame_id, first=True)
 
     def go(self, place: Place, restoring: bool = False) -> None:
-        """Look at a place; what it does not say stays as it is. A place that is restored adds none to go back to."""
+        """Go to a place; unset fields stay. A restored place adds no entry to the history."""
         if restoring:
             self._pushed = place
         here = self.state
@@ -236,7 +236,7 @@ class PageSession(Part):
             self.ctx.scene.viewpoint.turn_to(*place.camera)
 
     def say_address(self) -> None:
-        """Have the address say what is looked at."""
+        """Update the address from the state."""
         if not self._begun:
             return
         state = self.state
@@ -247,12 +247,12 @@ class PageSession(Part):
 
     @command("stage")
     def _open_stage(self, name: str) -> None:
-        """Open the evidence of a module, or close it."""
+        """Toggle the evidence of a module."""
         self.ctx.show(stage="-" if opened(self.state) == name else name)
 
     @command("hover")
     def _hover(self, number: int) -> None:
-        """Show the box and the name of the object whose row the mouse is over; -1 for none."""
+        """Highlight the object of the row under the mouse; -1 for none."""
         hovered = number if 0 <= number < len(self.state.shown.objects) else None
         if hovered != self.state.hovered:
             self.state = replace(self.state, hovered=hovered)
@@ -260,7 +260,7 @@ class PageSession(Part):
 
     @command("task")
     def _turn_to(self, task: str) -> None:
-        """Explain, evaluate, or label: what the page is for now."""
+        """Switch the task: explain, evaluate, or label."""
         self.state = replace(self.state, evaluating=task == "evaluate")
         if (self.state.labels is not None) != (task == "label"):
             self.handle(Command("labels"))
@@ -268,7 +268,7 @@ class PageSession(Part):
 
     @command("ask-typed")
     def _complete(self, typed: str) -> None:
-        """Offer what could be asked of this frame: its names, relations, and what was asked lately."""
+        """Suggest questions on this frame: names, relations, and recent questions."""
         offered = self.state.offers
         found = completions(typed, offered.names, offered.questions, self._asked)
         self.ctx.page.call("asking", {"typed": typed, "offers": found})
@@ -276,12 +276,12 @@ class PageSession(Part):
     # ---- frames ---------------------------------------------------------------------
 
     def reopen(self) -> None:
-        """Open the frame anew, with its question."""
+        """Reload the frame, with its question."""
         self.open_frame(self.state.frame_id, first=True, asking=self.state.text)
 
     @command("open")
     def open_frame(self, frame_id: str, first: bool = False, asking: str | None = None) -> None:
-        """Show a frame and ask `asking` of it; without, what was asked before, or on a `first` frame what fits it."""
+        """Show a frame and ask `asking`, by default the last question, or on a `first` frame a suitable question."""
         frame_id = named_frame(self.ctx.source.dataset.frame_ids, frame_id, self.ctx.source.dataset.root)
         if frame_id == self.state.frame_id and not first:
             return
@@ -308,7 +308,7 @@ class PageSession(Part):
         self._browse.browse()
 
     def _load(self, first: bool, scored: bool) -> LoadedFrame:
-        """Take the frame into the state, with what may be asked of it where it is to be `scored`."""
+        """Take the frame into the state, with suggested questions if `scored`."""
         frame_id = self.state.frame_id
         loaded = self.ctx.shared.store.load(self.state.source, frame_id)
         viewer = loaded.context.viewer
@@ -326,7 +326,7 @@ class PageSession(Part):
         return loaded
 
     def _ask_first(self, loaded: LoadedFrame, first: bool, asking: str | None) -> None:
-        """Ask a frame that was opened what was asked before; a `first` one perhaps what it suggests."""
+        """Ask the opened frame the last question; a `first` frame perhaps a suggestion."""
         text = self.state.text if asking is None else asking
         if self.ctx.source.detector is None:
             text = ""
@@ -381,12 +381,12 @@ class PageSession(Part):
             self.draw()
 
     def _judged(self, trace: Trace, rank: RankConfig | None = None) -> Diagnosis | str | None:
-        """The verdict on an answer of the frame that is looked at; `rank` are the weights of an edited one."""
+        """Verdict on an answer of the current frame; `rank` holds the weights of an edited answer."""
         state, expression = self.state, self.state.expression_id(trace.query.text)
         return self._judge.judge(state.source, self.ctx.source, there(state.loaded).context, trace, expression, rank)
 
     def _answered(self, loaded: LoadedFrame, trace: Trace) -> None:
-        """Take an answer into the state, with its verdict and what the other run says."""
+        """Take an answer into the state, with verdict and the other run's answer."""
         name, text = self.state.source, trace.query.text
         self.state = replace(
             self.state,
@@ -401,7 +401,7 @@ class PageSession(Part):
 
     @command("relation")
     def _ask_relation(self, number: int) -> None:
-        """Ask the same two names with another relation."""
+        """Ask the same names with another relation."""
         trace = there(self.state.trace)
         ends = trace.query.target, there(trace.asked).nodes[0].label
         if 0 <= number < len(trace.scores.relations):
@@ -427,7 +427,7 @@ class PageSession(Part):
     # ---- drawing --------------------------------------------------------------------
 
     def draw(self, live: bool = False) -> None:
-        """Bring the page up to the state; while a hand drags something (`live`), only what follows the hand."""
+        """Draw the page for the state; `live`, only the parts following a drag."""
         if live:
             with self.ctx.page.together():
                 filling.fill_answer(self.ctx)
@@ -451,7 +451,7 @@ class PageSession(Part):
         self.say_address()
 
     def _draw_scene(self, live: bool = False) -> None:
-        """Boxes, pair lines and names, and what belongs to the edits; `live` follows a drag."""
+        """Draw boxes, pair lines, names and edits; `live` follows a drag."""
         self._cloud.dress()
         tags = [*self.ctx.scene.draw(self.state), *self._aids.follow()]
         self.ctx.page.call("tags", [asdict(tag) for tag in tags])

@@ -1,4 +1,4 @@
-"""What the server answers to a browser: our page at `/`, viser's client as its frame, and who may ask at all."""
+"""HTTP server: the page at `/`, viser's client as its frame, and access control."""
 
 from __future__ import annotations
 
@@ -46,21 +46,21 @@ SCENE_STYLE = (
 
 
 class PageSessions(Protocol):
-    """Sessions of the open pages, as a site asks them; `pages.Pages` keeps them."""
+    """Sessions of the open pages, as used by a site; implemented by `pages.Pages`."""
 
     def has(self, page_id: str) -> bool:
-        """Whether a page is open, or kept for one that may come back."""
+        """True for an open page, or a session kept for a return."""
         ...
 
     def opens(self, page_id: str, connection: Any, request: Any) -> bool:
-        """Whether a socket of a page may be opened now."""
+        """True if a socket of a page may be opened now."""
         ...
 
     def closed(self, page_id: str, connection: Any) -> None:
-        """A socket was closed."""
+        """Handle a closed socket."""
 
     def download(self, page_id: str, key: str) -> tuple[str, bytes] | None:
-        """The file name and content that a page offers under a key."""
+        """File name and content of a page's download."""
         ...
 
     async def socket(self, page_id: str, connection: Any) -> None:
@@ -70,11 +70,11 @@ class PageSessions(Protocol):
         """Serve viser's socket of a page's scene."""
 
     def log(self, problem: str) -> None:
-        """Print what was wrong with what came, seldom."""
+        """Print a problem with a request, rate-limited."""
 
 
 class Site:
-    """Answers every request of one server."""
+    """Answers every request of a server."""
 
     def __init__(self, access: Access, pages: PageSessions, pictures: FramePictures) -> None:
         self._access, self._pages, self._pictures = access, pages, pictures
@@ -84,7 +84,7 @@ class Site:
         self._scene = gzip.compress(scene_page().replace("</title>", "</title>" + SCENE_STYLE, 1).encode(), 6)
 
     async def answer(self, connection: Any, request: Request) -> Response | None:
-        """The answer to a request; None lets a socket be opened."""
+        """Response to a request; None admits a socket."""
         refused = self._access.refusal(request)
         if refused is not None:
             return refused
@@ -105,14 +105,14 @@ class Site:
         return self._file(parts.path, parse_qs(parts.query))
 
     def _page_of(self, parts: SplitResult) -> str:
-        """Whose page a socket belongs to; "" for none."""
+        """Page of a socket; "" for none."""
         if parts.path != "/app/socket":
             return _scene_of(parts.path) if self._pages.has(_scene_of(parts.path)) else ""
         page_id = parse_qs(parts.query).get("id", [""])[0]
         return page_id if ID.fullmatch(page_id) else ""
 
     async def _later(self) -> Response:
-        """Refused, and not at once: whoever tries again and again waits, as long as few do."""
+        """Delayed refusal: repeated attempts wait, while few are waiting."""
         if self._waiting < MOST_WAITING:
             self._waiting += 1
             try:
@@ -155,7 +155,7 @@ class Site:
             self._pages.closed(page_id, connection)
 
     def log(self, problem: str) -> None:
-        """Say what was wrong with what came, seldom."""
+        """Print a problem with a request, rate-limited."""
         self._pages.log(problem)
 
 
@@ -184,12 +184,8 @@ SAFE = {
 class Access:
     """Checks requests.
 
-    Parameters
-    ----------
-    host : str
-        The address that is listened on.
-    tokens : mapping of str to str
-        Names by token. Where there are any, a request needs one of them, in a cookie or once in the page's address.
+    `host`: the address that is listened on; `tokens`: names by token. Where there are any, a request needs one of them,
+    in a cookie or once in the page's address.
     """
 
     def __init__(self, host: str, tokens: Mapping[str, str] | None = None) -> None:
@@ -198,32 +194,27 @@ class Access:
 
     @classmethod
     def of(cls, host: str, file: Path | None = None) -> Access:
-        """What an address needs: nothing on this machine, else the tokens of a file, or a new one.
-
-        Raises
-        ------
-        InputError
-            For a file that holds no tokens.
-        """
+        """Access rules of an address: none on this machine, else tokens of a file, or a new token; InputError without
+        tokens in the file."""
         if file is not None:
             return cls(host, read_tokens(file))
         return cls(host, {} if host in (*LOCAL_NAMES, "::1") else {secrets.token_urlsafe(24): ""})
 
     @property
     def unnamed(self) -> str:
-        """The token that belongs to nobody; "" where there is none."""
+        """Token without a name; "" for none."""
         return next((token for token, name in self._tokens.items() if not name), "")
 
     @property
     def open(self) -> bool:
-        """Whether no token is needed."""
+        """True if no token is needed."""
         return not self._tokens
 
     def refusal(self, request: Request) -> Response | None:
-        """Why a request is refused; None where it is not.
+        """Refusal of a request; None if allowed.
 
-        The Host must be a name of this machine: a foreign page may point its own name here. A socket, and whatever
-        else comes with an Origin, must come from the page that this server has served.
+        The Host must be a name of this machine: a foreign page may point its own name here. A socket, and any other
+        request with an Origin, must come from the page served here.
         """
         hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
         host = hosts[0] if len(hosts) == 1 else ""
@@ -243,7 +234,7 @@ class Access:
         return None
 
     def entered(self, request: Request) -> Response | None:
-        """Where the address holds a token: the same address without it, and the token in a cookie."""
+        """Redirect from an address with a token to the address without, with the token in a cookie."""
         parts = urlsplit(request.path)
         token = _token(parts.query)
         if not token:
@@ -259,7 +250,7 @@ class Access:
         return Response(http.HTTPStatus.FOUND, "Found", Headers(headers), b"")
 
     def name(self, request: Request) -> str | None:
-        """The name of whoever's token a request has; None where it has none."""
+        """Name by a request's token; None without a valid token."""
         for part in request.headers.get("Cookie", "").split(";"):
             key, _, value = part.strip().partition("=")
             if key == COOKIE and value in self._tokens:
@@ -278,13 +269,8 @@ class Access:
 
 
 def read_tokens(file: Path) -> dict[str, str]:
-    """Names by token, of a file with a line "NAME TOKEN" for each; "#" begins a remark.
-
-    Raises
-    ------
-    InputError
-        For lines that are none, short or double tokens, and a file without any.
-    """
+    """Names by token, from a file of lines "NAME TOKEN"; "#" begins a comment. InputError for invalid, short or
+    repeated tokens, or none."""
     how = "a line NAME TOKEN for each person, the token at least 16 letters, digits, - or _"
     tokens: dict[str, str] = {}
     with as_input_error("the tokens cannot be read", OSError, UnicodeDecodeError, path=file):
@@ -305,12 +291,12 @@ def _token(query: str) -> str:
 
 
 def refused(status: http.HTTPStatus, text: str) -> Response:
-    """A refusal as a page that is read to everybody; `text` is the program's own."""
+    """Refusal as a page readable to everybody; `text` is the program's own."""
     return response(status, REFUSAL.format(text).encode(), ".html", {"Cache-Control": "no-store"})
 
 
 def response(status: http.HTTPStatus, body: bytes, suffix: str = "", more: Mapping[str, str] | None = None) -> Response:
-    """An answer with what every one says; `suffix` is that of the file, `more` are headers of its own."""
+    """Response with the common headers; `suffix` is of the file, `more` are further headers."""
     kind = KINDS.get(suffix, "application/octet-stream" if status == http.HTTPStatus.OK else "text/plain")
     headers = {"Content-Type": f"{kind}; charset=utf-8" if kind.startswith("text") else kind, **SAFE}
     headers |= {"Content-Security-Policy": PAGE_POLICY} if kind == KINDS[".html"] else {}

@@ -1,4 +1,4 @@
-"""Evidence of the stages OPM, LIFT, SRM and ATTRIBUTE: what is known of objects, and of the chosen pair."""
+"""Evidence of the stages OPM, LIFT, SRM and ATTRIBUTE: facts of objects, and of the chosen pair."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ KEPT: RGB = (53, 169, 107)
 
 
 def candidates_evidence(state: State, trace: Trace) -> list[Child]:
-    """For each name of the question a table of what may be meant by it, best first."""
+    """Table of candidates for each name of the question, best first."""
     return [_candidates(state, n, name, found) for n, (name, found) in enumerate(trace.candidates.items())]
 
 
@@ -84,7 +84,7 @@ def _candidates(state: State, number: int, name: str, found: Candidates) -> Elem
 
 
 def _mark(judged: Diagnosis, i: int) -> tuple[str, str]:
-    """What a candidate is by the labels, and the class of that."""
+    """Mark of a candidate by the labels, and CSS class."""
     match, case = judged.evidence.match, judged.case
     labelled = int(match[i]) if i < len(match) else -1
     if labelled < 0:
@@ -105,7 +105,7 @@ def _missed(missed: Missed, name: str) -> str:
 
 
 def lift_evidence(state: State, trace: Trace) -> list[Child]:
-    """The objects of the chosen pair, and the one that is selected; what rests on an assumed up or estimated depth."""
+    """Objects of the chosen pair, and the selected object; remarks on an assumed up or estimated depth."""
     doubt = "" if state.loaded is None else state.loaded.doubt
     said = (
         (trace.viewer.up_source == "assumed", "The up vector is assumed."),
@@ -119,7 +119,7 @@ def lift_evidence(state: State, trace: Trace) -> list[Child]:
 
 
 def object_html(state: State) -> Element | None:
-    """What is selected."""
+    """Selected object."""
     i = state.selected
     return None if i is None or i >= len(state.shown.objects) else panel(_own(state, i))
 
@@ -137,7 +137,7 @@ def _score(entry: SceneObject) -> str:
 
 
 def _facts(entry: SceneObject, title: Child) -> Element:
-    """An object's size, its place, and what became of every pixel of its mask."""
+    """Size, place, and outcome of every mask pixel of an object."""
     lifted, quality = entry.lifted, entry.lifted.quality
     facts: dict[str, Child] = {}
     if lifted.box is not None:
@@ -170,7 +170,7 @@ NOT_ASKED: RGB = (125, 136, 150)
 
 
 def relations_evidence(state: State, trace: Trace) -> list[Child]:
-    """Every relation of the chosen pair, always in the same order; a click asks with that relation."""
+    """Relations of the chosen pair, in fixed order; a click asks with that relation."""
     pair = state.chosen
     if pair is None or pair.reference is None:
         return [h.p("No relation between two objects is asked, or no pair is chosen.", cls="dim")]
@@ -202,8 +202,7 @@ def relations_evidence(state: State, trace: Trace) -> list[Child]:
 
 
 def _scored_by(scores: RelationScores, scorer: str, ours: Collection[str]) -> str:
-    """The scorer, and what the relations it has nothing for are scored by: "rel32; on, in, near by rule"; of imported
-    ones those that are worked out in `ours`."""
+    """Scorer, and scorers of other relations: "rel32; on, in, near by rule"; relations in `ours` are worked out here."""
     others: dict[str, list[str]] = {}
     for relation in scores.relations:
         by = "worked out here" if relation in ours else f"by {scores.scored_by[relation]}"
@@ -215,7 +214,7 @@ def _scored_by(scores: RelationScores, scorer: str, ours: Collection[str]) -> st
 def _bar(
     state: State, relation: str, p: float, mark: str = "", before: float | None = None, number: int | None = None
 ) -> Element:
-    """A probability from 0 to 1; a button where the scorer has a `number` for the relation."""
+    """Probability from 0 to 1; a button if the scorer has a `number` for the relation."""
     asked = state.trace is not None and relation == state.trace.relation
     color = palette(state.dark)["target"] if asked else NOT_ASKED
     hint = was(p, before)
@@ -235,12 +234,12 @@ def _bar(
 
 
 def level(p: float) -> Element:
-    """A probability as a bar."""
+    """Probability as a bar."""
     return h.span(h.span(cls="f", css={"width": f"{p:.0%}"}), cls="t")
 
 
 def _placement(state: State, asked: AskedPair) -> list[Child]:
-    """Where the chosen target falls in the relation's region, by the rule, and why."""
+    """Position of the chosen target in the relation's region, by the rule, with the reason."""
     a, b = map(state.name_of, asked.ends)
     pressed = str(state.flags.region).lower()
     toggle = button("region", "flag:region", "show it in the scene (Shift+R)", aria_pressed=pressed)
@@ -257,7 +256,7 @@ def _placement(state: State, asked: AskedPair) -> list[Child]:
 
 
 def attributes_evidence(state: State, trace: Trace) -> list[Child]:
-    """What the question says of each object of the chosen pair alone, and how surely it is so."""
+    """Attributes of each object of the chosen pair, with probabilities."""
     factors = () if state.chosen is None else state.chosen.factors
     head = h.tr(h.th("said"), h.th("of"), h.td(), h.th("P", cls="n"))
     rows = (_factor(state, factor, state.shown.place[factor.object]) for factor in factors)

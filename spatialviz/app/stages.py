@@ -1,4 +1,4 @@
-"""The pipeline as connected stages: how each fared, which failed and why, and the evidence of PARSE and PRM."""
+"""Pipeline as connected stages: outcome and failure of each stage, and the evidence of PARSE and PRM."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from spatialviz.app.state import State
 
 
 def failed(state: State) -> tuple[str, ...]:
-    """The stages that failed; none where nothing was asked."""
+    """Failed stages; none without a question."""
     return failed_stages(state.trace, state.judged, state.stopped) if state.trace is not None or state.error else ()
 
 
 def opened(state: State) -> str:
-    """The stage whose evidence is open: the one that was chosen, else the one that failed, else that of the pairs."""
+    """Stage with open evidence: the chosen stage, else the failed, else the pairs."""
     return state.stage or next(iter(failed(state)), "PRM")
 
 
 def stages_html(state: State, open_stage: str = "") -> Element:
-    """The stages in order, each with the evidence below its head where it is the open one.
+    """Stages in order, the open stage with its evidence.
 
     `open_stage` is as `State.stage`: a name of EVIDENCE, "" for `opened`, and anything else for none.
     """
@@ -68,7 +68,7 @@ def _item(state: State, stage: Stage, open_stage: str, failed: tuple[str, ...]) 
 
 
 def _sentence(state: State) -> Element:
-    """Why the answer is wrong, or why there is none."""
+    """Reason of a wrong or missing answer."""
     if isinstance(state.judged, Diagnosis):
         return h.p(state.judged.text, cls="sentence")
     if state.error:
@@ -106,7 +106,7 @@ def _chip(state: State, text: str, span: Span) -> Element:
 
 
 def _readings(trace: Trace) -> Element | None:
-    """The readings, where there are several, with the score of each."""
+    """Readings of an ambiguous question, with scores."""
     ranking, readings = trace.ranking, trace.query.readings
     if len(readings) < 2 or ranking is None:
         return None
@@ -125,7 +125,7 @@ def _readings(trace: Trace) -> Element | None:
 
 
 def _noun(node: Node) -> Element:
-    """A noun with all that is said of it below it."""
+    """Noun with its modifiers below."""
     said = [*map(str, node.attributes), *(c.text for c in node.choices)]
     below = [_attachment(a) for a in node.attachments]
     below += [h.li(h.i("not", cls="neg"), h.ul(_noun(other))) for other in node.excluded]
@@ -152,14 +152,14 @@ MATRIX_LIMIT = 14
 
 
 def pairs_evidence(state: State, trace: Trace) -> list[Child]:
-    """The ranked pairs, then why they are so."""
+    """Ranked pairs, then the reasons."""
     if not state.ranked:
         return [h.p("There are no pairs to rank.", cls="dim")]
     return [_ranked(state), _against(state), _matrix(state, trace)]
 
 
 def _ranked(state: State) -> list[Child]:
-    """The ranked pairs with each factor; the weakest factor of a pair stands out."""
+    """Ranked pairs with each factor; the weakest factor of a pair stands out."""
     fit = any(p.factors for p in state.ranked)
     names = {"tgt": "P(target)", "ref": "P(reference)", "rel": "P(relation)"}
     names |= {"fit": "P(attributes)"} if fit else {}
@@ -177,7 +177,7 @@ def _ranked(state: State) -> list[Child]:
 
 
 def _numbers(pair: ScoredPair, fit: bool) -> list[float]:
-    """The factors of a pair, then its posterior."""
+    """Factors of a pair, then the posterior."""
     return [pair.p_target, pair.p_reference, pair.p_relation, *([pair.p_attributes] * fit), pair.probability]
 
 
@@ -213,7 +213,7 @@ def _row(state: State, i: int, pair: ScoredPair, fit: bool) -> Element:
 
 
 def _against(state: State) -> list[Child]:
-    """The answer against the best acceptable pair, factor by factor, as log-contributions."""
+    """Answer against the best acceptable pair, factor by factor, as log-contributions."""
     d = state.judged
     if not isinstance(d, Diagnosis) or not d.gold or d.winner is None or d.right is None or d.winner == d.right:
         return []
@@ -263,7 +263,7 @@ def _name(state: State, place: int | None) -> str:
 
 
 def _matrix(state: State, trace: Trace) -> list[Child]:
-    """All candidate pairs as a heat map, targets down and references across; a click chooses the pair."""
+    """Candidate pairs as a heat map, targets down and references across; a click chooses the pair."""
     if trace.root.triple is None or trace.relation == "between":
         return []
     colors = palette(state.dark)

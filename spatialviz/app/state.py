@@ -1,4 +1,4 @@
-"""What one client looks at. Frozen: every change makes a new state, and the page is drawn from it."""
+"""State of a client's view. Frozen: every change makes a new state, and the page is drawn from the state."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Tool = Literal["", "level", "measure"]
 
 @dataclass(frozen=True)
 class SceneFlags:
-    """What is shown."""
+    """Visible parts of the scene."""
 
     cloud: bool = True
     boxes: bool = False
@@ -39,72 +39,37 @@ class SceneFlags:
 
 @dataclass(frozen=True)
 class State(AnswerView):
-    """One client's view.
-
-    Attributes
-    ----------
-    source, frame_id : str
-    problem : str
-        Why it is.
-    text : str
-        The expression as typed.
-    error : str
-        Why the expression could not be asked.
-    stopped : str
-        The stage that refused it.
-    offers : SuggestedQuestions
-        What can be asked of the frame.
-    listing : Listing or None
-        What is searched of the source's run.
-    mode : str
-        What the handles in the scene do with the selected object's box.
-    labels : LabelView or None
-        The labels that are shown, and may be corrected, in place of an answer.
-    correctable : bool
-        Labels are open that may be corrected.
-    picking : str
-        What the next click on a surface is for, "level" or "measure"; "" selects.
-    marks : tuple of (int, int)
-        The pixels, none to two, between which is measured.
-    point_size : float
-        Of the cloud, as a factor.
-    hovered : int or None
-        The object whose row the mouse is over, as a place in `shown.objects`.
-    evaluating : bool
-        The run is looked at, rather than one answer.
-    stage : str
-        The module whose evidence is open; "" leaves it to the answer, "-" is none.
-    """
+    """View of a client."""
 
     source: str
     frame_id: str
-    problem: str = ""
-    text: str = ""
-    error: str = ""
-    stopped: str = ""
+    problem: str = ""  # Why it is
+    text: str = ""  # The expression as typed
+    error: str = ""  # Why the expression could not be asked
+    stopped: str = ""  # The stage that refused it
     colors: ColorMode = "rgb"
     camera: CameraMode = "pair"
     flags: SceneFlags = field(default_factory=SceneFlags)
     dark: bool = True
-    offers: SuggestedQuestions = field(default_factory=SuggestedQuestions)
-    listing: Listing | None = None
-    mode: EditMode = "off"
-    labels: LabelView | None = None
-    correctable: bool = False
-    picking: Tool = ""
-    marks: tuple[tuple[int, int], ...] = ()
-    point_size: float = 1.0
-    evaluating: bool = False
-    hovered: int | None = None
-    stage: str = ""
+    offers: SuggestedQuestions = field(default_factory=SuggestedQuestions)  # What can be asked of the frame
+    listing: Listing | None = None  # What is searched of the source's run
+    mode: EditMode = "off"  # What the handles in the scene do with the selected object's box
+    labels: LabelView | None = None  # The labels that are shown, and may be corrected, in place of an answer
+    correctable: bool = False  # Labels are open that may be corrected
+    picking: Tool = ""  # What the next click on a surface is for, "level" or "measure"; "" selects
+    marks: tuple[tuple[int, int], ...] = ()  # The pixels, none to two, between which is measured
+    point_size: float = 1.0  # Of the cloud, as a factor
+    evaluating: bool = False  # The run is looked at, rather than one answer
+    hovered: int | None = None  # The object whose row the mouse is over, as a place in `shown.objects`
+    stage: str = ""  # The module whose evidence is open; "" leaves it to the answer, "-" is none
 
     @property
     def task(self) -> Task:
-        """What the page is for now."""
+        """Current task."""
         return "label" if self.labels is not None else "evaluate" if self.evaluating else "explain"
 
     def expression_id(self, text: str) -> str | None:
-        """The id of the run's expression with these words: the one that is open, else the first of the frame."""
+        """Id of the run's expression with this text: the open expression, else the frame's first."""
         if self.listing is None:
             return None
         at, rows = self.listing.at, self.listing.figures.rows
@@ -115,7 +80,7 @@ class State(AnswerView):
 
     @cached_property
     def recorded(self) -> Recorded | None:
-        """The verdict that the run has on the expression, where that is what is asked and nothing is edited."""
+        """Verdict of the run on the current, unedited expression."""
         expression = self.expression_id(self.text)
         if self.listing is None or expression is None or self.edited is not None:
             return None
@@ -125,7 +90,7 @@ class State(AnswerView):
 
     @property
     def unasked(self) -> State:
-        """The same without any answer."""
+        """State without an answer."""
         return replace(
             self, trace=None, pair=None, selected=None, hovered=None, error="", stopped="", judged=None, other=None,
             edited=None, labels=None, stage="",
@@ -133,13 +98,12 @@ class State(AnswerView):
 
     @property
     def boxes_shown(self) -> bool:
-        """Whether all boxes are shown: where they are wanted, and where there is no pair, not even a labelled one."""
+        """True if all boxes are shown: on request, or without any pair, even labelled."""
         return self.flags.boxes or not (self.roles or self.ghosts)
 
     @property
     def about(self) -> np.ndarray | None:
-        """(N, 3) corners of the chosen pair's boxes, and of those of the labels in their place, or of the object whose
-        label is asked about; shown frame."""
+        """(N, 3) box corners, shown frame: chosen pair with extra boxes, or the object of the open label item."""
         if self.loaded is None:
             return None
         seen = list(self.roles)
@@ -153,7 +117,7 @@ class State(AnswerView):
 
     @property
     def measured(self) -> Measurement | None:
-        """What lies between the two marked pixels."""
+        """Measurement between the two marked pixels."""
         if self.loaded is None or len(self.marks) < 2:
             return None
         context = self.loaded.context
@@ -161,13 +125,13 @@ class State(AnswerView):
 
     @property
     def paint_key(self) -> tuple[object, ...]:
-        """What the colours of the cloud depend on."""
+        """Cache key of the cloud's colours."""
         roles = tuple(sorted(self.roles.items())) if self.colors == "objects" else ()
         return (self.source, self.frame_id, self.colors, self.dark, roles)
 
     @property
     def at_place(self) -> Place:
-        """What a reload brings back; while labels are shown no question is."""
+        """Place restored by a reload; without a question while labels are shown."""
         look = None if self.camera == "pair" else self.camera
         pair = next((n for n, p in enumerate(self.ranked, 1) if self.at(p) == self.pair), 1)
         place = Place(

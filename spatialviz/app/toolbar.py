@@ -1,4 +1,4 @@
-"""What stands around the scene and the answer: the bar with Ask and what it offers, tools, steps, how up is known."""
+"""Toolbar around the scene and the answer: Ask with suggestions, tools, steps, source of up."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ PICTURES = tuple(
 
 
 def scene_tools_html(state: State) -> Element:
-    """How the scene is coloured, seen from where, and what is shown in it."""
+    """Controls of the scene: colours, viewpoint, visible parts."""
     flags = asdict(state.flags)
     exact = state.loaded is not None and any(a.box is not None for a in state.loaded.context.frame.annotations)
     toggles = (
@@ -95,12 +95,12 @@ def _point_size(state: State) -> Element:
 
 
 def moves_html(leads: Mapping[str, str] | None) -> Element | None:
-    """Where a robot can go from here, of a dataset that has moves."""
+    """Moves of the robot from here, in a dataset of moves."""
     return None if leads is None else h.div((_move(leads, *key) for key in MOVE_KEYS), cls="moves")
 
 
 def _move(leads: Mapping[str, str], key: str, label: str, message: str) -> Element:
-    """A button as the keys lie; a move that is not possible cannot be pressed."""
+    """Move button, placed as on the keyboard; disabled for an impossible move."""
     move = message.removeprefix("move:")
     mark, word = MOVE_MARKS[move]
     hint = f"{label} ({key}): {leads.get(move, 'there is no picture')}"
@@ -108,7 +108,7 @@ def _move(leads: Mapping[str, str], key: str, label: str, message: str) -> Eleme
 
 
 def suggestions_html(state: State, suggestions: Sequence[str]) -> Element | None:
-    """What one could ask of the frame; None where there is nothing to suggest."""
+    """Suggested questions on the frame; None without any."""
     if state.loaded is not None and state.labels is None and state.loaded.context.viewer.up_source == "assumed":
         return panel(h.p("No example: it would rest on an assumed up.", cls="dim"))
     if not suggestions:
@@ -122,7 +122,7 @@ LISTED_FRAMES = 1000
 
 
 def where_html(state: State, sources: Sequence[str], ids: Sequence[str]) -> list[Element]:
-    """Which dataset and which frame of it, with steps to its neighbours."""
+    """Choice of dataset and frame, with steps to the neighbours."""
     dataset = h.span(state.source, cls="dataset")
     if len(sources) > 1:
         options = (h.option(name, value=name, selected=name == state.source) for name in sources)
@@ -149,19 +149,19 @@ TASK_HINTS = {
 
 
 def tasks_html(state: State, with_run: bool, with_labels: bool) -> Element | None:
-    """What the page is for: only what it can be for here."""
+    """Available tasks of the page."""
     possible = {"explain": True, "evaluate": with_run, "label": with_labels}
     tasks = {name: name.capitalize() for name, is_so in possible.items() if is_so}
     return segments("task", tasks, state.task, "What the page is for", TASK_HINTS) if len(tasks) > 1 else None
 
 
 def problem_html(state: State) -> Element | None:
-    """Why the frame cannot be shown."""
+    """Reason of a frame's failure to load."""
     return note(f"This frame is broken: {state.problem}", BAD) if state.problem else None
 
 
 def refusal_html(state: State) -> Element | None:
-    """Beside the field: why the question could not be asked, and what is in this frame."""
+    """Reason of a refused question, and the objects of this frame, beside the field."""
     if not state.error:
         return None
     return h.div(
@@ -179,9 +179,9 @@ HOW = "Click here (Shift+U), then a surface that is level: up is then known."
 
 
 def up_chip(state: State) -> Element | None:
-    """How up is known, small; loud where it is only assumed or doubted. A click asks for a level surface.
+    """Source of up, small; conspicuous for an assumed or doubtful up. A click asks for a level surface.
 
-    Of labels that are shown it is the up that they were made with, which no click changes.
+    Shown labels have the up of their making, unchanged by clicks.
     """
     if state.loaded is None:
         return None
@@ -206,7 +206,7 @@ def up_chip(state: State) -> Element | None:
 
 
 def depth_chip(state: State) -> Element | None:
-    """That depth is estimated, or looks odd; nothing where it was measured and can be that of a room."""
+    """Warning of estimated or implausible depth; None for measured depth plausible in a room."""
     source = "" if state.loaded is None else state.loaded.context.frame.depth_source
     doubt = "" if state.loaded is None else state.loaded.doubt
     if not source and not doubt:
@@ -216,12 +216,12 @@ def depth_chip(state: State) -> Element | None:
 
 
 def ground_chips(state: State) -> Element:
-    """What all geometry rests on."""
+    """Assumptions under all geometry."""
     return h.span(up_chip(state), depth_chip(state), cls="upchips")
 
 
 def level_html(state: State) -> Element | None:
-    """What to click while a level surface is asked for; afterwards, how to keep what was said."""
+    """Instructions for clicking a level surface; afterwards, for saving up."""
     if state.picking == "level":
         return note(PICK)
     loaded = state.loaded

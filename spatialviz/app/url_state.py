@@ -1,4 +1,4 @@
-"""What a page looks at, as its address says it: a link that is sent, a reload and Back show it again."""
+"""URL state: a page's view as its address, for links, reload and Back."""
 
 from __future__ import annotations
 
@@ -20,43 +20,24 @@ STAGES = ("PARSE", "OPM", "LIFT", "SRM", "ATTRIBUTE", "PRM", "LABEL", "-")
 
 @dataclass(frozen=True)
 class Place:
-    """A place to look at; None is what is not said.
+    """View of a page; None for unset fields."""
 
-    Attributes
-    ----------
-    source, frame : str or None
-        Dataset and frame.
-    text : str or None
-        The question; "" where none is asked.
-    task : Task or None
-    stage : str or None
-        The module whose evidence is open.
-    find : str or None
-        What the run is searched for.
-    item : tuple of int or None
-        Numbers of the labelled pair that is looked at.
-    pair : int or None
-        The place of the pair that is looked at among the ranked ones, from 1; None for the best.
-    look : CameraMode or None
-        From where, where that is not the pair.
-    camera : tuple of CameraView and float, or None
-        Where the view was turned to, in the frame's camera frame (metres), and its field of view (radians).
-    """
-
+    # source, frame: Dataset and frame
     source: str | None = None
     frame: str | None = None
-    text: str | None = None
+    text: str | None = None  # The question; "" where none is asked
     task: Task | None = None
-    stage: str | None = None
-    find: str | None = None
-    item: tuple[int, int] | None = None
+    stage: str | None = None  # The module whose evidence is open
+    find: str | None = None  # What the run is searched for
+    item: tuple[int, int] | None = None  # Numbers of the labelled pair that is looked at
+    # camera: Where the view was turned to, in the frame's camera frame (metres), and its field of view (radians)
     camera: tuple[CameraView, float | None] | None = None
-    pair: int | None = None
-    look: CameraMode | None = None
+    pair: int | None = None  # The place of the pair that is looked at among the ranked ones, from 1; None for the best
+    look: CameraMode | None = None  # From where, where that is not the pair
 
     @classmethod
     def read(cls, query: str, sources: Collection[str]) -> Place:
-        """The place that a query says. One of a dataset that is not open says nothing; what cannot be read is left."""
+        """Parse a query; an unknown dataset gives an empty place, unreadable fields are dropped."""
         try:
             fields = {
                 key: values[0] for key, values in parse_qs(query, keep_blank_values=True, max_num_fields=16).items()
@@ -77,7 +58,7 @@ class Place:
         )  # fmt: skip
 
     def query(self) -> str:
-        """The query that says this place."""
+        """Query of this place."""
         item = None if self.item is None else ",".join(map(str, self.item))
         camera = None
         if self.camera is not None:
@@ -91,7 +72,7 @@ class Place:
         return urlencode({key: value for key, value in said.items() if value is not None}, safe="/,:")
 
     def same_view(self, other: Place) -> bool:
-        """Whether Back need not tell two places apart: one frame, question and task."""
+        """True for equal frame, question and task: no step of Back."""
         return all(getattr(self, name) == getattr(other, name) for name in ("source", "frame", "text", "task"))
 
 

@@ -1,4 +1,4 @@
-"""What a client keeps: its view as a string that opens it again, its answer as a case or one page, cases of rows."""
+"""Exports of a client: view as a string, answer as a case or a page, cases of rows."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from spatialviz.report import Subject, failure_page
 
 
 def _text(text: str, rows: int, name: str) -> Element:
-    """A text to be copied."""
+    """Text for copying."""
     return h.textarea(text, cls="state", rows=rows, readonly=True, spellcheck="false", aria_label=name)
 
 
 class ViewStrings(Part):
-    """Writes the view of one client as a string, and takes one back."""
+    """Writes the view of a client as a string, and reads a string."""
 
     def __init__(
         self,
@@ -50,7 +50,7 @@ class ViewStrings(Part):
         self._waiting: ViewState | None = None
 
     def now(self) -> ViewState:
-        """What is looked at."""
+        """Current view."""
         state, run = self.state, self.ctx.run
         return view_of(
             state,
@@ -62,7 +62,7 @@ class ViewStrings(Part):
 
     @command("copy-state")
     def copy(self) -> None:
-        """Put the view into the clipboard, and show it to be copied by hand."""
+        """Put the view into the clipboard, and show the string for copying by hand."""
         self.ctx.dialog.show(
             "This view as a string",
             (
@@ -97,12 +97,9 @@ class ViewStrings(Part):
         self.open(decode(string))
 
     def open(self, view: ViewState, confirmed: bool = False) -> None:
-        """Show a view. A file that it names is loaded only when `confirmed`.
+        """Show a view; a file named in the view is loaded only if `confirmed`.
 
-        Raises
-        ------
-        InputError
-            It is of a dataset or a frame that is not here, or its edits cannot be applied.
+        InputError for an unknown dataset or frame, or inapplicable edits.
         """
         sources = self.ctx.shared.store.sources
         what, opened = "the view is of a dataset that is not open here", ", ".join(sources)
@@ -127,7 +124,7 @@ class ViewStrings(Part):
 
     @command("restore-with")
     def _confirm(self, answer: str) -> None:
-        """What to do with the scorer of the view that waits."""
+        """Handle the decision on the waiting view's scorer."""
         view, self._waiting = self._waiting, None
         if view is not None:
             view = view if answer == "file" else replace(view, edits=view.edits.with_scorer(None))
@@ -156,7 +153,7 @@ class ViewStrings(Part):
         self.ctx.note("view opened from its string")
 
     def _edit(self, view: ViewState) -> None:
-        """Ask again with the edits of a view; without any where they cannot be applied."""
+        """Ask again with the edits of a view; without edits if inapplicable."""
         self.state = replace(self.state, edits=view.edits)
         try:
             self._ask(view.expression)
@@ -174,19 +171,10 @@ factor by which points are drawn larger."""
 
 
 def needs_file(scorer: str | None, first: str | None, alone: bool) -> bool:
-    """Whether a relation scorer of a view is a file that whoever opens the page has to agree to.
+    """True if a view's relation scorer is a file in need of consent.
 
-    Parameters
-    ----------
-    scorer, first : str or None
-        Of the view, and of the one that the server was started with.
-    alone : bool
-        See `Shared`.
-
-    Raises
-    ------
-    InputError
-        Others reach the server, and it is not installed here: whether there is such a file they are not told.
+    `first` is the scorer of the server's start, `alone` as in `Shared`. InputError for an uninstalled scorer on a
+    shared server, without revealing the existence of files.
     """
     named = is_named(scorer)
     require(
@@ -200,17 +188,10 @@ def needs_file(scorer: str | None, first: str | None, alone: bool) -> bool:
 def view_of(
     state: State, source: Pipeline, camera: tuple[CameraView, float] | None, run: str | None, expression: str | None
 ) -> ViewState:
-    """What a client looks at.
+    """View of a client.
 
-    Parameters
-    ----------
-    state : State
-    source : Pipeline
-        Of the state.
-    camera : (CameraView, float) or None
-        Where the camera was turned to, and its field of view; None where it is as it was placed.
-    run, expression : str or None
-        Folder of the run, and the id of its expression that is asked.
+    `camera` holds the turned view and its field of view, None if not turned; `run` is a folder, `expression` the id of
+    its asked expression.
     """
     selected = None if state.selected is None else state.key_of(state.selected, source.detector)
     ends = None if state.pair is None else [state.key_of(at, source.detector) for at in state.pair[:2]]
@@ -235,7 +216,7 @@ def view_of(
 
 
 def with_settings(state: State, view: ViewState) -> State:
-    """The state with a view's paint, toggles and place to look from; what is not known is passed over."""
+    """State with a view's colours, toggles and viewpoint; unknown values are ignored."""
     known = asdict(state.flags)
     flags = {name: value for name, value in view.toggles.items() if name in known and isinstance(value, bool)}
     size = view.toggles.get(POINTS)
@@ -251,7 +232,7 @@ def with_settings(state: State, view: ViewState) -> State:
 
 
 def with_objects(state: State, source: Pipeline, view: ViewState) -> State:
-    """The state with a view's selected object and chosen pair, as far as they are among its objects."""
+    """State with a view's selection and chosen pair, if among its objects."""
     selected = next((state.place_of(key, source.detector) for key in view.selection), None)
     pair = state.pair
     if view.pair is not None:
@@ -268,12 +249,12 @@ MOST, TOLD = 200, 5
 
 
 def folder_name(text: str) -> str:
-    """A text as the name of one folder: letters, digits, ".", "_" and "-"; empty where nothing is left."""
+    """Text as a folder name: letters, digits, ".", "_" and "-"; "" if nothing remains."""
     return re.sub(r"(?:[^A-Za-z0-9._-]|-)+", "-", text).strip("-._")[:LONGEST_NAME].rstrip("-._")
 
 
 class Keeping(Part):
-    """Saves what one client looks at, and cases of what `selected` gives: rows of a run."""
+    """Saves a client's view, and cases of the `selected` rows of a run."""
 
     def __init__(
         self,
@@ -287,7 +268,7 @@ class Keeping(Part):
 
     @command("keep-case")
     def ask_name(self) -> None:
-        """Ask where the case is to be saved."""
+        """Ask for the case's folder."""
         _, _, state = self._answered()
         name = folder_name(f"{state.text}-{state.frame_id}")
         field = h.input(
@@ -338,7 +319,7 @@ class Keeping(Part):
 
     @command("report")
     def report(self) -> None:
-        """Send the answer as one page that holds all it needs."""
+        """Send the answer as a self-contained page."""
         from spatialviz.report.scene import scene_html
 
         self.ctx.toast("Report", "The page is being made.")
@@ -350,14 +331,14 @@ class Keeping(Part):
         self.ctx.note(f"report made: {name}")
 
     def _answered(self) -> tuple[Pipeline, PreparedFrame, State]:
-        """What was asked of which frame; InputError where nothing was."""
+        """Current pipeline, frame and state; InputError without a question."""
         state = self.state
         if state.trace is None or state.loaded is None:
             raise InputError("there is no answer to keep", cause="ask something first")
         return self.ctx.source, state.loaded.context, state
 
     def _given(self, source: Pipeline, context: PreparedFrame) -> dict[str, Any]:
-        """What is known of the truth, and the edits."""
+        """Known truth, and the edits."""
         edits = self.state.edits
         edited = {"edits": edits_record(edits)} if edits else {}
         return {**self._known(source, context, self._view().expression_id), **edited}
@@ -379,7 +360,7 @@ class Keeping(Part):
 
     @command("row-cases")
     def save_rows(self) -> None:
-        """Save each of the selected as a case; one that is there already stays."""
+        """Save each selected row as a case; existing cases stay."""
         rows, count = self._selected(), len(self._selected())
         require(count <= MOST, "so many cases are not made at once", got=count, expected=f"up to {MOST}")
         saved, refused, there = list[str](), list[str](), list[Path]()

@@ -1,8 +1,7 @@
-"""Internals of viser: the websocket server that it starts, its messages, and its client's page.
+"""Internals of viser: websocket server, messages, and client page.
 
-viser answers HTTP and opens sockets where it calls `websockets.asyncio.server.serve`; the server of this program is put
-around that, so that both stand on one port. No other module reaches into viser: a release that lacks one of these names
-is refused by `internal`, which says which.
+viser answers HTTP and opens sockets by `websockets.asyncio.server.serve`, wrapped by this program's server on a single
+port. No other module reaches into viser: a release without a needed name is refused by `internal`, with that name.
 """
 
 from __future__ import annotations
@@ -42,13 +41,7 @@ TUNNELS = ("ShareUrlRequest", "ShareUrlDisconnect")
 
 
 def internal(name: str, owner: Any = viser) -> Any:
-    """A name inside viser, such as "_messages.Message".
-
-    Raises
-    ------
-    InputError
-        The installed release has no such name.
-    """
+    """Private name of viser, such as "_messages.Message"; InputError if the installed release has none."""
     try:
         return attrgetter(name)(owner)
     except AttributeError:
@@ -60,31 +53,27 @@ def internal(name: str, owner: Any = viser) -> Any:
 
 
 def scene_page() -> str:
-    """viser's client as HTML."""
+    """Client page of viser as HTML."""
     path = Path(viser.__file__).parent / "client" / "build" / "index.html"
     require(path.is_file(), f"viser {viser.__version__} has no client page", expected="viser>=1.1.1,<1.2", path=path)
     return path.read_text("utf-8")
 
 
 def subprotocol() -> str:
-    """The websocket subprotocol of viser's client."""
+    """Websocket subprotocol of viser's client."""
     return f"viser-v{viser.__version__}"
 
 
 def close_tunnels(server: viser.ViserServer) -> None:
-    """Have a server ignore requests for a tunnel to viser's makers."""
+    """Ignore requests for a tunnel to viser's makers."""
     for name in TUNNELS:
         internal("_websock_server.unregister_handler", server)(internal(f"_messages.{name}"))
 
 
 class SceneConnection:
-    """viser's socket of a scene, reduced to the messages OF_SCENE.
+    """Socket of viser for a scene, reduced to the messages OF_SCENE, rate-limited by awaiting `pace`.
 
-    Parameters
-    ----------
-    connection : ServerConnection
-    pace : callable
-        Awaited before each message is read.
+    `pace`: awaited before each message is read.
     """
 
     def __init__(self, connection: Any, pace: Callable[[], Awaitable[None]]) -> None:
@@ -96,7 +85,7 @@ class SceneConnection:
         return getattr(self._connection, name)
 
     async def recv(self) -> bytes:
-        """The next allowed message."""
+        """Next allowed message."""
         while True:
             data = await self._connection.recv()
             await self._pace()
@@ -106,24 +95,23 @@ class SceneConnection:
 
 
 class ConnectionHandler(Protocol):
-    """Answers to requests and sockets of one server."""
+    """Answers to requests and sockets of a server."""
 
     async def answer(self, connection: Any, request: Request) -> Response | None:
-        """The answer to a request; None lets a socket be opened."""
+        """Response to a request; None admits a socket."""
         ...
 
     async def socket(self, connection: Any, viser_handler: Callable[[Any], Awaitable[None]]) -> None:
         """Serve an open socket."""
 
     def log(self, problem: str) -> None:
-        """Print what was wrong with what came."""
+        """Print a problem with a request."""
 
 
 class RefuseAll:
-    """Refuses every request: a handler for a server that only draws."""
+    """Refuses every request: a handler for a server without pages."""
 
     async def answer(self, connection: Any, request: Request) -> Response | None:
-        """Refused."""
         return connection.respond(http.HTTPStatus.FORBIDDEN, "nobody is served here\n")
 
     async def socket(self, connection: Any, viser_handler: Callable[[Any], Awaitable[None]]) -> None:
@@ -135,7 +123,7 @@ class RefuseAll:
 
 @contextmanager
 def served_by(handler: ConnectionHandler) -> Iterator[None]:
-    """While this is open, a websocket server that is started answers as the handler does."""
+    """Route websocket servers started in this context to the handler."""
     original = ws.serve
 
     def serve(viser_handler: Any, host: Any = None, port: Any = None, **options: Any) -> Any:

@@ -1,4 +1,4 @@
-"""What if: edits of one client's question, answered by the core as fast as the mouse moves."""
+"""What-if edits of a client's question, answered at interactive speed."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Judge = Callable[[Trace, RankConfig | None], Diagnosis | str | None]
 
 
 class WhatIf(Part):
-    """Edits what a client has asked."""
+    """Edits a client's question."""
 
     def __init__(self, ctx: Context, judge: Judge) -> None:
         super().__init__(ctx)
@@ -44,7 +44,7 @@ class WhatIf(Part):
     # ---- questions ------------------------------------------------------------------
 
     def check(self) -> None:
-        """Drop edits of a question that is asked no longer, and a map that is not of this one."""
+        """Drop edits of a former question, and a stale map."""
         asked = self._asked()
         if self._of is None or asked == self._of:
             return
@@ -55,7 +55,7 @@ class WhatIf(Part):
         self._undo, self._of, self._baseline, self._map, self._live_since = [], None, None, None, None
 
     def answered(self) -> None:
-        """An answer has come in: where it is to the question that was edited, edit it again."""
+        """Edit a new answer again if to the edited question."""
         self.check()
         if self.state.edits:
             self._judged = self.state.judged
@@ -66,7 +66,7 @@ class WhatIf(Part):
         return None if state.trace is None else (state.source, state.frame_id, state.trace.query.text)
 
     def _base(self) -> Baseline:
-        """The question without edits, read once."""
+        """Question without edits, read once."""
         state, asked = self.state, self._asked()
         if asked is None or state.loaded is None:
             raise InputError("nothing is asked: edits are of a question")
@@ -80,7 +80,7 @@ class WhatIf(Part):
 
     @command("edit", "edit-live")
     def _edit(self, said: str, by: str) -> None:
-        """Carry out an edit such as "size:1:0.2"; a live one is followed by others of the same hand."""
+        """Apply an edit such as "size:1:0.2"; live edits of a drag form a single step."""
         live = by == "edit-live"
         self._try(lambda: edit_from_words(said, self.state, self.ctx.source, self.keys(self._base())), live)
 
@@ -125,7 +125,7 @@ class WhatIf(Part):
         self.state = self.state.under(edits, edited, judged, self.keys(baseline))
 
     def keys(self, baseline: Baseline) -> tuple[str, ...]:
-        """Keys of the objects of the answer that is shown."""
+        """Keys of the shown answer's objects."""
         edited = self.state.edited
         return baseline.outcome.keys if edited is None else edited.after.keys
 
@@ -158,7 +158,7 @@ class WhatIf(Part):
         self.ctx.draw()
 
     def _renewed_map(self) -> None:
-        """The map is of the edits; where they have changed it is made anew, or given up."""
+        """Remake the map after a change of the edits, or drop the map."""
         if self._map is None or self._baseline is None:
             return
         try:
@@ -170,14 +170,14 @@ class WhatIf(Part):
     # ---- drawing --------------------------------------------------------------------
 
     def _selected_key(self) -> str | None:
-        """The key of the selected object, where it is a candidate."""
+        """Key of the selected object; None if not a candidate."""
         i = self.state.selected
         if i is None or i not in self.state.shown.place.values():
             return None
         return self.state.key_at(i, self.keys(self._base()))
 
     def follow(self, live: bool = False) -> None:
-        """Bring the handles, what is drawn of the edits, and the Edit tab up to the state."""
+        """Draw handles, edits and the Edit tab for the state."""
         state, selected = self.state, self.state.selected
         if state.labels is not None:
             self._gizmo.show(None, "off")
