@@ -104,12 +104,12 @@ class RunRows:
         return self.records.select(names).take(pa.array(rows)).to_pylist()
 
     def mark(self, rows: Iterable[int], name: str, on: bool = True) -> None:
-        """Give rows a mark, or take it away; raises InputError as `run_notes.mark`."""
+        """Mark rows, or remove a mark; raises InputError as `run_notes.mark`."""
         self.notes = mark(self.path, [self.keys[k] for k in rows], name, on)
         self.records = self._marked()
         self._facets = self._facets.marked(self.records)
         self.stamp += 1
 
     def keep(self, name: str, query: str | None) -> None:
-        """Keep a search under a name, or forget it; raises InputError as `run_notes.keep_filter`."""
+        """Keep a search under a name, or forget the search; raises InputError as `run_notes.keep_filter`."""
         self.notes = keep_filter(self.path, name, query)

@@ -163,7 +163,7 @@ def answer_differences(first: Path, second: Path) -> dict[str, Any]:
 
     `first`, `second`: a run folder, or a file of `ask --json`.
 
-    Returns as JSON: shared, same, only_first, only_second (counts of expressions); answers: of each one that differs
+    Returns JSON: shared, same, only_first, only_second (counts of expressions); answers: of each one that differs
     its frame, text, what differs ("target" or "reference": the boxes overlap by less than HIT) and both answers.
 
     Raises InputError: neither a run nor answers; no expression in common.
@@ -196,7 +196,7 @@ def answer_differences(first: Path, second: Path) -> dict[str, Any]:
 
 
 def answered_boxes(path: Path) -> dict[tuple[str, str], Boxes]:
-    """Boxes of each answer by its frame and text, of a run folder or of a file of `ask --json`."""
+    """Boxes of each answer by frame and text, of a run folder or of a file of `ask --json`."""
     if path.is_dir():
         rows = read_records(path, ["frame", "text", "box", "reference_box"]).to_pylist()
         return {(row["frame"], row["text"]): (_rounded(row["box"]), _rounded(row["reference_box"])) for row in rows}
@@ -219,5 +219,5 @@ def _rounded(box: Any) -> list[float] | None:
 
 
 def _overlap(a: list[float] | None, b: list[float] | None) -> float:
-    """IoU of two boxes; 1 of two missing ones."""
+    """IoU of two boxes; 1 if both are missing."""
     return float(a is b) if a is None or b is None else float(iou_2d(np.array([a]), np.array([b]))[0, 0])

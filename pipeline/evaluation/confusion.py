@@ -123,7 +123,7 @@ def count_standings(found: Standings) -> Confusion:
 
 
 def stands_in(states: np.ndarray, margins: np.ndarray, meant: np.ndarray, undecided: int, nothing: int) -> np.ndarray:
-    """Column of each pair: the meant relation where it holds, `undecided` where it may, else the clearest other.
+    """Column of each pair: the meant relation if true, `undecided` if in doubt, else the clearest other relation.
 
     `states` (P, R) int8: 1 holds, 0 in doubt, -1 does not hold. `margins` (P, R) float: NaN counts as 0; of equal ones
     the first wins. `meant` (P,) int: column of the relation that was asked. `doubt`, `nothing`: columns where the asked
@@ -173,7 +173,7 @@ def _pairs_of_answers(
 
 
 def network_confusion(records: RelationRecords | None) -> list[Confusion]:
-    """Count for each scorer labelled relations against its most probable ones; empty without records of pairs."""
+    """Count labelled relations against the most probable relations of each scorer; empty without records of pairs."""
     if records is None:
         return []
     found = []
@@ -196,7 +196,7 @@ def network_confusion(records: RelationRecords | None) -> list[Confusion]:
 
 
 def _taken_for(states: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """(R, R) counts: relations that hold against the most probable one, on the diagonal where right."""
+    """(R, R) counts: true relations against the most probable relation, right answers on the diagonal."""
     holds, known = states == T, np.isfinite(p)
     top = np.where(known, p, -np.inf).argmax(axis=1)
     pair, relation = np.nonzero(holds & known.any(axis=1, keepdims=True))

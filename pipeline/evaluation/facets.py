@@ -132,7 +132,7 @@ def _state(term: str, own: Sequence[Term]) -> int:
 
 
 def with_value(query: str, term: str, schema: pa.Schema, without: bool = False) -> str:
-    """Add a value of a facet to a search, or take it away where it is asked for already; `without` excludes it.
+    """Add a value of a facet to a search, or remove a value already there; `without` excludes the value.
 
     Raises InputError: one of the two cannot be read.
     """
@@ -165,7 +165,7 @@ def _less(term: Term, value: Value) -> Term | None:
 
 
 def _more(terms: list[Term], term: Term) -> list[Term]:
-    """Join alternatives of a field in one term; of `=` and `:` the exact one wins."""
+    """Join alternatives of a field in one term; of `=` and `:` the exact operator wins."""
     if not terms:
         return [term]
     operator = "=" if "=" in (term.operator, *(t.operator for t in terms)) else ":"

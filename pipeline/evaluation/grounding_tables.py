@@ -33,7 +33,7 @@ OPM_ONLY = ": OPM only"
 
 
 def has_opm(records: pa.Table) -> bool:
-    """Tell whether records hold the detector's best target alone, which systems of whole expressions lack."""
+    """Tell whether records hold the detector's best target alone; systems of whole expressions record none."""
     return records.column("opm_iou").null_count < records.num_rows
 
 
@@ -45,7 +45,7 @@ def column(records: pa.Table, name: str) -> np.ndarray:
 
 
 def clusters_of(records: pa.Table) -> tuple[np.ndarray, str]:
-    """Clusters for intervals: the scene of each row; its frame in a run of one scene."""
+    """Clusters for intervals: the scene of each row; the frame in a run of one scene."""
     scenes = np.array(records.column("scene").to_pylist(), object)
     if len(set(scenes.tolist())) > 1:
         return scenes.astype(str), "scene"
@@ -73,7 +73,7 @@ def _row(name: str, records: pa.Table, measures: Sequence[np.ndarray | None], co
 
 
 def systems_table(systems: Sequence[Row], unit: str, shares: Mapping[str, str] = NOTHING_SHARED) -> Table:
-    """The systems of the paper as rows; `shares` as `Row.shares`, by system, its values in the order of the blocks."""
+    """The systems of the paper as rows; `shares` as `Row.shares`, by system, in the order of the blocks."""
     return Table(
         "grounding",
         "Grounding",
@@ -116,7 +116,7 @@ def relation_table(
 
 
 def stages_table(systems: Mapping[str, pa.Table], shares: Mapping[str, str] = NOTHING_SHARED) -> Table | None:
-    """Count how far expressions get, by what the next stage could still get right; `shares` as in `systems_table`.
+    """Count expressions by stage, up to the best possible result of the next stage; `shares` as in `systems_table`.
 
     None where no system has proposals.
     """
@@ -158,7 +158,7 @@ def problem_warnings(records: pa.Table) -> tuple[str, ...]:
 def relation_gain(
     records: pa.Table, overlap: str = "iou", config: BootstrapConfig | None = None
 ) -> tuple[Estimate, McNemar]:
-    """Accuracy of OPM+SRM+PRM less that of OPM alone, paired, with a clustered interval, and McNemar's exact test.
+    """Accuracy of OPM+SRM+PRM less OPM alone, paired, with a clustered interval, and McNemar's exact test.
 
     `overlap` is "iou" (single truth), "strict_iou" or "set_iou".
     """
@@ -252,7 +252,7 @@ def ece_estimate(
     other: np.ndarray | None = None,
     config: BootstrapConfig | None = None,
 ) -> Estimate:
-    """Expected calibration error of (N,) probabilities; with `other` (N,), that of `p` less that of `other`."""
+    """Expected calibration error of (N,) probabilities; with `other` (N,), the difference `p` less `other`."""
     second = None if other is None else _bin_gaps(other, hits)
 
     def ece(sums: np.ndarray) -> np.ndarray:
@@ -262,7 +262,7 @@ def ece_estimate(
 
 
 def _bin_gaps(p: np.ndarray, hits: np.ndarray) -> np.ndarray:
-    """(N, B + 1): p - [hit] in the column of its bin, and ones to count by."""
+    """(N, B + 1): p - [hit] in the bin's column, and a last column of 1 to count by."""
     rows = np.zeros((len(p), ECE_BINS + 1))
     rows[np.arange(len(p)), np.minimum((p * ECE_BINS).astype(np.int64), ECE_BINS - 1)] = p - hits
     rows[:, -1] = 1.0
@@ -292,7 +292,7 @@ def recorded_config(config: AskConfig) -> dict[str, Any]:
 def held_out_warning(
     calibration: ScoreCalibration, frames: Mapping[str, tuple[str, str | None]], dataset: str
 ) -> str | None:
-    """Reason why the figures of a calibration are not held out; None where they are.
+    """Reason against held-out figures of a calibration; None if held out.
 
     `frames`: those that were evaluated, by id. `dataset`: its folder's name.
     """

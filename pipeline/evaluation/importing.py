@@ -66,7 +66,7 @@ def import_run(
     progress: Progress | None = None,
     **options: Any,
 ) -> RunReport:
-    """Judge the predictions of another pipeline on a dataset and its labels; the run folder keeps a copy.
+    """Judge the predictions of another pipeline on a dataset and labels; the run folder keeps a copy.
 
     `predictions`: a file as `docs/predictions.md` describes it. `name`: of the system in tables; the header's by
     default. `rescore`: ranks pairs anew as the pipeline does; see `pair_rules.Rescore`. With it one process works.
@@ -259,7 +259,7 @@ def _exported(run: Run) -> Iterator[Prediction]:
 
 
 def _lines(truth: FrameCases, answers: FrameAnswers) -> Iterator[Prediction]:
-    """The lines of one frame; masks stand where an object is named first."""
+    """The lines of one frame; masks stand at the first mention of an object."""
     frame = answers.context.frame
     known = [o.id for o in answers.objects]
     ids = known if min(known, default=0) >= 0 else list(range(len(known)))
@@ -306,7 +306,7 @@ def _given_box(box: Box3D | None) -> PredictedBox | None:
 
 
 def _dropped(answers: FrameAnswers, name: str, number: int) -> Iterator[Proposal]:
-    """Detections for a name that did not go on, with the reasons."""
+    """Discarded detections for a name, with the reasons."""
     source, frame = answers.source, answers.context.frame
     went = {answers.objects[k].bbox.tobytes() for k in answers.candidates[name].index.tolist()}
     seen = set(went)

@@ -89,7 +89,7 @@ def evaluate_dataset(
     bootstrap: BootstrapConfig | None = None,
     progress: Progress | None = None,
 ) -> RunReport:
-    """Evaluate a dataset on its labels and write the run folder, whole or not at all.
+    """Evaluate a dataset on labels and write the run folder, whole or not at all.
 
     `out`: `tables.md`, `tables.tex`, `tables/*.csv`, `slices.md`, `records.parquet`, `relation_records.parquet`,
     `diagnosis.json`, `plots/`, `run.json`. `name`: of the system in the tables; by default detector and relation
@@ -258,7 +258,7 @@ def evaluate(
 def other_systems(
     runs: Sequence[Path], name: str, content_hash: str, makers: Makers
 ) -> dict[str, tuple[pa.Table, tuple[Share, ...]]]:
-    """Records of other runs by system, with what they share with the labels' makers.
+    """Records of other runs by system, with everything shared with the labels' makers.
 
     A name that is taken is told apart by its run's folder, and by a number where that is not enough.
 

@@ -33,7 +33,7 @@ def judge_again(
     progress: Callable[[int, int], None] | None = None,
     system: Callable[[Mapping[str, Any]], System | None] | None = None,
 ) -> dict[str, Any]:
-    """Judge a run, labels or a saved case again, by this version, into a new folder; the old one stays as it is.
+    """Judge a run, labels or a saved case again, by this version, into a new folder; the old folder stays unchanged.
 
     `path`: a folder of `eval` or `import-run`, of `label`, or of `save-case`. `out`: must not exist, or be empty.
     `workers`: processes, of a run or of labels. `plots`: draw those of a run. `system`: gives the system of a

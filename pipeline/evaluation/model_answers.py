@@ -134,7 +134,7 @@ def parse_box(text: str, size: tuple[int, int] | None = None, scale: BoxScale = 
 def _edges(
     found: _BoxNumbers, size: tuple[int, int] | None, told: BoxScale, notes: list[str]
 ) -> tuple[str, float, float] | str:
-    """Name of the scale, with the right and lower edges of the picture in its units; or a reason for none."""
+    """Name of the scale, with the right and lower edges of the picture in the scale's units; or a reason for none."""
     values, most = found.values, max(found.values)
     if found.scale is not None:
         return f"{found.scale:g}", found.scale, found.scale
@@ -235,7 +235,7 @@ class YesNo:
 
 
 def spoken_part(text: str) -> tuple[str, str | None]:
-    """An answer without the reasoning that some models write before it, and why nothing is left, if so."""
+    """An answer without the model's leading reasoning, and the reason for an empty answer."""
     closed, opened = 0, False
     for match in _REASONING.finditer(text):
         if match[1]:
@@ -271,7 +271,7 @@ def parse_yes_no(text: str) -> YesNo:
 
 
 def _verdicts(tokens: Sequence[str]) -> set[bool]:
-    """Collect what an answer says: a yes anywhere, a no by itself, a word of agreement."""
+    """Collect the verdicts of an answer: a yes anywhere, a no by itself, a word of agreement."""
     found: set[bool] = set()
     first = next((i for i, token in enumerate(tokens) if _WORD_LIKE.match(token)), -1)
     for i, token in enumerate(tokens):

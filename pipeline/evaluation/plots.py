@@ -81,12 +81,12 @@ class Page:
 
 
 def tip(*lines: object) -> str:
-    """Id of a part of a picture with its figures."""
+    """Id of a part of a picture with figures."""
     return TIP + "; ".join(map(str, lines))
 
 
 def interval(e: Estimate) -> tuple[float, float]:
-    """Reach of an interval below and above its value, in points; 0 without one."""
+    """Reach of an interval below and above the value, in points; 0 without an interval."""
     if not (np.isfinite(e.low) and np.isfinite(e.high)):
         return 0.0, 0.0
     return max(0.0, 100 * (e.value - e.low)), max(0.0, 100 * (e.high - e.value))
@@ -161,7 +161,7 @@ def relation_bars(table: Table) -> Bars:
 
 
 def overlap_curves(records: pa.Table) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-    """Percent of expressions with an answer that overlaps an acceptable target by at least x, by kind of answer."""
+    """Percent of expressions whose answer overlaps an acceptable target by at least x, by kind of answer."""
     names = {"pipeline": "set_iou", "OPM only": "opm_set_iou"} if has_opm(records) else {"whole expression": "set_iou"}
     for kind, name in names.items():
         yield kind, SWEEP, 100 * (column(records, name)[None] >= SWEEP[:, None]).mean(axis=1)
@@ -190,7 +190,7 @@ def score_diagrams(systems: Mapping[str, pa.Table]) -> dict[str, dict[str, Relia
 
 
 def _tones(rows: Mapping[str, Any]) -> dict[str, str]:
-    """Colour of each row of the relation table: the detector alone is pale, each system has its own."""
+    """Colour of each row of the relation table: the detector alone is pale, each system has a colour."""
     systems = [name for name in rows if not name.endswith(OPM_ONLY)]
     own = {name: TONES[k % len(TONES)] for k, name in enumerate(systems)}
     return {name: own.get(name, PALE_TONE) for name in rows}
@@ -348,7 +348,7 @@ def _oracles(page: Page, file: str, name: str, summary: RunSummary, costs: Delta
 
 
 def _cost(axes: Any, x: float, width: float, base: float, e: Estimate, key: str, said: str, **look: Any) -> None:
-    """Draw a bar of the costs with its interval and its figure."""
+    """Draw a bar of the costs with interval and figure."""
     below, above = interval(e)
     axes.bar(x, 100 * e.value, width, base, gid=tip(f"{_named(key)}: {said}"), **look)
     axes.errorbar(x, base + 100 * e.value, [[below], [above]], ecolor=INK, elinewidth=0.8, fmt="none")

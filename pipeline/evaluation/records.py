@@ -95,7 +95,7 @@ def records_schema() -> pa.Schema:
 
 
 def asked_columns(case: Case, truth: FrameCases, query: Query | None = None) -> dict[str, Any]:
-    """Row of an unanswered expression: the question and its truth; `query` spares reading."""
+    """Row of an unanswered expression: question and truth; `query` spares reading."""
     read = None if query is None or query.text != case.text else query.kind
     return dict.fromkeys(COLUMNS) | {
         "id": case.id, "frame": truth.frame, "frame_index": truth.frame_index, "scene": truth.scene, "text": case.text,
@@ -161,7 +161,7 @@ def _opm(row: dict[str, Any], case: Case, answers: FrameAnswers, overlap: np.nda
 
 
 def _coverage(row: dict[str, Any], case: Case, pairs: np.ndarray, answers: FrameAnswers, hit: np.ndarray) -> np.ndarray:
-    """(T, R) bool: acceptable candidate pairs; the ranks of the right ones go into the row."""
+    """(T, R) bool: acceptable candidate pairs; the ranks of the right pairs go into the row."""
     targets, references = answers.candidates[case.target], answers.candidates[case.reference]
     hits, other = hit[targets.index], hit[references.index]
     covered = (hits.astype(np.int32) @ pairs.astype(np.int32) @ other.T.astype(np.int32)) > 0
@@ -203,7 +203,7 @@ def _answer(
     target: int | None,
     overlap: np.ndarray,
 ) -> None:
-    """Fill in the target that answers (an index of the frame's objects) and its correctness."""
+    """Fill in the answering target (an index of the frame's objects) and the correctness."""
     row["iou"], row["strict_iou"], row["set_iou"] = overlaps(target, case, overlap)
     row |= {
         "correct": row["iou"] >= HIT, "strict_correct": row["strict_iou"] >= HIT, "set_correct": row["set_iou"] >= HIT,
@@ -312,12 +312,12 @@ def raw_columns(
 
 
 def is_calibrated(records: pa.Table) -> bool:
-    """Tell whether records hold the answers by raw scores too; those of earlier releases do not."""
+    """Tell whether records hold the answers by raw scores too; earlier releases recorded none."""
     return "raw_iou" in records.column_names and records.column("raw_iou").null_count < records.num_rows
 
 
 def raw_records(records: pa.Table) -> pa.Table:
-    """Replace the given answers by those of the detector's own scores.
+    """Replace the given answers by the answers of the detector's raw scores.
 
     Columns of the ranking itself (probabilities, margins) stay those of the calibrated one.
     """

@@ -67,7 +67,7 @@ def frames_in(labels: Labels, table: str, limit: int | None = None) -> np.ndarra
 
 
 def read_pairs(labels: Labels, first: int, stop: int, chosen: Collection[int] | None = None) -> Iterator[FramePairs]:
-    """The labelled pairs of the frames from index `first` up to `stop` (only `chosen` ones), in order.
+    """The labelled pairs of the frames from index `first` up to `stop` (only `chosen` frames), in order.
 
     Only pairs of usable objects count, as in training.
     """
@@ -121,7 +121,7 @@ def score_lifted(
 ) -> list[np.ndarray]:
     """Score pairs by each system, on objects lifted from the dataset's annotations and depth.
 
-    Returns list of (P, R_k) float32: in the order of each system's relations.
+    Returns a list of (P, R_k) float32, in the order of each system's relations.
 
     Raises InputError: the dataset lacks a labelled object, or a network lacks the vector of a class.
     """
@@ -286,7 +286,7 @@ def uses_language(which: str) -> bool:
 
 
 def _of_rooms(path: Path) -> bool:
-    """Tell whether the card beside a network names rendered rooms as its data."""
+    """Tell whether the card beside a network names rendered rooms as training data."""
     try:
         return "rooms" in read_json(path.with_suffix(".json"))
     except (OSError, ValueError, TypeError):

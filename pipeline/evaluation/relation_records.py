@@ -67,7 +67,7 @@ class RelationRecords:
         return self.states[:, [self.relations.index(r) for r in relations]]
 
     def clusters(self, counted: np.ndarray) -> tuple[np.ndarray, str]:
-        """Clusters for intervals: the scene of each pair; its frame where the (P,) counted ones are of one scene."""
+        """Clusters for intervals: the scene of each pair; the frame if all (P,) counted pairs are of one scene."""
         return (self.scene, "scene") if len(np.unique(self.scene[counted])) > 1 else (self.frame_index, "frame")
 
 
@@ -99,8 +99,8 @@ class RelationPass:
 
 
 def relation_schema(systems: Sequence[RelationSystem], labels: Labels) -> pa.Schema:
-    """`state` holds a state for each relation; `p` for each scorer a probability for each of its relations, and
-    `learnt_from` the part of its training ("train", "validation") that the frame belongs to, else null."""
+    """Arrow schema: `state` by relation; `p`, a probability by scorer and relation; `learnt_from`, the part of the
+    scorer's training data ("train", "validation") with the frame, else null."""
     relations = [r for r in PAIRWISE if r in labels.relation_names]
     text = [pa.field(s.name, pa.struct([pa.field(r, pa.float32()) for r in s.relations])) for s in systems]
     about = [{"name": s.name, "title": s.title, "relations": s.relations, "prior": _prior_of(s)} for s in systems]
@@ -122,7 +122,7 @@ def relation_schema(systems: Sequence[RelationSystem], labels: Labels) -> pa.Sch
 
 
 def _prior_of(system: RelationSystem) -> list[float]:
-    """Prior of a softmax network with all its relations labelled; else empty."""
+    """Prior of a softmax network with labels of all relations; else empty."""
     if not system.prior or system.unlabelled or not isinstance(system.scorer, OnnxScorer):
         return []
     shares = dict(zip(system.scorer.contract.vocabulary, system.prior, strict=True))

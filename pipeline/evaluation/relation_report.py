@@ -233,7 +233,7 @@ def relation_tables(
 
 
 def shares_by_title(figures: Sequence[SystemFigures], shares: Mapping[str, Share]) -> dict[str, tuple[Share, ...]]:
-    """Shares of each system with the labels' makers, by its title."""
+    """Shares of each system with the labels' makers, by title."""
     return {f.title: (shares[f.title],) if f.title in shares else () for f in figures}
 
 

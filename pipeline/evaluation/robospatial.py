@@ -61,7 +61,7 @@ class Question:
 
     @cached_property
     def polygon(self) -> np.ndarray:
-        """(M, 2) float64 corners x, y of the answer; empty where it is no list of three points or more."""
+        """(M, 2) float64 corners x, y of the answer; empty for anything but a list of three points or more."""
         try:
             found = np.array(ast.literal_eval(self.answer.strip()), np.float64)
         except (ValueError, SyntaxError, TypeError, MemoryError, RecursionError):
@@ -121,7 +121,7 @@ class QuestionAnswers:
 
 
 def read_question_answers(path: Path, questions: Sequence[Question]) -> QuestionAnswers:
-    """Answers in the published form: a list of items whose `answer` is the system's; matched by `img` and `question`.
+    """Answers in the published form: a list of items with the system's `answer`; matched by `img` and `question`.
 
     Raises InputError: the file is damaged, or answers none of the items.
     """
@@ -178,7 +178,7 @@ def drawn(polygon: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
 
 
 def score_table(questions: Sequence[Question], systems: Sequence[QuestionAnswers], doubted: set[str]) -> Table:
-    """A row a system; `doubted` are ids of items whose truth is probably wrong."""
+    """A row a system; `doubted` are ids of items with a probably wrong truth."""
     rows = tuple(Row(system.name, _cells(questions, system, doubted)) for system in systems)
     return Table("robospatial", "RoboSpatial-Home", COLUMNS, rows, NOTE)
 

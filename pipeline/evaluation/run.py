@@ -145,7 +145,7 @@ def _block(block: tuple[int, int], evaluator: Evaluator) -> tuple[pa.Table, pa.T
 
 
 def right_scores(source: Pipeline, context: PreparedFrame, truth: FrameCases) -> np.ndarray:
-    """(M,) float64: scores of candidates that are objects of the asked class, over a frame's names."""
+    """(M,) float64: scores of candidates of the right class, over a frame's names."""
     detector = source.needed_detector()
     calibration = None if detector.exact else source.config.score_calibration
     asked = {case.target: case.target_object for case in truth.cases}

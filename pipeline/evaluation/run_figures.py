@@ -90,7 +90,7 @@ class RunFigures:
         return None if other is None else _or_why(lambda: compare(self.run.records, other.records))
 
     def slices(self, dimension: str) -> Slices | str:
-        """Slices of the run by a dimension; of texts the most frequent ones."""
+        """Slices of the run by a dimension; the most frequent values of texts."""
         if dimension not in self._slices:
             of_run = {self.run.name: self.run.records}
             self._slices[dimension] = _or_why(lambda: slice_by(of_run, dimension, most=MOST_SHOWN))
@@ -109,7 +109,7 @@ class RunFigures:
 
     @cached_property
     def fields(self) -> tuple[Field, ...]:
-        """Fields to search by, with the values that occur."""
+        """Fields of a search, with the values in the run."""
         _ = self.confusion
         return completions(self.rows.records)
 
@@ -179,7 +179,7 @@ def recorded_verdict(row: Mapping[str, Any]) -> Recorded | None:
 
 
 def judged_by(manifest: Mapping[str, Any]) -> str:
-    """Version that judged a run, in words; empty for the rules of this version."""
+    """Version behind a run's verdicts, in words; empty for the rules of this version."""
     version, rules = manifest.get("version", "?"), manifest.get("verdict_rules", 1)
     if rules == RULES_VERSION:
         return ""

@@ -61,12 +61,12 @@ class Failure(InNotebook):
 
     @property
     def verdict(self) -> str:
-        """Verdict with its detail: "OPM-TARGET RANK"."""
+        """Verdict with detail: "OPM-TARGET RANK"."""
         return shown_verdict(self.row["verdict"], self.row["detail"], bool(self.row["lucky"]))
 
     @cached_property
     def answer(self) -> Answer:
-        """It, answered with the run's models now and judged as in the run; InputError where data or models are gone."""
+        """Answer by the run's models now, judged as in the run; InputError for lost data or models."""
         return self.again(self.row["frame"], self.row["id"])
 
 
@@ -106,7 +106,7 @@ class Failures(InNotebook):
 
     @property
     def shown(self) -> pa.Table:
-        """The columns that `failures --json` tells."""
+        """Columns of `failures --json`."""
         return self.table.select([name for name in SHOWN if name in self.table.column_names])
 
     def to_pandas(self) -> Any:
@@ -120,7 +120,7 @@ def found_failures(rows: RunRows, search: str, again: Answered) -> Failures:
 
 
 def asked_again(opened: Opened, spec: EvalSpec, frame: str, expression: str) -> Answer:
-    """Answer an expression of the labels (its id) now, and judge it by the run's specification.
+    """Answer an expression of the labels (by id) now, judged by the run's specification.
 
     Raises InputError: the dataset has no such frame, or the labels no such expression.
     """
@@ -148,7 +148,7 @@ class Run(InNotebook):
 
     @property
     def system(self) -> str:
-        """Kind of what answered: "pipeline", "referring", "vlm"."""
+        """Kind of system: "pipeline", "referring", "vlm"."""
         return str(self.manifest.get("system", OWN))
 
     @cached_property
@@ -191,7 +191,7 @@ class Run(InNotebook):
 
     @cached_property
     def shares(self) -> tuple[Share, ...]:
-        """What its answers share with what made the labels: what its figures can show and cannot."""
+        """Shares of the answers with the labels' makers, and so the meaning of the figures."""
         return shares_of_run(self.manifest, self.spec.labels)
 
     @cached_property
@@ -200,8 +200,8 @@ class Run(InNotebook):
         return open_labels(self.spec.labels)
 
     def failures(self, search: str = "") -> Failures:
-        """The expressions that a search finds, as `spatialviz failures` does: "verdict:SRM relation:behind margin<0.1";
-        without one all that failed.
+        """Expressions found by a search, as by `spatialviz failures`: "verdict:SRM relation:behind margin<0.1"; without
+        a search all failures.
 
         Raises
         ------
@@ -211,7 +211,7 @@ class Run(InNotebook):
         return found_failures(RunRows(self.records, self.folder), search, self.answer)
 
     def answer(self, frame: str, expression: str) -> Answer:
-        """An expression of the labels by its id, answered with the run's models now, and judged as in the run.
+        """Answer an expression of the labels by id, with the run's models now, judged as in the run.
 
         Raises
         ------
@@ -358,7 +358,7 @@ def _read_spec(record: Mapping[str, Any], folder: Path) -> EvalSpec:
 
 
 def manifest_of(run: Path) -> dict[str, Any]:
-    """Manifest of a run; empty without a readable one."""
+    """Manifest of a run; empty if unreadable."""
     try:
         return read_manifest(Path(run))
     except InputError:

@@ -50,7 +50,7 @@ _READ = TypeAdapter(Notes)
 
 
 def notes_path(run: Path) -> Path:
-    """Place of a run's notes: its folder, or the user's own data where not writable or part of the program."""
+    """Place of a run's notes: the run's folder, or the user's data folder for a read-only or bundled run."""
     run = Path(run).resolve()
     own = os.access(run, os.W_OK) and not run.is_relative_to(demo_run().parent.resolve())
     name = f"{run.name}-{hashlib.sha256(str(run).encode()).hexdigest()[:12]}.json"
@@ -74,7 +74,7 @@ def read_notes(path: Path) -> Notes:
 
 
 def mark(path: Path, keys: Iterable[Key], name: str, on: bool = True) -> Notes:
-    """Give expressions a mark, or take it away; returns the notes.
+    """Mark expressions, or remove a mark; returns the notes.
 
     Raises InputError: the name is no mark, or the file cannot be read or written.
     """
@@ -94,7 +94,7 @@ def mark(path: Path, keys: Iterable[Key], name: str, on: bool = True) -> Notes:
 
 
 def keep_filter(path: Path, name: str, query: str | None) -> Notes:
-    """Keep a search under a name, or forget the one of that name; returns the notes.
+    """Keep a search under a name, or forget the search; returns the notes.
 
     Raises InputError: the name is empty or too long, or the file cannot be read or written.
     """
@@ -109,7 +109,7 @@ def keep_filter(path: Path, name: str, query: str | None) -> Notes:
 
 
 def _changed(path: Path, change: Callable[[Notes], Notes]) -> Notes:
-    """Write a change, and keep what others have noted meanwhile."""
+    """Write a change, and keep concurrent notes of others."""
     with (
         as_input_error("the notes cannot be written", OSError, got=lambda e: e.strerror, path=path),
         alone(path.parent),

@@ -268,7 +268,7 @@ _KNOWN = {"verdict": VERDICTS, f"{SECOND}verdict": VERDICTS, "relation": PAIRWIS
 
 
 def _named(field: Field, value: Value) -> tuple[Value, ...]:
-    """Verdict or relation by its own name, InputError for an unknown one; OPM stands for the detector's three."""
+    """Verdict or relation by name, InputError for an unknown name; OPM stands for the detector's three."""
     known = _KNOWN.get(field.column)
     if known is None or _none(value) or ("*" in value.text and not value.quoted):
         return (value,)

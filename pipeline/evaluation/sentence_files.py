@@ -130,8 +130,8 @@ class SentenceFile:
 
 
 def read_sentence_file(path: Path, source: Pipeline, name: str | None = None) -> SentenceFile:
-    """The sentences of a file of JSON lines that are about a dataset: those that name it, and those that name none; or
-    of a benchmark as it is published, told by its ending.
+    """Read the sentences of a JSON-lines file about a dataset, named or unnamed in each line; or of a published
+    benchmark, recognised by the file's ending.
 
     `name`: the dataset's name; by default that of its folder.
 

@@ -74,8 +74,8 @@ class SentenceReport:
 
     @property
     def tables(self) -> tuple[Table, ...]:
-        """Shares by kind and over all, what failed, verdicts, what each module costs (which may be empty); of a
-        published benchmark also its own metric."""
+        """Shares by kind and over all, failures, verdicts, costs of each module (possibly empty); for a published
+        benchmark also the benchmark's metric."""
         note = (
             "In percent, with Wilson's 95 % intervals, each sentence for itself. Read: also what was refused rightly. "
         )
@@ -178,7 +178,7 @@ def evaluate_sentences(
     overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> SentenceReport:
-    """Judge the sentences of a file; with `out`, a folder with a line for each of them in `sentences.jsonl`.
+    """Judge the sentences of a file; with `out`, a folder with a line for each sentence in `sentences.jsonl`.
 
     Raises InputError: as `read_sentence_file` and `judge_sentences`; or the folder cannot be written. Nothing is left
     of it then.

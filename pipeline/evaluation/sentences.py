@@ -148,7 +148,7 @@ def _judged(source: Pipeline, context: PreparedFrame, sentence: Sentence, path: 
 
 
 def acc_iou(answer: Box3D | None, right: Sequence[Box3D], viewer: ViewerAxes) -> float:
-    """Best IoU of a box with the right ones, all upright along the viewer's axes; 0 without an answer."""
+    """Best IoU of a box with the right boxes, all upright along the viewer's axes; 0 without an answer."""
     if answer is None or not right:
         return 0.0
     corners = [box.corners @ viewer.R_level_camera.T for box in (answer, *right)]
@@ -165,7 +165,7 @@ def _published_iou(one: Judged, context: PreparedFrame) -> float | None:
 
 
 def _diagnosed(one: Judged, source: Pipeline, context: PreparedFrame, truth: FrameCases | str | None) -> Judged:
-    """Add the module that failed, where the sentence was read and something is right."""
+    """Add the failed module, if the sentence was read and something is right."""
     if one.trace is None or one.outcome == "PARSE" or one.sentence.nothing:
         return one
     if not isinstance(truth, FrameCases):

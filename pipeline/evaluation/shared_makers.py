@@ -95,7 +95,7 @@ def measured_of(source: Pipeline, relations: Sequence[str]) -> Measured:
 
 
 def measured_of_run(manifest: Mapping[str, Any]) -> Measured:
-    """Measured parts from `run.json`, of any release; unknown ones are None."""
+    """Measured parts from `run.json`, of any release; unknown parts are None."""
     system = str(manifest.get("system", "pipeline"))
     if system == "vlm":
         return Measured(None, None)
@@ -111,7 +111,7 @@ def measured_of_run(manifest: Mapping[str, Any]) -> Measured:
 
 
 def shared_makers(makers: Makers, measured: Measured) -> tuple[Share, ...]:
-    """Shares of answers with the labels that judge them; those that make figures agreement come first."""
+    """Shares of answers with the judging labels; first the shares by which accuracy is only agreement."""
     found = [*_masks(makers, measured.masks), *_relations(makers, measured)]
     if measured.masks is not None and not measured.imported and not any(share.title for share in found):
         found.append(
@@ -125,7 +125,7 @@ def shared_makers(makers: Makers, measured: Measured) -> tuple[Share, ...]:
 
 
 def shares_of_run(manifest: Mapping[str, Any], labels: str | Path | None) -> tuple[Share, ...]:
-    """Shares that a run records; of an earlier release those that follow from both manifests.
+    """Recorded shares of a run; for an earlier release, derived from both manifests.
 
     `labels`: where the run's labels are, as far as that is known.
     """
@@ -144,7 +144,7 @@ def shares_of_run(manifest: Mapping[str, Any], labels: str | Path | None) -> tup
 
 
 def shares_of_answer(source: Pipeline, labels: Labels | None) -> tuple[Share, ...]:
-    """Shares of an answer with its judge: labels, or by default the frame's annotations."""
+    """Shares of an answer with the judge: labels, or by default the frame's annotations."""
     relations = profile_of(PROFILE).relations if labels is None else labels.relation_names
     return shared_makers(OF_FRAME if labels is None else makers_of(labels.manifest), measured_of(source, relations))
 
@@ -252,7 +252,7 @@ def rank(title: str) -> int:
 
 
 def titles_of(shares: Mapping[str, Sequence[Share]]) -> str:
-    """Titles of several systems by name; where they differ, each with its systems."""
+    """Titles of several systems by name; different titles each with the systems concerned."""
     by_title: dict[str, list[str]] = {}
     for name, found in shares.items():
         by_title.setdefault(title_of(found), []).append(name)
@@ -262,7 +262,7 @@ def titles_of(shares: Mapping[str, Sequence[Share]]) -> str:
 
 
 def with_caveats(table: Table, shares: Mapping[str, Sequence[Share]]) -> Table:
-    """Add to a table's title and notes what its figures can show and cannot.
+    """Add to a table's title and notes the limits of the figures.
 
     `shares`: by the systems that it is of.
     """
@@ -279,7 +279,7 @@ def with_caveats(table: Table, shares: Mapping[str, Sequence[Share]]) -> Table:
 
 
 def _had_vote(makers: Makers, measured: Measured) -> bool:
-    """Tell whether the network was the labels' second opinion: by its file, else by its name."""
+    """Tell whether the network was the labels' second opinion: by file hash, else by name."""
     if measured.scorer == RULE or makers.second_opinion in (None, NONE):
         return False
     if measured.network is not None:
@@ -288,7 +288,7 @@ def _had_vote(makers: Makers, measured: Measured) -> bool:
 
 
 def _but(makers: Makers, what: str) -> str:
-    """Except what people decided, which is no maker's."""
+    """Note on values decided by people, and so of no maker."""
     if makers.decided is None:
         return "; people corrected some of it, how much was not counted" if makers.corrected else ""
     n, of = getattr(makers.decided, what)

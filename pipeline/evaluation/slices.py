@@ -205,7 +205,7 @@ YES_NO = ("yes", "no")
 
 
 def coded(records: pa.Table, cut: Dimension, system: str = "", known: Sequence[str] = ()) -> Coded:
-    """Code the values of a column; `known` ones come first, of a list each expression has several."""
+    """Code the values of a column; `known` values come first, an expression has several codes in a list column."""
     row = np.arange(records.num_rows)
     if not cut.column:
         return Coded(cut, [""], ((system, ""),), row, np.zeros(len(row), np.int64))
@@ -234,7 +234,7 @@ def coded(records: pa.Table, cut: Dimension, system: str = "", known: Sequence[s
 
 
 def part_of(cut: Dimension, key: Any, system: str, operator: str = "=") -> tuple[str, str]:
-    """Name of a value, and the search for its expressions."""
+    """Name of a value, and the search for the value's expressions."""
     if not cut.column:
         return system, ""
     if key is None or (cut.edges and key < 0):
@@ -262,7 +262,7 @@ def _slice(
     kinds: Sequence[str],
     config: BootstrapConfig | None,
 ) -> Slice:
-    """Estimate the K ratios of a value's (C, 1 + K) sums, by resamples of its own clusters."""
+    """Estimate the K ratios of a value's (C, 1 + K) sums, by resamples of the value's clusters."""
     own = sums[sums[:, 0] > 0]
     count, *numbers = own.sum(axis=0).astype(int).tolist()
     found = bootstrap(own, np.arange(len(own)), lambda total: ratio(total[:, 1:], total[:, :1]), config=config)

@@ -114,7 +114,7 @@ class RunSummary:
 
 
 def has_verdicts(records: pa.Table) -> bool:
-    """Tell whether a run's expressions were diagnosed; runs of other systems, and older ones, were not."""
+    """Tell whether a run's expressions were diagnosed; runs of other systems, and older runs, were not."""
     names = records.column_names
     return "verdict" in names and "right_with" in names and records.column("verdict").null_count < records.num_rows
 
@@ -233,7 +233,7 @@ def summary_tables(systems: Mapping[str, RunSummary]) -> list[Table]:
 
 
 def oracle_table(systems: Mapping[str, RunSummary]) -> Table:
-    """Table "oracles": single deltas, and Shapley values with what completes them to 100; all have deltas."""
+    """Table "oracles": single deltas, and Shapley values with the remainder to 100; of summaries with deltas."""
     found = list(systems.values())
 
     def cost(summary: RunSummary, name: str) -> tuple[Cell, Cell]:

@@ -61,7 +61,7 @@ class System(Protocol):
         ...
 
     def measured(self, source: Pipeline, relations: Sequence[str]) -> Measured:
-        """Parts that labels may share."""
+        """Parts possibly shared by labels."""
         ...
 
     def open(self, spec: EvalSpec, source: Pipeline, labels: Labels, clock: StageClock) -> Records:
@@ -121,14 +121,14 @@ class EvalSpec:
     marks: dict[tuple[str, str], str] = field(default_factory=dict)
 
     def open(self) -> tuple[Pipeline, Labels]:
-        """Dataset with its models, and labels."""
+        """Open the dataset with the models, and the labels."""
         return open_source(self.dataset, **self.options), open_labels(self.labels)
 
 
 def context_of(
     source: Pipeline, truth: FrameCases, given: PreparedFrame | None, clock: StageClock, boxes: bool = False
 ) -> PreparedFrame:
-    """Prepare a frame, loaded unless given; InputError where the picture is not that of the labels."""
+    """Prepare a frame, loaded unless given; InputError for another picture than the labels'."""
     if given is not None:
         truth.check_picture(given.frame)
         return given
@@ -207,7 +207,7 @@ def system_of(spec: EvalSpec) -> System:
 
 
 def confidence_of(spec: EvalSpec) -> float:
-    """Score of an object that the oracle RECALL adds."""
+    """Score of objects added by the oracle RECALL."""
     return DEFAULT_CONFIDENCE if spec.confidence is None else spec.confidence
 
 
@@ -295,7 +295,7 @@ def _worked_out(file: Predictions, found: Diagnosis, case: Case, line: Predictio
 def _read(
     file: Predictions, line: Prediction, case: Case, class_names: tuple[str, ...]
 ) -> tuple[Query | None, InputError | None]:
-    """Query as the system read the words, else as they are meant; our own runs read for themselves."""
+    """Query as read by the system, else as meant; our own runs read for themselves."""
     if file.header.settings is not None:
         return read_query(case, class_names)
     names = (case.target, case.reference)
@@ -315,7 +315,7 @@ def _given_row(
     parsed: tuple[Query | None, InputError | None],
     overlap: np.ndarray,
 ) -> dict[str, Any]:
-    """Row of an answer without a known ranking: its place, and what of the proposals is right."""
+    """Row of an answer without a known ranking: the answer's place, and the right proposals."""
     file, line = file_of(answers.source), line_of(answers.source)
     row = asked_columns(case, truth)
     if line.level:

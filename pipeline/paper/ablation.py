@@ -88,7 +88,7 @@ class AblationViews:
 
 
 def other_camera(camera: Camera, rng: np.random.Generator) -> Camera:
-    """A camera at the same place of the floor that looks the same way, from another height, tilted and rolled."""
+    """A camera at the same place of the floor and in the same direction, from another height, tilted and rolled."""
     assert camera.T_world_camera is not None
     forward, position = camera.T_world_camera[:3, 2], camera.T_world_camera[:3, 3].copy()
     position[2] = rng.uniform(*HEIGHTS_M)
@@ -101,7 +101,7 @@ def ablation_views(
 ) -> AblationViews:
     """Render the rooms, whatever the `workers`; `progress` is called with (rooms done, of how many).
 
-    Raises InputError: a number makes no sense.
+    Raises InputError: a number of `config` is out of range.
     Raises MissingExtra: embreex is not installed.
     """
     config.check()
@@ -119,7 +119,7 @@ def ablation_views(
 
 
 def _room(job: tuple[int, int, int, int, bool]) -> tuple[tuple[FrameSamples, ...], tuple[FrameSamples, ...]]:
-    """Views of a room, and for a measured room those of the other cameras."""
+    """Views of a room, for a measured room also the views of the other cameras."""
     seed, views, width, height, measured = job
     room = make_room(seed)
     cameras = choose_views(room, views, np.random.default_rng([seed, 11]), width, height)
@@ -142,7 +142,7 @@ class Variant:
     counts: np.ndarray
 
     def figures(self, other: Variant | None = None, config: BootstrapConfig | None = None) -> list[Estimate]:
-        """Micro-F1 by the usual cameras, by others, the loss; F1 of front and behind by the usual ones, by others.
+        """Micro-F1 by the usual cameras, by others, the loss; F1 of front and behind by the usual cameras, by others.
 
         Resampled are rooms. With `other` the figures are paired differences, of `self` less `other`.
         """
@@ -191,14 +191,14 @@ def measure_variant(views: AblationViews, features: str, pairs: int, config: Abl
 
 
 def measure_rule(views: AblationViews, labels: Protocol) -> Variant:
-    """Measure the bare rule on what is seen, the best that a network of the rule could get."""
+    """Measure the bare rule on the visible surfaces, the upper bound of a network trained on the rule."""
     return Variant("rule", None, _counts(views, labels, lambda frame: rule_probabilities(frame.rule)))
 
 
 def ablation_table(
     variants: Sequence[Variant], labels: Protocol, test_rooms: int, config: BootstrapConfig | None = None
 ) -> Table:
-    """Every variant, and how much those of 3D are ahead of 2D with as many pairs."""
+    """Every variant, and the lead of 3D features over 2D with as many pairs."""
     rows = [Row(_name(v), tuple(v.figures(config=config))) for v in variants]
     flat = {v.pairs: v for v in variants if v.features == "geom2d8"}
     for v in variants:
@@ -228,7 +228,7 @@ def compare_features(
 ) -> Table:
     """Render, train and measure every variant; `progress` is called with (step, done, of how much).
 
-    Raises InputError: a number makes no sense.
+    Raises InputError: a number of `config` is out of range.
     Raises MissingExtra: torch, onnx or embreex is not installed.
     """
     config = config or AblationConfig()

@@ -49,7 +49,7 @@ class View:
 
 
 def view_of(rgb: np.ndarray) -> View:
-    """Picture of a frame ((H, W, 3) uint8) padded to a square, the frame in its middle.
+    """Picture of a frame ((H, W, 3) uint8) padded to a square, the frame in the middle.
 
     LLaVA-1.5 was trained on pictures padded to a square, and its boxes are shares of that square; some servers pad
     themselves, others cut the middle out. A picture that is square already is treated alike by all.
@@ -155,7 +155,7 @@ def _judged(answer: ChatAnswer) -> tuple[bool | None, str]:
 
 
 def _shared_names(objects: Sequence[Named]) -> np.ndarray:
-    """(M,) bool: things with a name that another has too."""
+    """(M,) bool: things with a name in common with another thing."""
     forms = [normal_form(thing.label) for thing in objects]
     counts = Counter(forms)
     return np.array([counts[form] > 1 for form in forms], np.bool_)
@@ -195,7 +195,8 @@ class Grounding:
 def ground_many(
     client: ChatClient, frame: Frame, texts: Sequence[str], *, box_scale: BoxScale = "auto", workers: int = 4
 ) -> list[Grounding]:
-    """Ask for the boxes of expressions about one frame, such as "the mug left of the laptop"; in their order.
+    """Ask for the boxes of expressions about one frame, such as "the mug left of the laptop"; answers in the same
+    order.
 
     `box_scale`: as `parse_box` takes it; pixels are those of the picture as it is sent. Models that count in
     thousandths (Qwen3-VL, InternVL) need 1000.

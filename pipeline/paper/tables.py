@@ -79,7 +79,7 @@ class Evaluated:
         return (self.vocabulary,) if self.vocabulary in PUBLISHED_ON else (SA, AVD)
 
     def title(self, what: str, shape: str) -> str:
-        """Title of a table, with the frames of its published and its measured rows."""
+        """Title of a table, with the frames of the published and the measured rows."""
         on = f"reported on {PUBLISHED_ON[shape]}, measured on {self.dataset}"
         return f"{WHAT[what]}: {on}; not comparable frame by frame"
 
@@ -268,7 +268,7 @@ def tables_of_folder(
     held_out: bool = False,
     config: BootstrapConfig | None = None,
 ) -> list[Table]:
-    """Make the paper's tables of a run's folder; relations where it has their records.
+    """Make the paper's tables of a run's folder; relations if recorded.
 
     `systems` are the records of expressions by system, `shares` as in `Evaluated`.
     """

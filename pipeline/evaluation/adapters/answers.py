@@ -114,7 +114,7 @@ def _first(row: Mapping[str, Any], names: Iterable[str]) -> Any:
 
 
 def _picture(found: Any) -> Picture | None:
-    """A name or number; of a list its only entry, of an object its path."""
+    """A name or number; the only entry of a list, the path of an object."""
     if isinstance(found, list) and len(found) == 1:
         found = found[0]
     if isinstance(found, dict):

@@ -59,7 +59,7 @@ class Published:
         return found
 
     def size(self, frame: str) -> tuple[int, int]:
-        """Width and height of a frame, pixels; InputError for a frame that cannot be loaded."""
+        """Width and height of a frame, pixels; InputError for an unreadable frame."""
         if frame not in self._sizes:
             loaded = load_picture(self.dataset, frame)
             self._sizes[frame] = loaded.width, loaded.height

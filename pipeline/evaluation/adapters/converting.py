@@ -173,7 +173,7 @@ def _chosen(path: Path, name: str | None) -> tuple[str, PredictionFormat]:
 
 
 def _sentences(dataset: Dataset, labels: Labels) -> dict[str, dict[str, tuple[str, ...]]]:
-    """Expressions of the labels by frame, in order, each with its names."""
+    """Expressions of the labels by frame, in order, each with the names in the text."""
     table = labels.expressions.select(["frame", "text", "target", "reference"])
     found: dict[str, dict[str, tuple[str, ...]]] = {}
     for row in table.to_pylist():

@@ -21,7 +21,7 @@ ONLY_DETECTIONS = "the file holds detections and no answers"
 
 
 def read_recording(published: Published) -> tuple[Header, Iterator[Prediction]]:
-    """Join every expression of the labels with the detections of its names."""
+    """Join every expression of the labels with the detections of the names in the text."""
     detector = RecordedDetector(published.path, key=published.key, frame_ids=published.dataset.frame_ids)
     published.notes.append(
         f"{ONLY_DETECTIONS}: with --detector recorded they can be ranked as ours are (spatialviz eval)"
@@ -66,7 +66,7 @@ def _lines(published: Published, detector: RecordedDetector) -> Iterator[Predict
 
 
 def _proposals(found: Proposals, told: set[int]) -> Iterator[Proposal]:
-    """Best first; an object's mask stands where the frame names it first."""
+    """Proposals, best first; an object's mask stands at the first mention in the frame."""
     rows = zip(found.ids.tolist(), found.scores.tolist(), found.boxes.tolist(), strict=True)
     for k, (i, score, box) in enumerate(rows):
         masked = found.masks is not None and (found.has_mask is None or found.has_mask[k]) and i not in told
