@@ -28,7 +28,7 @@ REASON = "this pair is right"
 
 
 def right_pair(editor: LabelEditor, trace: Trace, pair: ScoredPair) -> Edits:
-    """Edits by which a pair of an answer is right: its objects, where the labels lack them, and its relations.
+    """Edits to make a pair of an answer right: missing objects of the pair, and the pair's relations.
 
     The sentence is kept for one relation between two names. For several, or the inverse, the relations of the answer's
     objects are: such truth follows from the labels. The editor's labels hold the frame (see `take_in`). InputError

@@ -85,7 +85,7 @@ def vocabulary_of(labels: Labels, dataset: Dataset | None = None, journal: Journ
 
 
 def completions(typed: str, vocabulary: Vocabulary, most: int = MOST) -> tuple[Completion, ...]:
-    """The class names that what was typed may mean, best first.
+    """Class names for a typed beginning, best first.
 
     What begins with it comes before what has a word that does, and that before
     what only holds it. A class of the labels comes before another name of one

@@ -105,7 +105,7 @@ def _box_change(before: Box3D, after: Box3D) -> str:
 
 
 def events_text(events: Sequence[Event], frame: EffectiveFrame | None) -> str:
-    """What an action changed: its first change in words, and how many more there are.
+    """Summary of an action: the first change in words, and the number of further changes.
 
     What follows for "b ... a" from what was said of "a ... b" is not counted.
     """

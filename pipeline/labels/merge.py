@@ -334,7 +334,7 @@ def _mixed(ids: np.ndarray, seed: int) -> np.ndarray:
 
 
 def _rank(groups: tuple[np.ndarray, ...], key: np.ndarray) -> np.ndarray:
-    """(N,) rank of each row among those of its group, by key."""
+    """(N,) rank of each row within the row's group, by key."""
     order = np.lexsort((key, *reversed(groups)))
     ranks = np.empty(len(key), np.int64)
     ranks[order] = _running_count(*(group[order] for group in groups))

@@ -248,7 +248,7 @@ def as_given(judged: JudgedPairs, numbers: Sequence[int], given: Sequence[GivenE
     nothing is said stays U throughout: it may have been passed over.
 
     `judged`: of N objects; its states are U where nothing is given. `numbers`: the objects' indices in the dataset's
-    own list of annotations. Returns margins are 0: no geometry was asked.
+    own list of annotations. Margins are 0: no geometry was asked.
     """
     index_of = {number: k for k, number in enumerate(numbers)}
     sure, maybe = np.zeros(judged.states.shape, np.bool_), np.zeros(judged.states.shape, np.bool_)

@@ -43,7 +43,7 @@ class Links:
     step: np.ndarray  # float32: the difference of the depths, as a share of the depth
 
     def alike(self, tolerance: float, loose: bool) -> np.ndarray:
-        """Where both are of one surface; with `loose`, creases and missing normals do not end one."""
+        """Tell where both pixels are of one surface; with `loose`, across creases and missing normals too."""
         if loose:
             return self.joined & ((self.concave <= tolerance) | (np.isinf(self.concave) & (self.step <= tolerance)))
         return self.joined & (self.concave <= tolerance) & (self.turn <= BEND * tolerance)
@@ -193,7 +193,7 @@ def nearest_pixel(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _with_rim(surface: Surface, region: np.ndarray, tolerance: float) -> np.ndarray:
-    """A region with the pixels around it that lie in its surface, but have no normal of their own."""
+    """A region with surrounding pixels of the same surface, but without normals."""
     if not region.any():
         return region
     far, nearest = nearest_pixel(region)

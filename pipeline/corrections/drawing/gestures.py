@@ -36,7 +36,7 @@ THINNEST = 0.7072
 class Gesture:
     """One movement of a hand over a picture.
 
-    Raises InputError: it is none.
+    Raises InputError: an unknown kind, a wrong number of points, or a radius or tolerance out of range.
     """
 
     kind: Kind
@@ -78,7 +78,7 @@ def gesture_of(kind: Any, points: Any, height: int, width: int, *, fractions: bo
     `points`: pixels, or with `fractions` shares of width and height; a radius is then a share of the width. `more`:
     `adds`, `radius`, `tolerance` of the gesture.
 
-    Raises InputError: these are no points of the picture, or it is no gesture.
+    Raises InputError: points outside of the picture, or no such gesture.
     """
     require(
         not isinstance(points, (list, tuple)) or len(points) <= MOST_POINTS,
@@ -115,7 +115,7 @@ def gesture_of(kind: Any, points: Any, height: int, width: int, *, fractions: bo
 def read_gesture(message: Any, height: int, width: int) -> Gesture:
     """A gesture as the page sends it: {"do", "at": [[x, y], ...], "add", "radius", "tolerance"}, in fractions.
 
-    Raises InputError: it is none.
+    Raises InputError: no such message, or no such gesture.
     """
     require(
         isinstance(message, Mapping) and not set(message) - {"do", "at", "add", "radius", "tolerance"},
@@ -149,7 +149,7 @@ class Canvas:
 
 
 def drawn(gesture: Gesture, height: int, width: int, canvas: Canvas | None = None) -> np.ndarray:
-    """The pixels that a gesture means.
+    """Pixels meant by a gesture.
 
     `canvas`: for what follows the depth. Returns (H, W) bool.
 
@@ -176,13 +176,13 @@ def applied(mask: np.ndarray, gesture: Gesture, canvas: Canvas | None = None) ->
 
 
 def goes_around(points: np.ndarray) -> bool:
-    """Whether the ends of a cut meet, so that it goes around a part."""
+    """Tell whether the ends of a cut meet around a part."""
     length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
     return len(points) > 3 and float(np.linalg.norm(points[0] - points[-1])) < CLOSED * length
 
 
 def stroke_mask(points: np.ndarray, radius: float, height: int, width: int) -> np.ndarray:
-    """What a round brush covers on its way.
+    """(H, W) bool covered by a round brush.
 
     `points` (N, 2) float: x, y of its middle, pixels; one point is a disc. `radius`: pixels; at least `THINNEST`.
     Returns (H, W) bool: pixels whose centre is no further than `radius` from the line.

@@ -73,7 +73,7 @@ def estimate_noise(p: np.ndarray, says: np.ndarray) -> Noise:
 def confident_joint(p: np.ndarray, says: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Thresholds and the confident joint of given and true labels (equation 1 of the paper).
 
-    `p` (M,) float. `says` (M,) bool: of either answer at least one.
+    `p` (M,) float; `says` (M,) bool, with either answer at least once.
 
     Returns `thresholds` (2,) float64: mean probability of each answer over the labels that give it. `counts` (2, 2)
     float64: by what labels say and what they should.

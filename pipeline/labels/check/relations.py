@@ -219,7 +219,7 @@ def expected_viewer_cone(view: FrameView) -> Expected:
 
 
 def _measured(view: FrameView) -> tuple[np.ndarray, PairMeasures, Expected]:
-    """(N,) bool whose extents are known, the measures of all pairs, and what they allow of on, in and distances."""
+    """Objects with known extents ((N,) bool), measures of all pairs, allowed states of on, in and distances."""
     lo, hi = view.extents
     known = known_extents(lo, hi)
     pairs = measure_pairs(np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0), Profile())

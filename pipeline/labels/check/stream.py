@@ -338,7 +338,7 @@ def _messages(rows: pa.Table, table: str, row: int) -> dict[str, str]:
 
 
 def _broken(column: Any, constraint: Constraint) -> tuple[np.ndarray, np.ndarray]:
-    """Which cells are not allowed, and which are not finite, as two (N,) bool."""
+    """Disallowed cells, and cells without a finite value, as two (N,) bool."""
     n = len(column)
     null = _bools(column.is_null())
     bad = np.zeros(n, np.bool_) if constraint.nullable else null.copy()
