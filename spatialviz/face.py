@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def open(dataset: Source, **options: Any) -> Opened:
-    """Open a dataset as `pipeline.open`, with a page for the pipeline and its answers."""
+    """Open a dataset as `pipeline.open`, with a page for the pipeline and the answers."""
     return replace(core.open(dataset, **options), viewer=show)
 
 
@@ -121,7 +121,7 @@ def _name(pipeline: Pipeline) -> str:
 
 
 def _is_of(frame: Frame, opened: Opened) -> bool:
-    """True for a frame of the dataset itself, unlike one at hand with the same id."""
+    """True for a frame of the dataset, unlike a frame at hand with the same id."""
     if frame.id not in opened.frames.ids:
         return False
     own = opened.frames[frame.id]
@@ -129,7 +129,7 @@ def _is_of(frame: Frame, opened: Opened) -> bool:
 
 
 def _of_answer(answer: Answer) -> tuple[Opened, dict[str, Any]]:
-    """Pipeline behind an answer, and its view; InputError for an answer without one."""
+    """Pipeline behind an answer, and the answer's view; InputError for an answer without a pipeline."""
     opened, frame = answer.origin, answer.needed_trace().frame
     if not isinstance(opened, Opened):
         raise InputError("this answer does not know what answered it", expected="one that `ask` of `open` gave")

@@ -55,7 +55,7 @@ class PlainStream:
 
 
 def unfiltered(stream: Any) -> Any:
-    """Stream below, for code with a filter of its own."""
+    """Stream below, for code with a filter already."""
     while (below := getattr(stream, "rich_proxied_file", None)) is not None:
         stream = below
     return stream
@@ -86,7 +86,7 @@ def _make_plain() -> None:
 
 @contextmanager
 def _libraries_silent() -> Iterator[None]:
-    """Silence native libraries writing past Python about a damaged picture: we say it ourselves.
+    """Silence native libraries' messages about a damaged picture: ours replaces them.
 
     Where the program is looked into, or ONNX Runtime's own messages are asked for, all of it is shown.
     """

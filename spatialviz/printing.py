@@ -43,7 +43,7 @@ class _PipeConsole(Console):
 
 @lru_cache(maxsize=1)
 def console() -> Console:
-    """Console without wrapping in a pipe, robust to a closed one."""
+    """Console without wrapping in a pipe, robust to a closed pipe."""
     made = _PipeConsole(highlight=False, soft_wrap=True)
     if not made.is_terminal:
         # In a pipe there is no edge to wrap at.
@@ -113,7 +113,7 @@ def rate_bar(what: str, unit: str) -> Iterator[Callable[[int, int], None]]:
 
 
 def print_table(found: ResultTable, caveats: bool = True) -> None:
-    """Print a table with its title and caveats."""
+    """Print a table with title and caveats."""
     say(found.title, style="bold")
     console().print(rich_table(found))
     if found.note:
@@ -133,7 +133,7 @@ def rows_record(tables: Iterable[ResultTable]) -> dict[str, Any]:
 
 
 def rich_table(found: ResultTable) -> Table:
-    """Table of figures for the terminal; a too wide one has intervals below their figures."""
+    """Table of figures for the terminal; a too wide table has intervals below the figures."""
     texts = [found.shown(row) for row in found.rows]
     names = [row.name if row.source == "measured" else f"{row.name} ({row.source})" for row in found.rows]
     longest = max(map(len, names), default=0)

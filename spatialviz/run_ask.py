@@ -78,7 +78,7 @@ def run_ask(command: AskCommand) -> int:
 
 
 def _opened(command: AskCommand) -> tuple[Pipeline, Labels | None, EvalSpec | None]:
-    """Pipeline of a command, its labels, and the specification of an asked run."""
+    """Pipeline of a command, labels, and the specification of an asked run."""
     labels = None if command.labels is None else open_labels(command.labels)
     if command.run_folder is None:
         if command.dataset == DEMO_NAME and not command.json:
@@ -258,7 +258,7 @@ def print_answer(answer: Answer, trace: Trace) -> None:
 
 
 def print_ranking(trace: Trace) -> None:
-    """Print the best pair, the reason where it does not hold, and the first pairs with their factors."""
+    """Print the best pair, the reason for "no such pair", and the first pairs with all factors."""
 
     def name(index: int | None) -> str:
         assert index is not None
@@ -313,7 +313,7 @@ def print_ranking(trace: Trace) -> None:
 
 
 def print_measurement(found: Measurement, context: PreparedFrame) -> None:
-    """Print the distance, and its parts along the viewer's axes."""
+    """Print the distance, and the parts along the viewer's axes."""
     say((f"{found.distance:.3f} m", "bold"), "  " + "  ".join(found.words))
     _warn_assumed(context.viewer, context.frame.depth_source)
 

@@ -26,7 +26,7 @@ def run_audit(command: AuditCommand) -> None:
 
 
 def print_audit(report: AuditReport, command: AuditCommand) -> None:
-    """Print the evidence against the items, the first of them, and the path of all."""
+    """Print the evidence against the items, the first items, and the path of all."""
     if report.systems is not None:
         print_table(report.systems)
         say()

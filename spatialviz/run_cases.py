@@ -59,7 +59,7 @@ def whatif_answer(
     move: str | None = None,
     cells: int | None = None,
 ) -> tuple[dict[str, Any], Outcome, np.ndarray | None]:
-    """Record of `whatif --json`, the answer under edits, and with `cells` the picture of its decision map."""
+    """Record of `whatif --json`, the answer under edits, and with `cells` the picture of the decision map."""
     source, context = baseline.source, baseline.context
     if unknown := foreign_keys(baseline, edits):
         known = ", ".join(sorted(baseline.all_keys)[:30])
@@ -280,7 +280,7 @@ def print_replay(result: ReplayResult) -> None:
 
 
 def in_words(state: ExpectedRecord) -> str:
-    """Answer and its verdict on a line."""
+    """Answer and verdict on a line."""
     verdict = "" if state.judgement is None else f"   {state.judgement.verdict}: {state.judgement.said}"
     if state.answer is None:
         return f"no answer ({state.reason}){verdict}"

@@ -169,8 +169,7 @@ def run_effective(command: EffectiveCommand) -> None:
 
 @contextmanager
 def _told_how_to_try_again() -> Iterator[None]:
-    """Tell how to repeat after a database error: it may have saved all the same, and the next try names the repeated
-    one."""
+    """Tell how to repeat after a database error; events already saved are named by the next try."""
     try:
         yield
     except NotSaved as error:
@@ -209,7 +208,7 @@ def print_events(events: Sequence[Event]) -> None:
 
 
 def print_outcome(done: Saved | Conflict | None, verb: str, frame_of: FrameOf) -> None:
-    """Print the saved events, or the conflicting ones."""
+    """Print the saved events, or the conflicting events."""
     if done is None:
         say("there is nothing of this person's left to take back or bring back")
     elif isinstance(done, Saved):
@@ -282,12 +281,12 @@ def frames_of(corrector: Corrector, journal: Journal | Sequence[Event]) -> Frame
 
 
 def _text(event: Event, frame_of: FrameOf) -> str:
-    """Event in words, with its frame."""
+    """Event in words, with the frame."""
     return f"{event.ref.frame}: {event_text(event, frame_of(event.ref.frame))}"
 
 
 def print_objects(cards: Sequence[ObjectCard], whole: bool) -> None:
-    """Print a line for each object; for a single one with `whole` every field with its source."""
+    """Print a line for each object; for a single object with `whole` every field with source."""
     print_rows(
         ("object", "class", "status", "size (m)", "away (m)", "T U F", "not the labeller's"),
         (

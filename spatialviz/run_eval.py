@@ -215,7 +215,7 @@ def _shown_boxes(answer: dict[str, list[float] | None]) -> str:
 def failures_of(
     command: FailuresCommand, records: pa.Table, second: pa.Table | None
 ) -> tuple[dict[str, Any], Callable[[dict[str, Any]], None]]:
-    """Record of `failures --json` of a run (and of `--compare`), with its printer for people."""
+    """Record of `failures --json` of a run (and of `--compare`), with a printer for people."""
     dimensions = [dimension_named(name) for name in (command.slices or "relation").split(",") if name.strip()]
     need_verdicts(records)
     rows = RunRows(records, command.run_folder, second)
@@ -354,7 +354,7 @@ def print_json_rows(answer: QueryRows) -> int:
 
 
 def row_records(answer: QueryRows) -> Iterator[dict[str, Any]]:
-    """Rows as records of `query --json`, one by one."""
+    """Rows as records of `query --json`, streamed."""
     return (dict(zip(answer.columns, map(plain, row), strict=True)) for row in answer.rows)
 
 
@@ -370,7 +370,7 @@ def print_csv(answer: QueryRows) -> int:
 
 
 def plain(value: Any) -> Any:
-    """Convert a value of a database to JSON; null for what is no number."""
+    """Convert a value of a database to JSON; NaN and infinity become null."""
     if value is None or isinstance(value, (str, bool, int)):
         return value
     if isinstance(value, float):
@@ -397,7 +397,7 @@ def print_failures(
     found: pa.Table,
     comparison: Comparison | None,
 ) -> None:
-    """Print what a search found before verdicts, costs and slices of the run; without a search after them."""
+    """Print the results of a search before verdicts, costs and slices of the run; without a search after."""
     if comparison is not None:
         print_comparison(comparison, 0)
     if command.search:

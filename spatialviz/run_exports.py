@@ -68,7 +68,7 @@ def run_export(command: ExportCommand) -> None:
 
 @contextmanager
 def _labels(command: ExportCommand, automatic: Labels) -> Iterator[Labels]:
-    """Labels to export: as they are, or with the journal applied, in a temporary folder."""
+    """Labels to export: unchanged, or with the journal applied, in a temporary folder."""
     if not command.corrected:
         yield automatic
         return
@@ -140,7 +140,7 @@ def _journal(command: ImportCommand, labels: Labels) -> Iterator[Journal | None]
 
 
 def print_import(report: ImportReport, show: int) -> None:
-    """Print the changes of a file, and objections to them."""
+    """Print the changes of a file, and objections to the changes."""
     for edit in report.edits[:show]:
         values = (shown_value(edit.ref, value) for value in (edit.before, edit.after))
         say(f"{edit.ref}: {' -> '.join(values)}")

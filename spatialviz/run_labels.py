@@ -84,7 +84,7 @@ def run_label(command: LabelCommand) -> int:
 
 
 def _begin(command: LabelCommand, config: LabelConfig) -> int:
-    """Labels that people fill by hand."""
+    """Labels to be filled by hand."""
     spec = command.source.spec(command.dataset).absolute()
     camera = {name: spec.options.get(name) for name in CAMERA}
     dataset = spec.open(config).dataset

@@ -26,7 +26,7 @@ def run_mcp(command: McpCommand) -> None:
 
 
 def open_session(command: McpCommand, keep: ExitStack) -> Session:
-    """Open everything named by the command; `keep` closes it."""
+    """Open everything named by the command; `keep` closes the session."""
     require(command.paths, "nothing was named to be served", expected="spatialviz mcp demo, or the paths of your own")
     require(
         command.allow_corrections == (command.author is not None),

@@ -270,7 +270,7 @@ def print_catalogue(known: Sequence[Adapter], here: Inventory) -> None:
 
 
 def _model_lines(model: KnownModel) -> list[str]:
-    """Lines of a model and its files."""
+    """Lines of a model and the model's files."""
     state = " (fetched)" if is_fetched(model) else ""
     lines = [f"{model.name}, {model.licence}{state}" + (f". {model.note}" if model.note else "")]
     for file in model.files:

@@ -201,7 +201,7 @@ def print_training(card: dict[str, Any], out: Path) -> None:
 
 
 def print_retraining(found: Retraining, out: Path) -> None:
-    """The table before and after, and the cells that changed most."""
+    """The table before and after, and the most changed cells."""
     print_table(found.table())
     for title, count, cells in (
         ("became right", found.counts[0], found.better),

@@ -131,7 +131,7 @@ def _journal(command: ViewCommand, labels: Labels) -> JournalLocation:
 
 
 def _named(command: ViewCommand, view: ViewState) -> tuple[str, Path | None]:
-    """Dataset and run to open: those of the command line, else those of the view."""
+    """Dataset and run to open, of the command line, else of the view."""
     if command.run_folder is not None or command.dataset != DEMO_NAME:
         return command.dataset, command.run_folder
     if view.run is not None:
@@ -170,7 +170,7 @@ def _check_labels(labels: Labels, source: Pipeline) -> None:
 
 
 def _in(view: ViewState, sources: Mapping[str, Pipeline]) -> ViewState:
-    """View as one of these sources; InputError for none."""
+    """View as one of these sources; InputError for no match."""
     name = view.dataset
     if name not in sources and len(sources) == 1:
         # A folder may have another name here.
