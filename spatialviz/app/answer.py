@@ -32,7 +32,7 @@ def answer_html(state: State, can_ask: bool = True) -> Element:
     if state.problem:
         return panel(note(f"This frame is broken: {state.problem}", BAD), cls="answer")
     if trace is None:
-        # Why a question could not be asked stands in its stage, PARSE.
+        # The stage PARSE carries the reason of a refused question.
         hint = "No answer." if state.error else HINT if can_ask else NOTHING_TO_ASK
         return panel(level_html(state), h.p(hint, cls="lead dim"), verdict_html(state), under, cls="answer")
     reason = why_no_answer(trace)
@@ -86,7 +86,7 @@ def verdict_html(state: State) -> Element | None:
     stage = MODULE_OF.get(judged.verdict, "" if judged.verdict in ("COMPOUND", "UNEXPLAINED") else "LABEL")
     return h.div(
         h.button(verdict_chip_of(judged), cls="plain", do=f"stage:{stage}", id="verdict", title="show why"),
-        # Where a stage failed, it has the sentence.
+        # A failed stage carries the sentence.
         None if state.task == "explain" and failed_stages(state.trace, judged) else h.p(judged.text, cls="sentence"),
         None if state.other is None or state.trace is None else _second(state.other, state.other_pair),
         cls="verdict",
@@ -131,7 +131,7 @@ def _pair(state: State, trace: Trace) -> list[Child]:
     pair = state.chosen or best
     answer = words_of_answer(trace, state.name_of, pair)
     return [
-        # Of the answer itself it is said that there is none; another pair that was clicked is only looked at.
+        # The lead sentence belongs to the best pair, not to another clicked pair.
         note(_capital(answer.lead.strip())) if pair is best and answer.lead else None,
         _names(state, trace, pair),
         _headline(trace, pair),

@@ -15,11 +15,11 @@ from pipeline.datasets.camera_plan import CameraPlan
 from spatialviz.app.context import Context, Part, command
 
 Which = Literal["all", "failed", "right", "open", "settled"]
-"""What may be listed alone: frames with a wrong answer of the run or none, with an open item of the review or none."""
+"""Filters: frames with or without a wrong answer of the run, with or without an open item of the review."""
 MOST_ROWS = 400
-"""More are not asked for at once by the page."""
+"""Frames per request of the page, at most."""
 Counts = Mapping[str, tuple[int, int]]
-"""By frame, how many of its answers are right, or of its items are settled; and how many are not."""
+"""By frame: (right answers or settled items, the others)."""
 
 
 class Browse(Part):

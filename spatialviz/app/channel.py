@@ -24,18 +24,15 @@ from pipeline.system.errors import InputError
 from pipeline.system.reading import checked
 
 WAITING_BYTES = 8 * 2**20
-"""A browser that lets so much wait is cut off; it comes back and is sent the page as it is then."""
+"""Limit of unread output; slower browsers are cut off, reconnect, and get the page anew."""
 MANY, REST_SECONDS = 10, 0.25
-"""Where more jobs than that wait for one page, it rests after each: others are answered meanwhile."""
+"""A page with more queued jobs pauses after each, so that other pages are answered."""
 LASTING = ("ask-typed", "edit-live", "hover", "rows")
-"""Commands of which only the last one counts, where several wait."""
+"""Commands replaced by a later command of the same name in the queue."""
 
 
 class Channel:
-    """Job queue of a page, in order, off the server's loop; outgoing messages may come from any thread.
-
-    `name`: of its thread; `on_message`: handles a message.
-    """
+    """Job queue of a page, in order, off the server's loop; outgoing messages may come from any thread."""
 
     def __init__(self, name: str, on_message: Callable[[Incoming], None]) -> None:
         self._on_message = on_message
@@ -48,7 +45,7 @@ class Channel:
         self._ended = False
         self._abort: Callable[[], None] = lambda: None
         self.left = time.monotonic()
-        """When the browser went away, on the monotonic clock."""
+        """Time of the disconnect, monotonic clock."""
         self._thread = threading.Thread(target=self._work, daemon=True, name=f"page-{name}")
         self._thread.start()
         _STARTED.add(self)
@@ -83,7 +80,7 @@ class Channel:
             text = write(message)
             self._waiting += len(text)
             if self._waiting > WAITING_BYTES:
-                # It does not read, not even that it is cut off.
+                # The browser does not read, not even a close message.
                 loop.call_soon_threadsafe(self._abort)
                 return
             loop.call_soon_threadsafe(outgoing.put_nowait, text)
@@ -131,7 +128,7 @@ class Channel:
             _AT_WORK.add(self)
             try:
                 job()
-            except Exception as error:  # One failed click must not end the session.
+            except Exception as error:  # A failed click must not end the session.
                 said = f"A fault of the program; the page goes on. For its makers: {type(error).__name__}: {error}"
                 self.send(Call("toast", {"title": "Something went wrong", "text": said, "bad": True}))
             finally:
@@ -158,9 +155,9 @@ def end_all(within: float) -> None:
 
 LONGEST_ADDRESS = 4_000
 LONGEST_COMMAND, LONGEST_DRAWING = 20_000, 500_000
-"""Characters; a stroke of the pixel editor is a few tens of thousands."""
+"""Characters; a stroke of the pixel editor takes a few tens of thousands."""
 DRAWING = "px-"
-"""Begins the commands of the pixel editor."""
+"""Prefix of the pixel editor's commands."""
 
 
 @dataclass(frozen=True)
@@ -168,9 +165,9 @@ class Hello:
     """First message: address, author and theme as kept by the browser."""
 
     type: Literal["hello"]
-    address: Annotated[str, Field(max_length=LONGEST_ADDRESS)] = ""  # The query of the page's address, without "?"
-    author: Annotated[str, Field(max_length=LONGEST_ADDRESS)] = ""  # The name that the browser has kept; "" for none
-    # "dark" or "light" as the browser has kept it; "" for what the server was started with.
+    address: Annotated[str, Field(max_length=LONGEST_ADDRESS)] = ""  # Query of the page's address, without "?"
+    author: Annotated[str, Field(max_length=LONGEST_ADDRESS)] = ""  # Name kept by the browser; "" for none
+    # As kept by the browser; "" for the server's default
     theme: Literal["", "dark", "light"] = ""
 
 
@@ -224,7 +221,7 @@ class PageAddress:
 
     query: str  # Without "?"
     title: str
-    push: bool  # Whether Back leads to what was shown before
+    push: bool  # True for a new entry of the browser's history
     type: Literal["address"] = "address"
 
 

@@ -39,17 +39,17 @@ Thing = TypeVar("Thing")
 class Shared:
     """Data and options common to all pages of a server."""
 
-    store: FrameStore  # Datasets by name; the first is shown first
-    # runs, others: Evaluations to debug, and those whose answers are shown beside, by the names of their sources
+    store: FrameStore  # Pipelines by name; the first is shown first
+    # Runs to debug, and runs to compare with, by pipeline name
     runs: Mapping[str, Run]
     others: Mapping[str, Run]
-    labels: Mapping[str, Labels]  # What is true where there is no run
-    journals: Mapping[str, JournalLocation]  # Labels that may be corrected
-    author: str | None = None  # Under whose name they are, until the page says another
-    opened_by: tuple[str, ...] = ()  # The words of the command line, for commands that open the page again
-    first_view: ViewState | None = None  # What is shown first
+    labels: Mapping[str, Labels]  # Truth without a run
+    journals: Mapping[str, JournalLocation]  # Journals of correctable labels
+    author: str | None = None  # Default author of corrections, replaced by the page's
+    opened_by: tuple[str, ...] = ()  # Command line, for commands reopening the page
+    first_view: ViewState | None = None  # Initial view
     dark: bool = True
-    alone: bool = True  # Nobody else reaches the server, so that whoever opens the page may have it load a file
+    alone: bool = True  # Server reachable from this machine only: pages may load files
 
     @cached_property
     def pictures(self) -> FramePictures:
@@ -63,17 +63,7 @@ class Shared:
 
 
 class Context:
-    """State, browser and scene of a page.
-
-    `page_id`: as the browser has chosen it; `receive`, `clicked`: take a message of the browser, and a click in the
-    scene: the pixel that was hit, and the boxes on the way, the smallest first; `draw`: bring the page up to the state;
-    with `live=True` only what follows a hand that drags; `handle`: carry out a command; unknown ones are ignored, and
-    what cannot be done is said; `open_frame`: show another frame; `state`: what is looked at; only the page's own
-    thread sets it; `post`: runs something after whatever the user does meanwhile, on the page's own thread; `log`:
-    times and lines of what happened; `closed`: set when the page has gone; `editors`: of the labels that may be
-    corrected; `reviewed`: by frame, how many items of the review are settled, and how many are not; `leave`: called
-    then, such as to listen no more to what runs on for others.
-    """
+    """State, browser and scene of a page."""
 
     def __init__(
         self,
@@ -81,20 +71,24 @@ class Context:
         shared: Shared,
         *,
         receive: Callable[[Incoming], None],
+        # (hit pixel, boxes on the ray, smallest first)
         clicked: Callable[[tuple[int, int] | None, list[int]], None],
+        # draw(live=True) only updates the parts following a drag.
         draw: Callable[..., None],
         handle: Callable[[Command], None],
         open_frame: Callable[[str], None],
     ) -> None:
         self.draw, self.handle, self.open_frame = draw, handle, open_frame
-        self.reviewed: Mapping[str, tuple[int, int]] = {}
-        self.leave: list[Callable[[], None]] = []
+        self.reviewed: Mapping[str, tuple[int, int]] = {}  # By frame: (settled items, open items)
+        self.leave: list[Callable[[], None]] = []  # Called on closing the page
+        # Log of (time, line); `closed` is set with the page gone.
         self.shared, self.log, self.closed = shared, list[tuple[str, str]](), threading.Event()
         source, opened = next(iter(shared.store.sources.items()))
         first = opened.dataset.frame_ids[0]
+        # Set by the page's own thread only.
         self.state = State(source, first, dark=shared.dark, text=DEMO_EXPRESSION, correctable=bool(shared.journals))
         self.channel = Channel(page_id[:6], receive)
-        self.post = self.channel.post
+        self.post = self.channel.post  # Runs a job on the page's own thread, after earlier jobs
         self.page = BrowserPage(self.channel.send)
         self.dialog = Dialog(self.page)
         self.editors = LabelEditors(shared.journals, shared.store.sources, shared.author)

@@ -17,7 +17,7 @@ from spatialviz.app.markup import Child, h, note
 TITLE = "Depth, camera and poses"
 WORDS = {"fine": "fine", "wrong": "wrong", "unknown": "cannot tell"}
 ONE_AT_A_TIME = Lock()
-"""Of all pages: an examination takes a core for seconds."""
+"""Shared by all pages: an examination takes a core for seconds."""
 
 
 class DepthCheck(Part):
@@ -51,7 +51,7 @@ class DepthCheck(Part):
         self.ctx.post(lambda: self._show(told))
 
     def _show(self, told: list[Child]) -> None:
-        # Whoever closed it has gone on.
+        # A closed dialog stays closed.
         if self.ctx.dialog.title == TITLE:
             self.ctx.dialog.show(TITLE, told)
 

@@ -248,7 +248,7 @@ LENGTH_DIGITS, TURN_DIGITS = 3, 1
 FIELD_NAMES = {"label": "class", "status": "status", "mask": "mask", "bbox": "2D box", "box": "3D box"}
 SOURCES = {"auto": ("auto", "#8a919c", False), "human": ("", GOOD, True),
            "recomputed": ("recomputed", "#4c8dd6", True), "stale": ("stale", DOUBT, True)}  # fmt: skip
-"""Of each source the word, the colour of its mark, and whether the mark is filled."""
+"""By source: word, colour of the mark, and filled or not."""
 
 
 _FITS = h.div(

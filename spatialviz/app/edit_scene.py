@@ -33,9 +33,9 @@ OPACITY = {"T": 0.30, "U": 0.16}
 OUTLINE_GROWTH = 0.006
 MAP_OPACITY = 0.8
 MAP_LIFT = 0.008
-"""The map lies a little above the points of the floor, metres."""
+"""Height of the map above the floor points, metres."""
 OTHERS: tuple[RGB, ...] = ((166, 122, 214), (84, 178, 160), (186, 170, 84), (208, 122, 150), (148, 156, 168))
-"""Winners that are neither target nor reference: apart from orange and blue, and from each other."""
+"""Colours of other winners, distinct from orange and blue, and from each other."""
 
 
 def winner_colors(found: DecisionMap, state: State) -> dict[int, RGB]:
@@ -187,19 +187,16 @@ FACES: tuple[Face, ...] = tuple((axis, side) for axis in range(3) for side in (-
 
 
 class BoxGizmo:
-    """Box handles of a client: a transform control for move and turn, and a handle on each face for resize.
-
-    `dragged`: gets the box as it is now (camera frame), and whether the handle was let go, on the page's own thread.
-    Only the latest box counts where the page is still busy with one before; `root`: scene node under which they stand.
-    """
+    """Box handles of a client: a transform control for move and turn, and a handle on each face for resize."""
 
     def __init__(self, ctx: Context, dragged: Callable[[Box3D, bool], None], root: str = "/edit") -> None:
+        # `dragged` gets the latest box (camera frame), and True on release, on the page's own thread.
         self._ctx, self._dragged, self._root = ctx, dragged, root
         self._latest: tuple[Box3D, bool] | None = None
         self._lock = Lock()
         self._box: Box3D | None = None
         self._held: tuple[Retained, Box3D, np.ndarray] | None = None
-        """A handle with the box and its own turn as they were when the hand took it."""
+        """Held handle, with box and rotation at the grab."""
         self._pulled = False
         self._mode: EditMode = "off"
 

@@ -29,15 +29,15 @@ from spatialviz.app.run_pictures import pictures_of
 from spatialviz.app.url_state import Place
 
 FIRST = (FAILURES, "")
-"""What is listed first: the first of these that finds something."""
+"""Default searches, in order; the first with results is listed."""
 OFFERED = 12
-"""Words that are offered for one that is begun."""
+"""Completions of a word, at most."""
 LONGEST_SEARCH = 2000
-"""Characters; more is no search that somebody typed."""
+"""Characters, more than anybody types."""
 AT_ONCE = 400
-"""Rows that are sent at once, at most."""
+"""Rows per message, at most."""
 FILLED = 4
-"""Pictures that are made at once, behind whatever the user does."""
+"""Pictures per background job."""
 
 
 class Evaluate(Part):
@@ -61,7 +61,7 @@ class Evaluate(Part):
     def _listing(self) -> Listing:
         return there(self.state.listing)
 
-    # ---- following the state --------------------------------------------------------
+    # ---- state ----------------------------------------------------------------------
 
     def follow(self) -> None:
         """Show the run of the current pipeline; close the open row in another frame."""
@@ -120,7 +120,7 @@ class Evaluate(Part):
     def _search(self, query: str) -> None:
         listing = self._listing
         if STANDS_IN in query:
-            # That column is there once it was worked out.
+            # The column is computed with the confusion.
             _ = listing.figures.confusion
         try:
             listing = replace(listing, query=query, error="", found=listing.figures.rows.find(query))
@@ -159,7 +159,7 @@ class Evaluate(Part):
         finally:
             self._draw()
 
-    # ---- the list -------------------------------------------------------------------
+    # ---- list -----------------------------------------------------------------------
 
     @command("rows-view")
     def show_as(self, view: Literal["grid", "table"]) -> None:
@@ -235,7 +235,7 @@ class Evaluate(Part):
                 self.search("")
             self._say_address()
 
-    # ---- the selected ---------------------------------------------------------------
+    # ---- selection ------------------------------------------------------------------
 
     @command("choose")
     def choose(self, place: int) -> None:
@@ -322,7 +322,7 @@ class Evaluate(Part):
         page.fill({region: None for region, _ in parts})
 
         def draw() -> None:
-            # One after the other, so that rows that are asked for need not wait for all.
+            # One part per job, so that requested rows need not wait for all.
             if parts and self.state.listing is not None and self.state.listing.figures is figures:
                 region, made = parts.pop(0)
                 page.show(region, made(figures))

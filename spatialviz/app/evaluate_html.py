@@ -17,10 +17,10 @@ from spatialviz.app.markup import BAD, Child, Element, button, h, joined, note, 
 from spatialviz.app.run_pictures import STROKES
 
 SHOWN_VALUES, FEW_VALUES = 7, 11
-"""Of a facet, before the rest is asked for; of up to so many all are shown."""
+"""Values of a folded facet; up to so many are never folded."""
 VIEWS = {"grid": "Grid", "table": "Table"}
 EXPLAINED = ("change", "verdict", "second_verdict", "mends")
-"""Facets whose values are words of the glossary."""
+"""Facets with glossary words as values."""
 TITLES = {"mends": "mended by one module alone"}
 SYNTAX = 'verdict:SRM  class:"trash can",bin  margin<0.1  -lucky  sort:margin'
 SYNTAX_HINT = (
@@ -195,7 +195,7 @@ COLUMNS = {
     "p_relation": ("P(relation)", "the probability of the asked relation for the answer"),
     "object_distance": ("distance", "of the labelled target, metres"), "frame": ("frame", ""),
 }  # fmt: skip
-"""Of the table: by the column what it is called, and what it means."""
+"""Columns of the table: title and tooltip."""
 NUMBERS = ("margin", "p_relation", "object_distance")
 
 

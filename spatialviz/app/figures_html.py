@@ -30,13 +30,13 @@ CUTS = {
     "relation": "relation", "class": "class", "distance": "distance", "size": "size", "occlusion": "occlusion",
     "same_class": "same class",
 }  # fmt: skip
-"""Dimensions that a run is cut by here, and what they are called in the choice."""
+"""Dimensions for slicing a run, with titles."""
 NOT_TOLD = "not worked out"
 COST_COLORS = {name: COLORS[verdicts[0]] for name, verdicts in NAMED_BY.items()} | {
     "residual": COLORS["LABEL"], "unknown": COLORS["UNEXPLAINED"],
 }  # fmt: skip
 AXIS = 10
-"""The scale begins at a multiple of so many percent."""
+"""Start of the scale, rounded to a multiple, percent."""
 
 
 def summary_html(figures: RunFigures) -> Element:
@@ -68,7 +68,7 @@ def percent(e: Estimate) -> str:
 
 def between(e: Estimate) -> str:
     """Confidence interval in percent."""
-    # Whole percents say nothing of a share of a few.
+    # Whole percents are too coarse for a share of a few.
     digits = 1 if e.value < 0.02 else 0
     return f"[{100 * e.low:.{digits}f}, {100 * e.high:.{digits}f}]" if math.isfinite(e.low + e.high) else ""
 

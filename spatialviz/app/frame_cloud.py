@@ -23,7 +23,7 @@ from spatialviz.app.scene_client import triple
 from spatialviz.app.state import State
 
 CLOUD = "/cloud/"
-"""Begins the names of its nodes."""
+"""Prefix of the cloud's nodes."""
 
 
 class FrameCloud(Part):
@@ -62,7 +62,7 @@ class FrameCloud(Part):
                 if anew:
                     viewpoint.place(state.camera)
                 self.ctx.post(lambda: self._complete(loaded))
-        # Of a question that could not be asked there is nothing else to look at.
+        # A refused question has no pair to look at.
         if other and not state.error and state.camera == "pair" and viewpoint.untouched and loaded is not None:
             viewpoint.place("pair")
         self.dress()
@@ -71,7 +71,7 @@ class FrameCloud(Part):
     def dress(self) -> None:
         """Show the points at the chosen size, and the camera."""
         parts, state, client = () if self._loaded is None else self._loaded.cloud.parts, self.state, self.ctx.client
-        # Until the rest is there, one point stands for four.
+        # Until the rest arrives, a point stands for four.
         factor = state.point_size * (1 if all(CLOUD + part.name in client.nodes for part in parts) else 2)
         with client.atomic():
             for part in parts:
@@ -84,7 +84,7 @@ class FrameCloud(Part):
         scene.to_show, scene.cloud = np.stack([viewer.right, viewer.forward, viewer.up]), loaded.cloud
         scene.viewpoint.set_frame(loaded.cloud.points, scene.to_show, frame.camera)
         self.ctx.client.clear(CLOUD)
-        # Names of this frame's things are put anew; those of all frames that were looked at would pile up.
+        # Old tags would pile up over frames.
         self.ctx.client.clear("/tags/")
         self._add(part for part in loaded.cloud.parts if part.first)
         self.ctx.client.put(
@@ -141,10 +141,7 @@ class FrameCloud(Part):
 
 
 def unlit_glb(vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray, opacity: float = 1.0) -> bytes:
-    """Binary glTF with an unlit material (KHR_materials_unlit).
-
-    vertices (V, 3) float32, faces (F, 3) int, colors (V, 3) uint8 sRGB (glTF wants linear), opacity 0..1.
-    """
+    """Unlit binary glTF of vertices (V, 3) float32, faces (F, 3) int, colors (V, 3) uint8 sRGB, opacity 0..1."""
     import trimesh
     from trimesh.exchange.gltf import export_glb
 

@@ -14,7 +14,7 @@ from pipeline.answering.frame_store import BackgroundPictures, LoadedFrame
 from pipeline.system.encoded_pictures import jpeg, png
 
 KEPT_BYTES = 96 * 2**20
-"""The pictures used last are kept up to so much; one that is gone is made again with the next drawing."""
+"""Limit of kept pictures; a dropped picture is remade by the next drawing."""
 
 
 class Images:
@@ -44,7 +44,7 @@ class Images:
 
 
 IMAGES = Images()
-"""Of this program. A name says nothing of what it shows, and nobody finds one without having the picture."""
+"""Pictures of this program; hashed names reveal nothing, and cannot be guessed."""
 
 
 def jpeg_url(rgb: np.ndarray, quality: int = 82) -> str:
@@ -64,7 +64,7 @@ def thumb_url(loaded: LoadedFrame, bbox: np.ndarray) -> str:
 
 
 WIDTHS = (160, 480, 960)
-"""In pixels: of a strip, of a grid, of a frame that is passed by."""
+"""Pixels: strip, grid, frame in passing."""
 ADDRESS = re.compile(r"/app/frame/([0-9]{1,3})/([0-9]{1,9})/([0-9]{1,4})\.jpg")
 
 

@@ -124,7 +124,7 @@ LABEL_KEYS: Mapping[str, Rows] = {
         ("Shift+G", "Retrain on the labels as they are", "retrain"),
     ),
 }
-"""What keys mean while labels are shown; all others mean the same as ever."""
+"""Keys with another meaning while labels are shown."""
 
 KEYS_OF_ONE = "Of one object, or a sentence: Y accepts, N rejects, Shift+U is unsure"
 
@@ -136,7 +136,7 @@ MOVE_KEYS: Rows = (
     ("5", "Step back", "move:backward"),
     ("6", "Step to the right", "move:right"),
 )
-"""The keys of datasets with moves: two rows of a number pad, and the rows of the buttons."""
+"""Keys of datasets with moves: two rows of a number pad, and the rows of buttons."""
 
 MOUSE: Mapping[str, Rows] = {
     "The list of Evaluate": (
@@ -167,10 +167,7 @@ LIST, SEARCH = "Keys", "Find a command"
 
 
 def keys_of(labelling: bool, moving: bool = True) -> dict[str, Rows]:
-    """Keys by current purpose; keys of moves only for datasets of moves.
-
-    Keys of labels come first while labels are shown, and replace other meanings.
-    """
+    """Keys by purpose, moves only for datasets of moves; keys of shown labels come first, and replace others."""
     own = LABEL_KEYS if labelling else {}
     taken = {key for rows in own.values() for key, _, _ in rows}
     always = {**KEYS, "Moves": MOVE_KEYS if moving else ()}

@@ -19,7 +19,7 @@ from spatialviz.app.markup import Child, Element, button, h, progress
 
 RULE = re.compile(r"^[a-z]+/[a-z-]+: ")
 UNNAMED = "unnamed"
-"""The class of what is outlined and has no name yet."""
+"""Class of an outlined object without a name."""
 SAYS = {T: "true", U: "undecided", F: "false"}
 Row = Mapping[str, Any]
 

@@ -41,7 +41,7 @@ from spatialviz.app.review_html import pair_html
 from spatialviz.report.picture import edges_path
 
 FARTHEST = 1000.0
-"""Metres: no typed side or place of a box is beyond; a number that slipped would otherwise be saved."""
+"""Metres: limit of a typed side or place of a box, against slips."""
 SELECT = "Select an object: click its row, its pixels or its box."
 
 
@@ -78,7 +78,7 @@ class LabelObject(LabelPart):
             try:
                 self._words[source] = vocabulary_of(labels, dataset, self.location.to_read())
             except InputError:
-                # While the journal is away, class names that people have given are unknown; the next time they may not.
+                # Without the journal, class names given by people are unknown; not cached.
                 return vocabulary_of(labels, dataset)
         return self._words[source]
 
@@ -168,7 +168,7 @@ class LabelObject(LabelPart):
 
     @command("box-set")
     def _set_number(self, said: str) -> None:
-        """Set a number of an object's box (`box_command`): OF:center:AXIS:METRES, OF:size:AXIS:METRES, OF:yaw:DEGREES."""
+        """Set a number of a box, as of `box_command`: OF:center:AXIS:METRES, OF:size:AXIS:METRES, OF:yaw:DEGREES."""
         loaded, box = self.state.loaded, self._box
         if loaded is None or box is None:
             return
@@ -227,7 +227,7 @@ class LabelObject(LabelPart):
         self._gizmo.show(None if box is None else self.ctx.scene.shown_box(box), state.mode)
         page.show("cost", saved_html(self.editor.author, view.said, view.bad, view.moved))
         if (live or self._follows) and number is not None and box is not None and state.loaded is not None:
-            # A drag that comes to nothing leaves the tab as it was: the fields go back.
+            # After a drag without effect the fields are reset.
             numbers, sends = box_numbers(box, state.loaded.context.viewer), box_command(state.frame_id, number)
             page.call("numbers", numbers_said(numbers, sends))
         self._follows = live
@@ -247,7 +247,7 @@ class LabelObject(LabelPart):
 
 
 CROP_MARGIN, CROP_LEAST = 0.35, 96
-"""Around what is shown large: share of its longer side; pixels at least."""
+"""Margin of the large crop: share of the longer side; pixels at least."""
 
 
 class SidePanel(LabelPart):
@@ -274,7 +274,7 @@ class SidePanel(LabelPart):
         if state.labels is not None and (count := len(state.labels.numbers)):
             at = -1 if state.selected is None and step > 0 else state.selected or 0
             item = state.labels.item
-            # Who walks along looks at one after the other, and means no pair; that of an open item stays.
+            # Stepping through objects chooses no pair; an open item's pair stays.
             self.ctx.show(selected=(at + step) % count, pair=None if item is None else state.pair)
 
     @command("side-drag")
@@ -376,7 +376,7 @@ def _crop(
     marks: list[Element] = []
     for mask, box, color in things:
         line = _outline(mask[y0:y1, x0:x1]) + ("" if box is None else edges_path(box, frame.camera, (x0, y0)))
-        # A dark line under the coloured one: it is seen on any ground.
+        # A dark line under the coloured line, visible on any ground.
         marks += [h.path(d=line, cls="mask under"), h.path(d=line, cls="mask", stroke=hex_color(color))]
     return h.figure(
         h.figcaption(h.b(name), h.span(which, cls="dim")),

@@ -23,10 +23,9 @@ NO_LABELS = "no labels are open: `spatialviz view DATASET --labels LABELS`"
 
 
 class LabelPart(Part):
-    """Part of a page showing or correcting labels of the current pipeline.
+    """Part of a page showing or correcting labels of the current pipeline."""
 
-    Failures raise InputError, shown by `PageSession.handle`.
-    """
+    # Failures raise InputError, shown by `PageSession.handle`.
 
     @property
     def view(self) -> LabelView:

@@ -33,10 +33,7 @@ from spatialviz.app.url_state import Place
 
 
 class Labelling(LabelPart):
-    """Shows the labels of a client's current pipeline, and undoes this person's edits.
-
-    `parts`: all that have commands, with this one.
-    """
+    """Shows the labels of a client's current pipeline, and undoes this person's edits."""
 
     def __init__(
         self,
@@ -49,11 +46,12 @@ class Labelling(LabelPart):
         self._reopen = reopen
         self.pixels, self.object = Pixels(ctx), LabelObject(ctx)
         self._following = ReviewQueue(ctx), RetrainPanel(ctx, go), self.pixels, SidePanel(ctx), RightPair(ctx, ask)
+        # All parts with commands
         self.parts = self, self.object, *self._following, Sentences(ctx), Conflicts(ctx)
         if ctx.shared.journals:
             threading.Thread(target=_watch, args=(ctx, self), daemon=True, name="labels-watch").start()
 
-    # ---- what is shown ----------------------------------------------------------------
+    # ---- display ----------------------------------------------------------------------
 
     @command("labels-at")
     def look_at_pair(self, a: NonNegativeInt, b: NonNegativeInt, relation: str, frame: str) -> None:
@@ -101,7 +99,7 @@ class Labelling(LabelPart):
             self.tell(f"{events[-1].author}: {events_text(events[::-1], self.view.frame)}")
         self.ctx.draw()
 
-    # ---- what was done ----------------------------------------------------------------
+    # ---- undo -------------------------------------------------------------------------
 
     @command("take-back=undo", "bring-back=redo")
     def taken_back(self, which: str, group: str | None = None) -> None:
@@ -155,21 +153,18 @@ PERIOD_SECONDS = 2.0
 
 
 def _watch(ctx: Context, labels: Labelling) -> None:
-    """Poll the journal every few seconds on a separate thread, so that a slow journal blocks nobody.
-
-    Changes are handled on the page's own thread.
-    """
+    """Poll the journal every few seconds on a separate thread, so that a slow journal blocks nobody."""
     told = (), ()
     while not ctx.closed.wait(PERIOD_SECONDS):
         state, editor = ctx.state, ctx.editors.opened(ctx.state.source)
         if editor is None:
             continue
-        # Where the journal cannot be read now, what waits says so already, and is tried again all the same.
+        # Unsaved edits already show an unreadable journal, and are retried.
         with suppress(InputError):
             for outcome in editor.retry() if editor.waiting else ():
                 if not isinstance(outcome, Waiting):
                     ctx.post(lambda outcome=outcome: labels.came_to(outcome, "saved at last"))
-            # Another page of the same author may have saved or decided something, too.
+            # Another page of the same author may have saved or decided, too.
             kept = tuple((w.group, w.problem) for w in editor.waiting), editor.disputed
             if kept != told:
                 told = kept

@@ -13,14 +13,11 @@ from spatialviz.app.markup import BAD, Child, Element, button, changed, h, note
 
 KEPT_CALLS = ("strip", "plan", "tags", "keys", "theme", "task", "pixels", "pixelsPicture", "asking", "scale", "measure",
               "found", "chosen")  # fmt: skip
-"""Calls that a page which comes back must hear again."""
+"""Calls repeated to a reconnected page."""
 
 
 class BrowserPage:
-    """Content of a browser's page; thread-safe, and unchanged content sends nothing.
-
-    `send`: sends a message, where the browser is there.
-    """
+    """Content of a browser's page; thread-safe, and unchanged content sends nothing."""
 
     def __init__(self, send: Callable[[Outgoing], None]) -> None:
         self._send = send
@@ -30,7 +27,7 @@ class BrowserPage:
         self._parts: list[tuple[str, str]] | None = None
         self._lock = threading.RLock()
         self.downloads: dict[str, tuple[str, bytes]] = {}
-        """By a secret name: file name and content of what the browser is about to fetch."""
+        """Pending downloads by secret name: file name and content."""
 
     def show(self, region: str, *content: Child) -> None:
         """Replace the content of a region of static/index.html."""
@@ -98,14 +95,11 @@ class BrowserPage:
 
 
 class Dialog:
-    """Dialog over a client's page.
-
-    `title`: of the dialog that is open; empty where none is.
-    """
+    """Dialog over a client's page."""
 
     def __init__(self, page: BrowserPage) -> None:
         self._page = page
-        self.title = ""
+        self.title = ""  # Empty if closed
         self._parts: tuple[Element, Element] = h.div(), h.div()
 
     def show(self, title: str, content: Child, *buttons: Element) -> None:
@@ -129,7 +123,7 @@ class Dialog:
 
     def _draw(self, problem: Element | None = None) -> None:
         content, buttons = self._parts
-        # What is refused changes the remark alone: what was typed stays.
+        # A refusal changes only the remark: typed text stays.
         remark = h.div(problem, id="dialog-problem", role="alert")
         parts = (h.h2(self.title, id="dialog-title"), content, remark, buttons)
         self._page.show("dialog", h.dialog(parts, id="dialog-window", aria_labelledby="dialog-title"))

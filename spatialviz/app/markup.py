@@ -1,18 +1,17 @@
-"""What the page is made of: elements that escape by construction, what of them changed, pieces of all panels.
+"""HTML elements with escaping by construction, their differences, and common pieces of panels.
 
 Nothing else turns strings into HTML: text and attributes are escaped here, and no attribute can hold a
-script or a style, as the page's content policy forbids both. What an element does is said by data that
-`static/page.mjs` acts on:
+script or a style, as the page's content policy forbids both. Actions of an element are data for `static/page.mjs`:
 
 ===============  =======================================================================================
 `do`             command sent by a click, and by Enter or the space bar while it has the focus
-`local`          what the browser does by itself on a click: a name of `static/page.mjs`, and its argument
-`live`           command sent with the value of a field while it changes, at most every 50 ms
-`change`         command sent with the value of a field when it has changed
-`enter`          command sent with the value of a text field by Enter, which leaves it; Escape takes it back
-`point`          command sent with where a picture was clicked, as fractions of its width and height
-`band`           command sent with the rectangle that was drawn with Shift held, as the same fractions
-`hover`          command sent while the mouse is over it or it has the focus, and "name:-1" afterwards
+`local`          action of the browser alone on a click: a name of `static/page.mjs`, and its argument
+`live`           command sent with the value of a field during a change, at most every 50 ms
+`change`         command sent with the value of a field after a change
+`enter`          command sent with the value of a text field by Enter, leaving the field; Escape reverts
+`point`          command sent with the clicked point of a picture, as fractions of width and height
+`band`           command sent with the rectangle drawn with Shift held, as the same fractions
+`hover`          command sent on hover or focus, and "name:-1" afterwards
 `field`          a text field with a list of its own: a name of `static/fields.mjs`
 `css`            custom properties and styles of this element alone
 ===============  =======================================================================================
@@ -34,7 +33,7 @@ from pipeline.language.glossary import explained, find_term
 Child: TypeAlias = "Element | str | int | float | Iterable[Child] | None"
 DATA = ("do", "local", "live", "change", "enter", "point", "band", "hover", "field")
 ACTIVE = ("a", "button", "input", "select", "textarea", "option", "summary")
-"""Elements that can be reached and pressed by keys as they are."""
+"""Elements with native keyboard access."""
 VOID = ("br", "img", "input", "hr", "meta", "link")
 
 
@@ -44,7 +43,7 @@ class Element:
 
     name: str
     attributes: tuple[tuple[str, str], ...] = ()
-    children: tuple[Element | str, ...] = ()  # Text is not escaped yet
+    children: tuple[Element | str, ...] = ()  # Unescaped text
 
     @property
     def id(self) -> str:
@@ -150,7 +149,7 @@ def _alike(before: Element, after: Element) -> bool:
 
 GOOD, DOUBT, BAD, IDLE = "#35a96b", "#e0982e", "#e5484d", "#8a919c"
 CHANGED = 0.005
-"""Numbers are shown with two digits; one that differs by less is the same."""
+"""Numbers are shown with two digits; smaller differences are equal."""
 
 
 def term(name: str, shown: Child = None) -> Element:
@@ -227,10 +226,7 @@ def chosen(is_so: bool, cls: str = "") -> dict[str, object]:
 def segments(
     kind: str, options: Mapping[str, str], chosen: str, name: str = "", hints: Mapping[str, str] | None = None
 ) -> Element:
-    """Choice of an option: a press sends "kind:key"; `name` is the accessible name.
-
-    Hints are by default the glossary's.
-    """
+    """Choice of an option: a press sends "kind:key"; `name` is the accessible name, `hints` default to the glossary."""
     return h.div(
         (
             h.button(

@@ -22,30 +22,30 @@ from spatialviz.app.viser_socket import SceneConnection, subprotocol
 from spatialviz.options import warn
 
 MAX_CLIENTS = 24
-"""Pages that may be open at once."""
+"""Open pages, at most."""
 KEPT_SECONDS = 45.0
-"""A page whose browser has gone is kept so long: it may come back."""
+"""Time to keep a disconnected page for a return."""
 BURST, PER_SECOND = 200.0, 40.0
-"""Messages that a page may send at once, and in the long run."""
+"""Messages of a page: burst, and per second."""
 BACKLOG, BEHIND_SECONDS = 40, 0.05
-"""A page that has so much to be handled is not read meanwhile."""
+"""Queued jobs pausing the reading of a page."""
 FORGOTTEN_SECONDS = 2.0
-"""What a page held is given back so long after it was closed."""
+"""Delay before freeing a closed page's memory."""
 HELLO_SECONDS = 10.0
 CAMERAS, CAMERAS_PER_SECOND = 400.0, 100.0
-"""The same of a scene."""
+"""Messages of a scene: burst, and per second."""
 GARBAGE = 5
-"""Messages that are none, after which a socket is closed."""
+"""Invalid messages closing a socket."""
 SOCKETS, SOCKETS_PER_SECOND = 20.0, 1.0
-"""Sockets that a page may open at once, its scene's among them, and in the long run."""
+"""Sockets of a page, with the scene's: burst, and per second."""
 NEW_BURST, NEW_PER_SECOND = 20.0, 0.5
 """Pages that an address may open at once, beside as many as there may be, and in the long run: each costs what opening
 a frame costs."""
 GARBAGE_COSTS = 50.0
-"""How many sockets one counts for that was closed because of what came by it."""
+"""Cost of a socket closed for invalid messages, in sockets."""
 REMEMBERED = 1000
 SENT_WRONG = (1002, 1003, 1007, 1008, 1009)
-"""Codes by which a socket is closed because of what came by it."""
+"""Close codes for invalid messages."""
 LOGGED_SECONDS = 60.0
 
 
@@ -141,7 +141,7 @@ class Pages:
         before, self._scenes[page_id] = self._scenes.get(page_id), connection
         if before is not None:
             await before.close(1013, "shown elsewhere")
-        # What fails in viser's own tasks is said as briefly.
+        # Failures in viser's own tasks are logged as briefly.
         asyncio.get_running_loop().set_exception_handler(
             lambda _, context: self.log(repr(context.get("exception") or context["message"]))
         )
@@ -150,7 +150,7 @@ class Pages:
             require(connection.subprotocol == spoken, "no scene", got=connection.subprotocol, expected=spoken)
             await viser_handler(SceneConnection(connection, Pace(CAMERAS, CAMERAS_PER_SECOND).keep))
         except Exception as error:
-            # What viser cannot read costs its sender the socket.
+            # Messages unreadable by viser cost the sender the socket.
             self.log(f"{type(error).__name__}: {error}")
             await connection.close(1008, "not the messages of a scene")
         finally:
@@ -177,7 +177,7 @@ class Pages:
     async def socket(self, page_id: str, connection: Any) -> None:
         """Serve the socket of a page until the browser disconnects."""
         try:
-            # Who never says what a page says first takes no page from others.
+            # Without a first message no page is taken.
             first = read(await asyncio.wait_for(connection.recv(), HELLO_SECONDS))
             require(isinstance(first, Hello), "a page says hello first", got=first.type)
         except (InputError, asyncio.TimeoutError, websockets.exceptions.ConnectionClosed) as error:
@@ -190,7 +190,7 @@ class Pages:
         outgoing = session.ctx.channel.attach(connection)
         name = self._access.name(connection.request)
         if name:
-            # Labels are corrected under the name of the token that the browser has, and under no other.
+            # The token's name is the only author of this browser's corrections.
             session.ctx.post(lambda: session.ctx.editors.sign_for_token(name))
         session.ctx.channel.receive(first)
         sending = asyncio.create_task(session.ctx.channel.serve(connection, outgoing))
@@ -224,7 +224,7 @@ class Pages:
         async for text in connection:
             await pace.keep()
             while session.ctx.channel.behind > BACKLOG:
-                # What is not read yet waits with who has sent it.
+                # Unread messages wait at the sender.
                 await asyncio.sleep(BEHIND_SECONDS)
             try:
                 message = read(text)

@@ -157,7 +157,7 @@ def log_html(entries: Sequence[tuple[str, str]]) -> Element:
 
 
 STEPS = 128
-"""Colours of the bar."""
+"""Colours of the depth bar."""
 
 
 def depth_bar(state: State) -> Element | None:
@@ -185,7 +185,7 @@ def objects_html(state: State, loaded: LoadedFrame) -> Element:
         reason = loaded.problem or "Nothing is annotated or detected in this frame."
         return panel(heading("Objects"), note(reason), cls="objects")
     count = len(state.shown.objects)
-    # Rows that change places would be sent again, all of them.
+    # Moved rows would all be sent again.
     pair = [_row(state, i, "of-pair") for i in dict.fromkeys(state.pair or ())]
     head = [h.tr(h.th(words, colspan=4)) for words in ("of the pair", "all")] if pair else [None, None]
     every = (_row(state, i, "object") for i in range(count))
@@ -195,7 +195,7 @@ def objects_html(state: State, loaded: LoadedFrame) -> Element:
 
 def _row(state: State, i: int, kind: str) -> Element:
     marks = chosen(i == state.selected, "r")
-    # The page scrolls to the first of two rows of the same object.
+    # The page scrolls to the first of an object's two rows.
     marks |= {"data_shown": None} if kind == "object" and i in (state.pair or ()) else {}
     entry, color = state.shown.objects[i], palette(state.dark)[state.roles.get(i, "other")]
     box, quality = entry.lifted.box, entry.lifted.quality
@@ -232,7 +232,7 @@ TOOLS = {
     "cut": "split it in parts (Shift+X)",
 }
 PART_COLORS: tuple[RGB, ...] = (ON_DARK["edited"], ON_DARK["reference"], ON_DARK["target"], ON_DARK["truth"])
-"""Of the parts of a draft; a whole object has the first, that of edits."""
+"""Colours of a draft's parts; a whole object has the first, the colour of edits."""
 
 
 def pixel_row_html(state: State) -> Element:
@@ -305,7 +305,7 @@ def told_of(draft: Draft, lifted: LiftedObject | None, parts: Sequence[np.ndarra
 POINT = 0.004
 MOST_POINTS = 60_000
 DRAFT = "/draft/"
-"""Where it stands in the scene."""
+"""Scene node of the draft."""
 
 
 def draw_draft(ctx: Context, frame: Frame, mask: np.ndarray, box: Box3D | None) -> None:

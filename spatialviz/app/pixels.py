@@ -17,8 +17,8 @@ from pipeline.corrections.draft import (
     with_depth_split,
     with_gesture,
 )
-from pipeline.corrections.drawing.depth_region import TOLERANCE
-from pipeline.corrections.drawing.gestures import Canvas, Gesture, gesture_of, read_gesture
+from pipeline.drawing.depth_region import TOLERANCE
+from pipeline.drawing.gestures import Canvas, Gesture, gesture_of, read_gesture
 from pipeline.corrections.journal.edits import merge_objects, set_class
 from pipeline.corrections.journal.events import Conflict, Event
 from pipeline.corrections.journal.field_refs import same_value
@@ -53,11 +53,11 @@ class Pixels(LabelPart):
         self._said, self._bad, self._label = "", False, ""
         self._saving = False
         self._outlined: int | None = None
-        """A new object that is saved already, stroke by stroke, and has no name yet."""
+        """New object, already saved by strokes, without a name."""
         self._disputed: tuple[tuple[str, str], Conflict] | None = None
         ctx.editors.on_saved.append(self._decided)
 
-    # ---- which object, which tool -----------------------------------------------------
+    # ---- object and tool --------------------------------------------------------------
 
     @property
     def _key(self) -> tuple[str, str]:
@@ -180,7 +180,7 @@ class Pixels(LabelPart):
             self._saving = False
         self._outlined = made[0].ref.numbers[0]
         state, place = self.state, self.view.place(self._outlined)
-        # Beside what was selected before it: their relations are there at once.
+        # Paired with the previous selection: the relations appear at once.
         self.state = replace(state, selected=place, pair=paired(state.pair, place, state.selected))
         self._begin(self.view, self._outlined)
         self.ctx.draw()
@@ -218,7 +218,7 @@ class Pixels(LabelPart):
                 made = edits_of_draft(draft, view.frame, label)
             number = made[0].ref.numbers[0]
             if not stay:
-                # Closed at once: drawing the whole page takes longer than saving.
+                # Closed first: drawing the whole page takes longer than saving.
                 self.ctx.page.call("pixels", {"on": False})
             outcome = self.save(lambda _: made)
             self._tell(self.view.said, self.view.bad)
@@ -258,7 +258,7 @@ class Pixels(LabelPart):
         self.save(lambda frame: merge_objects(frame, numbers))
         self.ctx.show(selected=self.view.place(numbers[0]))
 
-    # ---- what is shown ----------------------------------------------------------------
+    # ---- display ----------------------------------------------------------------------
 
     @command("px-view")
     def look(self, view: Literal["picture", "scene"]) -> None:
@@ -290,7 +290,7 @@ class Pixels(LabelPart):
             if self._open is None:
                 self.ctx.note(f"object {draft.number} stands no longer: what was drawn for it is dropped")
             else:
-                # Its first stroke was taken back.
+                # The object's first stroke was undone.
                 self._outlined = None
                 self._begin(view, None)
             draft = self._draft
@@ -300,7 +300,7 @@ class Pixels(LabelPart):
             return
         moved = self.number is not None and self.number != self._of
         if not draft.changed and (moved or rebased(draft, view.frame) != draft):
-            # A click in the picture brings another object; the view stays where the hand is.
+            # A click in the picture changes the object; the view stays.
             self._begin(view, self.number if moved else draft.number)
             draft = self._drafts[self._key]
         self._show(draft, view, state)

@@ -83,7 +83,7 @@ class RetrainPanel(LabelPart):
         self.ctx.note(f"installed: --srm {done.name} is {done.path}")
         training.change(lambda now: replace(now, installed=done.name))
         if self.state.labels is None:
-            # While labels are shown nothing is asked that it could answer.
+            # While labels are shown there is no question for the network.
             self.ctx.handle(Command("edit", (f"set:scorer:{done.name}",)))
 
     @command("replayed")
@@ -231,7 +231,7 @@ def _expressions(title: str, rows: Sequence[Mapping[str, Any]]) -> Element | Non
 
 
 def _install(record: Mapping[str, Any], installed: str) -> Child:
-    # Cut at its left: written from right to left, where its ends must not move.
+    # Truncated at the left by right-to-left text; `bdi` keeps the ends in place.
     where = h.div(h.bdi(record["folder"]), cls="dim path", title=record["folder"])
     if installed:
         return note(f"Installed: --srm {installed}; in the Edit tab it answers any question.", GOOD), where

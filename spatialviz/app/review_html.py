@@ -39,10 +39,7 @@ MARKS = {"auto": "", "human": "by hand", "recomputed": "recomputed", "stale": "s
 
 
 def review_head_html(state: State, opened: bool, desk: LabelEditor | None) -> Element:
-    """State of the labels: shown or not, author's name, outcome of the last edit, and unsaved edits.
-
-    `desk` is None until labels are first shown.
-    """
+    """State of the labels: shown or not, author's name, outcome of the last edit, and unsaved edits."""
     if not opened:
         return panel(h.div("No labels are open (--labels).", cls="dim hint"))
     view = state.labels
@@ -51,7 +48,7 @@ def review_head_html(state: State, opened: bool, desk: LabelEditor | None) -> El
         aria_pressed=str(view is not None).lower(),
     )  # fmt: skip
     waiting, disputed = ((), ()) if desk is None else (desk.waiting, desk.disputed)
-    # What waits says why itself.
+    # Unsaved edits carry the reason.
     said = note(view.said, BAD if view.bad else GOOD) if view and view.said and not (waiting and view.bad) else None
     kept = f"{counted(len(waiting), 'action')} not saved yet, kept here and tried again every few seconds: "
     decide = "Somebody was faster than you: nothing of yours is saved until you decide."
@@ -78,7 +75,7 @@ def pair_html(state: State) -> Element | None:
     if card is None:
         keys = None if state.selected is None else (h.br(), f"{KEYS_OF_ONE}.")
         pair = "Select two objects, one after the other, or open an item of the queue."
-        # An item itself says which keys are meant.
+        # An item shows its own keys.
         return panel(h.div(pair, keys, cls="dim")) if item is None else None
     colors = palette(state.dark)
     first = dot(colors["target"]), f"{card.names[0]}·{card.a}"
@@ -86,7 +83,7 @@ def pair_html(state: State) -> Element | None:
     head = heading(h.b(first, " … ", second), button("swap", "swap", "the other way round (X)"))
     if card.why_none:
         return panel(head, note(f"Takes part in no relation: {card.why_none}"))
-    # What is looked at beside the open item is settled by a click on its row.
+    # Pairs beside the open item are settled by a click on a row.
     beside = item is not None and item.kind == "relation" and (item.a, item.b) != (card.a, card.b)
     only = h.div("Only looked at: the keys act on the open item.", cls="dim") if beside else None
     return panel(head, only, (_line(card, line, line.relation == view.relation) for line in card.lines))
@@ -103,7 +100,7 @@ def _line(card: PairCard, line: RelationLine, focused: bool) -> Element:
         )
         for state, (name, color, word) in STATES.items()
     )
-    # Where a person says otherwise than the rule, the rule's margin is none: 0 is not a distance then.
+    # A person's judgement against the rule has no margin: 0 is not a distance then.
     overruled = line.origin.source == "human" and line.margin == 0
     margin = "" if line.margin is None or overruled else f"{line.margin * 100:+.1f} cm"
     mark = MARKS[line.origin.source] + (f" · {line.status}" if line.status else "")
@@ -154,10 +151,7 @@ def queue_html(
     names: Names,
     bulk: Element | None = None,
 ) -> Element:
-    """Sources of the queue, progress, filters, and the list from the current item on.
-
-    `asked` switches the sources of the next queue besides the rules and the linter.
-    """
+    """Sources of the queue, progress, filters, and the list from the current item on."""
     again = "build again" if work is not None else "build"
     stop = button("stop", "stop-queue", "ends the asking; the queue that there is stays")
     make = button(again, "make-queue", "ranks the labels by what is switched on here")
@@ -232,7 +226,7 @@ def _row(work: Worklist, place: int, names: Names, item: ItemKey | None) -> Elem
         h.i(css={"--v": f"{row['score']:.2f}"}),
         h.span(said(row, names)),
         h.b(mark, css={"color": color}),
-        # It is cut at its left, written from right to left, where its ends must not move.
+        # Truncated at the left by right-to-left text; marks keep the ends in place.
         h.em(f"\u200e{row['frame']}\u200e"),
         id=f"item-{place}",
         **chosen(item is not None and key == item.plain, "q"),

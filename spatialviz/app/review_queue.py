@@ -43,7 +43,7 @@ from spatialviz.app.review_html import doubt_html, queue_html, said
 
 SHOWN_NEXT = 5
 NEWEST = 3000
-"""Of a person's events so many are looked at for the pace of the day."""
+"""Events of a person read for the day's pace."""
 LETTERS = {"T": T, "U": U, "F": F}
 DOUBT_TITLE = "Against geometry"
 
@@ -55,10 +55,10 @@ class SourceQueue:
     source: Pipeline
     location: JournalLocation
     work: Worklist | None = None
-    newest: Mark = NOTHING  # The newest event that its states know
-    seen: QueueProgress = field(default_factory=QueueProgress)  # Of its making, as it was taken last
-    behind: bool = False  # It has come since the page was drawn
-    # asked: What the next one is made of besides the rules and the linter
+    newest: Mark = NOTHING  # Newest event known to the list
+    seen: QueueProgress = field(default_factory=QueueProgress)  # Progress as last taken
+    behind: bool = False  # Finished since the last drawing
+    # sources of the next queue besides the rules and the linter
     asked: dict[str, bool] = field(default_factory=lambda: {"networks": False})
 
     @cached_property
@@ -149,7 +149,7 @@ class ReviewQueue(LabelPart):
         if queue is None or queue.work is None:
             return None
         queue.behind = False
-        # Where the journal cannot be read now, what waits says so already.
+        # Unsaved edits already show an unreadable journal.
         with suppress(InputError):
             journal, corrector = self.location.to_read(), self.editor.corrector
             if journal is not None:
@@ -205,7 +205,7 @@ class ReviewQueue(LabelPart):
         """Show an item: pair, object, or ends of a sentence."""
         work = self._queue.work
         if self.state.labels is not None:
-            # Better stay where labels are seen than go where they are not.
+            # A frame without readable labels is not opened.
             self.editor.events(key.frame)
         ends = (key.a, key.b)
         if work is not None and key.kind == "expression" and key.plain in work.indices:
@@ -265,7 +265,7 @@ class ReviewQueue(LabelPart):
         card = pair_card(view.frame, *ends)
         line = next((x for x in card.lines if x.relation == relation), None)
         line = needed(line, card.why_none or "the pair has no such relation")
-        # The key that was answered by a question answers it when it is pressed again.
+        # The same key pressed again confirms the question.
         doubted, self._doubted = self._doubted, (view.frame.frame, said)
         sure = sure or (self._doubted == doubted and self.ctx.dialog.title == DOUBT_TITLE)
         if not sure and line.against(LETTERS[letter]) > ASKED_BEYOND_M:
@@ -349,7 +349,7 @@ class ReviewQueue(LabelPart):
             if queue.behind:
                 self._caught_up()
                 self._prefetch(item)
-            # Labels that were only just begun by hand have nothing to queue yet.
+            # Labels just begun by hand have nothing to queue.
             labelled = self.location.labels.manifest.tables.get("relations")
             if queue.seen == QueueProgress() and labelled is not None and labelled.rows:
                 self.make()
@@ -373,7 +373,7 @@ class ReviewQueue(LabelPart):
             card = begin_card(view, self.editor) if not view.frame.objects else idle_card(work is not None)
         counts = {} if work is None else work.counts
         pace = pace_html(self._paced(), counts.get("settled", 0), counts.get("items", 0))
-        # Another card is another element: the page scrolls to it.
+        # A new id for each card, so that the page scrolls to the card.
         card = card.with_(id=f"card-{place}-{self.number}", data_shown=True)
         after = [] if work is None else self._upcoming(queue, work, item)
         return h.div(panel(card), panel(pace), panel(heading("Next"), h.div(after, cls="upcoming")) if after else None)

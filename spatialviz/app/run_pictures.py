@@ -17,9 +17,9 @@ STROKES: dict[Drawn, tuple[RGB, Stroke]] = {
     "answered reference": (ON_DARK["reference"], "thin"), "labelled": (ON_DARK["truth"], "dashed"),
     "second run": (ON_DARK["edited"], "dashed"),
 }  # fmt: skip
-"""How each box is drawn; the legend says it, too."""
+"""Line of each box, as in the legend."""
 PICTURES = 3000
-"""Addresses that are kept."""
+"""Size of the address cache."""
 
 
 class RunPictures:

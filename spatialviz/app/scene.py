@@ -28,19 +28,19 @@ from spatialviz.app.scene_client import SceneClient, triple
 from spatialviz.app.state import State
 
 GHOST_GROWTH = 0.012
-"""Ghosts are drawn this much larger, metres, so that they do not lie in the very lines of the answer's boxes."""
+"""Enlargement of extra boxes, metres, so that no lines coincide with the answer's boxes."""
 
 
 @dataclass(frozen=True)
 class Tag:
     """Name tag at a node of the scene."""
 
-    node: str  # Of the scene
+    node: str
     text: str
     detail: str
     color: str  # "#rrggbb"
     strong: bool
-    # center, extent: Middle and half sizes of what it names, from the node, metres; a point without an extent
+    # Middle and half sizes of the named thing, from the node, metres; a point without an extent
     center: tuple[float, float, float] = (0.0, 0.0, 0.0)
     extent: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
@@ -182,11 +182,11 @@ class SceneView:
             strong = role_of[i] != "other" or i == selected
             if strong or every:
                 detail = detector_score(shown.objects[i].score)
-                # The target's name goes from one to the other: a node that moves is less to send than a new one.
+                # The target's tag moves from object to object: a moved node is cheaper than a new node.
                 place = "target" if role_of[i] == "target" else i
                 anchor, color = self._client.anchor(f"/tags/{place}", box.center), hex_color(colors[role_of[i]])
                 tags.append(Tag(anchor, shown.names[i], detail, color, strong, extent=extent(box)))
-        # Names of the answer are put last so that they lie on top of the others.
+        # The answer's tags come last, on top of others.
         return sorted(tags, key=lambda t: t.strong)
 
 
@@ -201,7 +201,7 @@ def extent(box: Box3D) -> tuple[float, float, float]:
 
 
 SAMPLE, FLIGHT = 20_000, 12
-"""Points of a cloud that say where it lies; steps in which the camera moves smoothly."""
+"""Points sampled of a cloud for placing the view; steps of a smooth camera move."""
 
 
 class Viewpoint:
@@ -215,7 +215,7 @@ class Viewpoint:
         self._placed: tuple[str, float, np.ndarray] | None = None
         self._reached = False
         self.untouched = True
-        """Whether the view is as it was placed, nobody having turned it since."""
+        """True until a person turns the view."""
         self._about: np.ndarray | None = None
 
         @client.camera.on_update
@@ -227,7 +227,7 @@ class Viewpoint:
             if self._reached and not there:
                 self._placed, self.untouched = None, False
                 return
-            # Until the browser has taken the pose over it reports an older one.
+            # Until the new pose arrives, the browser reports an older pose.
             self._reached = self._reached or bool(there)
             if abs(self._aspect - aspect) > 0.02:
                 self.place(kind)
@@ -242,13 +242,11 @@ class Viewpoint:
         return before is not corners if before is None or corners is None else not np.array_equal(before, corners)
 
     def place(self, kind: str, steps: int = 1) -> None:
-        """Move the camera to "pair", "sensor", "orbit" or "top", at once, or smoothly in steps.
-
-        Repeated on a change of the page's shape until a person turns the view.
-        """
+        """Move the camera to "pair", "sensor", "orbit" or "top", at once, or smoothly in steps."""
+        # Repeated on a change of the page's shape until a person turns the view.
         points, lens = needed(self._points, "no cloud is shown"), needed(self._camera, "no cloud is shown")
         eye, look, fov = viewpoint(kind, points, self._to_show, lens, self._aspect, self._about)
-        # The sensor's own up in its view, so that the picture stands as it was taken; the world's elsewhere.
+        # The sensor's own up in the sensor's view, as in the picture; the world's elsewhere.
         up = self._to_show @ np.array([0.0, -1.0, 0.0]) if kind == "sensor" else np.array([0.0, 0.0, 1.0])
         camera, self._placed = self._client.camera, None
         p0, l0, f0 = np.array(camera.position), np.array(camera.look_at), float(camera.fov)
@@ -283,7 +281,7 @@ class Viewpoint:
         """Restore a camera view."""
         eye, look, up = (self._to_show @ np.array(v) for v in (view.position, view.look_at, view.up))
         if np.linalg.norm(look - eye) < 1e-4 or np.linalg.norm(np.cross(look - eye, up)) < 1e-6:
-            return  # No way to look.
+            return  # Degenerate view.
         self._placed, self.untouched = None, False
         width = {"fov": fov} if fov is not None and 0.05 < fov < 3.0 else {}
         self._turn(up_direction=up, position=eye, look_at=look, **width)
@@ -291,7 +289,7 @@ class Viewpoint:
     def focus(self, box: Box3D) -> None:
         """Look at an object from the camera's place, nearer."""
         center = self._to_show @ box.center
-        # The next frame is shown as a whole again.
+        # The next frame is shown whole again.
         self._placed, self.untouched = None, True
         away = np.array(self._client.camera.position) - center
         away *= max(float(np.linalg.norm(box.size)) * 1.9, 0.5) / max(float(np.linalg.norm(away)), 1e-6)

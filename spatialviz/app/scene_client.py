@@ -1,4 +1,4 @@
-"""viser's client of a page's scene; nodes persist until removed, also before a browser connects or after a reconnect."""
+"""Scene client on viser: nodes stay until removed, also before a browser connects or after a reconnect."""
 
 from __future__ import annotations
 
@@ -15,17 +15,14 @@ from pipeline.geometry.palette import RGB
 
 CAMERA = ("up_direction", "position", "look_at", "fov")
 UNTURNED = {"aspect": 1.3, "fov": 0.8, **dict.fromkeys(CAMERA[:3], (0.0, 0.0, 0.0))}
-"""What is said of a camera that no browser has yet."""
+"""Camera values without a browser."""
 
 
 class Retained:
-    """Stand-in for a handle of viser, keeping values and callbacks, forwarded while the handle exists.
-
-    `values`: what it has been given; `unset`: what it says of other values meanwhile; `kept`: values that a person may
-    change in the browser.
-    """
+    """Stand-in for a handle of viser, keeping values and callbacks, forwarded while the handle exists."""
 
     def __init__(self, values: dict[str, Any], unset: dict[str, Any], kept: tuple[str, ...]) -> None:
+        # `unset` are values of a missing handle, `kept` names of values changeable in the browser.
         vars(self).update(values=values, _unset=unset, _kept=kept, _callbacks=[], handle=None)
 
     def __getattr__(self, name: str) -> Any:

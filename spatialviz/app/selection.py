@@ -64,7 +64,7 @@ class ObjectSelection(Part):
     @command("pair")
     def choose_pair(self, place: int) -> None:
         """Choose a ranked pair by rank; selects the target."""
-        # A click may be on a row that a newer answer has replaced.
+        # A click may hit a row of an older answer.
         if 0 <= place < len(self.state.ranked):
             pair = self.state.at(self.state.ranked[place])
             self.ctx.show(pair=pair, selected=pair[0])
@@ -121,10 +121,9 @@ class Pointing(Part):
 
 
 class LevelSurface(Part):
-    """Takes a client's click as a pixel of a level surface.
+    """Takes a client's click as a pixel of a level surface."""
 
-    Up is a fact of the data: set by a client, valid for all, until the program ends or saved.
-    """
+    # Up is a fact of the data: set by a client, valid for all, until saved or the end of the program.
 
     def __init__(self, ctx: Context, reopen: Callable[[], None]) -> None:
         super().__init__(ctx)
@@ -195,7 +194,7 @@ class ViewSettings(Part):
         factor = round(float(size) if step is None else self.state.point_size * step, 2)
         if LEAST_POINT <= factor <= LARGEST_POINT:
             self.state = replace(self.state, point_size=factor)
-            # The slider stands where the hand has put it.
+            # The slider already stands at the value.
             self.ctx.draw(live=step is None)
 
     @command("theme")

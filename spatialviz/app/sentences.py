@@ -33,7 +33,7 @@ NEXT_MARK = {None: "BAD_LABEL", "BAD_LABEL": "BAD_BOX", "BAD_BOX": None}
 class Sentences(LabelPart):
     """Corrects the expressions of a client's current frame."""
 
-    # ---- what is looked at --------------------------------------------------------------
+    # ---- choice -------------------------------------------------------------------------
 
     @command("expression")
     def select(self, name: str) -> None:
@@ -68,7 +68,7 @@ class Sentences(LabelPart):
             return
         self.show()
         if isinstance(judged, Diagnosis):
-            # As far as they still are there.
+            # Objects may have gone since.
             view, case = self.view, judged.case
             target, reference = (int(judged.truth.numbers[k]) for k in (case.target_object, case.reference_object))
             pair = None if target == reference else view.places(target, reference)
@@ -138,7 +138,7 @@ class Conflicts(LabelPart):
         if not self.editor.disputed:
             return
         conflict, frame = self.editor.disputed[0], None
-        # As the labels are now, where they can be read.
+        # With the present labels, if readable.
         with suppress(InputError):
             frame = self.editor.frame(conflict.rivals[0].edit.ref.frame)
         found = disputes(conflict, self.editor.corrector.setting)
@@ -345,7 +345,7 @@ def expressions_html(state: State, view: LabelView) -> Element | None:
         count += f"; {SHOWN} are listed"
     own = [card for card in view.expressions if view.about and card.is_of(view.about)]
     out = [card for card in view.expressions if card.withdrawn and card not in own]
-    # All stay where they are, hidden while they stand above or below: another pair, and an edit, send few rows.
+    # Rows keep their places, hidden while shown in another group, so that another pair or an edit sends few rows.
     at = {name: k for k, name in enumerate(view.frame.sentences)}
     rows = sorted(view.expressions, key=lambda card: at[card.id])[:SHOWN]
     others = h.div("others of the frame", cls="dim others", hidden=not 0 < len(own) < len(view.expressions))

@@ -35,7 +35,7 @@ from spatialviz.app.viser_socket import close_tunnels, served_by
 from spatialviz.plain_text import one_line
 
 ENDS_WITHIN = 10.0
-"""Seconds that clients' threads have to finish what they are at."""
+"""Seconds for clients' threads to finish."""
 
 
 def start(
@@ -126,14 +126,14 @@ def serve(
     )  # fmt: skip
     announce(server, access, sources, host, port, open_browser)
     _end_in_order()
-    # What is there by now stays: looking for what refers to itself need not go through it again.
+    # Present objects stay: excluded from cyclic garbage collection.
     gc.freeze()
-    # What is computed for a page that has been closed meanwhile has nowhere to go; that is no news to a user.
+    # Results for a page closed meanwhile are dropped; no news to a user.
     warnings.filterwarnings("ignore", r"Queued a \w+ on a closed connection", UserWarning)
-    # Nor is what a socket says that is not what viser's client would say.
+    # Nor are messages foreign to viser's client.
     warnings.filterwarnings("ignore", r"\[viser\] .* does not match annotation", UserWarning)
     try:
-        # Products of a few numbers: a second thread costs more than it brings, and takes from who else is answered.
+        # Products of a few numbers: a second thread costs more than it gains, at the expense of other clients.
         with one_thread():
             server.sleep_forever()
     finally:
@@ -178,7 +178,7 @@ def _end_in_order() -> None:
     """Treat SIGTERM and a closed terminal as Ctrl-C, so that unsaved edits are kept."""
 
     def end(number: int, frame: object) -> None:
-        # A second one would break into the end itself.
+        # A second signal would interrupt the shutdown.
         signal.signal(number, signal.SIG_IGN)
         raise SystemExit(128 + number)
 

@@ -42,16 +42,15 @@ from spatialviz.app.stages import opened
 from spatialviz.app.url_state import Place
 
 RECENT = 12
-"""Questions that Ask offers again."""
+"""Recent questions offered by Ask."""
 REST_SECONDS = 0.4
-"""A camera that has not moved for so long is at rest."""
+"""Time without movement until a camera is at rest."""
 
 
 class PageSession(Part):
-    """State and parts of a page.
+    """State and parts of a page."""
 
-    Commands are handled in order on the page's own thread, so that the state needs no lock.
-    """
+    # Commands are handled in order on the page's own thread, so that the state needs no lock.
 
     def __init__(self, page_id: str, shared: Shared) -> None:
         super().__init__(
@@ -186,10 +185,10 @@ class PageSession(Part):
             except InputError as error:
                 self.ctx.fail(error)
         elif self.state.source in self.ctx.shared.labels:
-            # Labels were named to be looked at; the queue begins to be built.
+            # Labels were opened to be viewed; start making the queue.
             self.ctx.editors.wanted = ANYTHING
         if not self._begun:
-            # With a run, its first failure; the frames follow.
+            # With a run, the first failure; else a frame below.
             self._runs.follow()
             with suppress(Idle):
                 self._runs.open(0)
@@ -205,7 +204,7 @@ class PageSession(Part):
         ids = self.ctx.shared.store.sources[source].dataset.frame_ids
         frame, text = place.frame, place.text
         if frame not in ids:
-            # A question belongs to its frame.
+            # A question belongs to a frame.
             text = text if frame is None else None
             frame = here.frame_id if source == here.source else ids[0]
         if place.task is not None:
@@ -288,7 +287,7 @@ class PageSession(Part):
         self._begun = True
         self.ctx.page.call("working", "finding the objects")
         stays = asking is None and (self.state.labels is not None or self.ctx.editors.wanted is not None)
-        # A frame that the labels lack is shown with its answer, and why is said.
+        # A frame missing in the labels is shown with the answer, and a message.
         correcting = stays and (editor := self.ctx.editors.of(self.state.source)) is not None and frame_id in editor
         self.state = replace(self.state.unasked, frame_id=frame_id, problem="", marks=(), offers=SuggestedQuestions())
         try:
@@ -343,7 +342,7 @@ class PageSession(Part):
             trace = self.ctx.source.ask(loaded.context, text)
         except InputError:
             return False
-        # What names nothing of this dataset is no first question of it.
+        # A question naming nothing of this dataset is no first question.
         return holds(trace) is True and not unused_words(trace.query)
 
     # ---- questions ------------------------------------------------------------------
@@ -365,7 +364,7 @@ class PageSession(Part):
             trace = self.ctx.source.ask(loaded.context, text)
         except InputError as error:
             shown = shown_objects(loaded, None, self._exact)
-            # Which names a frame has is said beside the field; the detector knows many more.
+            # Names of the frame stand beside the field; the detector knows many more.
             said = error.what if isinstance(error, UnknownClass) else str(error)
             name, expression = self.state.source, self.state.expression_id(text)
             judged = self._judge.judge_refused(name, self.ctx.source, loaded.context, error, expression)
@@ -438,9 +437,9 @@ class PageSession(Part):
         self._labels.detail()
         correcting = self.state.labels is not None
         if correcting != self._correcting:
-            # A drag that only tries something must not become one that is saved.
+            # A what-if drag must not become a saved edit.
             self._correcting, self.state = correcting, replace(self.state, mode="off")
-            # What is asked is asked of the answers.
+            # Questions belong to answers, not to labels.
             self.ctx.page.call("question", "" if correcting else self.state.text)
         filling.fill_page(self.ctx)
         self._runs.follow()

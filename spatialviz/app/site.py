@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from spatialviz.app.frames import FramePictures
 
 PAGE_ID: ContextVar[str] = ContextVar("page_id")
-"""Whose scene a socket of viser's shows, while its connection is handled."""
+"""Page of viser's socket during the handling of its connection."""
 ID = re.compile(r"[0-9a-f]{32}")
 REFUSED_SECONDS, MOST_WAITING = 1.0, 100
 PAGE_POLICY = (
@@ -37,12 +37,12 @@ SCENE_POLICY = (
     "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src data:; connect-src 'self' data: blob:; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
 )
-"""What viser's client needs and no more: its script and styles are inline, its workers are blobs."""
+"""Content policy for viser's client: inline script and styles, blob workers."""
 SCENE_STYLE = (
     "<style>#root :has(canvas) ~ :not(:has(canvas), canvas), .mantine-Notifications-root, body > [data-portal] "
     "{ display: none !important }</style>"
 )
-"""Hides viser's panels: the page has its own."""
+"""Hides viser's panels in favour of the page's own."""
 
 
 class PageSessions(Protocol):
@@ -182,11 +182,7 @@ SAFE = {
 
 
 class Access:
-    """Checks requests.
-
-    `host`: the address that is listened on; `tokens`: names by token. Where there are any, a request needs one of them,
-    in a cookie or once in the page's address.
-    """
+    """Checks requests; with tokens (names by token), each needs a token, in a cookie or once in the address."""
 
     def __init__(self, host: str, tokens: Mapping[str, str] | None = None) -> None:
         self._tokens = dict(tokens or {})
@@ -194,8 +190,7 @@ class Access:
 
     @classmethod
     def of(cls, host: str, file: Path | None = None) -> Access:
-        """Access rules of an address: none on this machine, else tokens of a file, or a new token; InputError without
-        tokens in the file."""
+        """Access by address: free on this machine, else tokens of a file (InputError if invalid), or a new token."""
         if file is not None:
             return cls(host, read_tokens(file))
         return cls(host, {} if host in (*LOCAL_NAMES, "::1") else {secrets.token_urlsafe(24): ""})
@@ -261,16 +256,15 @@ class Access:
         name = re.sub(r":\d+$", "", host)
         if name in LOCAL_NAMES or name in (self._host, f"[{self._host}]"):
             return True
-        # The name by which others reach this machine is not known here: numbers and plain names of a local network may
-        # be it. Dotted web names are refused, or a page could point its own name at this address.
+        # This machine's names in a network are unknown here: numbers and plain local names are accepted.
+        # Dotted web names are refused, or a page could point its own name at this address.
         return self._host in EVERYWHERE and bool(
             re.fullmatch(r"\d+(\.\d+){3}|\[[0-9a-f:]+\]|[\w-]+(\.local)?", name, re.ASCII)
         )
 
 
 def read_tokens(file: Path) -> dict[str, str]:
-    """Names by token, from a file of lines "NAME TOKEN"; "#" begins a comment. InputError for invalid, short or
-    repeated tokens, or none."""
+    """Names by token, from a file of lines "NAME TOKEN"; "#" begins a comment. InputError if invalid."""
     how = "a line NAME TOKEN for each person, the token at least 16 letters, digits, - or _"
     tokens: dict[str, str] = {}
     with as_input_error("the tokens cannot be read", OSError, UnicodeDecodeError, path=file):

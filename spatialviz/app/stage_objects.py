@@ -176,7 +176,7 @@ def relations_evidence(state: State, trace: Trace) -> list[Child]:
         return [h.p("No relation between two objects is asked, or no pair is chosen.", cls="dim")]
     # "the table holding the lamp" asks for the lamp on the table.
     a, b = (pair.reference, pair.target) if trace.inverse else (pair.target, pair.reference)
-    # Of imported relations it is told which the file gives; what the rule would say of these is no part of them.
+    # Imported relations are marked as given or worked out; the rule's opinion is no part of them.
     ours = trace.scores.worked_out(a, b)
     marks = letter if trace.scores.given is None else None
     bars = [
@@ -202,7 +202,7 @@ def relations_evidence(state: State, trace: Trace) -> list[Child]:
 
 
 def _scored_by(scores: RelationScores, scorer: str, ours: Collection[str]) -> str:
-    """Scorer, and scorers of other relations: "rel32; on, in, near by rule"; relations in `ours` are worked out here."""
+    """Scorer, and scorers of other relations: "rel32; on, in, near by rule"; those in `ours` are worked out here."""
     others: dict[str, list[str]] = {}
     for relation in scores.relations:
         by = "worked out here" if relation in ours else f"by {scores.scored_by[relation]}"

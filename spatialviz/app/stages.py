@@ -33,10 +33,7 @@ def opened(state: State) -> str:
 
 
 def stages_html(state: State, open_stage: str = "") -> Element:
-    """Stages in order, the open stage with its evidence.
-
-    `open_stage` is as `State.stage`: a name of EVIDENCE, "" for `opened`, and anything else for none.
-    """
+    """Stages in order, the open stage with evidence; `open_stage` is as `State.stage`."""
     open_stage = open_stage or opened(state)
     return h.ol((_item(state, stage, open_stage, failed(state)) for stage in _stages(state)), cls="stages")
 

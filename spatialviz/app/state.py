@@ -43,25 +43,25 @@ class State(AnswerView):
 
     source: str
     frame_id: str
-    problem: str = ""  # Why it is
-    text: str = ""  # The expression as typed
-    error: str = ""  # Why the expression could not be asked
-    stopped: str = ""  # The stage that refused it
+    problem: str = ""  # Reason of a frame that cannot be shown
+    text: str = ""  # Expression as typed
+    error: str = ""  # Reason of a refused expression
+    stopped: str = ""  # Stage of the refusal
     colors: ColorMode = "rgb"
     camera: CameraMode = "pair"
     flags: SceneFlags = field(default_factory=SceneFlags)
     dark: bool = True
-    offers: SuggestedQuestions = field(default_factory=SuggestedQuestions)  # What can be asked of the frame
-    listing: Listing | None = None  # What is searched of the source's run
-    mode: EditMode = "off"  # What the handles in the scene do with the selected object's box
-    labels: LabelView | None = None  # The labels that are shown, and may be corrected, in place of an answer
-    correctable: bool = False  # Labels are open that may be corrected
-    picking: Tool = ""  # What the next click on a surface is for, "level" or "measure"; "" selects
-    marks: tuple[tuple[int, int], ...] = ()  # The pixels, none to two, between which is measured
-    point_size: float = 1.0  # Of the cloud, as a factor
-    evaluating: bool = False  # The run is looked at, rather than one answer
-    hovered: int | None = None  # The object whose row the mouse is over, as a place in `shown.objects`
-    stage: str = ""  # The module whose evidence is open; "" leaves it to the answer, "-" is none
+    offers: SuggestedQuestions = field(default_factory=SuggestedQuestions)  # Suggested questions
+    listing: Listing | None = None  # Search of the pipeline's run
+    mode: EditMode = "off"  # Handles of the selected object's box
+    labels: LabelView | None = None  # Shown labels, in place of an answer
+    correctable: bool = False  # True with open, correctable labels
+    picking: Tool = ""  # Tool of the next click, "level" or "measure"; "" selects
+    marks: tuple[tuple[int, int], ...] = ()  # Ends of the measurement, up to two pixels
+    point_size: float = 1.0  # Factor of the cloud's points
+    evaluating: bool = False  # True while the run is shown, not an answer
+    hovered: int | None = None  # Index in `shown.objects` of the row under the mouse
+    stage: str = ""  # Module with open evidence; "" by the answer, "-" for none
 
     @property
     def task(self) -> Task:

@@ -37,7 +37,7 @@ FLAGS = {
 }
 HINTS = {message: f"{label} ({key})" for key, label, message in KEYS["Looking"]}
 LEAST_POINT, LARGEST_POINT = 0.4, 4.0
-"""How small and how large points are drawn, as a factor."""
+"""Least and largest factor of point size."""
 PICTURES = tuple(
     h.button(label, cls="toggle", local=local, title=title)
     for label, local, title in (
@@ -118,7 +118,7 @@ def suggestions_html(state: State, suggestions: Sequence[str]) -> Element | None
 
 
 LISTED_FRAMES = 1000
-"""A list of more frames would be slow to open; around the current one are enough to pick from."""
+"""Frames listed around the current frame; more would be slow to open."""
 
 
 def where_html(state: State, sources: Sequence[str], ids: Sequence[str]) -> list[Element]:
@@ -179,10 +179,8 @@ HOW = "Click here (Shift+U), then a surface that is level: up is then known."
 
 
 def up_chip(state: State) -> Element | None:
-    """Source of up, small; conspicuous for an assumed or doubtful up. A click asks for a level surface.
-
-    Shown labels have the up of their making, unchanged by clicks.
-    """
+    """Source of up, small; conspicuous for an assumed or doubtful up. A click asks for a level surface."""
+    # Shown labels have the up of their making, unchanged by clicks.
     if state.loaded is None:
         return None
     labels = state.labels

@@ -12,9 +12,9 @@ import numpy as np
 from pipeline.diagnosis.whatif.state import CameraView
 
 CameraMode = Literal["pair", "sensor", "orbit", "top"]
-"""Places from which the scene may be looked at."""
+"""Viewpoints of the scene."""
 Task = Literal["explain", "evaluate", "label"]
-"""What the page is for: to explain an answer, to evaluate a run, or to label."""
+"""Tasks of the page: explain an answer, evaluate a run, or label."""
 STAGES = ("PARSE", "OPM", "LIFT", "SRM", "ATTRIBUTE", "PRM", "LABEL", "-")
 
 
@@ -22,18 +22,17 @@ STAGES = ("PARSE", "OPM", "LIFT", "SRM", "ATTRIBUTE", "PRM", "LABEL", "-")
 class Place:
     """View of a page; None for unset fields."""
 
-    # source, frame: Dataset and frame
     source: str | None = None
     frame: str | None = None
-    text: str | None = None  # The question; "" where none is asked
+    text: str | None = None  # Question; "" for none
     task: Task | None = None
-    stage: str | None = None  # The module whose evidence is open
-    find: str | None = None  # What the run is searched for
-    item: tuple[int, int] | None = None  # Numbers of the labelled pair that is looked at
-    # camera: Where the view was turned to, in the frame's camera frame (metres), and its field of view (radians)
+    stage: str | None = None  # Module with open evidence
+    find: str | None = None  # Search of the run
+    item: tuple[int, int] | None = None  # Numbers of the shown labelled pair
+    # Turned view in the frame's camera frame (metres), and field of view (radians)
     camera: tuple[CameraView, float | None] | None = None
-    pair: int | None = None  # The place of the pair that is looked at among the ranked ones, from 1; None for the best
-    look: CameraMode | None = None  # From where, where that is not the pair
+    pair: int | None = None  # Rank of the shown pair, from 1; None for the best
+    look: CameraMode | None = None  # Viewpoint; None for the pair
 
     @classmethod
     def read(cls, query: str, sources: Collection[str]) -> Place:

@@ -97,10 +97,7 @@ class ViewStrings(Part):
         self.open(decode(string))
 
     def open(self, view: ViewState, confirmed: bool = False) -> None:
-        """Show a view; a file named in the view is loaded only if `confirmed`.
-
-        InputError for an unknown dataset or frame, or inapplicable edits.
-        """
+        """Show a view; a file named in the view is loaded only if `confirmed`. InputError if inapplicable."""
         sources = self.ctx.shared.store.sources
         what, opened = "the view is of a dataset that is not open here", ", ".join(sources)
         require(view.dataset in sources, what, got=view.dataset, expected=opened)
@@ -164,17 +161,15 @@ class ViewStrings(Part):
 
 
 BEGINS = re.compile(r"\s*sv[0-9]{1,6}:")
-"""How a state string begins; no expression does."""
+"""Prefix of a state string, never of an expression."""
 CAMERA, FOV, POINTS = "camera view", "field of view", "point size"
-"""Names of toggles: from where one looks ("sensor", "orbit", "top"), in radians how wide a turned camera sees, and the
-factor by which points are drawn larger."""
+"""Toggles: viewpoint ("sensor", "orbit", "top"), field of view of a turned camera (radians), point size factor."""
 
 
 def needs_file(scorer: str | None, first: str | None, alone: bool) -> bool:
-    """True if a view's relation scorer is a file in need of consent.
+    """True if a view's scorer is a file in need of consent; `first` is the server's scorer, `alone` as in `Shared`.
 
-    `first` is the scorer of the server's start, `alone` as in `Shared`. InputError for an uninstalled scorer on a
-    shared server, without revealing the existence of files.
+    InputError for an uninstalled scorer on a shared server, without revealing the existence of files.
     """
     named = is_named(scorer)
     require(
@@ -188,11 +183,8 @@ def needs_file(scorer: str | None, first: str | None, alone: bool) -> bool:
 def view_of(
     state: State, source: Pipeline, camera: tuple[CameraView, float] | None, run: str | None, expression: str | None
 ) -> ViewState:
-    """View of a client.
-
-    `camera` holds the turned view and its field of view, None if not turned; `run` is a folder, `expression` the id of
-    its asked expression.
-    """
+    """View of a client."""
+    # `camera` holds the turned view and field of view; `run` is a folder, `expression` the id of its asked expression.
     selected = None if state.selected is None else state.key_of(state.selected, source.detector)
     ends = None if state.pair is None else [state.key_of(at, source.detector) for at in state.pair[:2]]
     toggles: dict[str, Toggle] = {**asdict(state.flags), CAMERA: state.camera}
@@ -242,10 +234,10 @@ def with_objects(state: State, source: Pipeline, view: ViewState) -> State:
 
 
 CASES = "cases"
-"""The folder, under the one that the program was started in, that cases are saved in."""
+"""Folder of saved cases, under the working directory."""
 LONGEST_NAME = 80
 MOST, TOLD = 200, 5
-"""Cases that are made at once, and reasons that are told why some are not."""
+"""Cases per job, and reported reasons of failure, at most."""
 
 
 def folder_name(text: str) -> str:

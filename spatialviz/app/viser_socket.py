@@ -28,16 +28,16 @@ LONGEST_OF_SCENE = 64_000
 LONGEST_MESSAGE = LONGEST_DRAWING + LONGEST_COMMAND
 """Bytes."""
 CLOSE_SECONDS = 2.0
-"""Who does not take leave in that time is cut off."""
+"""Seconds for a closing handshake, then the connection is cut."""
 
 
 OF_SCENE = (
     "ViewerCameraMessage", "ScenePointerMessage", "SceneNodeClickMessage", "SceneNodeDragMessage",
     "TransformControlsUpdateMessage", "TransformControlsDragStartMessage", "TransformControlsDragEndMessage",
 )  # fmt: skip
-"""Messages that a scene may send: none of viser's panels, uploads and tunnels."""
+"""Messages allowed of a scene: none of viser's panels, uploads and tunnels."""
 TUNNELS = ("ShareUrlRequest", "ShareUrlDisconnect")
-"""Messages by which a browser has viser open a tunnel to a server of its makers."""
+"""Messages requesting a tunnel to a server of viser's makers."""
 
 
 def internal(name: str, owner: Any = viser) -> Any:
@@ -71,10 +71,7 @@ def close_tunnels(server: viser.ViserServer) -> None:
 
 
 class SceneConnection:
-    """Socket of viser for a scene, reduced to the messages OF_SCENE, rate-limited by awaiting `pace`.
-
-    `pace`: awaited before each message is read.
-    """
+    """Socket of viser for a scene, reduced to the messages OF_SCENE, rate-limited by awaiting `pace`."""
 
     def __init__(self, connection: Any, pace: Callable[[], Awaitable[None]]) -> None:
         self._connection, self._pace = connection, pace
@@ -131,11 +128,11 @@ def served_by(handler: ConnectionHandler) -> Iterator[None]:
             await handler.socket(connection, viser_handler)
 
         async def process_request(connection: Any, request: Request) -> Response | None:
-            # What is longer closes the socket before it is read.
+            # Longer messages close the socket unread.
             connection.protocol.max_message_size = LONGEST_OF_SCENE
             if request.path.startswith("/app/"):
                 connection.protocol.max_message_size = LONGEST_MESSAGE
-                # Words are worth it; points, on viser's sockets, are not.
+                # Compression pays for text, not for the points of viser's sockets.
                 connection.protocol.available_extensions = [ServerPerMessageDeflateFactory(compress_settings=DEFLATED)]
             return await handler.answer(connection, request)
 
@@ -143,7 +140,7 @@ def served_by(handler: ConnectionHandler) -> Iterator[None]:
             handler.log(f"{record.getMessage()}: {record.exc_info[1] if record.exc_info else ''}")
             return False
 
-        # What websockets logs is said shortly: whoever breaks off would fill the terminal with it.
+        # Short log lines: broken connections would fill the terminal.
         logger = logging.Logger("spatialviz.sockets", logging.WARNING)
         logger.addFilter(told)
         options |= {

@@ -72,7 +72,7 @@ class WhatIf(Part):
             raise InputError("nothing is asked: edits are of a question")
         if self._baseline is None or self._of != asked:
             self._baseline, self._of = Baseline(self.ctx.source, state.loaded.context, asked[2]), asked
-            # Nothing of this question is edited yet: what is shown is the answer without edits.
+            # The shown answer is still without edits.
             self._judged = state.judged
         return self._baseline
 
@@ -190,7 +190,7 @@ class WhatIf(Part):
         if not live and self._map is not None:
             self._renewed_map()
         self._shown.draw(state, None if live else self._map, keep_map=live)
-        # Where there is no object there is nothing to edit.
+        # Without objects there is nothing to edit.
         self.ctx.page.show("cost", cost_html(state, len(self._undo)) if state.shown.objects else None)
         if not live:
             hidden = selected is not None and f"#{state.shown.objects[selected].id}" in state.edits.hidden
