@@ -97,7 +97,6 @@ class Context:
 
     @property
     def source(self) -> Pipeline:
-        """Current pipeline."""
         return self.shared.store.sources[self.state.source]
 
     @property
@@ -138,7 +137,6 @@ class Part:
 
     @property
     def state(self) -> State:
-        """Current state."""
         return self.ctx.state
 
     @state.setter

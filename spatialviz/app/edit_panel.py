@@ -294,7 +294,6 @@ def _moved(moved: Moved) -> Child:
 
 
 def object_html(card: ObjectCard, name: str, color: RGB, mode: str, author: str) -> Element:
-    """Selected object."""
     facts = [counted(card.points, "point"), *([] if card.distance is None else [f"{card.distance:.2f} m"])]
     asked = counted(card.expressions, "expression")
     counts = " ".join(f"{n} {state}" for state, n in card.states.items())

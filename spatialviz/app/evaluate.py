@@ -106,7 +106,6 @@ class Evaluate(Part):
 
     @command("find")
     def find(self, query: str) -> None:
-        """Search."""
         self.search(query)
         self._say_address()
 

@@ -96,7 +96,6 @@ def _value(facet: Facet, value: FacetValue, most: int) -> Element:
 
 
 def search_html(query: str) -> Element:
-    """Search field."""
     return h.input(
         cls="find runs", field="find", value=query, title=SYNTAX_HINT, spellcheck="false", autocomplete="off",
         placeholder="search, such as verdict:SRM class:chair margin<0.1   ( / )",

@@ -38,7 +38,6 @@ class Images:
         return f"/app/image/{name}"
 
     def get(self, name: str) -> bytes | None:
-        """Picture of a name."""
         with self._lock:
             return self._kept.get(name)
 

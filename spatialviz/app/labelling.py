@@ -55,7 +55,6 @@ class Labelling(LabelPart):
 
     @command("labels-at")
     def look_at_pair(self, a: NonNegativeInt, b: NonNegativeInt, relation: str, frame: str) -> None:
-        """Show a pair."""
         self.look_at(Target(frame, (a, b), relation or None))
 
     @command("labels")
@@ -130,7 +129,6 @@ class Labelling(LabelPart):
 
     @command("swap")
     def swap(self) -> None:
-        """Swap the pair."""
         pair = self.state.pair
         if pair is not None and self.state.labels is not None:
             self.ctx.show(pair=(pair[1], pair[0]))

@@ -117,7 +117,6 @@ class Dialog:
             self._page.toast("Not possible", problem, bad=True)
 
     def close(self) -> None:
-        """Hide the dialog."""
         self.title = ""
         self._page.show("dialog")
 

@@ -52,7 +52,6 @@ class Element:
 
     @property
     def html(self) -> str:
-        """Element as HTML."""
         attributes = "".join(f' {name}="{html.escape(value, quote=True)}"' for name, value in self.attributes)
         if self.name in VOID:
             return f"<{self.name}{attributes}>"
@@ -205,7 +204,6 @@ def button(label: Child, do: str, title: str = "", cls: str = "", **more: object
 
 
 def progress(name: str, done: float, of: float) -> Element:
-    """Progress bar."""
     share = done / of if of else 0.0
     return h.div(
         h.i(css={"width": f"{share:.1%}"}), cls="prog", role="progressbar", aria_valuenow=round(100 * share),

@@ -79,7 +79,6 @@ class ObjectSelection(Part):
 
     @command("focus")
     def focus(self) -> None:
-        """Look at the selected object."""
         chosen = self.state.shown.objects[there(self.state.selected)]
         self.ctx.scene.viewpoint.focus(there(chosen.lifted.box))
 
@@ -199,6 +198,5 @@ class ViewSettings(Part):
 
     @command("theme")
     def switch_theme(self) -> None:
-        """Switch between dark and light."""
         self.ctx.client.set_dark(not self.state.dark)
         self.ctx.show(dark=not self.state.dark)

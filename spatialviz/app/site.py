@@ -84,7 +84,6 @@ class Site:
         self._scene = gzip.compress(scene_page().replace("</title>", "</title>" + SCENE_STYLE, 1).encode(), 6)
 
     async def answer(self, connection: Any, request: Request) -> Response | None:
-        """Response to a request; None admits a socket."""
         refused = self._access.refusal(request)
         if refused is not None:
             return refused
@@ -155,7 +154,6 @@ class Site:
             self._pages.closed(page_id, connection)
 
     def log(self, problem: str) -> None:
-        """Print a problem with a request, rate-limited."""
         self._pages.log(problem)
 
 

@@ -119,7 +119,6 @@ def lift_evidence(state: State, trace: Trace) -> list[Child]:
 
 
 def object_html(state: State) -> Element | None:
-    """Selected object."""
     i = state.selected
     return None if i is None or i >= len(state.shown.objects) else panel(_own(state, i))
 

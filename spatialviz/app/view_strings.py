@@ -50,7 +50,6 @@ class ViewStrings(Part):
         self._waiting: ViewState | None = None
 
     def now(self) -> ViewState:
-        """Current view."""
         state, run = self.state, self.ctx.run
         return view_of(
             state,
@@ -82,7 +81,6 @@ class ViewStrings(Part):
 
     @command("paste-state")
     def paste(self) -> None:
-        """Ask for a string."""
         self.ctx.dialog.show(
             "Open a view from its string",
             h.textarea(
