@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import chain, islice
 
-from pipeline.corrections.audit.report import AuditReport, audit
+from pipeline.audit.report import AuditReport, audit
 from pipeline.corrections.review.queue import QueueConfig
 from pipeline.language.counted import counted
 from pipeline.system.errors import require

@@ -21,11 +21,13 @@ ROOMS = (
     "proposals",
     "relations",
     "answering",
+    "drawing",
     "labels",
     "training",
     "diagnosis",
     "evaluation",
     "corrections",
+    "audit",
     "paper",
 )
 """From the ground up."""

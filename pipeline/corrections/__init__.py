@@ -11,7 +11,6 @@ from pipeline.system.lazy_exports import lazy_exports
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from pipeline.corrections.audit.report import AuditReport
     from pipeline.corrections.confirming import right_objects, right_pair, why_not_kept
     from pipeline.corrections.draft import (
         Draft,
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
         with_depth_split,
         with_gesture,
     )
-    from pipeline.corrections.drawing.gestures import Canvas, Gesture, gesture_of, read_gesture
     from pipeline.corrections.journal.batch import actions_of, apply_actions, needs_pictures, read_actions
     from pipeline.corrections.journal.connection import back_up, check_journal, recover
     from pipeline.corrections.journal.edits import (

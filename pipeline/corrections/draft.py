@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from pipeline.corrections.drawing.depth_region import joined, link_grid, nearest_pixel
-from pipeline.corrections.drawing.gestures import Canvas, Gesture, applied, goes_around, polygon_mask
 from pipeline.corrections.journal.edits import Edits, add_object, pixels_of, set_mask, split_object
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.field_refs import FieldRef, object_ref
+from pipeline.drawing.depth_region import joined, link_grid, nearest_pixel
+from pipeline.drawing.gestures import Canvas, Gesture, applied, goes_around, polygon_mask
 from pipeline.geometry.lifting import LiftedObject, lift
 from pipeline.geometry.masks import decode_run_length, encode_run_length
 from pipeline.system.errors import InputError, require

@@ -27,9 +27,9 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.answering.pipeline import Pipeline, open_pipeline
-from pipeline.corrections.audit.sentences import audit_sentences
-from pipeline.corrections.audit.suspicion import AuditItem, Evidence, wrong_probability
-from pipeline.corrections.audit.systems import SystemAnswers
+from pipeline.audit.sentences import audit_sentences
+from pipeline.audit.suspicion import AuditItem, Evidence, wrong_probability
+from pipeline.audit.systems import SystemAnswers
 from pipeline.datasets import open_dataset
 from pipeline.datasets.base import InMemoryDataset
 from pipeline.evaluation.sentence_files import Sentence, SentenceFile

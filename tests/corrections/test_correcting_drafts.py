@@ -10,11 +10,9 @@ import pytest
 from journal_world import FRAME, half_of, saved, widest
 
 from pipeline.corrections import (
-    Canvas,
     Corrector,
     Draft,
     EffectiveFrame,
-    Gesture,
     Journal,
     Saved,
     actions_of,
@@ -30,10 +28,11 @@ from pipeline.corrections import (
     with_depth_split,
     with_gesture,
 )
-from pipeline.corrections.drawing.gestures import polygon_mask, rectangle_mask, stroke_mask
 from pipeline.corrections.journal import edits
 from pipeline.corrections.journal.edits import pixels_of
 from pipeline.corrections.journal.field_refs import FIRST_NEW_OBJECT
+from pipeline.drawing import Canvas, Gesture
+from pipeline.drawing.gestures import polygon_mask, rectangle_mask, stroke_mask
 from pipeline.language import PAIRWISE
 from pipeline.relations import T
 from pipeline.system import InputError

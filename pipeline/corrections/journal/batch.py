@@ -13,8 +13,6 @@ from typing import Annotated, Any, Literal, Union
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, create_model, model_validator
 
-from pipeline.corrections.drawing.depth_region import TOLERANCE
-from pipeline.corrections.drawing.gestures import Canvas, drawn, gesture_of
 from pipeline.corrections.journal import edits as actions
 from pipeline.corrections.journal.edits import Edits
 from pipeline.corrections.journal.effective import Corrector
@@ -23,6 +21,8 @@ from pipeline.corrections.journal.events import Conflict, Edit, Rival, Saved
 from pipeline.corrections.journal.field_refs import OF_ALL, FieldRef, Kind, box_of, judged_item
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.side_views import drag_box
+from pipeline.drawing.depth_region import TOLERANCE
+from pipeline.drawing.gestures import Canvas, drawn, gesture_of
 from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import InputError, require
 from pipeline.system.reading import checked

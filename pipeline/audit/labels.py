@@ -6,10 +6,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from pipeline.corrections.audit.geometry import by_own_sides, fit_of_triple, geometry_evidence, has_front
-from pipeline.corrections.audit.sentences import object_names
-from pipeline.corrections.audit.suspicion import AuditItem, Evidence
-from pipeline.corrections.audit.systems import SystemAnswers, system_evidence
+from pipeline.audit.geometry import by_own_sides, fit_of_triple, geometry_evidence, has_front
+from pipeline.audit.sentences import object_names
+from pipeline.audit.suspicion import AuditItem, Evidence
+from pipeline.audit.systems import SystemAnswers, system_evidence
 from pipeline.corrections.review.queue import QueueConfig, review_queue
 from pipeline.labels.cases import Case, FrameCases, read_cases
 from pipeline.labels.reading import Labels

@@ -11,10 +11,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from pipeline.answering import PreparedFrame
-from pipeline.corrections import Canvas, Gesture, gesture_of, read_gesture
 from pipeline.corrections.draft import split_by_depth, split_by_line, split_by_polygon
-from pipeline.corrections.drawing.depth_region import Surface, grown_region, surface_of
-from pipeline.corrections.drawing.gestures import (
+from pipeline.drawing import Canvas, Gesture, gesture_of, read_gesture
+from pipeline.drawing.depth_region import Surface, grown_region, surface_of
+from pipeline.drawing.gestures import (
     THINNEST,
     applied,
     drawn,

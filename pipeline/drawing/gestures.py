@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from pipeline.answering.objects import PreparedFrame
-from pipeline.corrections.drawing.depth_region import LEAST, MOST, TOLERANCE, Surface, grown_region, surface_of
+from pipeline.drawing.depth_region import LEAST, MOST, TOLERANCE, Surface, grown_region, surface_of
 from pipeline.proposals.depth_segmenter import DepthSegmenter
 from pipeline.system.errors import InputError, Shown, require
 

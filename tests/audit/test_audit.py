@@ -14,13 +14,13 @@ from review_labels import with_relations
 from scenes import frame_of, upright
 
 from pipeline.answering import Pipeline, open_pipeline
-from pipeline.corrections import AuditReport
-from pipeline.corrections.audit.geometry import FACING, has_front
-from pipeline.corrections.audit.labels import audit_labels
-from pipeline.corrections.audit.report import audit
-from pipeline.corrections.audit.sentences import audit_sentences
-from pipeline.corrections.audit.suspicion import PRIOR, AuditItem, Evidence, agreement_weight, wrong_probability
-from pipeline.corrections.audit.systems import SystemAnswers, read_answers
+from pipeline.audit import AuditReport
+from pipeline.audit.geometry import FACING, has_front
+from pipeline.audit.labels import audit_labels
+from pipeline.audit.report import audit
+from pipeline.audit.sentences import audit_sentences
+from pipeline.audit.suspicion import PRIOR, AuditItem, Evidence, agreement_weight, wrong_probability
+from pipeline.audit.systems import SystemAnswers, read_answers
 from pipeline.datasets import InMemoryDataset
 from pipeline.diagnosis import decode
 from pipeline.evaluation import Sentence, SentenceFile

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.corrections.audit.suspicion import Evidence
+from pipeline.audit.suspicion import Evidence
 from pipeline.labels.cases import FrameCases
 from pipeline.language.counted import counted
 from pipeline.language.naming import normal_form

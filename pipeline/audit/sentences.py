@@ -9,9 +9,9 @@ import numpy as np
 from pipeline.answering.ask import Trace
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.pipeline import Pipeline
-from pipeline.corrections.audit.geometry import Fit, by_own_sides, fit_of_triple, geometry_evidence, has_front
-from pipeline.corrections.audit.suspicion import PRIOR, AuditItem, Evidence
-from pipeline.corrections.audit.systems import SystemAnswers, system_evidence
+from pipeline.audit.geometry import Fit, by_own_sides, fit_of_triple, geometry_evidence, has_front
+from pipeline.audit.suspicion import PRIOR, AuditItem, Evidence
+from pipeline.audit.systems import SystemAnswers, system_evidence
 from pipeline.diagnosis.asking import annotated_truth
 from pipeline.diagnosis.sentence_truth import sentence_case
 from pipeline.evaluation.sentence_files import Sentence, SentenceFile

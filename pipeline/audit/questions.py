@@ -10,8 +10,8 @@ import numpy as np
 
 from pipeline.answering.answer_words import best_pair
 from pipeline.answering.pipeline import Pipeline
-from pipeline.corrections.audit.geometry import HOLDS, OWN_SIDES, has_front
-from pipeline.corrections.audit.suspicion import AuditItem, Evidence, agreement_weight
+from pipeline.audit.geometry import HOLDS, OWN_SIDES, has_front
+from pipeline.audit.suspicion import AuditItem, Evidence, agreement_weight
 from pipeline.datasets.files import read_bytes
 from pipeline.evaluation.robospatial import Question, QuestionAnswers, drawn, points_of, published_right
 from pipeline.language.expression import parse

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.corrections.audit.suspicion import Evidence, agreement_weight
+from pipeline.audit.suspicion import Evidence, agreement_weight
 from pipeline.evaluation.records import read_records
 from pipeline.evaluation.run_folder import RECORDS_FILE
 from pipeline.evaluation.sentence_report import FILE

@@ -5,3 +5,11 @@ runs agree with each other against the truth; `geometry` and `sentences` compare
 frame; `labels` joins the review queue; `questions` audits RoboSpatial-Home; `report` does it
 for whatever it is given, ranks and writes.
 """
+
+from pipeline.system.lazy_exports import lazy_exports
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from pipeline.audit.report import AuditReport
+
+__getattr__ = lazy_exports(__name__, __file__)
