@@ -17,13 +17,13 @@ from pipeline.corrections.draft import (
     with_depth_split,
     with_gesture,
 )
-from pipeline.drawing.depth_region import TOLERANCE
-from pipeline.drawing.gestures import Canvas, Gesture, gesture_of, read_gesture
 from pipeline.corrections.journal.edits import merge_objects, set_class
 from pipeline.corrections.journal.events import Conflict, Event
 from pipeline.corrections.journal.field_refs import same_value
 from pipeline.corrections.label_view import LabelView, paired
 from pipeline.corrections.vocabulary import vocabulary_of
+from pipeline.drawing.depth_region import TOLERANCE
+from pipeline.drawing.gestures import Canvas, Gesture, gesture_of, read_gesture
 from pipeline.geometry.palette import depth_colors, hex_color
 from pipeline.system.errors import InputError, as_input_error, needed, require
 from spatialviz.app.channel import Command
