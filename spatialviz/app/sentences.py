@@ -101,7 +101,7 @@ class Sentences(LabelPart):
 
     @command("mark")
     def mark(self, mark: str) -> None:
-        """Mark the expression BAD_LABEL or BAD_BOX; the same mark again removes the mark; "next" steps through marks."""
+        """Mark the expression BAD_LABEL or BAD_BOX; a repeated mark is removed; "next" steps through marks."""
         wanted = mark if mark in MARKS else None
 
         def made(frame: EffectiveFrame, card: ExpressionCard) -> Edits:
