@@ -12,10 +12,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.diagnosis.oracles import shown_oracle
+from pipeline.diagnosis.verdict import VERDICTS, shown_verdicts
+from pipeline.evaluation.confusion import Confusion
+from pipeline.evaluation.costs import Deltas
 from pipeline.evaluation.grounding_tables import OPM_ONLY, column, has_opm
 from pipeline.evaluation.records import detector_scores, is_calibrated
 from pipeline.evaluation.relation_report import SystemFigures
-from pipeline.labels.report.style import FULL, INK, QUIET, house_style, new_figure, save_figure
+from pipeline.evaluation.slices import Slices
+from pipeline.evaluation.summary import RunSummary, Share, residual_words, untold_words
+from pipeline.geometry.palette import VERDICTS as VERDICT_RGB
+from pipeline.geometry.palette import hex_color
+from pipeline.labels.report.style import FULL, INK, QUIET, house_style, new_figure, save_figure, short
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.metrics.calibration_metrics import ECE_BINS, ReliabilityDiagram, reliability_diagram
 from pipeline.metrics.intervals import Estimate
@@ -25,14 +33,6 @@ from pipeline.system.arrow import pa
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
-from pipeline.diagnosis.oracles import shown_oracle
-from pipeline.diagnosis.verdict import VERDICTS, shown_verdicts
-from pipeline.evaluation.confusion import Confusion
-from pipeline.evaluation.costs import Deltas
-from pipeline.evaluation.slices import Slices
-from pipeline.evaluation.summary import RunSummary, Share, residual_words, untold_words
-from pipeline.labels.report.style import short
 
 SCORE_TONES = {"raw scores": "#ee7733", "calibrated": "#0077bb"}
 SWEEP = np.linspace(0.05, 0.95, 19)
@@ -248,11 +248,7 @@ def _calibration(page: Page, diagrams: Mapping[str, Mapping[str, ReliabilityDiag
 
 SHOWN = ("relation", "class", "distance", "size", "occlusion", "same_class", "label_margin")
 MOST_SHOWN = 12
-VERDICT_COLORS = {
-    "CORRECT": "#009988", "PARSE": "#aa3377", "LABEL": "#b4bdca", "OPM-TARGET": "#cc3311", "OPM-REF": "#ee7733",
-    "LIFT": "#0077bb", "ATTRIBUTE": "#999933", "SRM": "#33bbee", "OPM-CONF": "#ddaa33", "PRM": "#ee3377",
-    "COMPOUND": "#46536a", "UNEXPLAINED": "#8a8f98",
-}  # fmt: skip
+VERDICT_COLORS = {verdict: hex_color(color) for verdict, color in VERDICT_RGB.items()}
 LOSS_COLORS = {
     "accuracy": VERDICT_COLORS["CORRECT"], "PARSE": VERDICT_COLORS["PARSE"], "RECALL": VERDICT_COLORS["OPM-TARGET"],
     "LIFT": VERDICT_COLORS["LIFT"], "SRM": VERDICT_COLORS["SRM"], "CONF": VERDICT_COLORS["OPM-CONF"],

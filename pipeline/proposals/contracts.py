@@ -367,3 +367,12 @@ SAM2_DECODERS = (
     ),
 )
 SAM2_CONTRACTS = SAM2_ENCODERS + SAM2_DECODERS
+
+
+DETECTORS: tuple[DetectorContract, ...] = (
+    *GROUNDING_DINO_CONTRACTS,
+    *OWL_CONTRACTS,
+    *YOLO_SEG_CONTRACTS,
+    *DETIC_CONTRACTS,
+)
+"""Of every detector whose files need no description."""

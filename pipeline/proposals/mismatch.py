@@ -9,16 +9,12 @@ from typing import Any, TypeVar
 
 from pipeline.proposals.contracts import (
     _EMBEDDINGS,
-    DETIC_CONTRACTS,
     EFFICIENTSAM_CONTRACTS,
     EFFICIENTSAM_OPTION,
-    GROUNDING_DINO_CONTRACTS,
-    OWL_CONTRACTS,
     SAM2_CONTRACTS,
     SAM_CONTRACTS,
     SAM_OPTION,
     SIDES,
-    YOLO_SEG_CONTRACTS,
     DetectorContract,
     TensorSpec,
     declared,
@@ -33,13 +29,6 @@ from pipeline.system.onnx_session import metadata
 
 BOXES = "--detector boxes"
 Found = TypeVar("Found")
-DETECTORS: tuple[DetectorContract, ...] = (
-    *GROUNDING_DINO_CONTRACTS,
-    *OWL_CONTRACTS,
-    *YOLO_SEG_CONTRACTS,
-    *DETIC_CONTRACTS,
-)
-"""Of every detector whose files need no description."""
 
 
 @dataclass(frozen=True)
