@@ -20,6 +20,7 @@ from pipeline.diagnosis.verdict import VERDICTS, shown_verdict
 from pipeline.evaluation.browsing import RunRows
 from pipeline.evaluation.comparing import CHANGES, Comparison, answer_differences, compare
 from pipeline.evaluation.job import RunReport, evaluate_dataset
+from pipeline.evaluation.leakage import Share, shares_of_run, with_caveats
 from pipeline.evaluation.querying import QueryRows, open_database
 from pipeline.evaluation.records import read_records
 from pipeline.evaluation.relation_cases import RelationSpec, uses_language
@@ -27,7 +28,6 @@ from pipeline.evaluation.run_figures import doubts_of
 from pipeline.evaluation.run_folder import labels_of, manifest_of, open_run
 from pipeline.evaluation.search import among_failures, find_failures
 from pipeline.evaluation.sentence_report import SentenceReport, evaluate_sentences
-from pipeline.evaluation.shared_makers import Share, shares_of_run, with_caveats
 from pipeline.evaluation.slices import Slices, dimension_named, slice_by, slice_table
 from pipeline.evaluation.summary import RunSummary, cost_words, need_verdicts, summarise_run, summary_tables
 from pipeline.evaluation.systems import EvalSpec

@@ -15,7 +15,7 @@ from whatif_scenes import ScoringDetector, context_of, row
 from pipeline.answering.objects import PreparedFrame
 from pipeline.diagnosis.asking import annotated_truth, answer
 from pipeline.diagnosis.cases.saving import open_case
-from pipeline.evaluation.shared_makers import PERFECT
+from pipeline.evaluation.leakage import PERFECT
 from pipeline.proposals import AnnotationDetector
 from pipeline.system.errors import InputError
 from spatialviz.report import Subject, failure_page, write_page

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from pipeline.evaluation.importing import export_run, import_run
     from pipeline.evaluation.job import RunReport, evaluate_dataset
     from pipeline.evaluation.judging_again import judge_again
+    from pipeline.evaluation.leakage import AGREEMENT, PERFECT, scorer_share, shares_of_run, title_of
     from pipeline.evaluation.querying import open_database
     from pipeline.evaluation.records import read_records
     from pipeline.evaluation.relation_cases import RelationSpec
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
     from pipeline.evaluation.search_words import quote
     from pipeline.evaluation.sentence_files import Sentence, SentenceFile, read_sentence_file
     from pipeline.evaluation.sentence_report import SentenceReport, evaluate_sentences
-    from pipeline.evaluation.shared_makers import AGREEMENT, PERFECT, scorer_share, shares_of_run, title_of
     from pipeline.evaluation.slices import Slices, slice_by, slice_table
     from pipeline.evaluation.summary import RunSummary, cost_words, summarise_run
     from pipeline.evaluation.systems import EvalSpec

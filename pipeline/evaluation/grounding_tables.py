@@ -10,8 +10,8 @@ import numpy as np
 
 from pipeline.answering.ask import AskConfig
 from pipeline.answering.pipeline import Pipeline
+from pipeline.evaluation.leakage import Share, rank, title_of, with_caveats
 from pipeline.evaluation.records import DetectorScores, detector_scores, is_calibrated, raw_records
-from pipeline.evaluation.shared_makers import Share, rank, title_of, with_caveats
 from pipeline.labels.cases import HIT
 from pipeline.labels.reading import Labels, read_table
 from pipeline.language.relation_names import PAIRWISE, PHRASE

@@ -20,6 +20,14 @@ from pipeline.evaluation.grounding_tables import (
     problem_warnings,
     recorded_config,
 )
+from pipeline.evaluation.leakage import (
+    Share,
+    leakage,
+    measured_of_run,
+    title_of,
+    titles_of,
+    with_caveats,
+)
 from pipeline.evaluation.plots import draw, draw_diagnosis, draw_relations
 from pipeline.evaluation.records import read_records, records_schema
 from pipeline.evaluation.relation_cases import RelationSpec, labelled_detector
@@ -27,14 +35,6 @@ from pipeline.evaluation.relation_records import RelationRecords
 from pipeline.evaluation.relation_report import measure_relations, relation_sink, shares_by_title
 from pipeline.evaluation.run import Progress, evaluate_labels, median_confidence
 from pipeline.evaluation.run_folder import RUN_FILE, Run, open_run, read_manifest, spec_record
-from pipeline.evaluation.shared_makers import (
-    Share,
-    measured_of_run,
-    shared_makers,
-    title_of,
-    titles_of,
-    with_caveats,
-)
 from pipeline.evaluation.slices import DIMENSIONS, Slices, slice_by, slice_table
 from pipeline.evaluation.summary import RunSummary, has_verdicts, summarise_run, summary_tables
 from pipeline.evaluation.systems import OWN, EvalSpec, system_of
@@ -125,7 +125,7 @@ def evaluate_dataset(
     asked = labels.manifest.tables["expressions"].content_hash
     makers = makers_of(labels.manifest)
     measured = system.measured(source, labels.relation_names) if spec.grounding else None
-    own = () if measured is None else shared_makers(makers, measured)
+    own = () if measured is None else leakage(makers, measured)
     of_others = other_systems(others, name, asked, makers)
     shares = {name: own, **{n: shared for n, (_, shared) in of_others.items()}}
     files = files_hash(source.dataset.root, out)
@@ -283,7 +283,7 @@ def other_systems(
         choices += [f"{own} ({run.resolve().name}, {k})" for k in range(2, len(runs) + 2)]
         own = next(n for n in choices if n not in taken)
         taken.add(own)
-        found[own] = read_records(run), shared_makers(makers, measured_of_run(manifest))
+        found[own] = read_records(run), leakage(makers, measured_of_run(manifest))
     return found
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.answering.pipeline import Pipeline
+from pipeline.evaluation.leakage import Share, scorer_share, with_caveats
 from pipeline.evaluation.relation_cases import RelationSystem, geometry_of_labels, open_systems
 from pipeline.evaluation.relation_records import (
     FILE,
@@ -19,7 +20,6 @@ from pipeline.evaluation.relation_records import (
     read_relation_records,
     relation_schema,
 )
-from pipeline.evaluation.shared_makers import Share, scorer_share, with_caveats
 from pipeline.evaluation.systems import EvalSpec
 from pipeline.labels.provenance import makers_of
 from pipeline.labels.reading import Labels

@@ -23,9 +23,9 @@ from pipeline.diagnosis.asking import answer, labelled_truth
 from pipeline.diagnosis.opened import Opened
 from pipeline.diagnosis.verdict import VERDICTS, shown_verdict
 from pipeline.evaluation.browsing import SHOWN, RunRows
+from pipeline.evaluation.leakage import Share, shares_of_run
 from pipeline.evaluation.records import read_records
 from pipeline.evaluation.search import find_failures
-from pipeline.evaluation.shared_makers import Share, shares_of_run
 from pipeline.evaluation.systems import OWN, EvalSpec
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.counted import counted

@@ -21,10 +21,10 @@ from pipeline.diagnosis.decision import diagnose
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence, matched
 from pipeline.diagnosis.imported_answers import answered_box, answered_overlap
 from pipeline.diagnosis.verdict import Diagnosis
+from pipeline.evaluation.leakage import Measured, measured_of
 from pipeline.evaluation.records import asked_columns, by_raw_scores, diagnosis_columns, raw_columns, record
 from pipeline.evaluation.relation_cases import RelationSpec
 from pipeline.evaluation.relation_records import RelationRecords, SystemRecords
-from pipeline.evaluation.shared_makers import Measured, measured_of
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, Case, FrameCases, is_gold, read_query
 from pipeline.labels.reading import Labels, open_labels, read_table

@@ -15,10 +15,10 @@ from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.pipeline import Pipeline
 from pipeline.datasets import Dataset
 from pipeline.diagnosis.frame_evidence import matched
+from pipeline.evaluation.leakage import Measured, measured_of
 from pipeline.evaluation.records import asked_columns, overlaps
 from pipeline.evaluation.relation_cases import RelationSpec, read_pairs
 from pipeline.evaluation.relation_records import RelationRecords, SystemRecords
-from pipeline.evaluation.shared_makers import Measured, measured_of
 from pipeline.evaluation.systems import OWN, AskedPairs, EvalSpec, Records, System
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Annotation, Frame

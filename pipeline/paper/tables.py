@@ -12,11 +12,11 @@ from pydantic import BaseModel, Field
 from pipeline.datasets.semantic_abstraction_file import SUBSETS, subsets_of
 from pipeline.datasets.settings import read_settings
 from pipeline.evaluation.grounding_tables import OPM_ONLY, clusters_of, column, has_opm
+from pipeline.evaluation.leakage import shares_of_run, title_of
 from pipeline.evaluation.records import read_records
 from pipeline.evaluation.relation_records import FILE, RelationRecords, read_pair_names, read_relation_records
 from pipeline.evaluation.relation_report import counted_pairs, relation_ranks
 from pipeline.evaluation.run_folder import RECORDS_FILE, open_run
-from pipeline.evaluation.shared_makers import shares_of_run, title_of
 from pipeline.labels.cases import HIT
 from pipeline.labels.profiles import GIVEN
 from pipeline.labels.reading import Labels

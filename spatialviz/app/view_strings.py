@@ -18,7 +18,7 @@ from pipeline.diagnosis.asking import answer
 from pipeline.diagnosis.cases.saving import save_case
 from pipeline.diagnosis.whatif import Edits, edits_record
 from pipeline.diagnosis.whatif.state import CameraView, Toggle, ViewState, decode, encode
-from pipeline.evaluation.shared_makers import shares_of_answer
+from pipeline.evaluation.leakage import shares_of_answer
 from pipeline.language.counted import counted
 from pipeline.relations.installed import is_named
 from pipeline.system.errors import InputError, require

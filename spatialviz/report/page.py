@@ -20,7 +20,7 @@ from pipeline.diagnosis.cases.saving import OpenedCase
 from pipeline.diagnosis.verdict import Diagnosis, shown_verdict
 from pipeline.diagnosis.whatif.edits import Edits, read_edits
 from pipeline.diagnosis.whatif.state import ViewState, encode
-from pipeline.evaluation.shared_makers import Share, shares_of_answer, title_of
+from pipeline.evaluation.leakage import Share, shares_of_answer, title_of
 from pipeline.geometry.palette import Role, hex_color, palette
 from pipeline.labels.reading import Labels
 from pipeline.language.lexicon import wording

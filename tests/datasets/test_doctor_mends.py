@@ -19,7 +19,7 @@ from pipeline.datasets import InMemoryDataset, demo_path, open_dataset, overlay
 from pipeline.datasets.doctor.examine import Examination, examine_frames
 from pipeline.datasets.doctor.hypotheses import Cause, causes
 from pipeline.datasets.doctor.seen import Seen
-from pipeline.datasets.doctor.trying import Agreement, Opinion, diagnosed
+from pipeline.datasets.doctor.trying import Opinion, RegionAgreement, diagnosed
 from pipeline.datasets.settings import Settings
 from pipeline.geometry import Frame, Registration, registered
 from pipeline.geometry.pose_convention import CONVENTIONS, composed, standard_poses
@@ -43,7 +43,7 @@ def seen_of(frames: Sequence[Frame]) -> Seen:
 class Doubled:
     """Thinks that depth is read twice too far where it is beyond some metres, and measures what it is told to."""
 
-    measure: Agreement
+    measure: RegionAgreement
     beyond: float = 1.0
 
     def opinions(self, seen: Seen, known: Sequence[Opinion]) -> list[Opinion]:
@@ -51,12 +51,12 @@ class Doubled:
         mend: dict[str, Any] = {"depth_scale": seen.units * 2} if far and seen.units else {}
         return [Opinion("depth scale", "wrong" if far else "fine", "it is far", mend, "--depth-scale 2000")]
 
-    def measured(self, seen: Seen, mended: Seen) -> tuple[Agreement, ...]:
+    def measured(self, seen: Seen, mended: Seen) -> tuple[RegionAgreement, ...]:
         return (self.measure,)
 
 
-def measured(*gains: float) -> Agreement:
-    return Agreement(np.full(len(gains), 0.3), 0.3 + np.array(gains), 0.05)
+def measured(*gains: float) -> RegionAgreement:
+    return RegionAgreement(np.full(len(gains), 0.3), 0.3 + np.array(gains), 0.05)
 
 
 BETTER = measured(0.1, 0.1, 0.2, 0.1)
@@ -76,11 +76,13 @@ def test_a_mend_that_helps_is_kept_and_what_follows_sees_it(room: list[Frame]) -
         (measured(0.4, 0.4, 0.4, -0.1), 0.9, "1 of 4 regions of the picture agree less"),
         (measured(0.9, 0.0, 0.0, 0.0), 0.9, "1 of 4 regions of the picture agree better"),
         (measured(0.03, 0.03, 0.03, 0.03), 0.9, "4 of 4 regions of the picture agree better"),
-        (Agreement(np.array([0.3]), np.array([np.nan]), 0.05), 0.9, "no region of the picture"),
+        (RegionAgreement(np.array([0.3]), np.array([np.nan]), 0.05), 0.9, "no region of the picture"),
         (BETTER, 0.01, "another one is asked for"),
     ],
 )
-def test_a_mend_that_does_not_is_withdrawn(room: list[Frame], measure: Agreement, beyond: float, why: str) -> None:
+def test_a_mend_that_does_not_is_withdrawn(
+    room: list[Frame], measure: RegionAgreement, beyond: float, why: str
+) -> None:
     seen = seen_of(room)
     (opinion,), mended = diagnosed(seen, [Doubled(measure, beyond)])
     assert (opinion.state, opinion.mend, opinion.option) == ("unknown", {}, None)

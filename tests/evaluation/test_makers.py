@@ -28,8 +28,8 @@ from pipeline.evaluation import (
     shares_of_run,
     title_of,
 )
+from pipeline.evaluation.leakage import CHECKED, HAD_A_PART, REPEATED, SIMULATED, Measured, leakage, rank
 from pipeline.evaluation.relation_cases import open_systems
-from pipeline.evaluation.shared_makers import CHECKED, HAD_A_PART, REPEATED, SIMULATED, Measured, rank, shared_makers
 from pipeline.labels import (
     MANIFEST_FILE,
     NONE,
@@ -77,7 +77,7 @@ def made(said: str, decided: Decided | None = None) -> Makers:
 
 @pytest.mark.parametrize(("truth", "measured"), TITLES)
 def test_the_same_model_is_told_whatever_its_thresholds(truth: str, measured: str) -> None:
-    shares = shared_makers(made(truth), Measured(mask_makers(measured), "net", A))
+    shares = leakage(made(truth), Measured(mask_makers(measured), "net", A))
     assert title_of(shares) == TITLES[truth, measured]
     assert shares, "something is always to be said"
     unknown = truth == "" or (measured.startswith("recorded") and "<" not in measured)
@@ -88,31 +88,29 @@ def test_the_same_model_is_told_whatever_its_thresholds(truth: str, measured: st
 def test_no_name_of_a_detector_is_too_odd(said: str) -> None:
     found = mask_makers(said)
     assert found is None or found.detectors
-    assert title_of(shared_makers(made(said), Measured(found, None))) in ("", REPEATED, PERFECT, SIMULATED)
+    assert title_of(leakage(made(said), Measured(found, None))) in ("", REPEATED, PERFECT, SIMULATED)
 
 
 def test_what_people_decided_is_theirs() -> None:
     measured = Measured(mask_makers(YOLO), "net", A)
-    some = shared_makers(made(YOLO, Decided((3, 9), (0, 40), (0, 5))), measured)
+    some = leakage(made(YOLO, Decided((3, 9), (0, 40), (0, 5))), measured)
     assert title_of(some) == REPEATED
     assert "but for 3 of 9 objects that people decided" in some[0].text
-    every = shared_makers(made(YOLO, Decided((9, 9), (0, 40), (0, 5))), measured)
+    every = leakage(made(YOLO, Decided((9, 9), (0, 40), (0, 5))), measured)
     assert title_of(every) == CHECKED
     assert rank(CHECKED) < rank(REPEATED), "it says more, and stands above"
 
 
 def test_the_network_that_had_a_vote_is_known_by_its_file() -> None:
     voted = replace(made(OTHER), second_opinion=A, second_opinion_name="trained")
-    kinds = {
-        net: {s.kind for s in shared_makers(voted, Measured(mask_makers(YOLO), "trained", net))} for net in (A, B, None)
-    }
+    kinds = {net: {s.kind for s in leakage(voted, Measured(mask_makers(YOLO), "trained", net))} for net in (A, B, None)}
     assert "second opinion" in kinds[A]
     assert "second opinion" not in kinds[B], "another network under the same name"
     assert "second opinion" in kinds[None], "an old run says only the name"
-    rule = shared_makers(voted, Measured(mask_makers(YOLO), "rule"))
+    rule = leakage(voted, Measured(mask_makers(YOLO), "rule"))
     assert rule[0].kind == "same rule"
     published = replace(voted, rule="semantic-abstraction-published")
-    assert "same rule" not in {s.kind for s in shared_makers(published, Measured(mask_makers(YOLO), "rule"))}
+    assert "same rule" not in {s.kind for s in leakage(published, Measured(mask_makers(YOLO), "rule"))}
 
 
 def test_rows_that_share_stand_below() -> None:

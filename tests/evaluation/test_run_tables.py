@@ -13,8 +13,8 @@ from pipeline.answering import open_pipeline, record_detections
 from pipeline.evaluation import PERFECT, EvalSpec, RunReport, evaluate_dataset
 from pipeline.evaluation.grounding_tables import relation_gain
 from pipeline.evaluation.job import other_systems
+from pipeline.evaluation.leakage import SIMULATED
 from pipeline.evaluation.plots import PALE_TONE, _tones
-from pipeline.evaluation.shared_makers import SIMULATED
 from pipeline.labels import Makers, SourceSpec, label_dataset, open_labels
 from pipeline.metrics import BootstrapConfig, Estimate
 from pipeline.paper import Referring, Vlm, VlmOptions

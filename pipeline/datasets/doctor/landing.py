@@ -11,7 +11,7 @@ from pipeline.datasets.doctor.hypotheses import AS_READ, MIDDLE, SWAPPED, Cause,
 from pipeline.datasets.doctor.search import FINE, PosedViews, Range
 from pipeline.datasets.doctor.seen import Seen
 from pipeline.datasets.doctor.suspicions import UNITS, only_unit
-from pipeline.datasets.doctor.trying import SUBJECTS, Agreement, Opinion
+from pipeline.datasets.doctor.trying import SUBJECTS, Opinion, RegionAgreement
 from pipeline.datasets.settings import FILE_NAME
 from pipeline.geometry.pose_convention import STANDARD
 from pipeline.language.counted import counted
@@ -68,12 +68,12 @@ class OfLanding:
         found[-1] = shown[0] or found[-1]
         return _with_intrinsics(found, Hypothesis(cause=shown[1]), search)
 
-    def measured(self, seen: Seen, mended: Seen) -> tuple[Agreement, ...]:
+    def measured(self, seen: Seen, mended: Seen) -> tuple[RegionAgreement, ...]:
         search = self.search(seen)
         if len(search.fine.pairs) < LEAST_PAIRS:
             # A principal point of one picture has nothing else that speaks for it.
             return ()
-        return (Agreement(*search.of_regions(mended), LEAST_GAIN),)
+        return (RegionAgreement(*search.of_regions(mended), LEAST_GAIN),)
 
 
 def _against(

@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.datasets.base import readable_frames
 from pipeline.datasets.doctor.seen import Seen
-from pipeline.datasets.doctor.trying import MOST_LOSS, Agreement, Opinion
+from pipeline.datasets.doctor.trying import MOST_LOSS, Opinion, RegionAgreement
 from pipeline.datasets.plausible import annotated_sizes
 from pipeline.datasets.up import Voter, vote
 from pipeline.geometry.level_plane import decided, up_hypotheses
@@ -60,7 +60,7 @@ class OfSizes:
         evidence = {"things": float(things), "fitting": float(fitting), "low": 1 / high, "high": 1 / low}
         return [Opinion("depth scale", "wrong", text, {"depth_scale": unit}, f"--depth-scale {unit:g}", evidence)]
 
-    def measured(self, seen: Seen, mended: Seen) -> tuple[Agreement, ...]:
+    def measured(self, seen: Seen, mended: Seen) -> tuple[RegionAgreement, ...]:
         # With its mend the same sizes are looked at again: none may speak for another unit.
         return ()
 
@@ -87,14 +87,14 @@ class OfOutlines:
     def opinions(self, seen: Seen, known: Sequence[Opinion]) -> list[Opinion]:
         return [_registration(seen)]
 
-    def measured(self, seen: Seen, mended: Seen) -> tuple[Agreement, ...]:
+    def measured(self, seen: Seen, mended: Seen) -> tuple[RegionAgreement, ...]:
         own, other = ((o, Registration.none(o.camera)) for o in (seen.outlines, mended.outlines))
         plain = [o.by_region(o.near(none)) for o, none in (own, other)]
         above = [o.by_region(o.above_chance(none)) for o, none in (own, other)]
         peaked = np.nan_to_num(above[0]) > REGION_PEAK
         # A region that is registered as it is may lose nothing to speak of.
         kept = np.where(peaked & (plain[1] - plain[0] < -KEPT), plain[0] - 2 * MOST_LOSS, plain[1])
-        return Agreement(plain[0], kept, LEAST_GAIN), Agreement(above[0], above[1], LEAST_GAIN_ABOVE)
+        return RegionAgreement(plain[0], kept, LEAST_GAIN), RegionAgreement(above[0], above[1], LEAST_GAIN_ABOVE)
 
 
 def _registration(seen: Seen) -> Opinion:
@@ -171,8 +171,8 @@ class OfLevel:
     def opinions(self, seen: Seen, known: Sequence[Opinion]) -> list[Opinion]:
         return [_up(seen, known)]
 
-    def measured(self, seen: Seen, mended: Seen) -> tuple[Agreement, ...]:
-        return (Agreement(1 - _off(seen) / 180, 1 - _off(mended) / 180, LEAST_NEARER),)
+    def measured(self, seen: Seen, mended: Seen) -> tuple[RegionAgreement, ...]:
+        return (RegionAgreement(1 - _off(seen) / 180, 1 - _off(mended) / 180, LEAST_NEARER),)
 
 
 def _up(seen: Seen, known: Sequence[Opinion]) -> Opinion:

@@ -39,7 +39,7 @@ class Opinion:
 
 
 @dataclass(frozen=True)
-class Agreement:
+class RegionAgreement:
     """Agreement of frames before and after a fix, region by region."""
 
     before: np.ndarray
@@ -68,7 +68,7 @@ class Suspicion(Protocol):
         """Opinions on the subjects, with fixes; `known` are earlier opinions."""
         ...
 
-    def measured(self, seen: Seen, mended: Seen) -> tuple[Agreement, ...]:
+    def measured(self, seen: Seen, mended: Seen) -> tuple[RegionAgreement, ...]:
         """Measured agreement before and after the fix."""
         ...
 

@@ -110,7 +110,7 @@ def measured_of_run(manifest: Mapping[str, Any]) -> Measured:
     return Measured(masks, scorer if system == "pipeline" else None)
 
 
-def shared_makers(makers: Makers, measured: Measured) -> tuple[Share, ...]:
+def leakage(makers: Makers, measured: Measured) -> tuple[Share, ...]:
     """Shares of answers with the judging labels; first the shares by which accuracy is only agreement."""
     found = [*_masks(makers, measured.masks), *_relations(makers, measured)]
     if measured.masks is not None and not measured.imported and not any(share.title for share in found):
@@ -140,13 +140,13 @@ def shares_of_run(manifest: Mapping[str, Any], labels: str | Path | None) -> tup
     except InputError:
         text = "the run was made by an earlier release and its labels are not at hand: who made its truth is not known"
         return (Share("masks", "unknown maker", "", text),)
-    return shared_makers(makers, measured_of_run(manifest))
+    return leakage(makers, measured_of_run(manifest))
 
 
 def shares_of_answer(source: Pipeline, labels: Labels | None) -> tuple[Share, ...]:
     """Shares of an answer with the judge: labels, or by default the frame's annotations."""
     relations = profile_of(PROFILE).relations if labels is None else labels.relation_names
-    return shared_makers(OF_FRAME if labels is None else makers_of(labels.manifest), measured_of(source, relations))
+    return leakage(OF_FRAME if labels is None else makers_of(labels.manifest), measured_of(source, relations))
 
 
 def _masks(makers: Makers, measured: MaskMakers | None) -> list[Share]:
