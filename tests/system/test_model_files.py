@@ -15,7 +15,8 @@ from pipeline.answering.model_catalogue import depth_contracts
 from pipeline.evaluation import EvalSpec, spec_record
 from pipeline.evaluation.run_folder import _read_spec
 from pipeline.labels import SourceSpec
-from pipeline.proposals.contracts import DETECTORS, SEGMENTERS
+from pipeline.proposals.contracts import DETECTORS
+from pipeline.proposals.mismatch import SEGMENTERS
 from pipeline.system import (
     HubId,
     InputError,
