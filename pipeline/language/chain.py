@@ -18,6 +18,7 @@ from pipeline.system.errors import InputError, Unsupported
 
 Attach = Literal["any", "nearest", "same", "root"]
 
+PART = "parts and what a thing has are left to the detector"
 OWN_WORDS = (
     lexicon.GRAMMAR_WORDS | lexicon.AND | lexicon.WITH | lexicon.OTHER | lexicon.PRONOUNS | lexicon.CLOSING
     | lexicon.SMALL_WORDS | DETERMINERS | QUANTIFIERS | frozenset(choices.NUMBERS)
@@ -190,9 +191,19 @@ class ChainReader(NounReader):
             choices=(*noun.choices, *phrase.choices),
         )
         self._modifier_spans(phrase, number)
-        if phrase.where[1] > phrase.where[0]:
+        start, end = phrase.where if named else self._tail_noted(phrase)
+        if end > start:
             role = "reference" if number else "target"
-            self.chain.spans.append(self._span(phrase.where, role, number))
+            self.chain.spans.append(self._span((start, end), role, number))
+
+    def _tail_noted(self, phrase: Phrase) -> tuple[int, int]:
+        """Tokens of a noun named again without `with a lid`, noted as unused: a detector gets the first noun's alone."""
+        start, end = phrase.where
+        own = phrase.label.partition(phrase.name)[2].split() if phrase.name else []
+        cut = next((k for k in range(start, end) if own and self.tokens[k].text == own[0]), end)
+        if cut < end:
+            self._note(cut, end, PART)
+        return start, cut
 
     # ---- errors ----------------------------------------------------------------------------------------------------
 

@@ -19,7 +19,7 @@ from dataclasses import replace
 from pipeline.language import choices, lexicon
 from pipeline.language.attribute_reader import is_name
 from pipeline.language.attributes import attribute
-from pipeline.language.chain import Attach, Chain, Clause, OpenRelation
+from pipeline.language.chain import PART, Attach, Chain, Clause, OpenRelation
 from pipeline.language.naming import DETERMINERS, singular
 from pipeline.language.nouns import ALTERNATIVES, Phrase
 from pipeline.language.references import NO_RANK, ReferenceReader
@@ -68,7 +68,6 @@ def _meant_first(tokens: list[Token], text: str) -> list[Token]:
     return tokens
 
 
-PART = "parts and what a thing has are left to the detector"
 _NOT_JUDGED = (
     (lexicon.DEIXIS, "words that point to a place say nothing without a pointer"),
     (lexicon.DOING, "what somebody does with a thing is not judged"),

@@ -148,7 +148,7 @@ class ReferenceReader(RegionReader):
             if again and not (phrase.attributes or phrase.choices):
                 # `not the ones on the stool`: what follows is negated.
                 self.at_root = True
-                self.chain.spans += [self._span(phrase.where, "target", 0)] if same else []
+                self.chain.spans += [self._span(self._tail_noted(phrase), "target", 0)] if same else []
                 return end
             implied = phrase.where[0] == phrase.where[1]
             listed = self.joined or any(self.breaks[k] for k in range(at + 1, end))
