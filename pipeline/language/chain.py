@@ -197,7 +197,7 @@ class ChainReader(NounReader):
             self.chain.spans.append(self._span((start, end), role, number))
 
     def _tail_noted(self, phrase: Phrase) -> tuple[int, int]:
-        """Tokens of a noun named again without `with a lid`, noted as unused: a detector gets the first noun's alone."""
+        """Tokens of a noun named again without `with a lid`, noted as unused: a detector gets the first noun alone."""
         start, end = phrase.where
         own = phrase.label.partition(phrase.name)[2].split() if phrase.name else []
         cut = next((k for k in range(start, end) if own and self.tokens[k].text == own[0]), end)
