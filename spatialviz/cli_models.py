@@ -1,4 +1,4 @@
-"""Commands to run, compare and train networks, and to measure the program itself."""
+"""Commands to run, compare and install detectors, and to train and compare relation networks."""
 
 from __future__ import annotations
 
