@@ -81,9 +81,13 @@ class Client:
         await self.fence()
         if scene:
             self.scene = await connect(
-                f"{address}/scene/{self.id}", max_size=None, create_connection=Counted, compression=None,
-                subprotocols=[Subprotocol(f"viser-v{viser.__version__}")], origin=self._origin,
-            )  # fmt: skip
+                f"{address}/scene/{self.id}",
+                max_size=None,
+                create_connection=Counted,
+                compression=None,
+                subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
+                origin=self._origin,
+            )
             await self.scene.send(msgspec.msgpack.encode(CAMERA))
             self._tasks.append(asyncio.create_task(self._look()))
             await self.quiet(cloud=True)
@@ -263,15 +267,25 @@ async def run(port: int, pid: int, clients: int, seconds: float, period: float, 
 
 
 GARBAGE = (
-    "{" * 200, "x" * 2**20, os.urandom(4_000), "[" * 100_000, '{"type": "fly"}', '{"type": "hello"}',
+    "{" * 200,
+    "x" * 2**20,
+    os.urandom(4_000),
+    "[" * 100_000,
+    '{"type": "fly"}',
+    '{"type": "hello"}',
     json.dumps({"type": "command", "name": "nothing", "arguments": ["x" * 15_000]}),
     json.dumps({"type": "command", "name": "frame", "arguments": ["9" * 400_000]}),
-)  # fmt: skip
+)
 """What is no message of a page, or a command that there is not; the flood of each is as long as is taken."""
 SCENE_GARBAGE = (
-    "{}", b"", os.urandom(4_000), b"\x91" * 50_000, os.urandom(2**20), msgspec.msgpack.encode({"type": "NoMessage"}),
+    "{}",
+    b"",
+    os.urandom(4_000),
+    b"\x91" * 50_000,
+    os.urandom(2**20),
+    msgspec.msgpack.encode({"type": "NoMessage"}),
     msgspec.msgpack.encode({"type": "GuiUpdateMessage", "uuid": "x", "updates": {"value": "x" * 30_000}}),
-)  # fmt: skip
+)
 FLOOD = 500
 
 

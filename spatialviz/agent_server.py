@@ -86,9 +86,11 @@ def call(session: Session, verbs: dict[str, type[Verb]], name: str, arguments: d
         reply = validated(kind, arguments, name).reply(session)
         text = json.dumps(reply.record, ensure_ascii=False, allow_nan=False)
         require(
-            len(text) <= LONGEST, "the answer is too long", got=f"{len(text):,} characters",
+            len(text) <= LONGEST,
+            "the answer is too long",
+            got=f"{len(text):,} characters",
             expected=f"at most {LONGEST:,}: a smaller limit, fewer parts or columns",
-        )  # fmt: skip
+        )
         content: list[ContentBlock] = [TextContent(text=text), *map(image, reply.pictures)]
         return CallToolResult(content=content)
     except Exception as error:

@@ -17,9 +17,13 @@ def run_audit(command: AuditCommand) -> None:
     queue = QueueConfig() if command.networks else None
     with rate_bar("auditing", "items") as advance:
         report = audit(
-            command.target, command.dataset, command.runs,
-            options=command.source.arguments(), queue=queue, progress=advance,
-        )  # fmt: skip
+            command.target,
+            command.dataset,
+            command.runs,
+            options=command.source.arguments(),
+            queue=queue,
+            progress=advance,
+        )
     if command.out is not None:
         report.write(command.out)
     command.write(chain([report.record()], islice(report.records(), command.limit)), print_audit, report, command)
@@ -37,9 +41,11 @@ def print_audit(report: AuditReport, command: AuditCommand) -> None:
     if shown:
         print_rows(
             (">wrong", "item", "frame", "sentence", "said right", "seems right", "evidence"),
-            ((f"{i.score:.2f}", i.id, i.frame, i.text, i.truth, i.seems or "-", "; ".join(e.text for e in i.reasons))
-             for i in shown),
-        )  # fmt: skip
+            (
+                (f"{i.score:.2f}", i.id, i.frame, i.text, i.truth, i.seems or "-", "; ".join(e.text for e in i.reasons))
+                for i in shown
+            ),
+        )
     record = report.record()
     say(
         f"{counted(len(report.items), 'item')}; something speaks against {record['suspicious']}, {report.likely} are "

@@ -108,8 +108,9 @@ def run_replay(command: ReplayCommand) -> int:
     )
     require(
         command.predictions is None or (command.detector == "kept" and command.srm is None),
-        "--predictions say what detected and what scored relations", expected="without --detector and --srm",
-    )  # fmt: skip
+        "--predictions say what detected and what scored relations",
+        expected="without --detector and --srm",
+    )
     predictions = None if command.predictions is None else read_predictions(command.predictions)
     if predictions is not None and predictions.unread:
         warn(predictions.unread)
@@ -303,7 +304,12 @@ def replay_record(result: ReplayResult) -> dict[str, Any]:
     if replay is None:
         return {"case": str(result.path), "status": result.status, "problem": result.problem}
     return {
-        "case": str(result.path), "name": replay.name, "status": result.status, "changes": list(replay.changes),
-        "warnings": list(replay.warnings), "moved": replay.moved, "before": replay.before.model_dump(mode="json"),
+        "case": str(result.path),
+        "name": replay.name,
+        "status": result.status,
+        "changes": list(replay.changes),
+        "warnings": list(replay.warnings),
+        "moved": replay.moved,
+        "before": replay.before.model_dump(mode="json"),
         "after": replay.after.model_dump(mode="json"),
-    }  # fmt: skip
+    }

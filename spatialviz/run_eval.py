@@ -45,9 +45,28 @@ MOST_SHOWN = 1000
 """Rows of SQL on the terminal."""
 MOST_ROWS = 15
 """Of a slice on the terminal."""
-SHOWN = ("id", "frame", "text", "target", "relation", "reference", "verdict", "detail", "lucky", "said", "repair",
-         "margin", "p_target", "p_reference", "p_relation", "marks", "change", "second_verdict", "second_detail",
-         "second_said")  # fmt: skip
+SHOWN = (
+    "id",
+    "frame",
+    "text",
+    "target",
+    "relation",
+    "reference",
+    "verdict",
+    "detail",
+    "lucky",
+    "said",
+    "repair",
+    "margin",
+    "p_target",
+    "p_reference",
+    "p_relation",
+    "marks",
+    "change",
+    "second_verdict",
+    "second_detail",
+    "second_said",
+)
 """Columns of a failure in JSON."""
 
 
@@ -138,8 +157,11 @@ def _tables(command: EvalCommand) -> Literal["grounding", "relations", "both"]:
     chosen = ("grounding" if asked == "paper" else asked) or ("both" if command.system == "pipeline" else "grounding")
     if chosen == "grounding" and command.tables != "grounding" and command.relations_of:
         chosen = "both"
-    given = {"--relations-of": command.relations_of, "--relation-frames": command.relation_frames,
-             "--relation-boxes": command.relation_boxes}  # fmt: skip
+    given = {
+        "--relations-of": command.relations_of,
+        "--relation-frames": command.relation_frames,
+        "--relation-boxes": command.relation_boxes,
+    }
     for name, value in given.items():
         require(
             chosen != "grounding" or value in ((), None),

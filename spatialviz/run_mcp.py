@@ -64,9 +64,11 @@ def open_session(command: McpCommand, keep: ExitStack) -> Session:
         if built_in:
             runs[free("demo-run")] = OpenRun(open_run(demo_run()), keep)
     require(
-        labels is None or len(datasets) == 1, "--labels are of one dataset", got=f"{len(datasets)} datasets",
+        labels is None or len(datasets) == 1,
+        "--labels are of one dataset",
+        got=f"{len(datasets)} datasets",
         path=command.labels,
-    )  # fmt: skip
+    )
     if command.author is None:
         return Session(datasets, runs, cases)
     folder = needed(command.labels, "--allow-corrections needs labels to correct", expected="--labels LABELS")

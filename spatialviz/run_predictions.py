@@ -60,9 +60,11 @@ def run_judge_again(command: JudgeAgainCommand) -> None:
         record = judge_again(
             command.folder, command.out, workers=command.workers, progress=advance, system=recorded_system
         )
-    counted_ = "; ".join(record["changes"]) or "the same answer" if record["kind"] == "case" else ", ".join(
-        f"{record[what]:,} {what}" for what in ("expressions", "frames") if what in record
-    )  # fmt: skip
+    counted_ = (
+        "; ".join(record["changes"]) or "the same answer"
+        if record["kind"] == "case"
+        else ", ".join(f"{record[what]:,} {what}" for what in ("expressions", "frames") if what in record)
+    )
     command.write(record, say, f"{record['kind']}: {counted_} -> {command.out}")
 
 

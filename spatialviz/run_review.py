@@ -79,8 +79,12 @@ def _accept(command: ReviewCommand, labels: Labels, shown: pa.Table) -> int:
         )
         done = journal.append(edits, author)
     record = outcome_record(done)
-    command.write(record, lambda _: say(f"accepted {counted(min(shown.num_rows, command.limit), 'item')}; "
-                                      f"`spatialviz undo` takes all of them back"))  # fmt: skip
+    command.write(
+        record,
+        lambda _: say(
+            f"accepted {counted(min(shown.num_rows, command.limit), 'item')}; `spatialviz undo` takes all of them back"
+        ),
+    )
     return FINE if record["saved"] else NO
 
 
@@ -136,9 +140,13 @@ def _queue(command: ReviewCommand, reviewed: Reviewed, labels: Labels) -> pa.Tab
 def _shown(command: ReviewCommand, queue: pa.Table, reviewed: Reviewed, states: dict[ItemKey, State]) -> pa.Table:
     if command.author is not None:
         return left_for(
-            queue, reviewed.judgements, states, command.author, overlap=command.overlap,
+            queue,
+            reviewed.judgements,
+            states,
+            command.author,
+            overlap=command.overlap,
             second_opinion_of=command.second_opinion_of,
-        )  # fmt: skip
+        )
     return with_states(queue, states) if command.all else left_to_review(queue, states)
 
 

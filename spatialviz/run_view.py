@@ -94,9 +94,11 @@ def _is_new(folder: Path) -> bool:
     """True for an empty folder, where labels can begin. A missing folder may be a typing error."""
     folder = folder.expanduser()
     require(
-        folder.exists(), "there are no labels here", path=folder,
+        folder.exists(),
+        "there are no labels here",
+        path=folder,
         expected="labels, or an empty folder in which labels are begun by hand (mkdir makes one)",
-    )  # fmt: skip
+    )
     return folder.is_dir() and not any(folder.iterdir())
 
 

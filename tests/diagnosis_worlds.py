@@ -51,9 +51,20 @@ def world(seed: int, rank: RankConfig | None = None) -> tuple[FrameEvidence, Cas
     judged[0, 1] = True
     states[~judged] = -1
     truth = FrameCases(
-        "f", 0, "s", labels, boxes, alike, {"left": states}, (), np.arange(n), judged,
-        {}, {}, (None,) * n,
-    )  # fmt: skip
+        "f",
+        0,
+        "s",
+        labels,
+        boxes,
+        alike,
+        {"left": states},
+        (),
+        np.arange(n),
+        judged,
+        {},
+        {},
+        (None,) * n,
+    )
     possible = alike[0][:, None] & alike[1][None, :]
     acceptable = np.flatnonzero((possible & (states >= U)).any(axis=1))
     strict = np.flatnonzero((possible & (states > U)).any(axis=1))

@@ -151,9 +151,12 @@ def read_coco(root: Path) -> dict[str, pa.Table]:
 
 def _frame(image: dict[str, Any]) -> dict[str, Any]:
     return {
-        "frame": image["frame"], "frame_index": image["id"], "width": image["width"], "height": image["height"],
+        "frame": image["frame"],
+        "frame_index": image["id"],
+        "width": image["width"],
+        "height": image["height"],
         **{key: image["spatialviz"][key] for key in FRAME_KEYS},
-    }  # fmt: skip
+    }
 
 
 def _object(annotation: dict[str, Any], frame: str, categories: dict[int, str]) -> dict[str, Any]:
@@ -225,9 +228,13 @@ def read_kitti(root: Path) -> dict[str, pa.Table]:
             number, width, height, written = line.split(" ", 3)
             frame = {
                 "frame": parse_json(written) if written.startswith('"') else written,
-                "frame_index": int(number), "ok": number in usable, "width": int(width), "height": int(height),
-                "K": None, "up": None,
-            }  # fmt: skip
+                "frame_index": int(number),
+                "ok": number in usable,
+                "width": int(width),
+                "height": int(height),
+                "K": None,
+                "up": None,
+            }
         if frame["ok"]:
             P, level = _read_calibration(root / "calib" / f"{number}.txt")
             frame |= {"K": (P[:, :3] @ level).ravel().tolist(), "up": (-level[1]).tolist()}
@@ -271,10 +278,17 @@ def _read_objects(
             if len(values) != FIELDS - 1:
                 raise ValueError(f"{len(values) + 1} fields")
             row = {
-                "frame": frame["frame"], "frame_index": frame["frame_index"], "object": int(own),
-                "label": names[token], "score": values[14], "bbox": values[3:7], "touches_border": values[0] > 0,
-                "center": None, "R": None, "size": None,
-            }  # fmt: skip
+                "frame": frame["frame"],
+                "frame_index": frame["frame_index"],
+                "object": int(own),
+                "label": names[token],
+                "score": values[14],
+                "bbox": values[3:7],
+                "touches_border": values[0] > 0,
+                "center": None,
+                "R": None,
+                "size": None,
+            }
         if values[7] >= 0:
             box = from_kitti(np.array(values[7:10]), np.array(values[10:13]), values[13], level)
             row |= {key: part.ravel().tolist() for key, part in zip(("center", "R", "size"), box, strict=True)}

@@ -32,9 +32,22 @@ WIDTH, HEIGHT = 64, 48
 K = [60.0, 0.0, 31.5, 0.0, 61.5, 23.5, 0.0, 0.0, 1.0]
 
 NASTY = (
-    'mug "blue", large', "line\nbreak\ttab", "=SUM(A1:A9)", "Ünïcode 椅子", "potted 🪴 plant", "a\u2028b",
-    "back\\slash", "DontCare", "x~2", "x", "{braces} %s", "<image>", "  spaced  ", "nul\x00inside", "-1 -1 -1 -1000",
-)  # fmt: skip
+    'mug "blue", large',
+    "line\nbreak\ttab",
+    "=SUM(A1:A9)",
+    "Ünïcode 椅子",
+    "potted 🪴 plant",
+    "a\u2028b",
+    "back\\slash",
+    "DontCare",
+    "x~2",
+    "x",
+    "{braces} %s",
+    "<image>",
+    "  spaced  ",
+    "nul\x00inside",
+    "-1 -1 -1 -1000",
+)
 
 
 def label_demo(folder: Path, frames: int = 12) -> Labels:
@@ -56,11 +69,23 @@ def write_labels(folder: Path, rows: Mapping[str, Sequence[Mapping[str, Any]]]) 
             file=f"{name}.parquet", rows=table.num_rows, content_hash=content_hash(table, name), sha256="0" * 64
         )
     manifest = Manifest(
-        schema_version=SCHEMA_VERSION, tool="spatialviz", version="0", config={"relations": list(PAIRWISE)},
-        config_hash="c", profile={"name": "test", "parameters": {}}, profile_hash="p", selection={},
-        dataset={"path": "/data/odd `name`", "options": {}, "format": "folder"}, models={}, seed=0,
-        counts={"frames_usable": 0}, warnings=[], tables=files, environment={}, created="2025-01-02T03:04:05+00:00",
-    )  # fmt: skip
+        schema_version=SCHEMA_VERSION,
+        tool="spatialviz",
+        version="0",
+        config={"relations": list(PAIRWISE)},
+        config_hash="c",
+        profile={"name": "test", "parameters": {}},
+        profile_hash="p",
+        selection={},
+        dataset={"path": "/data/odd `name`", "options": {}, "format": "folder"},
+        models={},
+        seed=0,
+        counts={"frames_usable": 0},
+        warnings=[],
+        tables=files,
+        environment={},
+        created="2025-01-02T03:04:05+00:00",
+    )
     (folder / MANIFEST_FILE).write_text(manifest.model_dump_json(), encoding="utf-8")
     return open_labels(folder)
 
@@ -81,10 +106,20 @@ def upright_box(center: Vector, size: Vector, yaw: float, up: Sequence[float]) -
 
 def frame_row(index: int, frame: str, **more: Any) -> dict[str, Any]:
     row = {
-        "frame": frame, "frame_index": index, "scene": "s", "ok": True, "width": WIDTH, "height": HEIGHT, "K": K,
-        "up": tilted_up(0.5, 0.1), "up_source": "declared", "rgb_hash": "r", "depth_hash": "d", "objects": 0,
+        "frame": frame,
+        "frame_index": index,
+        "scene": "s",
+        "ok": True,
+        "width": WIDTH,
+        "height": HEIGHT,
+        "K": K,
+        "up": tilted_up(0.5, 0.1),
+        "up_source": "declared",
+        "rgb_hash": "r",
+        "depth_hash": "d",
+        "objects": 0,
         "notes": [],
-    }  # fmt: skip
+    }
     return {**row, **more}
 
 
@@ -94,19 +129,42 @@ def object_row(frame: Mapping[str, Any], number: int, label: str, box: Box3D | N
     mask[y : y + 9, x : x + 12] = True
     mask[y + 2, x + 3] = False
     row: dict[str, Any] = {
-        "frame": frame["frame"], "frame_index": frame["frame_index"], "object": number, "label": label, "score": 0.7,
-        "bbox": [float(x), float(y), x + 12.0, y + 9.0], "mask": encode_run_length(mask), "mask_source": "annotation",
-        "mask_pixels": int(mask.sum()), "points": 0, "kept": 0.0, "depth_missing": 1.0, "touches_border": False,
-        "fallback": False, "yaw_confidence": 0.0, "estimator": "gravity", "occluded": 0.0, "usable": False,
+        "frame": frame["frame"],
+        "frame_index": frame["frame_index"],
+        "object": number,
+        "label": label,
+        "score": 0.7,
+        "bbox": [float(x), float(y), x + 12.0, y + 9.0],
+        "mask": encode_run_length(mask),
+        "mask_source": "annotation",
+        "mask_pixels": int(mask.sum()),
+        "points": 0,
+        "kept": 0.0,
+        "depth_missing": 1.0,
+        "touches_border": False,
+        "fallback": False,
+        "yaw_confidence": 0.0,
+        "estimator": "gravity",
+        "occluded": 0.0,
+        "usable": False,
         "reason": "fewer than 16 points",
-    }  # fmt: skip
+    }
     if box is not None:
         seen = (box.corners @ viewer_axes(np.array(frame["up"])).matrix.T).astype(np.float64)
         row |= {
-            "center": box.center.tolist(), "R": box.R.ravel().tolist(), "size": box.size.tolist(), "points": 90,
-            "lo": seen.min(axis=0).tolist(), "hi": seen.max(axis=0).tolist(), "centroid": seen.mean(axis=0).tolist(),
-            "kept": 0.9, "depth_missing": 0.1, "distance": float(box.center[2]), "usable": True, "reason": None,
-        }  # fmt: skip
+            "center": box.center.tolist(),
+            "R": box.R.ravel().tolist(),
+            "size": box.size.tolist(),
+            "points": 90,
+            "lo": seen.min(axis=0).tolist(),
+            "hi": seen.max(axis=0).tolist(),
+            "centroid": seen.mean(axis=0).tolist(),
+            "kept": 0.9,
+            "depth_missing": 0.1,
+            "distance": float(box.center[2]),
+            "usable": True,
+            "reason": None,
+        }
     return {**row, **more}
 
 
@@ -121,9 +179,18 @@ def hostile_labels(folder: Path) -> Labels:
     """Odd names and ids, objects without depth or mask, a broken frame, an empty one, nulls and doubts."""
     first = frame_row(0, 'sp ace/"q",\n#1', objects=len(NASTY), notes=["a\nb", "c,d"], T_world_camera=[0.1] * 16)
     broken = frame_row(
-        1, "broken/1", ok=False, problem='unreadable "file"\n', width=0, height=0, K=None, up=None, up_source=None,
-        rgb_hash=None, depth_hash=None,
-    )  # fmt: skip
+        1,
+        "broken/1",
+        ok=False,
+        problem='unreadable "file"\n',
+        width=0,
+        height=0,
+        K=None,
+        up=None,
+        up_source=None,
+        rgb_hash=None,
+        depth_hash=None,
+    )
     empty = frame_row(2, "empty")
     last = frame_row(3, "椅/3", objects=3, up=[0.0, -1.0, 0.0], up_source="assumed")
     rng = np.random.default_rng(3)
@@ -152,16 +219,36 @@ def hostile_labels(folder: Path) -> Labels:
                     state = (a < b) - (a > b) if (a + b) % 2 == 0 else 0
                     pairs.append(pair_row(frame, a, b, {"left": state, "right": -state, "on": None if a else -1}))
     expression = {
-        "frame": last["frame"], "frame_index": 3, "id": "00ff", "text": 'the "mug",\nleft 🪴 of\u2028the lamp',
-        "target": "mug", "relation": "left", "reference": "lamp", "target_object": 0, "reference_object": 9,
-        "targets": [0, 4], "acceptable": [0, 4], "ambiguous": True, "margin": 0.1, "judged_in": "viewer",
-        "up_source": "assumed", "profile": "test",
-    }  # fmt: skip
+        "frame": last["frame"],
+        "frame_index": 3,
+        "id": "00ff",
+        "text": 'the "mug",\nleft 🪴 of\u2028the lamp',
+        "target": "mug",
+        "relation": "left",
+        "reference": "lamp",
+        "target_object": 0,
+        "reference_object": 9,
+        "targets": [0, 4],
+        "acceptable": [0, 4],
+        "ambiguous": True,
+        "margin": 0.1,
+        "judged_in": "viewer",
+        "up_source": "assumed",
+        "profile": "test",
+    }
     sure = {
-        **expression, "id": "01ff", "text": "lamp right of mug", "target": "lamp", "relation": "right",
-        "reference": "mug", "target_object": 9, "reference_object": 4, "targets": [9], "acceptable": [9],
+        **expression,
+        "id": "01ff",
+        "text": "lamp right of mug",
+        "target": "lamp",
+        "relation": "right",
+        "reference": "mug",
+        "target_object": 9,
+        "reference_object": 4,
+        "targets": [9],
+        "acceptable": [9],
         "ambiguous": False,
-    }  # fmt: skip
+    }
     rows = {
         "frames": [first, broken, empty, last],
         "objects": objects,

@@ -53,9 +53,14 @@ def _add_view(
     pose = np.eye(4)
     pose[:3, 3] = rng.uniform(-3, 3, 3)
     frame = frame_row(
-        len(rows["frames"]), name, scene=scene, up=up.tolist(), width=WIDTH, height=HEIGHT,
+        len(rows["frames"]),
+        name,
+        scene=scene,
+        up=up.tolist(),
+        width=WIDTH,
+        height=HEIGHT,
         T_world_camera=pose.ravel().tolist(),
-    )  # fmt: skip
+    )
     lo, hi, clouds, objects = [], [], [], []
     for box in random_boxes(rng, rng.uniform(*camera_height)):
         level = _near_faces(box, rng)
@@ -74,8 +79,10 @@ def _add_view(
     rows["objects"] += objects
     rows["relations"] += [
         pair_row(frame, a, b, dict(zip(PAIRWISE, states[a, b].tolist(), strict=True)))
-        for a in range(len(objects)) for b in range(len(objects)) if a != b
-    ]  # fmt: skip
+        for a in range(len(objects))
+        for b in range(len(objects))
+        if a != b
+    ]
 
 
 def _near_faces(box: Box3D, rng: np.random.Generator) -> np.ndarray:
@@ -111,6 +118,14 @@ def _object(
     pca = pca_box(cloud)[0]
     shown = Box3D(viewer.R_level_camera.T @ box.center, viewer.R_level_camera.T @ box.R, box.size)
     return object_row(
-        frame, number, label, shown, bbox=bbox, lo=lo.tolist(), hi=hi.tolist(), pca_center=pca.center.tolist(),
-        pca_R=pca.R.ravel().tolist(), pca_size=pca.size.tolist(),
-    )  # fmt: skip
+        frame,
+        number,
+        label,
+        shown,
+        bbox=bbox,
+        lo=lo.tolist(),
+        hi=hi.tolist(),
+        pca_center=pca.center.tolist(),
+        pca_R=pca.R.ravel().tolist(),
+        pca_size=pca.size.tolist(),
+    )

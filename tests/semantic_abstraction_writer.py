@@ -182,9 +182,13 @@ def write_rendered(
         for name, value in root.items():
             stored = np.stack([value if k == 0 else value[::-1] for k in range(items)])
             made = file.create_dataset(
-                name, data=stored, chunks=(1, *value.shape), maxshape=(None, *value.shape), compression="gzip",
+                name,
+                data=stored,
+                chunks=(1, *value.shape),
+                maxshape=(None, *value.shape),
+                compression="gzip",
                 compression_opts=1,
-            )  # fmt: skip
+            )
             _list(group, name, [made.regionref[k, ...] for k in range(items)], h5py.regionref_dtype)
         file.create_dataset("saliencies", data=np.zeros((2, 8, 8), np.float32))
         group["cam_intr"], group["cam_pose"] = view.camera.K, scene_pose(how)

@@ -120,9 +120,13 @@ def asked(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     (folder / "program.py").write_text(PROGRAM, encoding="utf-8")
     arguments = [json.dumps(added_lines(PAGE.read_text(encoding="utf-8"))), str(folder / "new"), str(folder / "old")]
     done = subprocess.run(
-        [sys.executable, str(folder / "program.py"), *arguments], cwd=ROOT, capture_output=True, text=True, check=False,
+        [sys.executable, str(folder / "program.py"), *arguments],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr[-2000:]
     found = json.loads(done.stdout.splitlines()[-1])
     with pytest.raises(InputError, match="not declared here"):
@@ -171,7 +175,7 @@ def test_labels_without_its_column_open(asked: dict[str, Any]) -> None:
         (Relation("touching", "touching", ("touching",), inverse="left"), "not each other's inverse"),
         (Relation("touching", "touching", ("touching",), inverse="touched"), "not each other's inverse"),
     ],
-)  # fmt: skip
+)
 def test_a_faulty_declaration_is_told_in_one_line(new: Relation, match: str) -> None:
     with pytest.raises(InputError, match=match):
         checked((*DECLARED, new))

@@ -99,8 +99,10 @@ def test_labels_with_their_corrections(effective: EffectiveLabels, table: str) -
 
 def test_who_said_what_of_corrected_labels(effective: EffectiveLabels) -> None:
     the_same(effective.provenance, pq.read_table(FIXTURE / "corrected" / PROVENANCE_FILE))
-    kept = {name: json.loads((FIXTURE / "corrected" / f"{name}.json").read_text(encoding="utf-8"))
-            for name in ("marks", "statuses", "unapplied")}  # fmt: skip
+    kept = {
+        name: json.loads((FIXTURE / "corrected" / f"{name}.json").read_text(encoding="utf-8"))
+        for name in ("marks", "statuses", "unapplied")
+    }
     assert [{"frame": f, "id": i, "mark": m} for (f, i), m in sorted(effective.marks.items())] == kept["marks"]
     assert [{**vars(ref), "value": v} for ref, v in sorted(effective.statuses.items())] == kept["statuses"]
     assert [u.event.ulid for u in effective.unapplied] == [e["event"] for e in kept["unapplied"]["events"]]

@@ -120,8 +120,10 @@ def test_an_expression_that_could_not_be_asked_is_an_answer_without_a_trace() ->
     assert (answer.holds, answer.relation_probability, answer.verdict, answer.why) == (False, None, None, None)
     assert repr(answer) == "<Answer 'mug beyond the laptop': no relation in it; no verdict>"
     assert answer.record() == {
-        "expression": {"text": "mug beyond the laptop"}, "answer": None, "reason": "no relation in it",
-    }  # fmt: skip
+        "expression": {"text": "mug beyond the laptop"},
+        "answer": None,
+        "reason": "no relation in it",
+    }
     with pytest.raises(pipeline.InputError, match=r"no trace of .*: no relation in it"):
         answer.needed_trace()
 
@@ -208,12 +210,27 @@ def test_everything_prints_on_one_line(opened: pipeline.Opened) -> None:
     answer = opened.ask(0, QUESTION)
     trace, frame = answer.needed_trace(), opened.frames[0]
     shown = [
-        opened, opened.pipeline, opened.frames, opened.ask(0, "mug behind the laptop"), answer, trace, trace.scores,
-        trace.ranking, answer.pairs[0], answer.target, answer.objects[0].lifted, frame, frame.camera,
-        frame.annotations[0], answer.objects[0].box, opened.pipeline.prepare(0), *trace.candidates.values(),
-        opened.pipeline.needed_detector().detect(frame, None), pipeline.open_labels(demo_labels()),
+        opened,
+        opened.pipeline,
+        opened.frames,
+        opened.ask(0, "mug behind the laptop"),
+        answer,
+        trace,
+        trace.scores,
+        trace.ranking,
+        answer.pairs[0],
+        answer.target,
+        answer.objects[0].lifted,
+        frame,
+        frame.camera,
+        frame.annotations[0],
+        answer.objects[0].box,
+        opened.pipeline.prepare(0),
+        *trace.candidates.values(),
+        opened.pipeline.needed_detector().detect(frame, None),
+        pipeline.open_labels(demo_labels()),
         pipeline.open_run(demo_run()),
-    ]  # fmt: skip
+    ]
     for value in shown:
         assert "\n" not in repr(value)
         assert len(repr(value)) < 200, repr(value)

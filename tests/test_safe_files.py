@@ -13,13 +13,41 @@ from pipeline.system.limits import Limits, shown
 ROOT = Path(__file__).resolve().parent.parent
 DOOR = "system/safe_files.py"
 OPENERS = {
-    "open", "os.open", "io.open", "gzip.open", "bz2.open", "lzma.open", "tarfile.open", "mmap.mmap",
-    "np.load", "np.fromfile", "np.memmap", "np.loadtxt", "np.genfromtxt", "pickle.load", "json.load", "json.loads",
-    "cv2.imread", "cv2.VideoCapture", "cv2.FileStorage", "Image.open", "OpenEXR.File", "h5py.File", "trimesh.load",
-    "pq.read_table", "pq.read_schema", "pq.read_metadata",
-    "pq.ParquetFile", "ParquetFile", "ZipFile", "zipfile.ZipFile", "tomllib.load", "tomllib.loads",
-    "ort.InferenceSession", "onnx.load",
-}  # fmt: skip
+    "open",
+    "os.open",
+    "io.open",
+    "gzip.open",
+    "bz2.open",
+    "lzma.open",
+    "tarfile.open",
+    "mmap.mmap",
+    "np.load",
+    "np.fromfile",
+    "np.memmap",
+    "np.loadtxt",
+    "np.genfromtxt",
+    "pickle.load",
+    "json.load",
+    "json.loads",
+    "cv2.imread",
+    "cv2.VideoCapture",
+    "cv2.FileStorage",
+    "Image.open",
+    "OpenEXR.File",
+    "h5py.File",
+    "trimesh.load",
+    "pq.read_table",
+    "pq.read_schema",
+    "pq.read_metadata",
+    "pq.ParquetFile",
+    "ParquetFile",
+    "ZipFile",
+    "zipfile.ZipFile",
+    "tomllib.load",
+    "tomllib.loads",
+    "ort.InferenceSession",
+    "onnx.load",
+}
 LAST = {name.rpartition(".")[2] for name in OPENERS} | {"read_bytes", "read_text"}
 MAYBE = re.compile(rf"\b({'|'.join(LAST)})\(")
 METHODS = {"read_bytes", "read_text"}

@@ -15,9 +15,13 @@ from playwright.sync_api import Browser, Error, Locator, Page, sync_playwright
 
 # WebGL is rendered in software; what is not WebGL is painted without it, which takes a tenth of the time.
 CHROMIUM = [
-    "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-    "--disable-gpu-rasterization", "--disable-gpu-compositing",
-]  # fmt: skip
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-gpu-rasterization",
+    "--disable-gpu-compositing",
+]
 SIZE = {"width": 1440, "height": 900}
 SLOW = float(os.environ.get("SPATIALVIZ_CHECK_PATIENCE", "60"))
 """Seconds that something may take to appear; more on a machine that is busy with other things."""
@@ -69,8 +73,10 @@ class Tab:
 
     def words(self) -> "Tab":
         """Wait until the server has filled the page."""
-        self.poll("document.getElementById('answer').childElementCount + "
-                  "document.getElementById('review-list').childElementCount > 0")  # fmt: skip
+        self.poll(
+            "document.getElementById('answer').childElementCount + "
+            "document.getElementById('review-list').childElementCount > 0"
+        )
         return self
 
     def drawn(self) -> "Tab":
@@ -119,8 +125,9 @@ class Tab:
         """Send a command as an element does that is clicked; for those that have none on the page now."""
         self.page.evaluate(
             "command => { const made = document.body.appendChild(document.createElement('button'));"
-            " made.dataset.do = command; made.click(); made.remove(); }", command,
-        )  # fmt: skip
+            " made.dataset.do = command; made.click(); made.remove(); }",
+            command,
+        )
 
     def ask(self, text: str) -> None:
         """Type a question and press Enter."""

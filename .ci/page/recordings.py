@@ -60,10 +60,16 @@ def write_recording(folder: Path, frames: int = BARE) -> Path:
             text = f"intrinsics = [{K[0, 0]}, {K[1, 1]}, {K[0, 2]}, {K[1, 2]}]\ndepth_scale = 1000.0\n"
             (folder / "spatialviz.toml").write_text(text)
         found[f"{k:04d}"] = [
-            {"label": a.label, "score": 0.9, "bbox": [float(x) for x in a.bbox], "id": a.index,
-             "mask": {"size": list(a.mask.shape), "counts": encode_run_length(a.mask)}}
-            for a in frame.annotations if a.mask is not None and np.count_nonzero(a.mask) > 400
-        ]  # fmt: skip
+            {
+                "label": a.label,
+                "score": 0.9,
+                "bbox": [float(x) for x in a.bbox],
+                "id": a.index,
+                "mask": {"size": list(a.mask.shape), "counts": encode_run_length(a.mask)},
+            }
+            for a in frame.annotations
+            if a.mask is not None and np.count_nonzero(a.mask) > 400
+        ]
     detections = folder.with_name("detections.json")
     detections.write_text(json.dumps({"frames": found}))
     return detections
@@ -108,10 +114,28 @@ def markup_in_names(home: Path) -> Path:
 def second_run(folder: Path) -> Path:
     """The demo's sentences, answered with other options."""
     spatialviz(
-        "eval", "demo", "--labels", LABELS, "--out", folder, "--detector", "simulated", "--model", SIMULATED,
-        "--min-score", "0.015", "--k", "12", "--srm", "rule", "--name", "the other", "--tables", "grounding",
+        "eval",
+        "demo",
+        "--labels",
+        LABELS,
+        "--out",
+        folder,
+        "--detector",
+        "simulated",
+        "--model",
+        SIMULATED,
+        "--min-score",
+        "0.015",
+        "--k",
+        "12",
+        "--srm",
+        "rule",
+        "--name",
+        "the other",
+        "--tables",
+        "grounding",
         "--no-plots",
-    )  # fmt: skip
+    )
     return folder
 
 

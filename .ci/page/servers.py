@@ -104,7 +104,13 @@ KINDS: dict[str, Callable[[Path], Iterable[object]]] = {
     "guarded": lambda _: ["demo", "--host", "0.0.0.0"],
     "reviewed": lambda folder: ["demo", "--journal", folder / "journal.sqlite"],
     "corrected": lambda folder: [
-        "demo", "--labels", LABELS, "--journal", folder / "journal.sqlite", "--author", "ann",
+        "demo",
+        "--labels",
+        LABELS,
+        "--journal",
+        folder / "journal.sqlite",
+        "--author",
+        "ann",
     ],
     "shared": lambda folder: ["demo", "--labels", LABELS, "--journal", folder / "journal.sqlite"],
     "compared": _compared,
@@ -113,7 +119,7 @@ KINDS: dict[str, Callable[[Path], Iterable[object]]] = {
     "long": lambda folder: [long_recording(folder / "long"), *FLAT],
     "single": lambda folder: [one_frame(folder / "single"), *FLAT],
     "hostile": lambda folder: [markup_in_names(folder)],
-}  # fmt: skip
+}
 """The words after `spatialviz view` for each kind of data, which is made in a folder of its own."""
 
 

@@ -91,8 +91,10 @@ def test_a_failure_opens_and_back_returns(evaluate: Tab) -> None:
     row = tab.page.locator(FILLED).nth(6)
     asked = row.locator(".asked").inner_text()
     row.click()
-    tab.poll("asked => document.body.dataset.mode === 'explain' && document.getElementById('ask-text').value === asked",
-             asked)  # fmt: skip
+    tab.poll(
+        "asked => document.body.dataset.mode === 'explain' && document.getElementById('ask-text').value === asked",
+        asked,
+    )
     tab.see("#verdict")
     tab.poll("location.search.includes('mode=explain')")
     tab.page.go_back()
@@ -185,8 +187,9 @@ def test_many_rows_scroll(large: Server, open_tab: OpenTab) -> None:
             "part => { const l = document.getElementById('rows').getBoundingClientRect(), y = l.top + l.height / 2;"
             " return [...document.querySelectorAll('#rows .space > .expr:not(.wait)')].some(e => {"
             "  const r = e.getBoundingClientRect();"
-            "  return r.top < y + 9 && r.bottom > y - 9 && Math.abs(+e.id.slice(4) / 50000 - part) < .03; }); }", part,
-        )  # fmt: skip
+            "  return r.top < y + 9 && r.bottom > y - 9 && Math.abs(+e.id.slice(4) / 50000 - part) < .03; }); }",
+            part,
+        )
         nodes = max(nodes, tab.page.locator(ROWS).count())
     assert nodes < MOST_NODES, nodes
     search(tab, "-verdict:CORRECT distance>1 sort:margin")

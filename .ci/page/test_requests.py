@@ -34,9 +34,13 @@ def socket_status(address: str, path: str, origin: str = "", cookie: str = "") -
     protocols = [Subprotocol("viser-v1.1.1")] if path.startswith("/scene/") else None
     try:
         with connect(
-            address.replace("http", "ws", 1) + path, origin=Origin(origin or address), subprotocols=protocols,
-            additional_headers=more, open_timeout=10, max_size=None,
-        ):  # fmt: skip
+            address.replace("http", "ws", 1) + path,
+            origin=Origin(origin or address),
+            subprotocols=protocols,
+            additional_headers=more,
+            open_timeout=10,
+            max_size=None,
+        ):
             return 101
     except InvalidStatus as refused:
         return refused.response.status_code

@@ -68,8 +68,10 @@ def test_what_is_looked_at_comes_back(demo: Server, open_tab: OpenTab) -> None:
         if tab.frame == first:
             break
         tab.page.go_back()
-        tab.still("location.search + document.querySelector('#where .frame-id').value"
-                  " + document.getElementById('ask-text').value")  # fmt: skip
+        tab.still(
+            "location.search + document.querySelector('#where .frame-id').value"
+            " + document.getElementById('ask-text').value"
+        )
     assert (tab.frame, tab.question) == (first, "laptop right of the mug"), (tab.frame, tab.question)
     tab.page.go_forward()
     tab.poll("moved => document.querySelector('#where .frame-id').value === moved", moved)

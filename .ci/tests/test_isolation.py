@@ -84,7 +84,7 @@ def run(steps: Coroutine[Any, Any, None]) -> None:
         (json.dumps({"type": "command", "name": "frame", "arguments": ["9" * 30_000]}), 1008),
         ("x" * 2**20, 1009),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_message_closes_its_socket_and_keeps_it_closed(
     port: int, garbage: str | bytes, code: int, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -159,8 +159,18 @@ def test_an_answer_is_that_of_the_command_line_with_a_picture(agent: Agent, prin
     assert picture.shape[1] == 640
     assert picture.std() > 20
     assert len(agent.call("ask", frame=0, expression=TEXT, picture=False).content) == 1
-    (simulated,) = printed("ask", "demo", "0", TEXT, "--labels", demo_run().parent / "labels", "--detector",
-                           "simulated", "--model", demo_run().parent / "simulated.toml")  # fmt: skip
+    (simulated,) = printed(
+        "ask",
+        "demo",
+        "0",
+        TEXT,
+        "--labels",
+        demo_run().parent / "labels",
+        "--detector",
+        "simulated",
+        "--model",
+        demo_run().parent / "simulated.toml",
+    )
     of_run = agent.ask("ask", frame=0, expression=TEXT, source="demo-run", limit=1000)
     assert without_times(of_run) == without_times(simulated)
 
@@ -284,9 +294,11 @@ def test_what_was_opened_stays_open(tmp_path: Path) -> None:
         first = agent.ask("ask", frame=0, expression=TEXT)
         shutil.rmtree(tmp_path / "kept")
         shutil.rmtree(tmp_path / "rooms")
-        assert agent.ask("query", sql="SELECT count(*) AS n FROM records") == counted == {
-            "columns": ["n"], "rows": [{"n": 1800}]
-        }  # fmt: skip
+        assert (
+            agent.ask("query", sql="SELECT count(*) AS n FROM records")
+            == counted
+            == {"columns": ["n"], "rows": [{"n": 1800}]}
+        )
         assert agent.ask("failures", limit=1)["found"] > 0
         assert without_times(agent.ask("ask", frame=0, expression=TEXT)) == without_times(first)
         assert "error: " in agent.refused("ask", frame=1, expression=TEXT)
@@ -338,8 +350,10 @@ def test_nothing_is_written_where_corrections_are_not_allowed(cases: Path, agent
 def test_an_earlier_client_is_answered_in_plain_lines_and_the_end_of_input_ends_it() -> None:
     """JSON-RPC by hand, of the protocol of 2025: each line of the output is a message."""
     said = {
-        "protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": {"name": "hand", "version": "1"},
-    }  # fmt: skip
+        "protocolVersion": "2025-06-18",
+        "capabilities": {},
+        "clientInfo": {"name": "hand", "version": "1"},
+    }
     messages = [
         {"id": 1, "method": "initialize", "params": said},
         {"method": "notifications/initialized"},

@@ -28,8 +28,24 @@ def test_train_on_labels_from_the_command_line(
     assert "leak" in text.err
     assert main(["ask", "demo", "0", "mug left of the laptop", "--srm", str(out), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["scorer"] == "geom2d8+lang"
-    assert main(["train", str(demo.root), "--out", str(out), "--epochs", "1", "--pairs", "300", "--json",
-                 "--vocabulary", "semantic-abstraction"]) == 0  # fmt: skip
+    assert (
+        main(
+            [
+                "train",
+                str(demo.root),
+                "--out",
+                str(out),
+                "--epochs",
+                "1",
+                "--pairs",
+                "300",
+                "--json",
+                "--vocabulary",
+                "semantic-abstraction",
+            ]
+        )
+        == 0
+    )
     assert json.loads(capsys.readouterr().out)["training"]["output"] == "softmax"
 
 

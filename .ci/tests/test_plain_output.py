@@ -105,9 +105,12 @@ def test_on_a_terminal_only_our_own_colours_are_codes(hostile: Path) -> None:
     for words in (("failures", hostile / "run"), ("frames", demo_path()), ("frames", "--help"), ("frames", hostile)):
         ours, theirs = pty.openpty()
         running = subprocess.Popen(
-            [sys.executable, "-m", "spatialviz", *map(str, words)], stdout=theirs, stderr=theirs, stdin=theirs,
+            [sys.executable, "-m", "spatialviz", *map(str, words)],
+            stdout=theirs,
+            stderr=theirs,
+            stdin=theirs,
             env=os.environ | {"TERM": "xterm-256color"},
-        )  # fmt: skip
+        )
         os.close(theirs)
         seen = b""
         try:

@@ -64,15 +64,25 @@ class Job:
 
         files = {"GITHUB_OUTPUT": self.temp / "output", "GITHUB_STEP_SUMMARY": self.temp / "summary"}
         given = {
-            "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}", "GITHUB_ACTION_PATH": str(FOLDER),
-            "GITHUB_WORKSPACE": str(self.workspace), "GITHUB_SHA": "c0ffee", "GITHUB_REPOSITORY": "lab/rooms",
-            "GITHUB_RUN_ID": "77", "RUNNER_TEMP": str(self.temp), **{key: str(path) for key, path in files.items()},
-            **self.environment, **{key: filled(value) for key, value in step.get("env", {}).items()},
-        }  # fmt: skip
+            "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+            "GITHUB_ACTION_PATH": str(FOLDER),
+            "GITHUB_WORKSPACE": str(self.workspace),
+            "GITHUB_SHA": "c0ffee",
+            "GITHUB_REPOSITORY": "lab/rooms",
+            "GITHUB_RUN_ID": "77",
+            "RUNNER_TEMP": str(self.temp),
+            **{key: str(path) for key, path in files.items()},
+            **self.environment,
+            **{key: filled(value) for key, value in step.get("env", {}).items()},
+        }
         return subprocess.run(
             ["bash", "--noprofile", "--norc", "-eo", "pipefail", "-c", filled(step["run"])],
-            cwd=self.workspace, env={**os.environ, **given}, capture_output=True, text=True, check=False,
-        )  # fmt: skip
+            cwd=self.workspace,
+            env={**os.environ, **given},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
 
 
 @pytest.fixture(scope="module")
@@ -261,8 +271,9 @@ def test_the_comment_leads_to_the_artifact_itself(regressed: Job, job: Job, api:
     assert job.step("Comment", token="t0ken").returncode == 0
     assert f"[spatialviz-replay]({job.uploaded})" in api.comments[-1]
     assert "#artifacts" not in api.comments[-1]
-    assert api.comments[-1] == regressed.comment.replace(f"{job.uploaded.removesuffix('/artifacts/3')}#artifacts",
-                                                         job.uploaded)  # fmt: skip
+    assert api.comments[-1] == regressed.comment.replace(
+        f"{job.uploaded.removesuffix('/artifacts/3')}#artifacts", job.uploaded
+    )
 
 
 def with_comment(job: Job, api: Api, title: str, number: int | None = 5) -> Job:

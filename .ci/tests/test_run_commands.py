@@ -30,9 +30,16 @@ def test_tables_and_plots_of_a_run_from_the_command_line(
     assert warned.startswith("spatialviz: ")
     names = {p.relative_to(tmp_path / "run").as_posix() for p in (tmp_path / "run").rglob("*") if p.is_file()}
     assert names == {
-        "tables.md", "tables.tex", "tables/srm.csv", "tables/srm_relations.csv", "relation_records.parquet",
-        "run.json", "plots/srm.html", "plots/srm_reliability.png", "plots/srm_relations.png",
-    }  # fmt: skip
+        "tables.md",
+        "tables.tex",
+        "tables/srm.csv",
+        "tables/srm_relations.csv",
+        "relation_records.parquet",
+        "run.json",
+        "plots/srm.html",
+        "plots/srm_reliability.png",
+        "plots/srm_relations.png",
+    }
     again = ["tables", str(tmp_path / "run"), "--json"]
     assert main(again) == 0
     rows = json.loads(capsys.readouterr().out)["rows"]["paper_relations_avd"]

@@ -11,8 +11,16 @@ VECTOR = st.tuples(NUMBER, NUMBER, NUMBER)
 TEXT = st.text(st.characters(blacklist_categories=("Cs",)), max_size=60)
 
 
-@given(TEXT, TEXT, st.sampled_from(["explain", "evaluate", "label"]), VECTOR, VECTOR, VECTOR,
-       st.sampled_from([None, 2, 17]), st.sampled_from([None, "top", "sensor", "orbit"]))  # fmt: skip
+@given(
+    TEXT,
+    TEXT,
+    st.sampled_from(["explain", "evaluate", "label"]),
+    VECTOR,
+    VECTOR,
+    VECTOR,
+    st.sampled_from([None, 2, 17]),
+    st.sampled_from([None, "top", "sensor", "orbit"]),
+)
 def test_what_is_written_is_read(frame, text, task, position, look_at, up, pair, look) -> None:
     view = CameraView(position, look_at, up)
     place = Place("demo", frame, text, task, "SRM", None, (3, 4), (view, 0.75), pair, look)

@@ -41,9 +41,15 @@ def main() -> None:
         box = {"center": [-0.37, 0.05, 1.55], "size": [0.16, 0.2, 0.1]}  # Of the cup, by a module of your own;
         left = {(0, 1): 0.8}  # and P("cup left of box") by another: both are shown as they are.
         sp.show(
-            rgb, depth, K, masks=list(masks.values()), names=list(masks), up=(0, -1, 0),
-            boxes=[box, None], relations={"left": left},
-        )  # fmt: skip
+            rgb,
+            depth,
+            K,
+            masks=list(masks.values()),
+            names=list(masks),
+            up=(0, -1, 0),
+            boxes=[box, None],
+            relations={"left": left},
+        )
 
 
 if __name__ == "__main__":

@@ -38,8 +38,12 @@ def main() -> None:
                 boxes |= {i: box_of(frame, a.mask) for i, a in zip(ids[name], seen, strict=True)}
             t.boxes(boxes)
             axis, sign = AXES[relation]
-            ahead = {(a, b): sign * (boxes[a]["center"] - boxes[b]["center"])[axis]
-                     for a in ids[target] for b in ids[reference] if a != b}  # fmt: skip
+            ahead = {
+                (a, b): sign * (boxes[a]["center"] - boxes[b]["center"])[axis]
+                for a in ids[target]
+                for b in ids[reference]
+                if a != b
+            }
             t.relations({relation: {pair: 1 / (1 + np.exp(-20 * metres)) for pair, metres in ahead.items()}})
             if ahead:
                 t.answer(*max(ahead, key=lambda pair: ahead[pair]))

@@ -188,15 +188,23 @@ def figures(found: Iterable[FrameAgreement], synonyms: Synonyms | None = None) -
     a, b = both + otherwise + only_a, both + otherwise + only_b
     counts = Counter((f.labels_a[i], f.labels_b[j]) for f in frames for i, j in f.pairs[~f.same].tolist())
     return {
-        "frames": len(frames), "a": a, "b": b, "both": both, "otherwise": otherwise, "only_a": only_a,
+        "frames": len(frames),
+        "a": a,
+        "b": b,
+        "both": both,
+        "otherwise": otherwise,
+        "only_a": only_a,
         "only_b": only_b,
-        "beyond_a": sum(int(f.beyond_a.sum()) for f in frames), "beyond_b": sum(int(f.beyond_b.sum()) for f in frames),
-        "share": _share(both, a, b), "share_placed": _share(both + otherwise, a, b),
-        "name_kappa": _name_kappa(frames, synonyms), "mean_iou": _mean(iou),
+        "beyond_a": sum(int(f.beyond_a.sum()) for f in frames),
+        "beyond_b": sum(int(f.beyond_b.sum()) for f in frames),
+        "share": _share(both, a, b),
+        "share_placed": _share(both + otherwise, a, b),
+        "name_kappa": _name_kappa(frames, synonyms),
+        "mean_iou": _mean(iou),
         "score_correlation": rank_correlation(scores[:, 0], scores[:, 1]),
         "classes": _classes(frames, synonyms),
         "renamed": [[*names, n] for names, n in sorted(counts.items(), key=lambda item: (-item[1], item[0]))],
-    }  # fmt: skip
+    }
 
 
 def rank_correlation(a: np.ndarray, b: np.ndarray) -> float | None:
@@ -252,9 +260,18 @@ def _classes(frames: list[FrameAgreement], synonyms: Synonyms | None) -> list[di
         both, other_a, other_b, only_a, only_b = (counts[name, kind] for kind in kinds)
         a, b = both + other_a + only_a, both + other_b + only_b
         rows.append(
-            {"name": name, "a": a, "b": b, "both": both, "otherwise": other_a + other_b, "only_a": only_a,
-             "only_b": only_b, "share": _share(both, a, b), "mean_iou": _mean(overlap.get(name, []))}
-        )  # fmt: skip
+            {
+                "name": name,
+                "a": a,
+                "b": b,
+                "both": both,
+                "otherwise": other_a + other_b,
+                "only_a": only_a,
+                "only_b": only_b,
+                "share": _share(both, a, b),
+                "mean_iou": _mean(overlap.get(name, [])),
+            }
+        )
     return sorted(rows, key=lambda r: (-(r["a"] + r["b"]), r["name"]))
 
 

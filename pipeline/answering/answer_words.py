@@ -181,9 +181,18 @@ def probability(value: float) -> str:
 
 _HEIGHTS = ("high", "low")
 _FIRST = {
-    "closest": "closest", "farthest": "farthest", "near": "nearest", "far": "farthest", "high": "highest",
-    "low": "lowest", "left": "leftmost", "right": "rightmost", "wide": "widest", "big": "biggest", "thin": "thinnest",
-}  # fmt: skip
+    "closest": "closest",
+    "farthest": "farthest",
+    "near": "nearest",
+    "far": "farthest",
+    "high": "highest",
+    "low": "lowest",
+    "left": "leftmost",
+    "right": "rightmost",
+    "wide": "widest",
+    "big": "biggest",
+    "thin": "thinnest",
+}
 """The superlatives of orders and relations that do not end in -est."""
 
 

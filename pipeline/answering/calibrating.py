@@ -123,9 +123,15 @@ def calibrate_scores(
     a, b = fit_scores(scores, hits)
     fingerprint = source.needed_detector().fingerprint()
     calibration = ScoreCalibration(
-        fingerprint, a, b, int(hits.sum()), int((~hits).sum()), source.config.k, dataset.root.resolve().name,
+        fingerprint,
+        a,
+        b,
+        int(hits.sum()),
+        int((~hits).sum()),
+        source.config.k,
+        dataset.root.resolve().name,
         tuple(fitted_on),
-    )  # fmt: skip
+    )
     first = frames < (len(frame_ids) + 1) // 2
     after = scores.astype(np.float64)
     for fold in (first, ~first):

@@ -105,8 +105,10 @@ def check_places(frames: Sequence[tuple[ImportedPipeline, str]]) -> None:
     if len(sizes) >= LEAST_PLACED and header.box_unit == "pixels" and max(sizes)[0] <= A_PIXEL:
         raise InputError(
             f"{sizes[0][1]}: none of {len(sizes)} boxes is larger than a pixel",
-            got='"box_unit": "pixels"', expected='"box_unit": "shares", of width and height', path=predictions.path,
-        )  # fmt: skip
+            got='"box_unit": "pixels"',
+            expected='"box_unit": "shares", of width and height',
+            path=predictions.path,
+        )
     wrong = [line for line, inside in placed if not inside]
     if len(placed) >= LEAST_PLACED and len(wrong) > len(placed) / 2:
         where = predictions.where(wrong[0], "answer")

@@ -31,8 +31,12 @@ def box_2d(box: tuple[float, ...], header: Header, width: int, height: int) -> n
     [64.0, 96.0, 384.0, 336.0]
     """
     a, b, c, d = box
-    found = {"xyxy": (a, b, c, d), "xywh": (a, b, a + c, b + d), "yxyx": (b, a, d, c),
-             "cxcywh": (a - c / 2, b - d / 2, a + c / 2, b + d / 2)}[header.boxes]  # fmt: skip
+    found = {
+        "xyxy": (a, b, c, d),
+        "xywh": (a, b, a + c, b + d),
+        "yxyx": (b, a, d, c),
+        "cxcywh": (a - c / 2, b - d / 2, a + c / 2, b + d / 2),
+    }[header.boxes]
     return np.array(found) * np.tile(pixel_scale(header, width, height), 2)
 
 

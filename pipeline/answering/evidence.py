@@ -30,9 +30,15 @@ SOFT_EDGE = 0.08
 SIDE_AT_MOST = 0.9
 """A thing at a side, of which there may be several, is less sure than the one farthest to that side."""
 _VIEWER_CHOICES = {
-    "closest": ("near", 1), "farthest": ("far", 1), "near": ("near", None), "front": ("near", None),
-    "left": ("left", None), "right": ("right", None), "above": ("high", None), "below": ("low", None),
-}  # fmt: skip
+    "closest": ("near", 1),
+    "farthest": ("far", 1),
+    "near": ("near", None),
+    "front": ("near", None),
+    "left": ("left", None),
+    "right": ("right", None),
+    "above": ("high", None),
+    "below": ("low", None),
+}
 
 
 @dataclass(frozen=True)
@@ -80,9 +86,15 @@ class SceneEvidence:
         distance = np.array([o.lifted.quality.distance for o in self.objects], np.float64).reshape(-1)
         height = centers @ self.viewer.up
         return {
-            "left": u, "right": -u, "top": v, "bottom": -v, "near": distance, "far": -distance,
-            "high": -height, "low": height,
-        }  # fmt: skip
+            "left": u,
+            "right": -u,
+            "top": v,
+            "bottom": -v,
+            "near": distance,
+            "far": -distance,
+            "high": -height,
+            "low": height,
+        }
 
     @cached_property
     def _sizes(self) -> dict[str, np.ndarray]:

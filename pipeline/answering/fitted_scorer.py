@@ -51,9 +51,22 @@ def described(boxes: Sequence[Box3D], viewer: ViewerAxes) -> np.ndarray:
     inside = reach + 0.05
     most = np.tanh(apart / inside), np.sign(apart) * np.tanh((np.abs(apart) - aside / 2) / inside)
     return np.concatenate(
-        [apart, apart / inside, bearing, gap, np.maximum(gap, 0), np.ones_like(far), apart / np.maximum(far, 1e-6), far,
-         aside, aside / inside, *most, (away[:, None] - away)[..., None]], axis=2,
-    )  # fmt: skip
+        [
+            apart,
+            apart / inside,
+            bearing,
+            gap,
+            np.maximum(gap, 0),
+            np.ones_like(far),
+            apart / np.maximum(far, 1e-6),
+            far,
+            aside,
+            aside / inside,
+            *most,
+            (away[:, None] - away)[..., None],
+        ],
+        axis=2,
+    )
 
 
 @dataclass(frozen=True, eq=False)

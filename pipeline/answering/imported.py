@@ -132,9 +132,11 @@ class ImportedDetector:
 
     def finished(self, entry: SceneObject, context: PreparedFrame) -> SceneObject:
         """Object as lifted here, with the given box, its points moved to match, and given attributes."""
-        attributes = {} if self.line is None else {
-            name: p for name, rows in (self.line.attributes or {}).items() for i, p in rows if i == entry.id
-        }  # fmt: skip
+        attributes = (
+            {}
+            if self.line is None
+            else {name: p for name, rows in (self.line.attributes or {}).items() for i, p in rows if i == entry.id}
+        )
         box = self.box(context.frame, entry.id)
         moved = entry.lifted
         if box is not None and not (moved.box is not None and alike(moved.box, box)):
@@ -261,9 +263,14 @@ def open_imported(predictions: Path, dataset: Any, **options: Any) -> ImportedPi
     named = read.header.scorer
     scorer = FittedScorer(read, source.dataset) if named is None else make_scorer(named, options.get("vectors"))
     return ImportedPipeline(
-        source.dataset, ImportedDetector(read), scorer_of(read, None, scorer), config_of(read), source.synonyms,
-        predictions=read, rescore=rescore,
-    )  # fmt: skip
+        source.dataset,
+        ImportedDetector(read),
+        scorer_of(read, None, scorer),
+        config_of(read),
+        source.synonyms,
+        predictions=read,
+        rescore=rescore,
+    )
 
 
 def config_of(predictions: Predictions) -> AskConfig:

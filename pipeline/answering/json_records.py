@@ -112,13 +112,17 @@ def noun_record(node: Node) -> Record:
         choices=[present(order=c.order, rank=c.rank, text=c.text) for c in node.choices] or None,
         relations=[
             present(
-                relation=a.relation, phrase=a.phrase, inverse=a.inverse or None, negated=a.negated or None,
+                relation=a.relation,
+                phrase=a.phrase,
+                inverse=a.inverse or None,
+                negated=a.negated or None,
                 of=[noun_record(n) for n in a.nodes],
             )
             for a in node.attachments
-        ] or None,
+        ]
+        or None,
         excluded=[noun_record(n) for n in node.excluded] or None,
-    )  # fmt: skip
+    )
 
 
 def pair_record(trace: Trace, pair: ScoredPair) -> Record:
@@ -140,16 +144,21 @@ def pair_record(trace: Trace, pair: ScoredPair) -> Record:
         factors=[
             {"kind": f.kind, "text": f.text, "object": f.object, "probability": _probability(f.probability)}
             for f in pair.factors
-        ] or None,
+        ]
+        or None,
         worked_out=worked_out(trace, pair),
-    )  # fmt: skip
+    )
 
 
 def _link_record(link: Link) -> Record:
     return present(
-        relation=link.relation, a=link.a, b=link.b, probability=_probability(link.probability), c=link.c,
+        relation=link.relation,
+        a=link.a,
+        b=link.b,
+        probability=_probability(link.probability),
+        c=link.c,
         inverse=link.inverse or None,
-    )  # fmt: skip
+    )
 
 
 def trace_record(trace: Trace) -> Record:
@@ -177,13 +186,17 @@ def trace_record(trace: Trace) -> Record:
         "scorer": trace.scorer,
         "viewer": viewer_record(trace.viewer),
     }
-    ranked = None if ranking is None else {
-        "reading": ranking.reading.description,
-        "margin": round(ranking.margin, 6),
-        "log_margin": None if np.isinf(ranking.log_margin) else round(ranking.log_margin, 6),
-        "entropy": round(ranking.entropy, 6),
-        "degenerate": ranking.degenerate,
-    }  # fmt: skip
+    ranked = (
+        None
+        if ranking is None
+        else {
+            "reading": ranking.reading.description,
+            "margin": round(ranking.margin, 6),
+            "log_margin": None if np.isinf(ranking.log_margin) else round(ranking.log_margin, 6),
+            "entropy": round(ranking.entropy, 6),
+            "degenerate": ranking.degenerate,
+        }
+    )
     return record | present(
         score_calibration=None if calibration is None else {"a": calibration.a, "b": calibration.b},
         reason=why_no_answer(trace),

@@ -315,9 +315,11 @@ def _answered_first(answer: PredictedAnswer, scores: dict[Pair, float], ahead: f
     if not others:
         return scores
     require(
-        own, "target and reference of the answer are one thing by the header, and so no pair",
-        got=f"{answer.object}, {answer.reference}", expected='another answer, or "same": "ids"',
-    )  # fmt: skip
+        own,
+        "target and reference of the answer are one thing by the header, and so no pair",
+        got=f"{answer.object}, {answer.reference}",
+        expected='another answer, or "same": "ids"',
+    )
     first, best = max(own, key=scores.__getitem__), max(others)
     over = STEP * max(1.0, abs(best))
     if scores[first] > best + over:

@@ -180,9 +180,14 @@ def open_pipeline(
     'mug·3'
     """
     camera: dict[str, Any] = {
-        "intrinsics": intrinsics, "depth_scale": depth_scale, "up": up, "level_at": level_at,
-        "depth_model": depth_model, "poses": poses, "registration": registration,
-    }  # fmt: skip
+        "intrinsics": intrinsics,
+        "depth_scale": depth_scale,
+        "up": up,
+        "level_at": level_at,
+        "depth_model": depth_model,
+        "poses": poses,
+        "registration": registration,
+    }
     if isinstance(path, str | Path):
         if str(path) == DEMO_NAME and not Path(path).exists():
             path = demo_path()

@@ -71,8 +71,11 @@ def _audited(
 ) -> AuditItem:
     a, b = (str(truth.numbers[k]) for k in (case.target_object, case.reference_object))
     rests_on = (
-        ("relation", a, b, case.relation), ("object", a), ("object", b), ("expression", case.id),
-    )  # fmt: skip
+        ("relation", a, b, case.relation),
+        ("object", a),
+        ("object", b),
+        ("expression", case.id),
+    )
     evidence = [Evidence("review", *doubts[(truth.frame, *key)]) for key in rests_on if (truth.frame, *key) in doubts]
     if case.relation in HORIZONTAL and has_front(case.reference) and len(case.strict):
         evidence += _frame_of_reference(case, truth, own, names)

@@ -138,8 +138,11 @@ def _of_geometry(question: Question, source: Pipeline | None) -> tuple[list[Evid
     if 1 - SURE < p < SURE:
         return unsure, None
     text = f"detected objects say {'yes' if p >= SURE else 'no'}: the relation has {p:.2f}"
-    return [Evidence("frame", OWN_SIDES, f"{text}; {doubt}", (("p", p),)) if sided else
-            Evidence("geometry", DETECTED, text, (("p", p),))], None  # fmt: skip
+    return [
+        Evidence("frame", OWN_SIDES, f"{text}; {doubt}", (("p", p),))
+        if sided
+        else Evidence("geometry", DETECTED, text, (("p", p),))
+    ], None
 
 
 def _of_systems(question: Question, systems: Sequence[QuestionAnswers]) -> list[Evidence]:

@@ -72,11 +72,13 @@ class AuditReport:
     def record(self) -> dict[str, Any]:
         """Counts as JSON."""
         return {
-            "items": len(self.items), "suspicious": len(self.suspicious), "likely_wrong": self.likely,
+            "items": len(self.items),
+            "suspicious": len(self.suspicious),
+            "likely_wrong": self.likely,
             "expected_wrong": round(sum(item.score for item in self.items), 1),
             "unjudged": sum(item.unjudged is not None for item in self.items),
             "kinds": {row.name: row.cells[0] for row in self.kinds.rows},
-        }  # fmt: skip
+        }
 
     def records(self) -> Iterator[dict[str, Any]]:
         """Every item by rank, as JSON."""

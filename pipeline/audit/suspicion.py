@@ -80,10 +80,16 @@ class AuditItem:
 
     def record(self, look: str = "") -> dict[str, Any]:
         return {
-            "score": round(self.score, 4), "id": self.id, "frame": self.frame, "text": self.text, "truth": self.truth,
-            "seems": self.seems, "evidence": [e.record() for e in self.reasons], "unjudged": self.unjudged,
+            "score": round(self.score, 4),
+            "id": self.id,
+            "frame": self.frame,
+            "text": self.text,
+            "truth": self.truth,
+            "seems": self.seems,
+            "evidence": [e.record() for e in self.reasons],
+            "unjudged": self.unjudged,
             "look": look,
-        }  # fmt: skip
+        }
 
 
 def wrong_probability(evidence: Iterable[Evidence]) -> float:

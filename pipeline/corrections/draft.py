@@ -141,10 +141,19 @@ def rebased(draft: Draft, frame: EffectiveFrame) -> Draft:
 def lifted_draft(canvas: Canvas, mask: np.ndarray) -> LiftedObject | None:
     """Points and 3D box (camera frame) of a mask, lifted as labels are; None for no pixels."""
     context = canvas.context
-    return lift(
-        context.frame.depth, context.frame.camera, [mask], context.viewer, config=context.config,
-        mask_source="human", edges=context.edges,
-    )[0] if mask.any() else None  # fmt: skip
+    return (
+        lift(
+            context.frame.depth,
+            context.frame.camera,
+            [mask],
+            context.viewer,
+            config=context.config,
+            mask_source="human",
+            edges=context.edges,
+        )[0]
+        if mask.any()
+        else None
+    )
 
 
 def split_by_polygon(mask: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

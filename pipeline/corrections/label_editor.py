@@ -320,7 +320,8 @@ def event_lines(
 
     shown = [(e, newest[e.ulid]) for e in events if e.action == "edit" and wanted(e.ref)]
     return tuple(
-        EventLine(e, last, "", e.group in unsaved) if last.action == "undo" else
-        EventLine(e, None, last.group if last.group in mine else "", e.group in unsaved)
+        EventLine(e, last, "", e.group in unsaved)
+        if last.action == "undo"
+        else EventLine(e, None, last.group if last.group in mine else "", e.group in unsaved)
         for e, last in reversed(shown)
-    )  # fmt: skip
+    )

@@ -89,9 +89,13 @@ class LabelView:
         objects = () if number is None else (number,)
         history = editor.history(self.frame.frame, objects=objects, pair=pair, expression=self.expression)
         return replace(
-            found, relation=relation, about=about, expressions=expression_cards(self.frame, about), history=history,
+            found,
+            relation=relation,
+            about=about,
+            expressions=expression_cards(self.frame, about),
+            history=history,
             author=editor.author,
-        )  # fmt: skip
+        )
 
     def as_labelled(self, number: int, size: tuple[int, int]) -> tuple[np.ndarray, Box3D | None] | None:
         """Mask (H, W) bool and 3D box (camera frame) by the labeller; None if unchanged, or added by a person."""

@@ -242,14 +242,25 @@ def _card(
         for n in dict.fromkeys([row["target_object"], row["reference_object"], *row["targets"], *row["acceptable"]])
     }
     return ExpressionCard(
-        frame.frame, name, row["text"], row["target"], row["relation"], row["reference"], row["target_object"],
-        row["reference_object"], tuple(row["targets"]), tuple(row["acceptable"]),
-        {n: "" if r is None else r["label"] for n, r in rows.items()}, bool(row["ambiguous"]),
-        frame.marks.get(name), frame.statuses.get(refs["status"]), statuses.get(("expression", -1, None, name), {}),
+        frame.frame,
+        name,
+        row["text"],
+        row["target"],
+        row["relation"],
+        row["reference"],
+        row["target_object"],
+        row["reference_object"],
+        tuple(row["targets"]),
+        tuple(row["acceptable"]),
+        {n: "" if r is None else r["label"] for n, r in rows.items()},
+        bool(row["ambiguous"]),
+        frame.marks.get(name),
+        frame.statuses.get(refs["status"]),
+        statuses.get(("expression", -1, None, name), {}),
         withdrawn,
         {field: frame.origin(ref) for field, ref in refs.items()},
         {field: frame.version(ref) for field, ref in refs.items()},
-    )  # fmt: skip
+    )
 
 
 def answers_with(card: ExpressionCard, number: int, certainty: Certainty) -> tuple[tuple[int, ...], tuple[int, ...]]:

@@ -63,10 +63,15 @@ def _labelled(row: dict[str, Any], size: tuple[int, int]) -> SceneObject:
         return nothing if row[name] is None else float(row[name])
 
     quality = Quality(
-        int(mask.sum()), int(number("points", 0)), number("kept", 0.0), number("depth_missing", 0.0),
-        bool(row["touches_border"]), number("distance", float("nan")), bool(row["fallback"]),
+        int(mask.sum()),
+        int(number("points", 0)),
+        number("kept", 0.0),
+        number("depth_missing", 0.0),
+        bool(row["touches_border"]),
+        number("distance", float("nan")),
+        bool(row["fallback"]),
         row["mask_source"] or "box",
-    )  # fmt: skip
+    )
     lo, hi = (np.full(3, np.nan) if row[k] is None else np.array(row[k], np.float64) for k in ("lo", "hi"))
     lifted = LiftedObject(
         np.empty((0, 3), np.float32), labelled_box(row), number("yaw_confidence", 0.0), lo, hi, None, quality
@@ -87,9 +92,15 @@ def effective_truth(frame: EffectiveFrame) -> FrameCases:
         relations[name] = [-1 if state is None else state for state in relations[name]]
     row = frame.row
     return frame_cases(
-        frame.frame, row["frame_index"], row["scene"], rows["objects"], relations, rows["expressions"], names,
+        frame.frame,
+        row["frame_index"],
+        row["scene"],
+        rows["objects"],
+        relations,
+        rows["expressions"],
+        names,
         row["rgb_hash"],
-    )  # fmt: skip
+    )
 
 
 def effective_mark(frame: EffectiveFrame, expression: str, mark: str | None) -> str | None:
@@ -216,11 +227,15 @@ def pair_card(frame: EffectiveFrame, a: int, b: int) -> PairCard:
     refs = {relation: relation_ref(frame.frame, a, b, relation) for relation in frame.setting.relations}
     lines = tuple(
         RelationLine(
-            relation, pairs.state(a, b, relation), _number(pairs.margins[i, j, PAIRWISE.index(relation)]),
-            frame.origin(ref), frame.statuses.get(replace(ref, field=f"{relation}.status")), frame.version(ref),
+            relation,
+            pairs.state(a, b, relation),
+            _number(pairs.margins[i, j, PAIRWISE.index(relation)]),
+            frame.origin(ref),
+            frame.statuses.get(replace(ref, field=f"{relation}.status")),
+            frame.version(ref),
         )
         for relation, ref in refs.items()
-    )  # fmt: skip
+    )
     return PairCard(frame.frame, a, b, names, _number(pairs.distance[i, j]), lines)
 
 

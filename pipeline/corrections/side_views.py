@@ -76,8 +76,9 @@ def side_views(frame: Frame, viewer: ViewerAxes, box: Box3D, mask: np.ndarray, m
     found = (lift_pixels(frame.depth[v, u], frame.camera, v, u) - box.center.astype(np.float32)) @ axes.T
     near = (np.abs(found) <= half).all(axis=1)
     own = mask[v, u]
-    chosen = np.concatenate([_thinned(np.flatnonzero(near & own), most // 2),
-                             _thinned(np.flatnonzero(near & ~own), most // 2)])  # fmt: skip
+    chosen = np.concatenate(
+        [_thinned(np.flatnonzero(near & own), most // 2), _thinned(np.flatnonzero(near & ~own), most // 2)]
+    )
     return SideViews(axes, box, np.rint(found[chosen] * 1000).clip(-32767, 32767).astype(np.int16), own[chosen])
 
 

@@ -35,10 +35,25 @@ class Waiting:
     def events(self, first: int, labels: str) -> list[Event]:
         """Events as saved, numbered from `first`."""
         return [
-            Event(first + k, f"{self.group}-{k}", self.author, self.time, e.ref, e.before, e.after, e.base, e.base + 1,
-                  labels, e.reason, self.group, "edit", None, e.anchor)
+            Event(
+                first + k,
+                f"{self.group}-{k}",
+                self.author,
+                self.time,
+                e.ref,
+                e.before,
+                e.after,
+                e.base,
+                e.base + 1,
+                labels,
+                e.reason,
+                self.group,
+                "edit",
+                None,
+                e.anchor,
+            )
             for k, e in enumerate(self.edits)
-        ]  # fmt: skip
+        ]
 
 
 class Unsaved:
@@ -157,10 +172,22 @@ def unsaved_actions(unsaved: Unsaved, author: str) -> list[list[dict[str, Any]]]
     later = [e for e in waiting if e.ref.field != "exists" and new & {(e.ref.frame, n) for n in e.ref.numbers}]
     lists = [[e for e in waiting if e not in later], later, *(_merged(c.edits) for c in unsaved.disputed(author))]
     return [
-        [{"edit": "value", "frame": e.ref.frame, "kind": e.ref.kind, "key": e.ref.key, "field": e.ref.field,
-          "to": e.after, "base": e.base, "reason": e.reason} for e in edits]
-        for edits in lists if edits
-    ]  # fmt: skip
+        [
+            {
+                "edit": "value",
+                "frame": e.ref.frame,
+                "kind": e.ref.kind,
+                "key": e.ref.key,
+                "field": e.ref.field,
+                "to": e.after,
+                "base": e.base,
+                "reason": e.reason,
+            }
+            for e in edits
+        ]
+        for edits in lists
+        if edits
+    ]
 
 
 def _merged(edits: Iterable[Edit]) -> tuple[Edit, ...]:

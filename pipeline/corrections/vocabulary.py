@@ -79,8 +79,11 @@ def vocabulary_of(labels: Labels, dataset: Dataset | None = None, journal: Journ
     """Class names of labels, dataset, and corrections."""
     words = Vocabulary.of(labels.objects.column("label").to_pylist(), () if dataset is None else dataset.class_names)
     events = () if journal is None else journal.events(kind="object")
-    given = (e.after if e.ref.field == "label" else e.after.get("label") for e in events
-             if e.ref.field == "label" or (e.ref.field == "exists" and e.after is not None))  # fmt: skip
+    given = (
+        e.after if e.ref.field == "label" else e.after.get("label")
+        for e in events
+        if e.ref.field == "label" or (e.ref.field == "exists" and e.after is not None)
+    )
     return words.with_names(name for name in given if name)
 
 

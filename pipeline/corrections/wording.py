@@ -20,9 +20,14 @@ from pipeline.relations.pair_measures import NOT_JUDGED
 from pipeline.relations.relations import letter
 
 FIELDS = {
-    "targets": "sure answers", "acceptable": "answers", "label": "class", "bbox": "2D box", "box": "3D box",
-    "mask": "pixels", "exists": "presence",
-}  # fmt: skip
+    "targets": "sure answers",
+    "acceptable": "answers",
+    "label": "class",
+    "bbox": "2D box",
+    "box": "3D box",
+    "mask": "pixels",
+    "exists": "presence",
+}
 LONGEST = 48
 SMALLEST_MOVE = 5e-4
 """Metres: less is not told of a box."""

@@ -189,8 +189,9 @@ class ShiftedPoses(ChangedFrames):
             scenes.setdefault(scene_of(inner, frame_id), []).append(frame_id)
         self._others = {
             frame_id: ids[k + shift] if 0 <= k + shift < len(ids) else None
-            for ids in scenes.values() for k, frame_id in enumerate(ids)
-        }  # fmt: skip
+            for ids in scenes.values()
+            for k, frame_id in enumerate(ids)
+        }
 
     def load_pose(self, frame_id: str) -> np.ndarray | None:
         """See `base.load_pose`."""

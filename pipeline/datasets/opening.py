@@ -136,8 +136,9 @@ def open_dataset(
     settings = replace(
         known.overridden(intrinsics, depth_scale, told, poses=poses, registration=registration),
         # What is missing of measured depth does not matter where none is used.
-        browse=browse or model is not None, estimated=model is not None,
-    )  # fmt: skip
+        browse=browse or model is not None,
+        estimated=model is not None,
+    )
     added = (loaded for _, loaded in load_plugins(ENTRY_POINT_GROUP, "dataset", DatasetFormat))
     formats = (*FORMATS, *added, FALLBACK) if root.is_dir() else CAPTURES
     formats = formats if model is None else (*formats, pictures.FORMAT)

@@ -57,8 +57,12 @@ def robospatial_entries(path: Path) -> list[dict[str, Any]]:
         for name in ("img", "depth_image", "mask"):
             told = PurePosixPath(str(entry.get(name) or ""))
             # A list of items from elsewhere must not read other files.
-            needed(None if told.is_absolute() or ".." in told.parts else told, f"item {number}: no path in the folder",
-                   got=str(told), path=path)  # fmt: skip
+            needed(
+                None if told.is_absolute() or ".." in told.parts else told,
+                f"item {number}: no path in the folder",
+                got=str(told),
+                path=path,
+            )
     return entries
 
 

@@ -97,25 +97,37 @@ def saved_frame(frame: Frame) -> tuple[SavedFrame, dict[str, bytes]]:
     depth_file, units, depth = _depth_bytes(frame.depth)
     record = SavedFrame.model_validate(
         {
-            "id": frame.id, "width": frame.width, "height": frame.height, "depth": depth_file, "units": units,
+            "id": frame.id,
+            "width": frame.width,
+            "height": frame.height,
+            "depth": depth_file,
+            "units": units,
             "K": camera.K.tolist(),
             "T_world_camera": None if camera.T_world_camera is None else camera.T_world_camera.tolist(),
-            "up": None if camera.up is None else camera.up.tolist(), "up_source": camera.up_source,
-            "annotations": [_annotation_record(a) for a in frame.annotations], "notes": frame.notes,
+            "up": None if camera.up is None else camera.up.tolist(),
+            "up_source": camera.up_source,
+            "annotations": [_annotation_record(a) for a in frame.annotations],
+            "notes": frame.notes,
             "depth_source": frame.depth_source or None,
         }
-    )  # fmt: skip
+    )
     return record, {COLOR: png(np.ascontiguousarray(frame.rgb[..., ::-1]), PACKED), depth_file: depth}
 
 
 def _annotation_record(a: Annotation) -> dict[str, Any]:
     return {
-        "index": a.index, "label": a.label, "bbox": [float(v) for v in a.bbox],
+        "index": a.index,
+        "label": a.label,
+        "bbox": [float(v) for v in a.bbox],
         "mask": None if a.mask is None else RunLength.of(a.mask),
-        "box": None if a.box is None
+        "box": None
+        if a.box is None
         else {"center": a.box.center.tolist(), "R": a.box.R.tolist(), "size": a.box.size.tolist()},
-        "visible": a.visible, "instance": a.instance, "difficulty": a.difficulty, "fixed": a.fixed,
-    }  # fmt: skip
+        "visible": a.visible,
+        "instance": a.instance,
+        "difficulty": a.difficulty,
+        "fixed": a.fixed,
+    }
 
 
 def _depth_bytes(depth: np.ndarray) -> tuple[str, float | None, bytes]:
@@ -202,10 +214,16 @@ def _annotation(saved: SavedAnnotation, shape: tuple[int, int]) -> Annotation:
     mask = None if saved.mask is None else saved.mask.decoded(shape, f"annotation {saved.index}")
     box = saved.box
     return Annotation(
-        saved.index, saved.label, np.array(saved.bbox, np.float32), mask,
+        saved.index,
+        saved.label,
+        np.array(saved.bbox, np.float32),
+        mask,
         None if box is None else Box3D(np.array(box.center), np.array(box.R), np.array(box.size)),
-        saved.visible, saved.instance, saved.difficulty, saved.fixed,
-    )  # fmt: skip
+        saved.visible,
+        saved.instance,
+        saved.difficulty,
+        saved.fixed,
+    )
 
 
 class SavedCaseDataset:

@@ -42,17 +42,34 @@ TF_WITHIN_NS = 100_000_000
 """A transform further in time from a frame is not used."""
 COMPRESSED_DEPTH_HEADER, FLOAT32 = 12, 7
 _DTYPES = {
-    "16UC1": ("u2", 1), "mono16": ("u2", 1), "32FC1": ("f4", 1), "mono8": ("u1", 1), "8UC1": ("u1", 1),
-    "rgb8": ("u1", 3), "bgr8": ("u1", 3), "8UC3": ("u1", 3), "rgba8": ("u1", 4), "bgra8": ("u1", 4),
-    "bayer_rggb8": ("u1", 1), "bayer_bggr8": ("u1", 1), "bayer_gbrg8": ("u1", 1), "bayer_grbg8": ("u1", 1),
-}  # fmt: skip
+    "16UC1": ("u2", 1),
+    "mono16": ("u2", 1),
+    "32FC1": ("f4", 1),
+    "mono8": ("u1", 1),
+    "8UC1": ("u1", 1),
+    "rgb8": ("u1", 3),
+    "bgr8": ("u1", 3),
+    "8UC3": ("u1", 3),
+    "rgba8": ("u1", 4),
+    "bgra8": ("u1", 4),
+    "bayer_rggb8": ("u1", 1),
+    "bayer_bggr8": ("u1", 1),
+    "bayer_gbrg8": ("u1", 1),
+    "bayer_grbg8": ("u1", 1),
+}
 _TO_RGB = {
-    "mono8": cv2.COLOR_GRAY2RGB, "8UC1": cv2.COLOR_GRAY2RGB, "bgr8": cv2.COLOR_BGR2RGB, "8UC3": cv2.COLOR_BGR2RGB,
-    "rgba8": cv2.COLOR_RGBA2RGB, "bgra8": cv2.COLOR_BGRA2RGB,
+    "mono8": cv2.COLOR_GRAY2RGB,
+    "8UC1": cv2.COLOR_GRAY2RGB,
+    "bgr8": cv2.COLOR_BGR2RGB,
+    "8UC3": cv2.COLOR_BGR2RGB,
+    "rgba8": cv2.COLOR_RGBA2RGB,
+    "bgra8": cv2.COLOR_BGRA2RGB,
     # OpenCV names a pattern by its second row and column.
-    "bayer_rggb8": cv2.COLOR_BayerBG2RGB, "bayer_bggr8": cv2.COLOR_BayerRG2RGB,
-    "bayer_gbrg8": cv2.COLOR_BayerGR2RGB, "bayer_grbg8": cv2.COLOR_BayerGB2RGB,
-}  # fmt: skip
+    "bayer_rggb8": cv2.COLOR_BayerBG2RGB,
+    "bayer_bggr8": cv2.COLOR_BayerRG2RGB,
+    "bayer_gbrg8": cv2.COLOR_BayerGR2RGB,
+    "bayer_grbg8": cv2.COLOR_BayerGB2RGB,
+}
 
 
 @dataclass(frozen=True)
@@ -89,9 +106,12 @@ class Stream:
             for part in path.iterdir() if path.is_dir() else (path,):
                 checked_path(part, "unpacked")
                 require(
-                    part.name != METADATA or part.stat().st_size <= LARGEST_METADATA, "a description that is too large",
-                    got=f"{shown(part.stat().st_size)} bytes", expected=f"at most {shown(LARGEST_METADATA)}", path=part,
-                )  # fmt: skip
+                    part.name != METADATA or part.stat().st_size <= LARGEST_METADATA,
+                    "a description that is too large",
+                    got=f"{shown(part.stat().st_size)} bytes",
+                    expected=f"at most {shown(LARGEST_METADATA)}",
+                    path=part,
+                )
             self.reader: Any = highlevel.AnyReader([BoundedPath(path)], default_typestore=store)
             self.reader.open()
         self.kinds: dict[str, str] = {c.topic: c.msgtype for c in self.reader.connections}

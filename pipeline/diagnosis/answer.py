@@ -160,27 +160,46 @@ def _answer_record(answer: Answer) -> dict[str, Any]:
 def diagnosis_record(d: Diagnosis) -> dict[str, Any]:
     """Diagnosis as in `ask --json`: objects are indices of "proposals", those of `truth` the labels' numbers."""
     case, numbers = d.case, d.truth.numbers
-    missed = None if d.missed is None else {
-        "name": d.missed_name, "kind": d.missed.kind, "overlap": round(d.missed.overlap, 4),
-        "score": _rounded(d.missed.score), "rank": d.missed.rank, "suppressed": d.missed.suppressed,
-    }  # fmt: skip
+    missed = (
+        None
+        if d.missed is None
+        else {
+            "name": d.missed_name,
+            "kind": d.missed.kind,
+            "overlap": round(d.missed.overlap, 4),
+            "score": _rounded(d.missed.score),
+            "rank": d.missed.rank,
+            "suppressed": d.missed.suppressed,
+        }
+    )
     return {
-        "verdict": d.verdict, "detail": d.detail, "lucky": d.lucky, "said": d.text, "repair": list(d.repair),
+        "verdict": d.verdict,
+        "detail": d.detail,
+        "lucky": d.lucky,
+        "said": d.text,
+        "repair": list(d.repair),
         "mends": list(d.mends),
         "truth": {
             "target": int(numbers[case.target_object]),
             "reference": int(numbers[case.reference_object]) if case.reference else None,
-            "targets": numbers[case.strict].tolist(), "acceptable": numbers[case.acceptable].tolist(),
+            "targets": numbers[case.strict].tolist(),
+            "acceptable": numbers[case.acceptable].tolist(),
         },
-        "winner": _pair_record(d.winner), "right": _pair_record(d.right),
+        "winner": _pair_record(d.winner),
+        "right": _pair_record(d.right),
         "contributions": None if d.contributions is None else {k: round(v, 6) for k, v in d.contributions.items()},
         "margins": {"+".join(names_of(s)) or "none": _rounded(d.margins[s]) for s in _shown(d)},
         "needed": [
-            {"factor": n.factor, "right": round(n.right, 6), "winner": round(n.winner, 6),
-             "right_above": _rounded(n.right_above), "winner_below": _rounded(n.winner_below)}
+            {
+                "factor": n.factor,
+                "right": round(n.right, 6),
+                "winner": round(n.winner, 6),
+                "right_above": _rounded(n.right_above),
+                "winner_below": _rounded(n.winner_below),
+            }
             for n in d.needed
         ],
-    } | present(missed=missed)  # fmt: skip
+    } | present(missed=missed)
 
 
 def _shown(d: Diagnosis) -> tuple[int, ...]:

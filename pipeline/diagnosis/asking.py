@@ -303,9 +303,18 @@ def case_of(truth: FrameCases, trace: Trace, source: Pipeline, context: Prepared
     alike[a], alike[b] = ends
     strict, acceptable = (np.flatnonzero((states >= least).any(axis=1)) for least in (T, U))
     case = Case(
-        id="typed", text=query.text, target=e.target, relation=e.relation, reference=e.reference, target_object=a,
-        reference_object=b, strict=strict, acceptable=acceptable, ambiguous=len(acceptable) > 1, margin=float("nan"),
-    )  # fmt: skip
+        id="typed",
+        text=query.text,
+        target=e.target,
+        relation=e.relation,
+        reference=e.reference,
+        target_object=a,
+        reference_object=b,
+        strict=strict,
+        acceptable=acceptable,
+        ambiguous=len(acceptable) > 1,
+        margin=float("nan"),
+    )
     return replace(truth, alike=alike, cases=(case,)), case
 
 

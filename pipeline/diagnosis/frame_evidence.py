@@ -280,9 +280,14 @@ class TrueObjects:
     def _lift(self, k: int) -> SceneObject:
         context, mask = self._context, self._mask(k)
         (lifted,) = lift(
-            context.frame.depth, context.frame.camera, [mask], context.viewer, config=context.config,
-            edges=context.edges, boxes=context.boxes,
-        )  # fmt: skip
+            context.frame.depth,
+            context.frame.camera,
+            [mask],
+            context.viewer,
+            config=context.config,
+            edges=context.edges,
+            boxes=context.boxes,
+        )
         return self._entry(k, mask, lifted) if np.isfinite(lifted.lo).all() else self._describe(k)
 
     def _entry(self, k: int, mask: np.ndarray, lifted: LiftedObject) -> SceneObject:

@@ -48,9 +48,13 @@ ORACLES = ("RECALL", "LIFT", "SRM", "CONF")
 ALL_ORACLES = (*ORACLES, "ATTRIBUTE")
 """Of an expression that speaks of attributes."""
 NAMED_BY = {
-    "PARSE": ("PARSE",), "RECALL": ("OPM-TARGET", "OPM-REF"), "LIFT": ("LIFT",), "ATTRIBUTE": ("ATTRIBUTE",),
-    "SRM": ("SRM",), "CONF": ("OPM-CONF", "PRM"),
-}  # fmt: skip
+    "PARSE": ("PARSE",),
+    "RECALL": ("OPM-TARGET", "OPM-REF"),
+    "LIFT": ("LIFT",),
+    "ATTRIBUTE": ("ATTRIBUTE",),
+    "SRM": ("SRM",),
+    "CONF": ("OPM-CONF", "PRM"),
+}
 """The verdicts that each oracle takes away, by which people are told of it; of PARSE the gold triple does."""
 RECALL, LIFT, SRM, CONF, ATTRIBUTE = (1 << k for k in range(5))
 SUBSETS = 16

@@ -70,9 +70,19 @@ def sentence_case(
         classes[root.label] = classes[root.label] | np.isin(np.arange(len(truth.labels)), right)
     nothing = np.zeros(0, np.int64)
     case = Case(
-        "typed", trace.query.text, root.label, "" if top is None else top.relation, reference, 0, 0, nothing, nothing,
-        False, float("nan"), Meant(root, classes, {}),
-    )  # fmt: skip
+        "typed",
+        trace.query.text,
+        root.label,
+        "" if top is None else top.relation,
+        reference,
+        0,
+        0,
+        nothing,
+        nothing,
+        False,
+        float("nan"),
+        Meant(root, classes, {}),
+    )
     unknown = sorted(case.relations - truth.states.keys() - _BY_GEOMETRY)
     if unknown:
         return f"the truth of {unknown[0]!r} is not known"
@@ -86,9 +96,12 @@ def sentence_case(
     else:
         attributes, strict, acceptable = _inferred(world, nodes, right), right, right
     case = replace(
-        case, strict=strict, acceptable=acceptable, ambiguous=len(acceptable) > 1,
+        case,
+        strict=strict,
+        acceptable=acceptable,
+        ambiguous=len(acceptable) > 1,
         meant=Meant(root, classes, attributes),
-    )  # fmt: skip
+    )
     pairs = np.stack([strict, strict], axis=1) if top is None else np.argwhere(truth.acceptable_pairs(case))
     pairs = pairs[np.isin(pairs[:, 0], strict)]
     if not len(pairs):

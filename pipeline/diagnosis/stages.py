@@ -73,9 +73,13 @@ def stages_of(
     pair, name = pair or best_pair(trace), name or trace.name
     failed, right = failed_stages(trace, judged), isinstance(judged, Diagnosis) and judged.correct
     made = (
-        _parse(trace), _opm(trace), _lift(trace, pair, name, odd_depth), _srm(trace, pair), _attribute(trace, pair),
+        _parse(trace),
+        _opm(trace),
+        _lift(trace, pair, name, odd_depth),
+        _srm(trace, pair),
+        _attribute(trace, pair),
         _prm(trace),
-    )  # fmt: skip
+    )
     return tuple(
         replace(s, mark="bad" if s.name in failed else "good" if right and s.name != "LABEL" else s.mark)
         for s in (*filter(None, made), _label(judged, len(trace.frame.annotations)))
@@ -116,9 +120,11 @@ def _opm(trace: Trace) -> Stage:
 
 
 def _lift(trace: Trace, pair: ScoredPair | None, name: Callable[[int], str], odd_depth: bool) -> Stage:
-    ends = () if pair is None else (
-        pair.reference, *(end for link in pair.links for end in (link.a, link.b, link.c)), pair.target
-    )  # fmt: skip
+    ends = (
+        ()
+        if pair is None
+        else (pair.reference, *(end for link in pair.links for end in (link.a, link.b, link.c)), pair.target)
+    )
     objects = [i for i in dict.fromkeys(ends) if i is not None]
     doubts = [f"{name(i)}: {concern}" for i in objects for concern in trace.objects[i].lifted.quality.concerns]
     doubts += ["the up vector is assumed"] if trace.viewer.up_source == "assumed" else []

@@ -21,14 +21,27 @@ from pipeline.system.errors import InputError
 
 Miss = Literal["RANK", "THRESHOLD", "LOCALISATION", "ABSENT"]
 ORACLE_WORDS = {
-    "RECALL": "the missing objects", "LIFT": "true geometry", "SRM": "true relations", "CONF": "true confidences",
+    "RECALL": "the missing objects",
+    "LIFT": "true geometry",
+    "SRM": "true relations",
+    "CONF": "true confidences",
     "ATTRIBUTE": "true attributes",
-}  # fmt: skip
+}
 
 VERDICTS: tuple[str, ...] = (
-    "CORRECT", "PARSE", "LABEL", "OPM-TARGET", "OPM-REF", "LIFT", "ATTRIBUTE", "SRM", "OPM-CONF", "PRM",
-    "COMPOUND", "UNEXPLAINED",
-)  # fmt: skip
+    "CORRECT",
+    "PARSE",
+    "LABEL",
+    "OPM-TARGET",
+    "OPM-REF",
+    "LIFT",
+    "ATTRIBUTE",
+    "SRM",
+    "OPM-CONF",
+    "PRM",
+    "COMPOUND",
+    "UNEXPLAINED",
+)
 """In the order in which they are decided; ATTRIBUTE only of expressions with attributes, UNEXPLAINED only of imported
 predictions."""
 
@@ -63,9 +76,16 @@ def shown_verdicts(occurring: Collection[str]) -> tuple[str, ...]:
 
 
 MODULE_OF = {
-    "PARSE": "PARSE", "LABEL": "LABEL", "OPM-TARGET": "OPM", "OPM-REF": "OPM", "LIFT": "LIFT",
-    "ATTRIBUTE": "ATTRIBUTE", "SRM": "SRM", "OPM-CONF": "OPM", "PRM": "PRM",
-}  # fmt: skip
+    "PARSE": "PARSE",
+    "LABEL": "LABEL",
+    "OPM-TARGET": "OPM",
+    "OPM-REF": "OPM",
+    "LIFT": "LIFT",
+    "ATTRIBUTE": "ATTRIBUTE",
+    "SRM": "SRM",
+    "OPM-CONF": "OPM",
+    "PRM": "PRM",
+}
 """The module that a verdict blames; COMPOUND blames those of its repair."""
 
 

@@ -18,10 +18,29 @@ from pipeline.system.arrow import pa
 from pipeline.system.errors import require
 
 SHOWN = (
-    "id", "frame", "text", "target", "relation", "reference", "verdict", "detail", "lucky", "said", "repair", "margin",
-    "p_target", "p_reference", "p_relation", "object_distance", "box", "reference_box", "set_correct", MARKS, CHANGE,
+    "id",
+    "frame",
+    "text",
+    "target",
+    "relation",
+    "reference",
+    "verdict",
+    "detail",
+    "lucky",
+    "said",
+    "repair",
+    "margin",
+    "p_target",
+    "p_reference",
+    "p_relation",
+    "object_distance",
+    "box",
+    "reference_box",
+    "set_correct",
+    MARKS,
+    CHANGE,
     *(f"{SECOND}{name}" for name in SECOND_COLUMNS),
-)  # fmt: skip
+)
 """Columns of a row that is shown."""
 
 

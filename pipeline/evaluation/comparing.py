@@ -22,9 +22,12 @@ from pipeline.system.safe_files import parse_json, read_text
 
 MEASURES = ("correct", "strict_correct", "set_correct", "reference_correct", "pair_correct")
 CHANGES = {
-    "fixed": "fixed", "broken": "broken", "other_reason": "right for another reason", "verdict": "changed verdict",
+    "fixed": "fixed",
+    "broken": "broken",
+    "other_reason": "right for another reason",
+    "verdict": "changed verdict",
     "same": "the same",
-}  # fmt: skip
+}
 """What became of an expression, in the words of the glossary: it is right only after, right only before, right both
 times by another target, another reference or a pair that is acceptable only once, none of these but with another
 verdict, or none of all this."""

@@ -37,8 +37,13 @@ class Confusion:
 
     def record(self) -> dict[str, Any]:
         """Convert to JSON."""
-        return {"title": self.title, "rows": list(self.rows), "columns": list(self.columns),
-                "counts": self.counts.tolist(), "note": self.note}  # fmt: skip
+        return {
+            "title": self.title,
+            "rows": list(self.rows),
+            "columns": list(self.columns),
+            "counts": self.counts.tolist(),
+            "note": self.note,
+        }
 
     def table(self) -> Table:
         """Format as a table of counts."""

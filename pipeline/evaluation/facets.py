@@ -22,23 +22,48 @@ from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import QUERY_KINDS
 from pipeline.system.arrow import pa
 
-_VERDICT, _CHANGE, _SECOND, _MARKS = (Dimension(name, title, name) for name, title in (
-    ("verdict", "verdict"), (CHANGE, "in the second run"), (f"{SECOND}verdict", "verdict of the second run"),
-    (MARKS, "marks"),
-))  # fmt: skip
+_VERDICT, _CHANGE, _SECOND, _MARKS = (
+    Dimension(name, title, name)
+    for name, title in (
+        ("verdict", "verdict"),
+        (CHANGE, "in the second run"),
+        (f"{SECOND}verdict", "verdict of the second run"),
+        (MARKS, "marks"),
+    )
+)
 FACETS = (
-    _CHANGE, _VERDICT, _SECOND, DIMENSIONS["relation"], DIMENSIONS["kind"], DIMENSIONS["class"],
-    DIMENSIONS["reference"], _MARKS,
+    _CHANGE,
+    _VERDICT,
+    _SECOND,
+    DIMENSIONS["relation"],
+    DIMENSIONS["kind"],
+    DIMENSIONS["class"],
+    DIMENSIONS["reference"],
+    _MARKS,
     Dimension("detail", "detail of the verdict", "detail"),
-    Dimension("mends", "one oracle that alone mends it", "mends"), Dimension("lucky", "correct by luck", "lucky"),
+    Dimension("mends", "one oracle that alone mends it", "mends"),
+    Dimension("lucky", "correct by luck", "lucky"),
     Dimension("parse_ok", "read as it was meant", "parse_ok"),
-    Dimension("ambiguous", "several right answers", "ambiguous"), DIMENSIONS["distance"], DIMENSIONS["size"],
-    DIMENSIONS["occlusion"], DIMENSIONS["same_class"], DIMENSIONS["scene"], DIMENSIONS["frame"],
-)  # fmt: skip
+    Dimension("ambiguous", "several right answers", "ambiguous"),
+    DIMENSIONS["distance"],
+    DIMENSIONS["size"],
+    DIMENSIONS["occlusion"],
+    DIMENSIONS["same_class"],
+    DIMENSIONS["scene"],
+    DIMENSIONS["frame"],
+)
 """What a run is looked at by, in this order; what it has no column for is left out."""
-_ORDERS = {"verdict": VERDICTS, f"{SECOND}verdict": VERDICTS, CHANGE: tuple(CHANGES), "relation": PAIRWISE,
-           "kind": (*QUERY_KINDS, UNREAD), "mends": ALL_ORACLES,
-           "lucky": YES_NO, "parse_ok": YES_NO, "ambiguous": YES_NO}  # fmt: skip
+_ORDERS = {
+    "verdict": VERDICTS,
+    f"{SECOND}verdict": VERDICTS,
+    CHANGE: tuple(CHANGES),
+    "relation": PAIRWISE,
+    "kind": (*QUERY_KINDS, UNREAD),
+    "mends": ALL_ORACLES,
+    "lucky": YES_NO,
+    "parse_ok": YES_NO,
+    "ambiguous": YES_NO,
+}
 
 
 @dataclass(frozen=True)
@@ -107,9 +132,8 @@ def _coded(records: pa.Table, cut: Dimension) -> Coded:
 
 def _facet(found: Coded, counts: np.ndarray, own: Sequence[Term]) -> Facet:
     values = [
-        FacetValue(name, term, int(n), _state(term, own))
-        for (name, term), n in zip(found.parts, counts, strict=True)
-    ]  # fmt: skip
+        FacetValue(name, term, int(n), _state(term, own)) for (name, term), n in zip(found.parts, counts, strict=True)
+    ]
     cut = found.cut
     if not cut.edges and cut.name not in _ORDERS and cut.order == "count":
         values.sort(key=lambda v: (-v.count, v.name))

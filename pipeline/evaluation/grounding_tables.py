@@ -25,8 +25,15 @@ ACCURACIES = {"Acc@0.5 single truth": "iou", "strict set": "strict_iou", "set-va
 COLUMNS = (*ACCURACIES, "only with the relation", "only by OPM alone", "McNemar p", "n")
 
 MEASURES = (
-    "Acc@0.5 single truth", "strict set", "set-valued", "mean IoU", "mean IoU over set", "reference", "pair", "n",
-)  # fmt: skip
+    "Acc@0.5 single truth",
+    "strict set",
+    "set-valued",
+    "mean IoU",
+    "mean IoU over set",
+    "reference",
+    "pair",
+    "n",
+)
 
 OPM_ONLY = ": OPM only"
 """Ends the name of a row of the detector's best target alone."""
@@ -192,9 +199,12 @@ def gain_table(
 
 
 BY_CALIBRATION = {
-    "Acc@0.5 single truth": "correct", "strict set": "strict_correct", "set-valued": "set_correct",
-    "reference": "reference_correct", "pair": "pair_correct",
-}  # fmt: skip
+    "Acc@0.5 single truth": "correct",
+    "strict set": "strict_correct",
+    "set-valued": "set_correct",
+    "reference": "reference_correct",
+    "pair": "pair_correct",
+}
 
 
 def calibration_table(systems: Mapping[str, pa.Table], config: BootstrapConfig | None = None) -> Table | None:

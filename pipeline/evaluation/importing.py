@@ -93,9 +93,14 @@ def import_run(
     check_places([(source, frame) for frame in sorted({frame for frame, _ in asked})])
     spec = replace(spec, confidence=file.header.confidence)
     report = evaluate_dataset(
-        spec, Path(out), name=name or file.header.system, workers=workers, plots=plots, overwrite=overwrite,
+        spec,
+        Path(out),
+        name=name or file.header.system,
+        workers=workers,
+        plots=plots,
+        overwrite=overwrite,
         progress=progress,
-    )  # fmt: skip
+    )
     unasked, total = len(file.lines) - len(asked), read.manifest.counts["expressions"]
     warnings = report.warnings
     if file.unread:
@@ -292,10 +297,14 @@ def _lines(truth: FrameCases, answers: FrameAnswers) -> Iterator[Prediction]:
         rows = () if p is None else tuple((ids[a], ids[b], float(p[a, b])) for a in here for b in there if a != b)
         used = dict.fromkeys([*here, *there])
         yield Prediction(
-            frame.id, case.text, answer, proposals=proposals, relations={case.relation: rows},
+            frame.id,
+            case.text,
+            answer,
+            proposals=proposals,
+            relations={case.relation: rows},
             unknown={n: answers.unknown[n] for n in (case.target, case.reference) if n in answers.unknown} or None,
             boxes_3d={ids[k]: _given_box(answers.objects[k].box) for k in used},
-        )  # fmt: skip
+        )
 
 
 def _given_box(box: Box3D | None) -> PredictedBox | None:

@@ -205,13 +205,19 @@ def evaluate_dataset(
                 "environment": environment(),
                 "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
             },
-        )  # fmt: skip
+        )
         if not spec.grounding:
             (folder / "records.parquet").unlink()
     return RunReport(
-        out, tuple(shown), records.num_rows, perf_counter() - start, comparison,
-        0 if relations is None else relations.pairs, warnings, own,
-    )  # fmt: skip
+        out,
+        tuple(shown),
+        records.num_rows,
+        perf_counter() - start,
+        comparison,
+        0 if relations is None else relations.pairs,
+        warnings,
+        own,
+    )
 
 
 def evaluate(
@@ -249,9 +255,15 @@ def evaluate(
     where = labels.root if isinstance(labels, Labels) else labels
     spec = EvalSpec(str(dataset), str(where), options, limit=limit, relations=alone)
     report = evaluate_dataset(
-        spec, Path(out), name=name, workers=workers, against=None if against is None else Path(against), plots=plots,
-        overwrite=overwrite, progress=progress,
-    )  # fmt: skip
+        spec,
+        Path(out),
+        name=name,
+        workers=workers,
+        against=None if against is None else Path(against),
+        plots=plots,
+        overwrite=overwrite,
+        progress=progress,
+    )
     return open_run(report.folder)
 
 
@@ -334,9 +346,13 @@ class RunDiagnosis:
         if plots:
             shares = {name: self.shares.get(name, ()) for name in self.summaries}
             draw_diagnosis(
-                self.summaries, self.slices, self.confusions, folder / "plots", caveats_html(self.tables),
+                self.summaries,
+                self.slices,
+                self.confusions,
+                folder / "plots",
+                caveats_html(self.tables),
                 titles_of(shares),
-            )  # fmt: skip
+            )
 
 
 def diagnose_run(

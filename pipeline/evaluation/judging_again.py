@@ -49,15 +49,19 @@ def judge_again(
     if (path / RUN_FILE).is_file():
         return {"kind": "run", "out": str(out), "expressions": _run(path, out, workers, plots, progress, system)}
     require(
-        (path / PLAN_FILE).is_file(), "nothing here says how it was made",
-        expected=f"a run ({RUN_FILE}), labels ({PLAN_FILE}) or a case ({CASE_FILE})", path=path,
-    )  # fmt: skip
+        (path / PLAN_FILE).is_file(),
+        "nothing here says how it was made",
+        expected=f"a run ({RUN_FILE}), labels ({PLAN_FILE}) or a case ({CASE_FILE})",
+        path=path,
+    )
     plan, manifest = load_plan(LabelStore(path)), open_labels(path).manifest
     count, ids = len(plan.frames), plan.spec.open(plan.config).dataset.frame_ids
     require(
-        plan.frames == ids[:count], "these labels are of some of the dataset's splits only",
-        expected="spatialviz label with the same --frames-of", path=path,
-    )  # fmt: skip
+        plan.frames == ids[:count],
+        "these labels are of some of the dataset's splits only",
+        expected="spatialviz label with the same --frames-of",
+        path=path,
+    )
     report = label_dataset(
         plan.spec, out, plan.config, SelectConfig(**manifest.selection), workers=workers, limit=count, progress=progress
     )
@@ -74,20 +78,32 @@ def _run(
 ) -> int:
     run = open_run(path)
     require(
-        run.system == OWN or system is not None, "a run of this system is not judged again from here",
-        got=run.system, expected="spatialviz judge-again", path=path,
-    )  # fmt: skip
+        run.system == OWN or system is not None,
+        "a run of this system is not judged again from here",
+        got=run.system,
+        expected="spatialviz judge-again",
+        path=path,
+    )
     options = dict(run.spec.options)
     if (predictions := options.pop("predictions", None)) is not None:
         require(
-            not options.pop("rescored", False), "the run was ranked again by a function, which no folder holds",
-            expected="import_run(..., rescore=...)", path=path,
-        )  # fmt: skip
+            not options.pop("rescored", False),
+            "the run was ranked again by a function, which no folder holds",
+            expected="import_run(..., rescore=...)",
+            path=path,
+        )
         options.pop("rescore", None)
         report = import_run(
-            predictions, run.spec.dataset, run.spec.labels, out, name=run.name, workers=workers, plots=plots,
-            progress=progress, **options,
-        )  # fmt: skip
+            predictions,
+            run.spec.dataset,
+            run.spec.labels,
+            out,
+            name=run.name,
+            workers=workers,
+            plots=plots,
+            progress=progress,
+            **options,
+        )
     else:
         spec = run.spec if system is None else replace(run.spec, system=system(run.manifest))
         report = evaluate_dataset(spec, out, name=run.name, workers=workers, plots=plots, progress=progress)

@@ -39,9 +39,17 @@ OF_FRAME = Makers(MaskMakers((Model(ANNOTATIONS),)), __version__, PROFILE, profi
 """What makes the truth of a frame without labels."""
 _RANK = ("", SIMULATED, CHECKED, HAD_A_PART, PERFECT, REPEATED)
 Kind = Literal[
-    "same detector", "shared detector", "annotations", "simulated", "same segmenter", "unknown maker", "same rule",
-    "rule elsewhere", "second opinion", "same geometry",
-]  # fmt: skip
+    "same detector",
+    "shared detector",
+    "annotations",
+    "simulated",
+    "same segmenter",
+    "unknown maker",
+    "same rule",
+    "rule elsewhere",
+    "second opinion",
+    "same geometry",
+]
 
 
 @dataclass(frozen=True)
@@ -116,11 +124,13 @@ def leakage(makers: Makers, measured: Measured) -> tuple[Share, ...]:
     if measured.masks is not None and not measured.imported and not any(share.title for share in found):
         found.append(
             Share(
-                "boxes", "same geometry", "",
+                "boxes",
+                "same geometry",
+                "",
                 "the labels' boxes are lifted from depth as the answers' are: LIFT costs what other masks change, and "
                 "what lifting itself does wrong costs nothing",
             )
-        )  # fmt: skip
+        )
     return tuple(sorted(found, key=lambda share: not share.title))
 
 
@@ -154,9 +164,11 @@ def _masks(makers: Makers, measured: MaskMakers | None) -> list[Share]:
         return []
     truth = makers.masks
     if truth is None or (RECORDED in {m.name for m in (*truth.detectors, *measured.detectors)} and truth != measured):
-        who = "the labels do not say what made their masks" if truth is None else (
-            "a recording does not say which detector made it"
-        )  # fmt: skip
+        who = (
+            "the labels do not say what made their masks"
+            if truth is None
+            else ("a recording does not say which detector made it")
+        )
         text = f"{who}: where it is the one that is measured, accuracy only says that the pipeline repeats itself"
         return [Share("masks", "unknown maker", "", text)]
     common = [m for m in measured.detectors if m in truth.detectors]
@@ -164,11 +176,13 @@ def _masks(makers: Makers, measured: MaskMakers | None) -> list[Share]:
     if makers.annotated and measured.detectors == truth.detectors:
         return [
             Share(
-                "masks", "annotations", PERFECT,
+                "masks",
+                "annotations",
+                PERFECT,
                 "the dataset's annotations are the truth and the detector: OPM and LIFT cannot fail; the figures show "
                 "what relations and ranking make of perfect proposals, and nothing of a detector",
             )
-        ]  # fmt: skip
+        ]
     if common:
         names = " & ".join(map(str, common))
         alone = len(common) == len(measured.detectors) == len(truth.detectors)
@@ -180,20 +194,24 @@ def _masks(makers: Makers, measured: MaskMakers | None) -> list[Share]:
             return [Share("masks", "same detector", CHECKED, text)]
         return [
             Share(
-                "masks", "same detector" if alone else "shared detector", REPEATED if alone else HAD_A_PART,
+                "masks",
+                "same detector" if alone else "shared detector",
+                REPEATED if alone else HAD_A_PART,
                 f"{names} made the truth and is measured by it: accuracy says only that the pipeline repeats itself; "
                 f"what it misses or misnames is true here, and so OPM and LIFT cost nothing{_but(makers, 'objects')}",
             )
-        ]  # fmt: skip
+        ]
     if derived and any(m.name in OF_ANNOTATIONS for m in truth.detectors):
         return [
             Share(
-                "masks", "simulated", SIMULATED,
+                "masks",
+                "simulated",
+                SIMULATED,
                 f"{derived[0].name} and the truth are made of the same annotations: misses, wrong names and scores are "
                 "put in by options; the figures compare modules and systems under these errors, and say nothing of how "
                 "accurate a detector is here",
             )
-        ]  # fmt: skip
+        ]
     theirs = (*truth.detectors, *truth.segmenters)
     alike = [m for m in (*measured.detectors, *measured.segmenters) if m in theirs]
     if alike:
@@ -209,11 +227,13 @@ def _relations(makers: Makers, measured: Measured) -> list[Share]:
     if _had_vote(makers, measured):
         found.append(
             Share(
-                "relations", "second opinion", "",
+                "relations",
+                "second opinion",
+                "",
                 f"the network {measured.scorer} had a vote in the labels: where it and the rule differ they are "
                 "undecided and make no expression, so that SRM seems better than it is",
             )
-        )  # fmt: skip
+        )
     if makers.rule == PROFILE and (measured.scorer == RULE or measured.rule_too):
         too = "" if measured.scorer == RULE else f", which scores {', '.join(measured.rule_too)},"
         text = f"the rule{too} made the labels: where it is wrong costs nothing; SRM costs what other masks change"

@@ -35,8 +35,10 @@ BoxScale = float | Literal["auto", "pixels"]
 Corners = tuple[float, float, float, float]
 
 _NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:e[-+]?\d+)?"
-_VALUE = rf"(?:(?<![\w.])(?:{_NUMBER}|[-+]?(?:nan|inf(?:inity)?))(?![a-z\d]|\.\d)(?:\s*(?:%|px\b|pixels?\b))?|" \
-         rf"(?<![\w.]){_NUMBER}(?:px|pixels?)\b)"  # fmt: skip
+_VALUE = (
+    rf"(?:(?<![\w.])(?:{_NUMBER}|[-+]?(?:nan|inf(?:inity)?))(?![a-z\d]|\.\d)(?:\s*(?:%|px\b|pixels?\b))?|"
+    rf"(?<![\w.]){_NUMBER}(?:px|pixels?)\b)"
+)
 _READ = re.compile(rf"({_NUMBER}|[-+]?(?:nan|inf(?:inity)?))\s*(%|px|pixels?)?")
 _COMMA = r"\s*[,;|/]\s*|\s+"
 _GROUP = re.compile(rf"[\[({{<]\s*((?:{_VALUE})(?:(?:{_COMMA})(?:{_VALUE}))*)\s*[,;]?\s*[\])}}>]")

@@ -250,11 +250,16 @@ SHOWN = ("relation", "class", "distance", "size", "occlusion", "same_class", "la
 MOST_SHOWN = 12
 VERDICT_COLORS = {verdict: hex_color(color) for verdict, color in VERDICT_RGB.items()}
 LOSS_COLORS = {
-    "accuracy": VERDICT_COLORS["CORRECT"], "PARSE": VERDICT_COLORS["PARSE"], "RECALL": VERDICT_COLORS["OPM-TARGET"],
-    "LIFT": VERDICT_COLORS["LIFT"], "SRM": VERDICT_COLORS["SRM"], "CONF": VERDICT_COLORS["OPM-CONF"],
-    "ATTRIBUTE": VERDICT_COLORS["ATTRIBUTE"], "residual": VERDICT_COLORS["COMPOUND"],
+    "accuracy": VERDICT_COLORS["CORRECT"],
+    "PARSE": VERDICT_COLORS["PARSE"],
+    "RECALL": VERDICT_COLORS["OPM-TARGET"],
+    "LIFT": VERDICT_COLORS["LIFT"],
+    "SRM": VERDICT_COLORS["SRM"],
+    "CONF": VERDICT_COLORS["OPM-CONF"],
+    "ATTRIBUTE": VERDICT_COLORS["ATTRIBUTE"],
+    "residual": VERDICT_COLORS["COMPOUND"],
     "unknown": VERDICT_COLORS["UNEXPLAINED"],
-}  # fmt: skip
+}
 ADDS_UP = (
     "Full bars add up from the accuracy to 100: what the gold parse gains (PARSE), the Shapley value of each oracle, "
     "its fair share over all orders of replacing, and the residual. Hollow bars are one oracle alone: they do not add "
@@ -373,8 +378,12 @@ def _slices(page: Page, file: str, system: str, chosen: Sequence[Slices]) -> Non
                 for verdict in (v for v in VERDICTS if v in row.verdicts):
                     share = 100 * row.verdicts[verdict].value
                     search = "–" if row.query is None else f"{row.query} verdict:{verdict}".strip()
-                    told = tip(f"{row.name}: {share:.1f} % {verdict}", f"{row.counts[verdict]} of {row.n} expressions",
-                               f"set-valued accuracy {row.set_correct.formatted()}", f"search {search}")  # fmt: skip
+                    told = tip(
+                        f"{row.name}: {share:.1f} % {verdict}",
+                        f"{row.counts[verdict]} of {row.n} expressions",
+                        f"set-valued accuracy {row.set_correct.formatted()}",
+                        f"search {search}",
+                    )
                     if share:
                         seen[verdict] = axes.barh(k, share, 0.78, left, color=VERDICT_COLORS[verdict], gid=told)
                     left += share

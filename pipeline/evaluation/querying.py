@@ -88,15 +88,18 @@ class RunDatabase:
             most = current_limits().query_seconds
             if over:
                 raise InputError(
-                    "the query takes too long", got=f"more than {allowed:g} s", expected="a narrower one",
+                    "the query takes too long",
+                    got=f"more than {allowed:g} s",
+                    expected="a narrower one",
                     cause=f"or {LIMITS_OPTION} query_seconds={shown_above(2 * most)}" if allowed == most else None,
-                ) from error  # fmt: skip
+                ) from error
             most = current_limits().query
             raise InputError(
-                "the query needs too much memory", got="a process that ended without an answer",
+                "the query needs too much memory",
+                got="a process that ended without an answer",
                 expected=f"at most {shown(most)} bytes",
                 cause=f"a narrower one, or {LIMITS_OPTION} query={shown_above(2 * most)}",
-            ) from error  # fmt: skip
+            ) from error
         except BaseException:
             self.close()
             raise
@@ -110,9 +113,12 @@ class RunDatabase:
         if self._process is None:
             # In a session of its own, Ctrl-C in the terminal is for the process that waits.
             self._process = subprocess.Popen(
-                [sys.executable, "-c", COMMAND.format(path=sys.path)], start_new_session=True,
-                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-            )  # fmt: skip
+                [sys.executable, "-c", COMMAND.format(path=sys.path)],
+                start_new_session=True,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+            )
             assert self._process.stdin is not None
             pickle.dump(self._opening, self._process.stdin)
         return self._process

@@ -23,13 +23,29 @@ from pipeline.system.errors import InputError, require
 from pipeline.system.safe_files import read_parquet
 
 DIAGNOSIS_COLUMNS: dict[str, str] = {
-    "verdict": "string", "detail": "string", "lucky": "bool", "said": "string", "repair": "strings",
-    "mends": "strings", "right_with": "int32",
-    "margin": "float32", "margin_lift": "float32", "margin_srm": "float32", "margin_conf": "float32",
-    "false_target": "bool", "false_reference": "bool", "untold": "strings",
-    "missed_name": "string", "missed_overlap": "float32", "missed_score": "float32", "missed_rank": "int32",
-    "object_size": "float32", "object_distance": "float32", "object_occluded": "float32", "object_pixels": "int32",
-}  # fmt: skip
+    "verdict": "string",
+    "detail": "string",
+    "lucky": "bool",
+    "said": "string",
+    "repair": "strings",
+    "mends": "strings",
+    "right_with": "int32",
+    "margin": "float32",
+    "margin_lift": "float32",
+    "margin_srm": "float32",
+    "margin_conf": "float32",
+    "false_target": "bool",
+    "false_reference": "bool",
+    "untold": "strings",
+    "missed_name": "string",
+    "missed_overlap": "float32",
+    "missed_score": "float32",
+    "missed_rank": "int32",
+    "object_size": "float32",
+    "object_distance": "float32",
+    "object_occluded": "float32",
+    "object_pixels": "int32",
+}
 """`verdict` and the rest of `pipeline.diagnosis.verdict.Diagnosis`; `said` is it in words; `mends` names each oracle
 that alone would do. `right_with` has bit s set where the target is right with subset s of the oracles (RECALL 1, LIFT
 2, SRM 4, CONF 8). `margin…` is S of the best acceptable pair less S of the best other one, as it is and with one
@@ -39,36 +55,81 @@ file gives no 3D boxes"; what `right_with` says of it is no part of what a modul
 
 
 RAW = (
-    "box", "reference_box", "iou", "strict_iou", "set_iou", "correct", "strict_correct", "set_correct",
-    "reference_correct", "pair_correct", "matched_target", "matched_reference",
-)  # fmt: skip
+    "box",
+    "reference_box",
+    "iou",
+    "strict_iou",
+    "set_iou",
+    "correct",
+    "strict_correct",
+    "set_correct",
+    "reference_correct",
+    "pair_correct",
+    "matched_target",
+    "matched_reference",
+)
 """Columns that stand a second time, as raw_…, where scores are calibrated: the answer by the detector's own."""
 DETECTIONS = {"scores": "numbers", "calibrated": "numbers", "hits": "flags"}
 """Of all detections of the target's and of the reference's name, where scores are calibrated."""
 
 COLUMNS: dict[str, str] = {
-    "id": "string", "frame": "string", "frame_index": "int32", "scene": "string", "text": "string",
+    "id": "string",
+    "frame": "string",
+    "frame_index": "int32",
+    "scene": "string",
+    "text": "string",
     "kind": "string",
-    "target": "string", "relation": "string", "reference": "string",
-    "target_object": "int32", "reference_object": "int32",
-    "answers_strict": "int32", "answers": "int32", "same_class": "int32", "ambiguous": "bool",
+    "target": "string",
+    "relation": "string",
+    "reference": "string",
+    "target_object": "int32",
+    "reference_object": "int32",
+    "answers_strict": "int32",
+    "answers": "int32",
+    "same_class": "int32",
+    "ambiguous": "bool",
     "label_margin": "float32",
-    "parse_ok": "bool", "problem": "string", "degenerate": "bool",
-    "opm_box": "box", "opm_score": "float32", "opm_iou": "float32", "opm_strict_iou": "float32",
+    "parse_ok": "bool",
+    "problem": "string",
+    "degenerate": "bool",
+    "opm_box": "box",
+    "opm_score": "float32",
+    "opm_iou": "float32",
+    "opm_strict_iou": "float32",
     "opm_set_iou": "float32",
-    "targets_found": "int32", "references_found": "int32",
-    "target_rank": "int32", "reference_rank": "int32", "pair_covered": "bool",
-    "box": "box", "reference_box": "box", "iou": "float32", "strict_iou": "float32", "set_iou": "float32",
-    "correct": "bool", "strict_correct": "bool", "set_correct": "bool",
-    "reference_correct": "bool", "pair_correct": "bool",
-    "matched_target": "int32", "matched_reference": "int32", "label_state": "int8",
-    "p_target": "float32", "p_reference": "float32", "p_relation": "float32", "log_score": "float32",
+    "targets_found": "int32",
+    "references_found": "int32",
+    "target_rank": "int32",
+    "reference_rank": "int32",
+    "pair_covered": "bool",
+    "box": "box",
+    "reference_box": "box",
+    "iou": "float32",
+    "strict_iou": "float32",
+    "set_iou": "float32",
+    "correct": "bool",
+    "strict_correct": "bool",
+    "set_correct": "bool",
+    "reference_correct": "bool",
+    "pair_correct": "bool",
+    "matched_target": "int32",
+    "matched_reference": "int32",
+    "label_state": "int8",
+    "p_target": "float32",
+    "p_reference": "float32",
+    "p_relation": "float32",
+    "log_score": "float32",
     "log_margin": "float32",
-    "right_p_target": "float32", "right_p_reference": "float32", "right_p_relation": "float32",
-    "right_log_score": "float32", "worked_out": "strings",
-    "target_points": "int32", "target_depth_missing": "float32", "target_distance": "float32",
+    "right_p_target": "float32",
+    "right_p_reference": "float32",
+    "right_p_relation": "float32",
+    "right_log_score": "float32",
+    "worked_out": "strings",
+    "target_points": "int32",
+    "target_depth_missing": "float32",
+    "target_distance": "float32",
     **DIAGNOSIS_COLUMNS,
-}  # fmt: skip
+}
 COLUMNS |= {f"raw_{name}": COLUMNS[name] for name in RAW}
 COLUMNS |= {f"{end}_{what}": kind for end in ("target", "reference") for what, kind in DETECTIONS.items()}
 """The columns of `records.parquet`. Indices of objects are those of the labels, ranks count from 1 and are null where
@@ -87,10 +148,16 @@ JUDGED = ("detail", "lucky", "said")
 def records_schema() -> pa.Schema:
     """The Arrow schema of `COLUMNS`; a box is four numbers in pixels."""
     kinds = {
-        "string": pa.string(), "int32": pa.int32(), "int8": pa.int8(), "bool": pa.bool_(), "float32": pa.float32(),
-        "box": pa.list_(pa.float32(), 4), "strings": pa.list_(pa.string()),
-        "numbers": pa.list_(pa.float64()), "flags": pa.list_(pa.bool_()),
-    }  # fmt: skip
+        "string": pa.string(),
+        "int32": pa.int32(),
+        "int8": pa.int8(),
+        "bool": pa.bool_(),
+        "float32": pa.float32(),
+        "box": pa.list_(pa.float32(), 4),
+        "strings": pa.list_(pa.string()),
+        "numbers": pa.list_(pa.float64()),
+        "flags": pa.list_(pa.bool_()),
+    }
     return pa.schema([pa.field(name, kinds[kind]) for name, kind in COLUMNS.items()])
 
 
@@ -98,14 +165,23 @@ def asked_columns(case: Case, truth: FrameCases, query: Query | None = None) -> 
     """Row of an unanswered expression: question and truth; `query` spares reading."""
     read = None if query is None or query.text != case.text else query.kind
     return dict.fromkeys(COLUMNS) | {
-        "id": case.id, "frame": truth.frame, "frame_index": truth.frame_index, "scene": truth.scene, "text": case.text,
+        "id": case.id,
+        "frame": truth.frame,
+        "frame_index": truth.frame_index,
+        "scene": truth.scene,
+        "text": case.text,
         "kind": read or sentence_kind(case.text, (case.target, case.reference)),
-        "target": case.target, "relation": case.relation, "reference": case.reference,
-        "target_object": case.target_object, "reference_object": case.reference_object,
-        "answers_strict": len(case.strict), "answers": len(case.acceptable),
-        "same_class": int(truth.alike[case.target_object].sum()), "ambiguous": case.ambiguous,
+        "target": case.target,
+        "relation": case.relation,
+        "reference": case.reference,
+        "target_object": case.target_object,
+        "reference_object": case.reference_object,
+        "answers_strict": len(case.strict),
+        "answers": len(case.acceptable),
+        "same_class": int(truth.alike[case.target_object].sum()),
+        "ambiguous": case.ambiguous,
         "label_margin": case.margin,
-    }  # fmt: skip
+    }
 
 
 def record(
@@ -188,9 +264,11 @@ def _right(row: dict[str, Any], table: PairTable, first: int, covered: np.ndarra
     if at >= 0:
         right = table.pair(at)
         row |= {
-            "right_p_target": right.p_target, "right_p_reference": right.p_reference,
-            "right_p_relation": right.p_relation, "right_log_score": right.log_score,
-        }  # fmt: skip
+            "right_p_target": right.p_target,
+            "right_p_reference": right.p_reference,
+            "right_p_relation": right.p_relation,
+            "right_log_score": right.log_score,
+        }
     lead = table.lead(first)
     row["log_margin"] = lead if np.isfinite(lead) else None
 
@@ -206,20 +284,25 @@ def _answer(
     """Fill in the answering target (an index of the frame's objects) and the correctness."""
     row["iou"], row["strict_iou"], row["set_iou"] = overlaps(target, case, overlap)
     row |= {
-        "correct": row["iou"] >= HIT, "strict_correct": row["strict_iou"] >= HIT, "set_correct": row["set_iou"] >= HIT,
-        "reference_correct": False, "pair_correct": False,
-    }  # fmt: skip
+        "correct": row["iou"] >= HIT,
+        "strict_correct": row["strict_iou"] >= HIT,
+        "set_correct": row["set_iou"] >= HIT,
+        "reference_correct": False,
+        "pair_correct": False,
+    }
     if target is None:
         return
     scores = answers.candidates[case.target]
     (same,) = matched(overlap[[target]], truth.alike[[case.target_object]])
     quality = answers.objects[target].lifted.quality
     row |= {
-        "box": answers.boxes[target].tolist(), "p_target": float(scores.scores[scores.index == target].max()),
+        "box": answers.boxes[target].tolist(),
+        "p_target": float(scores.scores[scores.index == target].max()),
         "matched_target": None if same < 0 else int(same),
-        "target_points": quality.points, "target_depth_missing": quality.depth_missing,
+        "target_points": quality.points,
+        "target_depth_missing": quality.depth_missing,
         "target_distance": None if np.isnan(quality.distance) else quality.distance,
-    }  # fmt: skip
+    }
 
 
 def _winner(
@@ -238,33 +321,44 @@ def _winner(
     a, b = matched(both, truth.alike[[case.target_object, case.reference_object]])
     row |= {
         "reference_box": answers.boxes[winner.reference].tolist(),
-        "p_target": winner.p_target, "p_reference": winner.p_reference, "p_relation": winner.p_relation,
+        "p_target": winner.p_target,
+        "p_reference": winner.p_reference,
+        "p_relation": winner.p_relation,
         "log_score": winner.log_score,
         "reference_correct": bool(hits[1][pairs.any(axis=0)].any()),
         "pair_correct": bool((hits[0][:, None] & hits[1][None, :] & pairs).any()),
         "matched_reference": None if b < 0 else int(b),
         "label_state": None if a < 0 or b < 0 else int(truth.states[case.relation][a, b]),
-    }  # fmt: skip
+    }
 
 
 def diagnosis_columns(d: Diagnosis) -> dict[str, Any]:
     """Cells of a diagnosis."""
     missed, truth, k = d.missed, d.truth, d.case.target_object
     return {
-        "verdict": d.verdict, "detail": d.detail, "lucky": d.lucky, "said": d.text, "repair": list(d.repair),
-        "mends": list(d.mends), "right_with": d.right_with,
-        "margin": _finite(d.margins[0]), "margin_lift": _finite(d.margins[LIFT]), "margin_srm": _finite(d.margins[SRM]),
+        "verdict": d.verdict,
+        "detail": d.detail,
+        "lucky": d.lucky,
+        "said": d.text,
+        "repair": list(d.repair),
+        "mends": list(d.mends),
+        "right_with": d.right_with,
+        "margin": _finite(d.margins[0]),
+        "margin_lift": _finite(d.margins[LIFT]),
+        "margin_srm": _finite(d.margins[SRM]),
         "margin_conf": _finite(d.margins[CONF]),
-        "false_target": d.false_target, "false_reference": d.false_reference,
+        "false_target": d.false_target,
+        "false_reference": d.false_reference,
         "untold": [f"{name}: {why}" for name, why in d.untold.items()] or None,
         "missed_name": d.missed_name,
         "missed_overlap": None if missed is None else missed.overlap,
         "missed_score": None if missed is None else missed.score,
         "missed_rank": None if missed is None else missed.rank,
         "object_size": _finite(truth.geometry["size"][k].max()),
-        "object_distance": _finite(truth.facts["distance"][k]), "object_occluded": _finite(truth.facts["occluded"][k]),
+        "object_distance": _finite(truth.facts["distance"][k]),
+        "object_occluded": _finite(truth.facts["occluded"][k]),
         "object_pixels": int(truth.facts["mask_pixels"][k]),
-    }  # fmt: skip
+    }
 
 
 def _finite(value: float) -> float | None:

@@ -138,13 +138,17 @@ def _rows(
 ) -> pa.Table:
     names, called = np.array(pairs.labels, object), [s.name for s in systems]
     columns = {
-        "frame": [pairs.key.frame] * len(pairs.a), "frame_index": [pairs.key.index] * len(pairs.a),
-        "scene": [pairs.key.scene] * len(pairs.a), "a": pairs.numbers[pairs.a], "b": pairs.numbers[pairs.b],
-        "label_a": names[pairs.a], "label_b": names[pairs.b],
+        "frame": [pairs.key.frame] * len(pairs.a),
+        "frame_index": [pairs.key.index] * len(pairs.a),
+        "scene": [pairs.key.scene] * len(pairs.a),
+        "a": pairs.numbers[pairs.a],
+        "b": pairs.numbers[pairs.b],
+        "label_a": names[pairs.a],
+        "label_b": names[pairs.b],
         "state": _struct(pairs.relations, pairs.states.T),
         "p": _struct(called, [_struct(s.relations, p.T) for s, p in zip(systems, found, strict=True)]),
         "learnt_from": _struct(called, [[_part_of(s, pairs, labels)] * len(pairs.a) for s in systems]),
-    }  # fmt: skip
+    }
     return pa.Table.from_arrays([pa.array(c, schema.field(n).type) for n, c in columns.items()], schema=schema)
 
 
@@ -187,12 +191,15 @@ def read_relation_records(path: Path) -> RelationRecords:
     places = pa.array(PARTS)
     systems = tuple(
         SystemRecords(
-            s["name"], s["title"], tuple(s["relations"]), _matrix(p.field(s["name"]), s["relations"], np.float32),
+            s["name"],
+            s["title"],
+            tuple(s["relations"]),
+            _matrix(p.field(s["name"]), s["relations"], np.float32),
             pc.index_in(learnt.field(s["name"]), places).fill_null(DROPPED).to_numpy().astype(np.int8),  # pyright: ignore[reportAttributeAccessIssue]
             tuple(s["prior"]),
         )
         for s in about
-    )  # fmt: skip
+    )
     scene = coded.indices.to_numpy().astype(np.int32)
     names = tuple(coded.dictionary.to_pylist())
     return RelationRecords(relations, _matrix(states, relations, np.int8), frames.to_numpy(), names, scene, systems)

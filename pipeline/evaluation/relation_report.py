@@ -46,9 +46,18 @@ from pipeline.training.label_data import same_dataset
 
 SHOWN_SCENES = 5
 MEASURES = (
-    "micro-F1", "macro-F1", "element accuracy", "mean AP", "Brier", "ECE", "Top-1", "Top-2", "relations", "pairs",
+    "micro-F1",
+    "macro-F1",
+    "element accuracy",
+    "mean AP",
+    "Brier",
+    "ECE",
+    "Top-1",
+    "Top-2",
+    "relations",
+    "pairs",
     "masked U cells",
-)  # fmt: skip
+)
 BY_RELATION = ("precision", "recall", "F1", "F1, tuned threshold", "AP", "positives", "U cells")
 
 
@@ -168,9 +177,15 @@ def _rest(
     metrics: RelationMetrics, calibration: CalibrationMetrics, top1: Estimate | None, top2: Estimate | None
 ) -> tuple[Cell, ...]:
     return (
-        metrics.mean_average_precision, calibration.brier, calibration.diagram.ece, top1, top2,
-        len(metrics.relations), metrics.pairs, int(metrics.undecided.sum()),
-    )  # fmt: skip
+        metrics.mean_average_precision,
+        calibration.brier,
+        calibration.diagram.ece,
+        top1,
+        top2,
+        len(metrics.relations),
+        metrics.pairs,
+        int(metrics.undecided.sum()),
+    )
 
 
 def system_row(found: SystemFigures, shares: str = "") -> Row:
@@ -370,6 +385,10 @@ def _system_record(system: RelationSystem) -> dict[str, Any]:
     found: dict[str, Any] = {"name": system.name, "title": system.title, "relations": list(system.relations)}
     if isinstance(system.scorer, OnnxScorer):
         contract = system.scorer.contract
-        found |= {"features": contract.features, "output": contract.output, "seed": contract.seed,
-                  "data": contract.data}  # fmt: skip
+        found |= {
+            "features": contract.features,
+            "output": contract.output,
+            "seed": contract.seed,
+            "data": contract.data,
+        }
     return found | ({} if system.trained_on is None else {"trained_on": asdict(system.trained_on)})

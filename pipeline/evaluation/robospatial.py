@@ -86,10 +86,16 @@ def read_questions(root: Path) -> list[Question]:
     if (root / FILE).is_file():
         return [
             Question(
-                item_name(e["img"]), item_name(e["img"]), e["category"], e["question"], e["answer"], root / e["img"],
+                item_name(e["img"]),
+                item_name(e["img"]),
+                e["category"],
+                e["question"],
+                e["answer"],
+                root / e["img"],
                 root / e["mask"] if e.get("mask") else None,
-            ) for e in robospatial_entries(root / FILE)
-        ]  # fmt: skip
+            )
+            for e in robospatial_entries(root / FILE)
+        ]
     tables = _question_tables(root)
     require(tables, "no RoboSpatial-Home here", expected=f"{FILE}, or tables of {', '.join(KEYS)}", path=root)
     return [question for table in tables for question in _of_table(table, len(tables) > 1)]
@@ -107,9 +113,14 @@ def _of_table(table: Path, several: bool) -> Iterator[Question]:
         frame = f"{table.stem}/{row}" if several else str(row)
         mask = Cell(table, row, "mask") if masked and entry["category"] == POINTING else None
         yield Question(
-            f"{table.stem.partition('-')[0]}_{row}", frame, entry["category"], entry["question"], entry["answer"],
-            Cell(table, row, "img"), mask,
-        )  # fmt: skip
+            f"{table.stem.partition('-')[0]}_{row}",
+            frame,
+            entry["category"],
+            entry["question"],
+            entry["answer"],
+            Cell(table, row, "img"),
+            mask,
+        )
 
 
 @dataclass(frozen=True)

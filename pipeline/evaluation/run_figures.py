@@ -71,9 +71,11 @@ class RunFigures:
     def __init__(self, run: Run, second: Run | None) -> None:
         self.run, self.second = run, second
         require(
-            "verdict" in run.records.column_names, "the run has no verdicts",
-            cause="made by an earlier release? run `eval` again", path=run.folder,
-        )  # fmt: skip
+            "verdict" in run.records.column_names,
+            "the run has no verdicts",
+            cause="made by an earlier release? run `eval` again",
+            path=run.folder,
+        )
         self.rows = RunRows(run.records, run.folder, None if second is None else second.records)
         self._slices: dict[str, Slices | str] = {}
         self._frames: Recent[str, np.ndarray] = Recent(FRAMES)
@@ -167,8 +169,10 @@ class Recorded:
     def is_that(self, judged: Diagnosis | str | None) -> bool:
         """Compare with a verdict of now."""
         return isinstance(judged, Diagnosis) and (self.verdict, self.detail, self.lucky) == (
-            judged.verdict, judged.detail, judged.lucky,
-        )  # fmt: skip
+            judged.verdict,
+            judged.detail,
+            judged.lucky,
+        )
 
 
 def recorded_verdict(row: Mapping[str, Any]) -> Recorded | None:

@@ -81,8 +81,10 @@ def mark(path: Path, keys: Iterable[Key], name: str, on: bool = True) -> Notes:
     name = name.strip().lower()
     require(
         _MARK.fullmatch(name) is not None and name != "none" and len(name) <= LONGEST_NAME,
-        "a mark is one word", got=repr(name), expected="letters, digits, _ . + - and not none",
-    )  # fmt: skip
+        "a mark is one word",
+        got=repr(name),
+        expected="letters, digits, _ . + - and not none",
+    )
     given = dict.fromkeys(keys)
 
     def change(notes: Notes) -> Notes:

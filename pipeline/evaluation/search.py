@@ -45,17 +45,31 @@ _WORD = re.compile(r'(?:[^\s"]|"(?:[^"\\]|\\.)*(?:"|$))+')
 Kind = Literal["text", "words", "number", "flag", "names"]
 
 ALIASES = {
-    "class": "target", "size": "object_size", "distance": "object_distance", "occlusion": "object_occluded",
-    "pixels": "object_pixels", "right": "set_correct",
-}  # fmt: skip
+    "class": "target",
+    "size": "object_size",
+    "distance": "object_distance",
+    "occlusion": "object_occluded",
+    "pixels": "object_pixels",
+    "right": "set_correct",
+}
 """Short names of columns."""
 WORDS = ("text", "said", "problem")
 """Columns of sentences: a value must stand in them."""
 SORT = "sort"
 FAILURES = "-right"
 """What was not answered rightly. Of LABEL most was: by another thing that fits, too."""
-_ABOUT_RIGHT = {"verdict", "lucky", "correct", "strict_correct", "set_correct", "pair_correct", "reference_correct",
-                CHANGE, f"{SECOND}verdict", MARKS}  # fmt: skip
+_ABOUT_RIGHT = {
+    "verdict",
+    "lucky",
+    "correct",
+    "strict_correct",
+    "set_correct",
+    "pair_correct",
+    "reference_correct",
+    CHANGE,
+    f"{SECOND}verdict",
+    MARKS,
+}
 
 
 @dataclass(frozen=True)
@@ -82,9 +96,11 @@ class Search:
 
 
 _KINDS: tuple[tuple[str, Kind], ...] = (
-    (r"(large_)?string", "text"), (r"bool", "flag"), (r"u?int\d+|halffloat|float|double", "number"),
+    (r"(large_)?string", "text"),
+    (r"bool", "flag"),
+    (r"u?int\d+|halffloat|float|double", "number"),
     (r"(large_)?list<\w+: string.*>", "names"),
-)  # fmt: skip
+)
 """Types of Arrow, as it writes them, and what can be asked of them."""
 
 

@@ -184,9 +184,11 @@ def published_sentences(path: Path, dataset: Dataset) -> tuple[list[Sentence], d
         found = _sun_spot(rows, path, dataset.frame_ids)
     else:
         raise InputError(
-            "no published benchmark has these keys", got=", ".join(first), path=path,
+            "no published benchmark has these keys",
+            got=", ".join(first),
+            path=path,
             expected="SUN-Refer (image_id, object_id, sentence) or SUN-Spot (ref_id, ann_id, sentences)",
-        )  # fmt: skip
+        )
     kept: list[Sentence] = []
     skipped: dict[str, int] = {}
     with as_input_error("an entry of the benchmark is damaged", KeyError, TypeError, ValueError, got=Shown, path=path):
@@ -196,10 +198,13 @@ def published_sentences(path: Path, dataset: Dataset) -> tuple[list[Sentence], d
             else:
                 kept.append(one)
     require(
-        kept, "no sentence of the benchmark is about this dataset", got=dict(skipped), path=path,
+        kept,
+        "no sentence of the benchmark is about this dataset",
+        got=dict(skipped),
+        path=path,
         expected=f"frames such as {', '.join(dataset.frame_ids[:2])}",
         cause="SUN-Refer goes with VoteNet's export of SUN RGB-D, SUN-Spot with SUN RGB-D as published",
-    )  # fmt: skip
+    )
     return kept, skipped
 
 
@@ -208,8 +213,10 @@ def _rows(path: Path) -> list[dict[str, Any]]:
         rows = read_json(path) if path.suffix == ".json" else read_plain_pickle(path)
     require(
         isinstance(rows, list) and rows and all(isinstance(row, dict) for row in rows),
-        "a benchmark is a list of entries", got=type(rows).__name__, path=path,
-    )  # fmt: skip
+        "a benchmark is a list of entries",
+        got=type(rows).__name__,
+        path=path,
+    )
     return rows
 
 

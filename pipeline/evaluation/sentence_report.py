@@ -30,9 +30,12 @@ ACC_NOTE = (
 
 
 SHARES = {
-    "read": "read", "answered": "answered", "right": "right", "refused_rightly": "refused rightly",
+    "read": "read",
+    "answered": "answered",
+    "right": "right",
+    "refused_rightly": "refused rightly",
     "told": "refused of not right",
-}  # fmt: skip
+}
 """Shares and their columns in the table: of all sentences; `refused_rightly` of those where nothing is right; `told`,
 refused with a reason, of those that are not right."""
 Shares = dict[str, "Estimate | int"]
@@ -163,10 +166,13 @@ def _shares(judged: Sequence[Judged]) -> Shares:
         return share_estimate(np.array([holds(j) for j in counted], np.bool_), [j.sentence.frame for j in counted])
 
     return {
-        "sentences": len(judged), "read": share(lambda j: j.read), "answered": share(lambda j: j.answered),
-        "right": share(lambda j: j.right), "refused_rightly": share(lambda j: j.right, lambda j: j.sentence.nothing),
+        "sentences": len(judged),
+        "read": share(lambda j: j.read),
+        "answered": share(lambda j: j.answered),
+        "right": share(lambda j: j.right),
+        "refused_rightly": share(lambda j: j.right, lambda j: j.sentence.nothing),
         "told": share(lambda j: not j.answered, lambda j: not j.right),
-    }  # fmt: skip
+    }
 
 
 def evaluate_sentences(

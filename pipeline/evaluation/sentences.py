@@ -70,20 +70,35 @@ class Judged:
     def record(self) -> dict[str, Any]:
         """Line of `sentences.jsonl`; "answer" is the given object, or the nearest."""
         s, entry = self.sentence, self.entry
-        answer = None if entry is None else {
-            "label": entry.label, "object": entry.id if entry.id >= 0 else None, "score": round(float(entry.score), 6),
-            "bbox": np.round(entry.bbox.astype(float), 2).tolist(), "text": self.text,
-            "holds": self.trace is not None and holds(self.trace),
-        }  # fmt: skip
+        answer = (
+            None
+            if entry is None
+            else {
+                "label": entry.label,
+                "object": entry.id if entry.id >= 0 else None,
+                "score": round(float(entry.score), 6),
+                "bbox": np.round(entry.bbox.astype(float), 2).tolist(),
+                "text": self.text,
+                "holds": self.trace is not None and holds(self.trace),
+            }
+        )
         return {
-            "line": s.line, "frame": s.frame, "sentence": s.text, "kind": s.kind,
+            "line": s.line,
+            "frame": s.frame,
+            "sentence": s.text,
+            "kind": s.kind,
             **present(targets=s.targets, points=s.points, boxes=s.boxes),
-            "read": self.read, "answered": self.answered, "right": self.right, "outcome": self.outcome,
-            "detail": self.detail, "reason": self.reason, "answer": answer,
+            "read": self.read,
+            "answered": self.answered,
+            "right": self.right,
+            "outcome": self.outcome,
+            "detail": self.detail,
+            "reason": self.reason,
+            "answer": answer,
             "expression": None if self.trace is None else expression_record(self.trace.query),
             "verdict": None if self.diagnosis is None else diagnosis_record(self.diagnosis),
             **present(verdict_reason=self.unjudged, id=s.id or None, iou_3d=self.iou_3d),
-        }  # fmt: skip
+        }
 
 
 def judge_sentences(

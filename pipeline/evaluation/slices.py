@@ -269,9 +269,16 @@ def _slice(
     shares, first = [replace(e, n=count) for e in found], len(MEASURES)
     of_verdicts = [(v, e, n) for v, e, n in zip(VERDICTS, shares[first:], numbers[first:], strict=True) if v in kinds]
     return Slice(
-        system, name, query, count, shares[0], shares[1], shares[2] if kinds else None,
-        {v: e for v, e, _ in of_verdicts}, {v: n for v, _, n in of_verdicts},
-    )  # fmt: skip
+        system,
+        name,
+        query,
+        count,
+        shares[0],
+        shares[1],
+        shares[2] if kinds else None,
+        {v: e for v, e, _ in of_verdicts},
+        {v: n for v, _, n in of_verdicts},
+    )
 
 
 def slice_table(found: Slices, intervals: bool = True) -> Table:

@@ -21,10 +21,15 @@ from pipeline.system.errors import require
 EXACT = 1e-9
 """Sums that must agree agree to this."""
 SHORT = {
-    "PARSE": "reading the sentence", "RECALL": "finding the things", "LIFT": "from pixels to 3D",
-    "SRM": "judging relations", "ATTRIBUTE": "judging looks", "CONF": "trusting detections",
-    "residual": "what nothing mends", "unknown": "what cannot be worked out",
-}  # fmt: skip
+    "PARSE": "reading the sentence",
+    "RECALL": "finding the things",
+    "LIFT": "from pixels to 3D",
+    "SRM": "judging relations",
+    "ATTRIBUTE": "judging looks",
+    "CONF": "trusting detections",
+    "residual": "what nothing mends",
+    "unknown": "what cannot be worked out",
+}
 """What of `RunSummary.loss` in words."""
 LEAST_SAID = 0.05
 """Points that a sentence is worth: what is shown as 0.0 is not said."""

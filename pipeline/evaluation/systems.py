@@ -84,9 +84,14 @@ class PairSystem(Protocol):
         ...
 
     def ask(
-        self, how: RelationSpec, dataset: Dataset, labels: Labels, records: RelationRecords, counted: np.ndarray,
+        self,
+        how: RelationSpec,
+        dataset: Dataset,
+        labels: Labels,
+        records: RelationRecords,
+        counted: np.ndarray,
         folder: Path,
-    ) -> AskedPairs:  # fmt: skip
+    ) -> AskedPairs:
         """Ask about some of the (P,) bool counted pairs, and write every answer into the run's folder."""
         ...
 
@@ -339,11 +344,17 @@ def _given_row(
     iou = float(hit[case.target_object])
     at = int(matched(hit[None], truth.alike[[case.target_object]])[0])
     row |= {
-        "parse_ok": True if row["parse_ok"] is None else row["parse_ok"], "problem": line.problem or row["problem"],
-        "iou": iou, "strict_iou": strict, "set_iou": lenient, "correct": iou >= HIT, "strict_correct": strict >= HIT,
-        "set_correct": lenient >= HIT, "box": None if box is None else box.tolist(),
+        "parse_ok": True if row["parse_ok"] is None else row["parse_ok"],
+        "problem": line.problem or row["problem"],
+        "iou": iou,
+        "strict_iou": strict,
+        "set_iou": lenient,
+        "correct": iou >= HIT,
+        "strict_correct": strict >= HIT,
+        "set_correct": lenient >= HIT,
+        "box": None if box is None else box.tolist(),
         "matched_target": None if at < 0 else at,
-    }  # fmt: skip
+    }
     if line.answer is None:
         row |= {"reference_correct": False, "pair_correct": False}
     return row

@@ -51,8 +51,10 @@ def estimate_warp(
 
     starts = [
         replace(identity, fx=identity.fx * f, fy=identity.fy * f, tx=tx, ty=ty)
-        for f in FOCALS for tx in SHIFTS_M for ty in SHIFTS_M[1:-1]
-    ]  # fmt: skip
+        for f in FOCALS
+        for tx in SHIFTS_M
+        for ty in SHIFTS_M[1:-1]
+    ]
     begun = [identity, near] if near else sorted(starts, key=lambda warp: -gain(warp, *LOOKING[0][1:]))[:BEGUN]
     climbed = [_climbed(warp, gain, LOOKING) for warp in begun]
     best = _climbed(max(climbed, key=lambda warp: gain(warp, *LOOKING[-1][1:])), gain, SETTLING)

@@ -83,7 +83,9 @@ def begun_labels(
         profile_hash=config.rules.hash,
         selection=asdict(SelectConfig()),
         dataset={
-            "path": str(dataset.root.absolute()), "options": given, "format": dataset.format,
+            "path": str(dataset.root.absolute()),
+            "options": given,
+            "format": dataset.format,
             # Of all files, once labels are written: a recording may have 300,000.
             "input_hash": "",
         },
@@ -94,7 +96,7 @@ def begun_labels(
         tables={},
         environment=environment(),
         created=datetime.now(timezone.utc).isoformat(timespec="seconds"),
-    )  # fmt: skip
+    )
     return NewLabels(folder, manifest)
 
 
@@ -102,8 +104,11 @@ def seen_with(labels: Labels, dataset: Dataset, name: str) -> Labels:
     """Labels with a further frame, to look at; nothing is written."""
     require(grows(labels), "only labels that were begun by hand take in frames", path=labels.root)
     require(name in dataset.frame_ids, "the dataset has no such frame", got=name, path=dataset.root)
-    rows = {table.column("frame")[k].as_py(): table.slice(k, 1)
-            for table in (labels.frames, _on_disk(labels).frames) for k in range(table.num_rows)}  # fmt: skip
+    rows = {
+        table.column("frame")[k].as_py(): table.slice(k, 1)
+        for table in (labels.frames, _on_disk(labels).frames)
+        for k in range(table.num_rows)
+    }
     rows.setdefault(name, _frame_row(dataset, name, labels))
     return NewLabels(labels.root, labels.manifest, pa.concat_tables(rows.values()).sort_by("frame_index"))
 
@@ -155,10 +160,15 @@ def _frame_row(dataset: Dataset, name: str, labels: Labels) -> pa.Table:
 
 def _counts(frames: pa.Table, rows: dict[str, int]) -> dict[str, int]:
     return {
-        "frames": frames.num_rows, "frames_usable": frames.num_rows,
-        "frames_up_assumed": frames.column("up_source").to_pylist().count("assumed"), "objects": 0, "pairs": 0,
-        "candidates": 0, "expressions": 0, **rows,
-    }  # fmt: skip
+        "frames": frames.num_rows,
+        "frames_usable": frames.num_rows,
+        "frames_up_assumed": frames.column("up_source").to_pylist().count("assumed"),
+        "objects": 0,
+        "pairs": 0,
+        "candidates": 0,
+        "expressions": 0,
+        **rows,
+    }
 
 
 def _write(labels: Labels, frames: pa.Table) -> None:

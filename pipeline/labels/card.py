@@ -38,13 +38,35 @@ CONTEXT: dict[str, Any] = {
     **{
         name: f"cr:{name}"
         for name in (
-            "citeAs", "column", "equivalentProperty", "extract", "field", "fileProperty", "fileObject", "fileSet",
-            "format", "includes", "isLiveDataset", "jsonPath", "key", "md5", "parentField", "path", "recordSet",
-            "references", "regex", "repeated", "replace", "samplingRate", "separator", "source", "subField",
+            "citeAs",
+            "column",
+            "equivalentProperty",
+            "extract",
+            "field",
+            "fileProperty",
+            "fileObject",
+            "fileSet",
+            "format",
+            "includes",
+            "isLiveDataset",
+            "jsonPath",
+            "key",
+            "md5",
+            "parentField",
+            "path",
+            "recordSet",
+            "references",
+            "regex",
+            "repeated",
+            "replace",
+            "samplingRate",
+            "separator",
+            "source",
+            "subField",
             "transform",
         )
     },
-}  # fmt: skip
+}
 """The JSON-LD context of Croissant 1.0, docs.mlcommons.org/croissant/docs/croissant-spec.html."""
 
 
@@ -97,10 +119,11 @@ def _yaml(labels: Labels, licence: str, paths: Mapping[str, str]) -> str:
         declared = f"license: {text(licence)}"
     largest = max(labels.manifest.tables[table].rows for table in TABLES)
     configs = "\n".join(
-        f"- config_name: {table}" + ("\n  default: true" if table == "expressions" else "")
+        f"- config_name: {table}"
+        + ("\n  default: true" if table == "expressions" else "")
         + f"\n  data_files:\n  - split: train\n    path: {text(paths[table])}"
         for table in TABLES
-    )  # fmt: skip
+    )
     return f"""\
 ---
 {declared}

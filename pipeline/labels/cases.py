@@ -251,10 +251,21 @@ _COLUMNS = {
     "frames": ["frame_index", "scene", "rgb_hash"],
     "objects": ["frame_index", "object", "label", "bbox", "mask", *_GEOMETRY, *_FACTS],
     "expressions": [
-        "frame", "frame_index", "id", "text", "target", "relation", "reference", "target_object", "reference_object",
-        "targets", "acceptable", "ambiguous", "margin",
+        "frame",
+        "frame_index",
+        "id",
+        "text",
+        "target",
+        "relation",
+        "reference",
+        "target_object",
+        "reference_object",
+        "targets",
+        "acceptable",
+        "ambiguous",
+        "margin",
     ],
-}  # fmt: skip
+}
 
 
 def _part(root: Path, name: str, columns: list[str], first: int, stop: int) -> pa.Table:

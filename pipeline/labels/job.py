@@ -106,9 +106,12 @@ def label_dataset(
 
     # Readers tell what they cannot read: what the system refuses here is writing.
     with as_input_error(
-        "the labels cannot be written", OSError, got=lambda e: e.strerror or str(e),
-        cause="when there is room, --resume goes on where this ended", path=out,
-    ):  # fmt: skip
+        "the labels cannot be written",
+        OSError,
+        got=lambda e: e.strerror or str(e),
+        cause="when there is room, --resume goes on where this ended",
+        path=out,
+    ):
         save_plan(plan, store)
         store.clear_unfinished()
         try:

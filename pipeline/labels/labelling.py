@@ -346,13 +346,25 @@ def candidate_expressions(
     if not n:
         return {}
     shared = {
-        "frame": frame, "frame_index": frame_index, "judged_in": "viewer", "up_source": up_source,
+        "frame": frame,
+        "frame_index": frame_index,
+        "judged_in": "viewer",
+        "up_source": up_source,
         "profile": config.profile,
-    }  # fmt: skip
+    }
     return {**{name: [value] * n for name, value in shared.items()}, **found}
 
 
 _OWN_COLUMNS = (
-    "id", "target", "relation", "reference", "target_object", "reference_object", "targets", "acceptable",
-    "ambiguous", "margin", "same_class",
-)  # fmt: skip
+    "id",
+    "target",
+    "relation",
+    "reference",
+    "target_object",
+    "reference_object",
+    "targets",
+    "acceptable",
+    "ambiguous",
+    "margin",
+    "same_class",
+)

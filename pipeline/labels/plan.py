@@ -166,9 +166,12 @@ def frames_of_splits(dataset: Dataset, names: Sequence[str]) -> tuple[str, ...]:
     there = splits(dataset)
     absent = next((name for name in names if name not in there), None)
     require(
-        absent is None, "the dataset has no such split", got=absent, expected=" | ".join(there) or "no splits at all",
+        absent is None,
+        "the dataset has no such split",
+        got=absent,
+        expected=" | ".join(there) or "no splits at all",
         path=dataset.root,
-    )  # fmt: skip
+    )
     return tuple(dict.fromkeys(frame for name in names for frame in there[name]))
 
 
@@ -288,9 +291,19 @@ TextStyle = Literal["varied", "plain", "semantic-abstraction"]
 SENTENCE_KINDS = ("attribute", "ordinal", "extreme", "side", "two-relations", "negation")
 """The sentences that `pipeline.labels.sentence_maker` makes besides the expressions."""
 BACKGROUND = (
-    "background", "wall", "floor", "ceiling", "ground", "room", "carpet", "unknown", "unlabeled", "otherprop",
-    "otherstructure", "otherfurniture",
-)  # fmt: skip
+    "background",
+    "wall",
+    "floor",
+    "ceiling",
+    "ground",
+    "room",
+    "carpet",
+    "unknown",
+    "unlabeled",
+    "otherprop",
+    "otherstructure",
+    "otherfurniture",
+)
 """Classes that surround the others: nobody stands left of the floor."""
 
 

@@ -304,14 +304,21 @@ def open_labels(path: str | Path) -> Labels:
         manifest = checked(Manifest.model_validate, content, "the manifest is damaged at {}", file)
     relations = manifest.config.get("relations")
     require(
-        isinstance(relations, list), "the manifest is damaged at config.relations",
-        got="nothing" if relations is None else Shown(relations), expected="a list of relations", path=file,
-    )  # fmt: skip
+        isinstance(relations, list),
+        "the manifest is damaged at config.relations",
+        got="nothing" if relations is None else Shown(relations),
+        expected="a list of relations",
+        path=file,
+    )
     for relation in manifest.config["relations"]:
         require(
-            relation in PAIRWISE, "these labels hold a relation that is not declared here", got=repr(relation),
-            expected=", ".join(PAIRWISE), cause="made with a relation of somebody's own?", path=file,
-        )  # fmt: skip
+            relation in PAIRWISE,
+            "these labels hold a relation that is not declared here",
+            got=repr(relation),
+            expected=", ".join(PAIRWISE),
+            cause="made with a relation of somebody's own?",
+            path=file,
+        )
     for path in (root / f"{name}.parquet" for name in TABLES):
         require(path.is_file(), f"the table {path.stem} is missing", path=path)
     return Labels(root, manifest)
@@ -400,10 +407,14 @@ def labelled_dataset(
     if registration is None and options.get("registration"):
         registration = tuple(_numbers(options["registration"], 7, "registration"))
     return open_dataset(
-        where, intrinsics=intrinsics, depth_scale=depth_scale, depth_model=depth_model or options.get("depth_model"),
-        poses=poses or options.get("poses"), registration=registration,
+        where,
+        intrinsics=intrinsics,
+        depth_scale=depth_scale,
+        depth_model=depth_model or options.get("depth_model"),
+        poses=poses or options.get("poses"),
+        registration=registration,
         **labelled_up(manifest, {"up": up, "level_at": level_at}),
-    )  # fmt: skip
+    )
 
 
 def labelled_up(manifest: Manifest, options: Mapping[str, Any]) -> dict[str, Any]:

@@ -36,17 +36,28 @@ from pipeline.system.errors import InputError
 LOOKS = (*((color,) for color in BASIC_COLORS), ("big", "large"), ("small",))
 COUNTED = ("second", "third", "fourth", "fifth")
 EXTREME_WORDS: dict[Order, tuple[str, ...]] = {
-    "left": ("leftmost", "farthest to the left"), "right": ("rightmost", "farthest to the right"),
-    "near": ("nearest", "closest"), "far": ("farthest",), "high": ("highest", "topmost"), "low": ("lowest",),
-    "tall": ("tallest",), "short": ("shortest",), "big": ("biggest", "largest"), "small": ("smallest",),
-}  # fmt: skip
+    "left": ("leftmost", "farthest to the left"),
+    "right": ("rightmost", "farthest to the right"),
+    "near": ("nearest", "closest"),
+    "far": ("farthest",),
+    "high": ("highest", "topmost"),
+    "low": ("lowest",),
+    "tall": ("tallest",),
+    "short": ("shortest",),
+    "big": ("biggest", "largest"),
+    "small": ("smallest",),
+}
 SECONDS: dict[Order, str] = {"near": "closest", "tall": "tallest", "big": "biggest", "small": "smallest"}
 SIDES: dict[tuple[Order, ...], tuple[str, ...]] = {
-    ("left",): ("on the left", "on the left side"), ("right",): ("on the right", "on the right side"),
-    ("top",): ("at the top",), ("bottom",): ("at the bottom",),
-    ("top", "left"): ("in the top left corner",), ("top", "right"): ("in the top right corner",),
-    ("bottom", "left"): ("in the bottom left corner",), ("bottom", "right"): ("in the bottom right corner",),
-}  # fmt: skip
+    ("left",): ("on the left", "on the left side"),
+    ("right",): ("on the right", "on the right side"),
+    ("top",): ("at the top",),
+    ("bottom",): ("at the bottom",),
+    ("top", "left"): ("in the top left corner",),
+    ("top", "right"): ("in the top right corner",),
+    ("bottom", "left"): ("in the bottom left corner",),
+    ("bottom", "right"): ("in the bottom right corner",),
+}
 """What is said, each with its words."""
 PHRASES = {
     relation: tuple(p for p in phrases if not {"side", "than"} & set(p.split())) or phrases

@@ -97,19 +97,38 @@ class _Template:
 _TEMPLATE_WORDS = frozenset(
     word
     for text in (
-        *SEEN_FRAMES, *SEEN_QUESTION_FRAMES, "the a an some other another is are",
-        *(p for phrases in VARIED_PHRASES.values() for p in phrases), *SEMANTIC_ABSTRACTION_PHRASES.values(),
+        *SEEN_FRAMES,
+        *SEEN_QUESTION_FRAMES,
+        "the a an some other another is are",
+        *(p for phrases in VARIED_PHRASES.values() for p in phrases),
+        *SEMANTIC_ABSTRACTION_PHRASES.values(),
     )
     for word in words_of(text)
-)  # fmt: skip
+)
 _PHRASE_WORDS = frozenset(w for p in lexicon.phrase_table() for w in p.split())
 _GRAMMAR_WORDS = (
-    _PHRASE_WORDS | lexicon.LINKING | lexicon.RELATIVE | lexicon.POSTURES | lexicon.CLOSING | lexicon.AND
-    | lexicon.WITH | lexicon.NEGATIONS | lexicon.ARTICLES | lexicon.PRONOUNS | lexicon.UNKNOWN_RELATIONS
-    | lexicon.VERBS | lexicon.VIEW_WORDS | lexicon.OBJECT_VIEW_WORDS | lexicon.OTHER | DETERMINERS
-    | frozenset(w for p in (*lexicon.LEADING, "left right front back rear top bottom middle center side hand") for w in
-                p.split())
-)  # fmt: skip
+    _PHRASE_WORDS
+    | lexicon.LINKING
+    | lexicon.RELATIVE
+    | lexicon.POSTURES
+    | lexicon.CLOSING
+    | lexicon.AND
+    | lexicon.WITH
+    | lexicon.NEGATIONS
+    | lexicon.ARTICLES
+    | lexicon.PRONOUNS
+    | lexicon.UNKNOWN_RELATIONS
+    | lexicon.VERBS
+    | lexicon.VIEW_WORDS
+    | lexicon.OBJECT_VIEW_WORDS
+    | lexicon.OTHER
+    | DETERMINERS
+    | frozenset(
+        w
+        for p in (*lexicon.LEADING, "left right front back rear top bottom middle center side hand")
+        for w in p.split()
+    )
+)
 
 
 def expression_text(

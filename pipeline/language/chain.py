@@ -20,10 +20,18 @@ Attach = Literal["any", "nearest", "same", "root"]
 
 PART = "parts and what a thing has are left to the detector"
 OWN_WORDS = (
-    lexicon.GRAMMAR_WORDS | lexicon.AND | lexicon.WITH | lexicon.OTHER | lexicon.PRONOUNS | lexicon.CLOSING
-    | lexicon.SMALL_WORDS | DETERMINERS | QUANTIFIERS | frozenset(choices.NUMBERS)
+    lexicon.GRAMMAR_WORDS
+    | lexicon.AND
+    | lexicon.WITH
+    | lexicon.OTHER
+    | lexicon.PRONOUNS
+    | lexicon.CLOSING
+    | lexicon.SMALL_WORDS
+    | DETERMINERS
+    | QUANTIFIERS
+    | frozenset(choices.NUMBERS)
     | frozenset(w for phrase in lexicon.phrase_table() for w in phrase.split())
-) - lexicon.DISTINGUISHING  # fmt: skip
+) - lexicon.DISTINGUISHING
 """Words that may be left out of all spans: what they say is in how the expression was read."""
 
 
@@ -83,9 +91,14 @@ class ChainReader(NounReader):
         for opened in self.opened:
             self._relation_span(opened.token)
             clause = Clause(
-                str(opened.token.relation), opened.token.text, references, opened.token.swapped, opened.attach,
-                negated=opened.negated, otherwise=self._otherwise(opened.token, references),
-            )  # fmt: skip
+                str(opened.token.relation),
+                opened.token.text,
+                references,
+                opened.token.swapped,
+                opened.attach,
+                negated=opened.negated,
+                otherwise=self._otherwise(opened.token, references),
+            )
             self.chain.clauses.append(clause)
         self.opened.clear()
         self._forget()

@@ -48,9 +48,25 @@ SIDES = _table(
 )
 """Words of sides before a noun or after `on the`, by the order of which they are the beginning."""
 
-ORDINALS = {w: n for n, words in enumerate(
-    ("first 1st", "second 2nd", "third 3rd", "fourth 4th", "fifth 5th", "sixth 6th", "seventh 7th", "eighth 8th",
-     "ninth 9th", "tenth 10th"), start=1) for w in words.split()} | {"last": -1}  # fmt: skip
+ORDINALS = {
+    w: n
+    for n, words in enumerate(
+        (
+            "first 1st",
+            "second 2nd",
+            "third 3rd",
+            "fourth 4th",
+            "fifth 5th",
+            "sixth 6th",
+            "seventh 7th",
+            "eighth 8th",
+            "ninth 9th",
+            "tenth 10th",
+        ),
+        start=1,
+    )
+    for w in words.split()
+} | {"last": -1}
 NUMBERS = {w: n for n, w in enumerate(("two", "three", "four", "five", "six", "seven", "eight", "nine", "ten"), 2)}
 NUMBERS |= {str(n): n for n in range(2, 11)}
 FROM_LAST = re.compile(
@@ -59,9 +75,19 @@ FROM_LAST = re.compile(
 )
 """`second to last`, which counts from the end."""
 OPPOSITE = {
-    "left": "right", "right": "left", "top": "bottom", "bottom": "top", "near": "far", "far": "near", "high": "low",
-    "low": "high", "tall": "short", "short": "tall", "big": "small", "small": "big",
-}  # fmt: skip
+    "left": "right",
+    "right": "left",
+    "top": "bottom",
+    "bottom": "top",
+    "near": "far",
+    "far": "near",
+    "high": "low",
+    "low": "high",
+    "tall": "short",
+    "short": "tall",
+    "big": "small",
+    "small": "big",
+}
 
 _SIDE = "|".join(sorted(SIDES, key=len, reverse=True))
 _THE = r"(?:(?:the|your|my|our|its|their|this|that) )?"

@@ -58,9 +58,14 @@ class Cursor:
         if word == "right":
             return self._structural(at + 1) or self.breaks[at + 1]
         return word is not None and (
-            word in lexicon.AND or word in lexicon.WITH or word in lexicon.NEGATIONS or word in lexicon.LINKING
-            or word in lexicon.RELATIVE or word in lexicon.UNKNOWN_RELATIONS or word in lexicon.VERBS
-        )  # fmt: skip
+            word in lexicon.AND
+            or word in lexicon.WITH
+            or word in lexicon.NEGATIONS
+            or word in lexicon.LINKING
+            or word in lexicon.RELATIVE
+            or word in lexicon.UNKNOWN_RELATIONS
+            or word in lexicon.VERBS
+        )
 
     def _after_number(self, at: int) -> bool:
         """Test for `hanging` in `three hanging towels`."""
@@ -69,9 +74,13 @@ class Cursor:
 
     def _ends(self, at: int) -> bool:
         """Test if a noun phrase or a side may end before a token."""
-        return at >= len(self.tokens) or self.breaks[at] or self._structural(at) or (
-            self.tokens[at].plain in lexicon.POSTURES or self.tokens[at].plain in ("or", "nor", "it", "this")
-        ) or self.match(choices.AT_SIDE, at) is not None  # fmt: skip
+        return (
+            at >= len(self.tokens)
+            or self.breaks[at]
+            or self._structural(at)
+            or (self.tokens[at].plain in lexicon.POSTURES or self.tokens[at].plain in ("or", "nor", "it", "this"))
+            or self.match(choices.AT_SIDE, at) is not None
+        )
 
     def _bare_side(self, at: int) -> tuple[re.Match[str], int] | None:
         """Match a side behind a thing without a preposition: `plant left`, not `that was left`, nor `table centre`."""
@@ -96,11 +105,16 @@ class Cursor:
 
     def is_superlative_noun(self, at: int) -> bool:
         """Test if `nearest` stands before a noun, as in `the nearest chair`."""
-        return self.tokens[at].text in lexicon.BEFORE_NOUNS and self._starts_noun(at + 1) and (
-            at == 0 or self.tokens[at - 1].plain in DETERMINERS | choices.ORDINALS.keys() | choices.NUMBERS.keys()
-            or self.tokens[at - 1].text == "next"
-            or self.tokens[at - 1].relation is not None
-        )  # fmt: skip
+        return (
+            self.tokens[at].text in lexicon.BEFORE_NOUNS
+            and self._starts_noun(at + 1)
+            and (
+                at == 0
+                or self.tokens[at - 1].plain in DETERMINERS | choices.ORDINALS.keys() | choices.NUMBERS.keys()
+                or self.tokens[at - 1].text == "next"
+                or self.tokens[at - 1].relation is not None
+            )
+        )
 
     def _superlative_reference(self, at: int) -> int | None:
         """Token after `to` or `from` where the reference of `nearest` follows; else None."""

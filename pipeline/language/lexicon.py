@@ -35,9 +35,23 @@ POSSESSIVE_TAILS = {"on its top": "on", "on their top": "on"}
 """Phrases that end a `with a lamp on its top` and stand nowhere else."""
 
 BARE_TAILS = frozenset(
-    {"on top", "on the top", "atop", "underneath", "beneath", "below", "under", "above", "inside", "within", "behind",
-     "in front", "nearby", *POSSESSIVE_TAILS}
-)  # fmt: skip
+    {
+        "on top",
+        "on the top",
+        "atop",
+        "underneath",
+        "beneath",
+        "below",
+        "under",
+        "above",
+        "inside",
+        "within",
+        "behind",
+        "in front",
+        "nearby",
+        *POSSESSIVE_TAILS,
+    }
+)
 """Phrases that may end a `with a lamp ...` without naming the target again."""
 
 UNDER = frozenset({"under", "underneath", "beneath", "underneath of"})
@@ -86,18 +100,50 @@ PICTURES = _words("picture image photo photograph frame screen shot")
 
 WITH = frozenset({"with", "has", "have", "having", "got"})
 CONTRACTIONS = {
-    "whats": "what's", "wheres": "where's", "whos": "who's", "thats": "that's", "theres": "there's", "heres": "here's",
-    "whichs": "which's", "isnt": "isn't", "arent": "aren't", "wasnt": "wasn't", "werent": "weren't",
-    "doesnt": "doesn't", "dont": "don't", "didnt": "didn't", "cant": "can't", "couldnt": "couldn't",
-    "shouldnt": "shouldn't", "wouldnt": "wouldn't", "hasnt": "hasn't", "havent": "haven't", "im": "i'm", "ive": "i've",
-    "youre": "you're", "theyre": "they're", "lets": "let's",
-}  # fmt: skip
+    "whats": "what's",
+    "wheres": "where's",
+    "whos": "who's",
+    "thats": "that's",
+    "theres": "there's",
+    "heres": "here's",
+    "whichs": "which's",
+    "isnt": "isn't",
+    "arent": "aren't",
+    "wasnt": "wasn't",
+    "werent": "weren't",
+    "doesnt": "doesn't",
+    "dont": "don't",
+    "didnt": "didn't",
+    "cant": "can't",
+    "couldnt": "couldn't",
+    "shouldnt": "shouldn't",
+    "wouldnt": "wouldn't",
+    "hasnt": "hasn't",
+    "havent": "haven't",
+    "im": "i'm",
+    "ive": "i've",
+    "youre": "you're",
+    "theyre": "they're",
+    "lets": "let's",
+}
 """Words that are typed without their apostrophe."""
 SHORTHAND = {
-    "plz": "please", "pls": "please", "plse": "please", "pleas": "please", "thx": "thanks", "thanx": "thanks",
-"lookin": "looking", "searchin": "searching", "tryin": "trying",
-    "u": "you", "ya": "you", "ur": "your", "btwn": "between", "tha": "the", "da": "the",
-}  # fmt: skip
+    "plz": "please",
+    "pls": "please",
+    "plse": "please",
+    "pleas": "please",
+    "thx": "thanks",
+    "thanx": "thanks",
+    "lookin": "looking",
+    "searchin": "searching",
+    "tryin": "trying",
+    "u": "you",
+    "ya": "you",
+    "ur": "your",
+    "btwn": "between",
+    "tha": "the",
+    "da": "the",
+}
 """What is typed short."""
 
 PRONOUNS = _words("it them itself themselves they he she him her me you something anything someone one what")

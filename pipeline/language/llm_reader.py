@@ -144,10 +144,15 @@ class _Found:
         self.used.extend(("attribute", mention, words) for words in forms.values())
         self.used.extend(("choice", mention, [c.text]) for c in choices)
         return replace(
-            node, label=label, head=name if name != label else "", mention=mention, attributes=attributes,
-            choices=choices, attachments=tuple(map(self._attachment, node.attachments)),
+            node,
+            label=label,
+            head=name if name != label else "",
+            mention=mention,
+            attributes=attributes,
+            choices=choices,
+            attachments=tuple(map(self._attachment, node.attachments)),
             excluded=tuple(map(self._node, node.excluded)),
-        )  # fmt: skip
+        )
 
     def _own(self, words: str, otherwise: str) -> str:
         """Words of the sentence, or `otherwise` where they are others."""

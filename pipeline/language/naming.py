@@ -22,18 +22,52 @@ from pipeline.language.normal import (
 )
 
 __all__ = [
-    "CAMEL_CASE", "DETERMINERS", "GENERIC", "HEAD_ENDS", "QUALIFIER", "Meaning", "Synonyms", "default_synonyms",
-    "is_compound", "is_named", "known_words", "match", "meanings", "normal_form", "same_class", "same_or_kind",
-    "singular", "suggest",
-]  # fmt: skip
+    "CAMEL_CASE",
+    "DETERMINERS",
+    "GENERIC",
+    "HEAD_ENDS",
+    "QUALIFIER",
+    "Meaning",
+    "Synonyms",
+    "default_synonyms",
+    "is_compound",
+    "is_named",
+    "known_words",
+    "match",
+    "meanings",
+    "normal_form",
+    "same_class",
+    "same_or_kind",
+    "singular",
+    "suggest",
+]
 
 GENERIC = frozenset({"thing", "object", "item", "one", "stuff", "piece", "something", "anything"})
 """Words, in the singular, that mean a thing of any class; to `meanings` they are words like others."""
 
 RELATING = frozenset(
-    {"left", "right", "behind", "above", "below", "under", "over", "on", "in", "inside", "near", "next", "to", "from",
-     "between", "front", "that", "is", "than"}
-)  # fmt: skip
+    {
+        "left",
+        "right",
+        "behind",
+        "above",
+        "below",
+        "under",
+        "over",
+        "on",
+        "in",
+        "inside",
+        "near",
+        "next",
+        "to",
+        "from",
+        "between",
+        "front",
+        "that",
+        "is",
+        "than",
+    }
+)
 LONGEST_NAME = 6
 """Words; a longer query, or one with a word that relates two things, means only what it names in full."""
 _SURE, _MENDED = 0.7, 0.85

@@ -19,15 +19,50 @@ _UNCHANGED = _words(
     "iris rhinoceros brassiere molasses thermos cosmos asbestos alias bias pancreas forceps pyjamas adidas citrus"
 )
 _IRREGULAR = {
-    "mice": "mouse", "men": "man", "women": "woman", "people": "person", "children": "child", "feet": "foot",
-    "teeth": "tooth", "geese": "goose", "oxen": "ox", "cacti": "cactus", "fungi": "fungus", "dice": "die",
-    "buses": "bus", "gases": "gas", "lenses": "lens", "canvases": "canvas", "irises": "iris", "atlases": "atlas",
-    "octopuses": "octopus", "cactuses": "cactus", "axes": "axe", "caches": "cache", "quizzes": "quiz",
-    "headaches": "headache", "campuses": "campus", "walruses": "walrus", "viruses": "virus",
-}  # fmt: skip
-_VES = {"kni": "knife", "lea": "leaf", "shel": "shelf", "loa": "loaf", "hal": "half", "cal": "calf",
-        "scar": "scarf", "hoo": "hoof", "wi": "wife", "li": "life", "thie": "thief", "wol": "wolf", "sel": "self",
-        "el": "elf"}  # fmt: skip
+    "mice": "mouse",
+    "men": "man",
+    "women": "woman",
+    "people": "person",
+    "children": "child",
+    "feet": "foot",
+    "teeth": "tooth",
+    "geese": "goose",
+    "oxen": "ox",
+    "cacti": "cactus",
+    "fungi": "fungus",
+    "dice": "die",
+    "buses": "bus",
+    "gases": "gas",
+    "lenses": "lens",
+    "canvases": "canvas",
+    "irises": "iris",
+    "atlases": "atlas",
+    "octopuses": "octopus",
+    "cactuses": "cactus",
+    "axes": "axe",
+    "caches": "cache",
+    "quizzes": "quiz",
+    "headaches": "headache",
+    "campuses": "campus",
+    "walruses": "walrus",
+    "viruses": "virus",
+}
+_VES = {
+    "kni": "knife",
+    "lea": "leaf",
+    "shel": "shelf",
+    "loa": "loaf",
+    "hal": "half",
+    "cal": "calf",
+    "scar": "scarf",
+    "hoo": "hoof",
+    "wi": "wife",
+    "li": "life",
+    "thie": "thief",
+    "wol": "wolf",
+    "sel": "self",
+    "el": "elf",
+}
 _IE_NOUNS = re.compile(
     r"cookie|movie|brownie|hoodie|selfie|smoothie|zombie|beanie|(?:mag|pot)?pie|(?:neck|bow)?tie|die|lie|genie"
     r"|birdie|bookie|talkie|onesie|collie|veggie|laddie|eerie|calorie|prairie|sortie|budgie|pixie|rookie"

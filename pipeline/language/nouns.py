@@ -324,9 +324,11 @@ class NounReader(AttributeReader):
         if before in lexicon.ARTICLE_BEARING and word.endswith("ed") and not self._ends(end + 1):
             return False
         return (
-            word in lexicon.LINKING or word in lexicon.NEGATIONS or word in lexicon.UNKNOWN_RELATIONS
+            word in lexicon.LINKING
+            or word in lexicon.NEGATIONS
+            or word in lexicon.UNKNOWN_RELATIONS
             or word in lexicon.VERBS
-        )  # fmt: skip
+        )
 
     def _counts_from(self, at: int) -> tuple[re.Match[str], int] | None:
         """Match the start of counting of an ordinal; `on the top` of `on the top shelf` is none."""

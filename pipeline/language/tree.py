@@ -13,14 +13,39 @@ from pipeline.system.errors import InputError, require
 
 Role = Literal["target", "relation", "reference", "attribute", "choice", "unused"]
 Order = Literal[
-    "left", "right", "top", "bottom", "near", "far", "middle",
-    "high", "low", "tall", "short", "big", "small", "wide", "narrow", "long", "thin", "thick",
-]  # fmt: skip
+    "left",
+    "right",
+    "top",
+    "bottom",
+    "near",
+    "far",
+    "middle",
+    "high",
+    "low",
+    "tall",
+    "short",
+    "big",
+    "small",
+    "wide",
+    "narrow",
+    "long",
+    "thin",
+    "thick",
+]
 
 
 QUERY_KINDS = (
-    "negation", "between", "two-relations", "ordinal", "extreme", "side", "attribute", "question", "relation", "name",
-)  # fmt: skip
+    "negation",
+    "between",
+    "two-relations",
+    "ordinal",
+    "extreme",
+    "side",
+    "attribute",
+    "question",
+    "relation",
+    "name",
+)
 """Kinds of sentences, see `Query.kind`; those that `labels.plan.SENTENCE_KINDS` makes have the same names."""
 
 
@@ -290,10 +315,16 @@ class Query:
         asks = self.text.rstrip().endswith("?") or self.text.split()[0].lower() in ("which", "what", "where")
         found = (
             any(a.negated for a in attachments) or any(n.excluded for n in nodes),
-            any(len(a.nodes) > 1 for a in attachments), len(attachments) > 1,
-            any(rank is not None and rank > 1 for rank in ranks), 1 in ranks or bool(viewed), None in ranks,
-            any(n.attributes for n in nodes), asks, bool(attachments), True,
-        )  # fmt: skip
+            any(len(a.nodes) > 1 for a in attachments),
+            len(attachments) > 1,
+            any(rank is not None and rank > 1 for rank in ranks),
+            1 in ranks or bool(viewed),
+            None in ranks,
+            any(n.attributes for n in nodes),
+            asks,
+            bool(attachments),
+            True,
+        )
         return QUERY_KINDS[found.index(True)]
 
     @property

@@ -79,8 +79,10 @@ class Estimate:
 
     def record(self) -> dict[str, Any]:
         """JSON: value, low, high (None for NaN), n, clusters, note."""
-        numbers = {k: v if math.isfinite(v) else None for k, v in
-                   (("value", self.value), ("low", self.low), ("high", self.high))}  # fmt: skip
+        numbers = {
+            k: v if math.isfinite(v) else None
+            for k, v in (("value", self.value), ("low", self.low), ("high", self.high))
+        }
         return {**numbers, "n": self.n, "clusters": self.clusters, "note": self.note}
 
 

@@ -324,9 +324,10 @@ def _checked(p: Any, truth: Any) -> tuple[np.ndarray, np.ndarray]:
     )
     if len(truth) and (truth.min() < -1 or truth.max() >= p.shape[1]):
         raise InputError(
-            "the truth names a relation that has no column", got=f"{truth.min()} to {truth.max()}",
+            "the truth names a relation that has no column",
+            got=f"{truth.min()} to {truth.max()}",
             expected=f"-1 to {p.shape[1] - 1}",
-        )  # fmt: skip
+        )
     if len(p) and np.abs(p.sum(axis=1) - 1).max() > SUM_TOLERANCE:
         row = int(np.abs(p.sum(axis=1) - 1).argmax())
         raise InputError(

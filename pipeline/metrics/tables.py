@@ -153,10 +153,15 @@ def latex(tables: Sequence[Table]) -> str:
     parts = ["% needs \\usepackage{booktabs}"]
     for table in tables:
         lines = [
-            r"\begin{table}", r"\centering", rf"\caption{{{_tex(table.title)}}}", rf"\label{{tab:{table.key}}}",
-            rf"\begin{{tabular}}{{l{'r' * len(table.columns)}}}", r"\toprule",
-            " & ".join(["", *map(_tex, table.columns)]) + r" \\", r"\midrule",
-        ]  # fmt: skip
+            r"\begin{table}",
+            r"\centering",
+            rf"\caption{{{_tex(table.title)}}}",
+            rf"\label{{tab:{table.key}}}",
+            rf"\begin{{tabular}}{{l{'r' * len(table.columns)}}}",
+            r"\toprule",
+            " & ".join(["", *map(_tex, table.columns)]) + r" \\",
+            r"\midrule",
+        ]
         for head, row in with_heads(table.rows):
             if head:
                 lines.append(rf"\midrule \multicolumn{{{1 + len(table.columns)}}}{{l}}{{\emph{{{_tex(head)}}}}} \\")

@@ -124,9 +124,14 @@ class Vlm:
         return _pointing(source, clock, point)
 
     def ask(
-        self, how: RelationSpec, dataset: Dataset, labels: Labels, records: RelationRecords, counted: np.ndarray,
+        self,
+        how: RelationSpec,
+        dataset: Dataset,
+        labels: Labels,
+        records: RelationRecords,
+        counted: np.ndarray,
         folder: Path,
-    ) -> AskedPairs:  # fmt: skip
+    ) -> AskedPairs:
         client, title = self.options.client(), f"VLM {self.options.model}"
         return ask_pairs(client, title, how, dataset, labels, records, counted, folder)
 
@@ -161,9 +166,15 @@ def record_whole(case: Case, truth: FrameCases, pointed: Pointed) -> dict[str, A
     overlap = iou_2d(np.zeros((0, 4)) if box is None else box[None], truth.boxes)
     iou, strict, lenient = overlaps(None if box is None else 0, case, overlap)
     row = asked_columns(case, truth) | {
-        "parse_ok": True, "problem": pointed.problem, "iou": iou, "strict_iou": strict, "set_iou": lenient,
-        "correct": iou >= HIT, "strict_correct": strict >= HIT, "set_correct": lenient >= HIT,
-    }  # fmt: skip
+        "parse_ok": True,
+        "problem": pointed.problem,
+        "iou": iou,
+        "strict_iou": strict,
+        "set_iou": lenient,
+        "correct": iou >= HIT,
+        "strict_correct": strict >= HIT,
+        "set_correct": lenient >= HIT,
+    }
     if box is not None:
         index = int(matched(overlap, truth.alike[[case.target_object]])[0])
         row |= {"box": box.tolist(), "p_target": pointed.score, "matched_target": None if index < 0 else index}

@@ -82,10 +82,13 @@ class BoxDetector(NetworkDetector):
     def _forward(self, frame: Frame) -> tuple[BoxCandidates, InputPlacement]:
         tensor, placement = place_picture(frame.rgb, *self._sides, self.config.input)
         numbers = {
-            "height": frame.height, "width": frame.width,
-            "input_height": placement.height, "input_width": placement.width,
-            "scale_y": placement.scale_y, "scale_x": placement.scale_x,
-        }  # fmt: skip
+            "height": frame.height,
+            "width": frame.width,
+            "input_height": placement.height,
+            "input_width": placement.width,
+            "scale_y": placement.scale_y,
+            "scale_x": placement.scale_x,
+        }
         extra = {n: np.array([[numbers[w] for w in words]], np.float32) for n, words in self.config.input.extra.items()}
         values = run_session(self._session, self._outputs, {self._input: tensor, **extra}, self.path)
         outputs = dict(zip(self._outputs, values, strict=True))

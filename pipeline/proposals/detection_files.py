@@ -37,9 +37,20 @@ from pipeline.system.errors import needed, require
 from pipeline.system.reading import Content, checked, read_content
 
 PICTURE_COLUMNS = (
-    "image_path", "image_name", "image_id", "image", "file_name", "filename", "file", "frame_id", "frame_name", "frame",
-    "frame_index", "frame_idx", "frame_number",
-)  # fmt: skip
+    "image_path",
+    "image_name",
+    "image_id",
+    "image",
+    "file_name",
+    "filename",
+    "file",
+    "frame_id",
+    "frame_name",
+    "frame",
+    "frame_index",
+    "frame_idx",
+    "frame_number",
+)
 Corners = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
 Number = Annotated[
     int | None, Field(ge=0, lt=2**63), BeforeValidator(lambda value: None if value in ("", -1, "-1") else value)
@@ -50,10 +61,13 @@ Score = Annotated[float, Field(ge=0, le=1)]
 
 
 _COLUMNS = {
-    "x_min": ("x_min", "xmin", "x0", "x1"), "y_min": ("y_min", "ymin", "y0", "y1"),
-    "x_max": ("x_max", "xmax", "x2", "x1"), "y_max": ("y_max", "ymax", "y2", "y1"),
-    "confidence": ("confidence", "score", "conf"), "class_name": ("class_name", "name", "label", "phrase"),
-}  # fmt: skip
+    "x_min": ("x_min", "xmin", "x0", "x1"),
+    "y_min": ("y_min", "ymin", "y0", "y1"),
+    "x_max": ("x_max", "xmax", "x2", "x1"),
+    "y_max": ("y_max", "ymax", "y2", "y1"),
+    "confidence": ("confidence", "score", "conf"),
+    "class_name": ("class_name", "name", "label", "phrase"),
+}
 """What tables call the columns of supervision's sinks: of x0, x1 the second is the right edge, of x1, x2 the first is
 the left one."""
 

@@ -116,10 +116,11 @@ class EnsembleDetector:
         if self.fusion == "wbf":
             # Detectors asked for `own` names (None: any) that could have said a name.
             could = [
-                len(found) if one is not None
+                len(found)
+                if one is not None
                 else sum(own is None or any(same_name(n, name, self.synonyms) for n in own) for own in known)
                 for name in names
-            ]  # fmt: skip
+            ]
             fused = fuse_boxes(boxes, scores, classes, np.array(could, np.int64), FUSION_IOU)
         else:
             fused = _suppressed(boxes, scores, classes)

@@ -85,19 +85,27 @@ DETECTORS: dict[str, Callable[[DetectorRequest], Detector]] = {
     "annotations": lambda request: AnnotationDetector(request.class_names, request.synonyms),
     "recorded": _recorded,
     "yolo-seg": _network(
-        "yolo-seg", "yolo_seg.YoloSegDetector", "an ONNX file",
+        "yolo-seg",
+        "yolo_seg.YoloSegDetector",
+        "an ONNX file",
         lambda request: {"names": request.config, "synonyms": request.synonyms},
     ),
     "detic": _network(
-        "detic", "detic.DeticDetector", "an ONNX file with its class names beside it",
+        "detic",
+        "detic.DeticDetector",
+        "an ONNX file with its class names beside it",
         lambda request: {"names": request.config, "synonyms": request.synonyms},
     ),
     "boxes": _network(
-        "boxes", "box_detector.BoxDetector", "an ONNX file with a TOML file beside it",
+        "boxes",
+        "box_detector.BoxDetector",
+        "an ONNX file with a TOML file beside it",
         lambda request: {"config": request.config, "synonyms": request.synonyms},
     ),
     "grounding-dino": _network(
-        "grounding-dino", "grounding_dino.GroundingDinoDetector", "an ONNX file with its tokenizer beside it",
+        "grounding-dino",
+        "grounding_dino.GroundingDinoDetector",
+        "an ONNX file with its tokenizer beside it",
         lambda request: {"default_labels": request.class_names},
     ),
     "owlv2": _network(
@@ -107,7 +115,7 @@ DETECTORS: dict[str, Callable[[DetectorRequest], Detector]] = {
         "owlvit", "owl.OwlDetector", _OWL, lambda request: {"kind": "owlvit", "default_labels": request.class_names}
     ),
     "simulated": _simulated,
-}  # fmt: skip
+}
 CONFIGURABLE = ("yolo-seg", "detic", "boxes", "recorded")
 """Those of them that a second file says more about."""
 

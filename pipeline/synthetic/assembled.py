@@ -186,11 +186,25 @@ def _case(r: Rng) -> Made:
 
 
 LARGE: tuple[tuple[str, Callable[[Rng], Made]], ...] = (
-    ("table", _table), ("table", _table), ("table", _round_table), ("chair", _chair), ("chair", _chair),
-    ("sofa", _sofa), ("bed", _bed), ("cabinet", _cupboard), ("cabinet", _cupboard), ("bookshelf", _shelf),
-    ("bookshelf", _shelf), ("stool", _stool), ("trash can", _bin), ("floor lamp", _floor_lamp),
-    ("potted plant", _plant), ("beanbag", _beanbag), ("box", _case), ("box", _case),
-)  # fmt: skip
+    ("table", _table),
+    ("table", _table),
+    ("table", _round_table),
+    ("chair", _chair),
+    ("chair", _chair),
+    ("sofa", _sofa),
+    ("bed", _bed),
+    ("cabinet", _cupboard),
+    ("cabinet", _cupboard),
+    ("bookshelf", _shelf),
+    ("bookshelf", _shelf),
+    ("stool", _stool),
+    ("trash can", _bin),
+    ("floor lamp", _floor_lamp),
+    ("potted plant", _plant),
+    ("beanbag", _beanbag),
+    ("box", _case),
+    ("box", _case),
+)
 
 
 def _can(r: Rng) -> Made:
@@ -245,10 +259,21 @@ def _screen(r: Rng) -> Made:
 
 
 SMALL: tuple[tuple[str, Callable[[Rng], Made]], ...] = (
-    ("can", _can), ("can", _can), ("ball", _ball), ("cone", _cone), ("bottle", _capsule), ("roll", _roll),
-    ("box", _carton), ("box", _carton), ("box", _carton), ("book", _book), ("book", _book), ("bowl", _bowl),
-    ("mug", _mug), ("computer monitor", _screen),
-)  # fmt: skip
+    ("can", _can),
+    ("can", _can),
+    ("ball", _ball),
+    ("cone", _cone),
+    ("bottle", _capsule),
+    ("roll", _roll),
+    ("box", _carton),
+    ("box", _carton),
+    ("box", _carton),
+    ("book", _book),
+    ("book", _book),
+    ("bowl", _bowl),
+    ("mug", _mug),
+    ("computer monitor", _screen),
+)
 
 
 class _World:

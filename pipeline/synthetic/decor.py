@@ -268,9 +268,12 @@ def picture(p: Palette, rng: Rng, width: float = 0.5, height: float = 0.65) -> O
     t = 0.022
     parts = [
         block((width - t, 0.008, height - t), (0, 0.006, t / 2), art, 0.001),
-        *each(SIDES, lambda s: (
-            block((t, 0.024, height), (s * (width - t) / 2, 0, 0), frame, 0.003),
-            block((width - 2 * t, 0.024, t), (0, 0, (height - t) / 2 * (1 + s)), frame, 0.003),
-        )),
-    ]  # fmt: skip
+        *each(
+            SIDES,
+            lambda s: (
+                block((t, 0.024, height), (s * (width - t) / 2, 0, 0), frame, 0.003),
+                block((width - 2 * t, 0.024, t), (0, 0, (height - t) / 2 * (1 + s)), frame, 0.003),
+            ),
+        ),
+    ]
     return assemble("picture", parts)

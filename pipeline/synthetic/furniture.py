@@ -327,9 +327,12 @@ def rug(p: Palette, rng: Rng, width: float, depth: float) -> ObjectModel:
     # A hem closes the ends, whose sides would show the pattern seen from the top.
     parts = [
         block((width, depth, 0.012), (0, 0, 0), material, 0.005),
-        *each(SIDES, lambda s: (
-            block((0.014, depth + 0.001, 0.0125), (s * width / 2, 0, 0), linen, 0.004),
-            block((0.05, depth - 0.01, 0.006), (s * (width / 2 + 0.024), 0, 0), linen, 0.002),
-        )),
-    ]  # fmt: skip
+        *each(
+            SIDES,
+            lambda s: (
+                block((0.014, depth + 0.001, 0.0125), (s * width / 2, 0, 0), linen, 0.004),
+                block((0.05, depth - 0.01, 0.006), (s * (width / 2 + 0.024), 0, 0), linen, 0.002),
+            ),
+        ),
+    ]
     return assemble("rug", parts)

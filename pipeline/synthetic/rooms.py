@@ -86,28 +86,31 @@ def _study(room: Layout, p: Palette) -> tuple[Focus, ...]:
     x = w * 0.42
     table = room.against(f.desk(p, rng), "back", x, 0.02)
     _place(
-        room, p,
+        room,
+        p,
         (near, c.plant, (0.40, d - 0.42, 0.4, 0.05), 1.15),
         (put, o.laptop, (table, (-0.08, 0.05), turn(5))),
         (put, o.mug, (table, (-0.50, -0.20), turn(40)), p.accents[0]),
         (put, o.mug, (table, (0.38, -0.30), turn(40)), p.accents[1]),
         (put, c.desk_lamp, (table, (-0.80, 0.60))),
-    )  # fmt: skip
+    )
     _book_pile(room, p, table, (0.72, 0.30), 3)
     _place(
-        room, p,
+        room,
+        p,
         (put, o.bottle, (table, (0.42, 0.70))),
         (put, o.mouse, (table, (0.21, -0.25), turn(10))),
         (put, c.plant, (table, (-0.42, 0.75)), 0.30),
-    )  # fmt: skip
+    )
     furnish_wall_shelf(room, p, room.hang(stocked_wall_shelf(p, rng), "back", x - 0.25, 1.42))
     room.hang(c.picture(p, rng, 0.44, 0.58), "back", x + 0.62, 1.25)
     seat = room.stand_near(f.office_chair(p, rng), x + 1.00, d - 1.32, np.pi + np.deg2rad(rng.uniform(30, 60)), 0.06)
     _place(
-        room, p,
+        room,
+        p,
         (near, c.trash_can, (x - 0.95, d - 0.85, 0, 0.04)),
         (near, c.box, (x - 0.15, d - 0.36, turn(8), 0.05)),
-    )  # fmt: skip
+    )
     tall = room.against(stocked_bookshelf(p, rng), "back", w - 0.62, 0.02)
     furnish_bookshelf(room, p, tall)
     room.put(c.plant(p, rng, 0.36), tall, (-0.4, 0.0), surface=0)
@@ -117,10 +120,11 @@ def _study(room: Layout, p: Palette) -> tuple[Focus, ...]:
     stool = room.stand_near(f.stool(p, rng), w * 0.60, d * 0.35, 0.2)
     _book_pile(room, p, stool, (0, 0), 2)
     _place(
-        room, p,
+        room,
+        p,
         (near, c.backpack, (x - 1.05, d - 1.35, lambda: np.deg2rad(rng.uniform(-40, -10)), 0.1)),
         (near, c.floor_lamp, (w - 0.40, d * 0.70, 0, 0.1)),
-    )  # fmt: skip
+    )
     chest = room.against(f.cabinet(p, rng, 1.1), "left", d * 0.42)
     _place(room, p, (put, o.vase, (chest, (-0.6, 0.1))), (put, c.basket, (chest, (0.55, 0.0))))
     room.put(c.clock(p, rng), chest, None) if seat is None else room.hang(c.clock(p, rng), "left", d * 0.42, 1.55)
@@ -148,31 +152,35 @@ def _dining(room: Layout, p: Palette) -> tuple[Focus, ...]:
     for k, (u, v) in enumerate(((-0.46, 0.52), (0.55, 0.50), (-0.28, -0.55))):
         room.put(cup if k == 0 else o.mug(p, rng, p.accents[k]), table, (u, v), _turn(room, 60))
     _place(
-        room, p,
+        room,
+        p,
         *((put, o.plate, (table, at)) for at in ((-0.62, 0.55), (0.42, -0.55), (-0.5, -0.60))),
         (put, o.bottle, (table, (0.06, 0.35))),
         (put, c.teapot, (table, (0.66, 0.0), turn(50))),
         (near, c.trash_can, (x - 1.62, y + 0.15, 0, 0.04)),
         (near, c.box, (x + 0.05, y + 0.02, 0.3, 0.05)),
-    )  # fmt: skip
+    )
     side = room.against(f.cabinet(p, rng, 1.55, 0.80), "back", w * 0.47)
     _place(
-        room, p,
+        room,
+        p,
         (put, c.teapot, (side, (-0.72, 0.1), 0.5)),
         (put, c.lamp, (side, (0.78, 0.1))),
         (put, c.basket, (side, (0.35, 0.0))),
         (put, o.bottle, (side, (-0.34, 0.1))),
-    )  # fmt: skip
+    )
     _book_pile(room, p, side, (0.0, 0.0), 3)
     _place(
-        room, p,
+        room,
+        p,
         *((hang, c.picture, ("back", w * 0.47 + out, 1.32), 0.52, 0.68) for out in (-0.36, 0.36)),
         (near, c.plant, (0.48, d - 0.50, 1.0), 1.2),
-    )  # fmt: skip
+    )
     tall = room.against(stocked_bookshelf(p, rng), "back", w - 0.56)
     furnish_bookshelf(room, p, tall)
     _place(
-        room, p,
+        room,
+        p,
         (put, c.candle, (side, (0.12, -0.5))),
         (put, c.candle, (side, (0.18, 0.3))),
         (near, c.plant, (0.45, d * 0.24, 0.6), 0.95),
@@ -180,7 +188,7 @@ def _dining(room: Layout, p: Palette) -> tuple[Focus, ...]:
         (near, f.stool, (w - 0.50, d * 0.40)),
         (near, c.basket, (w - 0.45, d * 0.66, 0.3)),
         (near, c.plant, (w - 0.5, d * 0.18, 1.0), 0.8),
-    )  # fmt: skip
+    )
     return (
         _focus(x - 0.05, y + 0.2, 0.62, 90, 8, 2.3, 2.7),
         _focus(x, y + 0.25, 0.62, 58, 12, 2.4, 3.2),
@@ -195,7 +203,8 @@ def _living(room: Layout, p: Palette) -> tuple[Focus, ...]:
     x = w * 0.46
     couch = room.stand(f.sofa(p, rng), x, d - 1.26)
     _place(
-        room, p,
+        room,
+        p,
         *((put, f.throw_pillow, (couch, (u, 0.95), turn(7))) for u in (-0.82, -0.35, 0.72)),
         (put, c.teddy_bear, (couch, (0.28, 0.4), turn(10))),
         (put, o.book, (couch, (-0.60, -0.9), 0.3)),
@@ -204,25 +213,27 @@ def _living(room: Layout, p: Palette) -> tuple[Focus, ...]:
         (near, c.box, (x + 0.25, d - 0.30, 0.05, 0.05)),
         (hang, c.picture, ("back", x - 0.1, 1.22), 0.62, 0.80),
         (hang, c.picture, ("back", x + 0.58, 1.52), 0.36, 0.46),
-    )  # fmt: skip
+    )
     room.lay_rug(f.rug(p, rng, 1.8, 1.5), x, d - 2.50)
     low = room.stand(f.coffee_table(p, rng), x, d - 2.36)
     top = _book_pile(room, p, low, (-0.45, 0.2), 2)
     _place(
-        room, p,
+        room,
+        p,
         (room.stack, c.candle, (top,)),
         (put, o.mug, (low, (0.10, -0.45), turn(60))),
         (put, o.mug, (low, (0.62, 0.10), turn(60))),
         (put, o.bowl, (low, (0.3, 0.5))),
         (near, c.toy_ball, (x - 0.85, d - 2.75, 0.5)),
-    )  # fmt: skip
+    )
     stand = room.against(f.cabinet(p, rng, 1.55, 0.52), "left", d * 0.44)
     _place(
-        room, p,
+        room,
+        p,
         (put, o.tv, (stand, (0.0, 0.4))),
         (put, o.vase, (stand, (-0.90, -0.2))),
         (put, c.candle, (stand, (0.92, -0.1))),
-    )  # fmt: skip
+    )
     arm = room.stand_near(f.armchair(p, rng), x + 1.64, d - 2.45, np.deg2rad(-76), 0.05)
     room.put(f.throw_pillow(p, rng), arm, (0, 0.9), _turn(room, 8))
     tall = room.against(stocked_bookshelf(p, rng), "back", w - 0.56)
@@ -230,13 +241,14 @@ def _living(room: Layout, p: Palette) -> tuple[Focus, ...]:
     room.stand_near(c.basket(p, rng), x - 1.45, d - 1.55, 0.2, 0.1)
     stool = room.stand_near(f.stool(p, rng), x + 1.42, d - 1.35, 0.3, 0.06)
     _place(
-        room, p,
+        room,
+        p,
         (put, o.mug, (stool, (0, 0))),
         (near, c.trash_can, (0.35, d * 0.70, 0, 0.08)),
         (near, c.plant, (0.42, d * 0.14, 0.8), 0.9),
         (hang, c.clock, ("left", d * 0.72, 1.65)),
         (hang, c.picture, ("front", w * 0.28, 1.3), 0.5, 0.65),
-    )  # fmt: skip
+    )
     return (
         _focus(x + 0.1, d - 1.75, 0.50, 90, 10, 2.3, 2.7),
         _focus(x - 0.35, d - 1.75, 0.52, 132, 12, 2.2, 3.2),
@@ -252,12 +264,13 @@ def _bedroom(room: Layout, p: Palette) -> tuple[Focus, ...]:
     place = room.against(f.bed(p, rng), "back", x)
     half = 0.0 if place is None else float(room.instances[place].model.size[0]) / 2
     _place(
-        room, p,
+        room,
+        p,
         (put, f.bed_pillow, (place, (-0.52, 0.1), turn(4))),
         (put, f.bed_pillow, (place, (0.52, 0.1), turn(4))),
         (put, c.teddy_bear, (place, (0.05, 0.55), turn(12), 1)),
         (put, o.book, (place, (-0.45, 0.2), 0.4, 1)),
-    )  # fmt: skip
+    )
     room.put(c.backpack(p, rng), place, None, 0.3, surface=1) if rng.random() < 0.2 else None
     stand = f.nightstand(p, rng)
     for s in (-1, 1):
@@ -272,34 +285,38 @@ def _bedroom(room: Layout, p: Palette) -> tuple[Focus, ...]:
     room.put(c.box(p, rng), closet, (0.3, 0.0))
     table = room.against(f.desk(p, rng), "left", d * 0.30)
     _place(
-        room, p,
+        room,
+        p,
         (put, o.laptop, (table, (0.0, 0.0), turn(8))),
         (put, o.mug, (table, (-0.5, -0.1), turn(50))),
         (put, o.mug, (table, (0.45, -0.3), turn(50))),
         (put, c.desk_lamp, (table, (0.8, 0.5))),
-    )  # fmt: skip
+    )
     _book_pile(room, p, table, (-0.8, 0.4), 3)
     _place(
-        room, p,
+        room,
+        p,
         (near, f.chair, (1.12, d * 0.30, np.deg2rad(-105), 0.05)),
         (near, c.trash_can, (0.38, d * 0.30 + 1.0, 0, 0.06)),
         (near, c.toy_ball, (x - half - 0.55, d - 2.25, 0.3, 0.1)),
         (near, c.backpack, (x - half - 0.28, d - 2.45, np.deg2rad(-30), 0.08)),
-    )  # fmt: skip
+    )
     stool = room.stand_near(f.stool(p, rng), x + 0.25, d - 2.55, 0.2, 0.1)
     _book_pile(room, p, stool, (0, 0), 2)
     _place(
-        room, p,
+        room,
+        p,
         (near, c.plant, (w - 0.45, d - 1.35, 0.3), 1.2),
         (near, c.box, (x + half + 0.35, d - 1.0, 0.1, 0.1)),
-    )  # fmt: skip
+    )
     chest = room.against(f.cabinet(p, rng, 1.1, 0.78), "right", d * 0.27)
     _place(
-        room, p,
+        room,
+        p,
         (put, c.plant, (chest, (-0.6, 0.1)), 0.4),
         (put, o.vase, (chest, (0.6, 0.0))),
         (put, c.teapot, (chest, (0.0, 0.0), 0.4)),
-    )  # fmt: skip
+    )
     room.hang(c.clock(p, rng), "left", d * 0.32, 1.6)
     return (
         _focus(x - 0.1, d - 1.15, 0.55, 90, 12, 2.4, 2.9),

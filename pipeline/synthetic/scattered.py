@@ -25,13 +25,48 @@ Rng = np.random.Generator
 Make = Callable[[Palette, Rng], ObjectModel]
 
 LARGE: tuple[Make, ...] = (
-    f.dining_table, f.desk, f.coffee_table, f.sofa, f.armchair, f.bed, f.wardrobe, f.bookshelf, f.cabinet,
-    f.nightstand, f.chair, f.chair, f.office_chair, f.stool, c.floor_lamp, c.plant, c.trash_can, c.box,
-)  # fmt: skip
+    f.dining_table,
+    f.desk,
+    f.coffee_table,
+    f.sofa,
+    f.armchair,
+    f.bed,
+    f.wardrobe,
+    f.bookshelf,
+    f.cabinet,
+    f.nightstand,
+    f.chair,
+    f.chair,
+    f.office_chair,
+    f.stool,
+    c.floor_lamp,
+    c.plant,
+    c.trash_can,
+    c.box,
+)
 SMALL: tuple[Make, ...] = (
-    o.laptop, o.tv, o.mug, o.bottle, o.bowl, o.plate, o.vase, o.book, o.standing_book, o.mouse, c.lamp, c.desk_lamp,
-    c.plant, c.basket, c.box, c.backpack, c.alarm_clock, c.teapot, c.candle, c.teddy_bear, c.toy_ball,
-)  # fmt: skip
+    o.laptop,
+    o.tv,
+    o.mug,
+    o.bottle,
+    o.bowl,
+    o.plate,
+    o.vase,
+    o.book,
+    o.standing_book,
+    o.mouse,
+    c.lamp,
+    c.desk_lamp,
+    c.plant,
+    c.basket,
+    c.box,
+    c.backpack,
+    c.alarm_clock,
+    c.teapot,
+    c.candle,
+    c.teddy_bear,
+    c.toy_ball,
+)
 SOLID_SHARE = 0.5
 """So many of the small things, and a fifth of the large ones, are plain solids."""
 

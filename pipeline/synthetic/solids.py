@@ -84,9 +84,13 @@ Thing = tuple[Solid, ...]
 
 
 def solid(
-    kind: Literal["box", "cylinder", "ball"], size: tuple[float, float, float], foot: np.ndarray, yaw: float,
-    at: tuple[float, float, float] = (0, 0, 0), lean: float = 0.0,
-) -> Solid:  # fmt: skip
+    kind: Literal["box", "cylinder", "ball"],
+    size: tuple[float, float, float],
+    foot: np.ndarray,
+    yaw: float,
+    at: tuple[float, float, float] = (0, 0, 0),
+    lean: float = 0.0,
+) -> Solid:
     """A solid of a size along own axes, with the lowest point `at` in the frame of a thing on `foot`. `lean` tilts it
     backwards (towards +y of the thing), radians."""
     half = np.array(size) if kind == "box" else np.array(size) / (2, 2, 1 if kind == "cylinder" else 2)
@@ -103,8 +107,9 @@ def _table(rng: Rng, foot: np.ndarray, yaw: float) -> tuple[Thing, float]:
     w, d, h, leg = rng.uniform(0.6, 1.8), rng.uniform(0.5, 0.9), rng.uniform(0.4, 0.8), rng.uniform(0.03, 0.08)
     legs = [
         solid("box", (leg, leg, h - 0.04), foot, yaw, (x * (w - leg) / 2, y * (d - leg) / 2, 0))
-        for x in (-1, 1) for y in (-1, 1)
-    ]  # fmt: skip
+        for x in (-1, 1)
+        for y in (-1, 1)
+    ]
     return (solid("box", (w, d, 0.04), foot, yaw, (0, 0, h - 0.04)), *legs), h
 
 

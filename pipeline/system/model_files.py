@@ -262,8 +262,13 @@ def known_models() -> tuple[KnownModel, ...]:
     table = json.loads(TABLE.read_text(encoding="utf-8"))
     return tuple(
         KnownModel(
-            m["option"], m["name"], m["repo"], m["revision"], m["licence"],
-            tuple(KnownFile(f["file"], f["sha256"], f["megabytes"]) for f in m["files"]), m["note"],
+            m["option"],
+            m["name"],
+            m["repo"],
+            m["revision"],
+            m["licence"],
+            tuple(KnownFile(f["file"], f["sha256"], f["megabytes"]) for f in m["files"]),
+            m["note"],
         )
         for m in table["models"]
-    )  # fmt: skip
+    )

@@ -88,9 +88,12 @@ def check_network(path: Path) -> None:
         real = (path.parent / name).resolve()
         require(
             limits.links or real.is_relative_to(folder) or real.is_relative_to(beside),
-            "weights outside the network's folder", got=repr(name[:80]), expected="a file beside it",
-            cause=f"{LIMITS_OPTION} links=1 allows it, if you trust whoever made it", path=path,
-        )  # fmt: skip
+            "weights outside the network's folder",
+            got=repr(name[:80]),
+            expected="a file beside it",
+            cause=f"{LIMITS_OPTION} links=1 allows it, if you trust whoever made it",
+            path=path,
+        )
         if real.exists():
             checked_path(real, "model")
 

@@ -80,9 +80,12 @@ def _limited_memory() -> bool:
 
 def _endless(what: str, seconds: float, path: Path) -> InputError:
     return InputError(
-        f"{what} does not come to an end", got=f"more than {seconds} seconds", expected="less",
-        cause=f"a slow machine? {LIMITS_OPTION} seconds={10 * seconds}", path=path,
-    )  # fmt: skip
+        f"{what} does not come to an end",
+        got=f"more than {seconds} seconds",
+        expected="less",
+        cause=f"a slow machine? {LIMITS_OPTION} seconds={10 * seconds}",
+        path=path,
+    )
 
 
 def run_limited(session: Any, outputs: Sequence[str] | None, feed: Mapping[str, np.ndarray], path: Path) -> list[Any]:

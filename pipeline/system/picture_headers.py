@@ -11,9 +11,12 @@ from typing import Any
 import numpy as np
 
 _PLUGINS = {
-    b"\x89PNG": "Png", b"\xff\xd8": "Jpeg", b"RIFF": "WebP", b"BM": "Bmp",
+    b"\x89PNG": "Png",
+    b"\xff\xd8": "Jpeg",
+    b"RIFF": "WebP",
+    b"BM": "Bmp",
     **{b"P%d" % kind: "Ppm" for kind in range(1, 7)},
-}  # fmt: skip
+}
 """Pillow's readers by the first bytes."""
 _TIFF_SIZE = {256: 0, 257: 1}
 """Tags ImageWidth and ImageLength (TIFF 6.0, section 3)."""

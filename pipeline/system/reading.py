@@ -67,10 +67,18 @@ def checked(
 
 _UNKNOWN = "a field of another name"
 _KINDS: dict[str, str] = {
-    "float": "a number", "int": "a whole number", "string": "text", "bool": "true or false", "tuple": "a list",
-    "list": "a list", "set": "a list", "frozen": "a list", "dict": "an object {...}", "dataclass": "an object {...}",
+    "float": "a number",
+    "int": "a whole number",
+    "string": "text",
+    "bool": "true or false",
+    "tuple": "a list",
+    "list": "a list",
+    "set": "a list",
+    "frozen": "a list",
+    "dict": "an object {...}",
+    "dataclass": "an object {...}",
     "model": "an object {...}",
-}  # fmt: skip
+}
 
 
 def _first_fault(error: ValidationError, content: Any) -> tuple[tuple[Any, ...], str | None, str]:

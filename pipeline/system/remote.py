@@ -186,9 +186,13 @@ def fetch(path: Path, state: os.stat_result, limit: str, limits: Limits) -> None
                 within(here.tell() + len(block), limit, "a file", source, limits)
                 here.write(block)
             require(
-                size in (None, here.tell()), "a file changed since it was listed", got=f"{here.tell()} bytes",
-                expected=size, cause="open the dataset again", path=source,
-            )  # fmt: skip
+                size in (None, here.tell()),
+                "a file changed since it was listed",
+                got=f"{here.tell()} bytes",
+                expected=size,
+                cause="open the dataset again",
+                path=source,
+            )
         os.utime(temporary, ns=(state.st_mtime_ns, state.st_mtime_ns))
         os.replace(temporary, path)
     finally:

@@ -116,8 +116,10 @@ def opened(path: Path, limit: str = "bytes") -> Iterator[IO[bytes]]:
         if os.fstat(file.fileno()).st_size < _POINTER_BYTES:
             require(
                 file.read(len(_POINTER)) != _POINTER,
-                "a pointer of Git LFS stands in place of the file", expected="the file: git lfs pull", path=path,
-            )  # fmt: skip
+                "a pointer of Git LFS stands in place of the file",
+                expected="the file: git lfs pull",
+                path=path,
+            )
             file.seek(0)
         yield file
 
@@ -164,9 +166,11 @@ def open_archive(file: IO[bytes], path: Any) -> ZipFile:
         within(members, "members", "an archive", path, limits_of(path))
         within(listed, "text", "the list of an archive's members", path, limits_of(path))
         require(
-            listed <= members * _LONGEST_MEMBER, "a damaged archive",
-            got=f"a list of {members} members in {listed} bytes", path=path,
-        )  # fmt: skip
+            listed <= members * _LONGEST_MEMBER,
+            "a damaged archive",
+            got=f"a list of {members} members in {listed} bytes",
+            path=path,
+        )
     return ZipFile(file)
 
 
@@ -226,9 +230,11 @@ def parse_json(data: bytes | str, path: Any = None, **options: Any) -> Any:
     depth = current_limits().depth
     require(
         not _deeper(data.encode("utf-8", "replace") if isinstance(data, str) else data, depth),
-        "malformed JSON: brackets inside brackets", got=f"more than {depth} levels",
-        cause=f"meant to be so deep? {LIMITS_OPTION} depth={10 * depth}", path=path,
-    )  # fmt: skip
+        "malformed JSON: brackets inside brackets",
+        got=f"more than {depth} levels",
+        cause=f"meant to be so deep? {LIMITS_OPTION} depth={10 * depth}",
+        path=path,
+    )
     return json.loads(data if isinstance(data, str) else data.decode("utf-8-sig"), **options)
 
 
@@ -315,8 +321,10 @@ def check_members(archive: ZipFile, path: Any) -> None:
         name = PurePosixPath(member.filename.replace("\\", "/"))
         require(
             not name.is_absolute() and ".." not in name.parts,
-            "a member of the archive that would lie outside it", got=repr(member.filename[:80]), path=path,
-        )  # fmt: skip
+            "a member of the archive that would lie outside it",
+            got=repr(member.filename[:80]),
+            path=path,
+        )
         within(member.file_size, "bytes", f"{member.filename[:80]} in an archive", path, limits)
     within(sum(m.file_size for m in members), "unpacked", "an archive, unpacked,", path, limits)
 

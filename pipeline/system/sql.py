@@ -38,8 +38,12 @@ SPILLED = 4
 _SYSTEM_SHARE = 1.5
 """So many times the limit the system lets a process of queries take: what DuckDB does not count, and the rows."""
 _LOOK_S = 1.0
-_TURNED_OFF = ("python_enable_replacements", "autoinstall_known_extensions", "autoload_known_extensions",
-         "enable_external_access")  # fmt: skip
+_TURNED_OFF = (
+    "python_enable_replacements",
+    "autoinstall_known_extensions",
+    "autoload_known_extensions",
+    "enable_external_access",
+)
 """Settings that are turned off. Not every version has each; the last one, which they all have, shuts the door."""
 
 
@@ -47,8 +51,10 @@ def database_settings(spill: str) -> dict[str, Any]:
     """Settings of DuckDB within the limit `query`; `spill` is the folder for the overflow."""
     most = current_limits().query
     return {
-        "memory_limit": f"{most}B", "max_temp_directory_size": f"{SPILLED * most}B", "temp_directory": spill,
-    }  # fmt: skip
+        "memory_limit": f"{most}B",
+        "max_temp_directory_size": f"{SPILLED * most}B",
+        "temp_directory": spill,
+    }
 
 
 @contextmanager
@@ -101,9 +107,11 @@ def _send(out: BinaryIO, answer: tuple[str, Any]) -> None:
     data = pickle.dumps(answer)
     if len(data) > LARGEST_ROWS:
         words = InputError(
-            "the rows of the answer are too large", got=f"{shown(len(data))} bytes of {len(answer[1]):,} rows",
-            expected=f"at most {shown(LARGEST_ROWS)}", cause="fewer columns, or substr(...) of a long text",
-        )  # fmt: skip
+            "the rows of the answer are too large",
+            got=f"{shown(len(data))} bytes of {len(answer[1]):,} rows",
+            expected=f"at most {shown(LARGEST_ROWS)}",
+            cause="fewer columns, or substr(...) of a long text",
+        )
         data = pickle.dumps(("problem", str(words)))
     out.write(data)
     out.flush()

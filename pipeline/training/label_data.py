@@ -95,8 +95,9 @@ def read_label_data(labels: Labels, features: str, vocabulary: Sequence[str]) ->
             expected="labels made with the vocabulary of the network, or with --vocabulary all",
             path=labels.root,
         )
-    frames = _columns(labels, "frames", ("frame", "frame_index", "scene", "ok", "width", "height", "up",
-                                         "T_world_camera"))  # fmt: skip
+    frames = _columns(
+        labels, "frames", ("frame", "frame_index", "scene", "ok", "width", "height", "up", "T_world_camera")
+    )
     wanted = ("frame_index", "object", "label", "usable", *GEOMETRY_COLUMNS[features])
     objects = _columns(labels, "objects", tuple(dict.fromkeys(wanted)))
     objects = {k: v[objects["usable"]] for k, v in objects.items()}
@@ -264,8 +265,9 @@ def trained_on(labels: Labels, plan: SplitPlan) -> TrainedOn:
     name, input_hash, content = identity(labels)
     inside = {part: [plan.frames[k] for k in plan.indices(part)] for part in (TRAIN, VALIDATION)}
     whole = plan.kind == "scene"
-    names = {part: tuple(dict.fromkeys(f.scene if whole else f.frame for f in frames))
-             for part, frames in inside.items()}  # fmt: skip
+    names = {
+        part: tuple(dict.fromkeys(f.scene if whole else f.frame for f in frames)) for part, frames in inside.items()
+    }
     scenes = tuple(sorted({f.scene for frames in inside.values() for f in frames}))
     return TrainedOn(name, input_hash, content, plan.kind, names[TRAIN], names[VALIDATION], scenes)
 

@@ -221,10 +221,20 @@ def _warnings(model: TrainedModel, plan: SplitPlan, data: LabelData, given: bool
 def _command(job: LabelTraining, out: Path) -> str:
     config = job.config
     words = [
-        "spatialviz", "train", job.labels.resolve().name, "--out", out.name,
-        "--features", cli_features(config.features), "--vocabulary", config.vocabulary,
-        "--epochs", str(config.epochs), "--seed", str(config.seed),
-    ]  # fmt: skip
+        "spatialviz",
+        "train",
+        job.labels.resolve().name,
+        "--out",
+        out.name,
+        "--features",
+        cli_features(config.features),
+        "--vocabulary",
+        config.vocabulary,
+        "--epochs",
+        str(config.epochs),
+        "--seed",
+        str(config.seed),
+    ]
     if job.vectors is not None:
         words += ["--vectors", job.vectors.name, *(["--normalised"] if job.normalised else [])]
     given = {"--split": job.split, "--batch": config.batch, "--pairs": job.pairs}

@@ -100,12 +100,17 @@ def _recorded(state: State, found: Recorded) -> Element:
     now: Child = verdict_chip_of(judged) if isinstance(judged, Diagnosis) else judged or "no verdict"
     why = by or "labels, models or data are not those of the run any more"
     return h.div(
-        h.button(verdict_chip(found.verdict, found.detail, found.lucky), cls="plain", id="verdict",
-                 do="stage:LABEL", title="as the run has it"),
+        h.button(
+            verdict_chip(found.verdict, found.detail, found.lucky),
+            cls="plain",
+            id="verdict",
+            do="stage:LABEL",
+            title="as the run has it",
+        ),
         h.p(found.said, cls="sentence"),
         h.p("Judged now: ", now, f". The run: {why}.", cls="dim small"),
         cls="verdict",
-    )  # fmt: skip
+    )
 
 
 def mend_button(state: State) -> Element | None:

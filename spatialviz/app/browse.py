@@ -99,8 +99,13 @@ class Browse(Part):
         """Send the strip's list and the position of the current frame."""
         state, counts, places = self.state, self._counts, self._places
         labels = state.labels is not None
-        kinds = {} if not counts else {"open": "open", "settled": "settled"} if labels else {
-            "failed": "with failures", "right": "all right"}  # fmt: skip
+        kinds = (
+            {}
+            if not counts
+            else {"open": "open", "settled": "settled"}
+            if labels
+            else {"failed": "with failures", "right": "all right"}
+        )
         at = self._ids.index(state.frame_id)
         data = {
             "source": list(self.ctx.shared.store.sources).index(state.source),

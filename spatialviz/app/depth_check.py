@@ -70,7 +70,10 @@ def opinions_html(found: Examination) -> list[Child]:
         h.p(looked_at, cls="dim"),
         h.table(h.tbody(rows), cls="doctor"),
         h.img(src=jpeg_url(overlay(found, most=2)), alt="outlines of depth, as read and as mended", cls="edges"),
-        h.p("Outlines of depth on colour: green where they lie on an edge of colour, else red. On the left as the ",
-            "recording is read, on the right with what mends it.", cls="dim small"),
+        h.p(
+            "Outlines of depth on colour: green where they lie on an edge of colour, else red. On the left as the ",
+            "recording is read, on the right with what mends it.",
+            cls="dim small",
+        ),
         note(mended) if found.mends else h.p(mended, cls="dim small"),
-    ]  # fmt: skip
+    ]

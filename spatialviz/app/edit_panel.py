@@ -117,9 +117,11 @@ def _confidences(state: State, trace: Trace, i: int) -> Iterator[Element]:
         at = [k for k, place in enumerate(candidates.index.tolist()) if state.shown.place[place] == i]
         if at:
             yield _slider(
-                f"confidence:{number}", f"P(· | {name})", float(candidates.scores[at[0]]),
+                f"confidence:{number}",
+                f"P(· | {name})",
+                float(candidates.scores[at[0]]),
                 f"the detector's confidence that this is “{name}”",
-            )  # fmt: skip
+            )
 
 
 def _mask_row(state: State, mask: np.ndarray) -> Child:
@@ -151,9 +153,11 @@ def _pair(state: State) -> Child:
     a, b = (state.shown.place[k] for k in ends)
     names = [state.name_of(k) for k in ends]
     return heading("Chosen pair", f"{names[0]} {PHRASE[relation]} {names[1]}"), _slider(
-        f"relation:{a}:{b}", f"P({PHRASE[relation]})", pair.p_relation,
+        f"relation:{a}:{b}",
+        f"P({PHRASE[relation]})",
+        pair.p_relation,
         "the probability of the asked relation for this pair",
-    )  # fmt: skip
+    )
 
 
 def _map(state: State, editable: bool, found: DecisionMap | None) -> Child:
@@ -161,9 +165,11 @@ def _map(state: State, editable: bool, found: DecisionMap | None) -> Child:
     name = (selected or "the selected object") if found is None else state.named(found.key)
     hint = "colours the floor by the answer that would win if the object stood there"
     label = "hide the map" if found is not None else "show it"
-    said = f"Which answer wins if {name} stands elsewhere." if found is None else (
-        f"In the scene: who wins where {name} stands. {found.winner.size:,} cells, {found.seconds * 1000:.0f} ms"
-    )  # fmt: skip
+    said = (
+        f"Which answer wins if {name} stands elsewhere."
+        if found is None
+        else (f"In the scene: who wins where {name} stands. {found.winner.size:,} cells, {found.seconds * 1000:.0f} ms")
+    )
     show = button(label, "edit-map", hint, disabled=found is None and not editable)
     return heading("Decision map", show), h.div(said, cls="dim")
 
@@ -230,24 +236,35 @@ def _slider(kind: str, label: str, value: float, hint: str) -> Element:
     return h.label(
         h.span(label),
         h.input(
-            type="range", min=0, max=1, step="0.01", value=shown, css={"--v": shown},
-            live=f"edit-live:{kind}", change=f"edit:{kind}",
+            type="range",
+            min=0,
+            max=1,
+            step="0.01",
+            value=shown,
+            css={"--v": shown},
+            live=f"edit-live:{kind}",
+            change=f"edit:{kind}",
         ),
         h.output(f"{value:.2f}"),
         id=f"slide-{kind}",
         cls="slide",
         title=hint,
-    )  # fmt: skip
+    )
 
 
 STATUS_WORDS = {
-    "accepted": ("accept", GOOD, "Y"), "unsure": ("unsure", DOUBT, "Shift+U"),
+    "accepted": ("accept", GOOD, "Y"),
+    "unsure": ("unsure", DOUBT, "Shift+U"),
     "rejected": ("reject", BAD, "Shift+Y"),
-}  # fmt: skip
+}
 LENGTH_DIGITS, TURN_DIGITS = 3, 1
 FIELD_NAMES = {"label": "class", "status": "status", "mask": "mask", "bbox": "2D box", "box": "3D box"}
-SOURCES = {"auto": ("auto", "#8a919c", False), "human": ("", GOOD, True),
-           "recomputed": ("recomputed", "#4c8dd6", True), "stale": ("stale", DOUBT, True)}  # fmt: skip
+SOURCES = {
+    "auto": ("auto", "#8a919c", False),
+    "human": ("", GOOD, True),
+    "recomputed": ("recomputed", "#4c8dd6", True),
+    "stale": ("stale", DOUBT, True),
+}
 """By source: word, colour of the mark, and filled or not."""
 
 
@@ -348,16 +365,24 @@ def _box_rows(numbers: BoxNumbers | None, sends: str, digits: int, *more: Child)
     for kind, label in (("center", "Centre"), ("size", "Size")):
         cells = (
             field(
-                f"{sends}:{kind}:{axis}", getattr(numbers, kind)[axis], hint=f"{word}, {unit}", step="0.01",
-                name=word, digits=digits,
+                f"{sends}:{kind}:{axis}",
+                getattr(numbers, kind)[axis],
+                hint=f"{word}, {unit}",
+                step="0.01",
+                name=word,
+                digits=digits,
             )
             for axis, (word, unit) in enumerate(AXES[kind])
-        )  # fmt: skip
+        )
         rows.append(row(label, h.div(cells, cls="fields")))
     turn = field(
-        f"{sends}:yaw", numbers.yaw, hint="degrees, from right towards forward", step="1",
-        name="yaw °", digits=TURN_DIGITS,
-    )  # fmt: skip
+        f"{sends}:yaw",
+        numbers.yaw,
+        hint="degrees, from right towards forward",
+        step="1",
+        name="yaw °",
+        digits=TURN_DIGITS,
+    )
     return rows, row("Turn", h.div(turn, more, cls="fields"))
 
 

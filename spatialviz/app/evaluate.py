@@ -174,9 +174,14 @@ class Evaluate(Part):
         self._span = first, stop = first, min(stop, first + AT_ONCE)
         numbers = listing.found[first:stop].tolist()
         rows = listing.figures.rows.read(listing.found[first:stop])
-        self.ctx.page.call("rows", {
-            "version": self._version, "first": first, "rows": [row_html(row, self._view).html for row in rows],
-        })  # fmt: skip
+        self.ctx.page.call(
+            "rows",
+            {
+                "version": self._version,
+                "first": first,
+                "rows": [row_html(row, self._view).html for row in rows],
+            },
+        )
         urls = [pictures_of(listing.figures).url(n, row) for n, row in zip(numbers, rows, strict=True)]
         self._send_pictures({k: url for k, url in enumerate(urls, first) if url})
         self._make_pictures(listing, [(k, rows[k - first]) for k, url in enumerate(urls, first) if not url])
@@ -284,18 +289,28 @@ class Evaluate(Part):
             return
         rows, second = listing.figures.rows, listing.figures.second is not None
         facets = () if listing.error else rows.facets(listing.query)
-        page.fill({
-            "search": search_html(listing.query), "offers": None,
-            "filters": filters_html(listing, rows.notes, self._first, second, self._view),
-            "facet-list": facets_html(facets, self._opened, listing.error),
-        })  # fmt: skip
+        page.fill(
+            {
+                "search": search_html(listing.query),
+                "offers": None,
+                "filters": filters_html(listing, rows.notes, self._first, second, self._view),
+                "facet-list": facets_html(facets, self._opened, listing.error),
+            }
+        )
         self._show_bar()
         self._told = self._asked
-        page.call("found", {
-            "version": self._version, "total": listing.count, "view": self._view, "place": self._told,
-            "head": heads_html(listing.query, second).html if self._view == "table" else "",
-            "label": f"{listing.count} expressions", "noted": rows.stamp,
-        })  # fmt: skip
+        page.call(
+            "found",
+            {
+                "version": self._version,
+                "total": listing.count,
+                "view": self._view,
+                "place": self._told,
+                "head": heads_html(listing.query, second).html if self._view == "table" else "",
+                "label": f"{listing.count} expressions",
+                "noted": rows.stamp,
+            },
+        )
         self._show_chosen()
         self._show_figures(listing.figures)
 
@@ -315,9 +330,11 @@ class Evaluate(Part):
             return
         self._figured, page = True, self.ctx.page
         parts: list[tuple[str, Callable[[RunFigures], Element | None]]] = [
-            ("run-summary", summary_html), ("run-compared", comparison_html),
-            ("run-slices", lambda figures: slices_html(figures, self._cut)), ("run-confusion", confusion_html),
-        ]  # fmt: skip
+            ("run-summary", summary_html),
+            ("run-compared", comparison_html),
+            ("run-slices", lambda figures: slices_html(figures, self._cut)),
+            ("run-confusion", confusion_html),
+        ]
         page.fill({region: None for region, _ in parts})
 
         def draw() -> None:

@@ -60,16 +60,19 @@ def _facet(facet: Facet, opened: bool) -> Element:
     more = None
     if rest or (opened and not few):
         more = h.button(
-            f"{rest} more" if rest else "fewer", cls="more", do=f"facet-more:{facet.name}",
+            f"{rest} more" if rest else "fewer",
+            cls="more",
+            do=f"facet-more:{facet.name}",
             aria_expanded=str(not rest).lower(),
-        )  # fmt: skip
+        )
     name = f"facet-{facet.name}"
     return h.section(
         h.h2(TITLES.get(facet.name, facet.title), id=f"{name}-name", title=hint("facet")),
         h.div((_value(facet, v, most) for v in shown), role="group", aria_labelledby=f"{name}-name"),
         more,
-        id=name, cls="facet",
-    )  # fmt: skip
+        id=name,
+        cls="facet",
+    )
 
 
 def _value(facet: Facet, value: FacetValue, most: int) -> Element:
@@ -80,15 +83,26 @@ def _value(facet: Facet, value: FacetValue, most: int) -> Element:
     on = {1: "true", -1: "mixed"}.get(value.state, "false")
     css = {"--v": f"{value.count / most:.3f}"} | ({} if color is None else {"--c": hex_color(color)})
     row = h.button(
-        h.span(cls="box"), h.span(name, cls="which"), h.span(f"{value.count:,}", cls="n"), do=f"facet:{value.term}",
-        role="checkbox", aria_checked=on, css=css, title=said, cls="value",
-    )  # fmt: skip
+        h.span(cls="box"),
+        h.span(name, cls="which"),
+        h.span(f"{value.count:,}", cls="n"),
+        do=f"facet:{value.term}",
+        role="checkbox",
+        aria_checked=on,
+        css=css,
+        title=said,
+        cls="value",
+    )
     leave = None
     if not facet.ranges:
         leave = h.button(
-            "−", cls="not", do=f"facet-not:{value.term}", title=f"without {name}", aria_label=f"without {name}",
+            "−",
+            cls="not",
+            do=f"facet-not:{value.term}",
+            title=f"without {name}",
+            aria_label=f"without {name}",
             aria_pressed=str(value.state < 0).lower(),
-        )  # fmt: skip
+        )
     return h.div(row, leave, cls="valuerow")
 
 
@@ -97,10 +111,15 @@ def _value(facet: Facet, value: FacetValue, most: int) -> Element:
 
 def search_html(query: str) -> Element:
     return h.input(
-        cls="find runs", field="find", value=query, title=SYNTAX_HINT, spellcheck="false", autocomplete="off",
+        cls="find runs",
+        field="find",
+        value=query,
+        title=SYNTAX_HINT,
+        spellcheck="false",
+        autocomplete="off",
         placeholder="search, such as verdict:SRM class:chair margin<0.1   ( / )",
         aria_label="Search the expressions of the run",
-    )  # fmt: skip
+    )
 
 
 def offers_html(offered: Sequence[str]) -> Element | None:
@@ -113,8 +132,9 @@ def offers_html(offered: Sequence[str]) -> Element | None:
     )
     return h.div(
         h.div(words, cls="cmp", role="listbox", aria_label="Words to go on with"),
-        h.div(SYNTAX, cls="syntax dim", title=SYNTAX_HINT), cls="offered",
-    )  # fmt: skip
+        h.div(SYNTAX, cls="syntax dim", title=SYNTAX_HINT),
+        cls="offered",
+    )
 
 
 def filters_html(listing: Listing, notes: Notes, first: str, second: bool, view: str) -> Element:
@@ -127,15 +147,28 @@ def filters_html(listing: Listing, notes: Notes, first: str, second: bool, view:
         )
         chips.append(h.span(_filter(name, query, listing.query), drop, cls="kept"))
     known = listing.query in (*ready.values(), *notes.filters.values())
-    keep = None if known or listing.error else h.input(
-        cls="naming", field="naming", enter="filter-keep", value="", placeholder="keep as …", maxlength=40,
-        autocomplete="off", aria_label="Keep this search under a name", title="a name, then Enter: kept with the run",
-    )  # fmt: skip
+    keep = (
+        None
+        if known or listing.error
+        else h.input(
+            cls="naming",
+            field="naming",
+            enter="filter-keep",
+            value="",
+            placeholder="keep as …",
+            maxlength=40,
+            autocomplete="off",
+            aria_label="Keep this search under a name",
+            title="a name, then Enter: kept with the run",
+        )
+    )
     shown_as = segments("rows-view", VIEWS, view, "Show as")
     return h.div(
-        h.div(chips, keep, cls="filters", role="group", aria_label="Kept searches"), h.span(cls="grow"), shown_as,
+        h.div(chips, keep, cls="filters", role="group", aria_label="Kept searches"),
+        h.span(cls="grow"),
+        shown_as,
         cls="filtersrow",
-    )  # fmt: skip
+    )
 
 
 def _filter(name: str, query: str, now: str) -> Element:
@@ -167,33 +200,47 @@ def bar_html(
         own = h.div(
             h.b(f"{selected:,} selected"),
             h.input(
-                cls="naming", field="naming", enter="mark-rows", value="", placeholder="mark as …", maxlength=40,
+                cls="naming",
+                field="naming",
+                enter="mark-rows",
+                value="",
+                placeholder="mark as …",
+                maxlength=40,
                 list="known-marks",
-                aria_label="Mark the selected", title="one word, then Enter", autocomplete="off",
+                aria_label="Mark the selected",
+                title="one word, then Enter",
+                autocomplete="off",
             ),
             h.datalist((h.option(value=name) for name in notes.marks), id="known-marks"),
             (
                 button(
-                    f"#{name} ×", f"unmark-rows:{name}", f"take the mark from the selected: {n:,} have it",
+                    f"#{name} ×",
+                    f"unmark-rows:{name}",
+                    f"take the mark from the selected: {n:,} have it",
                     aria_label=f"take the mark {name} from the selected",
                 )
                 for name, n in marks.items()
             ),
             button("make cases", "row-cases", "keep each of the selected as a small folder that `replay` runs again"),
             button("none", "choose-none", "select nothing (Escape)"),
-            cls="chosen", role="group", aria_label="The selected",
-        )  # fmt: skip
+            cls="chosen",
+            role="group",
+            aria_label="The selected",
+        )
     return h.div(found, h.span(cls="grow"), own, cls="foundbar")
 
 
 # ---- rows
 
 COLUMNS = {
-    "text": ("expression", ""), "verdict": ("verdict", ""), "second_verdict": ("second run", ""),
+    "text": ("expression", ""),
+    "verdict": ("verdict", ""),
+    "second_verdict": ("second run", ""),
     "margin": ("margin", hint("margin")),
     "p_relation": ("P(relation)", "the probability of the asked relation for the answer"),
-    "object_distance": ("distance", "of the labelled target, metres"), "frame": ("frame", ""),
-}  # fmt: skip
+    "object_distance": ("distance", "of the labelled target, metres"),
+    "frame": ("frame", ""),
+}
 """Columns of the table: title and tooltip."""
 NUMBERS = ("margin", "p_relation", "object_distance")
 
@@ -234,20 +281,31 @@ def row_html(row: Mapping[str, Any], view: str) -> Element:
             h.div(verdict, second, cls="says"),
             h.div(row["text"], cls="asked"),
             h.div(joined(filter(None, (changed, *facts))), cls="dim"),
-            cls="expr card", role="option", title=_hint(row), aria_label=_label(row),
-        )  # fmt: skip
+            cls="expr card",
+            role="option",
+            title=_hint(row),
+            aria_label=_label(row),
+        )
     numbers = {name: "" if row[name] is None else f"{row[name]:.2f}" for name in ("p_relation", "object_distance")}
     other = (changed, " ", second) if second else h.span(CHANGES["same"], cls="dim")
     cells: dict[str, Child] = {
-        "tick": h.span(cls="tick"), "shot": image, "text": h.div(row["text"], cls="asked"), "verdict": verdict,
-        **({"second_verdict": other} if "change" in row else {}), "margin": margin, **numbers, "frame": row["frame"],
+        "tick": h.span(cls="tick"),
+        "shot": image,
+        "text": h.div(row["text"], cls="asked"),
+        "verdict": verdict,
+        **({"second_verdict": other} if "change" in row else {}),
+        "margin": margin,
+        **numbers,
+        "frame": row["frame"],
         "marks": marks,
-    }  # fmt: skip
+    }
     looks = {"shot": " snap", "frame": " dim cut", "marks": " marks"} | dict.fromkeys(NUMBERS, " n")
     return h.div(
         (h.div(cell, role="gridcell", cls=f"c-{name}{looks.get(name, '')}") for name, cell in cells.items()),
-        cls="expr", role="row", title=_hint(row),
-    )  # fmt: skip
+        cls="expr",
+        role="row",
+        title=_hint(row),
+    )
 
 
 def _second(row: Mapping[str, Any]) -> Element | None:

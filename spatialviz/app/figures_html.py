@@ -27,14 +27,19 @@ from spatialviz.app.evaluate_html import hint, searches
 from spatialviz.app.markup import Child, Element, h, heading, note, panel, segments
 
 CUTS = {
-    "relation": "relation", "class": "class", "distance": "distance", "size": "size", "occlusion": "occlusion",
+    "relation": "relation",
+    "class": "class",
+    "distance": "distance",
+    "size": "size",
+    "occlusion": "occlusion",
     "same_class": "same class",
-}  # fmt: skip
+}
 """Dimensions for slicing a run, with titles."""
 NOT_TOLD = "not worked out"
 COST_COLORS = {name: COLORS[verdicts[0]] for name, verdicts in NAMED_BY.items()} | {
-    "residual": COLORS["LABEL"], "unknown": COLORS["UNEXPLAINED"],
-}  # fmt: skip
+    "residual": COLORS["LABEL"],
+    "unknown": COLORS["UNEXPLAINED"],
+}
 AXIS = 10
 """Start of the scale, rounded to a multiple, percent."""
 
@@ -42,8 +47,11 @@ AXIS = 10
 def summary_html(figures: RunFigures) -> Element:
     """Losses of accuracy, and the verdicts with confidence intervals."""
     summary = figures.summary
-    name = h.h2(h.b(figures.run.name), h.span(figures.run.folder.name if isinstance(summary, str) else
-                                             counted(summary.expressions, "expression")), cls="runhead")  # fmt: skip
+    name = h.h2(
+        h.b(figures.run.name),
+        h.span(figures.run.folder.name if isinstance(summary, str) else counted(summary.expressions, "expression")),
+        cls="runhead",
+    )
     shares = [shares_html(figures.run.shares), *map(note, doubts_of(figures.run))]
     if isinstance(summary, str):
         return panel(name, shares, note(summary))
@@ -98,10 +106,13 @@ def _waterfall(summary: RunSummary, told: bool) -> tuple[Child, ...]:
         return _along(a, max(b - a, 0.004))
 
     first = h.div(
-        h.span(h.b("as it is"), " ", between(summary.accuracy), cls="module"), h.b(percent(summary.accuracy), cls="n"),
-        h.span(), h.span(h.i(css=scaled(low, base), cls="base"), cls="track"),
-        cls="fall", title=f"{hint('accuracy')}\n{between(summary.accuracy)}: {hint('interval')}",
-    )  # fmt: skip
+        h.span(h.b("as it is"), " ", between(summary.accuracy), cls="module"),
+        h.b(percent(summary.accuracy), cls="n"),
+        h.span(),
+        h.span(h.i(css=scaled(low, base), cls="base"), cls="track"),
+        cls="fall",
+        title=f"{hint('accuracy')}\n{between(summary.accuracy)}: {hint('interval')}",
+    )
     rows, at = [first], base
     for name, e in shares.items():
         single = alone.get(name)
@@ -118,11 +129,15 @@ def _waterfall(summary: RunSummary, told: bool) -> tuple[Child, ...]:
         )
         rows.append(
             h.button(
-                h.span(h.b(_named(name)), " ", SHORT[name], cls="module"), h.b(signed(e.value), cls="n"), reached,
+                h.span(h.b(_named(name)), " ", SHORT[name], cls="module"),
+                h.b(signed(e.value), cls="n"),
+                reached,
                 h.span(bar, mark, cls="track", css={"--c": hex_color(COST_COLORS[name])}),
-                cls="fall", title=said, **searches(query),
+                cls="fall",
+                title=said,
+                **searches(query),
             )
-        )  # fmt: skip
+        )
         at += e.value
     for name, why in summary.untold.items():
         label = h.span(h.b(_named(name)), " ", SHORT[name], cls="module")
@@ -130,16 +145,24 @@ def _waterfall(summary: RunSummary, told: bool) -> tuple[Child, ...]:
         rows.append(h.div(label, h.b("–", cls="n"), h.span(), h.span(), cls="fall", title=why))
     ends = (h.span(f"{100 * (low + part * span):.0f}") for part in (0, 0.5, 1))
     axis = h.div(
-        h.span(), h.span("share", cls="n", title=hint("Shapley")), h.span("alone", cls="n", title=hint("alone")),
-        h.span(ends, cls="track"), cls="fall axis",
-    )  # fmt: skip
-    return heading("Where the accuracy goes", f"% of all {summary.expressions:,}"), _in_words(summary), h.div(
-        axis, rows, cls="falls"
-    ), h.p(
-        "Each bar is a module's fair share of what is lost; all add up to 100. ",
-        h.u(cls="key"), " the accuracy with this module alone replaced by the truth. ",
-        "All figures are of the whole run; a search changes the list alone.", cls="small dim",
-    )  # fmt: skip
+        h.span(),
+        h.span("share", cls="n", title=hint("Shapley")),
+        h.span("alone", cls="n", title=hint("alone")),
+        h.span(ends, cls="track"),
+        cls="fall axis",
+    )
+    return (
+        heading("Where the accuracy goes", f"% of all {summary.expressions:,}"),
+        _in_words(summary),
+        h.div(axis, rows, cls="falls"),
+        h.p(
+            "Each bar is a module's fair share of what is lost; all add up to 100. ",
+            h.u(cls="key"),
+            " the accuracy with this module alone replaced by the truth. ",
+            "All figures are of the whole run; a search changes the list alone.",
+            cls="small dim",
+        ),
+    )
 
 
 def _in_words(summary: RunSummary) -> Element:
@@ -172,15 +195,19 @@ def _verdicts(summary: RunSummary) -> tuple[Child, ...]:
         if verdict == "CORRECT" and summary.lucky.count:
             details = f"lucky {summary.lucky.count}: {hint('lucky')}"
         said += f"\n{details}" if details else ""
-        bar = h.span(
-            h.i(css={"width": f"{e.value:.2%}"}), whisker, cls="t", css={"--c": hex_color(COLORS[verdict])}
-        )  # fmt: skip
+        bar = h.span(h.i(css={"width": f"{e.value:.2%}"}), whisker, cls="t", css={"--c": hex_color(COLORS[verdict])})
         rows.append(
             h.button(
-                verdict_chip(verdict), bar, h.span(share.count, cls="n dim"), h.span(h.b(percent(e)), cls="n"),
-                h.span(between(e), cls="n dim"), cls="vrow", title=said, **searches(f"verdict:{verdict}"),
+                verdict_chip(verdict),
+                bar,
+                h.span(share.count, cls="n dim"),
+                h.span(h.b(percent(e)), cls="n"),
+                h.span(between(e), cls="n dim"),
+                cls="vrow",
+                title=said,
+                **searches(f"verdict:{verdict}"),
             )
-        )  # fmt: skip
+        )
     unit = h.span(f"% of all · 95 % over {summary.unit}s", title=hint("interval"))
     return heading("Verdicts", unit), rows
 
@@ -201,20 +228,27 @@ def comparison_html(figures: RunFigures) -> Element | None:
     counts = {v.name: v.count for v in facet.values}
     boxes = (
         h.button(
-            h.b(f"{counts.get(name, 0):,}"), h.span(CHANGES[name]), cls=f"change {name}", title=hint(CHANGES[name]),
+            h.b(f"{counts.get(name, 0):,}"),
+            h.span(CHANGES[name]),
+            cls=f"change {name}",
+            title=hint(CHANGES[name]),
             **searches(f"change:{name}"),
         )
         for name in ("fixed", "broken", "verdict", "other_reason")
-    )  # fmt: skip
+    )
     gained, test = found.differences[found.measure], found.tests[found.measure]
-    few = [counted(n, "expression") + which for n, which in (
-        (found.only_before, " only in the first"), (found.only_after, " only in the second")) if n]  # fmt: skip
+    few = [
+        counted(n, "expression") + which
+        for n, which in ((found.only_before, " only in the first"), (found.only_after, " only in the second"))
+        if n
+    ]
     said = h.p(
-        "Accuracy ", h.b(f"{gained.formatted(signed=True)} points"),
+        "Accuracy ",
+        h.b(f"{gained.formatted(signed=True)} points"),
         f" on {counted(found.shared, 'shared expression')}; ",
         h.span(_by_chance(test.p_value), title=f"p = {test.p_value:.2g}. {hint('chance')}"),
         f". {', '.join(few)}." if few else ".",
-    )  # fmt: skip
+    )
     return panel(title, said, h.div(boxes, cls="changes"), _transitions(found))
 
 
@@ -276,9 +310,11 @@ def _slice(s: Slice, found: Slices) -> Element:
     if s.query is not None:
         name = h.button(s.name, cls="plain", title=f"{told}; search: {s.query}", **searches(s.query))
     return h.tr(
-        h.th(name, cls="w", scope="row"), h.td(s.n, cls="n dim"), h.td(percent(s.set_correct), cls="n", title=told),
+        h.th(name, cls="w", scope="row"),
+        h.td(s.n, cls="n dim"),
+        h.td(percent(s.set_correct), cls="n", title=told),
         h.td(h.div(parts, cls="stack"), cls="bars"),
-    )  # fmt: skip
+    )
 
 
 def confusion_html(figures: RunFigures) -> Element:
@@ -295,9 +331,10 @@ def confusion_html(figures: RunFigures) -> Element:
         h.div(
             "Expressions, shaded by their share of the row. Green: the asked relation holds of the answer's two "
             "objects.",
-            cls="small dim", title=found.note,
+            cls="small dim",
+            title=found.note,
         ),
-    )  # fmt: skip
+    )
 
 
 def _phrase(name: str) -> str:

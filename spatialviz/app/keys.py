@@ -235,9 +235,14 @@ def _groups(groups: Mapping[str, Rows]) -> list[Element]:
 def commands_html(groups: Mapping[str, Rows]) -> Element:
     """Search field and every command, filtered by the typed text."""
     field = h.input(
-        cls="find", field="commands", autofocus=True, spellcheck="false", autocomplete="off",
-        placeholder="a command or its key", aria_label="Command or key",
-    )  # fmt: skip
+        cls="find",
+        field="commands",
+        autofocus=True,
+        spellcheck="false",
+        autocomplete="off",
+        placeholder="a command or its key",
+        aria_label="Command or key",
+    )
     rows = (
         h.button(h.span(label), _pressed(key), role="option", aria_selected="false", tabindex="-1", do=f"run:{key}")
         for group in groups.values()

@@ -79,10 +79,12 @@ def _relation(view: LabelView, item: ItemKey, reasons: Sequence[str]) -> Element
     claim = f"{one} {PHRASE[item.what]} {other}"
     kinds = ((T, "It is so", "T"), (U, "Undecided", "U"), (F, "It is not so", "F"))
     answers = h.div(
-        (answer(name, key, f"settle:{key}", f"label it {SAYS[s]}", aria_pressed=str(s == state).lower())
-         for s, name, key in kinds),
+        (
+            answer(name, key, f"settle:{key}", f"label it {SAYS[s]}", aria_pressed=str(s == state).lower())
+            for s, name, key in kinds
+        ),
         cls="answers",
-    )  # fmt: skip
+    )
     labelled = "not labelled" if state is None else f"labelled {SAYS[state]}"
     origin = view.frame.origin(relation_ref(view.frame.frame, item.a, item.b, item.what))
     was = view.frame.auto.pairs.state(item.a, item.b, item.what)
@@ -119,9 +121,14 @@ def _card(
 
 
 def _frame(
-    view: LabelView, claim: str, ask: str, reasons: Sequence[str], answers: Element, accept: str,
+    view: LabelView,
+    claim: str,
+    ask: str,
+    reasons: Sequence[str],
+    answers: Element,
+    accept: str,
     change: tuple[str, str] | None,
-) -> Element:  # fmt: skip
+) -> Element:
     why = (
         h.ul((h.li(plain_reason(reason)) for reason in reasons), cls="because", aria_label="why it is asked")
         if reasons
@@ -135,19 +142,27 @@ def _frame(
         small("Zoom", "⇧F", "focus", "look at it in the scene"),
         cls="lesser",
     )
-    both = None if change is None else h.div(
-        h.div(h.b("as it was labelled"), change[0]), h.div(h.b("now"), change[1]), cls="beforeafter"
-    )  # fmt: skip
+    both = (
+        None
+        if change is None
+        else h.div(h.div(h.b("as it was labelled"), change[0]), h.div(h.b("now"), change[1]), cls="beforeafter")
+    )
     return h.div(h.div(claim, cls="claim"), h.div(ask, cls="dim"), why, answers, lesser, both, cls="task-item")
 
 
 def digits_row(names: Sequence[str], label: str) -> Element | None:
     """Classes chosen by digits."""
     chips = (
-        h.button(h.kbd(str(k)), name, cls="try", do=f"digit:{k}", aria_pressed=str(name == label).lower(),
-                 title=f"it is a {name} ({k})")
+        h.button(
+            h.kbd(str(k)),
+            name,
+            cls="try",
+            do=f"digit:{k}",
+            aria_pressed=str(name == label).lower(),
+            title=f"it is a {name} ({k})",
+        )
         for k, name in enumerate(names, 1)
-    )  # fmt: skip
+    )
     return h.div(chips, cls="digits", role="group", aria_label="Class by its digit") if names else None
 
 
@@ -194,12 +209,19 @@ def upcoming(place: int, text: str, row: Row, shot: str) -> Element:
 def bulk_html(find: str, found: int, all_items: int) -> Element:
     """Filter of the queue, and acceptance of all results."""
     field = h.input(
-        cls="find", value=find, live="queue-find:", placeholder="filter: left, mug, 000002 …", spellcheck="false",
-        aria_label="Only items whose words or reasons hold this", id="queue-find",
-    )  # fmt: skip
+        cls="find",
+        value=find,
+        live="queue-find:",
+        placeholder="filter: left, mug, 000002 …",
+        spellcheck="false",
+        aria_label="Only items whose words or reasons hold this",
+        id="queue-find",
+    )
     accept = button(
-        f"Accept all {found:,}" if find or found < all_items else "Accept all …", "accept-found",
-        "as one step, which one undo takes back", disabled=not found or not find,
-    )  # fmt: skip
+        f"Accept all {found:,}" if find or found < all_items else "Accept all …",
+        "accept-found",
+        "as one step, which one undo takes back",
+        disabled=not found or not find,
+    )
     told = counted(found, "open item") if find else "Filter first: then all that is found can be accepted at once."
     return h.div(field, accept, h.span(told, cls="dim"), cls="bulk", id="queue-bulk")

@@ -367,9 +367,12 @@ def _around(boxes: np.ndarray, frame: Frame) -> tuple[int, int, int, int]:
 
 
 def _crop(
-    name: str, which: str, frame: Frame, around: tuple[int, int, int, int],
+    name: str,
+    which: str,
+    frame: Frame,
+    around: tuple[int, int, int, int],
     things: Sequence[tuple[np.ndarray, Box3D | None, RGB]],
-) -> Element:  # fmt: skip
+) -> Element:
     x0, y0, x1, y1 = around
     width, height = x1 - x0, y1 - y0
     picture = jpeg_url(np.ascontiguousarray(frame.rgb[y0:y1, x0:x1]), 90)
@@ -381,12 +384,17 @@ def _crop(
     return h.figure(
         h.figcaption(h.b(name), h.span(which, cls="dim")),
         h.div(
-            h.svg(h.image(href=picture, width=width, height=height), marks, viewBox=f"0 0 {width} {height}",
-                  role="img", aria_label=f"{name}, {which}"),
+            h.svg(
+                h.image(href=picture, width=width, height=height),
+                marks,
+                viewBox=f"0 0 {width} {height}",
+                role="img",
+                aria_label=f"{name}, {which}",
+            ),
             cls="pic-room",
         ),
         cls="crop",
-    )  # fmt: skip
+    )
 
 
 def _outline(mask: np.ndarray) -> str:

@@ -11,8 +11,21 @@ from typing import Any
 from spatialviz.app.channel import Call, Outgoing, PageAddress, Patch
 from spatialviz.app.markup import BAD, Child, Element, button, changed, h, note
 
-KEPT_CALLS = ("strip", "plan", "tags", "keys", "theme", "task", "pixels", "pixelsPicture", "asking", "scale", "measure",
-              "found", "chosen")  # fmt: skip
+KEPT_CALLS = (
+    "strip",
+    "plan",
+    "tags",
+    "keys",
+    "theme",
+    "task",
+    "pixels",
+    "pixelsPicture",
+    "asking",
+    "scale",
+    "measure",
+    "found",
+    "chosen",
+)
 """Calls repeated to a reconnected page."""
 
 

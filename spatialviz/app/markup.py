@@ -206,9 +206,12 @@ def button(label: Child, do: str, title: str = "", cls: str = "", **more: object
 def progress(name: str, done: float, of: float) -> Element:
     share = done / of if of else 0.0
     return h.div(
-        h.i(css={"width": f"{share:.1%}"}), cls="prog", role="progressbar", aria_valuenow=round(100 * share),
+        h.i(css={"width": f"{share:.1%}"}),
+        cls="prog",
+        role="progressbar",
+        aria_valuenow=round(100 * share),
         aria_label=name,
-    )  # fmt: skip
+    )
 
 
 def joined(parts: Iterable[Child], between: str = " · ") -> Child:

@@ -115,10 +115,15 @@ def name_tag(text: str, x: float, y: float, shape: tuple[int, ...], unit: float,
             x=f"{x:.1f}", y=f"{y:.1f}", width=f"{width:.1f}", height=f"{height:.1f}", rx=f"{2 * unit:.1f}", fill=color
         ),
         h.text(
-            text, x=f"{x + 4 * unit:.1f}", y=f"{y + 10.4 * unit:.1f}", font_size=f"{10.5 * unit:.1f}",
-            font_weight=600, fill=ink(color), font_family="system-ui,sans-serif",
+            text,
+            x=f"{x + 4 * unit:.1f}",
+            y=f"{y + 10.4 * unit:.1f}",
+            font_size=f"{10.5 * unit:.1f}",
+            font_weight=600,
+            fill=ink(color),
+            font_family="system-ui,sans-serif",
         ),
-    )  # fmt: skip
+    )
 
 
 def _ghost_marks(state: State, frame: Frame) -> Iterator[Element]:
@@ -320,9 +325,15 @@ def draw_draft(ctx: Context, frame: Frame, mask: np.ndarray, box: Box3D | None) 
             points = lift_pixels(frame.depth[v, u] * np.float32(0.995), frame.camera, v, u)
             shown = (points @ ctx.scene.to_show.T.astype(np.float32)).astype(np.float32)
             ctx.client.put(
-                "point_cloud", f"{DRAFT}points", points=shown, colors=np.array(color, np.uint8), point_size=POINT,
-                precision="float32", point_shading="flat", point_shape="square",
-            )  # fmt: skip
+                "point_cloud",
+                f"{DRAFT}points",
+                points=shown,
+                colors=np.array(color, np.uint8),
+                point_size=POINT,
+                precision="float32",
+                point_shading="flat",
+                point_shape="square",
+            )
         if box is not None:
             lines = ctx.scene.shown_box(box).corners[EDGES].astype(np.float32)
             ctx.client.lines(f"{DRAFT}box", lines, color, 2.6)

@@ -42,9 +42,11 @@ class RetrainPanel(LabelPart):
         if now.running and not was.running:
             self.ctx.note(f"retraining on the labels of {name}")
         elif was.running and not now.running:
-            done = f"not retrained: {now.problem}" if now.record is None else (
-                f"retrained in {now.seconds:.0f} s: {now.record['folder']}"
-            )  # fmt: skip
+            done = (
+                f"not retrained: {now.problem}"
+                if now.record is None
+                else (f"retrained in {now.seconds:.0f} s: {now.record['folder']}")
+            )
             self.ctx.note("retraining was stopped" if now.problem == CANCELLED else done)
         self.follow()
 
@@ -187,12 +189,15 @@ def _cells(title: str, cells: Sequence[Mapping[str, Any]]) -> Element | None:
     """Most changed cells; a click shows the pair."""
     rows = [
         h.div(
-            h.span(f"{c['a']} {PHRASE[c['relation']]} {c['b']} is {c['label']}"), h.span(c["frame"], cls="dim"),
-            h.span(f"{c['before']:.2f} → {c['after']:.2f}", cls="n"), cls="cellrow", title=c["frame"],
+            h.span(f"{c['a']} {PHRASE[c['relation']]} {c['b']} is {c['label']}"),
+            h.span(c["frame"], cls="dim"),
+            h.span(f"{c['before']:.2f} → {c['after']:.2f}", cls="n"),
+            cls="cellrow",
+            title=c["frame"],
             do=f"labels-at:{c['a']},{c['b']},{c['relation']},{c['frame']}",
         )
         for c in cells[:LISTED]
-    ]  # fmt: skip
+    ]
     return h.details(h.summary(f"{title}, the largest changes"), rows) if rows else None
 
 
@@ -221,11 +226,9 @@ def _replayed(record: Mapping[str, Any]) -> Child:
 
 def _expressions(title: str, rows: Sequence[Mapping[str, Any]]) -> Element | None:
     listed = [
-        h.div(
-            h.span(r["text"]), h.span(r["frame"], cls="dim"), cls="cellrow", do=f"replayed:{r['frame']}|{r['text']}"
-        )
+        h.div(h.span(r["text"]), h.span(r["frame"], cls="dim"), cls="cellrow", do=f"replayed:{r['frame']}|{r['text']}")
         for r in rows[:LISTED]
-    ]  # fmt: skip
+    ]
     more = h.div(f"and {len(rows) - LISTED} more", cls="dim") if len(rows) > LISTED else None
     return h.details(h.summary(title), listed, more) if rows else None
 
@@ -244,6 +247,6 @@ def _install(record: Mapping[str, Any], installed: str) -> Child:
             warning = note(said, DOUBT)
     field = h.input(
         cls="find name", placeholder="name", maxlength=64, enter="install", aria_label="Name of the network"
-    )  # fmt: skip
+    )
     button = h.button("install", cls="try go", local="send:install:")
     return warning, h.div(field, button, cls="inst"), where

@@ -44,18 +44,26 @@ def review_head_html(state: State, opened: bool, desk: LabelEditor | None) -> El
         return panel(h.div("No labels are open (--labels).", cls="dim hint"))
     view = state.labels
     show = button(
-        "show the labels" if view is None else "labels are shown", "labels", "Shift+L",
+        "show the labels" if view is None else "labels are shown",
+        "labels",
+        "Shift+L",
         aria_pressed=str(view is not None).lower(),
-    )  # fmt: skip
+    )
     waiting, disputed = ((), ()) if desk is None else (desk.waiting, desk.disputed)
     # Unsaved edits carry the reason.
     said = note(view.said, BAD if view.bad else GOOD) if view and view.said and not (waiting and view.bad) else None
     kept = f"{counted(len(waiting), 'action')} not saved yet, kept here and tried again every few seconds: "
     decide = "Somebody was faster than you: nothing of yours is saved until you decide."
-    who = None if desk is None else h.label(
-        h.span("reviewer", cls="dim"), h.input(cls="find", value=desk.author, maxlength=200, change="author"),
-        cls="who", title="under whose name corrections are saved",
-    )  # fmt: skip
+    who = (
+        None
+        if desk is None
+        else h.label(
+            h.span("reviewer", cls="dim"),
+            h.input(cls="find", value=desk.author, maxlength=200, change="author"),
+            cls="who",
+            title="under whose name corrections are saved",
+        )
+    )
     title = h.h2("Labelling", h.span("every action is saved at once", cls="dim"), cls="mode-title")
     return panel(
         None if view is None else title,

@@ -13,10 +13,12 @@ from spatialviz.app.frames import IMAGES, jpeg_url
 from spatialviz.report.picture import Outline, Stroke, answer_crop
 
 STROKES: dict[Drawn, tuple[RGB, Stroke]] = {
-    "answered target": (ON_DARK["target"], "thick"), "wrong target": ((236, 72, 78), "thick"),
-    "answered reference": (ON_DARK["reference"], "thin"), "labelled": (ON_DARK["truth"], "dashed"),
+    "answered target": (ON_DARK["target"], "thick"),
+    "wrong target": ((236, 72, 78), "thick"),
+    "answered reference": (ON_DARK["reference"], "thin"),
+    "labelled": (ON_DARK["truth"], "dashed"),
     "second run": (ON_DARK["edited"], "dashed"),
-}  # fmt: skip
+}
 """Line of each box, as in the legend."""
 PICTURES = 3000
 """Size of the address cache."""

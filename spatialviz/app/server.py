@@ -70,9 +70,17 @@ def start(
     store = FrameStore(sources, answering)
     access = access or Access.of(host)
     shared = Shared(
-        store, runs or {}, others or {}, labels or {}, journals or {}, author, tuple(opened_by),
-        first_view, dark, access.open,
-    )  # fmt: skip
+        store,
+        runs or {},
+        others or {},
+        labels or {},
+        journals or {},
+        author,
+        tuple(opened_by),
+        first_view,
+        dark,
+        access.open,
+    )
     pages = Pages(shared, access, max_clients)
     try:
         with served_by(Site(access, pages, shared.pictures)), redirect_stdout(io.StringIO()):
@@ -121,9 +129,20 @@ def serve(
     """Start the server, print the address, and wait for the end."""
     access = access or Access.of(host)
     server = start(
-        sources, runs=runs, others=others, labels=labels, journals=journals, author=author, opened_by=opened_by,
-        first_view=first_view, host=host, port=port, dark=dark, access=access, max_clients=max_clients,
-    )  # fmt: skip
+        sources,
+        runs=runs,
+        others=others,
+        labels=labels,
+        journals=journals,
+        author=author,
+        opened_by=opened_by,
+        first_view=first_view,
+        host=host,
+        port=port,
+        dark=dark,
+        access=access,
+        max_clients=max_clients,
+    )
     announce(server, access, sources, host, port, open_browser)
     _end_in_order()
     # Present objects stay: excluded from cyclic garbage collection.

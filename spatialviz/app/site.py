@@ -169,8 +169,14 @@ REFUSAL = (
     '<meta name="color-scheme" content="dark light"><title>spatialviz: no access</title></head>'
     "<body><main><h1>No access</h1><p>{}</p></main></body></html>\n"
 )
-KINDS = {".html": "text/html", ".mjs": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml",
-         ".jpg": "image/jpeg", ".png": "image/png"}  # fmt: skip
+KINDS = {
+    ".html": "text/html",
+    ".mjs": "text/javascript",
+    ".css": "text/css",
+    ".svg": "image/svg+xml",
+    ".jpg": "image/jpeg",
+    ".png": "image/png",
+}
 SAFE = {
     "X-Content-Type-Options": "nosniff",
     "Cross-Origin-Resource-Policy": "same-origin",

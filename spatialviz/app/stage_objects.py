@@ -34,7 +34,7 @@ from spatialviz.app.markup import (
     was,
     with_terms,
     words,
-)  # fmt: skip
+)
 from spatialviz.app.picture import thumb
 from spatialviz.app.state import State
 

@@ -92,9 +92,19 @@ class State(AnswerView):
     def unasked(self) -> State:
         """State without an answer."""
         return replace(
-            self, trace=None, pair=None, selected=None, hovered=None, error="", stopped="", judged=None, other=None,
-            edited=None, labels=None, stage="",
-        )  # fmt: skip
+            self,
+            trace=None,
+            pair=None,
+            selected=None,
+            hovered=None,
+            error="",
+            stopped="",
+            judged=None,
+            other=None,
+            edited=None,
+            labels=None,
+            stage="",
+        )
 
     @property
     def boxes_shown(self) -> bool:

@@ -86,12 +86,18 @@ def _point_size(state: State) -> Element:
     return h.label(
         "points",
         h.input(
-            type="range", min=LEAST_POINT, max=LARGEST_POINT, step="0.05", value=f"{state.point_size:.2f}",
-            live="point-size", id="point-size", css={"--v": f"{part:.3f}"},
+            type="range",
+            min=LEAST_POINT,
+            max=LARGEST_POINT,
+            step="0.05",
+            value=f"{state.point_size:.2f}",
+            live="point-size",
+            id="point-size",
+            css={"--v": f"{part:.3f}"},
             title="how large points are drawn (- and =)",
         ),
         cls="points",
-    )  # fmt: skip
+    )
 
 
 def moves_html(leads: Mapping[str, str] | None) -> Element | None:
@@ -128,9 +134,15 @@ def where_html(state: State, sources: Sequence[str], ids: Sequence[str]) -> list
         options = (h.option(name, value=name, selected=name == state.source) for name in sources)
         dataset = h.select(options, aria_label="Dataset", change="data:")
     field = h.input(
-        type="text", value=state.frame_id, list="frame-ids", aria_label="Frame", change="open:", cls="frame-id",
-        autocomplete="off", spellcheck="false",
-    )  # fmt: skip
+        type="text",
+        value=state.frame_id,
+        list="frame-ids",
+        aria_label="Frame",
+        change="open:",
+        cls="frame-id",
+        autocomplete="off",
+        spellcheck="false",
+    )
     at, count = ids.index(state.frame_id), len(ids)
     start = max(0, min(at - LISTED_FRAMES // 2, count - LISTED_FRAMES))
     offered = h.datalist((h.option(value=name) for name in ids[start : start + LISTED_FRAMES]), id="frame-ids")

@@ -51,10 +51,17 @@ class Place:
         look = next((m for m in get_args(CameraMode) if m == fields.get("look")), None)
         item = [int(n) for n in fields.get("item", "").split(",") if n.isdecimal()]
         return cls(
-            source, fields.get("frame"), fields.get("ask"), task, stage if stage in STAGES else None,
-            fields.get("find"), (item[0], item[1]) if len(item) == 2 else None, _camera(fields.get("camera", "")),
-            int(pair) if pair.isdecimal() and len(pair) < 6 else None, look,
-        )  # fmt: skip
+            source,
+            fields.get("frame"),
+            fields.get("ask"),
+            task,
+            stage if stage in STAGES else None,
+            fields.get("find"),
+            (item[0], item[1]) if len(item) == 2 else None,
+            _camera(fields.get("camera", "")),
+            int(pair) if pair.isdecimal() and len(pair) < 6 else None,
+            look,
+        )
 
     def query(self) -> str:
         """Query of this place."""
@@ -65,9 +72,17 @@ class Place:
             numbers = [*view.position, *view.look_at, *view.up, *([] if fov is None else [fov])]
             camera = ",".join(f"{n:.3f}".rstrip("0").rstrip(".") for n in numbers)
         said = {
-            "data": self.source, "frame": self.frame, "ask": self.text, "mode": self.task, "stage": self.stage or None,
-            "find": self.find or None, "item": item, "camera": camera, "pair": self.pair, "look": self.look,
-        }  # fmt: skip
+            "data": self.source,
+            "frame": self.frame,
+            "ask": self.text,
+            "mode": self.task,
+            "stage": self.stage or None,
+            "find": self.find or None,
+            "item": item,
+            "camera": camera,
+            "pair": self.pair,
+            "look": self.look,
+        }
         return urlencode({key: value for key, value in said.items() if value is not None}, safe="/,:")
 
     def same_view(self, other: Place) -> bool:

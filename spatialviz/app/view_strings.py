@@ -171,10 +171,12 @@ def needs_file(scorer: str | None, first: str | None, alone: bool) -> bool:
     """
     named = is_named(scorer)
     require(
-        named or alone or scorer == first, "the view scores relations with a network that is not installed here",
-        got=scorer, expected="rule, trained, or an installed one",
+        named or alone or scorer == first,
+        "the view scores relations with a network that is not installed here",
+        got=scorer,
+        expected="rule, trained, or an installed one",
         cause="where a token is needed no other file is loaded",
-    )  # fmt: skip
+    )
     return not named and (alone or scorer != first)
 
 
@@ -262,9 +264,14 @@ class Keeping(Part):
         _, _, state = self._answered()
         name = folder_name(f"{state.text}-{state.frame_id}")
         field = h.input(
-            cls="find", value=name, enter="save-case", autofocus=True, spellcheck="false", autocomplete="off",
+            cls="find",
+            value=name,
+            enter="save-case",
+            autofocus=True,
+            spellcheck="false",
+            autocomplete="off",
             aria_label="Name of the folder",
-        )  # fmt: skip
+        )
         self.ctx.dialog.show(
             "Save this answer as a case",
             (

@@ -32,9 +32,14 @@ CLOSE_SECONDS = 2.0
 
 
 OF_SCENE = (
-    "ViewerCameraMessage", "ScenePointerMessage", "SceneNodeClickMessage", "SceneNodeDragMessage",
-    "TransformControlsUpdateMessage", "TransformControlsDragStartMessage", "TransformControlsDragEndMessage",
-)  # fmt: skip
+    "ViewerCameraMessage",
+    "ScenePointerMessage",
+    "SceneNodeClickMessage",
+    "SceneNodeDragMessage",
+    "TransformControlsUpdateMessage",
+    "TransformControlsDragStartMessage",
+    "TransformControlsDragEndMessage",
+)
 """Messages allowed of a scene: none of viser's panels, uploads and tunnels."""
 TUNNELS = ("ShareUrlRequest", "ShareUrlDisconnect")
 """Messages requesting a tunnel to a server of viser's makers."""

@@ -136,12 +136,19 @@ def _pairs(name: Callable[[int], str], pairs: Sequence[ScoredPair]) -> Element:
 def _run(run: Run) -> Element:
     records = run.records
     summary = summarise_run(records) if run.verdicts else None
-    parts = [] if summary is None else [
-        _shares("verdict", {name: share.estimate for name, share in summary.verdicts.items()}, VERDICT_COLORS),
-        *([_shares("of all, lost to", {k: v for k, v in summary.loss.items() if k != "accuracy"}, LOSS_COLORS)]
-          if summary.loss else []),
-        element("p", cost_words(summary), style=_QUIET),
-    ]  # fmt: skip
+    parts = (
+        []
+        if summary is None
+        else [
+            _shares("verdict", {name: share.estimate for name, share in summary.verdicts.items()}, VERDICT_COLORS),
+            *(
+                [_shares("of all, lost to", {k: v for k, v in summary.loss.items() if k != "accuracy"}, LOSS_COLORS)]
+                if summary.loss
+                else []
+            ),
+            element("p", cost_words(summary), style=_QUIET),
+        ]
+    )
     theirs = run.manifest.get("imported")
     whose = "" if theirs is None else f", imported, level {theirs['level']} of 3"
     return element(

@@ -29,9 +29,11 @@ from pipeline.system.whole_files import write_whole
 from spatialviz.report.picture import AnswerRoles, answer_roles, picture_svg
 from spatialviz.report.tables import decomposition_html, modules_html, pairs_html, relations_html
 
-POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; frame-src 'self' data: blob:; " \
-         "script-src 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' blob: data:; worker-src blob: data:; " \
-         "connect-src data: blob:; font-src data:"  # fmt: skip
+POLICY = (
+    "default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; frame-src 'self' data: blob:; "
+    "script-src 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' blob: data:; worker-src blob: data:; "
+    "connect-src data: blob:; font-src data:"
+)
 """The page and the scene in it may run what they hold, and fetch nothing from anywhere."""
 
 
@@ -169,10 +171,13 @@ def _facts(
     facts = [
         ("detector", f"{source.needed_detector().name}, the best {config.k} of each name"),
         ("relations by", source.scorer.name),
-        ("weights", f"target {rank.target_weight:g}, reference {rank.reference_weight:g}, "
-                    f"relation {rank.relation_weight:g}, {rank.aggregate}"),
+        (
+            "weights",
+            f"target {rank.target_weight:g}, reference {rank.reference_weight:g}, "
+            f"relation {rank.relation_weight:g}, {rank.aggregate}",
+        ),
         ("picture", f"{context.frame.width}×{context.frame.height}, up {context.viewer.up_source}"),
-    ]  # fmt: skip
+    ]
     if context.frame.depth_source:
         facts.append(("depth", context.frame.depth_source))
     if answered.trace is not None and answered.trace.score_calibration is not None:
@@ -184,9 +189,11 @@ def _facts(
         facts.append(("meant", meant))
         facts.append(("right answers", f"{len(case.strict)} beyond doubt, {len(case.acceptable)} with the undecided"))
         facts += [("judged by", share.sentence) for share in subject.shares]
-    return '<dl class="facts">' + "".join(
-        f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in (*facts, *subject.facts)
-    ) + "</dl>"  # fmt: skip
+    return (
+        '<dl class="facts">'
+        + "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in (*facts, *subject.facts))
+        + "</dl>"
+    )
 
 
 @dataclass(frozen=True)
@@ -213,8 +220,12 @@ class Subject:
         view = shlex.join(["spatialviz", "view", root, "--detector", "recorded", "--model", recording])
         commands = (shlex.join(["spatialviz", "replay", root]), *([view] if PROPOSALS in m.files else []))
         return Subject(
-            dataset, m.frame.id, commands, view_state(dataset, m.frame.id, m.text, m.edits), tuple(facts),
-        )  # fmt: skip
+            dataset,
+            m.frame.id,
+            commands,
+            view_state(dataset, m.frame.id, m.text, m.edits),
+            tuple(facts),
+        )
 
     @staticmethod
     def of_dataset(

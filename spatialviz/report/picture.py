@@ -293,10 +293,16 @@ def answer_roles(answered: Answer) -> AnswerRoles:
             if entry is not None:
                 truth[k] = role, entry
     return AnswerRoles(
-        objects, None if best is None else best.target, None if best is None else best.reference,
-        {} if best is None else roles_of(best), right, labelled, truth, trace is not None and trace.exact,
+        objects,
+        None if best is None else best.target,
+        None if best is None else best.reference,
+        {} if best is None else roles_of(best),
+        right,
+        labelled,
+        truth,
+        trace is not None and trace.exact,
         {} if trace is None else trace.numbers,
-    )  # fmt: skip
+    )
 
 
 MARGIN = 0.14

@@ -62,9 +62,13 @@ def _draw_cloud(scene: viser.SceneApi, context: PreparedFrame) -> np.ndarray:
     colors = cloud.painted(frame.rgb)
     for part in cloud.parts:
         scene.add_point_cloud(
-            f"/cloud/{part.name}", cloud.points[part.at], colors[part.at], point_size=part.size,
-            point_shading="flat", point_shape="square",
-        )  # fmt: skip
+            f"/cloud/{part.name}",
+            cloud.points[part.at],
+            colors[part.at],
+            point_size=part.size,
+            point_shading="flat",
+            point_shape="square",
+        )
     return cloud.points
 
 
@@ -99,22 +103,31 @@ def _add_boxes(scene: viser.SceneApi, role: Role, boxes: list[Box3D], color: RGB
     edges = edge_lines(boxes)
     scene.add_line_segments(f"/boxes/{role}", edges, color, thickness=width, thickness_units="screen")
     scene.add_batched_meshes_simple(
-        f"/faces/{role}", CUBE, CUBE_FACES,
+        f"/faces/{role}",
+        CUBE,
+        CUBE_FACES,
         np.stack([vtf.SO3.from_matrix(b.R).wxyz for b in boxes]).astype(np.float32),
         np.stack([b.center for b in boxes]).astype(np.float32),
         batched_scales=np.stack([np.maximum(b.size, 0.005) for b in boxes]).astype(np.float32),
         batched_colors=np.array([color] * len(boxes), np.uint8),
         batched_opacities=np.full(len(boxes), faces, np.float32),
-        lod="off", cast_shadow=False, receive_shadow=False,
-    )  # fmt: skip
+        lod="off",
+        cast_shadow=False,
+        receive_shadow=False,
+    )
 
 
 def _add_label(scene: viser.SceneApi, name: str, text: str, box: Box3D, above: float) -> None:
     x, y, _ = (float(v) for v in box.center)
     scene.add_label(
-        name, text[:60], position=(x, y, float(box.corners[:, 2].max()) + above), font_size_mode="screen",
-        font_screen_scale=0.9, anchor="bottom-center", depth_test=False,
-    )  # fmt: skip
+        name,
+        text[:60],
+        position=(x, y, float(box.corners[:, 2].max()) + above),
+        font_size_mode="screen",
+        font_screen_scale=0.9,
+        anchor="bottom-center",
+        depth_test=False,
+    )
 
 
 def _place_camera(server: viser.ViserServer, points: np.ndarray, context: PreparedFrame, to_show: np.ndarray) -> None:

@@ -14,10 +14,14 @@ from spatialviz.report.picture import AnswerRoles
 
 SHOWN_PAIRS = 8
 _MODULES = (
-    ("PARSE", "expression", ("parse",)), ("OPM", "proposals", ("opm",)), ("LIFT", "3D boxes", ("frame", "lift")),
-    ("ATTRIBUTE", "attributes", ()), ("SRM", "relations", ("srm",)), ("PRM", "ranking", ("prm",)),
+    ("PARSE", "expression", ("parse",)),
+    ("OPM", "proposals", ("opm",)),
+    ("LIFT", "3D boxes", ("frame", "lift")),
+    ("ATTRIBUTE", "attributes", ()),
+    ("SRM", "relations", ("srm",)),
+    ("PRM", "ranking", ("prm",)),
     ("LABEL", "the label", ()),
-)  # fmt: skip
+)
 
 
 def modules_html(answered: Answer) -> str:
@@ -95,12 +99,13 @@ def _missed_html(d: Diagnosis) -> str:
     if missed is None:
         return '<p class="quiet">No right pair stood among the candidates, or there was no answer.</p>'
     rows = [
-        ("missing", escape(str(d.missed_name))), ("how", missed.kind.lower()),
+        ("missing", escape(str(d.missed_name))),
+        ("how", missed.kind.lower()),
         ("best overlap with a right one", f"{missed.overlap:.2f} (.50 is asked)"),
         ("its score", "–" if missed.score is None else f"{missed.score:.3f}"),
         ("its place by score", "–" if missed.rank is None else str(missed.rank)),
         ("mended by", " and ".join(ORACLE_WORDS[name] for name in d.repair) or "nothing"),
-    ]  # fmt: skip
+    ]
     return '<dl class="facts">' + "".join(f"<dt>{k}</dt><dd>{v}</dd>" for k, v in rows) + "</dl>"
 
 

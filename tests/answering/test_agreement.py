@@ -83,9 +83,18 @@ def test_the_matching_is_the_best_of_all(found: tuple[np.ndarray, np.ndarray], m
 
 def turned(found: FrameAgreement) -> FrameAgreement:
     return FrameAgreement(
-        found.labels_b, found.labels_a, found.scores_b, found.scores_a, found.pairs[:, ::-1], found.iou, found.same,
-        found.beyond_b, found.beyond_a, found.nearest_b, found.nearest_a,
-    )  # fmt: skip
+        found.labels_b,
+        found.labels_a,
+        found.scores_b,
+        found.scores_a,
+        found.pairs[:, ::-1],
+        found.iou,
+        found.same,
+        found.beyond_b,
+        found.beyond_a,
+        found.nearest_b,
+        found.nearest_a,
+    )
 
 
 COUNTS = ("both", "otherwise", "only_a", "only_b", "beyond_a", "beyond_b", "a", "b")

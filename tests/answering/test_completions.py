@@ -15,8 +15,9 @@ def texts(typed: str, examples: tuple[str, ...] = (), asked: tuple[str, ...] = (
 def test_before_anything_is_typed_whole_questions_are_offered_once_those_asked_before_first() -> None:
     offers = completions("", LABELS, ("mug left of the lamp", "lamp near the mug"), ("Lamp near the mug",))
     assert [(o["text"], o["kind"], o["detail"]) for o in offers] == [
-        ("Lamp near the mug", "question", "asked before"), ("mug left of the lamp", "question", "example")
-    ]  # fmt: skip
+        ("Lamp near the mug", "question", "asked before"),
+        ("mug left of the lamp", "question", "example"),
+    ]
 
 
 def test_a_word_that_is_begun_is_completed_by_names_of_the_frame_and_relations() -> None:

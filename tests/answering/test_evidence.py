@@ -50,17 +50,33 @@ def target(trace: Trace) -> int | None:
 @pytest.mark.parametrize(
     ("text", "meant"),
     [
-        ("the red mug", 0), ("white mug", 1), ("could you pass me the blue one", 2), ("the red mug on the table", 0),
-        ("leftmost mug", 0), ("the rightmost mug", 2), ("second mug from the left", 1), ("first mug from the right", 2),
-        ("the last mug from the left", 2), ("the mug on the left", 0), ("the biggest mug", 2), ("closest mug", 2),
-        ("the mug nearest to the camera", 2), ("the middle mug", 1), ("the mug closest to the book", 2),
-        ("the cup that is not white and left of the blue mug", 0), ("the mug between the two other mugs", 1),
-        ("the thing to the right of the book", 4), ("the mug, not the red one, left of the blue mug", 1),
-        ("the object farthest to the right", 4), ("is there a mug to the left of the white cup?", 0),
+        ("the red mug", 0),
+        ("white mug", 1),
+        ("could you pass me the blue one", 2),
+        ("the red mug on the table", 0),
+        ("leftmost mug", 0),
+        ("the rightmost mug", 2),
+        ("second mug from the left", 1),
+        ("first mug from the right", 2),
+        ("the last mug from the left", 2),
+        ("the mug on the left", 0),
+        ("the biggest mug", 2),
+        ("closest mug", 2),
+        ("the mug nearest to the camera", 2),
+        ("the middle mug", 1),
+        ("the mug closest to the book", 2),
+        ("the cup that is not white and left of the blue mug", 0),
+        ("the mug between the two other mugs", 1),
+        ("the thing to the right of the book", 4),
+        ("the mug, not the red one, left of the blue mug", 1),
+        ("the object farthest to the right", 4),
+        ("is there a mug to the left of the white cup?", 0),
         ("the mug left of the laptop on the floor, the white one", 1),
-        ("rightmost mug in back row", 1), ("mug left", 0), ("any mug except the one in front and the red one", 1),
+        ("rightmost mug in back row", 1),
+        ("mug left", 0),
+        ("any mug except the one in front and the red one", 1),
     ],
-)  # fmt: skip
+)
 def test_the_thing_that_is_meant_is_answered(row: Frame, text: str, meant: int) -> None:
     assert target(asked(row, text)) == meant
 

@@ -63,12 +63,16 @@ def painted(answers: Any, config: RankConfig) -> tuple[int, int]:
     p = answers.probabilities("left")
     table = np.zeros((*p.shape, len(PAIRWISE)))
     table[..., PAIRWISE.index("left")] = p
-    objects = [SimpleNamespace(lifted=SimpleNamespace(quality=SimpleNamespace(mask_pixels=n)))
-               for n in answers.mask_sizes.tolist()]  # fmt: skip
+    objects = [
+        SimpleNamespace(lifted=SimpleNamespace(quality=SimpleNamespace(mask_pixels=n)))
+        for n in answers.mask_sizes.tolist()
+    ]
     trace = SimpleNamespace(
-        query=QUERY, candidates=answers.candidates, objects=objects,
+        query=QUERY,
+        candidates=answers.candidates,
+        objects=objects,
         scores=SimpleNamespace(of=lambda r: table[..., PAIRWISE.index(r)]),
-    )  # fmt: skip
+    )
     moved = int(answers.candidates["mug"].index[0])
     slid = {
         other: np.repeat(np.stack([table[moved, other], table[other, moved]])[None], 2, axis=0)
@@ -95,9 +99,13 @@ def test_the_pair_that_is_shown_recorded_judged_and_painted_is_one(seed: int, co
     table = answers.probabilities("left")
     assert table is not None
     ranking = rank(
-        QUERY.readings, answers.candidates, lambda attachment, heads, ends: table[np.ix_(heads, ends[0])],
-        answers.same, answers.mask_sizes, config,
-    )  # fmt: skip
+        QUERY.readings,
+        answers.candidates,
+        lambda attachment, heads, ends: table[np.ix_(heads, ends[0])],
+        answers.same,
+        answers.mask_sizes,
+        config,
+    )
     row = record(case, evidence.truth, answers, (QUERY, None), evidence.overlap)
     judged = diagnose(evidence, case, parse_ok=True).winner
     order = by_the_rules(answers, config)

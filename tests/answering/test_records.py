@@ -57,9 +57,17 @@ def test_an_answer_has_the_documented_keys(row: Frame) -> None:
     assert record["answer"]["target"]["label"] == "mug"
     for pair in record["pairs"]:
         assert set(pair) == {
-            "target", "reference", "p_target", "p_reference", "p_relation", "product", "probability", "log_factors",
-            "holds", "relation_probability",
-        }  # fmt: skip
+            "target",
+            "reference",
+            "p_target",
+            "p_reference",
+            "p_relation",
+            "product",
+            "probability",
+            "log_factors",
+            "holds",
+            "relation_probability",
+        }
     assert all(set(p) == OBJECT_KEYS | {"index"} for p in record["proposals"])
     assert set(record["timings_ms"]) == {"parse", "frame", "opm", "lift", "srm", "prm"}
     assert record["viewer"]["up_source"] == "declared"
@@ -194,9 +202,22 @@ def test_a_frame_record_says_what_is_in_it(shared_data: Path) -> None:
     assert [r["frame"] for r in records] == list(dataset.frame_ids)
     for record in records:
         assert set(record) == {
-            "index", "frame", "ok", "problem", "width", "height", "annotations", "labels", "depth_valid",
-            "median_depth", "has_pose", "up_source", "up", "notes", "dataset_notes",
-        }  # fmt: skip
+            "index",
+            "frame",
+            "ok",
+            "problem",
+            "width",
+            "height",
+            "annotations",
+            "labels",
+            "depth_valid",
+            "median_depth",
+            "has_pose",
+            "up_source",
+            "up",
+            "notes",
+            "dataset_notes",
+        }
         assert record["ok"]
         assert record["problem"] is None
         assert record["annotations"] == len(record["labels"])
@@ -207,9 +228,16 @@ def test_an_object_record_rounds_and_explains(row: Frame) -> None:
     (first, *_) = all_objects(PreparedFrame(row), TRUTH)
     record = strict(object_record(first))
     assert set(record["quality"]) == {
-        "mask_pixels", "points", "kept", "depth_missing", "touches_border", "distance", "yaw_confidence",
-        "mask_source", "concerns",
-    }  # fmt: skip
+        "mask_pixels",
+        "points",
+        "kept",
+        "depth_missing",
+        "touches_border",
+        "distance",
+        "yaw_confidence",
+        "mask_source",
+        "concerns",
+    }
     assert record["quality"]["mask_source"] == "annotation"
     assert record["score"] == 1
     np.testing.assert_allclose(np.array(record["R"]) @ np.array(record["R"]).T, np.eye(3), atol=1e-5)

@@ -202,16 +202,31 @@ def test_a_calibration_comes_back_from_its_file(tmp_path: Path) -> None:
 
 
 GOOD: dict[str, Any] = {
-    "format": "spatialviz-score-calibration-1", "detector": "x", "a": 1.0, "b": 0.0, "positives": 50, "negatives": 50,
+    "format": "spatialviz-score-calibration-1",
+    "detector": "x",
+    "a": 1.0,
+    "b": 0.0,
+    "positives": 50,
+    "negatives": 50,
     "k": 10,
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(
     "change",
-    [{"a": 0.0}, {"a": -1.0}, {"a": float("nan")}, {"b": float("inf")}, {"b": "high"}, {"format": "other"},
-     {"detector": 3}, {"positives": -1}, {"k": 0}, {"a": None}],
-)  # fmt: skip
+    [
+        {"a": 0.0},
+        {"a": -1.0},
+        {"a": float("nan")},
+        {"b": float("inf")},
+        {"b": "high"},
+        {"format": "other"},
+        {"detector": 3},
+        {"positives": -1},
+        {"k": 0},
+        {"a": None},
+    ],
+)
 def test_a_hostile_file_is_refused_in_one_line(tmp_path: Path, change: dict[str, Any]) -> None:
     path = tmp_path / "c.json"
     path.write_text(json.dumps(GOOD))

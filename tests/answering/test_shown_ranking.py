@@ -154,10 +154,13 @@ def test_the_pair_that_was_answered_stands_first(
     box = (0.0, 0.0, 9.0, 9.0)
     told = {"cup": tuple(Proposal(i, 0.5, box) for i in range(3)), "box": tuple(Proposal(i, 0.5, box) for i in (3, 4))}
     line = Prediction(
-        "1", "cup left of box", answer=PredictedAnswer(object=answer, reference=end), proposals=told,
+        "1",
+        "cup left of box",
+        answer=PredictedAnswer(object=answer, reference=end),
+        proposals=told,
         relations={"left": tuple((a, b, p) for (a, b), p in zip(pairs, scores, strict=True))},
         pairs=tuple((a, b, s) for (a, b), s in zip(pairs, scores, strict=True)) if ranking == "pair_scores" else None,
-    )  # fmt: skip
+    )
     found = line_rule(RunRules(None, (0.9, 0.1)), Header(1, ranking=ranking), line, None)
     rule = None if found is None else found.among(range(5), np.eye(5, dtype=np.bool_))
     own = [p for p in pairs if p[0] == answer and end in (None, p[1])]

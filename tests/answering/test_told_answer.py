@@ -94,9 +94,15 @@ def links(*probabilities: float, relation: str = "left") -> ScoredPair:
 
 @pytest.mark.parametrize(
     ("found", "stands", "weakest"),
-    [(links(0.7), True, 0.7), (links(0.7, 0.6), True, 0.6), (links(0.9, 0.2), False, 0.2), (links(0.5), True, 0.5),
-     (links(0.4999), False, 0.4999), (replace(PAIR, reference=None, p_relation=0.0), False, 0.0)],
-)  # fmt: skip
+    [
+        (links(0.7), True, 0.7),
+        (links(0.7, 0.6), True, 0.6),
+        (links(0.9, 0.2), False, 0.2),
+        (links(0.5), True, 0.5),
+        (links(0.4999), False, 0.4999),
+        (replace(PAIR, reference=None, p_relation=0.0), False, 0.0),
+    ],
+)
 def test_every_relation_of_an_answer_has_to_hold(found: ScoredPair, stands: bool, weakest: float) -> None:
     assert found.holds == stands
     assert found.relation_probability == weakest
@@ -131,8 +137,16 @@ def test_no_pair_is_denied_that_stands_below_the_best() -> None:
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(0.0, "0.00"), (1.0, "1.00"), (0.5, "0.50"), (0.005, "0.01"), (0.0049, "0.005"), (0.00042, "0.0004"),
-     (3e-5, "<0.0001"), (0.999, "1.00")],
-)  # fmt: skip
+    [
+        (0.0, "0.00"),
+        (1.0, "1.00"),
+        (0.5, "0.50"),
+        (0.005, "0.01"),
+        (0.0049, "0.005"),
+        (0.00042, "0.0004"),
+        (3e-5, "<0.0001"),
+        (0.999, "1.00"),
+    ],
+)
 def test_a_small_probability_is_not_written_as_zero(value: float, text: str) -> None:
     assert probability(value) == text

@@ -221,8 +221,10 @@ def test_sentences_need_their_dataset(tmp_path: Path) -> None:
 
 
 def test_the_files_hold_every_item_by_rank(tmp_path: Path) -> None:
-    strong, weak = (AuditItem(name, "f", "a, \"b\"", "x", evidence=(Evidence("class", w, f"because of {name}"),))
-                    for name, w in (("strong", 0.9), ("weak", 0.3)))  # fmt: skip
+    strong, weak = (
+        AuditItem(name, "f", 'a, "b"', "x", evidence=(Evidence("class", w, f"because of {name}"),))
+        for name, w in (("strong", 0.9), ("weak", 0.3))
+    )
     report = AuditReport.ranked("D", [weak, strong])
     report.write(tmp_path / "a.csv")
     report.write(tmp_path / "a.jsonl")

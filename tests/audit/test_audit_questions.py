@@ -87,10 +87,15 @@ def hosted(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     for split in dict.fromkeys(category for category, _, _ in ITEMS):
         rows = [
-            {"category": c, "question": q, "answer": a,
-             **dict(zip(("img", "depth_image", "mask"), map(cell, pictures(row)), strict=True))}
-            for row, (c, q, a) in enumerate(ITEMS) if c == split
-        ]  # fmt: skip
+            {
+                "category": c,
+                "question": q,
+                "answer": a,
+                **dict(zip(("img", "depth_image", "mask"), map(cell, pictures(row)), strict=True)),
+            }
+            for row, (c, q, a) in enumerate(ITEMS)
+            if c == split
+        ]
         pq.write_table(pa.Table.from_pylist(rows), root / "data" / f"{split}-00000-of-00001.parquet")
     return root
 

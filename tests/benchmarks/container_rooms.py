@@ -25,9 +25,20 @@ CONTENTS = 3
 STANDS = ("desk", "dining table", "coffee table", "cabinet", "bed", "wardrobe")
 WALL = 0.014
 CONTENT: tuple[Maker, ...] = (
-    o.book, o.book, o.mug, o.bottle, o.bowl, o.mouse, c.candle, c.teapot, c.toy_ball, c.alarm_clock, c.teddy_bear,
-    f.throw_pillow, lambda p, rng: c.plant(p, rng, 0.28),
-)  # fmt: skip
+    o.book,
+    o.book,
+    o.mug,
+    o.bottle,
+    o.bowl,
+    o.mouse,
+    c.candle,
+    c.teapot,
+    c.toy_ball,
+    c.alarm_clock,
+    c.teddy_bear,
+    f.throw_pillow,
+    lambda p, rng: c.plant(p, rng, 0.28),
+)
 
 
 def container(label: str, p: Palette, rng: Rng) -> ObjectModel:

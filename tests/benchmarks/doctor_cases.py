@@ -136,8 +136,12 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=1)
     parser.add_argument("--all", action="store_true", help="print every case")
     parser.add_argument("--only", nargs="*", default=[], help="recordings by name")
-    parser.add_argument("--keep", type=Path, default=Path("~/.cache/spatialviz-doctor-cases").expanduser(),
-                        help="where rendered scenes are kept")  # fmt: skip
+    parser.add_argument(
+        "--keep",
+        type=Path,
+        default=Path("~/.cache/spatialviz-doctor-cases").expanduser(),
+        help="where rendered scenes are kept",
+    )
     given = parser.parse_args()
     tally: defaultdict[str, defaultdict[str, int]] = defaultdict(lambda: defaultdict(int))
     started, last, slowest = time.perf_counter(), time.process_time(), 0.0

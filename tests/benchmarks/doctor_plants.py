@@ -51,8 +51,10 @@ class Planted:
     def read(self, frames: Sequence[Frame]) -> list[Frame]:
         """A recording as it is read with the error; what is declared of its world is right, and carried by poses."""
         if self.about == "time":
-            return [_posed(f, frames[min(max(k + self.by, 0), len(frames) - 1)].camera.T_world_camera)
-                    for k, f in enumerate(frames)]  # fmt: skip
+            return [
+                _posed(f, frames[min(max(k + self.by, 0), len(frames) - 1)].camera.T_world_camera)
+                for k, f in enumerate(frames)
+            ]
         return [self._read(frame) for frame in frames]
 
     def _read(self, frame: Frame) -> Frame:

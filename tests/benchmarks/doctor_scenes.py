@@ -125,8 +125,11 @@ def room_views(seed: int, count: int = 5, width: int = 400) -> list[Rendered]:
 
 
 SCENES: dict[str, Callable[[int], list[Rendered]]] = {
-    "table-top": table_top, "shelf": shelf_scan, "walk": walk, "room": room_views,
-}  # fmt: skip
+    "table-top": table_top,
+    "shelf": shelf_scan,
+    "walk": walk,
+    "room": room_views,
+}
 
 
 # What is in them
@@ -157,9 +160,13 @@ def _room(layout: Layout, palette: Palette, rng: Rng) -> Room:
     """The things in a shell of their own."""
     shell = make_room(int(rng.integers(1000)))
     return replace(
-        shell, instances=tuple(layout.instances), focuses=(), width=layout.width, depth=layout.depth,
+        shell,
+        instances=tuple(layout.instances),
+        focuses=(),
+        width=layout.width,
+        depth=layout.depth,
         shell=tuple(part for part in shell.shell),
-    )  # fmt: skip
+    )
 
 
 def _looking(at: np.ndarray, away: float, heading: float, pitch_deg: float, roll_deg: float, width: int) -> Camera:

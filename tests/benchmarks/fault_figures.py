@@ -177,9 +177,17 @@ def write_misses(path: Path, where: Sequence[object], own: ForeignPipeline, rows
         for row in rows:
             fault, q = row.line.fault, row.line.before
             if fault is not None and fault.split()[0] != row.verdict:
-                line = {"in": where, "frame": q.frame.id, "text": q.case.text, "fault": fault, "verdict": row.verdict,
-                        "detail": row.detail, "true": sorted(true_pairs(q)),
-                        "before": readable(own, q), "after": readable(own, row.line.after)}  # fmt: skip
+                line = {
+                    "in": where,
+                    "frame": q.frame.id,
+                    "text": q.case.text,
+                    "fault": fault,
+                    "verdict": row.verdict,
+                    "detail": row.detail,
+                    "true": sorted(true_pairs(q)),
+                    "before": readable(own, q),
+                    "after": readable(own, row.line.after),
+                }
                 file.write(json.dumps(line) + "\n")
 
 

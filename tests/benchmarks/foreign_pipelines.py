@@ -225,9 +225,17 @@ def given_box(own: ForeignPipeline, t: Thing) -> PredictedBox:
 
 
 def detections(
-    case: Case, truth: FrameCases, known: Mapping[int, Thing], rng: Rng, sure: Callable[[str, float], float], *,
-    missed: float, others: tuple[int, int], right: tuple[float, float], false: tuple[float, float],
-) -> Detected:  # fmt: skip
+    case: Case,
+    truth: FrameCases,
+    known: Mapping[int, Thing],
+    rng: Rng,
+    sure: Callable[[str, float], float],
+    *,
+    missed: float,
+    others: tuple[int, int],
+    right: tuple[float, float],
+    false: tuple[float, float],
+) -> Detected:
     """Scores by id of the things of each name, and of others that are taken for them; by their numbers.
 
     Parameters

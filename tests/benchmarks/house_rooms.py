@@ -11,31 +11,100 @@ from benchmarks.house_models import Maker, Place, Rng, Thing, rod
 from benchmarks.house_space import House, Placed
 
 DINING: Sequence[Maker] = (
-    t.mug, t.glass, t.bottle, t.bowl, t.plate, t.plate, t.apple, t.banana, t.teapot, t.vase, t.candle, t.tray, t.jar,
+    t.mug,
+    t.glass,
+    t.bottle,
+    t.bowl,
+    t.plate,
+    t.plate,
+    t.apple,
+    t.banana,
+    t.teapot,
+    t.vase,
+    t.candle,
+    t.tray,
+    t.jar,
     t.small_box,
-)  # fmt: skip
+)
 DESK: Sequence[Maker] = (
-    t.mug, t.book, t.book, t.phone, t.pen_cup, t.desk_lamp, t.tissue_box, t.small_box, t.photo, t.can, t.speaker,
-    t.bottle, t.small_plant, t.printer,
-)  # fmt: skip
+    t.mug,
+    t.book,
+    t.book,
+    t.phone,
+    t.pen_cup,
+    t.desk_lamp,
+    t.tissue_box,
+    t.small_box,
+    t.photo,
+    t.can,
+    t.speaker,
+    t.bottle,
+    t.small_plant,
+    t.printer,
+)
 LIVING: Sequence[Maker] = (
-    t.book, t.remote, t.mug, t.bowl, t.vase, t.candle, t.glass, t.photo, t.small_box, t.table_lamp, t.radio, t.teddy,
-    t.small_plant, t.tissue_box,
-)  # fmt: skip
+    t.book,
+    t.remote,
+    t.mug,
+    t.bowl,
+    t.vase,
+    t.candle,
+    t.glass,
+    t.photo,
+    t.small_box,
+    t.table_lamp,
+    t.radio,
+    t.teddy,
+    t.small_plant,
+    t.tissue_box,
+)
 KITCHEN: Sequence[Maker] = (
-    t.kettle, t.toaster, t.microwave, t.pot, t.pot, t.jar, t.jar, t.bottle, t.cereal_box, t.bowl, t.plate, t.can,
-    t.mug, t.tray, t.apple,
-)  # fmt: skip
+    t.kettle,
+    t.toaster,
+    t.microwave,
+    t.pot,
+    t.pot,
+    t.jar,
+    t.jar,
+    t.bottle,
+    t.cereal_box,
+    t.bowl,
+    t.plate,
+    t.can,
+    t.mug,
+    t.tray,
+    t.apple,
+)
 NIGHT: Sequence[Maker] = (t.table_lamp, t.table_lamp, t.alarm_clock, t.book, t.glass, t.phone, t.photo, t.candle)
 SHELF: Sequence[Maker] = (
-    t.vase, t.small_box, t.photo, t.speaker, t.jar, t.radio, t.teddy, t.small_plant, t.bowl, t.alarm_clock, t.bottle,
+    t.vase,
+    t.small_box,
+    t.photo,
+    t.speaker,
+    t.jar,
+    t.radio,
+    t.teddy,
+    t.small_plant,
+    t.bowl,
+    t.alarm_clock,
+    t.bottle,
     t.candle,
-)  # fmt: skip
+)
 HIGH_UP: Sequence[Maker] = (t.carton, t.small_box, t.vase, t.small_plant, t.basket, t.radio)
 FLOOR: Sequence[Maker] = (
-    t.carton, t.carton, t.wastebasket, t.suitcase, t.backpack, t.ball, t.basket, t.shoes, m.stool, t.plant, t.handbag,
+    t.carton,
+    t.carton,
+    t.wastebasket,
+    t.suitcase,
+    t.backpack,
+    t.ball,
+    t.basket,
+    t.shoes,
+    m.stool,
+    t.plant,
+    t.handbag,
     t.teddy,
-)  # fmt: skip
+)
 STORES: Sequence[Maker] = (m.bookshelf, m.bookshelf, m.bookshelf, m.drawers, m.cupboard)
 LEANING: Sequence[Maker] = (t.guitar, t.board, t.broom, t.ladder)
 

@@ -15,8 +15,18 @@ from benchmarks.house_models import Block, Maker, Mesh, Place, Rng, Thing, bar
 
 TABLES = {"table", "coffee table", "side table", "desk", "workbench"}
 BELOW = {
-    "chair", "stool", "wastebasket", "box", "ball", "shoes", "rug", "backpack", "handbag", "basket", "teddy bear",
-}  # fmt: skip
+    "chair",
+    "stool",
+    "wastebasket",
+    "box",
+    "ball",
+    "shoes",
+    "rug",
+    "backpack",
+    "handbag",
+    "basket",
+    "teddy bear",
+}
 """What may stand below a table."""
 
 
@@ -160,9 +170,15 @@ class House:
         return self.wall(thing, 0.001, z, over if over and over[0] >= 0 else None)
 
     def fill(
-        self, base: Placed | None, makers: Sequence[Maker], low: int, high: int, place: Place | None = None,
-        touch: float = 0.3, stack: float = 0.35,
-    ) -> None:  # fmt: skip
+        self,
+        base: Placed | None,
+        makers: Sequence[Maker],
+        low: int,
+        high: int,
+        place: Place | None = None,
+        touch: float = 0.3,
+        stack: float = 0.35,
+    ) -> None:
         """Put so many things on another one, some beside each other, at times touching, some upon each other."""
         if base is None or not base.thing.places:
             return

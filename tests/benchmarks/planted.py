@@ -246,9 +246,9 @@ def _missing(
     module: str, kind: str, source: Pipeline, context: PreparedFrame, truth: FrameCases, case: Case
 ) -> Planted | None:
     pairs = truth.acceptable_pairs(case)
-    name, example = (case.target, case.target_object) if module == "OPM-TARGET" else (
-        case.reference, case.reference_object
-    )  # fmt: skip
+    name, example = (
+        (case.target, case.target_object) if module == "OPM-TARGET" else (case.reference, case.reference_object)
+    )
     right = case.acceptable if module == "OPM-TARGET" else np.flatnonzero(pairs.any(axis=0))
     if module == "OPM-REF" and truth.alike[case.target_object, case.reference_object]:
         # Without the references the targets would be missing too.

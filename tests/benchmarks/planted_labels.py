@@ -219,9 +219,13 @@ def review_rooms(
     """True labels of the rooms that are reviewed, and of those that measure."""
     first = config.seed * ROOMS_A_SEED + FIRST_BENCH_ROOM
     samples = make_samples(
-        range(first, first + config.rooms), views=config.views, width=config.width, height=config.height,
-        workers=workers, progress=progress,
-    )  # fmt: skip
+        range(first, first + config.rooms),
+        views=config.views,
+        width=config.width,
+        height=config.height,
+        workers=workers,
+        progress=progress,
+    )
     cut = first + config.rooms - max(1, round(config.rooms * TEST_SHARE))
     train, test = (
         data_of_samples(part, config.labels == "exact")

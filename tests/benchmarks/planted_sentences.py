@@ -44,9 +44,13 @@ OTHER = {"blue": "yellow", "black": "yellow", "gray": "yellow", "green": "red"}
 SIZES = ("big", "small", "tall")
 RELATIONS = ("left", "right", "behind", "front", "near")
 KINDS = {
-    "ATTRIBUTE": ("repainted", "impostor", "opposite"), "SRM": ("opposite",), "LIFT": ("shift",),
-    "OPM-TARGET": ("absent", "localisation"), "OPM-REF": ("absent",), "PRM": ("scores",),
-}  # fmt: skip
+    "ATTRIBUTE": ("repainted", "impostor", "opposite"),
+    "SRM": ("opposite",),
+    "LIFT": ("shift",),
+    "OPM-TARGET": ("absent", "localisation"),
+    "OPM-REF": ("absent",),
+    "PRM": ("scores",),
+}
 
 
 @dataclass(frozen=True)

@@ -25,9 +25,15 @@ from pipeline.synthetic import Room, camera_at, exact_view, make_room, render_vi
 
 HEIGHT_M = 1.576
 NAMES = {
-    "tv": "television", "wardrobe": "dresser", "bookshelf": "shelf", "picture": "painting", "rug": "doormat",
-    "office chair": "chair", "trash can": "bucket", "bottle": "wine bottle",
-}  # fmt: skip
+    "tv": "television",
+    "wardrobe": "dresser",
+    "bookshelf": "shelf",
+    "picture": "painting",
+    "rug": "doormat",
+    "office chair": "chair",
+    "trash can": "bucket",
+    "bottle": "wine bottle",
+}
 """Ours to names of which television, dresser, sofa and pillow have a synonym, and wine bottle, mug and teddy bear are
 novel."""
 UNNAMED = ("laptop",)
@@ -126,9 +132,17 @@ def write_room(
 
 
 def write_copy(
-    root: Path, train: int, test: int, *, views: int = 4, size: int = 448, points: int = 60_000, first: int = 0,
-    workers: int = 1, tried: int = TRIED,
-) -> dict[str, list[str]]:  # fmt: skip
+    root: Path,
+    train: int,
+    test: int,
+    *,
+    views: int = 4,
+    size: int = 448,
+    points: int = 60_000,
+    first: int = 0,
+    workers: int = 1,
+    tried: int = TRIED,
+) -> dict[str, list[str]]:
     """Rooms from `first` on: for training, without the novel classes, then for the test; and the split file."""
     root.mkdir(parents=True, exist_ok=True)
     (root / "spatialviz.toml").write_text('name = "rendered rooms in the layout of Semantic Abstraction"\n')

@@ -25,10 +25,18 @@ def through_cvat(instances: dict[str, Any], *, attributes: bool) -> dict[str, An
         Its project knows the attribute `object`, and keeps it.
     """
     images = [
-        {"id": k, "width": i["width"], "height": i["height"], "file_name": i["file_name"], "license": 0,
-         "flickr_url": "", "coco_url": "", "date_captured": 0}
+        {
+            "id": k,
+            "width": i["width"],
+            "height": i["height"],
+            "file_name": i["file_name"],
+            "license": 0,
+            "flickr_url": "",
+            "coco_url": "",
+            "date_captured": 0,
+        }
         for k, i in enumerate(reversed(instances["images"]), start=1)
-    ]  # fmt: skip
+    ]
     again = {i["id"]: k for k, i in enumerate(reversed(instances["images"]), start=1)}
     size = {i["id"]: (i["height"], i["width"]) for i in instances["images"]}
     annotations = []
@@ -41,11 +49,18 @@ def through_cvat(instances: dict[str, Any], *, attributes: bool) -> dict[str, An
             continue
         low, high = corners.min(axis=0), corners.max(axis=0)
         kept = {"object": a["object"]} if attributes else {}
-        annotations.append({
-            "id": len(annotations) + 1, "image_id": again[a["image_id"]], "category_id": a["category_id"] + 7,
-            "segmentation": outline, "area": float(np.prod(high - low)), "iscrowd": 0,
-            "bbox": np.round([*low, *(high - low)], 2).tolist(), "attributes": {"occluded": False, **kept},
-        })  # fmt: skip
+        annotations.append(
+            {
+                "id": len(annotations) + 1,
+                "image_id": again[a["image_id"]],
+                "category_id": a["category_id"] + 7,
+                "segmentation": outline,
+                "area": float(np.prod(high - low)),
+                "iscrowd": 0,
+                "bbox": np.round([*low, *(high - low)], 2).tolist(),
+                "attributes": {"occluded": False, **kept},
+            }
+        )
     categories = [{**c, "id": c["id"] + 7, "supercategory": ""} for c in instances["categories"]]
     info = {"contributor": "", "date_created": "", "description": "", "url": "", "version": "", "year": ""}
     return {"licenses": [], "info": info, "categories": categories, "images": images, "annotations": annotations}

@@ -26,11 +26,26 @@ def journal_record(events: Sequence[Event]) -> dict[str, Any]:
     """What events say: counts, a line each for people, and a hash of all that is in them."""
     said = [
         [
-            e.ulid, e.author, e.time.isoformat(), e.ref.kind, e.ref.frame, e.ref.key, e.ref.field, e.before, e.after,
-            e.base, e.version, e.labels, e.reason, e.group, e.action, e.undo_of, e.anchor,
+            e.ulid,
+            e.author,
+            e.time.isoformat(),
+            e.ref.kind,
+            e.ref.frame,
+            e.ref.key,
+            e.ref.field,
+            e.before,
+            e.after,
+            e.base,
+            e.version,
+            e.labels,
+            e.reason,
+            e.group,
+            e.action,
+            e.undo_of,
+            e.anchor,
         ]
         for e in events
-    ]  # fmt: skip
+    ]
     return {
         "events": len(events),
         "authors": dict(Counter(e.author for e in events)),

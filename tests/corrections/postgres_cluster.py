@@ -105,8 +105,20 @@ def started_cluster(password: str | None = None, folder: Path | None = None) -> 
         if password is not None:
             (own / "password").write_text(password + "\n")
             login = ("-A", "scram-sha-256", "--pwfile", str(own / "password"))
-        _run(own, *as_owner, str(programs / "initdb"), "-D", str(own / "data"), "-U", OWNER, *login, "--no-sync",
-             "-E", "UTF8", "--locale=C")  # fmt: skip
+        _run(
+            own,
+            *as_owner,
+            str(programs / "initdb"),
+            "-D",
+            str(own / "data"),
+            "-U",
+            OWNER,
+            *login,
+            "--no-sync",
+            "-E",
+            "UTF8",
+            "--locale=C",
+        )
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             port = free.getsockname()[1]

@@ -86,8 +86,23 @@ def test_nothing_and_too_much_are_refused(desk: Open, work: Worklist, monkeypatc
 
 
 def event(k: int, at: datetime, author: str = "ann") -> Event:
-    return Event(k, f"u{k}", author, at, object_ref(FRAME, k, "status"), None, "accepted", 0, 1, "", "", f"g{k}",
-                 "edit", None, {})  # fmt: skip
+    return Event(
+        k,
+        f"u{k}",
+        author,
+        at,
+        object_ref(FRAME, k, "status"),
+        None,
+        "accepted",
+        0,
+        1,
+        "",
+        "",
+        f"g{k}",
+        "edit",
+        None,
+        {},
+    )
 
 
 @given(st.lists(st.floats(1, 240), min_size=2, max_size=40))

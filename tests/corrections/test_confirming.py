@@ -88,13 +88,19 @@ def test_a_pair_of_several_relations_that_is_right_is_judged_by_them(source: Pip
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("{0} between the {1} and the {2}", "judged by geometry"), ("{0} closest to the {1}", "judged by geometry"),
-        ("leftmost {0} near the {1}", "that are labelled"), ("{0} near the {1}, not the {2}", "that are labelled"),
-        ("{0} that is not on the {1}", "that are labelled"), ("{0} closest to me", "that are labelled"),
-        ("{0} near the red {1}", "the pixels"), ("the {0}", "no relation"),
-        ("{0} near the {1} on the {2}", ""), ("{1} holding a {0}", ""), ("{0} left of the {1}", ""),
+        ("{0} between the {1} and the {2}", "judged by geometry"),
+        ("{0} closest to the {1}", "judged by geometry"),
+        ("leftmost {0} near the {1}", "that are labelled"),
+        ("{0} near the {1}, not the {2}", "that are labelled"),
+        ("{0} that is not on the {1}", "that are labelled"),
+        ("{0} closest to me", "that are labelled"),
+        ("{0} near the red {1}", "the pixels"),
+        ("the {0}", "no relation"),
+        ("{0} near the {1} on the {2}", ""),
+        ("{1} holding a {0}", ""),
+        ("{0} left of the {1}", ""),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_kept_says_why(text: str, why: str) -> None:
     found = why_not_kept(parse(text.format("mug", "table", "lamp")).default.root)
     assert why in found

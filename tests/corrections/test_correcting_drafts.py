@@ -282,11 +282,12 @@ def test_files_of_edits_draw_as_hands_do(
     box = next(n for n, row in frame.objects.items() if row["label"] == "box")
     where = [float(x) for x in frame.objects[box]["bbox"]]
     now = applied(
-        full_corrector, journal,
+        full_corrector,
+        journal,
         {"edit": "new", "label": "carton", "rectangle": where},
         {"edit": "new", "label": "crate", "seeds": middle(pixels_of(frame, box)).tolist()},
         {"edit": "mask", "object": number, "rectangle": where},
-    )  # fmt: skip
+    )
     by_label = {row["label"]: n for n, row in now.objects.items() if n >= FIRST_NEW_OBJECT}
     for label in ("carton", "crate"):
         found = pixels_of(now, by_label[label])

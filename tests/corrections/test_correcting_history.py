@@ -96,8 +96,25 @@ def test_history_agrees_with_what_undo_would_take(steps: list[str]) -> None:
             of, after, _ = source.pop()
         ulid = f"u{k}"
         (undone if step == "undo" else stack).append((ulid, before, after))
-        events.append(Event(k + 1, ulid, "ann", datetime.now(timezone.utc), cell, before, after, version, version + 1,
-                            "", "", f"g{k}", step, of, {}))  # type: ignore[arg-type]  # fmt: skip
+        events.append(
+            Event(
+                k + 1,
+                ulid,
+                "ann",
+                datetime.now(timezone.utc),
+                cell,
+                before,
+                after,
+                version,
+                version + 1,
+                "",
+                "",
+                f"g{k}",
+                step,
+                of,
+                {},
+            )
+        )  # type: ignore[arg-type]
         value, version = after, version + 1
     lines = event_lines(events, "ann", objects=[1])
     assert len(lines) == steps_made(events)

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from pipeline.corrections import Vocabulary, completions
 from pipeline.language import Synonyms, normal_form
 
-TABLE = Synonyms((frozenset({"trash can", "bin", "dustbin"}), frozenset({"sofa", "couch"}),
-                  frozenset({"kettle", "water boiler"})))  # fmt: skip
+TABLE = Synonyms(
+    (frozenset({"trash can", "bin", "dustbin"}), frozenset({"sofa", "couch"}), frozenset({"kettle", "water boiler"}))
+)
 WORDS = Vocabulary.of(
     ["trashcan"] * 3 + ["sofa"] * 2 + ["book"] * 5 + ["bookshelf"] + ["notebook"] * 9 + ["comic book"] * 4,
     ["book stand", "sofa"],

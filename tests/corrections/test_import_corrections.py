@@ -94,9 +94,14 @@ def test_an_export_that_nobody_changed_brings_no_event(exported: Path, take: Tak
 
 @pytest.mark.parametrize("format", mostly_slow(["coco", "jsonl"]))
 def test_a_corrected_export_that_nobody_changed_brings_no_event(
-    demo_labels: Labels, full_corrector: Corrector, demo_dataset: Dataset, journal: Journal, take: Take, format: str,
+    demo_labels: Labels,
+    full_corrector: Corrector,
+    demo_dataset: Dataset,
+    journal: Journal,
+    take: Take,
+    format: str,
     tmp_path: Path,
-) -> None:  # fmt: skip
+) -> None:
     frame = full_corrector.frame(FRAME, journal)
     saved(journal, edits.split_object(frame, widest(frame), half_of(frame, widest(frame))))
     row = an_expression(frame)
@@ -120,8 +125,11 @@ def test_edited_jsonl_is_what_the_labels_say_then(
     before = bare_corrector.frame(FRAME, ())
     row, number = an_expression(before), widest(before)
     a, b, relation = row["target_object"], row["reference_object"], row["relation"]
-    free = next(e for e in before.expressions.values() if {a, b, number}.isdisjoint(
-        {e["target_object"], e["reference_object"], *e["acceptable"]}))  # fmt: skip
+    free = next(
+        e
+        for e in before.expressions.values()
+        if {a, b, number}.isdisjoint({e["target_object"], e["reference_object"], *e["acceptable"]})
+    )
     other = next(n for n in before.objects if n not in {*free["acceptable"], a, b, number})
     objects, relations, expressions, frames = (
         read(exported / "jsonl" / f"{n}.jsonl") for n in ("objects", "relations", "expressions", "frames")
@@ -169,9 +177,13 @@ def test_edited_jsonl_is_what_the_labels_say_then(
 
 
 def test_edited_coco_is_what_the_labels_say_then(
-    instances: Callable[[], dict[str, Any]], exported: Path, bare_corrector: Corrector, journal: Journal, take: Take,
+    instances: Callable[[], dict[str, Any]],
+    exported: Path,
+    bare_corrector: Corrector,
+    journal: Journal,
+    take: Take,
     tmp_path: Path,
-) -> None:  # fmt: skip
+) -> None:
     before = bare_corrector.frame(FRAME, ())
     content = instances()
     found, size = in_frame(content), (before.row["height"], before.row["width"])
@@ -210,8 +222,13 @@ def test_edited_coco_is_what_the_labels_say_then(
     (new,) = now.objects.keys() - before.objects.keys()
     assert now.objects[new]["label"] == "samovar"
     assert {(e.ref.numbers[0], e.ref.field) for e in report.edits} == {
-        (renamed, "label"), (redrawn, "mask"), (coded, "mask"), (moved, "bbox"), (deleted, "status"), (new, "exists"),
-    }  # fmt: skip
+        (renamed, "label"),
+        (redrawn, "mask"),
+        (coded, "mask"),
+        (moved, "bbox"),
+        (deleted, "status"),
+        (new, "exists"),
+    }
     assert take(path, deleted="reject").edits == ()
     assert len(journal.events()) == 6
 
@@ -237,8 +254,13 @@ def test_references_and_relations_of_coco(
     before = bare_corrector.frame(FRAME, ())
     row = an_expression(before)
     pair, relation = (row["target_object"], row["reference_object"]), row["relation"]
-    quiet = next(e for e in before.expressions.values() if set(pair).isdisjoint(e["acceptable"])
-                 and e["target_object"] not in pair and e["reference_object"] not in pair)  # fmt: skip
+    quiet = next(
+        e
+        for e in before.expressions.values()
+        if set(pair).isdisjoint(e["acceptable"])
+        and e["target_object"] not in pair
+        and e["reference_object"] not in pair
+    )
     for name in ("instances.json", "refs.json", "relations.json"):
         (tmp_path / name).write_bytes((exported / "coco" / name).read_bytes())
     found = in_frame(json.loads((tmp_path / "instances.json").read_bytes()))
@@ -344,9 +366,13 @@ def test_what_annotation_tools_write_without_a_change_brings_no_event(
 @pytest.mark.slow
 @pytest.mark.parametrize("kept", mostly_slow([True, False]))
 def test_what_was_drawn_in_an_annotation_tool_comes_back(
-    instances: Callable[[], dict[str, Any]], bare_corrector: Corrector, journal: Journal, take: Take, tmp_path: Path,
+    instances: Callable[[], dict[str, Any]],
+    bare_corrector: Corrector,
+    journal: Journal,
+    take: Take,
+    tmp_path: Path,
     kept: bool,
-) -> None:  # fmt: skip
+) -> None:
     before = bare_corrector.frame(FRAME, ())
     number, original = widest(before), instances()
     content = through_cvat(original, attributes=kept)
@@ -371,8 +397,9 @@ def test_a_dry_run_saves_nothing(
     rows[0]["label"] = "jug"
     path = write(tmp_path / "objects.jsonl", rows)
     for report in (
-        take(path, dry_run=True), import_corrections(demo_labels, None, path, "eve", ImportConfig(dry_run=True)),
-    ):  # fmt: skip
+        take(path, dry_run=True),
+        import_corrections(demo_labels, None, path, "eve", ImportConfig(dry_run=True)),
+    ):
         assert [e.after for e in report.edits] == ["jug"]
         assert report.saved is None
     assert journal.events() == ()

@@ -108,9 +108,12 @@ COCO: list[tuple[str, Callable[[dict[str, Any]], Any], str]] = [
     ("box3d of NaN", lambda c: first(c, box3d={"center": [1e400] * 3, "size": [1] * 3, "R": []}), "list of numbers"),
     ("box3d no rotation", lambda c: first(c, box3d={"center": [1] * 3, "size": [1] * 3, "R": [1] * 9}), "box"),
     ("box3d of two", lambda c: first(c, box3d={"center": [1] * 2, "size": [1] * 3, "R": [1] * 9}), "box"),
-    ("new without a place", lambda c: c["annotations"].append(
-        {"id": 9999, "image_id": c["images"][0]["id"], "category_id": 1}), "bbox is x, y, width, height"),
-]  # fmt: skip
+    (
+        "new without a place",
+        lambda c: c["annotations"].append({"id": 9999, "image_id": c["images"][0]["id"], "category_id": 1}),
+        "bbox is x, y, width, height",
+    ),
+]
 
 
 @pytest.mark.parametrize(("change", "said"), [c[1:] for c in COCO], ids=[c[0] for c in COCO])
@@ -131,9 +134,22 @@ def test_coco_that_is_not_in_order(
 
 
 @pytest.mark.parametrize(
-    "text", ["", "{", "[]", "7", '"x"', "{}", '{"images": 3}', '{"images": [], "annotations": []}', "[" * 100_000,
-             '{"images": [], "annotations": [], "categories": {}}', '{"annotations": [NaN]}', "\ufeff{}"],
-)  # fmt: skip
+    "text",
+    [
+        "",
+        "{",
+        "[]",
+        "7",
+        '"x"',
+        "{}",
+        '{"images": 3}',
+        '{"images": [], "annotations": []}',
+        "[" * 100_000,
+        '{"images": [], "annotations": [], "categories": {}}',
+        '{"annotations": [NaN]}',
+        "\ufeff{}",
+    ],
+)
 def test_json_that_is_no_coco(take: Take, tmp_path: Path, text: str) -> None:
     path = tmp_path / "instances.json"
     path.write_text(text, encoding="utf-8")
@@ -179,9 +195,14 @@ ROWS: list[tuple[str, str, dict[str, Any], str]] = [
 
 @pytest.mark.parametrize(("table", "change", "said"), [c[1:] for c in ROWS], ids=[c[0] for c in ROWS])
 def test_jsonl_that_is_not_in_order(
-    lines: Callable[[str], list[dict[str, Any]]], journal: Journal, take: Take, tmp_path: Path, table: str,
-    change: dict[str, Any], said: str,
-) -> None:  # fmt: skip
+    lines: Callable[[str], list[dict[str, Any]]],
+    journal: Journal,
+    take: Take,
+    tmp_path: Path,
+    table: str,
+    change: dict[str, Any],
+    said: str,
+) -> None:
     rows = lines(table)
     rows[1] |= change
     path = tmp_path / f"{table}.jsonl"
@@ -298,9 +319,15 @@ def test_an_outline_is_the_same_to_within_its_tolerance(x: int, y: int, w: int, 
     assert same_outline(hole, one, 0)
 
 
-@given(st.recursive(st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=4),
-                    lambda inner: st.lists(inner, max_size=7) | st.dictionaries(
-                        st.sampled_from(["size", "counts", "x"]), inner, max_size=3), max_leaves=12))  # fmt: skip
+@given(
+    st.recursive(
+        st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=4),
+        lambda inner: (
+            st.lists(inner, max_size=7) | st.dictionaries(st.sampled_from(["size", "counts", "x"]), inner, max_size=3)
+        ),
+        max_leaves=12,
+    )
+)
 def test_any_segmentation_gives_a_mask_or_one_clear_error(value: Any) -> None:
     with contextlib.suppress(InputError):
         found = mask_of(value, SIZE)

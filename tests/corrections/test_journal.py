@@ -164,9 +164,16 @@ def test_undo_and_redo_take_back_whole_actions_across_restarts(journal: Journal)
     assert redo(journal, "ann") is None
     story = [(e.action, e.ref.field, e.after) for e in journal.events()]
     assert story == [
-        ("edit", "left", 1), ("edit", "right", 1), ("edit", "label", "cup"), ("undo", "label", "mug"),
-        ("undo", "left", -1), ("undo", "right", -1), ("redo", "left", 1), ("redo", "right", 1), ("edit", "left", 0),
-    ]  # fmt: skip
+        ("edit", "left", 1),
+        ("edit", "right", 1),
+        ("edit", "label", "cup"),
+        ("undo", "label", "mug"),
+        ("undo", "left", -1),
+        ("undo", "right", -1),
+        ("redo", "left", 1),
+        ("redo", "right", 1),
+        ("edit", "left", 0),
+    ]
 
 
 def test_two_edits_of_one_field_are_taken_back_one_after_the_other(journal: Journal) -> None:

@@ -51,19 +51,29 @@ def test_a_url_and_what_it_leaves_open(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize(
     ("where", "shown"),
-    [("postgresql://ann:a%2Fb@db.lab:6000/labels?sslmode=disable", "postgresql://ann@db.lab:6000/labels?sslmode=disable"),
-     ("postgresql://ann:a/b?c@db", "postgresql://ann@db"), ("postgresql:///x?password=a&port=3", "postgresql:///x?port=3"),
-     ("postgresql://[::1]:6/x?sslpassword=a", "postgresql://[::1]:6/x"), ("/a/b:c@d?e.sqlite", "/a/b:c@d?e.sqlite")],
-)  # fmt: skip
+    [
+        (
+            "postgresql://ann:a%2Fb@db.lab:6000/labels?sslmode=disable",
+            "postgresql://ann@db.lab:6000/labels?sslmode=disable",
+        ),
+        ("postgresql://ann:a/b?c@db", "postgresql://ann@db"),
+        ("postgresql:///x?password=a&port=3", "postgresql:///x?port=3"),
+        ("postgresql://[::1]:6/x?sslpassword=a", "postgresql://[::1]:6/x"),
+        ("/a/b:c@d?e.sqlite", "/a/b:c@d?e.sqlite"),
+    ],
+)
 def test_a_password_is_never_shown(where: str, shown: str) -> None:
     assert without_password(where) == shown
 
 
 @pytest.mark.parametrize(
     ("mode", "checks", "names"),
-    [("require", ssl.CERT_NONE, False), ("verify-ca", ssl.CERT_REQUIRED, False),
-     ("verify-full", ssl.CERT_REQUIRED, True)],
-)  # fmt: skip
+    [
+        ("require", ssl.CERT_NONE, False),
+        ("verify-ca", ssl.CERT_REQUIRED, False),
+        ("verify-full", ssl.CERT_REQUIRED, True),
+    ],
+)
 def test_modes_of_encryption(mode: str, checks: ssl.VerifyMode, names: bool) -> None:
     found = address_of(f"postgresql://a@b/c?sslmode={mode}").ssl
     assert isinstance(found, ssl.SSLContext)
@@ -72,10 +82,17 @@ def test_modes_of_encryption(mode: str, checks: ssl.VerifyMode, names: bool) -> 
 
 @pytest.mark.parametrize(
     "where",
-    ["postgresql://a@b/c?password=x", "postgresql://a@b/c?sslmode=maybe", "postgresql://a@b,c/d", "postgresql://a@b:x/c",
-     "postgresql://a@b/c?sslmode=verify-ca&sslrootcert=/nowhere", "postgresql://a@b/c?connect_timeout=soon",
-     "postgresql+psycopg://a@b/c", "mysql://a@b/c"],
-)  # fmt: skip
+    [
+        "postgresql://a@b/c?password=x",
+        "postgresql://a@b/c?sslmode=maybe",
+        "postgresql://a@b,c/d",
+        "postgresql://a@b:x/c",
+        "postgresql://a@b/c?sslmode=verify-ca&sslrootcert=/nowhere",
+        "postgresql://a@b/c?connect_timeout=soon",
+        "postgresql+psycopg://a@b/c",
+        "mysql://a@b/c",
+    ],
+)
 def test_what_cannot_be_used_is_refused_in_one_line(where: str) -> None:
     with pytest.raises(InputError) as error:
         open_journal(where)

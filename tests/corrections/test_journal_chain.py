@@ -285,8 +285,13 @@ def test_what_is_intact_goes_on_in_a_new_journal(tmp_path: Path) -> None:
     with open_journal(new) as journal:
         # The undo of the fifth is left out with it.
         assert [(e.id, e.action) for e in journal.events()] == [
-            (1, "edit"), (2, "edit"), (3, "edit"), (4, "edit"), (6, "edit"), (7, "undo"),
-        ]  # fmt: skip
+            (1, "edit"),
+            (2, "edit"),
+            (3, "edit"),
+            (4, "edit"),
+            (6, "edit"),
+            (7, "undo"),
+        ]
         assert isinstance(journal.append([EDIT], "ben"), Saved)
         assert isinstance(undo(journal, "ann"), Saved)
     assert check_journal(new).damage == ()

@@ -148,9 +148,13 @@ print(number, error)
 """
     here = Path(__file__).resolve().parent
     done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=LONG_S, check=False,
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        timeout=LONG_S,
+        check=False,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (here, here.parent, here.parents[1])))},
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     assert "mend that and save again" in done.stdout
     assert int(done.stdout.split()[0]) > 5

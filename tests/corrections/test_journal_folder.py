@@ -73,9 +73,11 @@ def test_corrections_outlive_labels_made_again(
     found = effective_tables(again, journal)
     because = {(u.event.ref.kind, u.event.ref.key, u.event.ref.field): (u.kind, u.reason) for u in found.unapplied}
     assert because.keys() == {
-        ("object", str(renamed), "label"), ("object", str(gone), "label"), ("object", str(another), "label"),
+        ("object", str(renamed), "label"),
+        ("object", str(gone), "label"),
+        ("object", str(another), "label"),
         ("expression", row["id"], "text"),
-    }  # fmt: skip
+    }
     assert because["object", str(renamed), "label"][0] == "changed"
     assert "bowl" in because["object", str(renamed), "label"][1]
     assert because["object", str(gone), "label"][0] == "gone"
@@ -172,7 +174,9 @@ def test_a_file_of_edits_is_saved_as_one_or_not_at_all(full_corrector: Corrector
     assert isinstance(apply_actions(full_corrector, journal, actions_of([{**entries[1], "base": 2}]), "bob"), Saved)
     count = len(journal.events())
     for wrong, words in (
-        ([], "not empty"), ({}, "not empty"), ([3], "edit 0 cannot be this; got 3; expected an object"),
+        ([], "not empty"),
+        ({}, "not empty"),
+        ([3], "edit 0 cannot be this; got 3; expected an object"),
         ([entries[0], {"edit": "paint", "frame": FRAME}], r'edit 1\.edit .*; got "paint"; expected one of \'class\', '),
         ([{"frame": FRAME}], r"edit 0\.edit cannot be this; got nothing; expected a value"),
         ([{**entries[1], "object": "1"}], r'edit 0\.object cannot be this; got "1"; expected a whole number'),
@@ -180,7 +184,7 @@ def test_a_file_of_edits_is_saved_as_one_or_not_at_all(full_corrector: Corrector
         ([{**entries[0], "to": "X"}], r"edit 0\.to cannot be this; got \"X\"; expected 'T', 'U' or 'F'"),
         ([{"edit": "class", "frame": FRAME}], r"edit 0\.object cannot be this; got nothing; expected a value"),
         ([{"edit": "mask", "frame": FRAME, "object": a, "rectangle": [1]}], "edit 0 cannot be this: a rectangle has"),
-    ):  # fmt: skip
+    ):
         with pytest.raises(InputError, match=words):
             actions_of(wrong)
     absent = actions_of([{**entries[4], "to": None}, {**entries[1], "object": 999}])

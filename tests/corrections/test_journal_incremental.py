@@ -29,9 +29,24 @@ from pipeline.relations import F, T, U
 from pipeline.system import InputError
 
 PARTS = (
-    "row", "objects", "left_out", "expressions", "withdrawn", "marks", "versions", "statuses", "unapplied", "origins",
-    "geometry", "boxes", "human_bbox", "renamed", "moved", "sentences", "last",
-)  # fmt: skip
+    "row",
+    "objects",
+    "left_out",
+    "expressions",
+    "withdrawn",
+    "marks",
+    "versions",
+    "statuses",
+    "unapplied",
+    "origins",
+    "geometry",
+    "boxes",
+    "human_bbox",
+    "renamed",
+    "moved",
+    "sentences",
+    "last",
+)
 
 
 def alike(found: EffectiveFrame, whole: EffectiveFrame) -> None:
@@ -89,9 +104,21 @@ def an_edit(data: st.DataObject, frame: EffectiveFrame, author: str) -> tuple[An
 
 
 KINDS_OF_EDITS = (
-    "relation", "relation", "judged", "status of a relation", "true", "class", "reject", "mask", "bbox", "new",
-    "answers", "mark", "status of a sentence", "note",
-)  # fmt: skip
+    "relation",
+    "relation",
+    "judged",
+    "status of a relation",
+    "true",
+    "class",
+    "reject",
+    "mask",
+    "bbox",
+    "new",
+    "answers",
+    "mark",
+    "status of a sentence",
+    "note",
+)
 
 
 def worked_on(data: st.DataObject, labels: Labels, corrector: Corrector, folder: Any, most: int) -> None:

@@ -129,19 +129,45 @@ def test_two_judgements_of_one_item_never_meet(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "key",
-    ["", "ann", "[]", "null", '["ann","relation",1,2]', '["ann","relation",1,null,"left"]', '["ann","pair",1,2,"left"]',
-     '["ann","relation",1,2,"between"]', '["ann", "relation",1,2,"left"]', '["ann","relation",true,2,"left"]',
-     '["ann","relation",-1,2,"left"]', '["\\u0000","relation",1,2,"left"]', '["","relation",1,2,"left"]',
-     '["ann","object",99999999999,null,""]', '["ann","object",NaN,null,""]', "[" * 100_000, '"abcde"',
-     '["ann","expression",-1,null,"\\ud800"]', '{"a":1,"b":2,"c":3,"d":4,"e":5}'],
-)  # fmt: skip
+    [
+        "",
+        "ann",
+        "[]",
+        "null",
+        '["ann","relation",1,2]',
+        '["ann","relation",1,null,"left"]',
+        '["ann","pair",1,2,"left"]',
+        '["ann","relation",1,2,"between"]',
+        '["ann", "relation",1,2,"left"]',
+        '["ann","relation",true,2,"left"]',
+        '["ann","relation",-1,2,"left"]',
+        '["\\u0000","relation",1,2,"left"]',
+        '["","relation",1,2,"left"]',
+        '["ann","object",99999999999,null,""]',
+        '["ann","object",NaN,null,""]',
+        "[" * 100_000,
+        '"abcde"',
+        '["ann","expression",-1,null,"\\ud800"]',
+        '{"a":1,"b":2,"c":3,"d":4,"e":5}',
+    ],
+)
 def test_what_is_no_judgement_is_refused(key: str) -> None:
     with pytest.raises(InputError):
         FieldRef("review", "f", key, "said")
 
 
-@pytest.mark.parametrize("value", ["accepted", {"status": "fine"}, {"status": "accepted", "value": 2}, {"value": 1},
-                                   {"status": "accepted", "why": "so"}, 1, []])  # fmt: skip
+@pytest.mark.parametrize(
+    "value",
+    [
+        "accepted",
+        {"status": "fine"},
+        {"status": "accepted", "value": 2},
+        {"value": 1},
+        {"status": "accepted", "why": "so"},
+        1,
+        [],
+    ],
+)
 def test_what_is_no_word_is_refused(value: object) -> None:
     with pytest.raises(InputError):
         Edit(judgement_ref("f", "object", 3, None, "", "ann"), None, value)

@@ -81,9 +81,15 @@ def test_what_the_labeller_had_is_told_once_it_is_another(editor: LabelEditor) -
 
 @pytest.mark.parametrize(
     ("pair", "selected", "before", "expected"),
-    [((1, 2), 3, 2, (3, 2)), ((1, 2), 2, 1, (1, 2)), (None, 3, None, None), (None, 3, 1, (3, 1)),
-     ((1, 2), None, 1, (1, 2)), ((1, 2), 3, None, (3, 1))],
-)  # fmt: skip
+    [
+        ((1, 2), 3, 2, (3, 2)),
+        ((1, 2), 2, 1, (1, 2)),
+        (None, 3, None, None),
+        (None, 3, 1, (3, 1)),
+        ((1, 2), None, 1, (1, 2)),
+        ((1, 2), 3, None, (3, 1)),
+    ],
+)
 def test_a_pair_is_what_is_selected_and_what_was_before(
     pair: tuple[int, ...] | None, selected: int | None, before: int | None, expected: tuple[int, ...] | None
 ) -> None:

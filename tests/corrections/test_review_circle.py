@@ -90,9 +90,13 @@ def circle(
         assert isinstance(desk.save(edits), Saved)
     place.close()
     job = RetrainingJob(
-        planted.root, folder / "out", str(folder / "journal.sqlite"), dataset="demo", run=failed,
+        planted.root,
+        folder / "out",
+        str(folder / "journal.sqlite"),
+        dataset="demo",
+        run=failed,
         config=replace(CONFIG, split="scene"),
-    )  # fmt: skip
+    )
     return run_retraining(job)
 
 

@@ -85,8 +85,11 @@ def test_states_are_followed_as_a_new_queue_has_them(
     expected = states_on_labels(reviewed.judgements, read_relation_labels(reviewed.labels))
     assert {k: s for k, s in found.items() if s != "unreviewed"} == expected
     assert [found.get(left(*pair), "unreviewed") for pair in ((a, b), (c, d), (e, f), (g, h))] == [
-        "accepted", "unsure", "corrected", "unreviewed",
-    ]  # fmt: skip
+        "accepted",
+        "unsure",
+        "corrected",
+        "unreviewed",
+    ]
     assert found.get(ItemKey(FRAME, "object", number, None, ""), "unreviewed") == "unreviewed"
     # Whoever works through a queue made now is shown the same.
     job = QueueJob(demo_labels.root, tmp_path / "queue.parquet", str(journal.location), networks=False)

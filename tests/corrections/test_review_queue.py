@@ -68,8 +68,11 @@ def test_a_turned_cell_comes_first_with_its_reasons(turned: tuple[Labels, ItemKe
     assert len(set(keys)) == len(keys)
     doubtful = [r for r in queue.to_pylist() if r["label"] == "U"]
     assert len(doubtful) > 50
-    assert all(r["wrong"] is None and r["score"] <= 0.5 for r in doubtful if r["kind"] == "relation" and
-               not any("relation/" in reason for reason in r["reasons"]))  # fmt: skip
+    assert all(
+        r["wrong"] is None and r["score"] <= 0.5
+        for r in doubtful
+        if r["kind"] == "relation" and not any("relation/" in reason for reason in r["reasons"])
+    )
 
 
 @pytest.mark.slow
@@ -114,8 +117,13 @@ def test_other_labels_of_the_frames_dispute_names_places_and_relations(
         table = table.set_column(at, table.schema.field(at), pa.array(values, table.schema.field(at).type))
     write_table(table, folder / "objects.parquet")
     states = labels.relations.column("above").to_numpy()
-    row = int(np.flatnonzero((states == 1) & (labels.relations.column("a").to_numpy() > 1)
-                             & (labels.relations.column("b").to_numpy() > 1))[0])  # fmt: skip
+    row = int(
+        np.flatnonzero(
+            (states == 1)
+            & (labels.relations.column("a").to_numpy() > 1)
+            & (labels.relations.column("b").to_numpy() > 1)
+        )[0]
+    )
     changed = states.copy()
     changed[row] = -1
     other = with_relations(open_labels(folder), tmp_path / "both", {"above": changed})
@@ -126,9 +134,7 @@ def test_other_labels_of_the_frames_dispute_names_places_and_relations(
     pair = labels.relations.slice(row, 1).to_pylist()[0]
     key = ItemKey(pair["frame"], "relation", pair["a"], pair["b"], "above")
     rows = dict(zip(item_keys(queue), queue.to_pylist(), strict=True))
-    assert set(rows) == {
-        ItemKey(frame, "object", first, None, ""), ItemKey(frame, "object", second, None, ""), key
-    }  # fmt: skip
+    assert set(rows) == {ItemKey(frame, "object", first, None, ""), ItemKey(frame, "object", second, None, ""), key}
     assert "zebra" in rows[ItemKey(frame, "object", first, None, "")]["reasons"][0]
     assert rows[key]["label"] == "T"
     assert review_queue(labels, config, other=labels).num_rows == 0
@@ -162,8 +168,18 @@ def test_keys_read_back(frame: str, kind: str, a: int, b: int | None, what: str)
     assert "\n" not in key.text()
 
 
-@pytest.mark.parametrize("text", ["", "[]", "[1,2,3,4,5]", '["f","pair",0,1,"left"]', '["f","relation",true,1,"left"]',
-                                  '["f","relation",0,"1","left"]', "null"])  # fmt: skip
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        "[1,2,3,4,5]",
+        '["f","pair",0,1,"left"]',
+        '["f","relation",true,1,"left"]',
+        '["f","relation",0,"1","left"]',
+        "null",
+    ],
+)
 def test_what_is_no_key_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="key of a review item"):
         ItemKey.read(text)
@@ -176,8 +192,16 @@ def test_a_review_goes_on_until_all_is_settled(turned: tuple[Labels, ItemKey]) -
     states = {keys[0]: "corrected", keys[3]: "unsure", keys[5]: "rejected", keys[8]: "accepted"}
     gone = ItemKey("no frame", "relation", 0, 1, "left")
     counts = progress_counts(queue, {**states, gone: "accepted"})  # pyright: ignore[reportArgumentType]
-    assert counts == {"items": 30, "unreviewed": 26, "accepted": 1, "corrected": 1, "rejected": 1, "unsure": 1,
-                      "settled": 3, "elsewhere": 1}  # fmt: skip
+    assert counts == {
+        "items": 30,
+        "unreviewed": 26,
+        "accepted": 1,
+        "corrected": 1,
+        "rejected": 1,
+        "unsure": 1,
+        "settled": 3,
+        "elsewhere": 1,
+    }
     known = with_states(queue, states)  # pyright: ignore[reportArgumentType]
     assert known.column("state")[3].as_py() == "unsure"
     assert with_states(known, {}).column("state").to_pylist() == ["unreviewed"] * 30

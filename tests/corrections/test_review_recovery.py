@@ -58,9 +58,9 @@ def test_no_label_of_a_scene_is_evidence_against_it(demo: LabelData) -> None:
     """Whatever is said of a scene, also of a pair's mirror image, what networks say of it stays as it is."""
     before = doubt_labels(demo, QUICK)
     scene = demo.frames[0].key.scene
-    turned = replace(demo, frames=tuple(
-        replace(f, states=-f.states) if f.key.scene == scene else f for f in demo.frames
-    ))  # fmt: skip
+    turned = replace(
+        demo, frames=tuple(replace(f, states=-f.states) if f.key.scene == scene else f for f in demo.frames)
+    )
     after = doubt_labels(turned, QUICK)
     fold = before.folds.held[:, 0].argmax()
     alone = [k for k in np.flatnonzero(before.folds.held[fold]).tolist() if demo.frames[k].key.scene == scene]
@@ -98,17 +98,29 @@ def test_planted_errors_are_single_cells_of_the_share(demo: LabelData) -> None:
     assert not planted.flipped[~known].any()
     # Mirror images are planted on their own: few pairs of cells are turned together.
     matrices = unstacked(planted.flipped.astype(np.int8), [len(f.rows) for f in demo.frames])
-    left, mirrored = (np.concatenate([m.ravel() for m in side]) for side in (
-        [m[..., 0] for m in matrices], [m[..., 1].T for m in matrices]))  # fmt: skip
+    left, mirrored = (
+        np.concatenate([m.ravel() for m in side])
+        for side in ([m[..., 0] for m in matrices], [m[..., 1].T for m in matrices])
+    )
     assert 0.05 < (left & mirrored).sum() / left.sum() < 0.15
     np.testing.assert_array_equal(stacked([f.states for f in with_labels(planted.data, before).frames]), before)
 
 
 @pytest.mark.parametrize(
     "change",
-    [{"rooms": 5}, {"views": 0}, {"share": 0.0}, {"share": 1.0}, {"top": 1.0}, {"again": 0.95}, {"seeds": 0},
-     {"width": 8}, {"doubts": replace(QUICK, folds=1)}, {"doubts": replace(QUICK, passes=0)}],
-)  # fmt: skip
+    [
+        {"rooms": 5},
+        {"views": 0},
+        {"share": 0.0},
+        {"share": 1.0},
+        {"top": 1.0},
+        {"again": 0.95},
+        {"seeds": 0},
+        {"width": 8},
+        {"doubts": replace(QUICK, folds=1)},
+        {"doubts": replace(QUICK, passes=0)},
+    ],
+)
 def test_numbers_without_sense_are_refused(change: dict) -> None:
     with pytest.raises(InputError):
         replace(SMALL, **change).check()

@@ -64,8 +64,10 @@ def test_cells_are_named_as_the_labels_name_them(found: tuple[Retraining, Path],
 
 def test_what_changed_is_counted_by_part(found: tuple[Retraining, Path], mended: tuple[Labels, Labels]) -> None:
     result, _ = found
-    differ = {r: int((mended[0].relations.column(r).to_numpy() != mended[1].relations.column(r).to_numpy()).sum())
-              for r in DIRECTIONAL}  # fmt: skip
+    differ = {
+        r: int((mended[0].relations.column(r).to_numpy() != mended[1].relations.column(r).to_numpy()).sum())
+        for r in DIRECTIONAL
+    }
     assert {r: sum(part[r] for part in result.changed.values()) for r in DIRECTIONAL} == differ
     assert result.changed["dropped"] == dict.fromkeys(DIRECTIONAL, 0)
     assert min(sum(result.changed[part].values()) for part in ("train", "validation", "test")) > 0
@@ -74,13 +76,18 @@ def test_what_changed_is_counted_by_part(found: tuple[Retraining, Path], mended:
 def test_the_network_and_what_is_known_of_it_are_written(found: tuple[Retraining, Path]) -> None:
     result, out = found
     assert sorted(p.name for p in out.parent.iterdir()) == [
-        "srm.comparison.json", "srm.comparison.md", "srm.json", "srm.onnx",
-    ]  # fmt: skip
+        "srm.comparison.json",
+        "srm.comparison.md",
+        "srm.json",
+        "srm.onnx",
+    ]
     scorer = OnnxScorer(out)
     assert scorer.contract.trained_on is not None
     record = json.loads(out.with_suffix(".comparison.json").read_text())
-    assert record["networks"][1]["weights_xxh3_128"] == json.loads(out.with_suffix(".json").read_text())[
-        "weights_xxh3_128"]  # fmt: skip
+    assert (
+        record["networks"][1]["weights_xxh3_128"]
+        == json.loads(out.with_suffix(".json").read_text())["weights_xxh3_128"]
+    )
     assert record["networks"][0]["weights_xxh3_128"] != record["networks"][1]["weights_xxh3_128"]
     assert record["became_right"]["cells"] == result.counts[0]
     text = out.with_suffix(".comparison.md").read_text()

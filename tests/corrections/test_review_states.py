@@ -192,8 +192,11 @@ def test_judgements_go_through_a_file_of_edits(bare_corrector: Corrector, journa
     assert bare_corrector.frame(FRAME, journal).pairs.state(a, b, "left") == F
     assert states_of(journal)[left(a, b)] == "corrected"
     assert isinstance(apply_actions(bare_corrector, journal, todo, "dan"), Conflict)
-    for wrong in ({"edit": "judge", "to": "fine", **pair}, {"edit": "judge", "to": "T", "frame": FRAME},
-                  {"edit": "judge", "to": "T", **pair, "relation": "between"}):  # fmt: skip
+    for wrong in (
+        {"edit": "judge", "to": "fine", **pair},
+        {"edit": "judge", "to": "T", "frame": FRAME},
+        {"edit": "judge", "to": "T", **pair, "relation": "between"},
+    ):
         with pytest.raises(InputError):
             apply_actions(bare_corrector, journal, actions_of([wrong]), "ann")
 
@@ -295,8 +298,13 @@ def test_settled_labels_are_never_doubted(demo_labels: Labels) -> None:
 def test_what_is_left_for_a_second_reviewer(demo_labels: Labels, journal: Journal, frame: Any) -> None:
     queue = review_queue(demo_labels, RULES_ONLY)
     of_frame = [k for k in item_keys(queue) if k.kind == "relation" and k.frame == FRAME][:60]
-    edits = [e for k in of_frame for e in actions.set_status(frame(), FieldRef("relation", FRAME, f"{k.a},{k.b}",
-             f"{k.what}.status"), "accepted", author="ann")]  # fmt: skip
+    edits = [
+        e
+        for k in of_frame
+        for e in actions.set_status(
+            frame(), FieldRef("relation", FRAME, f"{k.a},{k.b}", f"{k.what}.status"), "accepted", author="ann"
+        )
+    ]
     saved(journal, tuple(edits))
     judgements = judgements_of(journal)
     states = judgements.states()

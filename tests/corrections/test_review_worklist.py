@@ -32,12 +32,24 @@ from pipeline.system import InputError
 def queue_of(count: int) -> pa.Table:
     kinds = ["relation", "object", "expression"]
     rows = [
-        {"frame": f"f{k // 7}", "kind": kinds[k % 3], "a": k, "b": k + 1 if k % 3 == 0 else None,
-         "relation": "left" if k % 3 == 0 else None, "expression": f"{k:x}" if k % 3 == 2 else None}
+        {
+            "frame": f"f{k // 7}",
+            "kind": kinds[k % 3],
+            "a": k,
+            "b": k + 1 if k % 3 == 0 else None,
+            "relation": "left" if k % 3 == 0 else None,
+            "expression": f"{k:x}" if k % 3 == 2 else None,
+        }
         for k in range(count)
-    ]  # fmt: skip
-    names = {"frame": pa.string(), "kind": pa.string(), "a": pa.int32(), "b": pa.int32(), "relation": pa.string(),
-             "expression": pa.string()}  # fmt: skip
+    ]
+    names = {
+        "frame": pa.string(),
+        "kind": pa.string(),
+        "a": pa.int32(),
+        "b": pa.int32(),
+        "relation": pa.string(),
+        "expression": pa.string(),
+    }
     return pa.Table.from_pylist(rows, pa.schema(list(names.items())))
 
 
@@ -119,8 +131,14 @@ def test_what_has_gone_is_not_open_until_it_is_back() -> None:
     assert away.previous(keys[5]) == keys[3]
     assert [away.is_gone(k) for k in keys] == [True, True, True, False, True, False, False, False, False], "of f0 alone"
     assert away.counts == {
-        "items": 5, "unreviewed": 5, "accepted": 0, "corrected": 0, "rejected": 0, "unsure": 0, "settled": 0,
-    }  # fmt: skip
+        "items": 5,
+        "unreviewed": 5,
+        "accepted": 0,
+        "corrected": 0,
+        "rejected": 0,
+        "unsure": 0,
+        "settled": 0,
+    }
     # What is said of it meanwhile is known when it is back.
     back = away.with_states({keys[4]: "rejected"}).with_gone("f0", ())
     assert back.counts == found.with_states({keys[4]: "rejected"}).counts

@@ -22,9 +22,12 @@ class Held:
 
     class Job:
         def __init__(
-            self, function: Callable[..., Any], argument: Any, on_progress: Callable[[Any], None],
+            self,
+            function: Callable[..., Any],
+            argument: Any,
+            on_progress: Callable[[Any], None],
             on_end: Callable[[Any, str], None],
-        ) -> None:  # fmt: skip
+        ) -> None:
             self.work, self.argument, self.on_progress, self.on_end = function, argument, on_progress, on_end
 
         def run(self) -> None:
@@ -55,9 +58,13 @@ def test_one_runs_at_a_time_and_who_comes_later_finds_it() -> None:
 
     def start(to: int, then: Callable[[], None] | None = None) -> bool:
         return job.start(
-            counted, to, begun=lambda seen: (*seen, "begun"), heard=lambda seen, n: (*seen, n),
-            ended=lambda seen, result, problem: (*seen, result or problem), then=then,
-        )  # fmt: skip
+            counted,
+            to,
+            begun=lambda seen: (*seen, "begun"),
+            heard=lambda seen, n: (*seen, n),
+            ended=lambda seen, result, problem: (*seen, result or problem),
+            then=then,
+        )
 
     first: list[Any] = []
     leave = job.listen(lambda: first.append(job.seen[-1]))

@@ -40,13 +40,19 @@ def boxes(draw: Any) -> tuple[Box3D, np.ndarray]:
     R = np.stack([viewer.right, viewer.forward, viewer.up], axis=1)
     for axis, most in ((2, 3.1), (0, 0.3)):
         angle = draw(st.floats(-most, most))
-        turn = np.roll(np.roll([[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]],
-                               axis, 0), axis, 1)  # fmt: skip
+        turn = np.roll(
+            np.roll([[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]], axis, 0),
+            axis,
+            1,
+        )
         R = R @ turn
     order = draw(st.permutations(range(3)))
     R = R[:, order] * np.linalg.det(R[:, order])
-    box = Box3D(np.array([draw(st.floats(-2, 2)), draw(st.floats(-1, 1)), draw(st.floats(0.5, 5))]), R,
-                np.array([draw(sizes) for _ in range(3)]))  # fmt: skip
+    box = Box3D(
+        np.array([draw(st.floats(-2, 2)), draw(st.floats(-1, 1)), draw(st.floats(0.5, 5))]),
+        R,
+        np.array([draw(sizes) for _ in range(3)]),
+    )
     return box, box_axes(box, viewer)
 
 
@@ -98,9 +104,20 @@ def test_a_box_that_is_moved_and_turned_keeps_its_size_and_comes_back(
 
 @pytest.mark.parametrize(
     "moves",
-    [[], [["face", 3, 1, 0.1]], [["face", 0, 2, 0.1]], [["face", 0, 0.1]], [["turn", 0, 1, 0.1]], [["move", 0, 1e9]],
-     [["move", 0, float("nan")]], [[1]], ["face"], [["fly", 0, 1.0]], [["move", 0, 0.1]] * 13],
-)  # fmt: skip
+    [
+        [],
+        [["face", 3, 1, 0.1]],
+        [["face", 0, 2, 0.1]],
+        [["face", 0, 0.1]],
+        [["turn", 0, 1, 0.1]],
+        [["move", 0, 1e9]],
+        [["move", 0, float("nan")]],
+        [[1]],
+        ["face"],
+        [["fly", 0, 1.0]],
+        [["move", 0, 0.1]] * 13,
+    ],
+)
 def test_what_is_no_move_is_refused(moves: Any) -> None:
     box = Box3D(np.array([0, 0, 2.0]), np.eye(3), np.ones(3))
     with pytest.raises(InputError, match="not what a hand does"):

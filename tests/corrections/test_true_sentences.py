@@ -91,8 +91,16 @@ def test_a_file_of_edits_says_the_same_and_labels_carry_it(desk: Open, tmp_path:
     ann = desk("ann")
     a, b = pair_where(ann.frame(FRAME), T)
     x, y = (ann.frame(FRAME).objects[n]["label"] for n in (a, b))
-    action = {"edit": "true", "frame": FRAME, "text": f"the {x} left of the {y}", "target": x, "relation": "left",
-              "reference": y, "a": a, "b": b}  # fmt: skip
+    action = {
+        "edit": "true",
+        "frame": FRAME,
+        "text": f"the {x} left of the {y}",
+        "target": x,
+        "relation": "left",
+        "reference": y,
+        "a": a,
+        "b": b,
+    }
     journal = ann.location.to_write()
     assert isinstance(apply_actions(ann.corrector, journal, actions_of([action]), "bob"), Saved)
     materialise(ann.labels, journal, tmp_path / "effective")

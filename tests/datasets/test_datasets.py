@@ -109,8 +109,11 @@ def test_a_scene_is_not_taken_for_an_index(tmp_path: Path) -> None:
         index = int(key)
         refused(
             lambda key=key: resolve_frame(dataset, key),
-            repr(key), f"the index {index}, which is {dataset.frame_ids[index]}", f"{key}/000000", f"or {index} for",
-        )  # fmt: skip
+            repr(key),
+            f"the index {index}, which is {dataset.frame_ids[index]}",
+            f"{key}/000000",
+            f"or {index} for",
+        )
     # An image's number that is no scene's, and leads elsewhere as an index.
     refused(lambda: resolve_frame(dataset, "000003"), "000002/000000", "000007/000003", "000008/000003")
     for index, frame_id in enumerate(dataset.frame_ids):

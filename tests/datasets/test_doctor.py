@@ -134,8 +134,10 @@ def test_sizes_of_known_things_tell_the_unit_of_one_frame(room: list[Frame]) -> 
 
 
 def test_poses_of_other_frames_are_not_explained_away(room: list[Frame]) -> None:
-    turned = [replace(f, camera=replace(f.camera, T_world_camera=other.camera.T_world_camera))
-              for f, other in zip(room, room[1:] + room[:1], strict=True)]  # fmt: skip
+    turned = [
+        replace(f, camera=replace(f.camera, T_world_camera=other.camera.T_world_camera))
+        for f, other in zip(room, room[1:] + room[:1], strict=True)
+    ]
     assert not wrong(looked_at(turned))
 
 

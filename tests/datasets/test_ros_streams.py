@@ -58,40 +58,57 @@ class Recorder:
         rows = np.ascontiguousarray(pixels).view(np.uint8).reshape(pixels.shape[0], -1)
         padded = np.pad(rows, ((0, 0), (0, 8)))
         self.write(
-            topic, kind, at,
+            topic,
+            kind,
+            at,
             self.make(
-                kind, header=self.header(at, frame), height=pixels.shape[0], width=pixels.shape[1],
-                encoding=encoding, is_bigendian=0, step=padded.shape[1], data=padded.ravel(),
+                kind,
+                header=self.header(at, frame),
+                height=pixels.shape[0],
+                width=pixels.shape[1],
+                encoding=encoding,
+                is_bigendian=0,
+                step=padded.shape[1],
+                data=padded.ravel(),
             ),
-        )  # fmt: skip
+        )
 
     def camera(self, topic: str, at: float) -> None:
         kind = "sensor_msgs/msg/CameraInfo"
-        roi = self.make(
-            "sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
-        )  # fmt: skip
+        roi = self.make("sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
         names = ("D", "K", "R", "P") if self.one else ("d", "k", "r", "p")
         values = (np.zeros(5), K.ravel(), np.eye(3).ravel(), np.eye(3, 4).ravel())
         matrices = dict(zip(names, values, strict=True))
         self.write(
-            topic, kind, at,
+            topic,
+            kind,
+            at,
             self.make(
-                kind, header=self.header(at, "optical"), height=HEIGHT, width=WIDTH, distortion_model="plumb_bob",
-                binning_x=0, binning_y=0, roi=roi, **matrices,
+                kind,
+                header=self.header(at, "optical"),
+                height=HEIGHT,
+                width=WIDTH,
+                distortion_model="plumb_bob",
+                binning_x=0,
+                binning_y=0,
+                roi=roi,
+                **matrices,
             ),
-        )  # fmt: skip
+        )
 
     def transform(self, topic: str, at: float, parent: str, child: str, T: np.ndarray) -> None:
         kind = "tf2_msgs/msg/TFMessage"
         x, y, z, w = (float(v) for v in Rotation.from_matrix(T[:3, :3]).as_quat())
         one = self.make(
-            "geometry_msgs/msg/TransformStamped", header=self.header(at, parent), child_frame_id=child,
+            "geometry_msgs/msg/TransformStamped",
+            header=self.header(at, parent),
+            child_frame_id=child,
             transform=self.make(
                 "geometry_msgs/msg/Transform",
                 translation=self.make("geometry_msgs/msg/Vector3", **dict(zip("xyz", T[:3, 3].tolist(), strict=True))),
                 rotation=self.make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w),
             ),
-        )  # fmt: skip
+        )
         self.write(topic, kind, at, self.make(kind, transforms=[one]))
 
 
@@ -161,9 +178,17 @@ def test_compressed_images_and_organised_clouds(tmp_path: Path) -> None:
     ]
     kind = "sensor_msgs/msg/PointCloud2"
     cloud = recorder.make(
-        kind, header=recorder.header(1.0, "optical"), height=HEIGHT, width=WIDTH, fields=fields, is_bigendian=False,
-        point_step=16, row_step=16 * WIDTH, data=points.view(np.uint8).ravel(), is_dense=False,
-    )  # fmt: skip
+        kind,
+        header=recorder.header(1.0, "optical"),
+        height=HEIGHT,
+        width=WIDTH,
+        fields=fields,
+        is_bigendian=False,
+        point_step=16,
+        row_step=16 * WIDTH,
+        data=points.view(np.uint8).ravel(),
+        is_dense=False,
+    )
     recorder.write("/points", kind, 1.0, cloud)
     recorder.writer.close()
     path = next((tmp_path / "room").glob("*.mcap"))

@@ -91,8 +91,11 @@ def test_the_four_subsets(divided: Path) -> None:
     assert list(novel_room(dataset, "ssc")) == []
     everything = [*novel_room(dataset), *novel_visual(dataset), *novel_vocabulary(dataset), *novel_class(dataset)]
     for name, chosen in zip(SUBSETS, (novel_visual, novel_vocabulary, novel_class), strict=True):
-        by_id = {(x.frame_id, x.expression.text) for x in everything
-                 if name in subsets_of(x.frame_id, x.expression.target, x.expression.reference)}  # fmt: skip
+        by_id = {
+            (x.frame_id, x.expression.text)
+            for x in everything
+            if name in subsets_of(x.frame_id, x.expression.target, x.expression.reference)
+        }
         assert by_id == set(texts(chosen(dataset)))
     assert dataset.load(next(novel_visual(dataset)).frame_id).annotations
 

@@ -123,11 +123,16 @@ def test_tum_times_that_are_none_are_refused(tmp_path: Path, stamp: str) -> None
 
 
 UNSTATED = {
-    "bop": (), "tum": ("5000 to a metre", "525,525,319.5,239.5"),
+    "bop": (),
+    "tum": ("5000 to a metre", "525,525,319.5,239.5"),
     "7-scenes": ("1000 to a metre", "585,585,320,240", "of two cameras"),
-    "scannet": ("1000 to a metre",), "redwood": ("1000 to a metre",), "sunrgbd": ("1000 to a metre",),
-    "avd": ("1000 to a metre",), "sunrgbd-votenet": (), "semantic-abstraction": (),
-}  # fmt: skip
+    "scannet": ("1000 to a metre",),
+    "redwood": ("1000 to a metre",),
+    "sunrgbd": ("1000 to a metre",),
+    "avd": ("1000 to a metre",),
+    "sunrgbd-votenet": (),
+    "semantic-abstraction": (),
+}
 """What the files of a format leave unsaid."""
 
 

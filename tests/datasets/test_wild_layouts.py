@@ -62,8 +62,12 @@ def test_a_pair_beside_the_folders_of_frames_is_not_the_recording(tmp_path: Path
 
 def test_a_role_is_a_whole_word() -> None:
     assert [role_of(name)[0] for name in ("indepth", "grgb", "depths", "camera", "kitchen")] == [
-        "", "", "depth", "camera", ""
-    ]  # fmt: skip
+        "",
+        "",
+        "depth",
+        "camera",
+        "",
+    ]
 
 
 def write_camera_json(path: Path) -> None:
@@ -207,8 +211,9 @@ def test_ycb_video_as_it_is_distributed(tmp_path: Path) -> None:
         assert np.abs(frame.depth - truth.depth)[near].max() < 1e-6
         np.testing.assert_allclose(frame.camera.T_world_camera, truth.T_world_camera, atol=1e-6)  # type: ignore[arg-type]
         assert [(a.label, a.bbox.tolist()) for a in frame.annotations] == [
-            ("cracker box", [5, 4, 12, 9]), ("mug", [30, 20, 50, 30])
-        ]  # fmt: skip
+            ("cracker box", [5, 4, 12, 9]),
+            ("mug", [30, 20, 50, 30]),
+        ]
     assert open_dataset(tmp_path / "0001").frame_ids == ("000001", "000002")
 
 

@@ -139,12 +139,21 @@ def test_edits_are_said_in_words_one_after_the_other(baseline: Baseline) -> None
 
 @pytest.mark.parametrize(
     ("said", "why"),
-    [("size:1", "no such number"), ("size:7:0.2", "no such number"), ("yaw:wide", "must be a number"),
-     ("center:0:nan", "must be a number"), ("confidence:9:0.5", "no such name"), ("mask:blow", "no such mask"),
-     ("mask:rectangle:1,2", "four numbers"), ("set:colour:1", "no such setting"), ("dance", "no such edit"),
-     ("set:scorer:magic", "no such relation scorer"), ("mask:label", "no labelled object"),
-     ("relation:2", "probability")],
-)  # fmt: skip
+    [
+        ("size:1", "no such number"),
+        ("size:7:0.2", "no such number"),
+        ("yaw:wide", "must be a number"),
+        ("center:0:nan", "must be a number"),
+        ("confidence:9:0.5", "no such name"),
+        ("mask:blow", "no such mask"),
+        ("mask:rectangle:1,2", "four numbers"),
+        ("set:colour:1", "no such setting"),
+        ("dance", "no such edit"),
+        ("set:scorer:magic", "no such relation scorer"),
+        ("mask:label", "no labelled object"),
+        ("relation:2", "probability"),
+    ],
+)
 def test_what_is_no_edit_is_refused_in_a_line(baseline: Baseline, said: str, why: str) -> None:
     with pytest.raises(InputError, match=why):
         edits_from_words(baseline, Edits(), [said])

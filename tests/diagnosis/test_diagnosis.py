@@ -148,9 +148,10 @@ def test_verdicts_are_exclusive_and_hold_what_they_say(
     at = pair[0] if pair is not None else found.alone()
     hit = at is not None and found.target.overlap[at, case.target_object] >= HIT
     right = at is not None and bool(found.right[at])
-    any_target, any_pair = found.right[: found.target.found].any(), found.covered[
-        : found.target.found, : found.reference.found
-    ].any()  # fmt: skip
+    any_target, any_pair = (
+        found.right[: found.target.found].any(),
+        found.covered[: found.target.found, : found.reference.found].any(),
+    )
     flips = {bit for bit in (LIFT, SRM, CONF) if found.accepted[bit]}
     together = [s for s in range(SUBSETS) if not s & RECALL and found.accepted[s]]
     expected = {
@@ -243,8 +244,11 @@ def _changed(table: PairTable, factor: str, pair: ScoredPair, value: float) -> P
     return pair_table(
         side(table.target.index, sides[0], config.target_weight),
         (side(table.ends[0].index, sides[1], config.reference_weight),),
-        p, np.isneginf(table.log_score), table.sizes, config,
-    )  # fmt: skip
+        p,
+        np.isneginf(table.log_score),
+        table.sizes,
+        config,
+    )
 
 
 def test_words_name_the_numbers(diagnosed: Diagnosed) -> None:

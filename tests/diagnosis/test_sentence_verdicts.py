@@ -36,10 +36,18 @@ from pipeline.labels import Meant
 from pipeline.language import match
 
 TEXTS = (
-    "the red mug", "the biggest mug", "second book from the left", "the mug that is not red", "the blue book",
-    "the big chair", "the leftmost pillow", "the white bowl on the table", "the big mug left of the teapot",
-    "the red mug near the bowl", "chair closest to me",
-)  # fmt: skip
+    "the red mug",
+    "the biggest mug",
+    "second book from the left",
+    "the mug that is not red",
+    "the blue book",
+    "the big chair",
+    "the leftmost pillow",
+    "the white bowl on the table",
+    "the big mug left of the teapot",
+    "the red mug near the bowl",
+    "chair closest to me",
+)
 
 
 @pytest.fixture(scope="module")

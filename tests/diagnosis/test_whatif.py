@@ -126,7 +126,7 @@ def test_without_edits_it_is_the_answer_itself(text: str, scorer: str, detector:
         (Edits().with_settings("lift", box="pca"), AskConfig(lift=LiftConfig(box="pca")), "trained"),
         (Edits().with_scorer("rule"), AskConfig(), "rule"),
     ],
-)  # fmt: skip
+)
 @pytest.mark.parametrize("text", QUESTIONS[:2])
 def test_settings_edited_are_settings_set(edits: Edits, config: AskConfig | None, scorer: str, text: str) -> None:
     if config is None:

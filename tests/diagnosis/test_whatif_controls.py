@@ -105,9 +105,20 @@ def truth(masks: tuple[str | None, ...]) -> FrameCases:
     boxes = np.array([[10, 10, 30, 30], [50, 10, 70, 30]], np.float64)
     numbers = np.array([4, 7])
     return FrameCases(
-        "scene/0", 0, "scene", ("mug", "mug"), boxes, np.eye(2, dtype=np.bool_), {}, (), numbers,
-        np.zeros((2, 2), np.bool_), {}, {}, masks,
-    )  # fmt: skip
+        "scene/0",
+        0,
+        "scene",
+        ("mug", "mug"),
+        boxes,
+        np.eye(2, dtype=np.bool_),
+        {},
+        (),
+        numbers,
+        np.zeros((2, 2), np.bool_),
+        {},
+        {},
+        masks,
+    )
 
 
 def test_the_labelled_mask_is_that_of_the_object_under_the_box() -> None:

@@ -51,9 +51,13 @@ def profiles(draw: st.DrawFn) -> Profile:
 
 @settings(max_examples=12, deadline=None)
 @given(
-    st.sampled_from(sorted(HORIZONTAL)), st.tuples(lengths, lengths, lengths), st.tuples(lengths, lengths, lengths),
-    st.tuples(numbers, numbers, st.floats(-1, 4)), profiles(), st.integers(0, 2**32 - 1),
-)  # fmt: skip
+    st.sampled_from(sorted(HORIZONTAL)),
+    st.tuples(lengths, lengths, lengths),
+    st.tuples(lengths, lengths, lengths),
+    st.tuples(numbers, numbers, st.floats(-1, 4)),
+    profiles(),
+    st.integers(0, 2**32 - 1),
+)
 def test_what_is_drawn_is_where_the_rule_holds(
     relation: str,
     size: tuple[float, float, float],
@@ -98,9 +102,13 @@ def _covers(triangles: np.ndarray, place: np.ndarray) -> bool:
 
 @settings(max_examples=12, deadline=None)
 @given(
-    st.sampled_from(PAIRWISE), st.tuples(lengths, lengths, lengths), st.tuples(lengths, lengths, lengths),
-    st.tuples(numbers, numbers, numbers), st.tuples(numbers, numbers, numbers), profiles(),
-)  # fmt: skip
+    st.sampled_from(PAIRWISE),
+    st.tuples(lengths, lengths, lengths),
+    st.tuples(lengths, lengths, lengths),
+    st.tuples(numbers, numbers, numbers),
+    st.tuples(numbers, numbers, numbers),
+    profiles(),
+)
 def test_a_placement_is_the_rules_verdict_with_its_reason(
     relation: str,
     size: tuple[float, float, float],

@@ -90,9 +90,11 @@ def test_a_polygon_is_filled_as_point_in_polygon_has_it(corners: list[tuple[floa
 
 @settings(max_examples=30, deadline=None)
 @given(
-    x=st.floats(25, 55), y=st.floats(20, 40), radii=st.lists(st.floats(5, 18), min_size=5, max_size=12),
+    x=st.floats(25, 55),
+    y=st.floats(20, 40),
+    radii=st.lists(st.floats(5, 18), min_size=5, max_size=12),
     turn=st.floats(0, 6),
-)  # fmt: skip
+)
 def test_the_area_of_a_polygon_is_that_of_its_corners(x: float, y: float, radii: list[float], turn: float) -> None:
     angles = turn + np.linspace(0, 2 * np.pi, len(radii), endpoint=False)
     points = np.stack([x + np.array(radii) * np.cos(angles), y + np.array(radii) * np.sin(angles)], axis=1)
@@ -135,9 +137,11 @@ def steps(seed: int) -> np.ndarray:
 
 @settings(max_examples=25, deadline=None)
 @given(
-    seed=st.integers(0, 2**16), x=st.floats(0, WIDTH - 0.01), y=st.floats(0, HEIGHT - 0.01),
+    seed=st.integers(0, 2**16),
+    x=st.floats(0, WIDTH - 0.01),
+    y=st.floats(0, HEIGHT - 0.01),
     tolerance=st.sampled_from([0.001, 0.005, 0.01, 0.03, 0.05]),
-)  # fmt: skip
+)
 def test_a_region_never_crosses_a_depth_edge(seed: int, x: float, y: float, tolerance: float) -> None:
     depth = steps(seed)
     u, v = int(x), int(y)
@@ -191,9 +195,14 @@ def test_a_region_grows_with_the_tolerance() -> None:
 
 @pytest.mark.parametrize(
     ("x", "y", "tolerance", "said"),
-    [(-1, 5, 0.01, "outside"), (5, 60, 0.01, "outside"), (40, 30, 0.01, "no depth"), (5, 5, 0.5, "tolerance"),
-     (5, 5, float("nan"), "tolerance")],
-)  # fmt: skip
+    [
+        (-1, 5, 0.01, "outside"),
+        (5, 60, 0.01, "outside"),
+        (40, 30, 0.01, "no depth"),
+        (5, 5, 0.5, "tolerance"),
+        (5, 5, float("nan"), "tolerance"),
+    ],
+)
 def test_seeds_that_mean_nothing_are_refused(x: float, y: float, tolerance: float, said: str) -> None:
     depth = np.full((HEIGHT, WIDTH), 2.0)
     depth[20:40, 30:50] = 0
@@ -218,7 +227,7 @@ def check_parts(mask: np.ndarray, parts: tuple[np.ndarray, ...]) -> None:
 @given(
     line=st.lists(st.tuples(st.floats(0, WIDTH), st.floats(0, HEIGHT)), min_size=2, max_size=12).map(np.array),
     seed=st.integers(0, 2**16),
-)  # fmt: skip
+)
 def test_cut_parts_share_no_pixel_and_leave_none_out(line: np.ndarray, seed: int) -> None:
     rng = np.random.default_rng(seed)
     mask = stroke_mask(rng.uniform([5, 5], [WIDTH - 5, HEIGHT - 5], (3, 2)), rng.uniform(3, 15), HEIGHT, WIDTH)
@@ -298,7 +307,7 @@ HOSTILE: list[tuple[Any, str]] = [
     ({"do": "depth", "at": [[0.5, 0.5]], "tolerance": 9}, "tolerance"),
     ({"do": "depth", "at": [[1.5, 0.5]]}, "outside"),
     ({"do": "cut", "at": [[0.5, 0.5], [0.6, 0.6]]}, "no pixels"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("message", "said"), HOSTILE)

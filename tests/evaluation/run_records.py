@@ -29,19 +29,32 @@ def random_records(seed: int, rows: int = 60, scenes: int = 4) -> pa.Table:
         number = float(rng.choice([0.1, 0.2, 1.0, float(rng.normal()), np.nan]))
         row: dict[str, Any] = dict.fromkeys(COLUMNS)
         row |= {
-            "id": f"{k:04x}", "frame": f"{scene:06d}/{k % 3:06d}", "frame_index": scene * 3 + k % 3,
-            "scene": f"{scene:06d}", "text": str(rng.choice(["the red Chair", "a trash can?", "50% left_of", "chair"])),
-            "kind": QUERY_KINDS[k % 7], "target": str(rng.choice(CLASSES)), "relation": str(rng.choice(RELATIONS)),
+            "id": f"{k:04x}",
+            "frame": f"{scene:06d}/{k % 3:06d}",
+            "frame_index": scene * 3 + k % 3,
+            "scene": f"{scene:06d}",
+            "text": str(rng.choice(["the red Chair", "a trash can?", "50% left_of", "chair"])),
+            "kind": QUERY_KINDS[k % 7],
+            "target": str(rng.choice(CLASSES)),
+            "relation": str(rng.choice(RELATIONS)),
             "reference": "table",
-            "same_class": int(rng.integers(1, 8)), "label_margin": maybe(abs(number)), "verdict": verdict,
-            "detail": maybe(str(rng.choice(["RANK", "ABSENT"]))), "lucky": verdict == "CORRECT" and rng.random() < 0.3,
-            "said": "why", "repair": maybe(list(names_of(int(rng.integers(16))))),
-            "right_with": int(rng.integers(1 << 16)), "margin": maybe(number),
-            "set_correct": verdict in ("CORRECT", "LABEL"), "correct": verdict == "CORRECT",
-            "strict_correct": verdict == "CORRECT", "reference_correct": verdict == "LIFT",
+            "same_class": int(rng.integers(1, 8)),
+            "label_margin": maybe(abs(number)),
+            "verdict": verdict,
+            "detail": maybe(str(rng.choice(["RANK", "ABSENT"]))),
+            "lucky": verdict == "CORRECT" and rng.random() < 0.3,
+            "said": "why",
+            "repair": maybe(list(names_of(int(rng.integers(16))))),
+            "right_with": int(rng.integers(1 << 16)),
+            "margin": maybe(number),
+            "set_correct": verdict in ("CORRECT", "LABEL"),
+            "correct": verdict == "CORRECT",
+            "strict_correct": verdict == "CORRECT",
+            "reference_correct": verdict == "LIFT",
             "pair_correct": verdict == "CORRECT",
-            "object_distance": maybe(float(rng.choice([0.5, 1, 2, 3, 5, 9]))), "object_size": maybe(abs(number)),
+            "object_distance": maybe(float(rng.choice([0.5, 1, 2, 3, 5, 9]))),
+            "object_size": maybe(abs(number)),
             "object_occluded": float(rng.random()),
-        }  # fmt: skip
+        }
         found.append(row)
     return pa.Table.from_pylist(found, schema=records_schema())

@@ -76,11 +76,19 @@ def answer(found: Predictions, frame: str = IDS[0], text: str = MUG) -> Any:
 def test_pictures_find_their_frames() -> None:
     names = FrameNames((*IDS, "office/a.b", "kv2/000103_x"))
     for picture, frame in (
-        (IDS[1], IDS[1]), (f"{IDS[1]}.png", IDS[1]), ("data/000001/rgb/000020.jpg", IDS[1]), ("000020.jpg", IDS[1]),
-        (20, IDS[1]), ("20.png", IDS[1]), ("000001\\rgb\\000020.jpg", IDS[1]), ("a.b", "office/a.b"),
-        ("a.b.png", "office/a.b"), ("SUN/kv2/000103_x/image/0000103.jpg", "kv2/000103_x"), ("none.png", None),
+        (IDS[1], IDS[1]),
+        (f"{IDS[1]}.png", IDS[1]),
+        ("data/000001/rgb/000020.jpg", IDS[1]),
+        ("000020.jpg", IDS[1]),
+        (20, IDS[1]),
+        ("20.png", IDS[1]),
+        ("000001\\rgb\\000020.jpg", IDS[1]),
+        ("a.b", "office/a.b"),
+        ("a.b.png", "office/a.b"),
+        ("SUN/kv2/000103_x/image/0000103.jpg", "kv2/000103_x"),
+        ("none.png", None),
         (7, None),
-    ):  # fmt: skip
+    ):
         assert names.find(picture) == frame, picture
     for picture in ("000020.jpg", 20):
         with pytest.raises(FrameUnusable, match=r"may be of several frames; got 000001/000020 and 000003/000020"):
@@ -93,11 +101,19 @@ def test_pictures_find_their_frames() -> None:
 
 def roborefer(**change: Any) -> dict[str, Any]:
     return {
-        "question_id": 0, "prompt": "Please point to the mug left of the laptop.", "object_name": "the mug",
+        "question_id": 0,
+        "prompt": "Please point to the mug left of the laptop.",
+        "object_name": "the mug",
         "suffix": "Your answer should be formatted as a list of tuples, i.e. [(x1, y1)], between 0 and 1.",
-        "instruction": "…", "text": "[(0.25, 0.5)]", "model_id": "RoboRefer-8B-SFT", "rgb_path": "image/000001/0.png",
-        "mask_path": "mask/0.png", "category": "location", "step": 1, **change,
-    }  # fmt: skip
+        "instruction": "…",
+        "text": "[(0.25, 0.5)]",
+        "model_id": "RoboRefer-8B-SFT",
+        "rgb_path": "image/000001/0.png",
+        "mask_path": "mask/0.png",
+        "category": "location",
+        "step": 1,
+        **change,
+    }
 
 
 def test_answers_of_roborefer(tmp_path: Path, world: dict[str, Any]) -> None:
@@ -112,10 +128,11 @@ def test_answers_of_roborefer(tmp_path: Path, world: dict[str, Any]) -> None:
     assert answer(found, IDS[1], "Point to it.").point == (0.1, 0.2)
     assert "1 answers have more than one place" in " ".join(convert_predictions(path, tmp_path / "x", **world).notes)
     for model, text, point in (
-        ("Qwen2.5-VL", "(80, 120)", (0.25, 0.5)), ("RoboRefer", "(80, 120)", (0.25, 0.5)),
+        ("Qwen2.5-VL", "(80, 120)", (0.25, 0.5)),
+        ("RoboRefer", "(80, 120)", (0.25, 0.5)),
         ("Molmo-7B", '<point x="61.5" y="40.4" alt="mug">mug</point>', (0.615, 0.404)),
         ("Gemini25Pro", '```json\n[{"point": [500, 250], "label": "mug"}]\n```', (0.25, 0.5)),
-    ):  # fmt: skip
+    ):
         path = of_lines(tmp_path / "one.jsonl", roborefer(text=text, model_id=model))
         (tmp_path / "one.jsonl.predictions").unlink(missing_ok=True)
         assert answer(converted(path, world)).point == pytest.approx(point)
@@ -138,10 +155,14 @@ def test_answers_of_roborefer(tmp_path: Path, world: dict[str, Any]) -> None:
 
 def test_answers_of_spatialrgpt(tmp_path: Path, world: dict[str, Any]) -> None:
     row = {
-        "question_id": "a", "image": "rgb/000001/000000.jpg", "question": "Is Region [0] behind Region [1]?",
-        "pred": "Yes, Region [0] is behind Region [1].", "gt": "No.", "model_id": "SpatialRGPT-VILA1.5-8B",
+        "question_id": "a",
+        "image": "rgb/000001/000000.jpg",
+        "question": "Is Region [0] behind Region [1]?",
+        "pred": "Yes, Region [0] is behind Region [1].",
+        "gt": "No.",
+        "model_id": "SpatialRGPT-VILA1.5-8B",
         "qa_info": {"type": "qualitative", "category": "behind_predicate"},
-    }  # fmt: skip
+    }
     far = row | {"question_id": "b", "question": "How tall is Region [0]?", "pred": "6.91 feet"}
     found = converted(of_lines(tmp_path / "answers.jsonl", row, far), world)
     assert answer(found, text=row["question"]).yes is True
@@ -152,9 +173,13 @@ def test_answers_of_spatialrgpt(tmp_path: Path, world: dict[str, Any]) -> None:
 
 def test_answers_of_llava_take_pictures_from_their_questions(tmp_path: Path, world: dict[str, Any]) -> None:
     row = {
-        "question_id": 5, "prompt": MUG, "text": "[0.1, 0.2, 0.3, 0.4]", "answer_id": "Ab3", "model_id": "llava",
+        "question_id": 5,
+        "prompt": MUG,
+        "text": "[0.1, 0.2, 0.3, 0.4]",
+        "answer_id": "Ab3",
+        "model_id": "llava",
         "metadata": {},
-    }  # fmt: skip
+    }
     path = of_lines(tmp_path / "answers.jsonl", row)
     key = of_lines(tmp_path / "questions.jsonl", {"question_id": 5, "image": f"{IDS[1]}.jpg", "text": MUG})
     assert answer(converted(path, world, key=key), IDS[1]).box == (0.1, 0.2, 0.3, 0.4)
@@ -190,9 +215,14 @@ def test_predictions_of_spatialclaw(tmp_path: Path, world: dict[str, Any]) -> No
 def test_samples_of_lmms_eval(tmp_path: Path, world: dict[str, Any]) -> None:
     ask = "Point to the mug left of the laptop. The coordinates should be integers between 0 and 999."
     row = {
-        "doc_id": 1, "target": "", "filtered_resps": "[(500, 250)]", "doc_hash": "0f", "token_counts": [None],
-        "refspatial_acc": {"id": 4, "pred": "[(500, 250)]", "accuracy": 1.0}, "input": ask,
-    }  # fmt: skip
+        "doc_id": 1,
+        "target": "",
+        "filtered_resps": "[(500, 250)]",
+        "doc_hash": "0f",
+        "token_counts": [None],
+        "refspatial_acc": {"id": 4, "pred": "[(500, 250)]", "accuracy": 1.0},
+        "input": ask,
+    }
     path = of_lines(tmp_path / "20251111_202127_samples_refspatial.jsonl", row)
     documents = [{"id": 3, "image": "000003.png"}, {"id": 4, "image": {"path": f"{IDS[1]}.png"}}]
     found = converted(path, world, key=of_json(tmp_path / "documents.json", documents))
@@ -204,12 +234,14 @@ def test_samples_of_lmms_eval(tmp_path: Path, world: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("text", "given"),
     [
-        ("<think>(0.9, 0.9)</think> (0.5, 0.25)", {"point": (0.5, 0.25)}), ("[160, 60]", {"point": (0.5, 0.25)}),
+        ("<think>(0.9, 0.9)</think> (0.5, 0.25)", {"point": (0.5, 0.25)}),
+        ("[160, 60]", {"point": (0.5, 0.25)}),
         ('[{"point_2d": [500, 250]}]', {"point": (0.5, 0.25)}),
         ("It is at (0.1, 0.2, 0.3, 0.4).", {"box": (0.1, 0.2, 0.3, 0.4)}),
-        ("<box>(100,200),(300,400)</box>", {"box": (0.1, 0.2, 0.3, 0.4)}), ("No, it is not.", {"yes": False}),
+        ("<box>(100,200),(300,400)</box>", {"box": (0.1, 0.2, 0.3, 0.4)}),
+        ("No, it is not.", {"yes": False}),
     ],
-)  # fmt: skip
+)
 def test_places_are_read_in_many_ways(text: str, given: dict[str, Any]) -> None:
     found, problem, several = answer_of(text, lambda: (320, 240))
     assert (problem, several) == (None, False)
@@ -223,10 +255,19 @@ def test_places_are_read_in_many_ways(text: str, given: dict[str, Any]) -> None:
 def test_detections_give_proposals_and_no_answer(tmp_path: Path, world: dict[str, Any]) -> None:
     mug, laptop = world["dataset"].load(IDS[0]).annotations
     rows = [
-        {"x_min": 1.0, "y_min": 2.0, "x_max": 30.0, "y_max": 40.0, "class_id": 0, "confidence": 0.5, "tracker_id": "",
-         "class_name": name, "image": f"{IDS[0]}.png"}
+        {
+            "x_min": 1.0,
+            "y_min": 2.0,
+            "x_max": 30.0,
+            "y_max": 40.0,
+            "class_id": 0,
+            "confidence": 0.5,
+            "tracker_id": "",
+            "class_name": name,
+            "image": f"{IDS[0]}.png",
+        }
         for name in ("coffee mug", "person")
-    ]  # fmt: skip
+    ]
     found = converted(of_json(tmp_path / "rows.json", rows), world)
     more = of_json(tmp_path / "more.json", [*rows, rows[0] | {"image": "99.png"}])
     notes = convert_predictions(more, tmp_path / "more", **world).notes
@@ -280,8 +321,9 @@ def test_a_recording_and_a_folder_of_arrays_are_detections_too(tmp_path: Path, w
 def test_a_file_that_does_not_say_what_it_is_is_refused(tmp_path: Path, world: dict[str, Any]) -> None:
     for name, content, message in (
         ("odd.json", {"a": 1}, "does not say of which format it is; expected --format spatialviz | roborefer"),
-        ("empty.json", [], "does not say of which format"), ("text.json", "hello", "does not say of which format"),
-    ):  # fmt: skip
+        ("empty.json", [], "does not say of which format"),
+        ("text.json", "hello", "does not say of which format"),
+    ):
         refused(of_json(tmp_path / name, content), world, message)
     refused(tmp_path / "none.json", world, "there are no predictions")
     odd = tmp_path / "odd.json"

@@ -26,22 +26,43 @@ def line(text: str, target: Any, reference: Any = None) -> str:
 
 def test_answers_that_overlap_are_the_same_and_others_stand_side_by_side(tmp_path: Path) -> None:
     first, second = tmp_path / "a.jsonl", tmp_path / "b.jsonl"
-    first.write_text("\n".join([
-        line("same", HERE, THERE), line("none", None), line("target", HERE), line("reference", HERE, THERE),
-        line("unanswered", HERE), line("only here", HERE),
-    ]))  # fmt: skip
-    second.write_text("\n".join([
-        line("same", NEAR, THERE), line("none", None), line("target", THERE), line("reference", HERE, HERE),
-        line("unanswered", None), "",
-    ]))  # fmt: skip
+    first.write_text(
+        "\n".join(
+            [
+                line("same", HERE, THERE),
+                line("none", None),
+                line("target", HERE),
+                line("reference", HERE, THERE),
+                line("unanswered", HERE),
+                line("only here", HERE),
+            ]
+        )
+    )
+    second.write_text(
+        "\n".join(
+            [
+                line("same", NEAR, THERE),
+                line("none", None),
+                line("target", THERE),
+                line("reference", HERE, HERE),
+                line("unanswered", None),
+                "",
+            ]
+        )
+    )
     found = answer_differences(first, second)
     assert [(one["text"], one["differs"]) for one in found["answers"]] == [
-        ("target", "target"), ("reference", "reference"), ("unanswered", "target"),
-    ]  # fmt: skip
+        ("target", "target"),
+        ("reference", "reference"),
+        ("unanswered", "target"),
+    ]
     assert found["answers"][0] == {
-        "frame": "a/0", "text": "target", "differs": "target", "first": {"box": HERE, "reference_box": None},
+        "frame": "a/0",
+        "text": "target",
+        "differs": "target",
+        "first": {"box": HERE, "reference_box": None},
         "second": {"box": THERE, "reference_box": None},
-    }  # fmt: skip
+    }
     counts = {name: found[name] for name in ("shared", "same", "only_first", "only_second")}
     assert counts == {"shared": 5, "same": 2, "only_first": 1, "only_second": 0}
 

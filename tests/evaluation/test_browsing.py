@@ -32,9 +32,18 @@ def _same_frames(records: pa.Table, as_in: pa.Table) -> pa.Table:
 _FIRST = random_records(0, rows=90)
 TABLES = [_FIRST, *(_same_frames(random_records(seed, rows=90), _FIRST) for seed in (1, 2))]
 PAIRS = [with_second(t, TABLES[(k + 1) % 3]) for k, t in enumerate(TABLES)]
-QUERIES = ("", "-verdict:CORRECT,LABEL sort:margin", "verdict:SRM,LIFT -class:chair", "distance>=1 distance<2",
-           "lucky", "change:broken,fixed trash", 'class="a \\"b\\" c" margin<1', "-lucky mends:none relation:behind",
-           "scene=000001", "second_verdict:PRM -relation:left")  # fmt: skip
+QUERIES = (
+    "",
+    "-verdict:CORRECT,LABEL sort:margin",
+    "verdict:SRM,LIFT -class:chair",
+    "distance>=1 distance<2",
+    "lucky",
+    "change:broken,fixed trash",
+    'class="a \\"b\\" c" margin<1',
+    "-lucky mends:none relation:behind",
+    "scene=000001",
+    "second_verdict:PRM -relation:left",
+)
 
 
 @settings(max_examples=4, deadline=None)
@@ -144,7 +153,7 @@ def test_who_marks_at_once_loses_nothing(tmp_path: Path) -> None:
     writers = [
         threading.Thread(target=lambda k=k: (mark(path, [("f", str(k))], f"m{k % 3}"), keep_filter(path, f"q{k}", "")))
         for k in range(12)
-    ]  # fmt: skip
+    ]
     for writer in writers:
         writer.start()
     for writer in writers:

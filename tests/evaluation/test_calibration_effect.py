@@ -150,8 +150,10 @@ def test_a_run_with_a_calibration_of_its_own_frames_says_so(labels: Path, tmp_pa
     assert manifest["warnings"] == list(run.warnings)
     assert manifest["config"]["score_calibration"]["frames"] == 6
     assert [row.name for row in run.tables[0].rows[:3]] == [
-        "simulated + rule: OPM only", "simulated + rule, raw scores", "simulated + rule",
-    ]  # fmt: skip
+        "simulated + rule: OPM only",
+        "simulated + rule, raw scores",
+        "simulated + rule",
+    ]
     assert (tmp_path / "run" / "tables" / "calibration.csv").is_file()
     assert (tmp_path / "run" / "plots" / "calibration.png").stat().st_size > 10_000
     assert "Reliability of the detector" in (tmp_path / "run" / "plots" / "plots.html").read_text()

@@ -48,11 +48,16 @@ def _nothing(line: Prediction) -> Prediction:
     """The line of a detector that finds no target at all."""
     first = next(iter(line.proposals or {}))
     return replace(
-        line, answer=None, problem="no pair", pairs=(), proposals={**(line.proposals or {}), first: ()},
+        line,
+        answer=None,
+        problem="no pair",
+        pairs=(),
+        proposals={**(line.proposals or {}), first: ()},
         relations=dict.fromkeys(line.relations or {}, ()),
         boxes_3d={p.id: line.boxes_3d[p.id] for n, f in (line.proposals or {}).items() if n != first for p in f}
-        if line.boxes_3d else None,
-    )  # fmt: skip
+        if line.boxes_3d
+        else None,
+    )
 
 
 def judged(folder: Path, given: list[Prediction], labels: Path) -> RunSummary:

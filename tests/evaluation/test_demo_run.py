@@ -97,9 +97,15 @@ def test_reword_keeps_all_but_the_words(tmp_path: Any) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["", "{}", "[1]", '[{"frame": "f", "id": "1"}]', '[{"frame": "f", "id": "1", "mark": "WRONG"}]',
-     '[{"frame": "f", "id": "1", "mark": "BAD_BOX"}, {"frame": "f", "id": "1", "mark": "BAD_LABEL"}]'],
-)  # fmt: skip
+    [
+        "",
+        "{}",
+        "[1]",
+        '[{"frame": "f", "id": "1"}]',
+        '[{"frame": "f", "id": "1", "mark": "WRONG"}]',
+        '[{"frame": "f", "id": "1", "mark": "BAD_BOX"}, {"frame": "f", "id": "1", "mark": "BAD_LABEL"}]',
+    ],
+)
 def test_marks_that_cannot_be_used(tmp_path: Any, text: str) -> None:
     path = tmp_path / "marks.json"
     path.write_text(text)

@@ -44,9 +44,17 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_answers_agree_and_figures_follow_from_each_other(labels: Path, recording: Path) -> None:
     record = bench.bench_evaluation("demo", labels, recording=recording, workers=1, singly=12, pairs=500)
     assert record.keys() == {
-        "frames", "expressions", "k", "scorer", "stages_s", "expressions_per_s", "asked_singly", "job", "training",
+        "frames",
+        "expressions",
+        "k",
+        "scorer",
+        "stages_s",
+        "expressions_per_s",
+        "asked_singly",
+        "job",
+        "training",
         "extrapolated",
-    }  # fmt: skip
+    }
     assert record["frames"] == FRAMES
     assert record["k"] == 10
     assert tuple(record["stages_s"]) == bench.STAGES

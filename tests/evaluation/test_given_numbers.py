@@ -95,9 +95,14 @@ def files(draw: st.DrawFn, ranking: str | None = None) -> tuple[Case, Header, Pr
     a, b = draw(st.sampled_from(pairs)) if pairs else (None, None)
     answer = None if a is None else PredictedAnswer(a, b if draw(st.booleans()) else None)
     line = Prediction(
-        w.truth.frame, case.text, answer, None if pairs else "no pair", proposals=proposals, relations=rows,
+        w.truth.frame,
+        case.text,
+        answer,
+        None if pairs else "no pair",
+        proposals=proposals,
+        relations=rows,
         boxes_3d=boxes if draw(st.booleans()) else None,
-    )  # fmt: skip
+    )
     if ranking == "pair_scores":
         scale = draw(st.sampled_from([1.0, 1e-11, -40.0]))
         scored = draw(st.permutations(pairs))

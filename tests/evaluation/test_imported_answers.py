@@ -215,8 +215,9 @@ def numbered_apart(line: Prediction, k: int) -> Prediction:
         proposals={n: tuple(replace(p, id=of(p.id)) for p in found) for n, found in line.proposals.items()},
         boxes_3d={of(i): box for i, box in (line.boxes_3d or {}).items()},
         relations={n: tuple((of(r[0]), of(r[1]), r[-1]) for r in rows) for n, rows in (line.relations or {}).items()},
-        pairs=None, answer=None,
-    )  # fmt: skip
+        pairs=None,
+        answer=None,
+    )
 
 
 @pytest.mark.slow

@@ -47,13 +47,19 @@ def test_three_ways_to_say_what_is_right(source: Pipeline, tmp_path: Path) -> No
     x0, y0, x1, y1 = boxes[MUG]
     inside, wide = [(x0 + x1) / 2, (y0 + y1) / 2], x1 - x0
     right: list[dict[str, Any]] = [
-        {"targets": [MUG]}, {"targets": [OTHER_MUG, MUG]}, {"points": [[0, 0], inside]}, {"point": inside},
-        {"boxes": [boxes[OTHER_MUG], boxes[MUG]]}, {"boxes": [[x0, y0, x0 + 0.51 * wide, y1]]},
-    ]  # fmt: skip
+        {"targets": [MUG]},
+        {"targets": [OTHER_MUG, MUG]},
+        {"points": [[0, 0], inside]},
+        {"point": inside},
+        {"boxes": [boxes[OTHER_MUG], boxes[MUG]]},
+        {"boxes": [[x0, y0, x0 + 0.51 * wide, y1]]},
+    ]
     wrong: list[dict[str, Any]] = [
-        {"targets": [OTHER_MUG]}, {"points": [[x1 + 1, y1 + 1]]}, {"boxes": [boxes[OTHER_MUG]]},
+        {"targets": [OTHER_MUG]},
+        {"points": [[x1 + 1, y1 + 1]]},
+        {"boxes": [boxes[OTHER_MUG]]},
         {"boxes": [[x0, y0, x0 + 0.49 * wide, y1]]},
-    ]  # fmt: skip
+    ]
     path = tmp_path / "s.jsonl"
     assert {outcome(source, path, LEFT_MUG, **truth) for truth in right} == {("CORRECT", None, True)}
     assert {outcome(source, path, LEFT_MUG, **truth) for truth in wrong} == {("WRONG", "OBJECT", True)}
@@ -141,8 +147,10 @@ def test_the_report_counts_what_the_lines_say(source: Pipeline, tmp_path: Path) 
     shown, failures, *_ = found.tables
     assert [row.name for row in shown.rows] == [*record["kinds"], "all"]
     assert [(row.name, row.cells[0]) for row in failures.rows] == [
-        ("PARSE: WORDS", 1), ("REFUSED: TIED", 1), ("WRONG: OBJECT", 1),
-    ]  # fmt: skip
+        ("PARSE: WORDS", 1),
+        ("REFUSED: TIED", 1),
+        ("WRONG: OBJECT", 1),
+    ]
 
 
 def test_what_failed_is_named_by_module(source: Pipeline, tmp_path: Path) -> None:
@@ -158,8 +166,15 @@ def test_what_failed_is_named_by_module(source: Pipeline, tmp_path: Path) -> Non
     ]
     found = judged(source, tmp_path / "s.jsonl", *lines, out=tmp_path / "out")
     assert [j.verdict for j in found.judged] == [
-        "CORRECT", "ATTRIBUTE", "CORRECT", "CORRECT", "PARSE", None, None, "OPM-TARGET",
-    ]  # fmt: skip
+        "CORRECT",
+        "ATTRIBUTE",
+        "CORRECT",
+        "CORRECT",
+        "PARSE",
+        None,
+        None,
+        "OPM-TARGET",
+    ]
     rows = [json.loads(line) for line in (tmp_path / "out" / "sentences.jsonl").read_text("utf-8").splitlines()]
     assert rows[1]["verdict"]["repair"] == ["ATTRIBUTE"]
     assert rows[1]["verdict"]["said"].startswith("“red” gave the answer")
@@ -250,8 +265,10 @@ def test_a_label_that_was_not_read_as_meant_says_why(demo_labels: Labels, tmp_pa
     assert found == {text: ("PARSE", detail) for text, detail in texts.items()}
     summary = summarise_run(records)
     assert {k: s.count for k, s in summary.details.items() if k[0] == "PARSE"} == {
-        ("PARSE", "WORDS"): 2, ("PARSE", "GRAMMAR"): 2, ("PARSE", "UNSUPPORTED"): 1,
-    }  # fmt: skip
+        ("PARSE", "WORDS"): 2,
+        ("PARSE", "GRAMMAR"): 2,
+        ("PARSE", "UNSUPPORTED"): 1,
+    }
     # Runs of before have no such detail.
     before = [None if r["verdict"] == "PARSE" else r["detail"] for r in records.to_pylist()]
     at = records.schema.get_field_index("detail")

@@ -23,12 +23,18 @@ CHAIR = (0.4, 0.6, 0.4)
 BOXES = [upright((-0.6, 0.9, 2.5), CHAIR), upright((0.6, 0.9, 2.5), CHAIR), upright((0, 0.8, 3.4), (0.6, 0.8, 0.5))]
 LABELS = ["chair", "chair", "desk"]
 REFER = [
-    {"image_id": "000104", "object_id": "0", "sentence": "the chair left of the desk", "ann_id": "104_0_0",
-     "object_name": "chair", "tokens": ["the", "chair"]},
+    {
+        "image_id": "000104",
+        "object_id": "0",
+        "sentence": "the chair left of the desk",
+        "ann_id": "104_0_0",
+        "object_name": "chair",
+        "tokens": ["the", "chair"],
+    },
     {"image_id": "000104.jpg", "object_id": 1, "sentence": "the chair left of the desk", "ann_id": "104_1_0"},
     {"image_id": "000105", "object_id": "1", "sentence": "the chair right of the desk", "ann_id": "105_1_0"},
     {"image_id": "000104", "object_id": "", "sentence": "the desk", "ann_id": "104_2_0"},
-]  # fmt: skip
+]
 """The second says that the right chair is on the left; the third is of a picture that is not here; the last is none."""
 
 
@@ -42,8 +48,9 @@ def test_sun_refer_names_lines_of_the_label_file(source: Pipeline, tmp_path: Pat
     path.write_text(json.dumps(REFER))
     found = read_sentence_file(path, source)
     assert [(s.id, s.frame, s.targets, s.kind) for s in found.sentences] == [
-        ("104_0_0", "000104", (0,), "SUN-Refer val"), ("104_1_0", "000104", (1,), "SUN-Refer val"),
-    ]  # fmt: skip
+        ("104_0_0", "000104", (0,), "SUN-Refer val"),
+        ("104_1_0", "000104", (1,), "SUN-Refer val"),
+    ]
     assert found.skipped == {"pictures that are not here": 1, "lines without an object or a sentence": 1}
     report = evaluate_sentences(path, source)
     assert [j.right for j in report.judged] == [True, False]
@@ -58,8 +65,14 @@ def test_sun_refer_names_lines_of_the_label_file(source: Pipeline, tmp_path: Pat
 
 def test_their_processed_sun_spot_is_a_pickle_of_plain_values(source: Pipeline, tmp_path: Path) -> None:
     path = tmp_path / "SUNSPOT_3D.pkl"
-    row = {"ann_id": "104_2_1", "image_id": "000104", "sentence": "the desk behind the chair", "object_id": "2",
-           "tokens": ["the", "desk"], "classname": "desk"}  # fmt: skip
+    row = {
+        "ann_id": "104_2_1",
+        "image_id": "000104",
+        "sentence": "the desk behind the chair",
+        "object_id": "2",
+        "tokens": ["the", "desk"],
+        "classname": "desk",
+    }
     path.write_bytes(pickle.dumps([row], protocol=3))
     (sentence,) = read_sentence_file(path, source).sentences
     assert (sentence.kind, sentence.targets) == ("SUN-Spot val", (2,))
@@ -67,13 +80,31 @@ def test_their_processed_sun_spot_is_a_pickle_of_plain_values(source: Pipeline, 
 
 def spot(folder: Path, **change: Any) -> Path:
     """refs(boulder).p and instances.json as on Zenodo."""
-    refs = [{"ref_id": 7, "ann_id": 31, "image_id": 4, "category_id": 2, "split": "test", "sent_ids": [12],
-             "file_name": "kv2/kinect2data/000104/image/0000103.jpg", "sentences": [
-                 {"sent_id": 12, "raw": "The desk behind the chair", "sent": "the desk behind the chair",
-                  "tokens": ["the", "desk", "behind", "the", "chair"]}]}]  # fmt: skip
-    coco = {"images": [{"id": 4, "file_name": "kv2/kinect2data/000104/image/0000103.jpg"}],
-            "annotations": [{"id": 31, "image_id": 4, "category_id": 2, "bbox": [10.0, 20.0, 30.0, 40.0]}],
-            "categories": [{"id": 2, "name": "desk"}], **change}  # fmt: skip
+    refs = [
+        {
+            "ref_id": 7,
+            "ann_id": 31,
+            "image_id": 4,
+            "category_id": 2,
+            "split": "test",
+            "sent_ids": [12],
+            "file_name": "kv2/kinect2data/000104/image/0000103.jpg",
+            "sentences": [
+                {
+                    "sent_id": 12,
+                    "raw": "The desk behind the chair",
+                    "sent": "the desk behind the chair",
+                    "tokens": ["the", "desk", "behind", "the", "chair"],
+                }
+            ],
+        }
+    ]
+    coco = {
+        "images": [{"id": 4, "file_name": "kv2/kinect2data/000104/image/0000103.jpg"}],
+        "annotations": [{"id": 31, "image_id": 4, "category_id": 2, "bbox": [10.0, 20.0, 30.0, 40.0]}],
+        "categories": [{"id": 2, "name": "desk"}],
+        **change,
+    }
     (folder / "instances.json").write_text(json.dumps(coco))
     path = folder / "refs(boulder).p"
     path.write_bytes(pickle.dumps(refs, protocol=2))

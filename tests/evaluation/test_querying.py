@@ -15,10 +15,13 @@ from pipeline.system import LIMITS_VARIABLE, InputError
 from tests.slow_cases import mostly_slow
 
 HUNGRY = (
-    "SELECT list(x) FROM range(900000000) t(x)", "SELECT repeat('x', 3000000000)",
-    "SELECT len(generate_series(1, 900000000))", "SELECT string_agg(x::VARCHAR, ',') FROM range(2000000000) t(x)",
-    "SELECT lpad('x', 2000000000, 'y')", "SELECT repeat('x', 20000000) FROM range(100)",
-)  # fmt: skip
+    "SELECT list(x) FROM range(900000000) t(x)",
+    "SELECT repeat('x', 3000000000)",
+    "SELECT len(generate_series(1, 900000000))",
+    "SELECT string_agg(x::VARCHAR, ',') FROM range(2000000000) t(x)",
+    "SELECT lpad('x', 2000000000, 'y')",
+    "SELECT repeat('x', 20000000) FROM range(100)",
+)
 ENDLESS = (
     "SELECT count(*) FROM range(10000000) a, range(10000000) b WHERE a.range * b.range % 7 = 1",
     "WITH RECURSIVE r(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM r) SELECT max(n) FROM r",

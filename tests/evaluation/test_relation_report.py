@@ -350,8 +350,10 @@ def test_a_vision_language_model_is_asked_about_a_sample(
     rows = pq.read_table(tmp_path / "vlm" / "relation_records_vlm.parquet").to_pylist()
     assert len(rows) == 15
     assert all(r["p"] == {x: float(x == "left") for x in DIRECTIONAL} for r in rows)
-    own = {(r["frame"], r["a"], r["b"]): r for r in
-           pq.read_table(tmp_path / "vlm" / "relation_records.parquet").to_pylist()}  # fmt: skip
+    own = {
+        (r["frame"], r["a"], r["b"]): r
+        for r in pq.read_table(tmp_path / "vlm" / "relation_records.parquet").to_pylist()
+    }
     for row in rows:
         twin = own[row["frame"], row["a"], row["b"]]
         assert row["state"] == {r: twin["state"][r] for r in DIRECTIONAL}

@@ -84,8 +84,9 @@ def test_slices_hold_every_expression_once(seed: int, dimension: str, most: int 
         # Its search finds its expressions, and its figures are those of them alone.
         rows = records.take(find_rows(records, part.query))
         assert rows.num_rows == part.n
-        expected = mean_estimate(column(rows, "set_correct"), clusters_of(records)[0][find_rows(records, part.query)],
-                                 config=QUICK)  # fmt: skip
+        expected = mean_estimate(
+            column(rows, "set_correct"), clusters_of(records)[0][find_rows(records, part.query)], config=QUICK
+        )
         for name in ("value", "low", "high"):
             np.testing.assert_allclose(getattr(part.set_correct, name), getattr(expected, name), atol=1e-12)
 
@@ -221,14 +222,23 @@ def test_sql_reads_a_run_and_nothing_else(run: Path, tmp_path: Path) -> None:
         joined = "SELECT count(*) FROM records r JOIN labels_expressions e ON e.id = r.id AND e.frame = r.frame"
         assert list(database.select(joined).rows) == [(count,)]
         for sql in (
-            f"SELECT * FROM read_text('{secret}')", f"FROM '{run}/records.parquet'",
+            f"SELECT * FROM read_text('{secret}')",
+            f"FROM '{run}/records.parquet'",
             f"SELECT * FROM glob('{tmp_path}/*')",
-            f"COPY records TO '{tmp_path}/out.csv'", f"ATTACH '{tmp_path}/x.db'", "SET enable_external_access = true",
-            f"WITH t AS (COPY (SELECT 1) TO '{objects}') SELECT 1", "DROP VIEW records", "SELECT 1; SELECT 2", "",
-            "INSTALL httpfs", "SELEC 1", "SELECT nothing_such FROM records", "FROM nothing_such",
+            f"COPY records TO '{tmp_path}/out.csv'",
+            f"ATTACH '{tmp_path}/x.db'",
+            "SET enable_external_access = true",
+            f"WITH t AS (COPY (SELECT 1) TO '{objects}') SELECT 1",
+            "DROP VIEW records",
+            "SELECT 1; SELECT 2",
+            "",
+            "INSTALL httpfs",
+            "SELEC 1",
+            "SELECT nothing_such FROM records",
+            "FROM nothing_such",
             "SELECT CAST('a' AS INT)",
             f"EXPLAIN ANALYZE COPY (SELECT 1) TO '{tmp_path}/out.csv'",
-        ):  # fmt: skip
+        ):
             with pytest.raises(InputError) as refused:
                 list(database.select(sql).rows)
             assert "\n" not in str(refused.value)

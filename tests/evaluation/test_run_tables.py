@@ -71,8 +71,10 @@ def test_every_detector_has_its_rows(folder: Path) -> None:
     pairs = [name for d in detectors for name in (f"{d}: OPM only", d)]
     assert names == [VLM, *pairs[:4], "simulated, whole expression", *pairs[4:]]
     assert [row.shares for row in tables["grounding"].rows if row.source == "measured"] == [
-        "", *[SIMULATED] * 5, *[PERFECT] * 2,
-    ]  # fmt: skip
+        "",
+        *[SIMULATED] * 5,
+        *[PERFECT] * 2,
+    ]
     assert [row.name for row in tables["relations"].rows] == [*names, "expressions"]
     assert [row.name for row in tables["stages"].rows] == list(detectors)
     assert [row.name for row in tables["gain"].rows] == list(detectors)
@@ -102,8 +104,11 @@ def test_names_that_are_taken_are_told_apart(folder: Path) -> None:
     runs = [folder / "simulated", folder / "again", folder / "again", folder / "annotations"]
     found = other_systems(runs, "simulated + rule", hashed, MAKERS)
     assert list(found) == [
-        "simulated + rule (simulated)", "simulated + rule (again)", "simulated + rule (again, 2)", "annotations + rule",
-    ]  # fmt: skip
+        "simulated + rule (simulated)",
+        "simulated + rule (again)",
+        "simulated + rule (again, 2)",
+        "annotations + rule",
+    ]
     gain, test = relation_gain(found["simulated + rule (again)"][0], config=QUICK)
     assert gain.n == test.n == found["annotations + rule"][0].num_rows
 

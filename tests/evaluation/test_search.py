@@ -22,8 +22,13 @@ from pipeline.system import InputError
 
 TABLES = [random_records(seed) for seed in range(4)]
 COMPARE: dict[str, Any] = {
-    "<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal, "=": np.equal, "!=": np.not_equal,
-}  # fmt: skip
+    "<": np.less,
+    "<=": np.less_equal,
+    ">": np.greater,
+    ">=": np.greater_equal,
+    "=": np.equal,
+    "!=": np.not_equal,
+}
 
 
 def find(records: pa.Table, query: str) -> pa.Table:
@@ -105,10 +110,13 @@ def test_anything_that_is_typed_is_found_or_refused_in_one_line(text: str) -> No
 @pytest.mark.parametrize(
     "attack",
     [
-        "class:\"' OR 1=1 --\"", "class:\"x'); DROP TABLE run; --\"", "\"'; COPY run TO 'stolen.csv'; --\"",
-        "class='||(SELECT_1)||'", "frame:*'_OR_'1'='1",
+        'class:"\' OR 1=1 --"',
+        'class:"x\'); DROP TABLE run; --"',
+        "\"'; COPY run TO 'stolen.csv'; --\"",
+        "class='||(SELECT_1)||'",
+        "frame:*'_OR_'1'='1",
     ],
-)  # fmt: skip
+)
 def test_sql_in_a_value_stays_a_value(attack: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     search = compile_search(attack, records_schema())
@@ -147,12 +155,19 @@ def test_failures_leave_out_what_is_right_unless_it_is_asked_for() -> None:
 @pytest.mark.parametrize(
     ("query", "said"),
     [
-        ("verdct:SRM", "expected verdict"), ("verdict:SMR", "expected 'SRM'"), ("class<3", "no order"),
-        ("margin:wide", "is a number"), ("lucky:maybe", "yes or no"), ('"open', "not closed"), ("class:", "missing"),
-        ("repair:OPM", "one of RECALL"), ("sort:nothing_like_it", "unknown field"), ("margin<nan", "is a number"),
+        ("verdct:SRM", "expected verdict"),
+        ("verdict:SMR", "expected 'SRM'"),
+        ("class<3", "no order"),
+        ("margin:wide", "is a number"),
+        ("lucky:maybe", "yes or no"),
+        ('"open', "not closed"),
+        ("class:", "missing"),
+        ("repair:OPM", "one of RECALL"),
+        ("sort:nothing_like_it", "unknown field"),
+        ("margin<nan", "is a number"),
         ('class:"a"b', "a space is missing"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_searched_is_said(query: str, said: str) -> None:
     with pytest.raises(InputError, match=said):
         find(TABLES[0], query)

@@ -30,8 +30,11 @@ def corrected(demo_labels: Labels, bare_corrector: Corrector, tmp_path_factory: 
         row = an_expression(frame)
         a, b = row["target_object"], row["reference_object"]
         other = next(n for n in frame.pairs.numbers.tolist() if n not in (a, b))
-        quiet = next(e for e in frame.expressions.values() if {e["target_object"], e["reference_object"]}.isdisjoint(
-            {a, b, other}))  # fmt: skip
+        quiet = next(
+            e
+            for e in frame.expressions.values()
+            if {e["target_object"], e["reference_object"]}.isdisjoint({a, b, other})
+        )
         events = [
             *saved(journal, edits.set_class(frame, other, "samovar", "has a spout")),
             *saved(journal, edits.set_relation(frame, a, b, row["relation"], F), "bob"),

@@ -137,8 +137,11 @@ def test_the_published_profile_is_compared_with_its_own_geometry(clean: dict[str
     root = copied(clean["published"], tmp_path / "labels")
     damage(root, change)
     found = {(f.rule, f.frame, f.objects) for f in errors(check(root, rules=["relation"]))}
-    assert found == {("relation/geometry", "room/0", (3, 4)), ("relation/geometry", "room/1", (0, 1)),
-                     ("relation/antisymmetry", "room/1", (0, 1))}  # fmt: skip
+    assert found == {
+        ("relation/geometry", "room/0", (3, 4)),
+        ("relation/geometry", "room/1", (0, 1)),
+        ("relation/antisymmetry", "room/1", (0, 1)),
+    }
 
 
 def test_mutual_on_that_the_extents_allow_is_a_warning(clean: dict[str, Path], tmp_path: Path) -> None:

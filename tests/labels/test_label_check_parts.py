@@ -90,26 +90,76 @@ def test_what_a_cell_may_not_be_is_told_in_plain_words() -> None:
 
 ROW = {"frame": "f", "frame_index": 0}
 GOOD_ROWS = {
-    "frames": ROW | {
-        "scene": "s", "ok": True, "problem": None, "width": 4, "height": 3, "K": [1.0] * 9, "T_world_camera": None,
-        "up": [0.0, -1.0, 0.0], "up_source": "imu", "rgb_hash": "", "depth_hash": "", "objects": 1, "notes": ["n"],
+    "frames": ROW
+    | {
+        "scene": "s",
+        "ok": True,
+        "problem": None,
+        "width": 4,
+        "height": 3,
+        "K": [1.0] * 9,
+        "T_world_camera": None,
+        "up": [0.0, -1.0, 0.0],
+        "up_source": "imu",
+        "rgb_hash": "",
+        "depth_hash": "",
+        "objects": 1,
+        "notes": ["n"],
     },
-    "objects": ROW | {
-        "object": 1, "label": "mug", "score": 1.0, "instance": None, "bbox": [0.0] * 4, "mask": None,
-        "mask_source": "box", "mask_pixels": 1, "points": 1, "kept": 1.0, "depth_missing": 0.0,
-        "touches_border": False, "fallback": False, "distance": 1.0, "center": [0.0] * 3, "R": [0.0] * 9,
-        "size": [0.0] * 3, "yaw_confidence": 0.0, "estimator": "gravity", "lo": [0.0] * 3, "hi": [0.0] * 3,
-        "centroid": None, "exact_center": None, "exact_R": None, "exact_size": None, "visible": None,
-        "occluded": 0.0, "usable": True, "reason": None,
+    "objects": ROW
+    | {
+        "object": 1,
+        "label": "mug",
+        "score": 1.0,
+        "instance": None,
+        "bbox": [0.0] * 4,
+        "mask": None,
+        "mask_source": "box",
+        "mask_pixels": 1,
+        "points": 1,
+        "kept": 1.0,
+        "depth_missing": 0.0,
+        "touches_border": False,
+        "fallback": False,
+        "distance": 1.0,
+        "center": [0.0] * 3,
+        "R": [0.0] * 9,
+        "size": [0.0] * 3,
+        "yaw_confidence": 0.0,
+        "estimator": "gravity",
+        "lo": [0.0] * 3,
+        "hi": [0.0] * 3,
+        "centroid": None,
+        "exact_center": None,
+        "exact_R": None,
+        "exact_size": None,
+        "visible": None,
+        "occluded": 0.0,
+        "usable": True,
+        "reason": None,
     },
-    "relations": ROW | {"a": 0, "b": 1, "distance": 0.5, "doubted": 0} | dict.fromkeys(PAIRWISE, 0)
+    "relations": ROW
+    | {"a": 0, "b": 1, "distance": 0.5, "doubted": 0}
+    | dict.fromkeys(PAIRWISE, 0)
     | {f"{r}_margin": 0.0 for r in PAIRWISE},
-    "expressions": ROW | {
-        "id": "0", "text": "t", "target": "a", "relation": "left", "reference": "b", "target_object": 0,
-        "reference_object": 1, "targets": [0], "acceptable": [0], "ambiguous": False, "margin": 0.1,
-        "judged_in": "viewer", "up_source": "plane", "profile": "p",
+    "expressions": ROW
+    | {
+        "id": "0",
+        "text": "t",
+        "target": "a",
+        "relation": "left",
+        "reference": "b",
+        "target_object": 0,
+        "reference_object": 1,
+        "targets": [0],
+        "acceptable": [0],
+        "ambiguous": False,
+        "margin": 0.1,
+        "judged_in": "viewer",
+        "up_source": "plane",
+        "profile": "p",
     },
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("table", TABLES)
@@ -176,9 +226,13 @@ def rows_of_lengths(label: str, lengths: np.ndarray) -> Rows:
     size = np.stack([lengths, lengths / 2, lengths / 3], axis=1)
     no = np.zeros(n, np.bool_)
     columns = {
-        "label": np.full(n, label, object), "size": size, "exact_size": np.full((n, 3), np.nan),
-        "touches_border": no, "occluded": np.zeros(n), "fallback": no,
-    }  # fmt: skip
+        "label": np.full(n, label, object),
+        "size": size,
+        "exact_size": np.full((n, 3), np.nan),
+        "touches_border": no,
+        "occluded": np.zeros(n),
+        "fallback": no,
+    }
     return Rows(columns, (), n)
 
 

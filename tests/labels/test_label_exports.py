@@ -249,8 +249,10 @@ def test_what_survives_in_kitti_comes_back(label_sets: dict[str, Labels], kind: 
     report = export_labels(labels, "kitti", tmp_path / "out")
     tables = import_labels(tmp_path / "out", "kitti")
     assert {name: tuple(t.column_names) for name, t in tables.items()} == SURVIVING
-    exact = {"frames": ("frame", "frame_index", "ok", "width", "height"),
-             "objects": ("frame", "frame_index", "object", "label", "score", "bbox", "touches_border")}  # fmt: skip
+    exact = {
+        "frames": ("frame", "frame_index", "ok", "width", "height"),
+        "objects": ("frame", "frame_index", "object", "label", "score", "bbox", "touches_border"),
+    }
     for name, columns in exact.items():
         assert tables[name].select(list(columns)).to_pylist() == labels.table(name).select(list(columns)).to_pylist()
     for name, columns in (("frames", ("K", "up")), ("objects", ("center", "R", "size"))):

@@ -167,9 +167,11 @@ def test_relations_are_those_of_the_labels(seen: tuple[Seen, ...]) -> None:
 
 def test_orders_are_those_of_the_picture_and_of_space(seen: tuple[Seen, ...]) -> None:
     keys = {
-        "left": lambda o: o.bbox[0] + o.bbox[2], "right": lambda o: -o.bbox[0] - o.bbox[2],
-        "near": lambda o: o.lifted.quality.distance, "far": lambda o: -o.lifted.quality.distance,
-    }  # fmt: skip
+        "left": lambda o: o.bbox[0] + o.bbox[2],
+        "right": lambda o: -o.bbox[0] - o.bbox[2],
+        "near": lambda o: o.lifted.quality.distance,
+        "far": lambda o: -o.lifted.quality.distance,
+    }
     checked: Counter[str] = Counter()
     for frame in seen:
         for sentence in (s for s in frame.made if s.kind in ("ordinal", "extreme") and not s.tree.attachments):

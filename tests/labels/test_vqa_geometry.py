@@ -140,9 +140,16 @@ def test_what_does_not_show_is_not_told() -> None:
 
     assert told().rests_on == POINTS
     for changes in (
-        {"touches_border": True}, {"occluded": 0.3}, {"visible": 0.5}, {"depth_missing": 0.7}, {"kept": 0.2},
-        {"fallback": True}, {"mask": None}, {"mask_source": "box"}, {"mask_source": "box3d"},
-    ):  # fmt: skip
+        {"touches_border": True},
+        {"occluded": 0.3},
+        {"visible": 0.5},
+        {"depth_missing": 0.7},
+        {"kept": 0.2},
+        {"fallback": True},
+        {"mask": None},
+        {"mask_source": "box"},
+        {"mask_source": "box3d"},
+    ):
         hidden = told(**changes)
         assert hidden.rests_on is None, changes
         assert not len(hidden.points)

@@ -30,19 +30,38 @@ FILES = sorted(NAMES.glob("*.json"))
 @pytest.mark.parametrize(
     ("query", "found"),
     [
-        ("cup", "mug"), ("coffee mug", "mug"), ("jello box", "gelatin box"), ("jello", "gelatin box"),
-        ("domino sugar box", "sugar box"), ("sugar", "sugar box"), ("mustard", "mustard bottle"),
+        ("cup", "mug"),
+        ("coffee mug", "mug"),
+        ("jello box", "gelatin box"),
+        ("jello", "gelatin box"),
+        ("domino sugar box", "sugar box"),
+        ("sugar", "sugar box"),
+        ("mustard", "mustard bottle"),
         ("drill", "power drill"),
         ("french's", "mustard bottle"),
-        ("bottle of mustard", "mustard bottle"), ("mustard container", "mustard bottle"),
-        ("spam", "potted meat can"), ("spam can", "potted meat can"), ("the pudding", "pudding box"),
-        ("jello pudding", "pudding box"), ("cheez-it box", "cracker box"), ("crackers", "cracker box"),
-        ("coffee can", "master chef can"), ("coffee", "master chef can"), ("block of wood", "wood block"),
-        ("wooden block", "wood block"), ("red foam block", "foam brick"), ("tuna", "tuna fish can"),
-        ("fruit", "banana"), ("soup", "tomato soup can"), ("pitcher", "pitcher base"), ("soup tin", "tomato soup can"),
-        ("marker pen", "large marker"), ("pair of scissors", "scissors"), ("bleach", "bleach cleanser"),
+        ("bottle of mustard", "mustard bottle"),
+        ("mustard container", "mustard bottle"),
+        ("spam", "potted meat can"),
+        ("spam can", "potted meat can"),
+        ("the pudding", "pudding box"),
+        ("jello pudding", "pudding box"),
+        ("cheez-it box", "cracker box"),
+        ("crackers", "cracker box"),
+        ("coffee can", "master chef can"),
+        ("coffee", "master chef can"),
+        ("block of wood", "wood block"),
+        ("wooden block", "wood block"),
+        ("red foam block", "foam brick"),
+        ("tuna", "tuna fish can"),
+        ("fruit", "banana"),
+        ("soup", "tomato soup can"),
+        ("pitcher", "pitcher base"),
+        ("soup tin", "tomato soup can"),
+        ("marker pen", "large marker"),
+        ("pair of scissors", "scissors"),
+        ("bleach", "bleach cleanser"),
     ],
-)  # fmt: skip
+)
 def test_objects_of_ycb_as_people_call_them(query: str, found: str) -> None:
     assert match(query, YCB) == (found,)
 
@@ -50,11 +69,20 @@ def test_objects_of_ycb_as_people_call_them(query: str, found: str) -> None:
 @pytest.mark.parametrize(
     ("query", "found"),
     [
-        ("mug", "cup"), ("coffee mug", "cup"), ("pint glass", "cup"), ("armchair", "chair"), ("monitor", "tv"),
-        ("pickup truck", "truck"), ("coffee table", "dining table"), ("kitchen table", "dining table"),
-        ("lady", "person"), ("wooden chair", "chair"), ("wall clock", "clock"), ("fruit bowl", "bowl"),
+        ("mug", "cup"),
+        ("coffee mug", "cup"),
+        ("pint glass", "cup"),
+        ("armchair", "chair"),
+        ("monitor", "tv"),
+        ("pickup truck", "truck"),
+        ("coffee table", "dining table"),
+        ("kitchen table", "dining table"),
+        ("lady", "person"),
+        ("wooden chair", "chair"),
+        ("wall clock", "clock"),
+        ("fruit bowl", "bowl"),
     ],
-)  # fmt: skip
+)
 def test_the_nearest_name_of_a_fixed_vocabulary(query: str, found: str) -> None:
     assert match(query, COCO) == (found,)
 

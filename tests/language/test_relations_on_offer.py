@@ -37,9 +37,14 @@ def test_nothing_is_mapped_without_need() -> None:
 
 @pytest.mark.parametrize(
     ("text", "relations"),
-    [("mug in the box", AVD), ("mug above the box", SEMANTIC_ABSTRACTION), ("mug near the box", AVD),
-     ("mug on the box", ["left"]), ("mug on the box", [])],
-)  # fmt: skip
+    [
+        ("mug in the box", AVD),
+        ("mug above the box", SEMANTIC_ABSTRACTION),
+        ("mug near the box", AVD),
+        ("mug on the box", ["left"]),
+        ("mug on the box", []),
+    ],
+)
 def test_a_relation_that_is_not_on_offer_is_refused(text: str, relations: list[str]) -> None:
     message = refused(text, relations=relations)
     assert "not in this vocabulary" in message
@@ -52,19 +57,30 @@ def test_a_relation_that_is_not_on_offer_is_refused(text: str, relations: list[s
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("", "empty"), (" \t\n", "empty"), ("the mug against the wall", "known relations: left of"),
-        ("left of the laptop", "target is missing"), ("find the mug left of", "reference is missing"),
-        ("mug left of the", "reference is missing"), ("left of", "target is missing"),
-        ("the chair between the table", "two references"), ("the chair between the table and", "reference is missing"),
-        ("mug left of it", "names no object"), ("the mug and the cup left of the laptop", "second target"),
-        ("put the mug on the table", "asks to do something"), ("x" * 301 + " on y", "too long"),
-        ("the cat is touching the dog", "'touching'"), ("the mug that has a handle", "parts"),
-        ("mug\x00left of laptop", "control character"), ("mug left of \x1b[31mlaptop", "control character"),
-        ("mug left of <b>laptop</b>", "cannot be read"), ("mug \u202eleft of laptop", "control character"),
-        ("mug left of laptop \ud800", "control character"), ("mug on its top table", "cannot be read"),
+        ("", "empty"),
+        (" \t\n", "empty"),
+        ("the mug against the wall", "known relations: left of"),
+        ("left of the laptop", "target is missing"),
+        ("find the mug left of", "reference is missing"),
+        ("mug left of the", "reference is missing"),
+        ("left of", "target is missing"),
+        ("the chair between the table", "two references"),
+        ("the chair between the table and", "reference is missing"),
+        ("mug left of it", "names no object"),
+        ("the mug and the cup left of the laptop", "second target"),
+        ("put the mug on the table", "asks to do something"),
+        ("x" * 301 + " on y", "too long"),
+        ("the cat is touching the dog", "'touching'"),
+        ("the mug that has a handle", "parts"),
+        ("mug\x00left of laptop", "control character"),
+        ("mug left of \x1b[31mlaptop", "control character"),
+        ("mug left of <b>laptop</b>", "cannot be read"),
+        ("mug \u202eleft of laptop", "control character"),
+        ("mug left of laptop \ud800", "control character"),
+        ("mug on its top table", "cannot be read"),
         ("mug 😀 left of laptop", "cannot be read"),
     ],
-)  # fmt: skip
+)
 def test_errors_say_what_is_wrong(text: str, says: str) -> None:
     message = refused(text)
     assert says in message
@@ -74,17 +90,21 @@ def test_errors_say_what_is_wrong(text: str, says: str) -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        "facing the couch, the lamp on the left of it", "the left side of the car's front",
+        "facing the couch, the lamp on the left of it",
+        "the left side of the car's front",
         "the lamp to the couch's left",
-        "from the sofa's point of view, the lamp left of the table", "the mug facing the laptop",
+        "from the sofa's point of view, the lamp left of the table",
+        "the mug facing the laptop",
         "from the perspective of the sofa, the lamp left of the table",
         "looking at the front of the couch, the lamp behind it",
         "facing the couch from the side you sit on it, choose the lamp to the left of this couch",
-        "as seen from the door, the chair left of the table", "if you sit on the sofa, the lamp is right of the tv",
-        "from the point of view of the sofa, the lamp left of the table", "when facing the tv, the lamp left of the tv",
+        "as seen from the door, the chair left of the table",
+        "if you sit on the sofa, the lamp is right of the tv",
+        "from the point of view of the sofa, the lamp left of the table",
+        "when facing the tv, the lamp left of the tv",
         "with your back to the door, the chair left of the table",
     ],
-)  # fmt: skip
+)
 def test_an_objects_own_view_is_refused_with_the_reason(text: str) -> None:
     assert "no object's own front is known" in refused(text)
 

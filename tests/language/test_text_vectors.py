@@ -293,8 +293,18 @@ def test_packed_text_is_the_same(vec: Path, tmp_path: Path) -> None:
 
 
 def test_odd_lines_of_text(tmp_path: Path) -> None:
-    lines = [b"\xef\xbb\xbf7 2", b". mug 9 9", b"mug at home 8 8", b"mug 1 2 ", b"mug 7 7", b"\xff\xfe bad 6 6",
-             b"caf\xc3\xa9 3 4", b"\xc2\xa0 5 5", b"", b""]  # fmt: skip
+    lines = [
+        b"\xef\xbb\xbf7 2",
+        b". mug 9 9",
+        b"mug at home 8 8",
+        b"mug 1 2 ",
+        b"mug 7 7",
+        b"\xff\xfe bad 6 6",
+        b"caf\xc3\xa9 3 4",
+        b"\xc2\xa0 5 5",
+        b"",
+        b"",
+    ]
     for end in (b"\n", b"\r\n"):
         path = written(tmp_path / "odd.vec", end.join(lines))
         np.testing.assert_array_equal(open_vectors(path).phrases(["mug", "café"]), [[1, 2], [3, 4]])
@@ -396,9 +406,17 @@ def test_wrong_vectors_are_refused(vec: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("key", "value"),
-    [("contract", "spatialviz-language-9"), ("dimension", "many"), ("dimension", "0"), ("normalised", "perhaps"),
-     ("fingerprint", ""), ("fingerprint", None), ("name", None), ("contract", None)],
-)  # fmt: skip
+    [
+        ("contract", "spatialviz-language-9"),
+        ("dimension", "many"),
+        ("dimension", "0"),
+        ("normalised", "perhaps"),
+        ("fingerprint", ""),
+        ("fingerprint", None),
+        ("name", None),
+        ("contract", None),
+    ],
+)
 def test_metadata_that_makes_no_sense_is_refused(key: str, value: str | None) -> None:
     metadata = LanguageContract("words.vec", 5, False, "abc").to_metadata()
     metadata.pop(f"srm.language.{key}")

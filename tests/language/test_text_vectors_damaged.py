@@ -184,10 +184,19 @@ def test_a_table_cut_short_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["", "[]", '{"vectors": {}}', '{"vectors": {"mug": 1}}', '{"vectors": {"mug": [1], "can": [1, 2]}}',
-     '{"vectors": {"mug": [true]}}', '{"vectors": {"mug": [NaN]}}', '{"vectors": {"mug": [1' + "0" * 400 + "]}}",
-     '{"vectors": {"mug": [1]}, "kind": ["word"]}', "[" * 100_000],
-)  # fmt: skip
+    [
+        "",
+        "[]",
+        '{"vectors": {}}',
+        '{"vectors": {"mug": 1}}',
+        '{"vectors": {"mug": [1], "can": [1, 2]}}',
+        '{"vectors": {"mug": [true]}}',
+        '{"vectors": {"mug": [NaN]}}',
+        '{"vectors": {"mug": [1' + "0" * 400 + "]}}",
+        '{"vectors": {"mug": [1]}, "kind": ["word"]}',
+        "[" * 100_000,
+    ],
+)
 def test_damaged_json_is_refused(tmp_path: Path, text: str) -> None:
     with pytest.raises(InputError):
         open_vectors(written(tmp_path / "bad.json", text.encode()))

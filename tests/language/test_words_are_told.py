@@ -43,10 +43,29 @@ OPENERS = [
 THINGS = ["mug", "laptop", "lamp", "coffee mug", "table", "cushion", "chair", "thing", "one", "chiar", "something"]
 LOOKS = ["red", "pruple", "wodden", "small", "dark blue", "not red", "wooden", "striped", "bigger", "second", "top"]
 RELATIONS = [
-    "left of", "to the rigth of", "on", "next to", "that is behind", "closer to", "not on", "in front of",
-    "farthest from", "between the mug and", "and near", "or under", "which stands by", "instead of", "with", "without",
-    "from", "near from", "at right from", "without a", "except the", "on no",
-]  # fmt: skip
+    "left of",
+    "to the rigth of",
+    "on",
+    "next to",
+    "that is behind",
+    "closer to",
+    "not on",
+    "in front of",
+    "farthest from",
+    "between the mug and",
+    "and near",
+    "or under",
+    "which stands by",
+    "instead of",
+    "with",
+    "without",
+    "from",
+    "near from",
+    "at right from",
+    "without a",
+    "except the",
+    "on no",
+]
 TAILS = [
     "",
     "on the left",

@@ -11,9 +11,28 @@ from pathlib import Path
 import numpy as np
 
 VOCABULARY = (
-    "</s>", "the", "chair", "table", "mug", "trash", "can", "bin", "shirt", "t", "of", "box", "tissue", "TV",
-    "Polaroid", "café", "über", "naïve", "стол", "椅子", "🪑x",
-)  # fmt: skip
+    "</s>",
+    "the",
+    "chair",
+    "table",
+    "mug",
+    "trash",
+    "can",
+    "bin",
+    "shirt",
+    "t",
+    "of",
+    "box",
+    "tissue",
+    "TV",
+    "Polaroid",
+    "café",
+    "über",
+    "naïve",
+    "стол",
+    "椅子",
+    "🪑x",
+)
 
 
 def fasttext_bytes(

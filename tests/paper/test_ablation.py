@@ -133,9 +133,19 @@ def test_the_table_shows_every_variant_and_its_lead(flat: Variant, thousand: Var
 
 @pytest.mark.parametrize(
     "change",
-    [{"rooms": 2}, {"views": 0}, {"networks": 0}, {"width": 8}, {"pairs": ()}, {"pairs": (1,)}, {"pairs": (-5,)},
-     {"features": ()}, {"features": ("rel15",)}, {"train": TrainConfig(batch=0)}],
-)  # fmt: skip
+    [
+        {"rooms": 2},
+        {"views": 0},
+        {"networks": 0},
+        {"width": 8},
+        {"pairs": ()},
+        {"pairs": (1,)},
+        {"pairs": (-5,)},
+        {"features": ()},
+        {"features": ("rel15",)},
+        {"train": TrainConfig(batch=0)},
+    ],
+)
 def test_numbers_without_sense_are_refused(change: dict) -> None:
     with pytest.raises(InputError):
         ablation_views(replace(SMALL, **change))

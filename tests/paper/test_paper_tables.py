@@ -28,11 +28,12 @@ OF_SUBSETS = tuple(f"{k} {s}" for k in ("Top-1", "Top-2") for s in SUBSETS)
 SHAPES = {
     "paper_relations_semantic_abstraction": (OF_SUBSETS, 4),
     "paper_relations_avd": (
-        ("behind", "front", "above", "below", "left", "right", "micro-F1", "macro-F1", "accuracy"), 6,
+        ("behind", "front", "above", "below", "left", "right", "micro-F1", "macro-F1", "accuracy"),
+        6,
     ),
     "paper_pipeline_semantic_abstraction": (tuple(f"{k} {s}" for k in ("ACC", "mean IoU") for s in SUBSETS), 3),
     "paper_pipeline_avd": (("ACC", "mean IoU"), 7),
-}  # fmt: skip
+}
 """By table: its columns, and how many rows were published."""
 
 
@@ -255,8 +256,10 @@ def test_given_labels_say_what_the_dataset_says(copy: Path, given_labels: Labels
         assert holding == certain.get(key, set())
         assert key in certain or not any(row[r] < 0 for r in relations)
     assert {r for held in certain.values() for r in held} >= {"on", "left", "behind"}
-    said = {(e["frame"], e["target_object"], e["reference_object"], e["relation"]) for e in
-            pq.read_table(given_labels.root / "expressions.parquet").to_pylist()}  # fmt: skip
+    said = {
+        (e["frame"], e["target_object"], e["reference_object"], e["relation"])
+        for e in pq.read_table(given_labels.root / "expressions.parquet").to_pylist()
+    }
     assert said
     assert all(relation in certain[frame, a, b] for frame, a, b, relation in said)
     assert not [f for f in check_labels(given_labels) if f.severity == "error"]

@@ -97,9 +97,12 @@ def test_grounding_reads_other_scales_and_says_why_there_is_no_box(
     server: ChatServer, client_of: Make, frame: Frame
 ) -> None:
     said: dict[str, Script] = {
-        "a": "[250, 250, 500, 500]", "b": "I see no such thing.", "c": "[0.1, 0.0, 0.9, 0.1]", "d": "[0.2, 0.1, 0.9",
+        "a": "[250, 250, 500, 500]",
+        "b": "I see no such thing.",
+        "c": "[0.1, 0.0, 0.9, 0.1]",
+        "d": "[0.2, 0.1, 0.9",
         "e": error(400, "refused"),
-    }  # fmt: skip
+    }
     server.answer = lambda request: said[request.prompt[-1]]
     boxes = ground_many(client_of(), frame, list("abce"), box_scale=1000)
     assert boxes[0].box == pytest.approx([80, 40, 160, 120])

@@ -119,8 +119,16 @@ def write_model(kind: str, folder: Path, *, opset: int = 17, external: bool = Fa
         change(path, _name_classes, external=external)
     elif kind == "grounding-dino":
         words = [f"[unused{k}]" for k in range(1100)]
-        for place, word in {0: "[PAD]", 100: "[UNK]", 101: "[CLS]", 102: "[SEP]", 103: "[MASK]", 1012: ".",
-                            1029: "?", 200: "mug"}.items():  # fmt: skip
+        for place, word in {
+            0: "[PAD]",
+            100: "[UNK]",
+            101: "[CLS]",
+            102: "[SEP]",
+            103: "[MASK]",
+            1012: ".",
+            1029: "?",
+            200: "mug",
+        }.items():
             words[place] = word
         (folder / "vocab.txt").write_text("\n".join(words) + "\n", encoding="utf-8")
     elif kind.startswith("owl"):

@@ -47,17 +47,34 @@ def grounding_dino(folder: Path) -> tuple[Any, Any]:
     swin: Any = SwinConfig
     config = GroundingDinoConfig(
         backbone_config=swin(
-            image_size=64, embed_dim=12, depths=[1, 1, 1], num_heads=[1, 1, 2], window_size=4,
+            image_size=64,
+            embed_dim=12,
+            depths=[1, 1, 1],
+            num_heads=[1, 1, 2],
+            window_size=4,
             out_features=["stage2", "stage3"],
         ),
         text_config=BertConfig(
-            vocab_size=1100, hidden_size=32, num_hidden_layers=1, num_attention_heads=2, intermediate_size=32,
+            vocab_size=1100,
+            hidden_size=32,
+            num_hidden_layers=1,
+            num_attention_heads=2,
+            intermediate_size=32,
             max_position_embeddings=256,
         ),
-        num_feature_levels=3, encoder_n_points=2, decoder_n_points=2, num_queries=60, d_model=32,
-        encoder_layers=1, decoder_layers=2, encoder_ffn_dim=32, decoder_ffn_dim=32,
-        encoder_attention_heads=2, decoder_attention_heads=2, disable_custom_kernels=True,
-    )  # fmt: skip
+        num_feature_levels=3,
+        encoder_n_points=2,
+        decoder_n_points=2,
+        num_queries=60,
+        d_model=32,
+        encoder_layers=1,
+        decoder_layers=2,
+        encoder_ffn_dim=32,
+        decoder_ffn_dim=32,
+        encoder_attention_heads=2,
+        decoder_attention_heads=2,
+        disable_custom_kernels=True,
+    )
     tokenizer = BertTokenizer(vocab=bert_vocabulary(), do_lower_case=True)
     tokenizer.backend_tokenizer.save(str(folder / "tokenizer.json"))
     return GroundingDinoForObjectDetection(config).eval(), tokenizer
@@ -153,15 +170,25 @@ def owl(kind: str, folder: Path) -> tuple[Any, Any]:
     size = len(vocabulary)
     config = config_of(
         text_config={
-            "vocab_size": size, "hidden_size": 32, "intermediate_size": 32, "num_hidden_layers": 2,
-            "num_attention_heads": 2, "max_position_embeddings": 16, "bos_token_id": size - 2, "eos_token_id": size - 1,
+            "vocab_size": size,
+            "hidden_size": 32,
+            "intermediate_size": 32,
+            "num_hidden_layers": 2,
+            "num_attention_heads": 2,
+            "max_position_embeddings": 16,
+            "bos_token_id": size - 2,
+            "eos_token_id": size - 1,
         },
         vision_config={
-            "hidden_size": 32, "intermediate_size": 32, "num_hidden_layers": 2, "num_attention_heads": 2,
-            "image_size": SIDE, "patch_size": 16,
+            "hidden_size": 32,
+            "intermediate_size": 32,
+            "num_hidden_layers": 2,
+            "num_attention_heads": 2,
+            "image_size": SIDE,
+            "patch_size": 16,
         },
         projection_dim=32,
-    )  # fmt: skip
+    )
     model = model_of(config).eval()
     with torch.no_grad():
         # At the random start all scores are 0 or 1 and all boxes the whole picture.
@@ -203,6 +230,12 @@ def _export(model: Any, args: Sequence[Any], path: Path, inputs: list[str], outp
     with warnings.catch_warnings(), torch.no_grad():
         warnings.simplefilter("ignore")
         torch.onnx.export(
-            model, tuple(args), str(path), input_names=inputs, output_names=outputs, opset_version=17, dynamo=False,
+            model,
+            tuple(args),
+            str(path),
+            input_names=inputs,
+            output_names=outputs,
+            opset_version=17,
+            dynamo=False,
             dynamic_axes=axes,
-        )  # fmt: skip
+        )

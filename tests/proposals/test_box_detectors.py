@@ -59,26 +59,38 @@ SHARES = [0.25, 0.25, 0.5, 0.75]
 STRETCH = NAMES + '[input]\nfit = "stretch"\n[output]\n'
 
 
-@pytest.mark.parametrize(("said", "outputs"), [
-    ('form = "rows"\nrows = "o"', {"o": array([*CORNERS, 0.1, 0.75])[None]}),
-    ('form = "rows"\nrows = "o"', {"o": array([*CORNERS, 0.1, 0.75])[None].transpose(0, 2, 1)}),
-    ('form = "rows"\nrows = "o"\nbox = "cxcywh"', {"o": array([*CENTRE, 0.1, 0.75])}),
-    ('form = "rows"\nrows = "o"\nbox = "xywh"', {"o": array([*SIZED, 0.1, 0.75])}),
-    ('form = "rows"\nrows = "o"\nbox = "yxyx"', {"o": array([16, 32, 48, 64, 0.1, 0.75])}),
-    ('form = "rows"\nrows = "o"\ncolumns = ["box", "objectness", "scores"]', {"o": array([*CORNERS, 0.75, 0.1, 1.0])}),
-    ('form = "rows"\nrows = "o"\ncolumns = ["class", "score", "box"]', {"o": array([1, 0.75, *CORNERS])}),
-    ('form = "rows"\nrows = "o"\nactivation = "sigmoid"', {"o": array([*CORNERS, -5, np.log(3)])}),
-    ('form = "rows"\nrows = "o"\nactivation = "softmax"', {"o": array([*CORNERS, 0, np.log(3)])}),
-    ('form = "rows"\nrows = "o"\nbackground = "last"', {"o": array([*CORNERS, 0.1, 0.75, 0.15])}),
-    ('form = "rows"\nrows = "o"\nbackground = "first"', {"o": array([*CORNERS, 0.15, 0.1, 0.75])}),
-    ('form = "separate"\nboxes = "b"\nscores = "s"\nunits = "share"',
-     {"b": array(SHARES)[None], "s": array([0.1, 0.75])[None]}),
-    ('form = "separate"\nboxes = "b"\nscores = "s"', {"b": array(CORNERS)[None], "s": array([0.1], [0.75])[None]}),
-    ('form = "separate"\nboxes = "b"\nscores = "s"\nclasses = "c"\nunits = "picture"',
-     {"b": array(STRETCHED)[None], "s": array([0.75]), "c": np.array([[1]], np.int64)}),
-    ('form = "separate"\nboxes = "b"\nscores = "s"\nclasses = "c"',
-     {"b": array(CORNERS, CORNERS)[None], "s": array([0.75, 0.9]), "c": np.array([[1, -1]], np.int32)}),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("said", "outputs"),
+    [
+        ('form = "rows"\nrows = "o"', {"o": array([*CORNERS, 0.1, 0.75])[None]}),
+        ('form = "rows"\nrows = "o"', {"o": array([*CORNERS, 0.1, 0.75])[None].transpose(0, 2, 1)}),
+        ('form = "rows"\nrows = "o"\nbox = "cxcywh"', {"o": array([*CENTRE, 0.1, 0.75])}),
+        ('form = "rows"\nrows = "o"\nbox = "xywh"', {"o": array([*SIZED, 0.1, 0.75])}),
+        ('form = "rows"\nrows = "o"\nbox = "yxyx"', {"o": array([16, 32, 48, 64, 0.1, 0.75])}),
+        (
+            'form = "rows"\nrows = "o"\ncolumns = ["box", "objectness", "scores"]',
+            {"o": array([*CORNERS, 0.75, 0.1, 1.0])},
+        ),
+        ('form = "rows"\nrows = "o"\ncolumns = ["class", "score", "box"]', {"o": array([1, 0.75, *CORNERS])}),
+        ('form = "rows"\nrows = "o"\nactivation = "sigmoid"', {"o": array([*CORNERS, -5, np.log(3)])}),
+        ('form = "rows"\nrows = "o"\nactivation = "softmax"', {"o": array([*CORNERS, 0, np.log(3)])}),
+        ('form = "rows"\nrows = "o"\nbackground = "last"', {"o": array([*CORNERS, 0.1, 0.75, 0.15])}),
+        ('form = "rows"\nrows = "o"\nbackground = "first"', {"o": array([*CORNERS, 0.15, 0.1, 0.75])}),
+        (
+            'form = "separate"\nboxes = "b"\nscores = "s"\nunits = "share"',
+            {"b": array(SHARES)[None], "s": array([0.1, 0.75])[None]},
+        ),
+        ('form = "separate"\nboxes = "b"\nscores = "s"', {"b": array(CORNERS)[None], "s": array([0.1], [0.75])[None]}),
+        (
+            'form = "separate"\nboxes = "b"\nscores = "s"\nclasses = "c"\nunits = "picture"',
+            {"b": array(STRETCHED)[None], "s": array([0.75]), "c": np.array([[1]], np.int64)},
+        ),
+        (
+            'form = "separate"\nboxes = "b"\nscores = "s"\nclasses = "c"',
+            {"b": array(CORNERS, CORNERS)[None], "s": array([0.75, 0.9]), "c": np.array([[1, -1]], np.int32)},
+        ),
+    ],
+)
 def test_every_form_gives_the_same_box(
     tmp_path: Path, frame: Frame, said: str, outputs: Mapping[str, np.ndarray]
 ) -> None:
@@ -154,8 +166,9 @@ def test_rivals_are_suppressed_within_a_name(tmp_path: Path, frame: Frame) -> No
     toml = STRETCH + 'form = "rows"\nrows = "o"\n'
     found = detector(tmp_path, toml, {"o": rows})
     np.testing.assert_allclose(found.detect(frame, None).scores, [0.9, 0.7, 0.6])
-    np.testing.assert_allclose(detector(tmp_path, toml + "nms = false", {"o": rows}).detect(frame, ["cup"]).scores,
-                               [0.9, 0.8, 0.6])  # fmt: skip
+    np.testing.assert_allclose(
+        detector(tmp_path, toml + "nms = false", {"o": rows}).detect(frame, ["cup"]).scores, [0.9, 0.8, 0.6]
+    )
     assert found.detect(frame, ["table"]).ids.tolist() == [2]
     assert len(detector(tmp_path, toml + "min_score = 0.85", {"o": rows}).detect(frame, None)) == 1
 
@@ -191,31 +204,44 @@ def test_distances_are_decoded_cell_by_cell(tmp_path: Path, frame: Frame) -> Non
         np.testing.assert_allclose(found.scores, np.array(scores)[found.ids, place])
 
 
-@pytest.mark.parametrize(("toml", "message"), [
-    ("", "wrong at output"),
-    ("[output", "cannot be read"),
-    (NAMES + '[output]\nform = "lines"', "wrong at output.form"),
-    (NAMES + '[output]\nform = "rows"', "the form 'rows' needs the output `rows`"),
-    (NAMES + '[output]\nform = "separate"\nboxes = "o"', "the form 'separate' needs"),
-    (NAMES + '[output]\nform = "distances"\nscores = ["o"]\nstrides = [8]', "the form 'distances' needs"),
-    (NAMES + '[output]\nform = "rows"\nrows = "o"\ncolumns = ["box", "score"]', "`score` and `class`"),
-    (NAMES + '[output]\nform = "rows"\nrows = "o"\nthreshold = 1', "wrong at output.threshold.*one of form, rows"),
-    (NAMES + '[output]\nform = "rows"\nrows = "p"', "no output p; got o"),
-    (NAMES + '[input]\nname = "picture"\n[output]\nform = "rows"\nrows = "o"', "other inputs than the TOML file says"),
-    (NAMES + '[input]\nlayout = "NHWC"\n[output]\nform = "rows"\nrows = "o"', "not NHWC.*layout = \"NCHW\""),
-    (NAMES + '[input]\nsize = [32, 32]\n[output]\nform = "rows"\nrows = "o"', r"another size; got \[32, 32\]"),
-    (NAMES + '[input]\nstd = [0, 1, 1]\n[output]\nform = "rows"\nrows = "o"', r"wrong at input\.std"),
-    (NAMES + '[input.extra]\nim_shape = ["height"]\n[output]\nform = "rows"\nrows = "o"', "other inputs"),
-    ('[output]\nform = "rows"\nrows = "o"', "class names of the detector are not known"),
-    (NAMES + 'names_file = "x"\n[output]\nform = "rows"\nrows = "o"', "class names twice"),
-    ('names_file = "x.txt"\n[output]\nform = "rows"\nrows = "o"', "class names cannot be read"),
-    ('names = ["a", "b", "c"]\n[output]\nform = "rows"\nrows = "o"', "another number of columns.*7: 4 of box, 3 of"),
-    (NAMES + '[output]\nform = "rows"\nrows = "o"\nunits = "metres"', "wrong at output.units"),
-    (NAMES + '[output]\nform = "rows"\nrows = "o"\ncolumns = ["box", "score", "class"]\nactivation = "softmax"',
-     "one score in all"),
-    (NAMES + '[output]\nform = "separate"\nboxes = "b"\nscores = "s"\nclasses = "c"\nactivation = "softmax"',
-     "one score in all"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("toml", "message"),
+    [
+        ("", "wrong at output"),
+        ("[output", "cannot be read"),
+        (NAMES + '[output]\nform = "lines"', "wrong at output.form"),
+        (NAMES + '[output]\nform = "rows"', "the form 'rows' needs the output `rows`"),
+        (NAMES + '[output]\nform = "separate"\nboxes = "o"', "the form 'separate' needs"),
+        (NAMES + '[output]\nform = "distances"\nscores = ["o"]\nstrides = [8]', "the form 'distances' needs"),
+        (NAMES + '[output]\nform = "rows"\nrows = "o"\ncolumns = ["box", "score"]', "`score` and `class`"),
+        (NAMES + '[output]\nform = "rows"\nrows = "o"\nthreshold = 1', "wrong at output.threshold.*one of form, rows"),
+        (NAMES + '[output]\nform = "rows"\nrows = "p"', "no output p; got o"),
+        (
+            NAMES + '[input]\nname = "picture"\n[output]\nform = "rows"\nrows = "o"',
+            "other inputs than the TOML file says",
+        ),
+        (NAMES + '[input]\nlayout = "NHWC"\n[output]\nform = "rows"\nrows = "o"', 'not NHWC.*layout = "NCHW"'),
+        (NAMES + '[input]\nsize = [32, 32]\n[output]\nform = "rows"\nrows = "o"', r"another size; got \[32, 32\]"),
+        (NAMES + '[input]\nstd = [0, 1, 1]\n[output]\nform = "rows"\nrows = "o"', r"wrong at input\.std"),
+        (NAMES + '[input.extra]\nim_shape = ["height"]\n[output]\nform = "rows"\nrows = "o"', "other inputs"),
+        ('[output]\nform = "rows"\nrows = "o"', "class names of the detector are not known"),
+        (NAMES + 'names_file = "x"\n[output]\nform = "rows"\nrows = "o"', "class names twice"),
+        ('names_file = "x.txt"\n[output]\nform = "rows"\nrows = "o"', "class names cannot be read"),
+        (
+            'names = ["a", "b", "c"]\n[output]\nform = "rows"\nrows = "o"',
+            "another number of columns.*7: 4 of box, 3 of",
+        ),
+        (NAMES + '[output]\nform = "rows"\nrows = "o"\nunits = "metres"', "wrong at output.units"),
+        (
+            NAMES + '[output]\nform = "rows"\nrows = "o"\ncolumns = ["box", "score", "class"]\nactivation = "softmax"',
+            "one score in all",
+        ),
+        (
+            NAMES + '[output]\nform = "separate"\nboxes = "b"\nscores = "s"\nclasses = "c"\nactivation = "softmax"',
+            "one score in all",
+        ),
+    ],
+)
 def test_what_is_wrong_in_the_toml_file_is_one_line(tmp_path: Path, frame: Frame, toml: str, message: str) -> None:
     with pytest.raises(InputError, match=message) as caught:
         detector(tmp_path, toml, {"o": array([*CORNERS, 0.1, 0.75])}).detect(frame, None)

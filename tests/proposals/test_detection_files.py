@@ -298,8 +298,10 @@ def test_maps_of_concept_graphs_are_played_back(tmp_path: Path, frame: Frame, pr
     sure = mug | {"conf": [np.float32(1.5)] * 3}
     wrong = "object 0: not as ConceptGraphs writes it"
     for content, message in (
-        ([gap], f"{wrong}; got no 'conf'"), ([], "no map"), ([sure], f"{wrong}, at score; got 1.5; expected at most 1"),
-    ):  # fmt: skip
+        ([gap], f"{wrong}; got no 'conf'"),
+        ([], "no map"),
+        ([sure], f"{wrong}, at score; got 1.5; expected at most 1"),
+    ):
         refused(write_map(path, content, 4), frame, message)
 
 

@@ -172,9 +172,14 @@ def test_the_class_names_stand_beside_the_model(tmp_path: Path, frame: Frame) ->
         make_detector("detic", model=path, config=other).detect(frame, None)
 
 
-@pytest.mark.parametrize(("file", "content"), [
-    ("n.txt", "\ufeffmug\ncup\n"), ("n.json", '\ufeff["mug", "cup"]'), ("n.txt", "mug\r\ncup\r\n\r\n"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("file", "content"),
+    [
+        ("n.txt", "\ufeffmug\ncup\n"),
+        ("n.json", '\ufeff["mug", "cup"]'),
+        ("n.txt", "mug\r\ncup\r\n\r\n"),
+    ],
+)
 def test_names_are_read_as_any_editor_writes_them(tmp_path: Path, file: str, content: str) -> None:
     (tmp_path / file).write_bytes(content.encode())
     assert read_class_names(tmp_path / file) == ("mug", "cup")
@@ -182,9 +187,19 @@ def test_names_are_read_as_any_editor_writes_them(tmp_path: Path, file: str, con
     assert len(read_class_names(tmp_path / "odd.txt")) == 2
 
 
-@pytest.mark.parametrize("content", [
-    "[]", "{}", '{"categories": 3}', '{"categories": [{"id": 1}]}', "[1, 2]", "[", '["a", ""]', "null",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "content",
+    [
+        "[]",
+        "{}",
+        '{"categories": 3}',
+        '{"categories": [{"id": 1}]}',
+        "[1, 2]",
+        "[",
+        '["a", ""]',
+        "null",
+    ],
+)
 def test_a_file_without_names_is_refused(tmp_path: Path, content: str) -> None:
     path = tmp_path / "names.json"
     path.write_text(content, encoding="utf-8")

@@ -137,10 +137,14 @@ def test_a_broken_file_is_one_clear_line(
     assert len(message) < 600
     assert str(path) in message
     words = {
-        "missing": "there is no model file", "folder": "the model is a folder", "newer opset": "opset",
-        "no weights": "its weights are in a file of their own", "truncated": "damaged, incomplete, or no ONNX file",
-        "text": "it is a pointer of Git LFS", "empty": "",
-    }  # fmt: skip
+        "missing": "there is no model file",
+        "folder": "the model is a folder",
+        "newer opset": "opset",
+        "no weights": "its weights are in a file of their own",
+        "truncated": "damaged, incomplete, or no ONNX file",
+        "text": "it is a pointer of Git LFS",
+        "empty": "",
+    }
     assert words[broken] in message, message
     assert capfd.readouterr() == ("", "")
 
@@ -253,8 +257,13 @@ def test_a_provider_that_fails_falls_back_with_one_line(
 def child(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-m", "spatialviz", *arguments],
-        cwd=ROOT, env={**os.environ, **environment}, capture_output=True, text=True, timeout=LONG_S, check=False,
-    )  # fmt: skip
+        cwd=ROOT,
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        timeout=LONG_S,
+        check=False,
+    )
 
 
 @pytest.mark.slow
@@ -344,15 +353,18 @@ def test_a_detector_is_made_of_a_model_on_a_hub(
         assert segmenter.segment(frame, box, ["mug"])[1].all()
 
 
-@pytest.mark.parametrize(("inputs", "outputs", "words"), [
-    ({"images": (1, 3, 64, 64)}, {"output0": (1, 84, 8400)}, "a YOLO export without masks; describe its tensors"),
-    ({"images": (1, 3, 64, 64)}, {"output0": (1, 300, 6)}, "a YOLO export without masks"),
-    ({"images": (1, 3, 64, 64)}, {"dets": (1, 50, 5), "boxes": (1, 50, 4)}, "a detector of boxes; describe"),
-    ({"images": (1, 3, 64, 64), "text_features": (1, 2, 512)}, {"scores": (1, 9, 2)}, "its text from outside"),
-    ({"input_ids": (1, 16)}, {"text_embeds": (1, 512)}, "the text part of a model"),
-    ({"x": (1, 7)}, {"y": (1, 7)}, "is it a file for another --detector?"),
-    ({"image": (1, 3, 64, 64)}, {"class": (1, 1000)}, "is it a file for another --detector?"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("inputs", "outputs", "words"),
+    [
+        ({"images": (1, 3, 64, 64)}, {"output0": (1, 84, 8400)}, "a YOLO export without masks; describe its tensors"),
+        ({"images": (1, 3, 64, 64)}, {"output0": (1, 300, 6)}, "a YOLO export without masks"),
+        ({"images": (1, 3, 64, 64)}, {"dets": (1, 50, 5), "boxes": (1, 50, 4)}, "a detector of boxes; describe"),
+        ({"images": (1, 3, 64, 64), "text_features": (1, 2, 512)}, {"scores": (1, 9, 2)}, "its text from outside"),
+        ({"input_ids": (1, 16)}, {"text_embeds": (1, 512)}, "the text part of a model"),
+        ({"x": (1, 7)}, {"y": (1, 7)}, "is it a file for another --detector?"),
+        ({"image": (1, 3, 64, 64)}, {"class": (1, 1000)}, "is it a file for another --detector?"),
+    ],
+)
 def test_relatives_are_told_what_they_lack(
     tmp_path: Path, inputs: dict[str, tuple[int, ...]], outputs: dict[str, tuple[int, ...]], words: str
 ) -> None:

@@ -232,9 +232,21 @@ def broken(kind: str, folder: Path) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", [
-    "no text", "grounding", "oblong", "of owlvit", "no boxes", "other names", "nan", "opset", "external", "truncated",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "no text",
+        "grounding",
+        "oblong",
+        "of owlvit",
+        "no boxes",
+        "other names",
+        "nan",
+        "opset",
+        "external",
+        "truncated",
+    ],
+)
 def test_a_broken_file_is_one_clear_line(
     kind: str, tmp_path: Path, exported: dict[str, Export], frame: Frame, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -265,8 +277,11 @@ def test_half_precision_and_open_sizes(tmp_path: Path, exported: dict[str, Expor
 def test_another_models_tokenizer_is_refused(tmp_path: Path) -> None:
     from transformers import BertTokenizer
 
-    path = write_stub(tmp_path / "model.onnx", OWL, {"logits": np.zeros((1, 9, 1), np.float32),
-                                                    "pred_boxes": np.zeros((1, 9, 4), np.float32)})  # fmt: skip
+    path = write_stub(
+        tmp_path / "model.onnx",
+        OWL,
+        {"logits": np.zeros((1, 9, 1), np.float32), "pred_boxes": np.zeros((1, 9, 4), np.float32)},
+    )
     with pytest.raises(InputError, match=r"no tokenizer.*tokenizer\.json"):
         OwlDetector(path)
     words = {w: n for n, w in enumerate(["[PAD]", "[UNK]", "[CLS]", "[SEP]", "[MASK]", "mug"])}

@@ -154,9 +154,12 @@ def test_a_hostile_id_is_refused(tmp_path: Path, bad: Any) -> None:
 )
 def test_hostile_codes_in_arrays_are_refused(tmp_path: Path, change: dict[str, Any]) -> None:
     good = {
-        "boxes": np.array([[1, 2, 30, 40.0]]), "scores": np.array([0.5]), "labels": np.array(["mug"]),
-        "mask_counts": np.array([encode_run_length(np.ones((H, W), np.bool_)).encode()]), "mask_size": np.array([H, W]),
-    }  # fmt: skip
+        "boxes": np.array([[1, 2, 30, 40.0]]),
+        "scores": np.array([0.5]),
+        "labels": np.array(["mug"]),
+        "mask_counts": np.array([encode_run_length(np.ones((H, W), np.bool_)).encode()]),
+        "mask_size": np.array([H, W]),
+    }
     np.savez(tmp_path / "scene__1.npz", **good)
     assert len(RecordedDetector(tmp_path).detect(OTHER, None)) == 1
     np.savez(tmp_path / "scene__0.npz", **{k: v for k, v in (good | change).items() if v is not None})

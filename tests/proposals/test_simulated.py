@@ -27,9 +27,14 @@ def simulated(**options: Any) -> SimulatedDetector:
 
 
 QUIET: dict[str, Any] = {
-    "recall": 1, "cross_class": 0, "background": 0, "box_jitter": 0, "mask_error": (0, 0), "truncated": 0,
+    "recall": 1,
+    "cross_class": 0,
+    "background": 0,
+    "box_jitter": 0,
+    "mask_error": (0, 0),
+    "truncated": 0,
     "corrupted": 0,
-}  # fmt: skip
+}
 
 
 def within_binomial(count: int, n: int, p: float) -> bool:
@@ -110,11 +115,23 @@ def test_a_lower_recall_only_takes_objects_away(seed: int, a: float, b: float) -
 
 def test_the_fingerprint_covers_every_option() -> None:
     changes: dict[str, Any] = {
-        "seed": 1, "recall": 0.5, "cross_class": 0.5, "most_confused": 3, "background": 0.5, "box_jitter": 0.05,
-        "mask_error": (-1, 3), "truncated": 0.5, "corrupted": 0.5, "true_logit": 0.1, "confused_logit": 0.1,
-        "background_logit": 0.1, "score_spread": 0.5, "class_spread": 0.5,
-        "doubted": 0.5, "doubted_logit": -3.0,
-    }  # fmt: skip
+        "seed": 1,
+        "recall": 0.5,
+        "cross_class": 0.5,
+        "most_confused": 3,
+        "background": 0.5,
+        "box_jitter": 0.05,
+        "mask_error": (-1, 3),
+        "truncated": 0.5,
+        "corrupted": 0.5,
+        "true_logit": 0.1,
+        "confused_logit": 0.1,
+        "background_logit": 0.1,
+        "score_spread": 0.5,
+        "class_spread": 0.5,
+        "doubted": 0.5,
+        "doubted_logit": -3.0,
+    }
     assert set(changes) == set(SimulationOptions.model_fields)
     prints = {simulated(**{key: value}).fingerprint() for key, value in changes.items()}
     prints |= {simulated().fingerprint(), SimulatedDetector(None, NAMES, min_score=0.1).fingerprint()}
@@ -348,8 +365,10 @@ def test_doubted_objects_are_the_same_with_lower_scores() -> None:
     some = simulated(seed=2, **QUIET, doubted=0.5, doubted_logit=-6.0)
     fell = total = 0
     for frame in MANY[:40]:
-        scores = [dict(zip(f.ids.tolist(), f.scores.tolist(), strict=True))
-                  for f in (d.detect(frame, None) for d in (before, after, some))]  # fmt: skip
+        scores = [
+            dict(zip(f.ids.tolist(), f.scores.tolist(), strict=True))
+            for f in (d.detect(frame, None) for d in (before, after, some))
+        ]
         assert set(scores[0]) == set(scores[1]) == set(scores[2])
         for k in scores[0]:
             assert scores[1][k] < scores[0][k]

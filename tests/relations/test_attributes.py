@@ -15,10 +15,18 @@ from pipeline.language import BASIC_COLORS, attribute
 from pipeline.relations import attribute_probabilities, object_colors, size_keys
 
 FOCI = {
-    "black": "#101010", "blue": "#1f4fb5", "brown": "#6b4226", "gray": "#808080", "green": "#2e8b3a",
-    "orange": "#f08020", "pink": "#f0a0b8", "purple": "#6a2c91", "red": "#c41e2a", "white": "#f6f6f6",
+    "black": "#101010",
+    "blue": "#1f4fb5",
+    "brown": "#6b4226",
+    "gray": "#808080",
+    "green": "#2e8b3a",
+    "orange": "#f08020",
+    "pink": "#f0a0b8",
+    "purple": "#6a2c91",
+    "red": "#c41e2a",
+    "white": "#f6f6f6",
     "yellow": "#f0d020",
-}  # fmt: skip
+}
 """Good examples of each basic colour."""
 
 

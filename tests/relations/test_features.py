@@ -71,8 +71,13 @@ def test_rel26_adds_place_size_and_cut_of_each_to_rel14() -> None:
     features = contract.pair(rows)
     np.testing.assert_array_equal(features[..., :14], FEATURES["rel14"].pair(rows[:, :6]))
     assert contract.columns[14:20] == (
-        "right_a", "up_a", "log_size_right_a", "log_size_up_a", "log_size_forward_a", "cut_a",
-    )  # fmt: skip
+        "right_a",
+        "up_a",
+        "log_size_right_a",
+        "log_size_up_a",
+        "log_size_forward_a",
+        "cut_a",
+    )
     for i, j in ((0, 2), (2, 1), (3, 3)):
         for half, item in ((features[i, j, 14:20], objects[i]), (features[i, j, 20:], objects[j])):
             np.testing.assert_allclose(half[:2], (item.lo + item.hi)[:2] / 2)

@@ -34,9 +34,15 @@ def written(path: Path, metadata: dict[str, str], inputs: int = 14, outputs: int
 
 def said(**changes: Any) -> dict[str, str]:
     contract = NetworkContract(
-        "rel14", FEATURES["rel14"].columns, np.zeros(14), np.ones(14), DIRECTIONAL,
-        dict.fromkeys(DIRECTIONAL, (1.0, 0.0)), 0, "abc",
-    )  # fmt: skip
+        "rel14",
+        FEATURES["rel14"].columns,
+        np.zeros(14),
+        np.ones(14),
+        DIRECTIONAL,
+        dict.fromkeys(DIRECTIONAL, (1.0, 0.0)),
+        0,
+        "abc",
+    )
     metadata = contract.metadata()
     metadata.update({f"srm.{key}": value for key, value in changes.items()})
     return {key: value for key, value in metadata.items() if value != ""}
@@ -46,9 +52,15 @@ def test_a_contract_survives_the_file_to_the_last_digit(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     calibration: dict[str, tuple[float, float]] = {r: (1.1, 1 / 3) for r in DIRECTIONAL}  # noqa: C420
     contract = NetworkContract(
-        "canon30", FEATURES["canon30"].columns, rng.normal(size=30), rng.uniform(0.1, 2, 30), DIRECTIONAL,
-        calibration, 7, "f00d",
-    )  # fmt: skip
+        "canon30",
+        FEATURES["canon30"].columns,
+        rng.normal(size=30),
+        rng.uniform(0.1, 2, 30),
+        DIRECTIONAL,
+        calibration,
+        7,
+        "f00d",
+    )
     scorer = OnnxScorer(written(tmp_path / "m.onnx", contract.metadata(), inputs=30))
     np.testing.assert_array_equal(scorer.contract.mean, contract.mean)
     np.testing.assert_array_equal(scorer.contract.std, contract.std)

@@ -33,8 +33,12 @@ def test_a_question_is_sent_as_the_protocol_has_it(server: ChatServer, client_of
     assert request.prompt == "Is it “blau”? 猫 🐱"
     body = {k: v for k, v in request.body.items() if k != "messages"}
     assert body == {
-        "model": MODELS[0], "max_tokens": 9, "temperature": 0.0, "seed": 3, "stream": False,
-    }  # fmt: skip
+        "model": MODELS[0],
+        "max_tokens": 9,
+        "temperature": 0.0,
+        "seed": 3,
+        "stream": False,
+    }
     assert request.headers["authorization"] == "Bearer secret"
     assert request.picture.shape == rgb.shape
     # Red stays left and blue right: neither the channels nor the sides are swapped.
@@ -198,9 +202,12 @@ def test_the_cache_answers_the_second_time(server: ChatServer, client_of: Make, 
     assert asked.text == "Yes"
     assert (known.text, known.finish, known.cached, again.requests) == ("Yes", "length", True, 0)
     changes: list[dict[str, Any]] = [
-        {"model": MODELS[1]}, {"extra": {"temperature": 0.1}}, {"extra": {"seed": 1}}, {"max_tokens": 5},
+        {"model": MODELS[1]},
+        {"extra": {"temperature": 0.1}},
+        {"extra": {"seed": 1}},
+        {"max_tokens": 5},
         {"extra": {"stream": None}},
-    ]  # fmt: skip
+    ]
     for change in changes:
         assert not client_of(**change).ask("größer?", flat()).cached
     for rgb in (flat(91), flat(90, 32, 24)):
@@ -355,12 +362,20 @@ def test_an_interrupt_is_heeded_while_answers_are_awaited(
 @pytest.mark.parametrize(
     "options",
     [
-        {"base_url": "localhost:8000"}, {"base_url": "ftp://host/v1"}, {"base_url": "http://"}, {"base_url": ""},
-        {"base_url": "http://me:pw@host/v1"}, {"base_url": "http://host/v1?x=1"}, {"base_url": "http://h st/v1"},
-        {"base_url": "http://host:99999/v1"}, {"model": " "}, {"api_key": "two words"}, {"api_key": "schlüssel"},
+        {"base_url": "localhost:8000"},
+        {"base_url": "ftp://host/v1"},
+        {"base_url": "http://"},
+        {"base_url": ""},
+        {"base_url": "http://me:pw@host/v1"},
+        {"base_url": "http://host/v1?x=1"},
+        {"base_url": "http://h st/v1"},
+        {"base_url": "http://host:99999/v1"},
+        {"model": " "},
+        {"api_key": "two words"},
+        {"api_key": "schlüssel"},
         {"requests_per_minute": 0},
     ],
-)  # fmt: skip
+)
 def test_unusable_settings_are_refused(client_of: Make, options: dict[str, Any]) -> None:
     with pytest.raises(InputError):
         client_of(**options)

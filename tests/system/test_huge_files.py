@@ -31,10 +31,17 @@ MANY_MEMBERS_IN_2G = b"PK\x05\x06" + struct.pack("<HHHHIIH", 0, 0, 65534, 65534,
 PARQUET_2G = struct.pack("<I", 2 * 10**9) + b"PAR1"
 
 FILES = (
-    ("zero.bag", b"", b""), ("x.bag", HEADER_OF_2G, b""), ("zero.mcap", b"", b""), ("x.mcap", RECORD_OF_3G, FOOTER),
-    ("x.r3d", b"PK\x03\x04", MEMBERS_IN_2G), ("y.r3d", b"PK\x03\x04", MANY_MEMBERS_IN_2G), ("zero.db3", b"", b""),
-    ("x.parquet", b"PAR1", PARQUET_2G), ("zero.parquet", b"", b""), ("zero.r3d", b"", b""),
-)  # fmt: skip
+    ("zero.bag", b"", b""),
+    ("x.bag", HEADER_OF_2G, b""),
+    ("zero.mcap", b"", b""),
+    ("x.mcap", RECORD_OF_3G, FOOTER),
+    ("x.r3d", b"PK\x03\x04", MEMBERS_IN_2G),
+    ("y.r3d", b"PK\x03\x04", MANY_MEMBERS_IN_2G),
+    ("zero.db3", b"", b""),
+    ("x.parquet", b"PAR1", PARQUET_2G),
+    ("zero.parquet", b"", b""),
+    ("zero.r3d", b"", b""),
+)
 
 
 @pytest.fixture

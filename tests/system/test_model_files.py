@@ -53,16 +53,27 @@ def hub(monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
         yield found
 
 
-@pytest.mark.parametrize(("text", "expected"), [
-    ("owner/repo", HubId("owner/repo")),
-    ("owner/repo:onnx/model.onnx", HubId("owner/repo", "onnx/model.onnx")),
-    ("owner/repo:m.onnx@0123abc", HubId("owner/repo", "m.onnx", "0123abc")),
-    ("owner/my.repo-2@v1.0", HubId("owner/my.repo-2", None, "v1.0")),
-    ("models/yolo.onnx", None), ("models/found.json", None), ("yolo.onnx", None), ("/a/b", None),
-    ("a/b/c", None), ("owner/repo:../../etc/passwd", None), ("..:x", None),
-    ("owner/repo:/etc/passwd", None), ("a b/c", None), ("", None),
-    ("owner/repo:a\\b", None), ("https://x/y", None),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("owner/repo", HubId("owner/repo")),
+        ("owner/repo:onnx/model.onnx", HubId("owner/repo", "onnx/model.onnx")),
+        ("owner/repo:m.onnx@0123abc", HubId("owner/repo", "m.onnx", "0123abc")),
+        ("owner/my.repo-2@v1.0", HubId("owner/my.repo-2", None, "v1.0")),
+        ("models/yolo.onnx", None),
+        ("models/found.json", None),
+        ("yolo.onnx", None),
+        ("/a/b", None),
+        ("a/b/c", None),
+        ("owner/repo:../../etc/passwd", None),
+        ("..:x", None),
+        ("owner/repo:/etc/passwd", None),
+        ("a b/c", None),
+        ("", None),
+        ("owner/repo:a\\b", None),
+        ("https://x/y", None),
+    ],
+)
 def test_what_is_an_id_and_what_a_path(text: str, expected: HubId | None) -> None:
     assert parse_hub_id(text) == expected
     assert parse_hub_id(Path(text)) == expected
@@ -223,10 +234,13 @@ def test_the_hash_is_that_of_the_standard_library(tmp_path: Path) -> None:
     assert sha256_of(tmp_path / "x") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
 
 
-@pytest.mark.parametrize(("address", "said"), [
-    ("https://huggingface.co/o/r/resolve/main/onnx/model.onnx?download=true", "o/r:onnx/model.onnx@main"),
-    ("https://example.org/a.onnx", "download it first"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("address", "said"),
+    [
+        ("https://huggingface.co/o/r/resolve/main/onnx/model.onnx?download=true", "o/r:onnx/model.onnx@main"),
+        ("https://example.org/a.onnx", "download it first"),
+    ],
+)
 def test_an_address_is_answered_by_what_is_meant(address: str, said: str) -> None:
     for given in (address, Path(address)):
         with pytest.raises(InputError, match="not given by its address") as error:

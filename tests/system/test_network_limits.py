@@ -78,9 +78,12 @@ def test_weights_lie_beside_the_network(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_every_tensor_of_a_file_is_found(tmp_path: Path) -> None:
     branch = onnx.helper.make_graph(
-        [onnx.helper.make_node("Identity", ["k"], ["y"])], "b", [],
-        [onnx.helper.make_tensor_value_info("y", FLOAT, [3])], [constant("k", [1, 2, 3])],
-    )  # fmt: skip
+        [onnx.helper.make_node("Identity", ["k"], ["y"])],
+        "b",
+        [],
+        [onnx.helper.make_tensor_value_info("y", FLOAT, [3])],
+        [constant("k", [1, 2, 3])],
+    )
     nodes = [
         onnx.helper.make_node("If", ["yes"], ["z"], then_branch=branch, else_branch=branch),
         onnx.helper.make_node("Constant", [], ["c"], value=constant("c", np.zeros((4, 5)), np.float64)),

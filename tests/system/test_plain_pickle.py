@@ -76,7 +76,11 @@ HUGE = (1 << 40).to_bytes(8, "little")
 @pytest.mark.parametrize(
     "content",
     [
-        b"", b"junk", b"\x80\x04", b"\x80\x04]\x94h\x07.", b"\x80\x04N" * 9,
+        b"",
+        b"junk",
+        b"\x80\x04",
+        b"\x80\x04]\x94h\x07.",
+        b"\x80\x04N" * 9,
         b"\x80\x04\x8e" + HUGE + b".",  # Bytes of a terabyte,
         b"\x80\x05\x96" + HUGE + b".",  # a bytearray of one,
         b"\x80\x04\x95" + HUGE + b"N.",  # a frame of one,
@@ -87,9 +91,10 @@ HUGE = (1 << 40).to_bytes(8, "little")
         b"cnumpy\ndtype\n}U\x05numpyK\x01sb.",  # Changing a class,
         b"\x80\x04]N}\x86b.",  # a list's state.
         b"\x82\x01.",  # A registered extension.
-        b"Pthing\n.", b"\x97.",
+        b"Pthing\n.",
+        b"\x97.",
     ],
-)  # fmt: skip
+)
 def test_damaged_and_hostile_files_are_refused_in_one_line(tmp_path: Path, content: bytes) -> None:
     tracemalloc.start()
     with pytest.raises(InputError) as error:

@@ -231,17 +231,25 @@ SOFT = {"output": "softmax", "prior": json.dumps([1 / 6] * 6)}
         ({**SOFT, "prior": json.dumps([0.5, 0.1, 0.1, 0.1, 0.1, 0.1])}, "prior must be"),
         ({**SOFT, "prior": json.dumps([1 / 7] * 6)}, "prior must be"),
         ({**SOFT, "prior": "5"}, "cannot be read"),
-        ({**SOFT, "calibration": json.dumps({r: [2 if r in ("left", "right") else 1, 0] for r in DIRECTIONAL})},
-         "one temperature"),
+        (
+            {**SOFT, "calibration": json.dumps({r: [2 if r in ("left", "right") else 1, 0] for r in DIRECTIONAL})},
+            "one temperature",
+        ),
         ({"features": "rel14+lang"}, "language features do not fit"),
         ({"features": "geom2d8"}, "geom2d8 is another one"),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_pairing_is_refused(tmp_path: Path, changes: dict[str, str], message: str) -> None:
     contract = NetworkContract(
-        "rel14", FEATURES["rel14"].columns, np.zeros(14), np.ones(14), DIRECTIONAL,
-        dict.fromkeys(DIRECTIONAL, (1.0, 0.0)), 0, "abc",
-    )  # fmt: skip
+        "rel14",
+        FEATURES["rel14"].columns,
+        np.zeros(14),
+        np.ones(14),
+        DIRECTIONAL,
+        dict.fromkeys(DIRECTIONAL, (1.0, 0.0)),
+        0,
+        "abc",
+    )
     metadata = {**contract.metadata(), **{f"srm.{k}": v for k, v in changes.items()}}
     write_onnx(tmp_path / "m.onnx", [(np.zeros((14, 6)), np.zeros(6))], metadata)
     with pytest.raises(InputError, match=message):

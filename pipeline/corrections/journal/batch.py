@@ -190,31 +190,57 @@ KINDS: dict[str, tuple[type[Action], dict[str, Any], Callable[[Any, EffectiveFra
     "class": (OfObject, {"to": str}, lambda a, frame, *_: actions.set_class(frame, a.object, a.to, a.reason)),
     "mask": (Mask, {}, _mask),
     "bbox": (OfObject, {"to": list[float]}, lambda a, frame, *_: actions.set_bbox(frame, a.object, a.to, a.reason)),
-    "box": (OfObject, {"to": dict[str, list[float]] | None}, lambda a, frame, *_: actions.set_box(
-        frame, a.object, None if a.to is None else box_of(a.to), a.reason)),
+    "box": (
+        OfObject,
+        {"to": dict[str, list[float]] | None},
+        lambda a, frame, *_: actions.set_box(frame, a.object, None if a.to is None else box_of(a.to), a.reason),
+    ),
     "drag": (OfObject, {"moves": list[list[Any]]}, lambda a, frame, *_: drag_box(frame, a.object, a.moves, a.reason)),
     "status": (OfItem, {"to": str | None}, lambda a, frame, *_: actions.set_status(frame, a.ref, a.to, a.reason)),
     "judge": (OfItem, {"to": str | None}, _judge),
     "settle": (OfItem, {"to": str}, _settle),
     "new": (NewObject, {}, _new_object),
     "merge": (Action, {"objects": list[int]}, lambda a, frame, *_: actions.merge_objects(frame, a.objects, a.reason)),
-    "split": (OfObject, {"masks": list[str]}, lambda a, frame, *_: actions.split_object(
-        frame, a.object, a.masks, a.reason)),
-    "relation": (Action, {"a": int, "b": int, "relation": str, "to": Literal["T", "U", "F"]}, lambda a, frame, *_:
-        actions.set_relation(frame, a.a, a.b, a.relation, _STATES[a.to], a.reason)),
-    "true": (Action, {"text": str, "target": str, "relation": str, "reference": str, "a": int, "b": int}, lambda a,
-        frame, *_: actions.add_sentence(frame, a.text, (a.target, a.relation, a.reference), a.a, a.b, a.reason)),
-    "text": (Action, {"expression": str, "to": str}, lambda a, frame, *_: actions.set_text(
-        frame, a.expression, a.to, a.reason)),
-    "answers": (Action, {"expression": str, "targets": list[int], "acceptable": (list[int] | None, None)},
-        lambda a, frame, *_: actions.set_answers(frame, a.expression, a.targets, a.acceptable, a.reason)),
-    "ambiguous": (Action, {"expression": str, "to": bool}, lambda a, frame, *_: actions.set_ambiguous(
-        frame, a.expression, a.to, a.reason)),
-    "mark": (Action, {"expression": str, "to": str | None}, lambda a, frame, *_: actions.set_mark(
-        frame, a.expression, a.to, a.reason)),
+    "split": (
+        OfObject,
+        {"masks": list[str]},
+        lambda a, frame, *_: actions.split_object(frame, a.object, a.masks, a.reason),
+    ),
+    "relation": (
+        Action,
+        {"a": int, "b": int, "relation": str, "to": Literal["T", "U", "F"]},
+        lambda a, frame, *_: actions.set_relation(frame, a.a, a.b, a.relation, _STATES[a.to], a.reason),
+    ),
+    "true": (
+        Action,
+        {"text": str, "target": str, "relation": str, "reference": str, "a": int, "b": int},
+        lambda a, frame, *_: actions.add_sentence(
+            frame, a.text, (a.target, a.relation, a.reference), a.a, a.b, a.reason
+        ),
+    ),
+    "text": (
+        Action,
+        {"expression": str, "to": str},
+        lambda a, frame, *_: actions.set_text(frame, a.expression, a.to, a.reason),
+    ),
+    "answers": (
+        Action,
+        {"expression": str, "targets": list[int], "acceptable": (list[int] | None, None)},
+        lambda a, frame, *_: actions.set_answers(frame, a.expression, a.targets, a.acceptable, a.reason),
+    ),
+    "ambiguous": (
+        Action,
+        {"expression": str, "to": bool},
+        lambda a, frame, *_: actions.set_ambiguous(frame, a.expression, a.to, a.reason),
+    ),
+    "mark": (
+        Action,
+        {"expression": str, "to": str | None},
+        lambda a, frame, *_: actions.set_mark(frame, a.expression, a.to, a.reason),
+    ),
     "note": (Action, {"to": str | None}, lambda a, frame, *_: actions.set_note(frame, a.to, a.reason)),
     "value": (Action, {"kind": (Kind, ...), "key": str, "field": str, "to": Any}, _value),
-}  # fmt: skip
+}
 """Kinds of actions by their `edit`: what they are on, the fields that they have besides, and what makes their edits.
 
 "box" is null for the box that the object's points make; "judge" is a reviewer's own word (a status, or of a relation
@@ -223,11 +249,13 @@ it: nothing else is set with it, and of judgements it is one's own.
 """
 _MODELS = tuple(
     create_model(
-        edit, __base__=base, edit=(Literal[edit], ...),  # pyright: ignore
+        edit,
+        __base__=base,
+        edit=(Literal[edit], ...),  # pyright: ignore
         **{name: kind if isinstance(kind, tuple) else (kind, ...) for name, kind in more.items()},  # pyright: ignore
     )
     for edit, (base, more, _) in KINDS.items()
-)  # fmt: skip
+)
 _LIST: TypeAdapter[list[Any]] = TypeAdapter(
     list[Annotated[Union[_MODELS], Field(discriminator="edit")]]  # pyright: ignore  # noqa: UP007
 )

@@ -18,9 +18,26 @@ from pipeline.system.errors import InputError
 FIRST = "0" * 64
 """What the first event is chained to."""
 CONTENT = (
-    "id", "ulid", "project", "author", "time", "kind", "frame", "key", "field", "before", "after", "base", "version",
-    "labels", "reason", "group", "action", "undo_of", "anchor",
-)  # fmt: skip
+    "id",
+    "ulid",
+    "project",
+    "author",
+    "time",
+    "kind",
+    "frame",
+    "key",
+    "field",
+    "before",
+    "after",
+    "base",
+    "version",
+    "labels",
+    "reason",
+    "group",
+    "action",
+    "undo_of",
+    "anchor",
+)
 """All columns but the hash, in the order in which they are hashed."""
 Row = Mapping[str, Any]
 _JSON = json.JSONEncoder(sort_keys=True, separators=(",", ":"))
@@ -197,10 +214,12 @@ def _made(ulid: Any) -> datetime | None:
 
 def _is_anchor(value: Any) -> bool:
     return isinstance(value, dict) and all(
-        name.isdecimal() and isinstance(box, list) and len(box) == 4
+        name.isdecimal()
+        and isinstance(box, list)
+        and len(box) == 4
         and all(isinstance(x, (int, float)) and math.isfinite(x) for x in box)
         for name, box in value.items()
-    )  # fmt: skip
+    )
 
 
 def _one_bit_apart(a: Any, b: Any) -> bool:
@@ -218,18 +237,41 @@ FORBIDDEN = "the journal can only grow"
 JSON = ("before", "after", "anchor")
 STORED = (*CONTENT, "hash")
 NOTHING = Head(0, 0, FIRST)
-_HEAD = ("one INTEGER NOT NULL", "version INTEGER NOT NULL", "events BIGINT NOT NULL", "last BIGINT NOT NULL",
-         "hash VARCHAR(64) NOT NULL", "tables VARCHAR(64) NOT NULL", "PRIMARY KEY (one)")  # fmt: skip
+_HEAD = (
+    "one INTEGER NOT NULL",
+    "version INTEGER NOT NULL",
+    "events BIGINT NOT NULL",
+    "last BIGINT NOT NULL",
+    "hash VARCHAR(64) NOT NULL",
+    "tables VARCHAR(64) NOT NULL",
+    "PRIMARY KEY (one)",
+)
 _EVENTS = (
-    "id {id} NOT NULL", "ulid VARCHAR(26) NOT NULL", "project TEXT NOT NULL", "author TEXT NOT NULL",
-    "time {time} NOT NULL", "kind VARCHAR(16) NOT NULL", "frame TEXT NOT NULL", '"key" TEXT NOT NULL',
-    "field VARCHAR(32) NOT NULL", '"before" JSON NOT NULL', '"after" JSON NOT NULL', "base INTEGER NOT NULL",
-    "version INTEGER NOT NULL", "labels TEXT NOT NULL", "reason TEXT NOT NULL", '"group" VARCHAR(26) NOT NULL',
-    "action VARCHAR(8) NOT NULL", "undo_of VARCHAR(26)", "anchor JSON NOT NULL", "hash VARCHAR(64) NOT NULL",
-    "PRIMARY KEY (id)", "CONSTRAINT one_ulid UNIQUE (ulid)",
+    "id {id} NOT NULL",
+    "ulid VARCHAR(26) NOT NULL",
+    "project TEXT NOT NULL",
+    "author TEXT NOT NULL",
+    "time {time} NOT NULL",
+    "kind VARCHAR(16) NOT NULL",
+    "frame TEXT NOT NULL",
+    '"key" TEXT NOT NULL',
+    "field VARCHAR(32) NOT NULL",
+    '"before" JSON NOT NULL',
+    '"after" JSON NOT NULL',
+    "base INTEGER NOT NULL",
+    "version INTEGER NOT NULL",
+    "labels TEXT NOT NULL",
+    "reason TEXT NOT NULL",
+    '"group" VARCHAR(26) NOT NULL',
+    "action VARCHAR(8) NOT NULL",
+    "undo_of VARCHAR(26)",
+    "anchor JSON NOT NULL",
+    "hash VARCHAR(64) NOT NULL",
+    "PRIMARY KEY (id)",
+    "CONSTRAINT one_ulid UNIQUE (ulid)",
     # What locks: of two who edit the same version of a cell, one is refused by the database itself.
     'CONSTRAINT one_successor UNIQUE (project, kind, frame, "key", field, version)',
-)  # fmt: skip
+)
 _INDEXES = {"author": "project, author, id", "frame": "project, frame, id", "group": 'project, "group"'}
 Run = Callable[..., list[Any]]
 """Runs a statement with its values, `run("... WHERE id = ?", 3)`, in a transaction; the rows as sequences."""
@@ -335,8 +377,10 @@ def write_rows(store: Store, run: Run, events: Iterable[Row], last: Head = NOTHI
     if made:
         run(
             "UPDATE journal_head SET events = ?, last = ?, hash = ?",
-            last.events + len(made), made[-1]["id"], made[-1]["hash"],
-        )  # fmt: skip
+            last.events + len(made),
+            made[-1]["id"],
+            made[-1]["hash"],
+        )
     return made
 
 

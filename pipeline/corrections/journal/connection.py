@@ -45,12 +45,26 @@ _HELP = (
     (("disk i/o error",), "the disk is full, over a limit, read-only or broken: mend that and save again"),
     (("file is gone", "no such table"), "put the journal back where it was, and save again"),
     (("read-only transaction",), "the database takes no edits now: save again when it does"),
-    (("readonly", "read-only", "unable to open", "permission denied"),
-     "the folder cannot be written: check that it is there, and its rights, and save again"),
+    (
+        ("readonly", "read-only", "unable to open", "permission denied"),
+        "the folder cannot be written: check that it is there, and its rights, and save again",
+    ),
     (("locked",), "another program holds the journal: close it, and save again"),
-    (("connect", "network", "terminat", "closed", "shutting down", "starting up", "recovery mode", "timed out",
-      "name or service"), "the database cannot be reached: save again when it can"),
-)  # fmt: skip
+    (
+        (
+            "connect",
+            "network",
+            "terminat",
+            "closed",
+            "shutting down",
+            "starting up",
+            "recovery mode",
+            "timed out",
+            "name or service",
+        ),
+        "the database cannot be reached: save again when it can",
+    ),
+)
 """Words of a reason, and what helps."""
 ORIGINAL = "before-chain"
 """What the name of the copy ends with."""

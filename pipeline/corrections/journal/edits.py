@@ -249,9 +249,15 @@ def add_sentence(
     states = np.where(pairs.present, pairs.states[..., k], NOT_JUDGED)[:, same[j]]
     sure, likely = ([a, *pairs.numbers[same[i] & (states >= least).any(axis=1)].tolist()] for least in (T, U))
     seed = {
-        "text": text, "target": target, "relation": relation, "reference": reference, "target_object": a,
-        "reference_object": b, "targets": sure, "acceptable": likely,
-    }  # fmt: skip
+        "text": text,
+        "target": target,
+        "relation": relation,
+        "reference": reference,
+        "target_object": a,
+        "reference_object": b,
+        "targets": sure,
+        "acceptable": likely,
+    }
     spoken = " ".join(text.casefold().split())
     name = f"{row_hash(frame.setting.config.seed, frame.frame, 'by hand', spoken):016x}"
     ref = FieldRef("expression", frame.frame, name, "exists")

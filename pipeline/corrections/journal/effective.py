@@ -141,9 +141,14 @@ class Relifter:
         key = xxhash.xxh3_128_hexdigest(np.ascontiguousarray(mask).data), str(source)
         if key not in known:
             (known[key],) = lift(
-                context.frame.depth, context.frame.camera, [mask], context.viewer, config=context.config,
-                mask_source=source, edges=context.edges,
-            )  # fmt: skip
+                context.frame.depth,
+                context.frame.camera,
+                [mask],
+                context.viewer,
+                config=context.config,
+                mask_source=source,
+                edges=context.edges,
+            )
         return known[key]
 
 
@@ -295,10 +300,18 @@ def effective_tables(
         for members in by_ref(by_frame[name]).values():
             unapplied += all_gone(None, members, "the labels have no such frame any more").unapplied
     return EffectiveLabels(
-        labels.root, labels.manifest, tables, pa.Table.from_pylist(provenance, provenance_schema()),
-        tuple(sorted(unapplied, key=lambda u: u.event.id)), tuple(withdrawn), marks, len(events), statuses,
-        events[-1].ulid if events else None, dataset is not None,
-    )  # fmt: skip
+        labels.root,
+        labels.manifest,
+        tables,
+        pa.Table.from_pylist(provenance, provenance_schema()),
+        tuple(sorted(unapplied, key=lambda u: u.event.id)),
+        tuple(withdrawn),
+        marks,
+        len(events),
+        statuses,
+        events[-1].ulid if events else None,
+        dataset is not None,
+    )
 
 
 def effective_frame(

@@ -126,9 +126,12 @@ def _add(frame: EffectiveFrame, name: str, fields: dict[str, list[Event]]) -> No
     i, j = (frame.pairs.index_of(row[end]) for end in ("target_object", "reference_object"))
     margin = np.nan if i is None or j is None else frame.pairs.margins[i, j, PAIRWISE.index(row["relation"])]
     row |= {
-        "ambiguous": len(row["acceptable"]) > 1, "margin": float(margin) if np.isfinite(margin) else None,
-        "judged_in": "viewer", "up_source": auto["up_source"] or "assumed", "profile": frame.setting.config.profile,
-    }  # fmt: skip
+        "ambiguous": len(row["acceptable"]) > 1,
+        "margin": float(margin) if np.isfinite(margin) else None,
+        "judged_in": "viewer",
+        "up_source": auto["up_source"] or "assumed",
+        "profile": frame.setting.config.profile,
+    }
     for column in row:
         frame.put("expressions", name, column, Origin.of("human", seed.event))
     gone = next((n for n in (row["target_object"], row["reference_object"]) if n not in frame.objects), None)

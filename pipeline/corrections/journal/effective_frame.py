@@ -119,10 +119,21 @@ class EffectiveFrame:
     def provenance(self) -> list[Row]:
         """Rows of the provenance table."""
         rows = (
-            (table, self.frame, self.auto.index, key, column, origin.source, origin.author, origin.time, origin.event,
-             origin.reason, json.dumps(was, ensure_ascii=False))
+            (
+                table,
+                self.frame,
+                self.auto.index,
+                key,
+                column,
+                origin.source,
+                origin.author,
+                origin.time,
+                origin.event,
+                origin.reason,
+                json.dumps(was, ensure_ascii=False),
+            )
             for (table, key, column), (origin, was) in self.origins.items()
-        )  # fmt: skip
+        )
         return [dict(zip(ORIGIN_FIELDS, row, strict=True)) for row in rows]
 
     @property

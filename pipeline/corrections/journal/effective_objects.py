@@ -20,9 +20,25 @@ from pipeline.language.relation_names import INVERSE, PAIRWISE
 from pipeline.relations.pair_measures import NOT_JUDGED, F, T
 
 DERIVED = (
-    "mask_pixels", "points", "kept", "depth_missing", "touches_border", "fallback", "distance", *BOX_COLUMNS,
-    "yaw_confidence", "pca_center", "pca_R", "pca_size", "lo", "hi", "centroid", "occluded", "usable", "reason",
-)  # fmt: skip
+    "mask_pixels",
+    "points",
+    "kept",
+    "depth_missing",
+    "touches_border",
+    "fallback",
+    "distance",
+    *BOX_COLUMNS,
+    "yaw_confidence",
+    "pca_center",
+    "pca_R",
+    "pca_size",
+    "lo",
+    "hi",
+    "centroid",
+    "occluded",
+    "usable",
+    "reason",
+)
 """Columns that follow from an object's pixels."""
 OF_BOX = (*BOX_COLUMNS, "yaw_confidence", "pca_center", "pca_R", "pca_size", "lo", "hi", "centroid")
 """Columns that follow from an object's 3D box."""
@@ -129,14 +145,39 @@ def new_row(number: int, seed: Mapping[str, Any], auto: FrameRows, setting: Sett
         bbox = projected_box(box_of(box).corners, auto.row)
     values = {column: None if box is None else box[column] for column in BOX_COLUMNS}
     return {
-        "frame": auto.frame, "frame_index": auto.index, "object": number, "label": seed["label"], "score": 1.0,
-        "instance": None, "bbox": bbox, "mask": mask, "mask_source": "human" if mask is not None else
-        "box3d" if box is not None else "box", "mask_pixels": pixels, "points": 0, "kept": 0.0, "depth_missing": 0.0,
-        "touches_border": False, "fallback": False, "distance": None, **values, "yaw_confidence": 0.0,
-        "estimator": setting.config.lift.box, "pca_center": None, "pca_R": None, "pca_size": None, "lo": None,
-        "hi": None, "centroid": None, "exact_center": None, "exact_R": None, "exact_size": None, "visible": None,
-        "occluded": 0.0, "usable": False, "reason": "not lifted yet",
-    }  # fmt: skip
+        "frame": auto.frame,
+        "frame_index": auto.index,
+        "object": number,
+        "label": seed["label"],
+        "score": 1.0,
+        "instance": None,
+        "bbox": bbox,
+        "mask": mask,
+        "mask_source": "human" if mask is not None else "box3d" if box is not None else "box",
+        "mask_pixels": pixels,
+        "points": 0,
+        "kept": 0.0,
+        "depth_missing": 0.0,
+        "touches_border": False,
+        "fallback": False,
+        "distance": None,
+        **values,
+        "yaw_confidence": 0.0,
+        "estimator": setting.config.lift.box,
+        "pca_center": None,
+        "pca_R": None,
+        "pca_size": None,
+        "lo": None,
+        "hi": None,
+        "centroid": None,
+        "exact_center": None,
+        "exact_R": None,
+        "exact_size": None,
+        "visible": None,
+        "occluded": 0.0,
+        "usable": False,
+        "reason": "not lifted yet",
+    }
 
 
 def projected_box(corners: Any, frame: Row) -> list[float]:

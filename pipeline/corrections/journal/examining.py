@@ -117,9 +117,13 @@ class Examined:
 def known_version(version: int | None, location: str) -> None:
     """Raise InputError for a newer version, or 0; see `chain.version_of`."""
     require(
-        version is None or version <= VERSION, "the journal is of a newer release", got=f"version {version}",
-        expected=f"at most {VERSION}", cause="install the release that wrote it", path=location,
-    )  # fmt: skip
+        version is None or version <= VERSION,
+        "the journal is of a newer release",
+        got=f"version {version}",
+        expected=f"at most {VERSION}",
+        cause="install the release that wrote it",
+        path=location,
+    )
     require(version != 0, "the database holds something else than a journal", path=location)
 
 
@@ -333,6 +337,7 @@ def _reason(error: Exception, path: Path | None) -> str:
     """SQLite's message of damage in a clause; InputError for any other trouble."""
     message = " ".join(str(error).split())
     if any(word in message.lower() for word in _NOT_DAMAGE):
-        raise InputError("the journal cannot be opened", got=message if path is None else plain_reason(message, path),
-                         path=path) from error  # fmt: skip
+        raise InputError(
+            "the journal cannot be opened", got=message if path is None else plain_reason(message, path), path=path
+        ) from error
     return f"SQLite says {message}"

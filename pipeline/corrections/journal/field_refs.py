@@ -303,9 +303,15 @@ def _new_object(value: Any) -> dict[str, Any]:
 
 
 _SENTENCE = {
-    "text": _sentence, "target": _name, "relation": _one_of("relation", PAIRWISE), "reference": _name,
-    "target_object": _number, "reference_object": _number, "targets": _numbers, "acceptable": _numbers,
-}  # fmt: skip
+    "text": _sentence,
+    "target": _name,
+    "relation": _one_of("relation", PAIRWISE),
+    "reference": _name,
+    "target_object": _number,
+    "reference_object": _number,
+    "targets": _numbers,
+    "acceptable": _numbers,
+}
 
 
 def _new_sentence(value: Any) -> dict[str, Any]:
@@ -320,16 +326,26 @@ def _new_sentence(value: Any) -> dict[str, Any]:
 
 FIELDS: dict[Kind, dict[str, Callable[[Any], Any]]] = {
     "object": {
-        "label": _name, "status": _status, "mask": _mask, "bbox": _rectangle, "box": _box, "exists": _new_object,
+        "label": _name,
+        "status": _status,
+        "mask": _mask,
+        "bbox": _rectangle,
+        "box": _box,
+        "exists": _new_object,
     },
     "relation": {**dict.fromkeys(PAIRWISE, _state), **{f"{r}.status": _status for r in PAIRWISE}},
     "expression": {
-        "text": _sentence, "targets": _numbers, "acceptable": _numbers, "ambiguous": _flag, "mark": _mark,
-        "status": _status, "exists": _new_sentence,
+        "text": _sentence,
+        "targets": _numbers,
+        "acceptable": _numbers,
+        "ambiguous": _flag,
+        "mark": _mark,
+        "status": _status,
+        "exists": _new_sentence,
     },
     "frame": {"status": _status, "note": _sentence},
     "review": {"said": _judgement, "settled": _judgement},
-}  # fmt: skip
+}
 """What checks a value, by kind of entity and field."""
 _NULLABLE: dict[Kind, frozenset[str]] = {
     "object": frozenset({"status", "mask", "box", "exists"}),

@@ -38,9 +38,13 @@ class Pairs:
         ids = np.array(sorted(numbers), np.int64)
         n, r = len(ids), len(PAIRWISE)
         return cls(
-            ids, np.zeros((n, n), np.bool_), np.full((n, n, r), NOT_JUDGED, np.int8), np.full((n, n, r), np.nan),
-            np.full((n, n), np.nan), np.zeros((n, n), np.int32),
-        )  # fmt: skip
+            ids,
+            np.zeros((n, n), np.bool_),
+            np.full((n, n, r), NOT_JUDGED, np.int8),
+            np.full((n, n, r), np.nan),
+            np.full((n, n), np.nan),
+            np.zeros((n, n), np.int32),
+        )
 
     @classmethod
     def of_columns(cls, numbers: Iterable[int], columns: Mapping[str, Any]) -> Pairs:

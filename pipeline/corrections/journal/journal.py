@@ -121,9 +121,13 @@ class Journal:
             reason = error.what if isinstance(error, InputError) else reason_of(error, self.location)
             cause = error.examined.help if isinstance(error, DamagedJournal) else likely_cause(reason)
             raise NotSaved(
-                "the edit could not be saved", edits if action == "edit" else (), group, got=reason,
-                cause=cause, path=self.location,
-            ) from error  # fmt: skip
+                "the edit could not be saved",
+                edits if action == "edit" else (),
+                group,
+                got=reason,
+                cause=cause,
+                path=self.location,
+            ) from error
 
     def _read_back(self, group: str, previous: str, hashes: Sequence[str]) -> tuple[Event, ...]:
         """Read a saved action anew; InputError for another content."""
@@ -262,8 +266,10 @@ def open_journal(where: str | Path, *, project: str = "", labels: str = "", must
         if is_empty(path):
             if must_exist:
                 raise empty_file(path)
-            warnings.append(f"{path} was an empty file, and a new journal begins in it: if edits were there, "
-                            "put a copy in its place")  # fmt: skip
+            warnings.append(
+                f"{path} was an empty file, and a new journal begins in it: if edits were there, "
+                "put a copy in its place"
+            )
         elif path.exists():
             examine(path).believe()
     store = store_at(where)

@@ -139,8 +139,10 @@ class PostgresStore:
         The settings are the transaction's (postgresql.org/docs/current/runtime-config-client.html), made in the same
         query, whose columns are computed from left to right.
         """
-        waits = (f"'{name}', '{int(1000 * seconds)}'" for name, seconds in
-                 (("lock_timeout", TURN_S), ("idle_in_transaction_session_timeout", IDLE_S)))  # fmt: skip
+        waits = (
+            f"'{name}', '{int(1000 * seconds)}'"
+            for name, seconds in (("lock_timeout", TURN_S), ("idle_in_transaction_session_timeout", IDLE_S))
+        )
         settings = ", ".join(f"set_config({wait}, true)" for wait in waits)
         self._run(link, "BEGIN")
         try:
@@ -327,9 +329,15 @@ def _opened(address: Address) -> Any:
     try:
         # Where a password is asked for and there is none, the driver fails in its own code: "" is refused instead.
         opened = Connection(
-            address.user, host=address.host, database=address.database, port=address.port,
-            password=address.password or "", ssl_context=address.ssl, application_name=address.application, sock=link,
-        )  # fmt: skip
+            address.user,
+            host=address.host,
+            database=address.database,
+            port=address.port,
+            password=address.password or "",
+            ssl_context=address.ssl,
+            application_name=address.application,
+            sock=link,
+        )
         opened.limit(SILENCE_S)
         return opened
     except BaseException:

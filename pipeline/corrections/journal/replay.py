@@ -330,6 +330,7 @@ def edits_back(journal: Journal, members: Sequence[Event]) -> list[Edit]:
         events = journal.events(kind=ref.kind, frame=ref.frame, key=ref.key, field=ref.field)
         unchanged = standing(events) == standing([e for e in events if e.id <= event.id])
         base = events[-1].version if unchanged else event.version
-        edits.append(Edit(ref, before=event.after, after=event.before, base=base, reason=event.reason,
-                          anchor=event.anchor))  # fmt: skip
+        edits.append(
+            Edit(ref, before=event.after, after=event.before, base=base, reason=event.reason, anchor=event.anchor)
+        )
     return edits

@@ -309,9 +309,31 @@ def _weights(length: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 NETWORK_FILE_SYSTEMS = frozenset(
-    {"nfs", "nfs3", "nfs4", "cifs", "smb3", "smbfs", "fuse.sshfs", "9p", "lustre", "gpfs", "beegfs", "afs", "ceph",
-     "fuse.ceph", "glusterfs", "fuse.glusterfs", "ocfs2", "gfs2", "fuse.s3fs", "fuse.gcsfuse", "davfs", "fuse.davfs2"}
-)  # fmt: skip
+    {
+        "nfs",
+        "nfs3",
+        "nfs4",
+        "cifs",
+        "smb3",
+        "smbfs",
+        "fuse.sshfs",
+        "9p",
+        "lustre",
+        "gpfs",
+        "beegfs",
+        "afs",
+        "ceph",
+        "fuse.ceph",
+        "glusterfs",
+        "fuse.glusterfs",
+        "ocfs2",
+        "gfs2",
+        "fuse.s3fs",
+        "fuse.gcsfuse",
+        "davfs",
+        "fuse.davfs2",
+    }
+)
 _ESCAPE = re.compile(r"\\([0-7]{3})")
 
 

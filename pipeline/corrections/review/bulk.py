@@ -105,9 +105,18 @@ def pace_of(events: Iterable[Event], author: str, now: datetime) -> ReviewPace:
     """Pace of a person on the day of `now` (with its time zone), undone work included."""
     zone: tzinfo | None = now.tzinfo
     today = [e for e in events if e.author == author and e.time.astimezone(zone).date() == now.date()]
-    items = {(key.frame, key.kind, min(key.a, key.b if key.b is not None else key.a),
-              max(key.a, -1 if key.b is None else key.b), "" if key.kind == "relation" else key.what, e.group)
-             for e in today if e.action == "edit" and (key := item_of(e.ref)) is not None}  # fmt: skip
+    items = {
+        (
+            key.frame,
+            key.kind,
+            min(key.a, key.b if key.b is not None else key.a),
+            max(key.a, -1 if key.b is None else key.b),
+            "" if key.kind == "relation" else key.what,
+            e.group,
+        )
+        for e in today
+        if e.action == "edit" and (key := item_of(e.ref)) is not None
+    }
     times = sorted({e.time for e in today})
     spent = timedelta()
     for before, after in zip([None, *times], times, strict=False):

@@ -91,9 +91,11 @@ def network_evidence(items: QueueItems, probability: np.ndarray, wrong: np.ndarr
     item = np.flatnonzero(wrong >= least)
     states, p = items.cells.states.ravel()[item], probability.ravel()[item]
     reason = _joined(
-        "the label is ", letters(states), ", and networks that have not learnt from it give it a probability of ",
+        "the label is ",
+        letters(states),
+        ", and networks that have not learnt from it give it a probability of ",
         np.char.mod("%.2f", np.where(states == T, p, 1 - p)),
-    )  # fmt: skip
+    )
     return items.cell_rows(item, wrong.ravel()[item], reason)
 
 
@@ -102,9 +104,11 @@ def undecided_evidence(items: QueueItems, probability: np.ndarray) -> EvidenceRo
     item = np.flatnonzero(items.cells.states == U)
     p = np.nan_to_num(probability.ravel()[item], nan=0.5)
     reason = _joined(
-        "too close to call by the rule (U); networks that have not learnt from it say ", np.where(p > 0.5, "T", "F"),
-        " with ", np.char.mod("%.2f", np.maximum(p, 1 - p)),
-    )  # fmt: skip
+        "too close to call by the rule (U); networks that have not learnt from it say ",
+        np.where(p > 0.5, "T", "F"),
+        " with ",
+        np.char.mod("%.2f", np.maximum(p, 1 - p)),
+    )
     return items.cell_rows(item, UNDECIDED * np.abs(2 * p - 1), reason)
 
 
@@ -139,8 +143,11 @@ def _blamed(found: Finding, relations: Collection[str]) -> list[tuple[ItemKey, f
         return []
     if group == "relation":
         most = 1.0 if found.severity == "error" else WARNED
-        return [(ItemKey(frame, group, a, b, r), min(weight, most))
-                for a, b, r, weight in _blamed_cells(found) if r in relations]  # fmt: skip
+        return [
+            (ItemKey(frame, group, a, b, r), min(weight, most))
+            for a, b, r, weight in _blamed_cells(found)
+            if r in relations
+        ]
     weight = CONTRADICTED if found.severity == "error" else WARNED
     if group == "object":
         weight = ONE_OF_TWO if len(found.objects) > 1 and found.severity == "error" else weight
@@ -178,10 +185,13 @@ def disputed_evidence(items: QueueItems, labels: Labels, other: Labels) -> tuple
     cells, theirs = items.cells, read_relation_labels(other)
     shared = [r for r in cells.relations if r in theirs.relations]
     own_columns, their_columns = ([c.relations.index(r) for r in shared] for c in (cells, theirs))
-    objects = [column_arrays(x.objects.select(["frame", "frame_index", "object", "label", "bbox"]))
-               for x in (labels, other)]  # fmt: skip
-    frames = [dict(zip(x.frames.column("frame").to_pylist(), x.frames.column("frame_index").to_pylist(), strict=True))
-              for x in (labels, other)]  # fmt: skip
+    objects = [
+        column_arrays(x.objects.select(["frame", "frame_index", "object", "label", "bbox"])) for x in (labels, other)
+    ]
+    frames = [
+        dict(zip(x.frames.column("frame").to_pylist(), x.frames.column("frame_index").to_pylist(), strict=True))
+        for x in (labels, other)
+    ]
     found, reasons = [np.zeros(0, np.int64)], list[Reason]()
     for frame, index in frames[0].items():
         if frame not in frames[1]:

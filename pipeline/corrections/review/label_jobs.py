@@ -187,9 +187,13 @@ class LabelJobs:
                 self.make(job_for)
 
         started = self.queue.start(
-            make_queue, now, begun=lambda seen: replace(seen, running=True, job=now, step=None, problem=""),
-            heard=lambda seen, step: replace(seen, step=step), ended=ended, then=then,
-        )  # fmt: skip
+            make_queue,
+            now,
+            begun=lambda seen: replace(seen, running=True, job=now, step=None, problem=""),
+            heard=lambda seen, step: replace(seen, step=step),
+            ended=ended,
+            then=then,
+        )
         if not started:
             folder.close()
         return started
@@ -198,12 +202,14 @@ class LabelJobs:
         """Retrain; returns True if started, see `SharedJob.start`."""
         began = perf_counter()
         return self.training.start(
-            retraining_in_background, job, begun=lambda _: TrainingProgress(running=True),
+            retraining_in_background,
+            job,
+            begun=lambda _: TrainingProgress(running=True),
             heard=lambda seen, step: replace(seen, step=step, seconds=perf_counter() - began),
             ended=lambda _, record, problem: TrainingProgress(
                 record=record, problem=problem, seconds=perf_counter() - began
             ),
-        )  # fmt: skip
+        )
 
     def end(self) -> None:
         """End running jobs for good."""
@@ -282,9 +288,12 @@ def run_retraining(job: RetrainingJob, progress: Progress | None = None) -> Retr
         tell("labels", 1, 1)
         epochs = job.config.train.epochs
         retraining = retrain(
-            labels, mended, folder / NETWORK, job.config,
+            labels,
+            mended,
+            folder / NETWORK,
+            job.config,
             progress=lambda name, epoch: tell(name, epoch.number, epochs),
-        )  # fmt: skip
+        )
         # The network in use: the run's, else the shipped one.
         current = OnnxScorer(shipped_network()) if run is None else run.source.scorer
         in_use = None
@@ -328,15 +337,24 @@ def _replay(run: Run, folder: Path, workers: int, tell: Progress) -> tuple[Compa
     spec = replace(run.spec, labels=str(folder / LABELS), marks=marks)
     steps = (
         (BEFORE, spec, run.folder, run.name),
-        (AFTER, replace(spec, options={**spec.options, "srm": folder / NETWORK, "vectors": None}), folder / BEFORE,
-         f"{run.name}, retrained"),
-    )  # fmt: skip
+        (
+            AFTER,
+            replace(spec, options={**spec.options, "srm": folder / NETWORK, "vectors": None}),
+            folder / BEFORE,
+            f"{run.name}, retrained",
+        ),
+    )
     found = []
     for number, (name, wanted, against, title) in enumerate(steps):
         report = evaluate_dataset(
-            wanted, folder / name, name=title, workers=workers, against=against, plots=False,
+            wanted,
+            folder / name,
+            name=title,
+            workers=workers,
+            against=against,
+            plots=False,
             progress=lambda done, of, number=number: tell("replay", number * of + done, len(steps) * of),
-        )  # fmt: skip
+        )
         found.append(report.comparison)
     return found[0], found[1]
 

@@ -30,9 +30,19 @@ from pipeline.training.label_data import LabelData, read_label_data
 
 _TEXT, _NUMBER, _REAL = pa.string(), pa.int32(), pa.float64()
 QUEUE_COLUMNS = {
-    "frame": _TEXT, "frame_index": _NUMBER, "kind": _TEXT, "a": _NUMBER, "b": _NUMBER, "relation": _TEXT,
-    "expression": _TEXT, "place": _TEXT, "label": _TEXT, "probability": _REAL, "wrong": _REAL, "score": _REAL,
-}  # fmt: skip
+    "frame": _TEXT,
+    "frame_index": _NUMBER,
+    "kind": _TEXT,
+    "a": _NUMBER,
+    "b": _NUMBER,
+    "relation": _TEXT,
+    "expression": _TEXT,
+    "place": _TEXT,
+    "label": _TEXT,
+    "probability": _REAL,
+    "wrong": _REAL,
+    "score": _REAL,
+}
 """Columns of a queue with their types, besides `reasons`."""
 LEAST = 0.02
 """Evidence that is weaker is not worth a reason, and a label without any is not in the queue."""
@@ -122,12 +132,15 @@ def _ranked(
     cell = np.flatnonzero((score[: cells.states.size] >= LEAST) | items.settled_cells)
     row, column = np.divmod(cell, max(len(cells.relations), 1))
     columns = {
-        "frame": cells.frame[row], "frame_index": cells.frame_index[row],
-        "kind": np.full(len(row), "relation", object), "a": cells.a[row], "b": cells.b[row],
+        "frame": cells.frame[row],
+        "frame_index": cells.frame_index[row],
+        "kind": np.full(len(row), "relation", object),
+        "a": cells.a[row],
+        "b": cells.b[row],
         "relation": np.array(cells.relations, object)[column],
         "label": letters(cells.states.ravel()[cell]).astype(object),
         **{name: values[cell] for name, values in doubted.items()},
-    }  # fmt: skip
+    }
     arrays = [
         pa.array(columns[name], kind, from_pandas=True, safe=False) if name in columns else pa.nulls(len(row), kind)
         for name, kind in QUEUE_COLUMNS.items()

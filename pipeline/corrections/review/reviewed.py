@@ -117,9 +117,11 @@ def without_gone(queue: pa.Table, labels: Labels, states: Mapping[ItemKey, State
 def trusted_of_data(cells: RelationLabels, settled: np.ndarray, data: LabelData) -> tuple[np.ndarray, ...]:
     """(N, N, R) bool of each frame: settled cells in the order of the data's objects and relations."""
     columns = [cells.relations.index(r) for r in data.vocabulary]
-    pairs = [
-        (f.key.frame, int(a), int(b)) for f in data.frames for a in f.objects for b in f.objects if a != b
-    ] if settled.any() else []  # fmt: skip
+    pairs = (
+        [(f.key.frame, int(a), int(b)) for f in data.frames for a in f.objects for b in f.objects if a != b]
+        if settled.any()
+        else []
+    )
     sizes = [len(f.objects) for f in data.frames]
     found = np.zeros((sum(n * (n - 1) for n in sizes), len(columns)), np.bool_)
     if pairs:
@@ -132,8 +134,9 @@ def disagreements(judgements: Judgements) -> list[Reason]:
     """Items judged differently by reviewers, with each verdict."""
     words = {
         key: sorted((w for w in opinions.values() if w.status in SETTLED), key=lambda w: w.at)
-        for key, opinions in judgements.words.items() if judgements.differ(key)
-    }  # fmt: skip
+        for key, opinions in judgements.words.items()
+        if judgements.differ(key)
+    }
     return [
         (key, DISAGREED, f"{DISAGREE}: " + ", ".join(f"{w.author} says {w.verdict}" for w in opinions))
         for key, opinions in words.items()

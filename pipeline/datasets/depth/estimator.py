@@ -125,9 +125,12 @@ class DepthModel:
         """Crop of an output map, (H, W) or (H, W, 3), to the picture, in pixels of the map."""
         shape = value.shape[-3:] if value.shape[-1] == 3 and value.ndim > 3 else value.shape[-2:]
         require(
-            len(shape) >= 2 and value.size == np.prod(shape), "the network's output is no map of the picture",
-            got=list(value.shape), expected="[1, H, W], [1, 1, H, W] or [1, H, W, 3]", path=self.path,
-        )  # fmt: skip
+            len(shape) >= 2 and value.size == np.prod(shape),
+            "the network's output is no map of the picture",
+            got=list(value.shape),
+            expected="[1, H, W], [1, 1, H, W] or [1, H, W, 3]",
+            path=self.path,
+        )
         found: np.ndarray = value.reshape(tuple(shape))
         rows, columns = found.shape[0], found.shape[1]
         down, across = rows / placement.height, columns / placement.width
@@ -138,9 +141,11 @@ class DepthModel:
     def _number(self, value: np.ndarray) -> float:
         number = float(value.ravel()[0]) if value.size == 1 else float("nan")
         require(
-            np.isfinite(number) and number > 0, "the network's scale or focal length is none",
-            got=f"{number:g}, shape {list(value.shape)}", path=self.path,
-        )  # fmt: skip
+            np.isfinite(number) and number > 0,
+            "the network's scale or focal length is none",
+            got=f"{number:g}, shape {list(value.shape)}",
+            path=self.path,
+        )
         return number
 
 

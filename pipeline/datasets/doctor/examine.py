@@ -91,9 +91,13 @@ class Examination:
         ]
         opinions = [asdict(opinion) for opinion in self.opinions]
         return {
-            "dataset": str(self.root), "frames": list(self.frames), "pairs": self.pairs, "opinions": opinions,
-            "hypotheses": tried, "settings": self.mends,
-        }  # fmt: skip
+            "dataset": str(self.root),
+            "frames": list(self.frames),
+            "pairs": self.pairs,
+            "opinions": opinions,
+            "hypotheses": tried,
+            "settings": self.mends,
+        }
 
 
 def examine(path: str | Path, **camera: Any) -> Examination:

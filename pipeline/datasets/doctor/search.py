@@ -148,8 +148,9 @@ class PosedViews:
         best = max(refined, key=self.at)
         by_number = [
             self.refined(replace(plain, **{name: getattr(start, name)}), (name,))
-            for name in ("scale", "focal") for start in (plain, best)
-        ]  # fmt: skip
+            for name in ("scale", "focal")
+            for start in (plain, best)
+        ]
         of_causes = [Hypothesis(cause=cause) for cause in self.causes]
         mixed = [replace(best, cause=AS_READ), replace(best, scale=1.0), replace(best, focal=1.0)]
         timed = sorted(self.late.values(), key=self.at)[-1:]

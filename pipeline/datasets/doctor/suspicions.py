@@ -19,11 +19,18 @@ from pipeline.geometry.registration import Registration
 from pipeline.geometry.warp_search import WarpEstimate, estimate_warp
 
 UNITS = {
-    1.0: "metres", 39.3701: "inches", 100.0: "centimetres", 256.0: "1/256 m, as in KITTI", 500.0: "1/500 m",
-    1000.0: "millimetres", 4000.0: "1/4000 m", 5000.0: "1/5000 m, as in TUM RGB-D",
-    8000.0: "millimetres rotated by three bits, as in SUN RGB-D", 10000.0: "tenths of a millimetre",
+    1.0: "metres",
+    39.3701: "inches",
+    100.0: "centimetres",
+    256.0: "1/256 m, as in KITTI",
+    500.0: "1/500 m",
+    1000.0: "millimetres",
+    4000.0: "1/4000 m",
+    5000.0: "1/5000 m, as in TUM RGB-D",
+    8000.0: "millimetres rotated by three bits, as in SUN RGB-D",
+    10000.0: "tenths of a millimetre",
     1e6: "micrometres",
-}  # fmt: skip
+}
 """By depth units in a metre."""
 LOOKED_AT = 4
 """Frames whose annotations are read."""

@@ -53,9 +53,10 @@ class ShownRecord(BaseModel, extra="forbid"):
 def keep_predictions(source: ImportedPipeline, frame: str) -> tuple[bytes, ShownRecord]:
     """Lines of a frame as a file of predictions, with the findings from the whole file."""
     require(
-        source.rescore is None, "the ranking was asked again by a function, which no case holds",
+        source.rescore is None,
+        "the ranking was asked again by a function, which no case holds",
         expected="the run without rescore",
-    )  # fmt: skip
+    )
     file, rules, stand_in = source.predictions, source.rules, named_scorer(source)
     lines = (as_json(thing) for thing in (replace(file.header, events=False), *file.of_frame(frame)))
     ranking = rules.shown and ShownRankingRecord(
@@ -75,9 +76,13 @@ def named_scorer(source: ImportedPipeline) -> RelationScorer:
 
 
 def kept_source(
-    file: Path, shown: ShownRecord, dataset: Dataset, scorer: RelationScorer | None, config: AskConfig,
+    file: Path,
+    shown: ShownRecord,
+    dataset: Dataset,
+    scorer: RelationScorer | None,
+    config: AskConfig,
     synonyms: Synonyms | None,
-) -> ImportedPipeline:  # fmt: skip
+) -> ImportedPipeline:
     """Pipeline of a case, by its own file; `scorer` is named by the file's header."""
     read = replace(read_predictions(file), least=shown.level)
     return _source(read, dataset, scorer or _shown_scorer(read, shown, dataset), config, synonyms, shown.rules)
@@ -100,8 +105,12 @@ def _shown_scorer(read: Predictions, shown: ShownRecord, dataset: Dataset) -> Fi
 
 
 def _source(
-    read: Predictions, dataset: Dataset, scorer: RelationScorer, config: AskConfig, synonyms: Synonyms | None,
+    read: Predictions,
+    dataset: Dataset,
+    scorer: RelationScorer,
+    config: AskConfig,
+    synonyms: Synonyms | None,
     rules: RunRules | None = None,
-) -> ImportedPipeline:  # fmt: skip
+) -> ImportedPipeline:
     relations = scorer_of(read, None, scorer)
     return ImportedPipeline(dataset, ImportedDetector(read), relations, config, synonyms, predictions=read, shown=rules)

@@ -209,21 +209,32 @@ def truth_record(truth: FrameCases, case: Case, mark: str | None, confidence: fl
         for k, label in enumerate(truth.labels)
     ]
     return {
-        "frame_index": truth.frame_index, "scene": truth.scene, "objects": objects,
-        "alike": _bits(truth.alike), "judged": _bits(truth.judged),
+        "frame_index": truth.frame_index,
+        "scene": truth.scene,
+        "objects": objects,
+        "alike": _bits(truth.alike),
+        "judged": _bits(truth.judged),
         "states": {name: _letters(table, truth.judged) for name, table in truth.states.items()},
         "expression": None if case.meant is not None else TypeAdapter(Case).dump_python(case, mode="json"),
-        "mark": mark, "confidence": confidence,
-    }  # fmt: skip
+        "mark": mark,
+        "confidence": confidence,
+    }
 
 
 def read_truth(record: Any, frame_id: str, path: Path) -> tuple[FrameCases, Case | None, str | None, float | None]:
     """Truth, expression, a person's mark, and the confidence of recalled objects."""
     saved = validated(TruthRecord, record, path, "truth")
     n, case = len(saved.objects), saved.expression
-    indices = [] if case is None else [
-        case.target_object, case.reference_object, *case.strict.tolist(), *case.acceptable.tolist(),
-    ]  # fmt: skip
+    indices = (
+        []
+        if case is None
+        else [
+            case.target_object,
+            case.reference_object,
+            *case.strict.tolist(),
+            *case.acceptable.tolist(),
+        ]
+    )
     if not all(0 <= p < n for p in indices):
         among = f"objects 0 to {n - 1}"
         raise InputError("the case is damaged at truth.expression", got=indices, expected=among, path=path)
@@ -243,19 +254,26 @@ def read_truth(record: Any, frame_id: str, path: Path) -> tuple[FrameCases, Case
     known = {**_STATES, NOT_JUDGED: -1}
     states = {name: _table(rows, n, f"states.{name}", known, path) for name, rows in saved.states.items()}
     geometry = {
-        name: np.array([[np.nan] * width if (v := getattr(o, name)) is None else v for o in saved.objects], np.float64)
-        .reshape(-1, width)
+        name: np.array(
+            [[np.nan] * width if (v := getattr(o, name)) is None else v for o in saved.objects], np.float64
+        ).reshape(-1, width)
         for name, width in _GEOMETRY.items()
-    }  # fmt: skip
+    }
     truth = FrameCases(
-        frame_id, saved.frame_index, saved.scene, tuple(o.label for o in saved.objects),
+        frame_id,
+        saved.frame_index,
+        saved.scene,
+        tuple(o.label for o in saved.objects),
         np.array([o.bbox for o in saved.objects], np.float64).reshape(-1, 4),
-        _table(saved.alike, n, "alike", {"0": 0, "1": 1}, path).astype(np.bool_), states,
+        _table(saved.alike, n, "alike", {"0": 0, "1": 1}, path).astype(np.bool_),
+        states,
         () if case is None else (case,),
-        np.array([o.number for o in saved.objects], np.int64), judged, geometry,
+        np.array([o.number for o in saved.objects], np.int64),
+        judged,
+        geometry,
         {name: np.array([getattr(o, name) for o in saved.objects], np.float64) for name in _FACTS},
         tuple(o.mask for o in saved.objects),
-    )  # fmt: skip
+    )
     return truth, case, saved.mark, saved.confidence
 
 

@@ -92,9 +92,16 @@ def replay_case(opened: OpenedCase, tolerance: float = TOLERANCE, *, live: bool 
     after = checked_expected(record, opened.root)
     changes, warnings = _compare(opened.expected, after, tolerance, live)
     return ReplayedCase(
-        opened.root, opened.manifest.name, opened.expected, after, tuple(changes), (*opened.notes, *warnings), record,
-        now, _first_moved(opened.manifest.expected, record, tolerance),
-    )  # fmt: skip
+        opened.root,
+        opened.manifest.name,
+        opened.expected,
+        after,
+        tuple(changes),
+        (*opened.notes, *warnings),
+        record,
+        now,
+        _first_moved(opened.manifest.expected, record, tolerance),
+    )
 
 
 def _first_moved(before: dict[str, Any], after: dict[str, Any], tolerance: float) -> str | None:

@@ -192,9 +192,11 @@ def _write_whole(folder: Path, files: dict[str, bytes], source: Pipeline, record
             )
             which = next((k for k in record if record[k] != again.get(k)), "a part")
             raise InputError(
-                "the answer does not come back from what was kept", got=f"another {which}",
-                cause="does the detector or the scorer look at more than the frame?", path=folder,
-            )  # fmt: skip
+                "the answer does not come back from what was kept",
+                got=f"another {which}",
+                cause="does the detector or the scorer look at more than the frame?",
+                path=folder,
+            )
         if folder.exists():
             folder.rmdir()
         os.replace(partial, folder)
@@ -228,8 +230,11 @@ def _scorer_record(scorer: RelationScorer, copy: bool) -> tuple[ScorerRecord, by
     data = read_bytes(path, "model")
     record = ScorerRecord(
         kind="trained" if path.resolve() == shipped_network().resolve() else "file",
-        name=scorer.name, file=path.name, sha256=hashlib.sha256(data).hexdigest(), in_case=copy,
-    )  # fmt: skip
+        name=scorer.name,
+        file=path.name,
+        sha256=hashlib.sha256(data).hexdigest(),
+        in_case=copy,
+    )
     if not copy:
         return record, None
     require(
@@ -265,9 +270,15 @@ class OpenedCase:
     def answer(self) -> Answer:
         """Answer and judge now."""
         return answer(
-            self.source, self.context, self.manifest.text, truth=self.truth, case=self.case, mark=self.mark,
-            confidence=self.confidence, edits=self.manifest.edits,
-        )  # fmt: skip
+            self.source,
+            self.context,
+            self.manifest.text,
+            truth=self.truth,
+            case=self.case,
+            mark=self.mark,
+            confidence=self.confidence,
+            edits=self.manifest.edits,
+        )
 
     def expect(self, record: dict[str, Any]) -> None:
         """Put another expected answer into the manifest, whole or not at all."""
@@ -276,9 +287,11 @@ class OpenedCase:
     def with_detector(self, name: str, model: Path | None, min_score: float | None = None) -> OpenedCase:
         """Case with a live detector; "live" names the original one."""
         require(
-            self.manifest.shown is None, "what another pipeline gave cannot be looked at again here",
-            expected="--predictions FILE, what it gives now", path=self.root,
-        )  # fmt: skip
+            self.manifest.shown is None,
+            "what another pipeline gave cannot be looked at again here",
+            expected="--predictions FILE, what it gives now",
+            path=self.root,
+        )
         name = self.manifest.detector.name if name == "live" else name
         if "+" in name or "&" in name:
             what = "a detector with a segmenter" if "+" in name else "fused detectors"
@@ -361,9 +374,14 @@ def _own_source(root: Path, table: dict[str, Any], manifest: CaseManifest, score
 
     scorer = needed(scorer, "the case is damaged at shown", path=root)
     return Pipeline(
-        SavedCaseDataset(root, Settings()), detector, scorer, manifest.config, manifest.synonyms,
-        lambda: replace(detector, everything=True, _answers={}), reader=read if manifest.reading else parse,
-    )  # fmt: skip
+        SavedCaseDataset(root, Settings()),
+        detector,
+        scorer,
+        manifest.config,
+        manifest.synonyms,
+        lambda: replace(detector, everything=True, _answers={}),
+        reader=read if manifest.reading else parse,
+    )
 
 
 def _scorer(
@@ -384,6 +402,8 @@ def _scorer(
         note = "the network that comes with the program is another than when the case was saved"
         return make_scorer("trained", vectors), () if same else (note,)
     raise InputError(
-        f"the relation network {record.file!r} is not in the case", expected="--srm FILE",
-        cause=f"its sha256 begins with {(record.sha256 or '')[:12]}", path=root,
-    )  # fmt: skip
+        f"the relation network {record.file!r} is not in the case",
+        expected="--srm FILE",
+        cause=f"its sha256 begins with {(record.sha256 or '')[:12]}",
+        path=root,
+    )

@@ -72,8 +72,10 @@ def check_expressions(view: FrameView, rules: ExpressionRules) -> Iterator[Findi
 def says_the(text: str, names: Sequence[str]) -> list[bool]:
     """Tell, of each name, a direct `the` in the text that does not belong to a longer name."""
     words = f" {' '.join(words_of(text))} "
-    definite = [{f" the {' '.join(words_of(way))} " for way in (name, readable(name), readable(name, brief=False))}
-            for name in names]  # fmt: skip
+    definite = [
+        {f" the {' '.join(words_of(way))} " for way in (name, readable(name), readable(name, brief=False))}
+        for name in names
+    ]
     longer = [
         {other for j, ways in enumerate(definite) if j != k for other in ways if other not in own}
         for k, own in enumerate(definite)

@@ -36,8 +36,14 @@ from pipeline.system.arrow import pa
 from pipeline.system.safe_files import open_parquet
 from pipeline.system.whole_files import sha256_of
 
-OF_ANSWERS = ("expression/empty", "expression/sets", "expression/ambiguous", "expression/unreadable",
-              "expression/state", "expression/article")  # fmt: skip
+OF_ANSWERS = (
+    "expression/empty",
+    "expression/sets",
+    "expression/ambiguous",
+    "expression/unreadable",
+    "expression/state",
+    "expression/article",
+)
 """Rules on what an expression says and is true of, which a person may settle."""
 
 

@@ -322,7 +322,7 @@ RULES: dict[str, Rule] = {
     "expression/ambiguous": _error("the flag `ambiguous` does not fit the acceptable objects"),
     "expression/unusable": _error("an expression names an object that may not be asked for"),
     "expression/source": _warning("profile or source of the up vector are not those of the labels and the frame"),
-}  # fmt: skip
+}
 """All rules by name, in the order in which they are described."""
 
 

@@ -217,15 +217,36 @@ def _known_relations(provenance: Provenance, rows: ExportFrame, ids: Mapping[int
 
 
 FRAME_KEYS = (
-    "scene", "ok", "problem", "K", "T_world_camera", "up", "up_source", "rgb_hash", "depth_hash", "objects", "notes",
-)  # fmt: skip
+    "scene",
+    "ok",
+    "problem",
+    "K",
+    "T_world_camera",
+    "up",
+    "up_source",
+    "rgb_hash",
+    "depth_hash",
+    "objects",
+    "notes",
+)
 """Columns of `frames` that an image keeps under `spatialviz`."""
 BOXES = {"box3d": "", "exact_box3d": "exact_", "pca_box3d": "pca_"}
 """Boxes of an annotation, and the prefix of their columns."""
 EXTENT = ("lo", "hi", "centroid")
 QUALITY = (
-    "mask_source", "points", "kept", "depth_missing", "touches_border", "fallback", "distance", "yaw_confidence",
-    "estimator", "visible", "occluded", "usable", "reason",
-)  # fmt: skip
+    "mask_source",
+    "points",
+    "kept",
+    "depth_missing",
+    "touches_border",
+    "fallback",
+    "distance",
+    "yaw_confidence",
+    "estimator",
+    "visible",
+    "occluded",
+    "usable",
+    "reason",
+)
 EXPRESSION_KEYS = ("id", "target", "relation", "reference", "ambiguous", "margin", "judged_in", "up_source", "profile")
 FORMAT = ExportFormat(write_coco, description="COCO instances, RefCOCO-like references, and relations; lossless")

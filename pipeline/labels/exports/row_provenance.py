@@ -202,8 +202,11 @@ def extended_json_schemas(folder: Path) -> None:
         schema = read_json(path)
         reviewed = {n: {"type": "array", "items": status} if n == "statuses" else text for n in names}
         schema["properties"] |= {
-            "base": text, "made_by": text, **reviewed, "provenance": {"type": "array", "items": entry},
-        }  # fmt: skip
+            "base": text,
+            "made_by": text,
+            **reviewed,
+            "provenance": {"type": "array", "items": entry},
+        }
         path.write_text(json.dumps(schema, indent=1, ensure_ascii=False) + "\n", encoding="utf-8", newline="\n")
 
 

@@ -186,14 +186,19 @@ def relation_units(scene: VqaFrame, relations: Sequence[str]) -> Iterator[Unit]:
                 (scene.key("relation", relation, scene.number[i], scene.number[j]), i, j)
                 for i, j in zip(a[asked].tolist(), b[asked].tolist(), strict=True)
             )
-            ranked.append([
-                PlannedQuestion(
-                    key, "relation", (i, j), relation,
-                    partial(ask_relation, relation, scene.label(i), scene.label(j), key),
-                    "Yes" if wanted == T else "No",
-                )
-                for key, i, j in keyed
-            ])  # fmt: skip
+            ranked.append(
+                [
+                    PlannedQuestion(
+                        key,
+                        "relation",
+                        (i, j),
+                        relation,
+                        partial(ask_relation, relation, scene.label(i), scene.label(j), key),
+                        "Yes" if wanted == T else "No",
+                    )
+                    for key, i, j in keyed
+                ]
+            )
         lists.append(list(zip(*ranked, strict=False)))
     for turn in range(max(map(len, lists), default=0)):
         yield from sorted((units[turn] for units in lists if turn < len(units)), key=lambda unit: unit[0].key)

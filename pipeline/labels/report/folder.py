@@ -232,8 +232,17 @@ def key_figures(statistics: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _relation_table(statistics: dict[str, Any]) -> str:
-    head = ("relation", "holds", "in doubt", "does not hold", "share that holds", "share in doubt", "expressions",
-            "of them ambiguous", "median margin")  # fmt: skip
+    head = (
+        "relation",
+        "holds",
+        "in doubt",
+        "does not hold",
+        "share that holds",
+        "share in doubt",
+        "expressions",
+        "of them ambiguous",
+        "median margin",
+    )
     rows = []
     for name, entry in statistics["relations"].items():
         margin = statistics["margins"][name]["T"]
@@ -266,8 +275,11 @@ def _provenance(manifest: Manifest) -> list[tuple[str, str]]:
     return [
         ("tool", f"{manifest.tool} {manifest.version}, schema {manifest.schema_version}, {manifest.created}"),
         *makers_of(manifest).lines().items(),
-        ("configuration", f"vocabulary {config.get('vocabulary')}, style {config.get('style')}, "
-                          f"seed {manifest.seed}, {manifest.config_hash[:16]}"),
+        (
+            "configuration",
+            f"vocabulary {config.get('vocabulary')}, style {config.get('style')}, "
+            f"seed {manifest.seed}, {manifest.config_hash[:16]}",
+        ),
         ("dataset", f"{manifest.dataset.get('format')}, input {str(manifest.dataset.get('input_hash'))[:16]}"),
         ("expressions", f"content {manifest.tables['expressions'].content_hash[:16]}"),
-    ]  # fmt: skip
+    ]

@@ -172,8 +172,9 @@ def draw_classes(statistics: dict[str, Any]) -> Figure:
     axes.barh(rows, total, height=0.68, color=LIGHT)
     axes.barh(rows, [classes[name]["usable"] for name in shown], height=0.68, color=DARK)
     for row, count in enumerate(total):
-        axes.annotate(thousands(count), (count, row), (4, 0), textcoords="offset points", va="center", fontsize=8.5,
-                      color=QUIET)  # fmt: skip
+        axes.annotate(
+            thousands(count), (count, row), (4, 0), textcoords="offset points", va="center", fontsize=8.5, color=QUIET
+        )
     names, bottom = [short(name) for name in shown], max(len(shown), FEWEST_ROWS) - 0.5
     axes.set(yticks=rows, yticklabels=names, ylim=(bottom, -0.5), xlabel="objects")
     axes.xaxis.set_major_formatter(thousands)
@@ -205,9 +206,13 @@ def draw_heat_map(statistics: dict[str, Any], found: Distributions) -> Figure:
     counts = np.array([[found.by_class.get((r, name), 0) for name in names] for r in relations], np.int64)
     most = max(int(counts.max()), 1)
     axes.pcolormesh(
-        counts, cmap=LinearSegmentedColormap.from_list("slate", ["white", LIGHT, DARK, "#1d2636"]), vmin=0, vmax=most,
-        edgecolors="white", linewidth=2,
-    )  # fmt: skip
+        counts,
+        cmap=LinearSegmentedColormap.from_list("slate", ["white", LIGHT, DARK, "#1d2636"]),
+        vmin=0,
+        vmax=most,
+        edgecolors="white",
+        linewidth=2,
+    )
     for (row, column), count in np.ndenumerate(counts):
         color = LINE if not count else "white" if count > 0.45 * most else "#1f2630"
         text = thousands(count) if count < 10_000 else f"{count / 1000:,.0f}k"

@@ -27,9 +27,17 @@ DARK, LIGHT = "#46536a", "#b4bdca"
 # Of one width, so that texts fit alike; then fonts that know other scripts.
 LATIN = ("Liberation Sans", "Arial", "Helvetica", "DejaVu Sans")
 OTHER_SCRIPTS = (
-    "Noto Sans CJK SC", "Noto Sans CJK JP", "Noto Sans CJK KR", "WenQuanYi Zen Hei", "Microsoft YaHei", "PingFang SC",
-    "Hiragino Sans", "Noto Sans Arabic", "Noto Sans Devanagari", "Arial Unicode MS",
-)  # fmt: skip
+    "Noto Sans CJK SC",
+    "Noto Sans CJK JP",
+    "Noto Sans CJK KR",
+    "WenQuanYi Zen Hei",
+    "Microsoft YaHei",
+    "PingFang SC",
+    "Hiragino Sans",
+    "Noto Sans Arabic",
+    "Noto Sans Devanagari",
+    "Arial Unicode MS",
+)
 
 
 def need_matplotlib() -> None:

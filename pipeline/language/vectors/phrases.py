@@ -97,9 +97,12 @@ class VectorFile:
         if self.kind == "word":
             return InputError("no word of a name has a text vector", got=listed + more, path=self.name)
         return InputError(
-            "names have no text vector", got=listed + more, expected="each name as an entry of the file",
-            cause="it holds whole phrases, of which no mean is taken", path=self.name,
-        )  # fmt: skip
+            "names have no text vector",
+            got=listed + more,
+            expected="each name as an entry of the file",
+            cause="it holds whole phrases, of which no mean is taken",
+            path=self.name,
+        )
 
 
 def _first(word: Word, found: Mapping[str, np.ndarray]) -> np.ndarray | None:

@@ -164,8 +164,9 @@ def read_json(path: Path) -> VectorTable:
     lengths = {len(v) if isinstance(v, list) else -1 for v in entries.values()}
     numbers = all(type(x) in (int, float) for v in entries.values() if isinstance(v, list) for x in v)
     if len(lengths) != 1 or min(lengths) < 1 or not numbers:
-        raise InputError("vectors must be lists of numbers, all of one length", got=f"lengths {sorted(lengths)[:5]}",
-                         path=path)  # fmt: skip
+        raise InputError(
+            "vectors must be lists of numbers, all of one length", got=f"lengths {sorted(lengths)[:5]}", path=path
+        )
     try:
         vectors = np.array(list(entries.values()), np.float64)
     except OverflowError as error:

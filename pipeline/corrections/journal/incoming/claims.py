@@ -78,17 +78,25 @@ class States:
     def check(self, state: ExportedFrom) -> None:
         """Refuse a state of other labels or another journal, or for want of the dataset."""
         require(
-            state.labels == self.version, "the file was exported from other automatic labels", got=state.labels,
-            expected=self.version, cause="were the labels made again since?", path=self.labels.root,
-        )  # fmt: skip
+            state.labels == self.version,
+            "the file was exported from other automatic labels",
+            got=state.labels,
+            expected=self.version,
+            cause="were the labels made again since?",
+            path=self.labels.root,
+        )
         require(
-            state.event is None or state.event in self._id_of, "the file was exported with another journal",
-            got=f"no event {state.event}", cause="is --journal right?",
-        )  # fmt: skip
+            state.event is None or state.event in self._id_of,
+            "the file was exported with another journal",
+            got=f"no event {state.event}",
+            cause="is --journal right?",
+        )
         require(
-            not (state.relifted and self._pixels) or self._corrector(True) is not None, "the dataset is needed",
-            cause="what follows from corrected pixels is in the file", expected="--dataset says where it is",
-        )  # fmt: skip
+            not (state.relifted and self._pixels) or self._corrector(True) is not None,
+            "the dataset is needed",
+            cause="what follows from corrected pixels is in the file",
+            expected="--dataset says where it is",
+        )
 
     def frame(self, frame: str, state: ExportedFrom) -> EffectiveFrame:
         """Frame in a checked state."""

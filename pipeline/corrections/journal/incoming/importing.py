@@ -144,9 +144,14 @@ def _read(given: Path, format: str, claims: Claims, source: _Source, config: Imp
             instances = content
             with _in_file(path):
                 read_instances(
-                    content, path.name, claims, source.state, reject_deleted=reject, crowds=config.crowds,
+                    content,
+                    path.name,
+                    claims,
+                    source.state,
+                    reject_deleted=reject,
+                    crowds=config.crowds,
                     outline=config.outline,
-                )  # fmt: skip
+                )
             continue
         if instances is None:
             instances = load_coco(path.with_name(COCO_FILES[0]))
@@ -189,9 +194,11 @@ class _Source:
     def _of_folder(self, folder: Path) -> ExportedFrom:
         mark = folder / MARK
         require(
-            mark.is_file(), "it is not said what the file was exported from",
-            expected="--base EXPORT, the folder of the export, or --base now", path=folder,
-        )  # fmt: skip
+            mark.is_file(),
+            "it is not said what the file was exported from",
+            expected="--base EXPORT, the folder of the export, or --base now",
+            path=folder,
+        )
         content = load_coco(mark)
         return ExportedFrom.parse(content.get("base") if isinstance(content, dict) else None)
 
@@ -202,8 +209,14 @@ def import_record(report: ImportReport) -> dict[str, Any]:
         "compared": report.compared,
         "edits": [
             {
-                "kind": e.ref.kind, "frame": e.ref.frame, "key": e.ref.key, "field": e.ref.field,
-                "before": e.before, "after": e.after, "base": e.base, "reason": e.reason,
+                "kind": e.ref.kind,
+                "frame": e.ref.frame,
+                "key": e.ref.key,
+                "field": e.ref.field,
+                "before": e.before,
+                "after": e.after,
+                "base": e.base,
+                "reason": e.reason,
             }
             for e in report.edits
         ],
@@ -212,7 +225,7 @@ def import_record(report: ImportReport) -> dict[str, Any]:
         "conflicts": list(report.conflicts),
         "problems": list(report.problems),
         "notes": list(report.notes),
-    }  # fmt: skip
+    }
 
 
 def settle(claims: Claims, reason: str) -> tuple[list[Edit], list[str], int]:
@@ -293,9 +306,14 @@ def _edits(group: Sequence[Claim], base: EffectiveFrame, now: EffectiveFrame, re
             return ()
         box = box_of(value["box"]) if "box" in value else None
         return actions.add_object(
-            now, value["label"], mask=value.get("mask"), bbox=value.get("bbox"), box=box, number=ref.numbers[0],
+            now,
+            value["label"],
+            mask=value.get("mask"),
+            bbox=value.get("bbox"),
+            box=box,
+            number=ref.numbers[0],
             reason=reason,
-        )  # fmt: skip
+        )
     pixels = {"mask": actions.set_mask, "bbox": actions.set_bbox}
     return (
         pixels[ref.field](now, ref.numbers[0], value, reason)

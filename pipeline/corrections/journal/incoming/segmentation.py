@@ -77,9 +77,11 @@ def polygon_mask(polygons: list[np.ndarray], size: tuple[int, int]) -> np.ndarra
     clipped = [np.clip(p, 0, np.array(size[::-1], np.float64)) for p in polygons]
     length = sum(float(np.abs(np.diff(p, axis=0, append=p[:1])).max(axis=1).sum()) + len(p) for p in clipped)
     require(
-        length <= LONGEST_OUTLINE, "the polygons are too long", got=f"{length:.3g} pixels",
+        length <= LONGEST_OUTLINE,
+        "the polygons are too long",
+        got=f"{length:.3g} pixels",
         expected=f"{LONGEST_OUTLINE:.3g}",
-    )  # fmt: skip
+    )
     return fill_polygons(size, clipped)
 
 
