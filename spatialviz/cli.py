@@ -35,7 +35,6 @@ from spatialviz.cli_ask import (
     FailuresCommand,
     FramesCommand,
     GlossaryCommand,
-    ImportRecordingCommand,
     ImportRunCommand,
     JudgeAgainCommand,
     McpCommand,
@@ -85,7 +84,6 @@ GROUPS: dict[str, dict[str, tuple[type, str]]] = {
         "ask": (AskCommand, "run_ask"),
         "relations": (RelationsCommand, "run_ask"),
         "frames": (FramesCommand, "run_ask"),
-        "import-recording": (ImportRecordingCommand, "run_ask"),
         "doctor": (DoctorCommand, "run_doctor"),
         "render": (RenderCommand, "run_ask"),
     },
@@ -154,7 +152,11 @@ OPTIONS = {
 """The option that stands for each of these."""
 RENAMED = {"bench srm": "ablation", "bench-srm": "ablation"}
 """Earlier names of commands, which still work."""
-REMOVED = {"bench": "benches are scripts of a checkout: `cd tests; python -m benchmarks.stages`, and others beside it"}
+REMOVED = {
+    "bench": "benches are scripts of a checkout: `cd tests; python -m benchmarks.stages`, and others beside it",
+    "import-recording": "every command reads the recording where it is; `frames DATASET --remember` keeps what you say "
+    "of its camera and unit in spatialviz.toml beside it",
+}
 REMOVED_OPTIONS = {
     ("view", "--also"): "two detectors are compared by `detect --agree`, their answers by `spatialviz failures A "
     "--compare B --answers`, of runs or of files that `ask --json` wrote",
@@ -297,6 +299,6 @@ def _run_words(arguments: list[str]) -> int:
     for (name, option), gone in REMOVED_OPTIONS.items():
         if arguments[0] == name and any(word.partition("=")[0] == option for word in arguments):
             raise InputError(f"{name} has no option {option} any more", cause=gone)
-    if gone := REMOVED.get(arguments[0].partition("-")[0]):
+    if gone := REMOVED.get(arguments[0]) or REMOVED.get(arguments[0].partition("-")[0]):
         raise InputError(f"'{arguments[0]}' is no command any more", cause=gone)
     return run(arguments)

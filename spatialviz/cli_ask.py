@@ -139,16 +139,6 @@ class FramesCommand(Output):
 
 
 @dataclass(frozen=True)
-class ImportRecordingCommand(Output):
-    """Write a recording of any layout as color/, depth/, pose/, label/ and spatialviz.toml."""
-
-    dataset: Positional[str]
-    """Dataset folder or capture."""
-    out: Positional[NewFolder]
-    camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
-
-
-@dataclass(frozen=True)
 class DoctorCommand(Output):
     """Find a wrong depth scale, focal length, principal point, pose convention, registration or up of a recording.
 

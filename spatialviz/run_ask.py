@@ -19,7 +19,6 @@ from pipeline.answering.suggestions import SURE, MissedNames, completions, misse
 from pipeline.datasets import Dataset, FrameReport, SurveyCounts, survey, write_settings
 from pipeline.datasets.camera_plan import CameraPlan, camera_plan
 from pipeline.datasets.demo import DEMO_NAME, demo_run
-from pipeline.datasets.importing import import_recording
 from pipeline.datasets.scene_mesh import export_mesh, fuse_context
 from pipeline.datasets.settings import ASSUMED, DECLARE
 from pipeline.datasets.up import told_up
@@ -43,7 +42,6 @@ from spatialviz.cli_ask import (
     ContextCommand,
     FramesCommand,
     GlossaryCommand,
-    ImportRecordingCommand,
     MeasureCommand,
     RelationsCommand,
     RenderCommand,
@@ -172,19 +170,6 @@ def _survey_frames(command: FramesCommand, dataset: Dataset, camera: dict[str, A
             say(f"note on {counted(frames, 'frame')}: {note}", style="yellow")
         print_summary(record)
     return record["frames_usable"]
-
-
-def run_import_recording(command: ImportRecordingCommand) -> int:
-    dataset = open_pipeline(command.dataset, **command.camera.camera(), srm="rule").dataset
-    with rate_bar("writing", "frames") as advance:
-        report = import_recording(dataset, command.out, advance)
-    for frame_id, reason in report.skipped.items():
-        warn_skipped(frame_id, reason)
-    for note in report.notes:
-        warn(note)
-    record = {"frames": report.frames, "skipped": report.skipped, "notes": report.notes, "out": str(command.out)}
-    command.write(record, say, f"{counted(report.frames, 'frame')} of {dataset.format} -> {command.out}")
-    return FINE
 
 
 def print_plan(plan: CameraPlan) -> None:

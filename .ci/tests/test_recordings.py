@@ -46,7 +46,6 @@ def test_what_lacks_a_camera_is_listed(pairs: Path, capsys: pytest.CaptureFixtur
         ["relations", "DATASET"],
         ["measure", "DATASET", "0", "5,5", "9,9"],
         ["label", "DATASET", "--out", "OUT"],
-        ["import-recording", "DATASET", "OUT"],
     ],
     ids=lambda command: command[0],
 )
@@ -89,16 +88,6 @@ def test_frames_tells_each_note_once_and_takes_folders_of_datasets(
     assert sum("64x48" in line and "depth, median" in line for line in lines) == 3
 
 
-def test_a_recording_is_imported_once_and_opens_without_options(
-    pairs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["import-recording", str(pairs), str(tmp_path / "plain"), *TOLD, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["frames"] == 3
-    assert (tmp_path / "plain/spatialviz.toml").read_text().startswith("intrinsics = [60.0, 61.0, 31.5, 23.5]")
-    assert main(["measure", str(tmp_path / "plain"), "0", "5,5", "30,30", "--json"]) in (0, 2)
-    assert main(["frames", str(tmp_path / "plain"), "--json"]) == 0
-
-
 def test_a_missing_extra_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -123,5 +112,3 @@ def test_colour_alone_is_measured_by_estimated_depth(
     assert source.startswith("estimated by moge-2 (network.onnx): metres")
     assert main(command) == 0
     assert f"depth is {source}" in " ".join(capsys.readouterr().out.split())
-    assert main(["import-recording", str(tmp_path / "pictures"), str(tmp_path / "out"), *command[-2:]]) == 2
-    assert "would pass for measured" in capsys.readouterr().err

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from pipeline.datasets.frame_names import FrameNames
     from pipeline.datasets.frame_reports import FrameReport, SurveyCounts, survey
     from pipeline.datasets.images import read_color
-    from pipeline.datasets.importing import import_recording
     from pipeline.datasets.opening import open_dataset
     from pipeline.datasets.saved_case import MANIFEST
     from pipeline.datasets.scene_mesh import export_mesh, fuse_context

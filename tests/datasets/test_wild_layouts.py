@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dataset_writers import HEIGHT, WIDTH, K, write_bop, write_nerfstudio, write_png
+from dataset_writers import HEIGHT, WIDTH, K, write_png
 from reader_checks import FOLDER, refused
 from recording_checks import check_frame, truths
 from scipy.io import savemat
 
-from pipeline.datasets import import_recording, open_dataset, survey
+from pipeline.datasets import open_dataset, survey
 from pipeline.datasets.pairing import role_of
 from pipeline.geometry import viewer_axes
 from pipeline.geometry.measure import measure
@@ -278,44 +278,6 @@ def test_what_is_no_recording_is_told_by_what_is_seen(tmp_path: Path, files: lis
 def test_a_file_that_is_no_capture_has_its_own_sentence(tmp_path: Path, name: str, words: str) -> None:
     (tmp_path / name).write_bytes(b"x")
     refused(lambda: open_dataset(tmp_path / name), words)
-
-
-# The plain layout
-
-
-def test_what_is_imported_is_read_back_exactly(tmp_path: Path) -> None:
-    made = write_nerfstudio(tmp_path / "src")
-    source = open_dataset(tmp_path / "src")
-    assert import_recording(source, tmp_path / "out").frames == 3
-    again = open_dataset(tmp_path / "out")
-    assert again.format == "folder"
-    assert again.notes == ()  # type: ignore[attr-defined]
-    for frame_id, truth in zip(again.frame_ids, made, strict=True):
-        frame = again.load(frame_id)
-        check_frame(frame, truth, posed=True)
-        assert np.array_equal(frame.rgb, truth.rgb)
-    refused(lambda: import_recording(source, tmp_path / "out"), "not empty")
-
-
-def test_import_keeps_masks_cameras_and_scenes_apart(tmp_path: Path, bop_frames: Path) -> None:
-    source = open_dataset(bop_frames)
-    report = import_recording(source, tmp_path / "out")
-    assert report.frames == len(source.frame_ids)
-    for frame_id in source.frame_ids:
-        scene, name = frame_id.split("/")
-        own, frame = source.load(frame_id), open_dataset(tmp_path / "out" / scene).load(name)
-        assert np.array_equal(own.depth, frame.depth)
-        assert {a.label: a.mask.sum() for a in frame.annotations if a.mask is not None} == {
-            a.label: a.mask.sum() for a in own.annotations if a.mask is not None
-        }
-
-
-@pytest.fixture
-def bop_frames(tmp_path: Path) -> Path:
-    root = tmp_path / "bop"
-    root.mkdir()
-    write_bop(root, {"000001": [1, 2], "000002": [3]})
-    return root
 
 
 @pytest.mark.slow
