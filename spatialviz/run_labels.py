@@ -6,6 +6,7 @@ import json
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import Any
 
 from rich.text import Text
 
@@ -17,15 +18,16 @@ from pipeline.labels.job import LabelReport, label_dataset
 from pipeline.labels.merge import SelectConfig, merge_labels
 from pipeline.labels.plan import CAMERA, SENTENCE_KINDS, LabelConfig
 from pipeline.labels.provenance import makers_of
-from pipeline.labels.reading import SENTENCES_FILE, open_labels
-from pipeline.labels.report import check_report_folder, need_matplotlib, write_report
+from pipeline.labels.reading import SENTENCES_FILE, Labels, open_labels
+from pipeline.labels.report import NUMBERS, summary_lines, summary_tables, write_report
 from pipeline.labels.schema import Manifest
 from pipeline.labels.statistics import label_statistics
 from pipeline.language.counted import counted
-from pipeline.system.errors import InputError, MissingExtra
+from pipeline.system.errors import InputError
+from pipeline.system.whole_files import check_target
 from spatialviz.cli_labels import CheckCommand, LabelCommand, MergeCommand, Selection
 from spatialviz.options import FINE, NO, print_json, task_of, warn
-from spatialviz.printing import print_rows, print_statistics, rate_bar, say
+from spatialviz.printing import print_rows, print_table, rate_bar, say
 
 COLORS = {"error": "red", "warning": "yellow"}
 
@@ -103,7 +105,7 @@ def run_merge(command: MergeCommand) -> None:
 def run_check(command: CheckCommand) -> int:
     labels = open_labels(command.labels)
     if command.report is not None:
-        check_report_folder(command.report)
+        check_target(command.report.expanduser(), overwrite=True, mark=NUMBERS)
     statistics = problem = None
     try:
         statistics = label_statistics(labels)
@@ -124,11 +126,20 @@ def run_check(command: CheckCommand) -> int:
         raise problem
     if command.report is not None and statistics is not None:
         page = write_report(labels, statistics, command.report)[0]
-        if why := MissingExtra.missing(need_matplotlib):
-            warn(f"the pictures are left out: {why}")
         if not command.json:
             say(f"-> {page}")
     return NO if errors else FINE
+
+
+def print_statistics(statistics: dict[str, Any], labels: Labels) -> None:
+    """Print the contents of labels."""
+    say((str(labels.root), "bold"), (f"  rules {labels.manifest.profile.get('name')}", "dim"))
+    for line in summary_lines(labels, statistics):
+        say(line)
+    for table in summary_tables(statistics):
+        say()
+        print_table(table)
+    say()
 
 
 def _selection(options: Selection) -> SelectConfig:

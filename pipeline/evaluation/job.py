@@ -13,6 +13,7 @@ from typing import Any
 from pipeline.diagnosis.verdict import RULES_VERSION
 from pipeline.evaluation.comparing import Comparison, compare
 from pipeline.evaluation.confusion import Confusion, answer_confusion, network_confusion
+from pipeline.evaluation.figure_style import need_matplotlib
 from pipeline.evaluation.grounding_tables import (
     calibration_warnings,
     clusters_of,
@@ -43,7 +44,6 @@ from pipeline.labels.plan import files_hash
 from pipeline.labels.profiles import canonical_hash
 from pipeline.labels.provenance import Makers, makers_of
 from pipeline.labels.reading import Labels, labelled_up, open_labels
-from pipeline.labels.report import need_matplotlib
 from pipeline.metrics.intervals import BootstrapConfig
 from pipeline.metrics.tables import NOTHING_SHARED, Table, as_csv, caveats_html, latex, markdown
 from pipeline.system.arrow import pa, pq

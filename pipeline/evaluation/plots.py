@@ -16,6 +16,7 @@ from pipeline.diagnosis.oracles import shown_oracle
 from pipeline.diagnosis.verdict import VERDICTS, shown_verdicts
 from pipeline.evaluation.confusion import Confusion
 from pipeline.evaluation.costs import Deltas
+from pipeline.evaluation.figure_style import FULL, INK, QUIET, house_style, new_figure, save_figure
 from pipeline.evaluation.grounding_tables import OPM_ONLY, column, has_opm
 from pipeline.evaluation.records import detector_scores, is_calibrated
 from pipeline.evaluation.relation_report import SystemFigures
@@ -23,7 +24,7 @@ from pipeline.evaluation.slices import Slices
 from pipeline.evaluation.summary import RunSummary, Share, residual_words, untold_words
 from pipeline.geometry.palette import VERDICTS as VERDICT_RGB
 from pipeline.geometry.palette import hex_color
-from pipeline.labels.report.style import FULL, INK, QUIET, house_style, new_figure, save_figure, short
+from pipeline.language.counted import short
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.metrics.calibration_metrics import ECE_BINS, ReliabilityDiagram, reliability_diagram
 from pipeline.metrics.intervals import Estimate
@@ -318,7 +319,7 @@ def _verdicts(page: Page, summaries: Mapping[str, RunSummary]) -> None:
                 color, alpha = VERDICT_COLORS[verdict], 1 - 0.5 * (k > 0)
                 axes.barh(where, value, height * 0.9, color=color, alpha=alpha, gid=told)
                 axes.errorbar(value, where, xerr=[[r] for r in reach], fmt="none", ecolor=INK, elinewidth=0.8)
-                text = f"{short(name)}: {share.count}" if len(summaries) > 1 else f"{share.count}"
+                text = f"{short(name, 24)}: {share.count}" if len(summaries) > 1 else f"{share.count}"
                 axes.text(value + reach[1] + 0.8, where, text, va="center", fontsize=8.5, color=QUIET)
         axes.set_yticks(y, kinds)
         axes.invert_yaxis()

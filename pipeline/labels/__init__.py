@@ -32,7 +32,7 @@ if TYPE_CHECKING:
         read_table,
         write_table,
     )
-    from pipeline.labels.report import need_matplotlib, write_report
+    from pipeline.labels.report import write_report
     from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest, labels_version
     from pipeline.labels.statistics import label_statistics
     from pipeline.labels.store import LabelStore

@@ -1,4 +1,4 @@
-"""How the pictures look: one width grid, quiet axes, a sentence on top, and a colour for each relation."""
+"""Style of plots: one width grid, quiet axes, a sentence on top."""
 
 from __future__ import annotations
 
@@ -9,20 +9,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.geometry.palette import hex_color
-from pipeline.language.relation_names import RELATIONS
 from pipeline.system.errors import extra_module
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-HALF, FULL = 590, 1200
-"""Widths in pixels of the page; the files have twice as many, for sharp screens."""
+FULL = 1200
+"""Width in pixels of a page; the files have twice as many, for sharp screens."""
 DPI = 100
 INK, QUIET, LINE, PALE = "#1f2630", "#5b6470", "#c8ccd2", "#e6e9ed"
-DARK, LIGHT = "#46536a", "#b4bdca"
-"""The two tones of everything that is not a relation."""
 
 # Of one width, so that texts fit alike; then fonts that know other scripts.
 LATIN = ("Liberation Sans", "Arial", "Helvetica", "DejaVu Sans")
@@ -41,7 +36,7 @@ OTHER_SCRIPTS = (
 
 
 def need_matplotlib() -> None:
-    """Raise MissingExtra where the pictures cannot be drawn."""
+    """Raise MissingExtra where the plots cannot be drawn."""
     extra_module("matplotlib", "a report with pictures", "report")
 
 
@@ -109,55 +104,7 @@ def new_figure(width: int, height: int, title: str, subtitle: str) -> Figure:
     return figure
 
 
-def new_plot(width: int, height: int, title: str, subtitle: str) -> tuple[Figure, Axes]:
-    """`new_figure` with a single plot."""
-    figure = new_figure(width, height, title, subtitle)
-    return figure, figure.subplots()
-
-
 def save_figure(figure: Figure, path: Path) -> None:
     """Write PNG; equal figures give equal bytes."""
     # A third less time than the usual level 6 takes, for a file that is one per cent larger.
     figure.savefig(path, metadata={"Software": None}, pil_kwargs={"compress_level": 4})
-
-
-def relation_color(relation: str) -> str:
-    """The colour of a relation, "#rrggbb"."""
-    return hex_color(RELATIONS[relation].color)
-
-
-def short(label: str, length: int = 24) -> str:
-    """Class name on one line, cut if long."""
-    label = " ".join(label.split()) or "(blank)"
-    return label if len(label) <= length else label[: length - 1] + "…"
-
-
-def percent(value: float | None) -> str:
-    """A share as text."""
-    if value is None:
-        return "–"
-    digits = 0 if value >= 0.1 or value == 0 else 1 if value >= 0.001 else 2
-    return f"{value:.{digits}%}".replace("%", " %")
-
-
-def whole_percent(value: float, _tick: Any = None) -> str:
-    """A share as text without digits, for ticks."""
-    return f"{value:.0%}".replace("%", " %")
-
-
-def thousands(value: float, _tick: Any = None) -> str:
-    """A count as text, also for ticks."""
-    return f"{value:,.0f}"
-
-
-def bare(axes: Axes, *spines: str) -> None:
-    """Hide ticks and these spines; by default the left spine."""
-    axes.tick_params(length=0)
-    axes.spines[list(spines or ("left",))].set_visible(False)
-
-
-def without_data(figure: Figure, axes: Axes, text: str) -> Figure:
-    """Figure with an empty plot and the reason."""
-    axes.set_axis_off()
-    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color=QUIET)
-    return figure
