@@ -32,7 +32,6 @@ from spatialviz.run_eval import failures_of, row_records
 Thing = TypeVar("Thing")
 MOST = 1000
 """Of anything that is counted by `limit`."""
-MAP_CELLS = 32
 LONGEST_QUERY = 20
 """Seconds."""
 
@@ -238,22 +237,14 @@ class WhatIfVerb(Verb):
     source: Source = None
     limit: Limit = 20
     picture: Picture = True
-    decision_map: Annotated[
-        bool, Field(description="With the floor, coloured by which answer wins if the target stands there.")
-    ] = False
 
     def reply(self, session: Session) -> Reply:
         opened = session.source(self.source)
         pipeline = opened.pipeline
         context = pipeline.prepare(resolve_frame(pipeline.dataset, self.frame))
-        record, after, floor = whatif_answer(
-            Baseline(pipeline, context, self.expression),
-            pathless_edits(self.edits),
-            opened.labels,
-            cells=MAP_CELLS if self.decision_map else None,
-        )
-        pictures = pictures_of(after.trace, self.picture) + (() if floor is None else (floor,))
-        return Reply(cut(record, self.limit, "objects", "moved", "candidates"), pictures)
+        baseline = Baseline(pipeline, context, self.expression)
+        record, after = whatif_answer(baseline, pathless_edits(self.edits), opened.labels)
+        return Reply(cut(record, self.limit, "objects", "moved", "candidates"), pictures_of(after.trace, self.picture))
 
 
 @dataclass(frozen=True)

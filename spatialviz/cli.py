@@ -158,8 +158,13 @@ REMOVED = {
     "of its camera and unit in spatialviz.toml beside it",
 }
 REMOVED_OPTIONS = {
+    ("show", "--support"): "boxes are not snapped any more: drag the lower face in the page's side views",
     ("view", "--also"): "two detectors are compared by `detect --agree`, their answers by `spatialviz failures A "
     "--compare B --answers`, of runs or of files that `ask --json` wrote",
+    **dict.fromkeys(
+        (("whatif", "--decision-map"), ("whatif", "--move"), ("whatif", "--cells")),
+        "there is no map of the floor: `--do center:0:0.5` moves the object and answers again",
+    ),
     ("review", "--detector"): "label the frames with the other detector, and `review LABELS --other ITS_LABELS`",
 }
 """Earlier commands, and where they went."""

@@ -356,12 +356,6 @@ class WhatIfCommand(Output):
     (right), "yaw:30", "hide", "mask:grow:-2", "relation:0.1", "set:k:5", "set:scorer:rule"."""
     on: str | None = None
     """Key of the object that they are of. Default: the target of the answer."""
-    decision_map: Path | None = None
-    """Write a picture (.png or .jpg): the floor, coloured by which answer wins if one object stands there."""
-    move: str | None = None
-    """Key of the object that the decision map moves. Default: the target of the answer."""
-    cells: int = 48
-    """Cells of the decision map on each side."""
     labels: Truth = None
 
 

@@ -6,8 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from pipeline.answering.answer_words import NO_SUCH_PAIR, holds, probability
 from pipeline.answering.objects import PreparedFrame, prepare_frame
 from pipeline.answering.pipeline import Pipeline
@@ -19,7 +17,6 @@ from pipeline.diagnosis.cases.manifest import ExpectedRecord
 from pipeline.diagnosis.cases.replay import ReplayResult, find_cases, replay_all
 from pipeline.diagnosis.cases.saving import open_case, save_case
 from pipeline.diagnosis.whatif import Baseline, Edits, Outcome, edits_record, load_edits, rerun, what_changed
-from pipeline.diagnosis.whatif.decision_map import decision_map, map_picture, map_record
 from pipeline.diagnosis.whatif.edit_words import edits_from_words
 from pipeline.diagnosis.whatif.placement import asked_pair
 from pipeline.diagnosis.whatif.rerun import foreign_keys
@@ -32,7 +29,6 @@ from spatialviz.cli_ask import ReplayCommand, ReportCommand, SaveCaseCommand, Wh
 from spatialviz.options import BAD, FINE, NO, one_frame, warn
 from spatialviz.printing import figure, print_rows, say
 from spatialviz.report import Subject, failure_page, write_page
-from spatialviz.report.picture import write_picture
 
 _STYLE = {"same": "green", "updated": "yellow", "changed": "red", "damaged": "red"}
 
@@ -42,24 +38,15 @@ def run_whatif(command: WhatIfCommand) -> int:
     source = command.source.open(command.dataset, command.frame)
     context = _one_context(source, command.frame)
     labels = None if command.labels is None else open_labels(command.labels)
-    cells = None if command.decision_map is None else command.cells
     baseline = Baseline(source, context, command.expression)
     edits = edits_from_words(baseline, edits, command.do, command.on)
-    record, after, picture = whatif_answer(baseline, edits, labels, command.move, cells)
-    if command.decision_map is not None and picture is not None:
-        write_picture(picture, command.decision_map)
+    record, after = whatif_answer(baseline, edits, labels)
     command.write(record, print_change)
     return FINE if holds(after.trace) else NO
 
 
-def whatif_answer(
-    baseline: Baseline,
-    edits: Edits,
-    labels: Labels | None,
-    move: str | None = None,
-    cells: int | None = None,
-) -> tuple[dict[str, Any], Outcome, np.ndarray | None]:
-    """Record of `whatif --json`, the answer under edits, and with `cells` the picture of the decision map."""
+def whatif_answer(baseline: Baseline, edits: Edits, labels: Labels | None) -> tuple[dict[str, Any], Outcome]:
+    """Record of `whatif --json`, and the answer under edits."""
     source, context = baseline.source, baseline.context
     if unknown := foreign_keys(baseline, edits):
         known = ", ".join(sorted(baseline.all_keys)[:30])
@@ -67,12 +54,7 @@ def whatif_answer(
     after = rerun(baseline, edits)
     weights = replace(source.config.rank, **edits.rank)
     verdicts = edited_verdicts(source, context, baseline.outcome.trace, after.trace, weights, labels)
-    record = whatif_record(baseline, after, edits, verdicts)
-    if cells is None:
-        return record, after, None
-    key = move or ("" if after.trace.ranking is None else after.keys[after.trace.ranking.pairs[0].target])
-    found = decision_map(baseline, edits, key, cells)
-    return {**record, "decision_map": map_record(found)}, after, map_picture(found, after)
+    return whatif_record(baseline, after, edits, verdicts), after
 
 
 def run_save_case(command: SaveCaseCommand) -> None:
@@ -244,9 +226,6 @@ def print_change(record: dict[str, Any]) -> None:
     if not any(name != "format" for name in record["edits"]):
         for entry in record["objects"]:
             say(f"{entry['key']}  {entry['label']}  {entry['score']:.2f}", style="dim")
-    if "decision_map" in record:
-        shares = ", ".join(f"{key} {share:.0%}" for key, share in record["decision_map"]["share"].items())
-        say(f"decision map of {record['decision_map']['key']}: {shares}")
 
 
 def _object(entry: dict[str, str] | None) -> str:

@@ -202,9 +202,6 @@ def test_whatif_is_that_of_the_command_line(agent: Agent, printed: Callable[...,
     told = agent.call("whatif", frame="0", expression=TEXT, edits={"hidden": ["#3"]})
     assert without_times(json.loads(text_of(told))) == without_times(expected)
     assert picture_of(told).shape[1] == 640
-    both = agent.call("whatif", frame="0", expression=TEXT, decision_map=True)
-    assert [part.type for part in both.content] == ["text", "image", "image"]
-    assert "share" in json.loads(text_of(both))["decision_map"]
 
 
 def test_failures_queries_and_replays_are_those_of_the_command_line(

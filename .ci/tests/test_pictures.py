@@ -1,4 +1,4 @@
-"""Pictures of answers and of decision maps: written whole or not at all, and true to what they show."""
+"""Pictures of answers: written whole or not at all, and true to what they show."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from whatif_scenes import context_of, source
 
 from pipeline.answering.ask import Trace, ask
 from pipeline.diagnosis.whatif import Baseline, Edits
-from pipeline.diagnosis.whatif.decision_map import decision_map, map_picture
 from pipeline.geometry.boxes import EDGES, Box3D
 from pipeline.geometry.camera import project
 from pipeline.geometry.frame import Frame
@@ -138,22 +137,3 @@ def test_dashes_lie_on_their_lines_and_reach_both_ends(segments: np.ndarray, per
     assert drawn.sum() <= length.sum() + 1e-4
     assert (drawn <= period + 1e-5).all()
     assert dashed(np.zeros((0, 2, 3)), 1).shape == (0, 2, 3)
-
-
-def test_a_map_as_a_picture(tmp_path: Path) -> None:
-    baseline = Baseline(source(), context_of(FRAME), "mug left of the laptop")
-    found = decision_map(baseline, Edits(), "#0", cells=6)
-    assert len(np.unique(found.winner)) > 1
-    image = map_picture(found, baseline.outcome)
-    assert image.dtype == np.uint8
-    assert image.shape[2] == 3
-    write_picture(image, tmp_path / "map.png")
-    assert (tmp_path / "map.png").stat().st_size > 0
-    with pytest.raises(InputError):
-        write_picture(image, tmp_path / "map.nothing")
-    for key, cells in (("#99", 6), ("#0", 1), ("#0", 100_000)):
-        with pytest.raises(InputError):
-            decision_map(baseline, Edits(), key, cells=cells)
-    hidden = Edits(hidden=frozenset({"#3"}))
-    with pytest.raises(InputError, match="no decision map"):
-        decision_map(baseline, hidden, "#0", cells=6)

@@ -60,14 +60,11 @@ def test_the_command_shows_before_and_after(tmp_path: Path, capsys: pytest.Captu
 
     edits = tmp_path / "edits.json"
     edits.write_text(json.dumps(edits_record(Edits().with_k(3).with_scorer("rule"))), encoding="utf-8")
-    picture = tmp_path / "map.png"
     command = ["whatif", "demo", "3", "book left of basket", "--edits", str(edits)]
-    assert main([*command, "--json", "--decision-map", str(picture), "--cells", "5"]) == 0
+    assert main([*command, "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
     assert record["edits"]["k"] == 3
     assert record["after"]["p_relation"] in (0.05, 0.5, 0.95)
-    assert len(record["decision_map"]["winner"]) == 5
-    assert picture.is_file()
     assert main(command) == 0
     assert "before" in capsys.readouterr().out
     edits.write_text(json.dumps(edits_record(Edits().with_hidden("#999"))), encoding="utf-8")

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from pipeline.diagnosis.whatif import Baseline, Edits, edits_record, load_edits, what_changed
     from pipeline.diagnosis.whatif.answer_view import AnswerView, BothAnswers, OtherAnswer, shown_objects
     from pipeline.diagnosis.whatif.changes import each_edit, without_edit
-    from pipeline.diagnosis.whatif.decision_map import decision_map, map_record
     from pipeline.diagnosis.whatif.edit_words import edit_from_words, edits_from_words
     from pipeline.diagnosis.whatif.placement import SMALLEST_SIDE, AskedPair, asked_pair, box_numbers
     from pipeline.diagnosis.whatif.rerun import foreign_keys

@@ -2,8 +2,7 @@
 
 `edits` says what is changed, `rerun` answers again with `pair_tables`, which also names objects so that the name
 survives a re-run, `changes` says what came of it, `region` and
-`placement` show where the asked relation holds, `decision_map` which answer
-would win where, `state` writes a view as one string.
+`placement` show where the asked relation holds, `state` writes a view as one string.
 """
 
 from pipeline.diagnosis.whatif.changes import what_changed
