@@ -159,6 +159,7 @@ REMOVED = {
 }
 REMOVED_OPTIONS = {
     ("show", "--support"): "boxes are not snapped any more: drag the lower face in the page's side views",
+    ("show", "--support"): "boxes are not snapped any more: drag the lower face in the page's side views",
     ("view", "--also"): "two detectors are compared by `detect --agree`, their answers by `spatialviz failures A "
     "--compare B --answers`, of runs or of files that `ask --json` wrote",
     **dict.fromkeys(

@@ -204,8 +204,6 @@ class ShowCommand(OnPictures):
     """Only this object, rejected ones included."""
     pair: str | None = None
     """A,B: every relation of "A RELATION B"."""
-    support: Flag = False
-    """With --object: what it stands on, found in the depth around it."""
 
 
 @dataclass(frozen=True)

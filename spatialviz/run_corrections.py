@@ -20,7 +20,6 @@ from pipeline.corrections.journal.materialise import materialise
 from pipeline.corrections.journal.replay import redo, undo
 from pipeline.corrections.object_card import ObjectCard, object_card
 from pipeline.corrections.scene import PairCard, pair_card
-from pipeline.corrections.support import Support, support_name, support_of
 from pipeline.corrections.wording import event_text
 from pipeline.labels.by_hand import begun_labels, grows, with_frames
 from pipeline.labels.reading import Labels, open_labels
@@ -46,7 +45,6 @@ def run_show(command: ShowCommand) -> int:
     from pipeline.corrections.journal_location import JournalLocation  # Brings the review of labels in.
 
     require(command.object is None or command.pair is None, "--object and --pair exclude each other")
-    require(not command.support or command.object is not None, "--support needs --object")
     labels = open_labels(command.labels)
     if command.journal.journal is not None:
         journal = command.journal.open(labels, must_exist=True)
@@ -62,11 +60,7 @@ def run_show(command: ShowCommand) -> int:
         return FINE if card.lines else NO
     shown = sorted({*frame.objects, *frame.left_out}) if command.object is None else [command.object]
     cards = [object_card(frame, n) for n in shown]
-    support = support_of(frame, shown[0], corrector) if command.support else None
-    more = {} if support is None else {"support": {**support[0].record(), "gap": support[1]}}
-    command.write(({**card.record(), **more} for card in cards), print_objects, cards, command.object is not None)
-    if support is not None and not command.json:
-        print_support(frame, *support)
+    command.write((card.record() for card in cards), print_objects, cards, command.object is not None)
     return FINE if cards else NO
 
 
@@ -341,11 +335,3 @@ def print_pair(card: PairCard) -> None:
         ),
         overflow="fold",
     )
-
-
-def print_support(frame: EffectiveFrame, support: Support, gap: float) -> None:
-    """Print the supports of an object."""
-    where = f"{abs(gap) * 100:.1f} cm {'above' if gap > 0 else 'below the top of'} {support_name(frame, support)}"
-    points = f"{counted(support.points, 'point')}, {support.spread * 1000:.1f} mm"
-    fitted = points if support.points else "its upper extent"
-    say(f"its box ends {where} ({fitted})")

@@ -4,7 +4,7 @@
 could not be saved yet or is disputed, `journal_location` the journal that all
 share. `scene` makes objects and cases of a frame's effective labels, `cards` and
 `object_card` say what is known of a pair, an object or an expression, and where
-from; `draft` and `support` are edits of pixels and of 3D boxes.
+from; `draft` and `side_views` are edits of pixels and of 3D boxes.
 """
 
 from pipeline.system.lazy_exports import lazy_exports
@@ -85,14 +85,12 @@ if TYPE_CHECKING:
     )
     from pipeline.corrections.scene import (
         ASKED_BEYOND_M,
-        MovingBox,
         effective_truth,
         labelled_box,
         labelled_objects,
         pair_card,
     )
-    from pipeline.corrections.side_views import drag_box, dragged, face_to_points
-    from pipeline.corrections.support import Support, fit_to_points, snap_to_support, support_of
+    from pipeline.corrections.side_views import drag_box, dragged, face_to_points, fit_to_points
     from pipeline.corrections.unsaved import Waiting, disputes
     from pipeline.corrections.vocabulary import Vocabulary, completions
     from pipeline.corrections.wording import consequences, events_text

@@ -10,7 +10,7 @@ from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.label_editor import EventLine, LabelEditor
 from pipeline.corrections.object_card import ExpressionCard, expression_cards
 from pipeline.corrections.review.items import ItemKey
-from pipeline.corrections.scene import Moved, PairCard, labelled_box, pair_card
+from pipeline.corrections.scene import PairCard, labelled_box, pair_card
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.masks import decode_run_length
 from pipeline.proposals.annotations import box_mask
@@ -40,7 +40,6 @@ class LabelView:
     item: ItemKey | None = None  # of the review queue
     said: str = ""  # result of the last action
     bad: bool = False  # not done
-    moved: Moved | None = None  # consequences of the dragged box
     expression: str | None = None  # id
     about: tuple[int, ...] = ()  # pair whose expressions are listed first
     expressions: tuple[ExpressionCard, ...] = ()

@@ -1,6 +1,6 @@
 """A frame's corrected labels as objects in 3D, and as the cases that answers are judged by.
 
-With what is known of a pair of objects, relation by relation, where from, also while a box is moved.
+With what is known of a pair of objects, relation by relation, and where from.
 """
 
 from __future__ import annotations
@@ -8,26 +8,22 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 
 from pipeline.answering.ask import Trace
 from pipeline.answering.objects import SceneObject
-from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.field_refs import FieldRef, box_of, box_value, object_ref, relation_ref, same_value
+from pipeline.corrections.journal.field_refs import FieldRef, box_of, relation_ref, same_value
 from pipeline.corrections.journal.replay import Origin
 from pipeline.geometry.boxes import Box3D, iou_2d
 from pipeline.geometry.lifting import LiftedObject, Quality
 from pipeline.geometry.masks import decode_crop
 from pipeline.labels.cases import HIT, Case, FrameCases, frame_cases
-from pipeline.labels.labelling import judge_list
-from pipeline.language.relation_names import INVERSE, PAIRWISE
+from pipeline.language.relation_names import PAIRWISE
 from pipeline.proposals.annotations import box_mask
-from pipeline.relations.pair_measures import NOT_JUDGED
-from pipeline.relations.relations import F, T, U, letter
+from pipeline.relations.relations import U, letter
 from pipeline.system.errors import require
 
 # An edit changes one object of a frame; the pixels of the others are known already.
@@ -157,7 +153,6 @@ def answered_case(frame: EffectiveFrame, truth: FrameCases, case: Case, trace: T
 
 ASKED_BEYOND_M = 0.1
 """A judgement that geometry contradicts by more metres than this is asked about before it is saved."""
-MOVED = Origin("recomputed", reason="the box is being moved")
 
 
 @dataclass(frozen=True)
@@ -241,87 +236,3 @@ def pair_card(frame: EffectiveFrame, a: int, b: int) -> PairCard:
 
 def _number(value: Any) -> float | None:
     return None if np.isnan(value) else float(value)
-
-
-@dataclass(frozen=True)
-class Moved:
-    """Consequences of another box of one object of a pair."""
-
-    number: int
-    box: Box3D  # camera frame
-    card: PairCard | None
-    changed: tuple[str, ...]  # relations with another state
-    seconds: float
-
-
-class MovingBox:
-    """Constant parts of a frame while one object of a pair is moved; no card without a dataset."""
-
-    def __init__(
-        self, frame: EffectiveFrame, corrector: Corrector, number: int, pair: tuple[int, int] | None = None
-    ) -> None:
-        self.frame, self.number, self.pair = frame, number, pair
-        self._relifter = corrector.relifter
-        self._card = None
-        self._lifted: dict[int, SceneObject] = {}
-        require(number in frame.objects, f"frame {frame.frame} has no object {number} that stands")
-        if pair is None or number not in pair or self._relifter is None:
-            return
-        card = pair_card(frame, *pair)
-        if card.why_none:
-            return
-        self._card = card
-        refs = {n: object_ref(frame.frame, n, "box") for n in pair}
-        by_hand = {n: frame.value(ref) for n, ref in refs.items() if frame.origin(ref).source == "human"}
-        self._lifted = {n: self._lift(n, by_hand.get(n)) for n in pair}
-
-    def _lift(self, number: int, box: Any) -> SceneObject:
-        assert self._relifter is not None
-        row = self.frame.objects[number]
-        if number not in self.frame.auto.objects and row["mask_source"] == "box3d":
-            # Its pixels are those in the box, wherever that is.
-            row = {**row, "mask": None}
-        return self._relifter.lifted(self.frame.frame, row, box)
-
-    def moved(self, box: Box3D) -> Moved:
-        """Consequences of another box (camera frame), for the pair the same as of saving."""
-        start = perf_counter()
-        card = self._card
-        if card is None or self._relifter is None:
-            return Moved(self.number, box, None, (), perf_counter() - start)
-        objects = {**self._lifted, self.number: self._lift(self.number, box_value(box))}
-        numbers = sorted(objects)
-        context, config = self._relifter.context(self.frame.frame), self._relifter.setting.config
-        judged = judge_list(context, [objects[n] for n in numbers], config, self._relifter.network)
-        i, j = (numbers.index(n) for n in (card.a, card.b))
-        lines = tuple(
-            self._line(line, int(judged.states[i, j, k]), float(judged.margins[i, j, k]))
-            for line in card.lines
-            for k in (PAIRWISE.index(line.relation),)
-        )
-        changed = tuple(new.relation for new, old in zip(lines, card.lines, strict=True) if new.state != old.state)
-        distance = float(judged.distance[i, j])
-        card = replace(card, lines=lines, distance=distance if np.isfinite(distance) else None)
-        return Moved(self.number, box, card, changed, perf_counter() - start)
-
-    def _line(self, line: RelationLine, state: int, margin: float) -> RelationLine:
-        """Relation judged anew, under people's corrections."""
-        human = line.origin.source == "human"
-        ruled_out = not human and state == T and self._ruled_out(line.relation)
-        now = line.state if human else F if ruled_out else None if state == NOT_JUDGED else state
-        if (human or ruled_out) and not ((now == T and margin > 0) or (now == F and margin < 0)):
-            margin = 0.0
-        return replace(line, state=now, margin=None if now is None else margin, origin=line.origin if human else MOVED)
-
-    def _ruled_out(self, relation: str) -> bool:
-        """True where a person set the opposite, or the same the other way round."""
-        assert self._card is not None
-        opposite, frame = INVERSE.get(relation), self.frame
-        if opposite is None:
-            return False
-        a, b = self._card.a, self._card.b
-        cells = [(a, b, opposite), (b, a, relation)]
-        return any(
-            frame.pairs.state(*ref) == T and frame.origin(relation_ref(frame.frame, *ref)).source == "human"
-            for ref in cells
-        )

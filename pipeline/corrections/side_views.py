@@ -1,4 +1,4 @@
-"""Three views along the axes of a 3D box, and what a hand does to the box in them.
+"""Three views along the axes of a 3D box, what a hand does to the box in them, and a box fitted to its points.
 
 The views are level where the box is: their axes a, b, c are the box's own, c the one that is most upright, a to the
 viewer's right and b away. Seen from above stand a and b, from the front a and c, from the side b and c.
@@ -14,13 +14,17 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.answering.objects import pixels_inside
 from pipeline.corrections.journal.edits import Edits, set_box
+from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.scene import labelled_box
+from pipeline.corrections.journal.field_refs import object_ref
+from pipeline.corrections.scene import labelled_box, labelled_objects
 from pipeline.diagnosis.whatif.placement import pulled
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import lift_pixels
 from pipeline.geometry.frame import Frame
+from pipeline.geometry.lifting import lift
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.system.errors import InputError, Shown, needed, require
 
@@ -127,7 +131,35 @@ def face_to_points(views: SideViews, axis: int, side: int) -> Move:
 
 def drag_box(frame: EffectiveFrame, number: int, moves: Sequence[Move], reason: str = "") -> Edits:
     """Edit a 3D box by moves in the views; InputError as `dragged`, or without object, box or up vector."""
-    row = needed(frame.objects.get(number), f"frame {frame.frame} has no object {number} that stands")
-    box = needed(labelled_box(row), f"object {number} has no 3D box: there is no depth in its pixels")
+    box = _standing(frame, number)[1]
     up = needed(frame.row["up"], f"frame {frame.frame}: which way is up was not kept")
     return set_box(frame, number, dragged(box, box_axes(box, viewer_axes(np.array(up))), moves), reason)
+
+
+def fit_to_points(frame: EffectiveFrame, number: int, corrector: Corrector, reason: str = "") -> Edits:
+    """Edit the box to the object's cleaned points, by the labels' estimator.
+
+    An object added as a 3D box is fitted to the points inside. InputError for no object, no change, or no dataset.
+    """
+    reason = reason or "fitted to its points"
+    row, box = _standing(frame, number)
+    if number in frame.auto.objects or row["mask_source"] != "box3d":
+        ref = object_ref(frame.frame, number, "box")
+        require(
+            frame.version(ref) != 0 and frame.origin(ref).source == "human",
+            f"the box of object {number} is the one of its points already",
+        )
+        return set_box(frame, number, None, reason)
+    relifter = needed(corrector.relifter, "this needs the dataset's depth, and the dataset is not at hand")
+    context = relifter.context(frame.frame)
+    (mask,) = (o.mask for o in labelled_objects(frame) if o.id == number)
+    inside = pixels_inside(box, mask, context.frame)
+    (lifted,) = lift(
+        context.frame.depth, context.frame.camera, [inside], context.viewer, config=context.config, edges=context.edges
+    )
+    return set_box(frame, number, needed(lifted.box, "no point with a depth lies in the box"), reason)
+
+
+def _standing(frame: EffectiveFrame, number: int) -> tuple[dict[str, Any], Box3D]:
+    row = needed(frame.objects.get(number), f"frame {frame.frame} has no object {number} that stands")
+    return row, needed(labelled_box(row), f"object {number} has no 3D box: there is no depth in its pixels")

@@ -11,7 +11,6 @@ import numpy as np
 from pipeline.answering.ask import Trace
 from pipeline.answering.pipeline import Pipeline
 from pipeline.corrections.object_card import FieldLine, ObjectCard
-from pipeline.corrections.scene import Moved
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif.changes import each_edit
 from pipeline.diagnosis.whatif.decision_map import DecisionMap
@@ -21,7 +20,7 @@ from pipeline.geometry.palette import RGB, hex_color, palette
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.installed import installed_networks
-from pipeline.relations.relations import Profile, letter
+from pipeline.relations.relations import Profile
 from spatialviz.app.markup import (
     BAD,
     DOUBT,
@@ -32,7 +31,6 @@ from spatialviz.app.markup import (
     dot,
     h,
     heading,
-    joined,
     note,
     panel,
     segments,
@@ -270,20 +268,16 @@ SOURCES = {
 
 _FITS = h.div(
     button("fit to points", "box-fit", "the box that its cleaned points make (Shift+J)"),
-    button("extend", "box-snap:extend", "its bottom to what the object stands on, its top stays (Shift+B)"),
-    button("place on support", "box-snap:move", "all of it to what the object stands on (Shift+Z)"),
     cls="chips beside",
 )
 
 
-def saved_html(author: str, said: str, bad: bool, moved: Moved | None) -> Element:
+def saved_html(author: str, said: str, bad: bool) -> Element:
     """Notice of saved edits, with the author's name and the outcome of the last edit."""
     color, done = (
         (BAD, "the last action was not saved; you are ") if bad else (GOOD, "edits are saved to the journal as ")
     )
     last = h.div(said, cls="dim said2", title=said) if said else None
-    if moved is not None:
-        last = h.div(_moved(moved), cls="dim")
     return panel(
         h.div(
             h.span(done, h.b(author), cls="said2"),
@@ -297,17 +291,6 @@ def saved_html(author: str, said: str, bad: bool, moved: Moved | None) -> Elemen
         ),
         last,
     )
-
-
-def _moved(moved: Moved) -> Child:
-    if moved.card is None:
-        return "saved when it is let go"
-    would = [
-        h.b(f"{PHRASE[line.relation]} {'none' if line.state is None else letter(line.state)}")
-        for line in moved.card.lines
-        if line.relation in moved.changed
-    ]
-    return joined(would, ", ") if would else "no relation of the pair changes", f" · {moved.seconds * 1000:.1f} ms"
 
 
 def object_html(card: ObjectCard, name: str, color: RGB, mode: str, author: str) -> Element:

@@ -91,8 +91,6 @@ LABEL_KEYS: Mapping[str, Rows] = {
         ("Shift+F", "Look at the selected object", "focus"),
         ("Shift+O", "Name the class of the object", "class-focus"),
         ("Shift+J", "Fit the box to its points", "box-fit"),
-        ("Shift+B", "Extend the box to what the object stands on", "box-snap:extend"),
-        ("Shift+Z", "Place the box on what the object stands on", "box-snap:move"),
     ),
     "Pixels": (
         ("Shift+I", "Edit the pixels of the selected object", "px-tool:brush"),

@@ -18,9 +18,7 @@ from pipeline.corrections.journal.events import Event, Saved
 from pipeline.corrections.journal.field_refs import object_ref
 from pipeline.corrections.label_view import LabelView
 from pipeline.corrections.object_card import back_to_automatic, bring_back, judgements, object_card
-from pipeline.corrections.scene import MovingBox
-from pipeline.corrections.side_views import SideViews, drag_box, dragged, face_to_points, side_views
-from pipeline.corrections.support import fit_to_points, snap_to_support
+from pipeline.corrections.side_views import SideViews, drag_box, dragged, face_to_points, fit_to_points, side_views
 from pipeline.corrections.vocabulary import Vocabulary, completions, vocabulary_of
 from pipeline.diagnosis.whatif.edit_words import box_with, number_of
 from pipeline.diagnosis.whatif.placement import SMALLEST_SIDE, box_numbers
@@ -37,7 +35,6 @@ from spatialviz.app.frames import jpeg_url
 from spatialviz.app.label_item import UNNAMED, digits_row
 from spatialviz.app.label_part import LabelPart
 from spatialviz.app.markup import Element, h, panel
-from spatialviz.app.review_html import pair_html
 from spatialviz.report.picture import edges_path
 
 FARTHEST = 1000.0
@@ -53,7 +50,6 @@ class LabelObject(LabelPart):
         self._words: dict[str, Vocabulary] = {}
         self._asked: tuple[str, int, str] | None = None
         self._rejected: list[tuple[str, int]] = []
-        self._moving: MovingBox | None = None
         self._held: int | None = None
         self._follows = False
         ctx.editors.on_saved.append(self._learn)
@@ -158,10 +154,6 @@ class LabelObject(LabelPart):
     def _fit(self) -> None:
         self._edit(fit_to_points)
 
-    @command("box-snap")
-    def _snap(self, way: Literal["move", "extend"]) -> None:
-        self._edit(lambda f, n, c: snap_to_support(f, n, c, way))
-
     @command("field-back")
     def _give_back(self, field: str) -> None:
         self._edit(lambda f, n, c: back_to_automatic(f, n, field))
@@ -187,7 +179,6 @@ class LabelObject(LabelPart):
 
     def _dragged(self, box: Box3D, ended: bool) -> None:
         view, number, state = self.state.labels, self.number, self.state
-        moving, self._moving = self._moving, None
         if view is None or number is None or number != self._held or state.selected is None:
             return
         if ended:
@@ -198,19 +189,10 @@ class LabelObject(LabelPart):
                 self.renew()
                 self.ctx.draw()
             return
-        try:
-            if moving is None or moving.frame is not view.frame or moving.number != number:
-                pair = None if state.pair is None else (view.numbers[state.pair[0]], view.numbers[state.pair[1]])
-                moving = MovingBox(view.frame, self.editor.corrector, number, pair)
-            moved, self._moving = moving.moved(box), moving
-        except InputError as error:
-            self.ctx.note(f"not moved: {error}")
-            return
         objects = list(state.shown.objects)
         entry = objects[state.selected]
         objects[state.selected] = replace(entry, lifted=replace(entry.lifted, box=box))
-        there = replace(state.shown, objects=tuple(objects))
-        self.state = replace(state, found=there, labels=replace(view, moved=moved))
+        self.state = replace(state, found=replace(state.shown, objects=tuple(objects)))
         self.ctx.draw(live=True)
 
     # ---- drawing ----------------------------------------------------------------------
@@ -225,15 +207,13 @@ class LabelObject(LabelPart):
         if not self._gizmo.held:
             self._held = number
         self._gizmo.show(None if box is None else self.ctx.scene.shown_box(box), state.mode)
-        page.show("cost", saved_html(self.editor.author, view.said, view.bad, view.moved))
+        page.show("cost", saved_html(self.editor.author, view.said, view.bad))
         if (live or self._follows) and number is not None and box is not None and state.loaded is not None:
             # After a drag without effect the fields are reset.
             numbers, sends = box_numbers(box, state.loaded.context.viewer), box_command(state.frame_id, number)
             page.call("numbers", numbers_said(numbers, sends))
         self._follows = live
         if live:
-            if view.moved is not None and view.moved.card is not None:
-                page.show("review-pair", pair_html(replace(state, labels=replace(view, card=view.moved.card))))
             return
         named = number is not None and (view.item is None or view.item.kind == "object")
         label = view.frame.objects[number]["label"] if named and number is not None else ""

@@ -80,7 +80,7 @@ class LabelPart(Part):
         state, view = self.state, self.state.labels
         if view is not None:
             pair = [view.numbers[i] for i in state.pair or ()]
-            view = replace(view, frame=self.editor.frame(state.frame_id), moved=None)
+            view = replace(view, frame=self.editor.frame(state.frame_id))
             self.state = _looking_at(state, view, pair, self.number)
 
     def save(self, made: Callable[[EffectiveFrame], Edits], draw: bool = True) -> Outcome:

@@ -21,7 +21,7 @@ from spatialviz.app.context import Context
 from spatialviz.app.frames import jpeg_url, png_url, thumb_url
 from spatialviz.app.markup import Child, Element, chosen, detector_score, h, heading, named, note, panel
 from spatialviz.app.state import State
-from spatialviz.report.picture import box_edges_2d, edges_path, tinted
+from spatialviz.report.picture import edges_path, tinted
 
 IMAGE_WIDTH = 720
 
@@ -140,13 +140,9 @@ def _rectangle(bbox: np.ndarray) -> str:
 
 
 def _name_place(state: State, i: int) -> tuple[float, float]:
-    """Place of an object's name: at the 2D box, or at a dragged 3D box."""
-    entry, moved = state.shown.objects[i], None if state.labels is None else state.labels.moved
-    if state.loaded is not None and moved is not None and moved.number == entry.id:
-        edges = box_edges_2d(moved.box, state.loaded.context.frame.camera)
-        if len(edges):
-            return float(edges[..., 0].min()), float(edges[..., 1].min())
-    return float(entry.bbox[0]), float(entry.bbox[1])
+    """Place of an object's name, at the 2D box."""
+    x, y, *_ = state.shown.objects[i].bbox
+    return float(x), float(y)
 
 
 def smallest_at(objects: Sequence[SceneObject], pixel: tuple[int, int] | None) -> int | None:

@@ -1,14 +1,11 @@
-"""Object cards, giving fields back, boxes fitted and snapped, and relations while a box is being moved."""
+"""Object cards, giving fields back, and boxes fitted."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from journal_world import FRAME, half_of, saved, widest
 from slow_cases import mostly_slow
 
@@ -16,27 +13,17 @@ from pipeline.corrections import (
     Corrector,
     EffectiveFrame,
     Journal,
-    MovingBox,
-    Waiting,
     back_to_automatic,
     bring_back,
     fit_to_points,
-    journal_of,
     labelled_box,
     object_ref,
-    pair_card,
-    relation_ref,
     same_value,
-    snap_to_support,
-    support_of,
 )
 from pipeline.corrections.journal import edits
-from pipeline.corrections.journal.events import new_ulid
 from pipeline.corrections.object_card import FIELDS, object_card
 from pipeline.diagnosis import box_numbers
 from pipeline.geometry import Box3D
-from pipeline.language import PAIRWISE
-from pipeline.relations import F, T
 from pipeline.system import InputError
 
 
@@ -87,8 +74,6 @@ def test_without_the_pictures_what_follows_is_stale(bare_corrector: Corrector, j
     saved(journal, edits.set_box(frame, number, shifted(box_of_object(frame, number), (0.1, 0, 0))))
     saved(journal, fit_to_points(bare_corrector.frame(FRAME, journal), number, bare_corrector))
     assert object_card(bare_corrector.frame(FRAME, journal), number).line("box").origin.source == "stale"
-    with pytest.raises(InputError, match="dataset"):
-        snap_to_support(bare_corrector.frame(FRAME, journal), number, bare_corrector)
 
 
 def test_a_rejected_object_has_a_card_and_comes_back(full_corrector: Corrector, journal: Journal) -> None:
@@ -194,87 +179,3 @@ def test_an_object_added_as_a_box_is_fitted_to_the_points_in_it(full_corrector: 
     assert fitted.volume < 0.7 * like.volume * 1.5**3
     with pytest.raises(InputError, match="nobody has changed"):
         back_to_automatic(full_corrector.frame(FRAME, journal), number, "label")
-
-
-def test_a_box_is_snapped_to_the_desk_it_stands_on(full_corrector: Corrector, journal: Journal) -> None:
-    frame = full_corrector.frame(FRAME, journal)
-    assert frame.objects[4]["label"] == "mug"
-    support, gap = support_of(frame, 4, full_corrector)
-    assert support.number is not None
-    assert frame.objects[support.number]["label"] == "desk"
-    assert 0.001 < gap < 0.05
-    size = box_of_object(frame, 4).size
-    for way in ("move", "extend"):
-        (event,) = saved(journal, snap_to_support(frame, 4, full_corrector, way))
-        assert "desk" in event.reason
-        frame = full_corrector.frame(FRAME, journal)
-        assert support_of(frame, 4, full_corrector)[1] == pytest.approx(0, abs=0.002)
-        assert same_value(box_of_object(frame, 4).size[[0, 2]].tolist(), size[[0, 2]].tolist())
-        with pytest.raises(InputError, match="already"):
-            snap_to_support(frame, 4, full_corrector, way)
-        saved(journal, fit_to_points(frame, 4, full_corrector))
-        frame = full_corrector.frame(FRAME, journal)
-
-
-@pytest.fixture(scope="module")
-def settled(full_corrector: Corrector, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Journal]:
-    """A journal in which somebody has already said something of the pairs of the mug 4, and added an object."""
-    with journal_of(full_corrector.labels, tmp_path_factory.mktemp("moving") / "j.sqlite") as journal:
-        frame = full_corrector.frame(FRAME, journal)
-        saved(journal, edits.set_relation(frame, 4, 2, "left", T), "bob")
-        saved(journal, edits.set_relation(full_corrector.frame(FRAME, journal), 9, 4, "behind", T), "bob")
-        frame = full_corrector.frame(FRAME, journal)
-        saved(journal, edits.add_object(frame, "cup", box=box_of_object(frame, 3)), "bob")
-        yield journal
-
-
-@settings(max_examples=6)
-@given(
-    place=st.integers(0, 3),
-    by=st.tuples(*(st.floats(-0.6, 0.6) for _ in range(3))),
-    scale=st.floats(0.5, 2.0),
-    turned=st.booleans(),
-)
-def test_relations_while_a_box_moves_are_those_that_saving_it_makes(
-    settled: Journal, full_corrector: Corrector, place: int, by: tuple[float, ...], scale: float, turned: bool
-) -> None:
-    frame = full_corrector.frame(FRAME, settled)
-    added = max(frame.objects)
-    number, other = [(4, 2), (4, 9), (added, 4), (11, added)][place]
-    pair = (other, number) if turned else (number, other)
-    box = shifted(box_of_object(frame, number), by, scale)
-    moved = MovingBox(frame, full_corrector, number, pair).moved(box)
-    assert moved.card is not None
-    events = settled.events()
-    (edit,) = edits.set_box(frame, number, box)
-    waiting = Waiting((edit,), "ann", new_ulid(), events[-1].time, "").events(events[-1].id + 1, "")
-    after = pair_card(full_corrector.frame(FRAME, [*events, *waiting]), *pair)
-    assert [(x.relation, x.state) for x in moved.card.lines] == [(x.relation, x.state) for x in after.lines]
-    for live, kept in zip(moved.card.lines, after.lines, strict=True):
-        assert live.margin == pytest.approx(kept.margin, abs=1e-5), live.relation
-    assert moved.card.distance == pytest.approx(after.distance, abs=1e-5)
-    before = pair_card(frame, *pair)
-    assert moved.changed == tuple(
-        x.relation for x, y in zip(after.lines, before.lines, strict=True) if x.state != y.state
-    )
-
-
-def test_what_a_person_said_stands_while_a_box_moves(settled: Journal, full_corrector: Corrector) -> None:
-    frame = full_corrector.frame(FRAME, settled)
-    far = shifted(box_of_object(frame, 4), (3.0, 0, 0))
-    moved = MovingBox(frame, full_corrector, 4, (4, 2)).moved(far)
-    assert moved.card is not None
-    states = {line.relation: line.state for line in moved.card.lines}
-    assert (states["left"], states["right"]) == (T, F)
-    assert frame.origin(relation_ref(FRAME, 4, 2, "left")).author == "bob"
-    assert set(moved.changed) <= set(PAIRWISE)
-    assert moved.number == 4
-
-
-def test_a_box_can_move_where_there_is_no_pair(full_corrector: Corrector, bare_corrector: Corrector) -> None:
-    for corrector, pair in ((full_corrector, None), (full_corrector, (2, 3)), (bare_corrector, (4, 2))):
-        frame = corrector.frame(FRAME, ())
-        moved = MovingBox(frame, corrector, 4, pair).moved(box_of_object(frame, 4))
-        assert (moved.card, moved.changed) == (None, ())
-    with pytest.raises(InputError, match="no object 77"):
-        MovingBox(full_corrector.frame(FRAME, ()), full_corrector, 77)
