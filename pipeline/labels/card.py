@@ -1,82 +1,22 @@
-"""The dataset card of labels, and their Croissant metadata: what they are, how they were made, how far to trust them.
-
-Both need the merged tables and the manifest, and read only the columns that they count.
-"""
+"""Dataset card of labels: what they are, how they were made, how far to trust them."""
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from functools import partial
 from pathlib import PurePosixPath
-from typing import Any
 
 from pipeline.labels.provenance import makers_of
-from pipeline.labels.reading import SENTENCES_FILE, Labels, arrow_schema
-from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest
+from pipeline.labels.reading import SENTENCES_FILE, Labels
+from pipeline.labels.schema import TABLES, Manifest
 from pipeline.labels.statistics import open_database, relation_counts
-from pipeline.system.arrow import pa
 
 UNKNOWN_LICENCE = "unknown: ask the dataset's owner"
 _HUB_LICENCE = re.compile(r"[a-z0-9][a-z0-9.+-]*")
 _SIZES = (("n<1K", 10**3), ("1K<n<10K", 10**4), ("10K<n<100K", 10**5), ("100K<n<1M", 10**6), ("1M<n<10M", 10**7),
           ("10M<n<100M", 10**8), ("100M<n<1B", 10**9), ("1B<n<10B", 10**10))  # fmt: skip
-
-CONTEXT: dict[str, Any] = {
-    "@language": "en",
-    "@vocab": "https://schema.org/",
-    "data": {"@id": "cr:data", "@type": "@json"},
-    "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
-    "examples": {"@id": "cr:examples", "@type": "@json"},
-    "cr": "http://mlcommons.org/croissant/",
-    "rai": "http://mlcommons.org/croissant/RAI/",
-    "dct": "http://purl.org/dc/terms/",
-    "sc": "https://schema.org/",
-    "conformsTo": "dct:conformsTo",
-    **{
-        name: f"cr:{name}"
-        for name in (
-            "citeAs",
-            "column",
-            "equivalentProperty",
-            "extract",
-            "field",
-            "fileProperty",
-            "fileObject",
-            "fileSet",
-            "format",
-            "includes",
-            "isLiveDataset",
-            "jsonPath",
-            "key",
-            "md5",
-            "parentField",
-            "path",
-            "recordSet",
-            "references",
-            "regex",
-            "repeated",
-            "replace",
-            "samplingRate",
-            "separator",
-            "source",
-            "subField",
-            "transform",
-        )
-    },
-}
-"""The JSON-LD context of Croissant 1.0, docs.mlcommons.org/croissant/docs/croissant-spec.html."""
-
-
-@dataclass(frozen=True)
-class DataFile:
-    """A Parquet file of a table: path below the folder, rows, sha256."""
-
-    path: str
-    rows: int
-    sha256: str
 
 
 def dataset_name(labels: Labels) -> str:
@@ -229,86 +169,3 @@ def _checked(manifest: Manifest) -> str:
 def _plain(text: str) -> str:
     """Text from outside, on one line and without Markdown's marks."""
     return re.sub(r"[`|<>*\[\]]", "", " ".join(text.split()))
-
-
-def croissant(
-    labels: Labels,
-    *,
-    licence: str = UNKNOWN_LICENCE,
-    files: Mapping[str, Sequence[DataFile]] | None = None,
-    schema: Callable[[str], pa.Schema] = arrow_schema,
-) -> dict[str, Any]:
-    """Croissant 1.0 metadata as JSON-LD.
-
-    `files`: the files of each table; by default those of a labels folder. `schema`: the Arrow schema of a table in
-    those files, by name.
-    """
-    manifest, name = labels.manifest, dataset_name(labels)
-    found: Mapping[str, Sequence[DataFile]] = files or {
-        table: [DataFile(t.file, t.rows, t.sha256)] for table, t in manifest.tables.items()
-    }
-    return {
-        "@context": CONTEXT,
-        "@type": "sc:Dataset",
-        "conformsTo": "http://mlcommons.org/croissant/1.0",
-        "name": re.sub(r"[^A-Za-z0-9_.-]+", "-", f"spatial-relations-{name}").strip("-"),
-        "description": (
-            f"Pseudo-labels of RGB-D frames: objects, spatial relations of every ordered pair, referring expressions. "
-            f"Rule profile {manifest.profile.get('name')} ({manifest.profile_hash})."
-        ),
-        "license": licence,
-        "version": SCHEMA_VERSION,
-        "datePublished": manifest.created,
-        "creator": {"@type": "sc:Organization", "name": f"{manifest.tool} {manifest.version}"},
-        "keywords": ["RGB-D", "spatial relations", "referring expressions", "pseudo-labels"],
-        "isLiveDataset": False,
-        "distribution": [entry for table in TABLES for entry in _distribution(table, found[table])],
-        "recordSet": [_record_set(table, schema(table), single=len(found[table]) == 1) for table in TABLES],
-    }
-
-
-def _distribution(table: str, files: Sequence[DataFile]) -> Iterator[dict[str, Any]]:
-    single = len(files) == 1
-    for number, file in enumerate(files):
-        yield {
-            "@type": "cr:FileObject",
-            "@id": table if single else f"{table}-{number:05d}",
-            "name": PurePosixPath(file.path).name,
-            "contentUrl": file.path,
-            "encodingFormat": "application/x-parquet",
-            "sha256": file.sha256,
-        }
-    if not single:
-        yield {
-            "@type": "cr:FileSet",
-            "@id": table,
-            "name": table,
-            "containedIn": [{"@id": f"{table}-{number:05d}"} for number in range(len(files))],
-            "encodingFormat": "application/x-parquet",
-            "includes": str(PurePosixPath(files[0].path).with_name("*.parquet")),
-        }
-
-
-def _record_set(table: str, schema: pa.Schema, *, single: bool) -> dict[str, Any]:
-    kinds = pa.types
-    types = ((kinds.is_boolean, "sc:Boolean"), (kinds.is_integer, "sc:Integer"), (kinds.is_floating, "sc:Float"))
-    fields = []
-    for field in schema:
-        listed = kinds.is_list(field.type)
-        kind = field.type.value_type if listed else field.type
-        if kinds.is_struct(kind):
-            # Records within records: readers of Croissant do not agree on them, and the card tells of them.
-            continue
-        fields.append(
-            {
-                "@type": "cr:Field",
-                "@id": f"{table}/{field.name}",
-                "name": field.name,
-                "dataType": next((name for of_type, name in types if of_type(kind)), "sc:Text"),
-                **({"repeated": True} if listed else {}),
-                "source": {("fileObject" if single else "fileSet"): {"@id": table}, "extract": {"column": field.name}},
-            }
-        )
-    description = (TABLES[table].__doc__ or "").strip().split("\n")[0]
-    # A record set may not share its id with the file it is read from.
-    return {"@type": "cr:RecordSet", "@id": f"{table}-rows", "name": table, "description": description, "field": fields}

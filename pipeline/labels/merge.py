@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 from collections import Counter
@@ -16,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.datasets.settings import ASSUMED, DECLARE
-from pipeline.labels.card import croissant, dataset_card
+from pipeline.labels.card import dataset_card
 from pipeline.labels.labelling import row_hash
 from pipeline.labels.plan import PLAN_FILE, Plan, Shard, TextStyle, load_plan
 from pipeline.labels.provenance import makers_of
@@ -42,7 +41,7 @@ from pipeline.system.version import __version__
 from pipeline.system.whole_files import clear_abandoned, sha256_of, temporary_folder, write_synced
 
 LISTED_WARNINGS = 100
-CARD_FILE, CROISSANT_FILE = "README.md", "croissant.json"
+CARD_FILE = "README.md"
 
 
 def merge_labels(where: str | Path, selection: SelectConfig | None = None, out: Path | None = None) -> Manifest:
@@ -166,9 +165,8 @@ def _write_sentences(out: Path, shards: Sequence[Shard], store: LabelStore) -> C
 
 
 def write_manifest(labels: Labels) -> None:
-    """Write card, Croissant metadata, and last the manifest of merged tables."""
+    """Write the card, and last the manifest of merged tables."""
     write_synced(labels.root / CARD_FILE, dataset_card(labels).encode())
-    write_synced(labels.root / CROISSANT_FILE, json.dumps(croissant(labels), indent=1, ensure_ascii=False).encode())
     write_synced(labels.root / MANIFEST_FILE, labels.manifest.model_dump_json(indent=1).encode())
 
 

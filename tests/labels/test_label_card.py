@@ -1,17 +1,13 @@
-"""The dataset card and the Croissant metadata of labels."""
+"""The dataset card of labels."""
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections import Counter
-from pathlib import Path
 
 import pytest
 
-from pipeline.labels import TABLES, HubConfig, Labels, export_labels
-from pipeline.labels.card import croissant, dataset_card
-from pipeline.labels.exports.row_provenance import extended_schema
+from pipeline.labels import TABLES, Labels
+from pipeline.labels.card import dataset_card
 
 
 def front_matter(card: str) -> dict[str, object]:
@@ -48,29 +44,3 @@ def test_the_card_bears_odd_names(label_sets: dict[str, Labels]) -> None:
         assert front_matter(card)["pretty_name"] == "Spatial relations of odd `name`"
         # Where somebody keeps the dataset is nobody's business.
         assert "/data/" not in card
-        assert json.dumps(croissant(label_sets[kind])).count("cr:RecordSet") == 4
-
-
-def test_croissant_names_the_files_and_their_hashes(label_sets: dict[str, Labels], tmp_path: Path) -> None:
-    export_labels(label_sets["demo"], "parquet", tmp_path / "out", options=HubConfig(5000))
-    found = json.loads((tmp_path / "out/croissant.json").read_bytes())
-    objects = [d for d in found["distribution"] if d["@type"] == "cr:FileObject"]
-    assert len(objects) == 5
-    for entry in objects:
-        assert hashlib.sha256((tmp_path / "out" / entry["contentUrl"]).read_bytes()).hexdigest() == entry["sha256"]
-    for record in found["recordSet"]:
-        assert [f["name"] for f in record["field"]] == [
-            n for n in extended_schema(record["name"]).names if n not in ("provenance", "statuses")
-        ]
-
-
-def test_croissant_is_valid(label_sets: dict[str, Labels], tmp_path: Path) -> None:
-    mlcroissant = pytest.importorskip("mlcroissant")
-    export_labels(label_sets["demo"], "parquet", tmp_path / "one")
-    export_labels(label_sets["demo"], "parquet", tmp_path / "many", options=HubConfig(5000))
-    for name in ("one", "many"):
-        issues = mlcroissant.Dataset(jsonld=tmp_path / name / "croissant.json").metadata.ctx.issues
-        assert not issues.errors
-    records = mlcroissant.Dataset(jsonld=tmp_path / "one/croissant.json").records("frames-rows")
-    frames = [row["frames/frame"].decode() for row in records]
-    assert frames == label_sets["demo"].frames.column("frame").to_pylist()

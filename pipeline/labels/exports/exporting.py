@@ -7,9 +7,9 @@ the columns of the tables as keys, and those of `pipeline.labels.exports.row_pro
 A float32 column is written as the double of the same value, so that reading it
 as float32 gives the same bits.
 
-The hub: Parquet files, a dataset card and Croissant metadata.
+The hub: Parquet files and a dataset card.
 `data/TABLE/train-00000-of-0000N.parquet`, `README.md` (the card, whose YAML
-names the four tables as configs), `croissant.json`, `schemas/`. Beside its own,
+names the four tables as configs), `schemas/`. Beside its own,
 every table has the columns of `pipeline.labels.exports.row_provenance`. Pictures, if
 copied, are in `images/` by frame_index.
 """
@@ -24,7 +24,7 @@ from types import NoneType
 from typing import Any, Literal
 
 from pipeline.datasets import Dataset
-from pipeline.labels.card import UNKNOWN_LICENCE, DataFile, croissant, dataset_card
+from pipeline.labels.card import UNKNOWN_LICENCE, dataset_card
 from pipeline.labels.exports import coco, kitti, vqa_questions
 from pipeline.labels.exports.base import (
     ExportFormat,
@@ -53,7 +53,7 @@ from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import needed, require
 from pipeline.system.plugins import load_plugins
 from pipeline.system.version import __version__
-from pipeline.system.whole_files import sha256_of, staged_folder, text_file, write_json
+from pipeline.system.whole_files import staged_folder, text_file, write_json
 
 ENTRY_POINT_GROUP = "spatialviz.exports"
 """Entry points of this group name an ExportFormat, and so add a format."""
@@ -156,29 +156,16 @@ class HubConfig:
 def write_hub(job: Job) -> Written:
     """Write data, card, metadata and schemas."""
     options: HubConfig = job.options
-    files = {name: _write_table(job, name, options.rows_a_file) for name in TABLES}
-    rows = {name: sum(file.rows for file in found) for name, found in files.items()}
+    files = [path for name in TABLES for path in _write_table(job, name, options.rows_a_file)]
+    rows = {name: job.labels.manifest.tables[name].rows for name in TABLES}
     write_schemas(job.folder / "schemas")
     extended_json_schemas(job.folder / "schemas")
     with text_file(job.folder / "README.md") as card:
         card.write(dataset_card(job.labels, licence=options.licence, files={n: f"data/{n}/*.parquet" for n in TABLES}))
-    write_json(
-        job.folder / "croissant.json",
-        croissant(job.labels, licence=options.licence, files=files, schema=extended_schema),
-    )
-    return Written(
-        (
-            "README.md",
-            "croissant.json",
-            *(file.path for found in files.values() for file in found),
-            "schemas/",
-            *copy_images(job),
-        ),
-        rows,
-    )
+    return Written(("README.md", *files, "schemas/", *copy_images(job)), rows)
 
 
-def _write_table(job: Job, name: str, rows_a_file: int) -> list[DataFile]:
+def _write_table(job: Job, name: str, rows_a_file: int) -> list[str]:
     total = job.labels.manifest.tables[name].rows
     count = max(1, -(-total // rows_a_file))
     (job.folder / "data" / name).mkdir(parents=True)
@@ -206,8 +193,7 @@ def _write_table(job: Job, name: str, rows_a_file: int) -> list[DataFile]:
                     )
                     group.clear()
                     rows = size = 0
-        relative = path.relative_to(job.folder).as_posix()
-        found.append(DataFile(relative, min(rows_a_file, total - number * rows_a_file), sha256_of(path)))
+        found.append(path.relative_to(job.folder).as_posix())
     require(
         not waiting.num_rows and next(batches, None) is None,
         f"the table {name} has more rows than its manifest says",
@@ -256,7 +242,7 @@ FORMATS: dict[str, ExportFormat] = {
     "vqa": vqa_questions.FORMAT,
     "parquet": ExportFormat(
         write_hub,
-        description="Parquet with a dataset card and Croissant, as the Hugging Face hub wants it; lossless",
+        description="Parquet with a dataset card, as the Hugging Face hub wants it; lossless",
         options=HubConfig,
     ),
 }
