@@ -67,7 +67,6 @@ from spatialviz.cli_labels import (
 )
 from spatialviz.cli_models import (
     AblationCommand,
-    AgreeCommand,
     CalibrateCommand,
     DetectCommand,
     InstallCommand,
@@ -128,7 +127,6 @@ FORMS: dict[str, tuple[type, str]] = {
     "merge": (MergeCommand, "run_labels"),
     "redo": (RedoCommand, "run_corrections"),
     "effective": (EffectiveCommand, "run_corrections"),
-    "agree": (AgreeCommand, "run_models"),
     "calibrate": (CalibrateCommand, "run_models"),
     "tables": (TablesCommand, "run_eval"),
     "install": (InstallCommand, "run_training"),
@@ -143,7 +141,6 @@ OPTIONS = {
     ("label", "--merge"): "merge",
     ("undo", "--redo"): "redo",
     ("export", "--effective"): "effective",
-    ("detect", "--agree"): "agree",
     ("detect", "--calibrate"): "calibrate",
     ("report", "--tables"): "tables",
     ("models", "--install"): "install",
@@ -152,16 +149,19 @@ OPTIONS = {
 """The option that stands for each of these."""
 RENAMED = {"bench srm": "ablation", "bench-srm": "ablation"}
 """Earlier names of commands, which still work."""
+_BY_ANSWERS = (
+    "two detectors are compared by their answers: `spatialviz failures A --compare B --answers`, of runs or of "
+    "files that `ask --json` wrote"
+)
 REMOVED = {
+    "agree": _BY_ANSWERS,
     "bench": "benches are scripts of a checkout: `cd tests; python -m benchmarks.stages`, and others beside it",
     "import-recording": "every command reads the recording where it is; `frames DATASET --remember` keeps what you say "
     "of its camera and unit in spatialviz.toml beside it",
 }
 REMOVED_OPTIONS = {
     ("show", "--support"): "boxes are not snapped any more: drag the lower face in the page's side views",
-    ("show", "--support"): "boxes are not snapped any more: drag the lower face in the page's side views",
-    ("view", "--also"): "two detectors are compared by `detect --agree`, their answers by `spatialviz failures A "
-    "--compare B --answers`, of runs or of files that `ask --json` wrote",
+    **dict.fromkeys((("view", "--also"), ("detect", "--agree")), _BY_ANSWERS),
     **dict.fromkeys(
         (("whatif", "--decision-map"), ("whatif", "--move"), ("whatif", "--cells")),
         "there is no map of the floor: `--do center:0:0.5` moves the object and answers again",

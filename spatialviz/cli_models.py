@@ -1,4 +1,4 @@
-"""Commands to run, compare and install detectors, and to train and compare relation networks."""
+"""Commands to run and calibrate detectors, and to train and compare relation networks."""
 
 from __future__ import annotations
 
@@ -9,14 +9,12 @@ from typing import Annotated, Literal
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from spatialviz.options import (
-    ALL_FRAMES,
     CPUS,
     Batch,
     DatasetArg,
     Epochs,
     Features,
     Flag,
-    FrameArg,
     FramesOptions,
     OnPictures,
     Output,
@@ -29,8 +27,8 @@ from spatialviz.options import (
 
 @dataclass(frozen=True)
 class DetectCommand(Output):
-    """Run a detector over a dataset and record its detections, for --detector recorded; --agree: compare two detectors;
-    --calibrate: fit the meaning of scores."""
+    """Run a detector over a dataset and record its detections, for --detector recorded; --calibrate: fit the meaning
+    of scores."""
 
     dataset: DatasetArg
     out: Path
@@ -38,25 +36,6 @@ class DetectCommand(Output):
     source: OmitArgPrefixes[FramesOptions] = FramesOptions()
     classes: tuple[str, ...] = ()
     """Names to ask for, each by itself. Default: the dataset's classes; without any, all that the detector knows."""
-
-
-@dataclass(frozen=True)
-class AgreeCommand(Output):
-    """Compare two detectors: on frames, class by class, and by their scores.
-
-    A is the detector, with what --fuse adds to it; B the one of --also. Exit status 1 where neither finds anything that
-    the other knows.
-    """
-
-    dataset: DatasetArg
-    frame: FrameArg = ALL_FRAMES
-    also: str | None = None
-    """The other detector: NAME or NAME=MODEL."""
-    source: OmitArgPrefixes[FramesOptions] = FramesOptions()
-    classes: tuple[str, ...] = ()
-    """Names that both are asked for. Default: everything that each knows; what the other does not know counts apart."""
-    iou: float = 0.5
-    """Detections that overlap less, by masks where both have them, else by boxes, are not of one thing."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +80,7 @@ class TrainCommand(Output):
     seed: int = 0
     """The same seed gives the same network."""
     vectors: Path | None = None
-    """Text vectors for +lang: .vec, .vec.gz, .bin, .npz or .json."""
+    """Text vectors for +lang: .vec, .vec.gz or .npz."""
     normalised: Flag = False
     """Divide word vectors by their lengths before a name's mean is taken."""
     split: Split = None

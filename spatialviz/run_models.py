@@ -1,4 +1,4 @@
-"""Commands running, comparing and calibrating detectors; and the catalogue of networks."""
+"""Commands running and calibrating detectors; and the catalogue of networks."""
 
 from __future__ import annotations
 
@@ -8,9 +8,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rich.text import Text
-
-from pipeline.answering.agreement import FrameAgreement, agree_frames, agreement_record, figures
 from pipeline.answering.calibrating import annotated_names, calibrate_scores
 from pipeline.answering.model_catalogue import (
     Adapter,
@@ -21,17 +18,14 @@ from pipeline.answering.model_catalogue import (
     is_fetched,
     take_inventory,
 )
-from pipeline.answering.pipeline import open_pipeline
 from pipeline.answering.recording import RecordingReport, record_detections
 from pipeline.proposals.mismatch import BOXES, shapes
 from pipeline.proposals.score_calibration import ScoreCalibration, save_calibration
-from pipeline.system.detector_setup import named_model
-from pipeline.system.errors import InputError, require
 from pipeline.system.model_files import KnownModel
 from pipeline.system.onnx_session import ACCELERATORS
-from spatialviz.cli_models import AgreeCommand, CalibrateCommand, DetectCommand, ModelsCommand
-from spatialviz.options import ALL_FRAMES, FINE, NO, warn_skipped
-from spatialviz.printing import figure, print_rows, rate_bar, say
+from spatialviz.cli_models import CalibrateCommand, DetectCommand, ModelsCommand
+from spatialviz.options import FINE, NO, warn_skipped
+from spatialviz.printing import print_rows, rate_bar, say
 
 SHOWN_NAMES = 8
 
@@ -65,45 +59,6 @@ def print_recorded(report: RecordingReport, command: DetectCommand, names: Seque
         say(f"asked for the dataset's classes: {', '.join(names)}; others: --classes NAME ...")
 
 
-def run_agree(command: AgreeCommand) -> int:
-    require(
-        not (command.frame != ALL_FRAMES and command.source.frames != ALL_FRAMES),
-        "frames are named twice",
-        got=f"{command.frame} and --frames {command.source.frames}",
-    )
-    if command.also is None:
-        raise InputError("there is nothing to compare the detector with", expected="--also NAME or --also NAME=MODEL")
-    source, _ = command.source.open(command.dataset)
-    frames = command.source.frames if command.frame == ALL_FRAMES else command.frame
-    kind, model = named_model(command.also)
-    shared = ("min_score", "segmenter", "segmenter_model", "synonyms")
-    options = {name: getattr(command.source, name) for name in shared}
-    second = open_pipeline(source.dataset, detector=kind, model=model, srm="rule", **options).needed_detector()
-    names = [source.needed_detector().name, second.name]
-    models = [command.source.model, model]
-    if names[0] == names[1] and models[0] != models[1]:
-        # Two models of one kind go by their files.
-        names = [path.stem if path else name for path, name in zip(models, names, strict=True)]
-    found = []
-    with rate_bar("comparing", "frames") as advance:
-        for frame_id, one in agree_frames(
-            source,
-            second,
-            frames,
-            names=command.classes or None,
-            min_iou=command.iou,
-            skipped=warn_skipped,
-            progress=advance,
-        ):
-            found.append(one)
-            if command.json or command.frame != ALL_FRAMES:
-                record = agreement_record(frame_id, one, source.synonyms)
-                command.write(record, print_frame_agreement, frame_id, one)
-    sums = figures(found, source.synonyms)
-    command.write({"detectors": names, **sums}, print_agreement, sums, names)
-    return FINE if sums["a"] + sums["b"] else NO
-
-
 def run_calibrate(command: CalibrateCommand) -> int:
     source, frame_ids = command.source.open(command.dataset)
     everything = source.dataset.class_names
@@ -134,64 +89,6 @@ def run_models(command: ModelsCommand) -> int:
     reports = [describe_file(path) for path in command.files]
     command.write({"files": [file_record(r) for r in reports]}, print_files, reports)
     return FINE if all(r.kind is not None and r.kind.options for r in reports) else NO
-
-
-def print_frame_agreement(frame_id: str, found: FrameAgreement) -> None:
-    """Print the disagreements of two detectors in a frame, row by row."""
-    say(("frame ", "dim"), frame_id, (f"  {int(found.same.sum())} things alike", ""))
-    pairs = ((p, *found.pairs[p].tolist()) for p in found.named_otherwise.tolist())
-    a = [(Text(name), f"{score:.2f}") for name, score in zip(found.labels_a, found.scores_a, strict=True)]
-    b = [(Text(name), f"{score:.2f}") for name, score in zip(found.labels_b, found.scores_b, strict=True)]
-    rows = [
-        *(("named otherwise", *a[i], *b[j], f"{found.iou[p]:.2f}") for p, i, j in pairs),
-        *(("only A", *a[i], "", "", f"{found.nearest_a[i]:.2f}") for i in found.only_a.tolist()),
-        *(("only B", "", "", *b[j], f"{found.nearest_b[j]:.2f}") for j in found.only_b.tolist()),
-    ]
-    if rows:
-        print_rows(("", "A", ">score", "B", ">score", ">IoU"), rows)
-        say("IoU of what one found alone: with the nearest of the other's", style="dim")
-
-
-def print_agreement(sums: dict[str, Any], detectors: Sequence[str]) -> None:
-    """Print the figures of all frames, and the table of classes."""
-    a, b = detectors
-    say(("A ", "dim"), a, ("   B ", "dim"), b, (f"   {sums['frames']} frames", "dim"))
-    say("{both} things alike, {otherwise} named otherwise, {only_a} only A, {only_b} only B".format(**sums))
-    if sums["beyond_a"] or sums["beyond_b"]:
-        beyond = "of classes that the other does not know: {beyond_a} of A, {beyond_b} of B (not counted)"
-        say(beyond.format(**sums), style="dim")
-    share, placed, kappa, iou, correlation = (
-        shown(sums[name]) for name in ("share", "share_placed", "name_kappa", "mean_iou", "score_correlation")
-    )
-    say(
-        f"agreement {share}, whatever the name {placed}; kappa of names {kappa}; mean IoU {iou}; "
-        f"score correlation {correlation}"
-    )
-    if not sums["classes"]:
-        return
-    counts = ("A", "B", "alike", "otherwise", "only A", "only B", "agreement", "mean IoU")
-    print_rows(
-        ("class", *(f">{name}" for name in counts)),
-        (
-            (
-                row["name"],
-                *map(str, (row["a"], row["b"], row["both"], row["otherwise"], row["only_a"], row["only_b"])),
-                shown(row["share"]),
-                shown(row["mean_iou"]),
-            )
-            for row in sums["classes"]
-        ),
-    )
-    if sums["renamed"]:
-        names = ", ".join(f"{a}/{b} {n}" for a, b, n in sums["renamed"][:SHOWN_NAMES])
-        more = len(sums["renamed"]) - SHOWN_NAMES
-        say(f"named otherwise, A/B: {names}" + (f" and {more} more" if more > 0 else ""))
-        say("names that mean the same can be declared in a file: --synonyms", style="dim")
-
-
-def shown(value: float | None) -> str:
-    """Number with two decimals; a dash for none."""
-    return figure(value, ".2f", "–")
 
 
 def print_calibration(calibration: ScoreCalibration, report: dict[str, Any], out: Path) -> None:

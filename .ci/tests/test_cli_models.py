@@ -1,4 +1,4 @@
-"""Detectors and readers from the command line: side by side, fused, recorded, and measured."""
+"""Detectors and readers from the command line: fused, recorded, and measured."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import pytest
 from command_line import Folder, spatialviz
 
 TEXT = "mug left of the laptop"
-AGREE = ["agree", "demo", 0]
 ASK = ["ask", "demo", 0, TEXT]
 
 
@@ -20,33 +19,23 @@ def other(tmp_path_factory: Folder) -> Path:
     return file
 
 
-def test_two_detectors_are_compared(other: Path) -> None:
-    assert "named otherwise" in spatialviz(0, *AGREE, "--detector", "simulated", "--also", f"simulated={other}").out
-    words = ["agree", "demo", "--detector", "simulated", "--also", "simulated", "--frames", "0:2", "--json"]
-    *frames, total = spatialviz(0, *words).records
-    assert len(frames) == 2
-    assert total["share"] == 1
-    assert not total["only_a"]
-
-
 def test_two_detectors_are_fused_and_what_they_see_is_recorded(other: Path, tmp_path: Path) -> None:
     fused = ["--detector", "simulated", "--fuse", f"simulated={other}"]
     assert spatialviz(0, *ASK, *fused, "--json").record["answer"]["target"]["label"] == "mug"
     seen = tmp_path / "seen.json"
     spatialviz(0, "detect", "demo", *fused, "--fusion", "nms", "--frames", "0:2", "--out", seen)
-    words = ["agree", "demo", "--detector", "simulated", "--also", f"recorded={seen}", "--frames", "0:2", "--json"]
-    assert len(spatialviz(0, *words).records) == 3
+    played = ["--detector", "recorded", "--model", seen]
+    assert spatialviz(0, *ASK, *played, "--json").record["answer"]["target"]["label"] == "mug"
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (AGREE, "--also"),
         (["view", "demo", "--also", "simulated"], "--compare B --answers"),
-        ([*AGREE, "--also", "nonsense"], "nonsense"),
-        ([*AGREE, "--also", "simulated=WORK/nowhere.toml"], "nowhere.toml"),
-        ([*AGREE, "--also", "simulated", "--iou", 0], "the least overlap must be above 0"),
-        ([*AGREE, "--also", "simulated", "--classes", "zzz"], "zzz"),
+        (["agree", "demo", "--also", "simulated"], "--compare B --answers"),
+        (["detect", "--agree", "demo", "--also", "simulated"], "--compare B --answers"),
+        ([*ASK, "--detector", "simulated", "--fuse", "nonsense"], "nonsense"),
+        ([*ASK, "--detector", "simulated", "--fuse", "simulated=WORK/nowhere.toml"], "nowhere.toml"),
         ([*ASK, "--fuse", "simulated"], "--fuse"),
         ([*ASK, "--detector", "simulated", "--fuse", "yolo-seg=WORK/nothing.onnx"], "nothing.onnx"),
         ([*ASK, "--detector", "yolo-seg", "--model", "WORK/nothing.onnx"], "nothing.onnx"),

@@ -4,7 +4,6 @@ from pipeline.system.lazy_exports import lazy_exports
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from pipeline.answering.agreement import FrameAgreement, agree_frames, agreement_record, figures
     from pipeline.answering.answer_words import (
         NO_SUCH_PAIR,
         best_pair,

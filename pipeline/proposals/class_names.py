@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import xxhash
 
 from pipeline.language.naming import Synonyms, default_synonyms, match, same_or_kind
@@ -125,15 +124,6 @@ def same_name(a: str, b: str, synonyms: Synonyms | None = None) -> bool:
     (True, False)
     """
     return a == b or same_or_kind(a, b, synonyms)
-
-
-def same_names(a: Sequence[str], b: Sequence[str], synonyms: Synonyms | None = None) -> np.ndarray:
-    """Pairwise `same_name` (N, M) bool of the labels of `a` and `b`."""
-    # Each name once: most labels of a picture are of few.
-    names_a, names_b = list(dict.fromkeys(a)), list(dict.fromkeys(b))
-    table = np.array([[same_name(x, y, synonyms) for y in names_b] for x in names_a], np.bool_)
-    rows, columns = [names_a.index(name) for name in a], [names_b.index(name) for name in b]
-    return table.reshape(len(names_a), len(names_b))[np.ix_(rows, columns)]
 
 
 def name_groups(names: Sequence[str], synonyms: Synonyms | None = None) -> dict[str, str]:
