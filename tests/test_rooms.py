@@ -109,7 +109,7 @@ HEAVY = frozenset(
         "ssl",
         "fsspec",
         "OpenEXR",
-        "pg8000",
+        "psycopg",
         "tokenizers",
         "huggingface_hub",
         "threadpoolctl",

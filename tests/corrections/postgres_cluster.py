@@ -33,9 +33,9 @@ def missing() -> str | None:
     if os.getuid() == 0 and shutil.which("setpriv") is None:
         return "initdb refuses root, and setpriv is not there"
     try:
-        import pg8000  # noqa: F401
+        import psycopg  # noqa: F401
     except ImportError:
-        return "pg8000 is not installed: pip install 'spatialviz[postgres]'"
+        return "psycopg is not installed: pip install 'spatialviz[postgres]'"
     return None
 
 

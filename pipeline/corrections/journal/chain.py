@@ -5,11 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
-from typing import Any, NamedTuple, Protocol, get_args
+from functools import partial
+from typing import Any, NamedTuple, get_args
 
 from pipeline.corrections.journal.events import CROCKFORD, Action
 from pipeline.corrections.journal.field_refs import LONGEST_NAME, LONGEST_TEXT, FieldRef, checked, plain_text
@@ -277,46 +279,76 @@ Run = Callable[..., list[Any]]
 """Runs a statement with its values, `run("... WHERE id = ?", 3)`, in a transaction; the rows as sequences."""
 
 
-class Store(Protocol):
-    """Database of a journal: an SQLite file, or PostgreSQL; shared by threads."""
+class Store(ABC):
+    """Database of a journal, an SQLite file or PostgreSQL, with its idle connections; shared by threads."""
 
-    location: str  # without a password
-    server: bool
-    selected: str  # select expression of a JSON column, as text
-    zone: str  # end of a written time
+    server = False
+    selected = "{}"  # select expression of a JSON column, as text
+    zone = ""  # end of a written time
+    table_names: str  # query for the names of all tables
+    writable = True  # False for a folder or file without write permission
 
-    @property
-    def writable(self) -> bool:
-        """False for a folder or file without write permission."""
-        ...
-
-    def settle(self) -> None:
-        """Set the durable write-ahead log, once for a database."""
-        ...
+    def __init__(self, location: str) -> None:
+        self.location = location  # without a password
+        self._idle: list[Any] = []
 
     def reading(self, fresh: bool = False) -> AbstractContextManager[Run]:
         """Begin a snapshot without waiting for writers; `fresh` drops cached pages."""
-        ...
+        return self._transaction(False, fresh)
 
     def writing(self) -> AbstractContextManager[Run]:
         """Begin a transaction in the writer's turn, synced to disk at the end of the block."""
-        ...
+        return self._transaction(True)
 
-    def tables(self, run: Run) -> set[str]:
-        """Names of all tables."""
-        ...
+    @contextmanager
+    def _transaction(self, write: bool, fresh: bool = False) -> Iterator[Run]:
+        link = self._taken()
+        try:
+            self._begin(link, write, fresh)
+            yield partial(self._run, link)
+            self._commit(link, write)
+        except BaseException:
+            with suppress(Exception):
+                link.rollback()
+            raise
+        finally:
+            if self._usable(link):
+                self._idle.append(link)
+            else:
+                link.close()
 
+    def _run(self, link: Any, statement: str, *values: Any) -> list[Any]:
+        found = link.execute(statement, values)
+        return found.fetchall() if found.description else []
+
+    @abstractmethod
+    def _taken(self) -> Any:
+        """Take an idle connection, or open another."""
+
+    @abstractmethod
+    def _begin(self, link: Any, write: bool, fresh: bool) -> None:
+        """Begin a transaction."""
+
+    def _commit(self, link: Any, write: bool) -> None:
+        self._run(link, "COMMIT")
+
+    @abstractmethod
+    def _usable(self, link: Any) -> bool:
+        """True for a connection without a fault or an open transaction."""
+
+    @abstractmethod
     def create(self, run: Run, first: str) -> None:
         """Make the tables, and the triggers against changes; `first` is the hash before the first event."""
-        ...
 
+    @abstractmethod
     def keep(self, run: Run) -> str:
         """Copy a version 1 journal; return the name of the copy."""
-        ...
 
     def close(self) -> None:
         """Close all connections; the next use opens others."""
-        ...
+        with suppress(IndexError):
+            while True:
+                self._idle.pop().close()
 
 
 def made(id_type: str, time_type: str) -> list[str]:
@@ -334,7 +366,7 @@ def fingerprint(statements: Iterable[str]) -> str:
 
 def version_of(store: Store, run: Run) -> int | None:
     """Version of a journal's tables; None for an empty database, 0 for another program's."""
-    found = store.tables(run)
+    found = {name for (name,) in run(store.table_names)}
     if "journal_head" in found:
         return int(run("SELECT version FROM journal_head")[0][0])
     return None if "events" not in found else 1 if BEFORE in found else 0

@@ -34,7 +34,7 @@ from pipeline.corrections.journal.chain import (
     write_rows,
 )
 from pipeline.corrections.journal.examining import Examined, empty_file, examine, is_empty, known_version, read_only
-from pipeline.corrections.journal.postgres import PostgresStore, state_of
+from pipeline.corrections.journal.postgres import PostgresStore
 from pipeline.corrections.journal.sqlite_file import SqliteStore, plain_reason
 from pipeline.system.errors import InputError, as_input_error, require
 
@@ -49,7 +49,7 @@ _HELP = (
         ("readonly", "read-only", "unable to open", "permission denied"),
         "the folder cannot be written: check that it is there, and its rights, and save again",
     ),
-    (("locked",), "another program holds the journal: close it, and save again"),
+    (("locked", "lock timeout"), "another program holds the journal: close it, and save again"),
     (
         (
             "connect",
@@ -111,8 +111,6 @@ def prepare(store: Store) -> tuple[str, ...]:
     """
     location = store.location
     try:
-        if store.writable:
-            store.settle()
         with store.reading() as run:
             found = version_of(store, run)
             if found == VERSION:
@@ -139,11 +137,7 @@ def prepare(store: Store) -> tuple[str, ...]:
 
 def reason_of(error: BaseException, location: str = "") -> str:
     """Database message in a line; plainer for a full disk, where `location` is a file."""
-    message = state_of(error).get("M") or str(error)
-    under = error.__cause__ and error.__cause__.__cause__
-    if isinstance(under, OSError) and str(under) not in message:
-        message = f"{message}: {under}"
-    message = next((line.strip() for line in message.splitlines() if line.strip()), type(error).__name__)
+    message = next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
     return message if not location else plain_reason(message, Path(location))
 
 

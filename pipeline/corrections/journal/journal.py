@@ -25,7 +25,7 @@ from pipeline.corrections.journal.connection import (
 from pipeline.corrections.journal.events import Action, Conflict, Edit, Event, NotSaved, Rival, Saved, new_ulid
 from pipeline.corrections.journal.examining import DamagedJournal, empty_file, examine, is_empty
 from pipeline.corrections.journal.field_refs import LONGEST_NAME, FieldRef, Kind, plain_text
-from pipeline.corrections.journal.postgres import state_of
+from pipeline.corrections.journal.postgres import ServerError
 from pipeline.corrections.journal.sqlite_file import network_file_system
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import labels_version
@@ -114,7 +114,8 @@ class Journal:
                 )
             return Saved(self._read_back(group, last.hash, [row["hash"] for row in made]))
         except (*DATABASE_ERRORS, InputError) as error:
-            if isinstance(error, sqlite3.IntegrityError) or state_of(error).get("C", "").startswith(_TAKEN):
+            server = isinstance(error, ServerError) and error.state.startswith(_TAKEN)
+            if server or isinstance(error, sqlite3.IntegrityError):
                 # Writers take turns; a writer that does not, for it is of another program, is caught here.
                 heads = self.heads([e.ref for e in edits])
                 return Conflict(tuple(Rival(e, heads.get(e.ref)) for e in edits), tuple(edits))

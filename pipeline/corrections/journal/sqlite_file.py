@@ -9,14 +9,13 @@ checked before (sqlite.org/walformat.html, its checksum in section 4.2).
 
 from __future__ import annotations
 
-import errno
 import os
 import re
+import shutil
 import sqlite3
-import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
@@ -25,7 +24,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from pipeline.corrections.journal.chain import FORBIDDEN, VERSION, Run, begin, fingerprint, made
+from pipeline.corrections.journal.chain import FORBIDDEN, VERSION, Run, Store, begin, fingerprint, made
 from pipeline.system.limits import shown
 
 BUSY_S = 60.0
@@ -77,20 +76,18 @@ def read_plainly(file: Path, read: Callable[[], _Found]) -> _Found | None:
         return None if _identity(file) in list(_HELD.values()) else read()
 
 
-class SqliteStore:
+class SqliteStore(Store):
     """`Store` in one file, made by the first connection and never again.
 
     `believe` examines a file that replaced the first one, and raises; `copy` copies the file under a free name beside
     it.
     """
 
-    server, selected, zone = False, "{}", ""
+    table_names = "SELECT name FROM sqlite_master WHERE type = 'table'"
 
-    def __init__(
-        self, path: str | Path, believe: Callable[[Path], object], copy: Callable[[Path], str] | None = None
-    ) -> None:
+    def __init__(self, path: str | Path, believe: Callable[[Path], object], copy: Callable[[Path], str]) -> None:
         self.file = Path(path).expanduser().absolute()
-        self.location = str(self.file)
+        super().__init__(str(self.file))
         self._believe, self._copy = believe, copy
         there = self.file.exists()
         self._known = {_identity(self.file)} if there else set()
@@ -98,34 +95,17 @@ class SqliteStore:
         if there and not can_be_written(self.file):
             # Where it has no log, nobody writes to it.
             self._mode = "ro" if Path(f"{self.file}-wal").exists() else "ro&immutable=1"
-        self._idle: list[sqlite3.Connection] = []
 
     @property
-    def writable(self) -> bool:
+    def writable(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         return can_be_written(self.file)
-
-    def settle(self) -> None:
-        """Set the write-ahead log; of two openers of a new file the second tries again."""
-        until = time.monotonic() + BUSY_S
-        connection = self._taken()
-        try:
-            while True:
-                try:
-                    connection.execute("PRAGMA journal_mode = WAL")
-                    return
-                except sqlite3.OperationalError as error:
-                    if "locked" not in str(error) or time.monotonic() > until:
-                        raise
-                    time.sleep(0.02)
-        finally:
-            self._idle.append(connection)
 
     def _taken(self) -> sqlite3.Connection:
         """Take a connection to the present file."""
-        while self._idle:
-            with suppress(IndexError):
+        with suppress(IndexError):
+            while True:
                 connection = self._idle.pop()
-                if _HELD.get(connection) == _identity(self.file):  # pyright: ignore[reportArgumentType]
+                if _HELD.get(connection) == _identity(self.file):
                     return connection
                 connection.close()
         if self._known and _identity(self.file) not in self._known and self.file.exists():
@@ -136,42 +116,26 @@ class SqliteStore:
         connection.execute(f"PRAGMA busy_timeout = {int(1000 * BUSY_S)}")
         # A commit returns when the write-ahead log is on the disk (sqlite.org/pragma.html#pragma_synchronous).
         connection.execute("PRAGMA synchronous = FULL")
+        if self._mode == "rwc":
+            _set_log(connection)
+            self._mode = "rw"
         self._known.add(_identity(self.file))
-        self._mode = "rw" if self._mode == "rwc" else self._mode
         return connection
 
-    @contextmanager
-    def reading(self, fresh: bool = False) -> Iterator[Run]:
-        with self._transaction("BEGIN", fresh) as run:
-            yield run
-
-    @contextmanager
-    def writing(self) -> Iterator[Run]:
-        if self.file.exists() and not self.writable:
+    def _begin(self, link: sqlite3.Connection, write: bool, fresh: bool) -> None:
+        if write and not self.writable:
             raise sqlite3.OperationalError("attempt to write a readonly database")
-        with self._transaction("BEGIN IMMEDIATE") as run:
-            yield run
+        if fresh:
+            link.execute("PRAGMA shrink_memory")
+        link.execute("BEGIN IMMEDIATE" if write else "BEGIN")
 
-    @contextmanager
-    def _transaction(self, begin: str, fresh: bool = False) -> Iterator[Run]:
-        connection = self._taken()
-        try:
-            if fresh:
-                connection.execute("PRAGMA shrink_memory")
-            connection.execute(begin)
-            yield lambda statement, *values: connection.execute(statement, values).fetchall()
-            if begin != "BEGIN" and _HELD.get(connection) != _identity(self.file):  # pyright: ignore[reportArgumentType]
-                raise sqlite3.OperationalError(GONE)
-            connection.execute("COMMIT")
-        except BaseException:
-            with suppress(sqlite3.Error):
-                connection.rollback()
-            raise
-        finally:
-            (connection.close if connection.in_transaction else lambda: self._idle.append(connection))()
+    def _commit(self, link: sqlite3.Connection, write: bool) -> None:
+        if write and _HELD.get(link) != _identity(self.file):  # pyright: ignore[reportArgumentType]
+            raise sqlite3.OperationalError(GONE)
+        link.execute("COMMIT")
 
-    def tables(self, run: Run) -> set[str]:
-        return {name for (name,) in run("SELECT name FROM sqlite_master WHERE type = 'table'")}
+    def _usable(self, link: sqlite3.Connection) -> bool:
+        return not link.in_transaction
 
     def create(self, run: Run, first: str) -> None:
         for statement in made("INTEGER", "DATETIME"):
@@ -184,12 +148,21 @@ class SqliteStore:
 
     def keep(self, run: Run) -> str:
         # Nobody else writes now, so this is what the transaction sees.
-        assert self._copy is not None
         return self._copy(self.file)
 
-    def close(self) -> None:
-        while self._idle:
-            self._idle.pop().close()
+
+def _set_log(connection: sqlite3.Connection) -> None:
+    """Set the write-ahead log; of two openers of a new file the second tries again."""
+    until = time.monotonic() + BUSY_S
+    while True:
+        try:
+            connection.execute("PRAGMA journal_mode = WAL")
+            return
+        except sqlite3.OperationalError as error:
+            if "locked" not in str(error) or time.monotonic() > until:
+                connection.close()
+                raise
+        time.sleep(0.02)
 
 
 def can_be_written(path: Path) -> bool:
@@ -199,16 +172,9 @@ def can_be_written(path: Path) -> bool:
 
 def plain_reason(message: str, path: Path) -> str:
     """SQLite's message, plainer for a full disk, also a "disk I/O error" there."""
-    if message != "disk I/O error":
-        return message
-    try:
-        with tempfile.TemporaryFile(dir=path.parent) as file:
-            file.write(bytes(_ROOM))
-            file.flush()
-            os.fsync(file.fileno())
-    except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            return f"the disk is full: {error.strerror}"
+    with suppress(OSError):
+        if message == "disk I/O error" and shutil.disk_usage(path.parent).free < _ROOM:
+            return "the disk is full"
     return message
 
 
