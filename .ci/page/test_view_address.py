@@ -6,7 +6,7 @@ from urllib.parse import parse_qs, urlsplit
 from browser import OpenTab, Tab
 from servers import Server
 
-from pipeline.diagnosis.whatif.state import ViewState, decode, encode
+from pipeline.diagnosis.whatif.state import ViewState, encode
 
 
 def looked_at(tab: Tab) -> dict[str, list[str]]:
@@ -92,32 +92,19 @@ def test_the_labelled_pair_comes_back(demo: Server, open_tab: OpenTab) -> None:
     assert {k: found[k] for k in ("frame", "item", "mode")} == {k: wanted[k] for k in ("frame", "item", "mode")}, found
 
 
-def pasted(tab: Tab, view: ViewState) -> None:
-    """Have the page open a view from its string."""
-    tab.press("Shift+V")
-    tab.see("#dialog-window textarea").fill(encode(view))
-    tab.see("#dialog-window .go", "Open").click()
-
-
 def test_what_a_view_string_names_is_opened_after_a_yes_alone(demo: Server, open_tab: OpenTab) -> None:
     """No other dataset, no run, no network file."""
     tab = open_tab(demo.address, "absent")
-    tab.press("Shift+C")
-    view = decode(tab.see("#dialog-window textarea").input_value())
-    tab.page.keyboard.press("Escape")
-    tab.closed()
-    before = tab.page.url
-    pasted(tab, replace(view, dataset="/etc"))
-    tab.see("#dialog-problem", "a dataset that is not open here")
-    tab.page.keyboard.press("Escape")
-    tab.closed()
+    view, before = ViewState("demo", tab.frame, tab.question), tab.page.url
+    tab.ask(encode(replace(view, dataset="/etc")))
+    tab.see(".toast.bad", "a dataset that is not open here")
     assert tab.page.url == before
-    pasted(tab, replace(view, run="/nowhere/other"))
+    tab.ask(encode(replace(view, run="/nowhere/other")))
     tab.poll("document.getElementById('log').textContent.includes('/nowhere/other, which is not open here')")
     network = "/nowhere/network.onnx"
     told = "name => ['log', 'toasts'].some(id => document.getElementById(id).textContent.includes(name))"
     for answer in ("Without it", "Load it"):
-        pasted(tab, replace(view, edits=view.edits.with_scorer(network)))
+        tab.ask(encode(replace(view, edits=view.edits.with_scorer(network))))
         tab.see("#dialog-window pre", network)
         # Nobody has looked for the file yet: that there is none is not known.
         assert not tab.page.evaluate(told, network)

@@ -13,21 +13,16 @@ from pipeline.answering.frame_store import FrameStore
 from pipeline.answering.pipeline import Pipeline, open_pipeline
 from pipeline.datasets.demo import DEMO_EXPRESSION
 from pipeline.diagnosis.whatif.answer_view import shown_objects
-from pipeline.diagnosis.whatif.decision_map import decision_map
-from pipeline.diagnosis.whatif.edits import Edits
-from pipeline.diagnosis.whatif.rerun import Baseline
 from pipeline.geometry.floor_grid import floor_height
-from pipeline.geometry.palette import depth_ends, palette
+from pipeline.geometry.palette import depth_ends
 from spatialviz.app.channel import Call
 from spatialviz.app.context import Context, Shared
-from spatialviz.app.edit_scene import OTHERS, map_legend, winner_colors
 from spatialviz.app.frame_cloud import SceneAids
 from spatialviz.app.layout import BrowserPage
 from spatialviz.app.picture import depth_bar
 from spatialviz.app.scene import Tag
 from spatialviz.app.selection import Pointing
 from spatialviz.app.state import State
-from spatialviz.app.view_strings import view_of, with_settings
 
 
 @cache
@@ -141,31 +136,3 @@ def test_the_depth_bar_tells_the_ends_of_the_colours() -> None:
     assert state.loaded is not None
     low, high = depth_ends(state.loaded.context.frame.depth)
     assert f"{low:.2f} m{(low + high) / 2:.2f} m{high:.2f} m" in bar.text
-
-
-def test_the_decision_map_has_the_colours_of_the_roles() -> None:
-    source, state = opened()
-    assert state.loaded is not None
-    baseline = Baseline(source, state.loaded.context, DEMO_EXPRESSION)
-    ranking = baseline.outcome.trace.ranking
-    assert ranking is not None
-    target = ranking.pairs[0].target
-    found = decision_map(baseline, Edits(), baseline.outcome.keys[target], 8)
-    colors = winner_colors(found, state)
-    assert colors.keys() == {int(k) for k in np.unique(found.winner) if k >= 0}
-    assert colors[target] == palette(state.dark)["target"]
-    assert all(color in OTHERS for k, color in colors.items() if k != target)
-    legend = map_legend(state, found)
-    assert legend is not None
-    assert "%" in legend.text
-
-
-def test_the_size_of_points_is_in_view_strings_and_older_ones_open() -> None:
-    source, state = opened()
-    view = view_of(replace(state, point_size=1.75), source, None, None, None)
-    assert with_settings(state, view).point_size == 1.75
-    old = view_of(state, source, None, None, None)
-    assert "point size" not in old.toggles
-    assert with_settings(state, old).point_size == 1.0
-    wild = replace(view, toggles={**view.toggles, "point size": 900.0})
-    assert with_settings(state, wild).point_size == 1.0

@@ -10,7 +10,6 @@ from typing import Literal
 
 from pydantic import NonNegativeInt
 
-from pipeline.datasets import moves
 from pipeline.datasets.camera_plan import CameraPlan
 from spatialviz.app.context import Context, Part, command
 
@@ -46,13 +45,6 @@ class Browse(Part):
     def step(self, step: int) -> None:
         """Show the next frame, or the previous."""
         self.open_number(self._ids.index(self.state.frame_id) + step)
-
-    @command("move")
-    def move(self, move: str) -> None:
-        """Follow a move of the dataset's robot; an impossible move does nothing."""
-        to = moves(self.ctx.source.dataset, self.state.frame_id).get(move)
-        if to is not None:
-            self.ctx.open_frame(to)
 
     @command("frames-of")
     def choose(self, which: Which) -> None:

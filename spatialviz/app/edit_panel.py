@@ -13,7 +13,6 @@ from pipeline.answering.pipeline import Pipeline
 from pipeline.corrections.object_card import FieldLine, ObjectCard
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif.changes import each_edit
-from pipeline.diagnosis.whatif.decision_map import DecisionMap
 from pipeline.diagnosis.whatif.edit_words import PROFILE_SETTINGS, WEIGHTS, partners
 from pipeline.diagnosis.whatif.placement import BoxNumbers, box_numbers
 from pipeline.geometry.palette import RGB, hex_color, palette
@@ -70,13 +69,12 @@ def cost_html(state: State, undos: int) -> Element:
     )
 
 
-def edit_html(state: State, trace: Trace, source: Pipeline, editable: bool, found: DecisionMap | None) -> Element:
+def edit_html(state: State, trace: Trace, source: Pipeline, editable: bool) -> Element:
     """All editable fields; `editable` includes the selected object."""
     return in_parts(
         handles=row("Handles", segments("edit-mode", MODES, state.mode, "Handles")),
         object=_object(state, trace, editable),
         pair=_pair(state),
-        map=_map(state, editable, found),
         settings=_settings(state, trace, source),
         list=_list(state),
     )
@@ -156,20 +154,6 @@ def _pair(state: State) -> Child:
         pair.p_relation,
         "the probability of the asked relation for this pair",
     )
-
-
-def _map(state: State, editable: bool, found: DecisionMap | None) -> Child:
-    selected = None if not editable or state.selected is None else state.shown.names[state.selected]
-    name = (selected or "the selected object") if found is None else state.named(found.key)
-    hint = "colours the floor by the answer that would win if the object stood there"
-    label = "hide the map" if found is not None else "show it"
-    said = (
-        f"Which answer wins if {name} stands elsewhere."
-        if found is None
-        else (f"In the scene: who wins where {name} stands. {found.winner.size:,} cells, {found.seconds * 1000:.0f} ms")
-    )
-    show = button(label, "edit-map", hint, disabled=found is None and not editable)
-    return heading("Decision map", show), h.div(said, cls="dim")
 
 
 def _settings(state: State, trace: Trace, source: Pipeline) -> Child:

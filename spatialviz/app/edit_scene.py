@@ -1,10 +1,9 @@
-"""Edits in the scene: handles, boxes and their former places, the asked region, the decision map."""
+"""Edits in the scene: handles, boxes and their former places, the asked region."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import cycle
 from threading import Lock
 from typing import Any
 
@@ -12,18 +11,12 @@ import numpy as np
 import viser.transforms as vtf
 
 from pipeline.diagnosis.whatif import Outcome
-from pipeline.diagnosis.whatif.decision_map import DecisionMap
-from pipeline.diagnosis.whatif.placement import REACH, asked_pair, pulled
-from pipeline.diagnosis.whatif.region import Region
+from pipeline.diagnosis.whatif.placement import pulled
+from pipeline.diagnosis.whatif.region import RegionPart, asked_pair
 from pipeline.geometry.boxes import Box3D, edge_lines
-from pipeline.geometry.floor_grid import over_floor
-from pipeline.geometry.palette import RGB, Role, palette
-from pipeline.language.relation_names import RELATIONS
+from pipeline.geometry.palette import RGB, palette
 from pipeline.relations.relations import letter
 from spatialviz.app.context import Context, Part
-from spatialviz.app.frame_cloud import unlit_glb
-from spatialviz.app.markup import Element, dot, h
-from spatialviz.app.scene import plain_color
 from spatialviz.app.scene_client import Retained, triple
 from spatialviz.app.state import EditMode, State
 
@@ -31,32 +24,16 @@ REGION_COLORS: dict[str, RGB] = {"T": (38, 166, 154), "U": (224, 152, 46)}
 FAILS: RGB = (229, 72, 77)
 OPACITY = {"T": 0.30, "U": 0.16}
 OUTLINE_GROWTH = 0.006
-MAP_OPACITY = 0.8
-MAP_LIFT = 0.008
-"""Height of the map above the floor points, metres."""
-OTHERS: tuple[RGB, ...] = ((166, 122, 214), (84, 178, 160), (186, 170, 84), (208, 122, 150), (148, 156, 168))
-"""Colours of other winners, distinct from orange and blue, and from each other."""
-
-
-def winner_colors(found: DecisionMap, state: State) -> dict[int, RGB]:
-    """Colour of each winning object: the roles of the chosen pair, and distinct colours for others."""
-    colors, others = palette(state.dark), cycle(OTHERS)
-    role_of: dict[str, Role] = {state.shown.names[i]: role for i, role in state.roles.items()}
-    winners = (int(k) for k in np.unique(found.winner) if k >= 0)
-    roles: dict[int, Role | None] = {k: role_of.get(state.named(found.keys[k])) for k in winners}
-    return {k: next(others) if role is None else colors[role] for k, role in roles.items()}
 
 
 class EditScene(Part):
     """Draws into a client's scene, beside `SceneView`."""
 
-    def draw(self, state: State, found: DecisionMap | None, keep_map: bool) -> None:
-        """Draw everything for a state; `keep_map` leaves the map as drawn."""
+    def draw(self, state: State) -> None:
+        """Draw everything for a state."""
         with self.ctx.client.atomic():
             self._draw_boxes(state)
             self._draw_region(state)
-            if not keep_map:
-                self._draw_map(found, state)
 
     def _draw_boxes(self, state: State) -> None:
         """Edited objects in the edited colour, with thin former boxes."""
@@ -80,8 +57,9 @@ class EditScene(Part):
         asked = None if trace is None else asked_pair(trace, state.chosen, state.edits)
         marks = None if asked is None else (state.source, state.frame_id, state.dark, *asked.region_key)
         client = self.ctx.client
-        if client.outdated("/region/", marks) and asked is not None and asked.region is not None:
-            self._add_region(asked.region, state.dark)
+        if client.outdated("/region/", marks) and asked is not None:
+            for part in asked.region:
+                self._add_part(part)
         if asked is None or not np.isfinite(asked.middle).all():
             client.change("/region/target", visible=False)
             return
@@ -90,94 +68,21 @@ class EditScene(Part):
         look = {"radius": 0.014, "cast_shadow": False, "visible": True}
         client.put("icosphere", "/region/target", position=triple(middle), color=color, **look)
 
-    def _add_region(self, region: Region, dark: bool) -> None:
-        client, R = self.ctx.client, self.ctx.scene.to_show.T
-        for patch in region.patches:
-            corners = (patch.triangles @ R).reshape(-1, 3).astype(np.float32)
-            client.put(
-                "mesh_simple",
-                f"/region/{patch.label}",
-                vertices=corners,
-                faces=np.arange(len(corners)).reshape(-1, 3),
-                color=REGION_COLORS[patch.label],
-                opacity=OPACITY[patch.label],
-                side="double",
-                cast_shadow=False,
-                receive_shadow=False,
-            )
-            if len(patch.lines):
-                rim, color = (patch.lines @ R).astype(np.float32), REGION_COLORS[patch.label]
-                client.lines(f"/region/{patch.label}-rim", rim, color, 1.6)
-        if region.dead_zone > 0:
-            strip = (_dead_zone(region) @ R).astype(np.float32)
-            client.lines("/region/dead-zone", strip, plain_color(dark), 1.2)
-
-    def _draw_map(self, found: DecisionMap | None, state: State) -> None:
-        winners = {} if found is None else winner_colors(found, state)
-        areas = () if found is None else tuple(a.tobytes() for a in (found.winner, found.margin, found.corners))
-        outdated = self.ctx.client.outdated("/map/", (areas, state.dark, winners))
-        if not outdated or found is None or state.loaded is None or not winners:
-            return
-        rows, columns = np.nonzero(found.winner >= 0)
-        by_winner = np.zeros((len(found.keys), 3))
-        by_winner[list(winners)] = list(winners.values())
-        strength = (0.4 + 0.6 * np.clip(found.margin[rows, columns], 0, 1))[:, None]
-        background = 34.0 if state.dark else 244.0
-        colors = by_winner[found.winner[rows, columns]] * strength + background * (1 - strength)
-        corners = found.corners @ self.ctx.scene.to_show.T
-        corners[..., 2] = over_floor(state.loaded.cloud.points, corners[0, 0], corners[-1, -1]) + MAP_LIFT
-        steps = ((0, 0), (0, 1), (1, 1), (1, 0))
-        vertices = np.stack([corners[rows + r, columns + c] for r, c in steps], axis=1).reshape(-1, 3)
-        first = 4 * np.arange(len(rows))[:, None]
-        faces = np.concatenate([first + np.array(half) for half in ((0, 1, 2), (0, 2, 3))])
-        cells = np.repeat(np.round(colors).astype(np.uint8), 4, axis=0)
-        data = unlit_glb(vertices.astype(np.float32), faces, cells, MAP_OPACITY)
-        rims = (_rims(found.winner, corners) + np.array([0, 0, MAP_LIFT / 4])).astype(np.float32)
-        self.ctx.client.put("glb", "/map/areas", glb_data=data, cast_shadow=False, receive_shadow=False)
-        self.ctx.client.lines("/map/rims", rims, plain_color(state.dark), 1.6)
-
-
-def _dead_zone(region: Region) -> np.ndarray:
-    """(2, 2, 3) camera frame: edges of the doubtful strip beside the reference, across the relation's axis."""
-    middle = region.axes[0, 0]
-    right, up, forward = (axis[1] - axis[0] for axis in region.axes)
-    axis, _ = RELATIONS[region.relation].axis or (1, 1)
-    along, across = ((right, forward), (up, right), (forward, right))[axis]
-    along, across = (v / np.linalg.norm(v) for v in (along, across))
-    reach = across * REACH / 2
-    edges = [middle + side * region.dead_zone * along for side in (-1, 1)]
-    return np.array([[edge - reach, edge + reach] for edge in edges])
-
-
-def _rims(winner: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """(N, 2, 3) edges of cells between different winners, and around the map."""
-    padded = np.pad(winner, 1, constant_values=-1)
-    across, along = padded[:-1, 1:-1] != padded[1:, 1:-1], padded[1:-1, :-1] != padded[1:-1, 1:]
-    r, c = np.nonzero(across)
-    v, h = np.nonzero(along)
-    return np.concatenate(
-        [np.stack([corners[r, c], corners[r, c + 1]], axis=1), np.stack([corners[v, h], corners[v + 1, h]], axis=1)]
-    )
-
-
-def map_legend(state: State, found: DecisionMap) -> Element:
-    """Winners with their shares of the floor."""
-    colors = winner_colors(found, state)
-    winners, counts = np.unique(found.winner, return_counts=True)
-    rows = (
-        h.li(
-            dot(colors[w]) if w >= 0 else h.span(cls="dot none"),
-            h.b(state.named(found.keys[w]) if w >= 0 else "no pair"),
-            h.span(f"{n / found.winner.size:.0%}"),
+    def _add_part(self, part: RegionPart) -> None:
+        client, R, color = self.ctx.client, self.ctx.scene.to_show.T, REGION_COLORS[part.label]
+        corners = (part.triangles @ R).reshape(-1, 3).astype(np.float32)
+        client.put(
+            "mesh_simple",
+            f"/region/{part.label}",
+            vertices=corners,
+            faces=np.arange(len(corners)).reshape(-1, 3),
+            color=color,
+            opacity=OPACITY[part.label],
+            side="double",
+            cast_shadow=False,
+            receive_shadow=False,
         )
-        for n, w in sorted(zip(counts.tolist(), winners.tolist(), strict=True), reverse=True)
-    )
-    return h.figure(
-        h.figcaption("Who wins if ", h.b(state.named(found.key)), " stands there"),
-        h.ul(rows),
-        h.p("paler where the next is close", cls="dim"),
-        cls="maplegend",
-    )
+        client.lines(f"/region/{part.label}-rim", (part.lines @ R).astype(np.float32), color, 1.6)
 
 
 MODES: tuple[EditMode, ...] = ("off", "move", "turn", "resize")

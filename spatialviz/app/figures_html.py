@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.diagnosis.oracles import NAMED_BY, shown_oracle
 from pipeline.diagnosis.verdict import VERDICTS
-from pipeline.evaluation.comparing import CHANGES, Comparison
+from pipeline.evaluation.comparing import CHANGES
 from pipeline.evaluation.confusion import NO_ANSWER, OTHERS, Confusion
 from pipeline.evaluation.leakage import Share, title_of
 from pipeline.evaluation.run_figures import STANDS_IN, RunFigures, doubts_of
@@ -249,36 +249,13 @@ def comparison_html(figures: RunFigures) -> Element | None:
         h.span(_by_chance(test.p_value), title=f"p = {test.p_value:.2g}. {hint('chance')}"),
         f". {', '.join(few)}." if few else ".",
     )
-    return panel(title, said, h.div(boxes, cls="changes"), _transitions(found))
+    return panel(title, said, h.div(boxes, cls="changes"))
 
 
 def _by_chance(p: float) -> str:
     if p < 0.01:
         return f"so uneven by chance less than once in 100 (p {p:.1g})"
     return f"{'hardly chance' if p < 0.05 else 'may well be chance'} (p {p:.2f})"
-
-
-def _transitions(found: Comparison) -> Child:
-    """Verdict transitions: before in rows, after in columns; unchanged verdicts are pale."""
-    if found.verdicts is None:
-        return None
-    after = [v for v in VERDICTS if any(v in line for line in found.verdicts.values())]
-    rows = []
-    for before, line in found.verdicts.items():
-        cells = []
-        for v in after:
-            n = line.get(v, 0)
-            if not n:
-                cells.append(h.td("·", cls="o"))
-            else:
-                kind = "o" if v == before else "b" if before == "CORRECT" else "g" if v == "CORRECT" else "q"
-                press = h.button(n, title=f"{before} → {v}: {n}", **searches(f"verdict:{before} second_verdict:{v}"))
-                cells.append(h.td(press, cls=f"c {kind}", css={"--a": "0.5" if v != before else "0.1"}))
-        rows.append(h.tr(h.th(before, scope="row", cls="a"), cells))
-    head = h.tr(h.td(), (h.th(h.span(v), scope="col", title=hint(v)) for v in after))
-    return h.details(
-        h.summary("verdict by verdict: first ↓ second →"), h.div(h.table(head, rows), cls="cmx"), id="transitions"
-    )
 
 
 # ---- slices and confusion

@@ -16,7 +16,7 @@ KEYS: Mapping[str, Rows] = {
         ("/", "Type a question", ""),
         ("R", "Ask again", "again"),
         ("X", "Clear the question", "clear"),
-        ("Ctrl+K", "Find any command", "commands"),
+        ("Ctrl+K", "Find any command", "help"),
         ("H", "List the keys (or ?)", "help"),
     ),
     "Moving through": (
@@ -31,8 +31,7 @@ KEYS: Mapping[str, Rows] = {
     "Looking": (
         ("Shift+A", "Camera: the pair", "camera:pair"),
         ("1", "Camera: sensor", "camera:sensor"),
-        ("2", "Camera: orbit", "camera:orbit"),
-        ("3", "Camera: top", "camera:top"),
+        ("2", "Camera: top", "camera:top"),
         ("F", "Look at the selected object", "focus"),
         ("C", "Next way to paint the cloud", "next-color"),
         ("V", "Show or hide the cloud", "flag:cloud"),
@@ -42,21 +41,15 @@ KEYS: Mapping[str, Rows] = {
         ("G", "Show or hide the dataset's own boxes", "flag:truth"),
         ("Z", "Show or hide the labelled pair", "flag:ghosts"),
         ("Y", "Show or hide the viewer's axes at the reference", "flag:axes"),
-        ("U", "Show or hide the room around the frame", "flag:context"),
         ("Shift+R", "Show or hide the region of the asked relation", "flag:region"),
-        ("Shift+F", "Show or hide the decision map", "edit-map"),
         ("Shift+U", "Say which surface is level: click it next", "pick:level"),
         ("Shift+D", "Measure: click two surfaces", "pick:measure"),
         ("Shift+S", "Show or hide the metre grid on the floor", "flag:grid"),
-        ("-", "Smaller points", "point-size:less"),
-        ("=", "Larger points", "point-size:more"),
         ("Escape", "Stop measuring, and leave the large view", "pick:"),
         ("M", "Dark or light", "theme"),
     ),
     "Keeping": (
         ("Ctrl+C", "Copy the address of this view, where no text is selected", ""),
-        ("Shift+C", "Copy the view as a string", "copy-state"),
-        ("Shift+V", "Open a view from its string", "paste-state"),
         ("Shift+K", "Save the answer as a case", "keep-case"),
         ("Shift+P", "Report of the answer as one page", "report"),
     ),
@@ -126,16 +119,6 @@ LABEL_KEYS: Mapping[str, Rows] = {
 
 KEYS_OF_ONE = "Of one object, or a sentence: Y accepts, N rejects, Shift+U is unsure"
 
-MOVE_KEYS: Rows = (
-    ("7", "Turn left", "move:rotate_ccw"),
-    ("8", "Step forward", "move:forward"),
-    ("9", "Turn right", "move:rotate_cw"),
-    ("4", "Step to the left", "move:left"),
-    ("5", "Step back", "move:backward"),
-    ("6", "Step to the right", "move:right"),
-)
-"""Keys of datasets with moves: two rows of a number pad, and the rows of buttons."""
-
 MOUSE: Mapping[str, Rows] = {
     "The list of Evaluate": (
         ("/", "Search", ""),
@@ -160,16 +143,14 @@ MOUSE: Mapping[str, Rows] = {
     ),
 }
 
-LIST, SEARCH = "Keys", "Find a command"
-"""Titles of the dialogs."""
+TITLE = "Keys and commands"
 
 
-def keys_of(labelling: bool, moving: bool = True) -> dict[str, Rows]:
-    """Keys by purpose, moves only for datasets of moves; keys of shown labels come first, and replace others."""
+def keys_of(labelling: bool) -> dict[str, Rows]:
+    """Keys by purpose; keys of shown labels come first, and replace others."""
     own = LABEL_KEYS if labelling else {}
     taken = {key for rows in own.values() for key, _, _ in rows}
-    always = {**KEYS, "Moves": MOVE_KEYS if moving else ()}
-    return {**own, **{group: tuple(r for r in rows if r[0] not in taken) for group, rows in always.items()}}
+    return {**own, **{group: tuple(r for r in rows if r[0] not in taken) for group, rows in KEYS.items()}}
 
 
 def meant(message: Command, correcting: bool) -> Command:
@@ -181,31 +162,20 @@ def meant(message: Command, correcting: bool) -> Command:
 
 
 class Keys(Part):
-    """Keyboard of a client: the page listens for keys and sends "key:T"; two dialogs explain them."""
+    """Keyboard of a client: the page listens for keys and sends "key:T"; a dialog lists them."""
 
     def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
-        self._labels = LABEL_KEYS if ctx.shared.journals else {}
-        every = (*self._keys(False).values(), *self._labels.values())
+        every = (*KEYS.values(), *(LABEL_KEYS.values() if ctx.shared.journals else ()))
         ctx.page.call("keys", list(dict.fromkeys(key for rows in every for key, _, message in rows if message)))
-
-    def _keys(self, labelling: bool) -> dict[str, Rows]:
-        return keys_of(labelling, self.ctx.shared.moving)
 
     @command("help")
     def toggle(self) -> None:
-        """Show or hide the list of keys."""
-        if self.ctx.dialog.title == LIST:
+        """Show or hide every command, searchable by name or key."""
+        if self.ctx.dialog.title == TITLE:
             self.ctx.dialog.close()
         else:
-            labelling = self.state.labels is not None
-            general = {group: rows for group, rows in self._keys(labelling).items() if group not in LABEL_KEYS}
-            self.ctx.dialog.show(LIST, help_html(general, self._labels, labelling))
-
-    @command("commands")
-    def search(self) -> None:
-        """Show every command, searchable by name or key."""
-        self.ctx.dialog.show(SEARCH, commands_html(self._keys(self.state.labels is not None)))
+            self.ctx.dialog.show(TITLE, keys_html(keys_of(self.state.labels is not None)))
 
     @command("run")
     def run(self, key: str) -> None:
@@ -214,24 +184,8 @@ class Keys(Part):
         self.ctx.handle(Command("key", (key,)))
 
 
-def help_html(general: Mapping[str, Rows], labels: Mapping[str, Rows], labelling: bool) -> Element:
-    """Keys and mouse gestures as lists, those of labels first while labels are shown."""
-    parts = [h.div(h.h3("At any time"), _groups({**general, **MOUSE}), cls="part")]
-    if labels:
-        parts.append(h.div(h.h3("While labels are shown"), _groups(labels), cls="part"))
-    return h.div(parts[::-1] if labelling else parts, cls="keylists")
-
-
-def _groups(groups: Mapping[str, Rows]) -> list[Element]:
-    return [
-        h.section(h.h4(group), h.dl(((h.dt(_pressed(key)), h.dd(label)) for key, label, _ in rows), cls="keys"))
-        for group, rows in groups.items()
-        if rows
-    ]
-
-
-def commands_html(groups: Mapping[str, Rows]) -> Element:
-    """Search field and every command, filtered by the typed text."""
+def keys_html(groups: Mapping[str, Rows]) -> Element:
+    """Search field, every command with its key, filtered by the typed text, and the gestures of the mouse."""
     field = h.input(
         cls="find",
         field="commands",
@@ -241,13 +195,18 @@ def commands_html(groups: Mapping[str, Rows]) -> Element:
         placeholder="a command or its key",
         aria_label="Command or key",
     )
-    rows = (
+    commands = (
         h.button(h.span(label), _pressed(key), role="option", aria_selected="false", tabindex="-1", do=f"run:{key}")
-        for group in groups.values()
-        for key, label, message in group
+        for rows in groups.values()
+        for key, label, message in rows
         if message
     )
-    return h.div(field, h.div(rows, cls="commands", role="listbox", aria_label="Commands"))
+    gestures = (
+        h.section(h.h3(group), h.dl(((h.dt(_pressed(key)), h.dd(label)) for key, label, _ in rows), cls="keys"))
+        for group, rows in MOUSE.items()
+    )
+    listed = h.div(commands, cls="commands", role="listbox", aria_label="Commands")
+    return h.div(field, listed, h.div(gestures, cls="gestures"), cls="keylists")
 
 
 def _pressed(key: str) -> Element:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 from pydantic import FiniteFloat
@@ -20,7 +20,7 @@ from spatialviz.app.context import Context, Part, choice, command, there
 from spatialviz.app.picture import smallest_at
 from spatialviz.app.scene import FLIGHT
 from spatialviz.app.state import ColorMode, Tool
-from spatialviz.app.toolbar import FLAGS, LARGEST_POINT, LEAST_POINT
+from spatialviz.app.toolbar import FLAGS
 from spatialviz.app.url_state import CameraMode
 
 
@@ -159,9 +159,6 @@ class LevelSurface(Part):
             self._reopen()
 
 
-POINT_STEP = 1.25
-
-
 class ViewSettings(Part):
     """Changes a client's display."""
 
@@ -185,16 +182,6 @@ class ViewSettings(Part):
         flags = self.state.flags
         if flag in FLAGS:
             self.ctx.show(flags=replace(flags, **{flag: not getattr(flags, flag)}))
-
-    @command("point-size")
-    def size_points(self, size: FiniteFloat | Literal["more", "less"]) -> None:
-        """Scale the points by a factor; "more" and "less" are steps."""
-        step = {"more": POINT_STEP, "less": 1 / POINT_STEP}.get(str(size))
-        factor = round(float(size) if step is None else self.state.point_size * step, 2)
-        if LEAST_POINT <= factor <= LARGEST_POINT:
-            self.state = replace(self.state, point_size=factor)
-            # The slider already stands at the value.
-            self.ctx.draw(live=step is None)
 
     @command("theme")
     def switch_theme(self) -> None:

@@ -23,7 +23,6 @@ from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.system.errors import InputError, UnknownClass, require
 from spatialviz.app import (
-    depth_check,
     evaluate,
     filling,
     frame_cloud,
@@ -93,7 +92,6 @@ class PageSession(Part):
             pointing,
             selection.ViewSettings(ctx),
             keys.Keys(ctx),
-            depth_check.DepthCheck(ctx),
             view_strings.Keeping(ctx, self._judge, self._strings.now, self._runs.selected),
             *self._labels.parts,
         )

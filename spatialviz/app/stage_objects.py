@@ -12,7 +12,7 @@ from pipeline.answering.evidence import Factor
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.ranking import Candidates
 from pipeline.diagnosis.verdict import Diagnosis, Missed
-from pipeline.diagnosis.whatif.placement import AskedPair, asked_pair
+from pipeline.diagnosis.whatif.region import AskedPair, asked_pair
 from pipeline.geometry.lifting import Pixel
 from pipeline.geometry.palette import DROPPED, RGB, hex_color, palette
 from pipeline.language.relation_names import PHRASE

@@ -23,16 +23,10 @@ from pipeline.language.counted import counted
 from pipeline.relations.installed import is_named
 from pipeline.system.errors import InputError, require
 from spatialviz.app.context import Context, Part, command
-from spatialviz.app.markup import BAD, Element, h, note
+from spatialviz.app.markup import BAD, h, note
 from spatialviz.app.state import ColorMode, State
-from spatialviz.app.toolbar import LARGEST_POINT, LEAST_POINT
 from spatialviz.app.url_state import Place
 from spatialviz.report import Subject, failure_page
-
-
-def _text(text: str, rows: int, name: str) -> Element:
-    """Text for copying."""
-    return h.textarea(text, cls="state", rows=rows, readonly=True, spellcheck="false", aria_label=name)
 
 
 class ViewStrings(Part):
@@ -57,36 +51,6 @@ class ViewStrings(Part):
             self.ctx.scene.viewpoint.turned_to(),
             None if run is None else str(run.folder.resolve()),
             state.expression_id(state.text),
-        )
-
-    @command("copy-state")
-    def copy(self) -> None:
-        """Put the view into the clipboard, and show the string for copying by hand."""
-        self.ctx.dialog.show(
-            "This view as a string",
-            (
-                _text(encode(self.now()), 5, "The string"),
-                h.div("copying …", cls="copied", role="status"),
-                h.div(
-                    "Paste it into the Ask field of a page, or open it with ",
-                    h.code("spatialviz view --state STRING"),
-                    ".",
-                    cls="dim small",
-                ),
-            ),
-            h.button("Copy again", local="copy"),
-        )
-        self.ctx.page.call("copy")
-        self.ctx.note("view copied as a string")
-
-    @command("paste-state")
-    def paste(self) -> None:
-        self.ctx.dialog.show(
-            "Open a view from its string",
-            h.textarea(
-                cls="state", rows=5, autofocus=True, spellcheck="false", placeholder="sv1:…", aria_label="The string"
-            ),
-            h.button("Open", local="send:restore:"),
         )
 
     @command("restore")
@@ -145,7 +109,6 @@ class ViewStrings(Part):
             else:
                 fov = view.toggles.get(FOV)
                 self.ctx.scene.viewpoint.turn_to(view.camera, float(fov) if isinstance(fov, (int, float)) else None)
-        self.ctx.note("view opened from its string")
 
     def _edit(self, view: ViewState) -> None:
         """Ask again with the edits of a view; without edits if inapplicable."""
@@ -160,8 +123,8 @@ class ViewStrings(Part):
 
 BEGINS = re.compile(r"\s*sv[0-9]{1,6}:")
 """Prefix of a state string, never of an expression."""
-CAMERA, FOV, POINTS = "camera view", "field of view", "point size"
-"""Toggles: viewpoint ("sensor", "orbit", "top"), field of view of a turned camera (radians), point size factor."""
+CAMERA, FOV = "camera view", "field of view"
+"""Toggles: viewpoint ("sensor", "orbit", "top"), field of view of a turned camera (radians)."""
 
 
 def needs_file(scorer: str | None, first: str | None, alone: bool) -> bool:
@@ -190,8 +153,6 @@ def view_of(
     toggles: dict[str, Toggle] = {**asdict(state.flags), CAMERA: state.camera}
     if camera is not None:
         toggles[FOV] = round(camera[1], 4)
-    if state.point_size != 1:
-        toggles[POINTS] = state.point_size
     return ViewState(
         state.source,
         state.frame_id,
@@ -211,15 +172,11 @@ def with_settings(state: State, view: ViewState) -> State:
     """State with a view's colours, toggles and viewpoint; unknown values are ignored."""
     known = asdict(state.flags)
     flags = {name: value for name, value in view.toggles.items() if name in known and isinstance(value, bool)}
-    size = view.toggles.get(POINTS)
-    if not isinstance(size, float | int) or not LEAST_POINT <= size <= LARGEST_POINT:
-        size = state.point_size
     return replace(
         state,
         flags=replace(state.flags, **flags),
         colors=next((mode for mode in get_args(ColorMode) if mode == view.colors), state.colors),
         camera=next((mode for mode in ("sensor", "orbit", "top") if mode == view.toggles.get(CAMERA)), state.camera),
-        point_size=float(size),
     )
 
 
@@ -240,9 +197,10 @@ MOST, TOLD = 200, 5
 """Cases per job, and reported reasons of failure, at most."""
 
 
-def folder_name(text: str) -> str:
-    """Text as a folder name: letters, digits, ".", "_" and "-"; "" if nothing remains."""
-    return re.sub(r"(?:[^A-Za-z0-9._-]|-)+", "-", text).strip("-._")[:LONGEST_NAME].rstrip("-._")
+def case_folder(text: str, frame: str) -> Path:
+    """Folder of an answer's case: letters, digits, ".", "_" and "-" of the question and the frame."""
+    name = re.sub(r"(?:[^A-Za-z0-9._-]|-)+", "-", f"{text}-{frame}").strip("-._")[:LONGEST_NAME].rstrip("-._")
+    return Path(CASES) / (name or "answer")
 
 
 class Keeping(Part):
@@ -259,53 +217,13 @@ class Keeping(Part):
         self._judge, self._view, self._selected = judge, view, selected
 
     @command("keep-case")
-    def ask_name(self) -> None:
-        """Ask for the case's folder."""
-        _, _, state = self._answered()
-        name = folder_name(f"{state.text}-{state.frame_id}")
-        field = h.input(
-            cls="find",
-            value=name,
-            enter="save-case",
-            autofocus=True,
-            spellcheck="false",
-            autocomplete="off",
-            aria_label="Name of the folder",
-        )
-        self.ctx.dialog.show(
-            "Save this answer as a case",
-            (
-                h.div(h.span(f"{CASES}/", cls="dim"), field, cls="case"),
-                h.div(
-                    "A small folder with the picture, the detections and the answer. ",
-                    h.code("spatialviz replay"),
-                    " runs it again and says whether the answer is still the same.",
-                    cls="dim small",
-                ),
-            ),
-            h.button("Save", local="send:save-case:"),
-        )
-
-    @command("save-case")
-    def save(self, name: str) -> None:
-        """Save the answer as a case in a new folder."""
-        clean = folder_name(name)
-        folder = Path(CASES) / clean
-        require(clean, "this is no name for a folder", got=repr(name[:40]), expected="letters and digits")
-        require(not folder.exists(), "there is a case of this name already", expected="another name", path=folder)
+    def save(self) -> None:
+        """Save the answer as a case in a new folder, named after question and frame."""
         source, context, state = self._answered()
+        folder = case_folder(state.text, state.frame_id)
+        require(not folder.exists(), "this answer is a case already", path=folder)
         self._save(folder, context, state.text, self._view().expression_id, self._given(source, context))
-        replay = shlex.join(["spatialviz", "replay", str(folder)])
-        self.ctx.note(f"case saved: {replay}")
-        self.ctx.dialog.show(
-            "Saved",
-            (
-                h.div("The case is in ", h.code(str(folder.resolve())), ". Run it again with"),
-                _text(replay, 2, "Command"),
-                h.div(cls="copied", role="status"),
-            ),
-            h.button("Copy the command", local="copy"),
-        )
+        self.ctx.toast("Case saved", f"{folder.resolve()}; `spatialviz replay` runs it again")
 
     def _save(
         self, folder: Path, context: PreparedFrame, text: str, expression: str | None, given: Mapping[str, Any]
@@ -323,9 +241,8 @@ class Keeping(Part):
         source, context, state = self._answered()
         answered = answer(source, context, state.text, **self._given(source, context))
         report = failure_page(answered, source, context, self._subject(answered), scene_html(answered, context))
-        name = f"{folder_name(f'{state.text}-{state.frame_id}') or 'answer'}.html"
+        name = f"{case_folder(state.text, state.frame_id).name}.html"
         self.ctx.page.download(name, report.encode("utf-8", "replace"))
-        self.ctx.note(f"report made: {name}")
 
     def _answered(self) -> tuple[Pipeline, PreparedFrame, State]:
         """Current pipeline, frame and state; InputError without a question."""
@@ -369,7 +286,7 @@ class Keeping(Part):
                 return
             row = rows.pop(0)
             self.ctx.page.call("working", f"case {count - len(rows)} of {count}")
-            folder = Path(CASES) / folder_name(f"{row['text']}-{row['frame']}")
+            folder = case_folder(row["text"], row["frame"])
             if folder.exists():
                 there.append(folder)
             else:

@@ -12,14 +12,13 @@ from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif import Baseline, Edits, rerun
 from pipeline.diagnosis.whatif.answer_view import BothAnswers
 from pipeline.diagnosis.whatif.changes import each_edit, without_edit
-from pipeline.diagnosis.whatif.decision_map import DecisionMap, decision_map
 from pipeline.diagnosis.whatif.edit_words import edit_from_words
 from pipeline.geometry.boxes import Box3D
 from pipeline.language.counted import counted
-from pipeline.system.errors import InputError, needed
+from pipeline.system.errors import InputError
 from spatialviz.app.context import Context, Part, choice, command
 from spatialviz.app.edit_panel import cost_html, edit_html
-from spatialviz.app.edit_scene import MODES, BoxGizmo, EditScene, map_legend
+from spatialviz.app.edit_scene import MODES, BoxGizmo, EditScene
 
 UNDOS = 200
 Judge = Callable[[Trace, RankConfig | None], Diagnosis | str | None]
@@ -36,7 +35,6 @@ class WhatIf(Part):
         self._of: tuple[str, str, str] | None = None
         self._undo: list[Edits] = []
         self._live_since: Edits | None = None
-        self._map: DecisionMap | None = None
         self._held: str | None = None
         self._gizmo = BoxGizmo(ctx, self._dragged)
         self._shown = EditScene(ctx)
@@ -44,7 +42,7 @@ class WhatIf(Part):
     # ---- questions ------------------------------------------------------------------
 
     def check(self) -> None:
-        """Drop edits of a former question, and a stale map."""
+        """Drop edits of a former question."""
         asked = self._asked()
         if self._of is None or asked == self._of:
             return
@@ -52,7 +50,7 @@ class WhatIf(Part):
             count = len(each_edit(self.state.edits))
             self.ctx.note(f"{counted(count, 'edit')} dropped: of “{self._of[2]}” in frame {self._of[1]}")
         self.state = replace(self.state, edits=Edits(), edited=None)
-        self._undo, self._of, self._baseline, self._map, self._live_since = [], None, None, None, None
+        self._undo, self._of, self._baseline, self._live_since = [], None, None, None
 
     def answered(self) -> None:
         """Edit a new answer again if to the edited question."""
@@ -143,30 +141,6 @@ class WhatIf(Part):
             selected = state.pair[0] if state.selected is None and state.pair is not None else state.selected
             self.ctx.show(mode=chosen, selected=selected)
 
-    # ---- map ------------------------------------------------------------------------
-
-    @command("edit-map")
-    def _toggle_map(self) -> None:
-        shown, self._map = self._map, None
-        try:
-            if shown is None:
-                key = needed(self._selected_key(), "no candidate of the question is selected")
-                self._map = decision_map(self._base(), self.state.edits, key)
-                self.ctx.note(f"decision map of {self.state.named(key)}: {self._map.seconds * 1000:.0f} ms")
-        except InputError as error:
-            self.ctx.toast("No decision map", str(error), bad=True)
-        self.ctx.draw()
-
-    def _renewed_map(self) -> None:
-        """Remake the map after a change of the edits, or drop the map."""
-        if self._map is None or self._baseline is None:
-            return
-        try:
-            self._map = decision_map(self._baseline, self.state.edits, self._map.key)
-        except InputError as error:
-            self._map = None
-            self.ctx.note(f"no decision map: {error}")
-
     # ---- drawing --------------------------------------------------------------------
 
     def _selected_key(self) -> str | None:
@@ -187,14 +161,10 @@ class WhatIf(Part):
         if selected is not None and candidate and state.mode != "off":
             box, self._held = state.shown.objects[selected].lifted.box, self._selected_key()
         self._gizmo.show(None if box is None else self.ctx.scene.shown_box(box), state.mode)
-        if not live and self._map is not None:
-            self._renewed_map()
-        self._shown.draw(state, None if live else self._map, keep_map=live)
+        self._shown.draw(state)
         # Without objects there is nothing to edit.
         self.ctx.page.show("cost", cost_html(state, len(self._undo)) if state.shown.objects else None)
         if not live:
             hidden = selected is not None and f"#{state.shown.objects[selected].id}" in state.edits.hidden
-            legend = None if self._map is None else map_legend(state, self._map)
             trace, editable = state.trace, candidate or hidden
-            panel = None if trace is None else edit_html(state, trace, self.ctx.source, editable, self._map)
-            self.ctx.page.fill({"map-legend": legend, "edit": panel})
+            self.ctx.page.show("edit", None if trace is None else edit_html(state, trace, self.ctx.source, editable))

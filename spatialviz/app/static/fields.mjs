@@ -288,7 +288,7 @@ calls.find = query => {
 
 /* The commands of the dialog that finds one. */
 
-const commandRows = field => [...field.closest('dialog').querySelectorAll('.commands > button')];
+const commandRows = field => [...field.closest('dialog').querySelectorAll('.commands button')];
 const visible = rows => rows.filter(row => !row.hidden);
 
 fields.commands = {
@@ -326,27 +326,6 @@ locals.send = (element, command) => {
 locals.checked = (element, command) => {
   const chosen = [...element.closest('dialog').querySelectorAll('input:checked')].map(input => input.value);
   send(command + chosen.filter(Boolean).join(','));
-};
-
-locals.copy = async element => {
-  const dialog = element.closest('dialog'), field = dialog.querySelector(TEXT);
-  let done = false;
-  focus(field);
-  try {
-    await navigator.clipboard.writeText(field.value);
-    done = true;
-  } catch {
-    done = document.execCommand('copy');
-  }
-  // The dialog may have been closed meanwhile.
-  const told = dialog.querySelector('.copied');
-  if (told) told.textContent = done ? 'Copied to the clipboard.'
-    : 'The browser does not allow it: copy it by hand (Ctrl+C).';
-};
-
-calls.copy = () => {
-  const content = document.querySelector('dialog[open] .copied');
-  if (content) locals.copy(content);
 };
 
 /* What changes many times a second: numbers of a box that is dragged, the drawing over the picture. */
