@@ -9,7 +9,6 @@ vectors that the network was trained with.
 from __future__ import annotations
 
 import io
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,9 +18,8 @@ import numpy as np
 import xxhash
 
 from pipeline.language.naming import normal_form
-from pipeline.language.vectors import LanguageContract, VectorFile, open_vectors
-from pipeline.system.errors import InputError, as_input_error, require
-from pipeline.system.safe_files import opened_arrays
+from pipeline.language.vectors import LanguageContract, open_vectors, read_npz
+from pipeline.system.errors import InputError, require
 
 _NAMED = 8
 
@@ -51,17 +49,8 @@ class ClassVectors:
     @classmethod
     def read(cls, path: Path) -> ClassVectors:
         """Read an .npz file of class vectors; InputError for another file."""
-        unreadable = "the network's class vectors cannot be read"
-        failures = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
-        with as_input_error(unreadable, *failures, got=str, path=path), opened_arrays(path) as archive:
-            names, vectors = archive["names"], archive["vectors"]
-        require(
-            names.ndim == 1 and names.dtype.kind == "U" and vectors.shape[:1] == names.shape and vectors.ndim == 2,
-            unreadable,
-            got=f"{names.shape}, {vectors.shape}",
-            path=path,
-        )
-        return cls(tuple(str(n) for n in names), vectors.astype(np.float32))
+        table = read_npz(path)
+        return cls(table.names, table.vectors.astype(np.float32))
 
 
 def vectors_path(network: Path) -> Path:
@@ -78,10 +67,7 @@ class ClassLookup:
 
     def __init__(self, network: Path, language: LanguageContract, expected: str, vectors: Path | None = None) -> None:
         self.language = language
-        self._file: VectorFile | None = None
-        if vectors is not None:
-            self._file = open_vectors(vectors)
-            language.check(self._file)
+        self._file = None if vectors is None else open_vectors(vectors)
         path = vectors_path(network)
         if path.is_file():
             known = ClassVectors.read(path)
@@ -101,11 +87,10 @@ class ClassLookup:
         else:
             known = ClassVectors((), np.zeros((0, language.dimension), np.float32))
         self._known = known
-        self._found: dict[str, np.ndarray] = {}
 
     @cached_property
     def _by_name(self) -> dict[str, np.ndarray]:
-        """Vectors by exact spelling, and by normal form wherever all spellings share one vector."""
+        """Known vectors by exact spelling, and by normal form wherever all spellings share one vector."""
         found: dict[str, np.ndarray] = {}
         clashing: set[str] = set()
         for name, vector in zip(self._known.names, self._known.vectors, strict=True):
@@ -119,7 +104,7 @@ class ClassLookup:
 
     def rows(self, labels: Sequence[str]) -> np.ndarray:
         """(N, D) float64 vectors of the class names."""
-        known = {**self._by_name, **self._found}
+        known = self._by_name
         unknown = list(dict.fromkeys(n for n in labels if n not in known and normal_form(n) not in known))
         if unknown and self._file is None:
             more = f" and {len(unknown) - _NAMED} more" if len(unknown) > _NAMED else ""
@@ -130,7 +115,8 @@ class ClassLookup:
             )
         if unknown and self._file is not None:
             found = self._file.phrases(unknown, normalised=self.language.normalised)
-            self._found.update(zip(unknown, found, strict=True))
-            known.update(self._found)
+            # Its pass through the file has worked out the fingerprint, too.
+            self.language.check(self._file)
+            known.update(zip(unknown, found, strict=True))
         rows = [known[n] if n in known else known[normal_form(n)] for n in labels]
         return np.array(rows, np.float64).reshape(len(rows), self.language.dimension)

@@ -10,8 +10,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from pipeline.language.phrase_vectors import LanguageContract
 from pipeline.language.relation_names import INVERSE, PAIRWISE
-from pipeline.language.vectors.contract import LanguageContract
 from pipeline.metrics.calibration_metrics import Platt
 from pipeline.relations.features import FEATURES, FeatureSet, feature_set, geometry_of
 from pipeline.system.errors import InputError, require

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import re
 import struct
 from importlib import import_module
@@ -60,9 +61,10 @@ def _exr(data: bytes) -> tuple[int, int] | None:
     return max(sizes, key=lambda size: size[0] * size[1], default=None)
 
 
-def array_shape(file: Any) -> tuple[int, ...]:
-    """Shape of an NPY from this place of a file; ValueError for anything else."""
+def array_header(file: Any) -> tuple[tuple[int, ...], int]:
+    """Shape of an NPY from this place of a file, and its bytes; ValueError for anything else."""
     # Version 3.0 differs from 2.0 in the encoding of field names alone.
     first = np.lib.format.read_magic(file) == (1, 0)
     read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
-    return read(file)[0]
+    shape, _, dtype = read(file)
+    return shape, math.prod(shape) * dtype.itemsize

@@ -25,7 +25,7 @@ import numpy as np
 from pipeline.system.arrow import pq
 from pipeline.system.errors import InputError, require
 from pipeline.system.limits import LIMITS_OPTION, Limits, current_limits, within
-from pipeline.system.picture_headers import array_shape, header_size
+from pipeline.system.picture_headers import array_header, header_size
 
 
 class _Root(NamedTuple):
@@ -295,9 +295,14 @@ def load_arrays(source: bytes | IO[bytes], path: Any) -> Any:
     packed = file.read(2) == b"PK"
     file.seek(0)
     if packed:
-        check_members(open_archive(file, path), path)
+        archive = open_archive(file, path)
+        check_members(archive, path)
+        for member in archive.infolist():
+            with archive.open(member) as array:
+                _, size = array_header(array)
+            within(size, "bytes", f"{member.filename[:80]} in an archive", path, limits_of(path))
     else:
-        shape = array_shape(file)
+        shape, _ = array_header(file)
         within(math.prod(shape), "pixels", f"an array of {'x'.join(map(str, shape))}", path, limits_of(path))
     file.seek(0)
     return np.load(file, allow_pickle=False)

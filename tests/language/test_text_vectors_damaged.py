@@ -3,24 +3,15 @@
 from __future__ import annotations
 
 import gzip
-import struct
 import tracemalloc
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from vector_writers import fasttext_bytes, npy_bytes, npz_with, vec_text, written
+from vector_writers import npy_bytes, npz_with, vec_text, written
 
 from pipeline.language import open_vectors
-from pipeline.language.vectors.fasttext_bin import FastTextBinary
 from pipeline.system import InputError
-
-
-@pytest.fixture(autouse=True)
-def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("SPATIALVIZ_CACHE", str(tmp_path / "cache"))
 
 
 @pytest.mark.parametrize(
@@ -60,80 +51,6 @@ def test_packed_text_cut_short_is_refused(tmp_path: Path) -> None:
             open_vectors(path).phrases(["mug"])
 
 
-def test_a_model_cut_anywhere_is_refused(tmp_path: Path) -> None:
-    content = fasttext_bytes(["chair", "mug"], buckets=3, dimension=2)
-    end = FastTextBinary.open(written(tmp_path / "model.bin", content)).end
-    assert FastTextBinary.open(written(tmp_path / "model.bin", content[:end])).find(["mug"])
-    for size in range(end):
-        with pytest.raises(InputError):
-            FastTextBinary.open(written(tmp_path / "model.bin", content[:size]))
-
-
-@settings(max_examples=50)
-@given(st.integers(0, 170), st.integers(0, 255))
-def test_a_model_with_a_wrong_byte_is_refused_or_read(
-    tmp_path_factory: pytest.TempPathFactory, at: int, b: int
-) -> None:
-    content = bytearray(fasttext_bytes(["chair", "mug"], buckets=3, dimension=2))
-    content[at] = b
-    path = written(tmp_path_factory.getbasetemp() / "flipped.bin", bytes(content))
-    try:
-        source = FastTextBinary.open(path)
-        source.find(["chair", "mug"])
-        source.infer("chairs")
-    except InputError:
-        pass
-
-
-def patched(content: bytes, offset: int, form: str, *values: int) -> bytes:
-    return content[:offset] + struct.pack(form, *values) + content[offset + struct.calcsize(form) :]
-
-
-MODEL = fasttext_bytes(["chair", "mug"], buckets=3, dimension=2)
-SHAPE_AT = 64 + 28 + len("chair") + len("mug") + 20
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (b"", "cannot be read"),
-        (b"2 3\nmug 1 2 3\ncan 1 2 3\n" * 9, "no FastText model"),
-        (patched(MODEL, 4, "<i", 9), "another version"),
-        (patched(MODEL, 8, "<i", 2**31 - 1), "dimension 2147483647"),
-        (patched(MODEL, 8, "<i", -1), "dimension -1"),
-        (patched(MODEL, 40, "<i", -5), "-5 buckets"),
-        (patched(MODEL, 40, "<i", 2**31 - 1), "was announced"),
-        (patched(MODEL, 64, "<2i", 2**31 - 1, 2**31 - 1), "2147483647 words"),
-        (patched(MODEL, 64, "<2i", 1, 2), "1 together"),
-        (patched(MODEL, 64 + 20, "<q", 5), "quantised"),
-        (patched(MODEL, SHAPE_AT, "<b", 1), "quantised"),
-        (patched(MODEL, SHAPE_AT + 1, "<2q", 2**60, 2), "was announced"),
-        (patched(MODEL, SHAPE_AT - 1, "<b", 7), "of type 7"),
-        (fasttext_bytes(["chair", "mug", "chair"]), "'chair' twice"),
-    ],
-)
-def test_damaged_models_are_refused(tmp_path: Path, content: bytes, message: str) -> None:
-    path = written(tmp_path / "bad.bin", content)
-    tracemalloc.start()
-    with pytest.raises(InputError, match=message):
-        open_vectors(path)
-    assert tracemalloc.get_traced_memory()[1] < 5e6
-    tracemalloc.stop()
-
-
-def test_numbers_that_are_not_finite_in_a_model_are_refused(tmp_path: Path) -> None:
-    matrix = np.full((4, 2), np.nan, "<f4")
-    path = written(tmp_path / "bad.bin", fasttext_bytes(["chair"], buckets=3, dimension=2, matrix=matrix))
-    with pytest.raises(InputError, match="no finite numbers for 'chair'"):
-        open_vectors(path).phrases(["chair"])
-
-
-def test_a_word_of_a_megabyte_has_no_subwords(tmp_path: Path) -> None:
-    vectors = open_vectors(written(tmp_path / "model.bin", fasttext_bytes()))
-    with pytest.raises(InputError, match="no word"):
-        vectors.phrases(["q" * 1_000_000])
-
-
 NAMES = npy_bytes(np.array(["mug", "can"]))
 ROWS = npy_bytes(np.ones((2, 3), np.float32))
 
@@ -150,13 +67,13 @@ ROWS = npy_bytes(np.ones((2, 3), np.float32))
         ({"words": NAMES, "vectors": npy_bytes(np.ones((2, 0)))}, "no table of vectors"),
         ({"words": NAMES, "vectors": npy_bytes(np.array([[1, 2], [np.nan, 1]]))}, "not finite; got that of 'can'"),
         ({"words": NAMES, "vectors": npy_bytes(np.array([[1, 2], [1e200, 1]]))}, "not finite"),
-        ({"words": NAMES, "vectors": npy_bytes(np.ones((2, 3)), shape=(10**12, 300))}, "is damaged"),
-        ({"words": NAMES, "vectors": ROWS[:-4]}, "is damaged"),
+        ({"words": NAMES, "vectors": npy_bytes(np.ones((2, 3)), shape=(10**12, 300))}, "too large"),
+        ({"words": NAMES, "vectors": ROWS[:-4]}, "cannot be read"),
         ({"words": NAMES, "vectors": b"no array"}, "cannot be read"),
         ({"words": NAMES, "vectors": ROWS, "kind": npy_bytes(np.array(["a", "b"]))}, "cannot be read"),
         ({"words": npy_bytes(np.array([1, 2])), "vectors": ROWS}, "no list of names"),
         ({"words": npy_bytes(np.array([b"\xff", b"a"])), "vectors": ROWS}, "not UTF-8"),
-        ({"words": NAMES, "vectors": npy_bytes(np.zeros((40_000, 300), np.float64))}, "is damaged"),
+        ({"words": NAMES, "vectors": npy_bytes(np.zeros((120_000, 300), np.float64))}, "too large"),
     ],
 )
 def test_damaged_tables_are_refused(tmp_path: Path, members: dict[str, bytes], message: str) -> None:
@@ -170,7 +87,7 @@ def test_damaged_tables_are_refused(tmp_path: Path, members: dict[str, bytes], m
 
 def test_python_objects_are_never_unpickled(tmp_path: Path) -> None:
     np.savez(tmp_path / "bad.npz", words=np.array(["mug", None], object), vectors=np.ones((2, 3)))
-    with pytest.raises(InputError, match="never unpickled"):
+    with pytest.raises(InputError, match="allow_pickle=False"):
         open_vectors(tmp_path / "bad.npz")
 
 
@@ -182,27 +99,7 @@ def test_a_table_cut_short_is_refused(tmp_path: Path) -> None:
             open_vectors(written(tmp_path / "cut.npz", content[:end]))
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "[]",
-        '{"vectors": {}}',
-        '{"vectors": {"mug": 1}}',
-        '{"vectors": {"mug": [1], "can": [1, 2]}}',
-        '{"vectors": {"mug": [true]}}',
-        '{"vectors": {"mug": [NaN]}}',
-        '{"vectors": {"mug": [1' + "0" * 400 + "]}}",
-        '{"vectors": {"mug": [1]}, "kind": ["word"]}',
-        "[" * 100_000,
-    ],
-)
-def test_damaged_json_is_refused(tmp_path: Path, text: str) -> None:
-    with pytest.raises(InputError):
-        open_vectors(written(tmp_path / "bad.json", text.encode()))
-
-
-@pytest.mark.parametrize("name", ["none.vec", "model.ftz", "model.bin.gz", "words.txt", "words"])
+@pytest.mark.parametrize("name", ["none.vec", "model.ftz", "model.bin", "words.json", "words.txt", "words"])
 def test_other_files_are_refused(tmp_path: Path, name: str) -> None:
     if not name.startswith("none"):
         written(tmp_path / name, b"1 1\nmug 1\n")

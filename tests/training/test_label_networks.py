@@ -133,7 +133,7 @@ def test_other_vectors_and_other_networks_are_refused(
     np.savez(other, words=loaded["words"], vectors=loaded["vectors"] + 1, kind=loaded["kind"])
     path = networks["rel14+lang", "avd"]
     with pytest.raises(InputError, match="other ones than the network was trained with"):
-        OnnxScorer(path, other)
+        OnnxScorer(path, other).with_words(np.zeros((1, 6)), ["zebra"])
     with pytest.raises(InputError, match="uses no class names"):
         OnnxScorer(networks["rel14", "avd"], word_vectors)
     with pytest.raises(InputError, match="uses no class names"):

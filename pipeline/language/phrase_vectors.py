@@ -1,4 +1,4 @@
-"""Vectors of phrases from vectors of words."""
+"""Vectors of class names from vectors of words, and the contract of a relation network on them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.language.naming import HEAD_ENDS, normal_form, singular
 from pipeline.language.noun_phrase import readable
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 _NAMED = 8
 """At most so many names in an error."""
@@ -43,17 +43,13 @@ class VectorFile:
         """Vector of a name held as one entry."""
         return None
 
-    def infer(self, word: str) -> np.ndarray | None:
-        """Vector of a word outside the file, from the parts of its spelling."""
-        return None
-
     def phrases(self, names: Sequence[str], *, normalised: bool = False) -> np.ndarray:
         """Vectors of class names as a dataset spells them (`trash_can`, `CoffeeTable`), (N, D) float32.
 
         A name that the file holds as one entry has that entry's vector. Any other has the mean of the vectors of its
         words, all alike, in a file of words; in a file of phrases it is not known. A word is looked up in lower case
-        first, then as written, with a capital, in capitals; for `t-shirt`, its parts stand in where all of them are
-        known; last, where the file has them, its subwords. Words that are not known do not count.
+        first, then as written, with a capital, in capitals; for `t-shirt`, its known parts stand in. Words that are
+        not known do not count.
 
         With `normalised` every vector is divided by its length before the mean is taken, as FastText's
         getSentenceVector does. The mean itself is not normalised again.
@@ -86,8 +82,6 @@ class VectorFile:
         for word in words:
             direct = _first(word, found)
             pieces = [p for p in (_first(part, found) for part in word.parts) if p is not None]
-            if direct is None and (not pieces or len(pieces) < len(word.parts)):
-                direct = self.infer(word.text)
             vectors += pieces if direct is None else [direct]
         return vectors
 
@@ -122,7 +116,7 @@ _JOINED = re.compile(r"[-‐-―/&'’.]+")
 class Word:
     """One word of a class name."""
 
-    text: str  # Lower case, the head noun in the singular: the word as it is reported, and the one whose subwords count
+    text: str  # Lower case, the head noun in the singular: the word as it is reported
     spellings: tuple[str, ...]  # In the order in which they are looked up; `text` first
     parts: tuple[Word, ...] = ()  # Stand-ins for `t-shirt` or `dog's` in a table without it; empty for a plain word
 
@@ -138,14 +132,6 @@ def phrase_words(name: str) -> tuple[Word, ...]:
     head = len(HEAD_ENDS.split(" ".join(written).lower(), maxsplit=1)[0].split()) - 1
     words = [_word(w, _singular(written[: i + 1]) if i == head else None) for i, w in enumerate(written)]
     return tuple(w for w in words if any(c.isalnum() for c in w.text))
-
-
-def utf8(word: str) -> bytes:
-    """Encode a word as in files; empty for a word that no file can hold."""
-    try:
-        return word.encode("utf-8")
-    except UnicodeEncodeError:
-        return b""
 
 
 def _singular(head: list[str]) -> str:
@@ -169,3 +155,83 @@ def _word(written: str, one: str | None) -> Word:
     pieces = [p for p in _JOINED.split(re.sub(r"['’]s$", "", lower)) if p]
     parts = tuple(_word(p, None) for p in pieces) if pieces not in ([], [lower]) else ()
     return Word(text, tuple(spellings), parts)
+
+
+CONTRACT = "spatialviz-language-1"
+"""Also the rules by which a name becomes words and words become a vector: a change of these must change it."""
+
+PREFIX = "srm.language."
+"""Every metadata key begins so."""
+
+
+@dataclass(frozen=True)
+class LanguageContract:
+    """The language features of a relation network."""
+
+    name: str  # The file of vectors, for people
+    dimension: int
+    normalised: bool  # Vectors were divided by their lengths before the mean was taken
+    fingerprint: str  # Of the vectors
+
+    @classmethod
+    def of(cls, vectors: VectorFile, *, normalised: bool = False) -> LanguageContract:
+        return cls(vectors.name, vectors.dimension, normalised, vectors.fingerprint())
+
+    def to_metadata(self) -> dict[str, str]:
+        """Contract as string properties of an ONNX file."""
+        values = {
+            "contract": CONTRACT,
+            "name": self.name,
+            "dimension": str(self.dimension),
+            "normalised": "true" if self.normalised else "false",
+            "fingerprint": self.fingerprint,
+        }
+        return {PREFIX + key: value for key, value in values.items()}
+
+    @classmethod
+    def from_metadata(cls, metadata: Mapping[str, str], path: Path | None = None) -> LanguageContract | None:
+        """Contract from the properties of an ONNX file; None for a network without language.
+
+        InputError where the properties speak of other language features than this program makes.
+        """
+        stored = {key.removeprefix(PREFIX): value for key, value in metadata.items() if key.startswith(PREFIX)}
+        if not stored:
+            return None
+        if stored.get("contract") != CONTRACT:
+            raise InputError(
+                "the network's language features are not known",
+                got=repr(stored.get("contract")),
+                expected=repr(CONTRACT),
+                path=path,
+            )
+        try:
+            dimension = int(stored["dimension"])
+            normalised = {"true": True, "false": False}[stored["normalised"]]
+            contract = cls(stored["name"], dimension, normalised, stored["fingerprint"])
+        except (KeyError, ValueError) as error:
+            raise InputError(
+                "the network's language features cannot be read", got=f"{type(error).__name__}: {error}", path=path
+            ) from error
+        require(
+            dimension >= 1 and contract.fingerprint,
+            "the network's language features cannot be read",
+            got=contract,
+            path=path,
+        )
+        return contract
+
+    def check(self, vectors: VectorFile) -> None:
+        """Raise InputError for other vectors than those of the network's training."""
+        require(
+            vectors.dimension == self.dimension,
+            "the text vectors have another dimension than the network wants",
+            got=f"{vectors.dimension} numbers of {vectors.name}",
+            expected=f"{self.dimension} numbers of {self.name}",
+        )
+        found = vectors.fingerprint()
+        require(
+            found == self.fingerprint,
+            "the text vectors are other ones than the network was trained with",
+            got=f"{vectors.name}, fingerprint {found}",
+            expected=f"{self.name}, fingerprint {self.fingerprint}",
+        )
