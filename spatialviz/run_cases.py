@@ -18,7 +18,7 @@ from pipeline.diagnosis.cases.replay import ReplayResult, find_cases, replay_all
 from pipeline.diagnosis.cases.saving import open_case, save_case
 from pipeline.diagnosis.whatif import Baseline, Edits, Outcome, edits_record, load_edits, rerun, what_changed
 from pipeline.diagnosis.whatif.edit_words import edits_from_words
-from pipeline.diagnosis.whatif.placement import asked_pair
+from pipeline.diagnosis.whatif.region import asked_pair
 from pipeline.diagnosis.whatif.rerun import foreign_keys
 from pipeline.evaluation.run_folder import RUN_FILE, open_run
 from pipeline.labels.reading import Labels, open_labels

@@ -39,8 +39,7 @@ exec(added["pipeline/relations/relations.py"], vars(relations))
 
 from pipeline.answering.pipeline import open_pipeline
 from pipeline.diagnosis.asking import annotated_truth, contexts
-from pipeline.diagnosis.whatif.placement import place_in_region
-from pipeline.diagnosis.whatif.region import region_of
+from pipeline.diagnosis.whatif.region import place_in_region, region_of
 from pipeline.labels.check.linter import check_labels
 from pipeline.labels.plan import LabelConfig
 from pipeline.labels.exports.exporting import export_labels
@@ -81,7 +80,7 @@ print(json.dumps({
     "meant": [int(truth.numbers[a]), int(truth.numbers[b])],
     "probability": float(trace.scores.of(name)[best.target, best.reference]),
     "placement": [placement.state, placement.why],
-    "region": [p.label for p in region.patches],
+    "region": [p.label for p in region],
     "version": SCHEMA_VERSION,
     "written": [labels.manifest.schema_version, list(labels.relation_names)],
     "schema": sorted(c for c in json_schemas()["relations"]["properties"] if c.startswith(name)),

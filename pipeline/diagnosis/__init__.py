@@ -35,7 +35,8 @@ if TYPE_CHECKING:
     from pipeline.diagnosis.whatif.answer_view import AnswerView, BothAnswers, OtherAnswer, shown_objects
     from pipeline.diagnosis.whatif.changes import each_edit, without_edit
     from pipeline.diagnosis.whatif.edit_words import edit_from_words, edits_from_words
-    from pipeline.diagnosis.whatif.placement import SMALLEST_SIDE, AskedPair, asked_pair, box_numbers
+    from pipeline.diagnosis.whatif.placement import SMALLEST_SIDE, box_numbers
+    from pipeline.diagnosis.whatif.region import AskedPair, asked_pair
     from pipeline.diagnosis.whatif.rerun import foreign_keys
     from pipeline.diagnosis.whatif.state import CameraView, ViewState, decode, encode
 

@@ -1,8 +1,8 @@
 """What-if: an answer under edits, fast enough to follow the mouse.
 
 `edits` says what is changed, `rerun` answers again with `pair_tables`, which also names objects so that the name
-survives a re-run, `changes` says what came of it, `region` and
-`placement` show where the asked relation holds, `state` writes a view as one string.
+survives a re-run, `changes` says what came of it, `region` shows
+where the asked relation holds, `state` writes a view as one string.
 """
 
 from pipeline.diagnosis.whatif.changes import what_changed

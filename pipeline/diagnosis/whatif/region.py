@@ -1,64 +1,37 @@
-"""Region of a relation around a reference, for drawing: allowed centres of a target.
-
-left, right, front and behind are drawn in the level plane through the
-reference's middle, exactly: all lines on which the rule's verdict can change
-(edges of the dead zone, of the overlap, of the switch from gaps to centres, and
-of the cones by gaps and by centres) cut the plane into trapezoids, and the rule
-itself judges the middle of each. above, below, on, in and near are solids
-through outlines at several heights; any other relation is judged on a grid.
-"""
+"""Region of a relation around its reference, and the place of a pair in it: both by the rule, with the reason."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pipeline.answering.ask import Trace
+from pipeline.answering.pair_table import ScoredPair
+from pipeline.diagnosis.whatif.edits import Edits
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
-from pipeline.language.relation_names import HORIZONTAL, PAIRWISE, RELATIONS
-from pipeline.relations.pair_measures import AllMeasures
-from pipeline.relations.predicates import pair_states
-from pipeline.relations.relations import Profile, known_extents, letter, measure_pairs
-from pipeline.system.errors import require
+from pipeline.language.relation_names import HORIZONTAL, PAIRWISE
+from pipeline.relations.pair_measures import AllMeasures, enclosed_share, in_measures, near_measures, on_measures
+from pipeline.relations.predicates import pair_margins, pair_states
+from pipeline.relations.relations import Profile, T, known_extents, letter, measure_pairs
+from pipeline.relations.scorer import stacked_extents
+from pipeline.system.errors import InputError, require
 
-_Level = Callable[[np.ndarray, np.ndarray], np.ndarray]
-_CORNER_STEPS = 8
-SOLIDS = ("above", "below", "on", "in", "near")
-"""The relations whose regions are solids."""
-Solid = tuple[str, np.ndarray, np.ndarray]
-"""Label, triangles (M, 3, 3), segments (S, 2, 3)."""
-
-GRID_CELLS = 80
-"""Cells along each side of the region of a relation of which only its rule is known."""
-REACH = 1.5
-"""Metres beyond the reference to which the region is drawn; it goes on without end."""
+Measures = dict[str, float]
+CELLS, LEVELS = 120, 201
+"""Cells of a region along each side, and levels among which its height is chosen."""
+REACH = 1.0
+"""Metres around the reference that a region is drawn for; it goes on without end."""
 
 
 @dataclass(frozen=True)
 class RegionPart:
-    """Part of a region."""
+    """Level part of a region, for drawing; camera frame, metres."""
 
     label: str  # "T" or "U"
-    triangles: np.ndarray  # (M, 3, 3) float64: corners, camera frame, metres; to be drawn translucent
-    lines: np.ndarray  # (S, 2, 3) float64: segments of its outline, camera frame, metres
-
-
-@dataclass(frozen=True)
-class Region:
-    """Region of a relation: T where held, U where undecided, for the centre of a target of a given size."""
-
-    relation: str
-    patches: tuple[RegionPart, ...]
-    # (3, 2, 3) float64: segments from the reference's middle along the viewer's right, up and forward, camera frame,
-    # metres
-    axes: np.ndarray
-    dead_zone: float  # Half width of the undecided strip along the relation's axis, metres; 0 where it has none
-    # Every point of the plane that is drawn is judged as the rule judges it. The solids of above, below, on and in take
-    # extents for points, and their U is what lies inside U and outside T.
-    exact: bool
+    triangles: np.ndarray  # (M, 3, 3) float64: corners
+    lines: np.ndarray  # (S, 2, 3) float64: segments of the outline
 
 
 def region_of(
@@ -68,331 +41,286 @@ def region_of(
     viewer: ViewerAxes,
     profile: Profile | None = None,
     reach: float = REACH,
-) -> Region:
-    """Region of "target RELATION reference".
+) -> tuple[RegionPart, ...]:
+    """Region of "target RELATION reference": centres of a target for which the rule says T, and U.
+
+    A level square of cells, each judged by the rule at its middle: at the height nearest to the reference's middle at
+    which a target right over it (or under it) stands in the relation; at the middle itself where none does.
 
     `relation`: one of PAIRWISE; `size`: (3,) float: the target's extents along (right, up, forward), metres: `hi - lo`
     of its LiftedObject; `reach`: how far beyond the reference it is drawn, metres.
     """
     profile = profile or Profile()
+    lo, hi, size = reference.lo, reference.hi, np.asarray(size, np.float64)
+    _check_pairwise(relation)
+    known = known_extents(lo[None], hi[None]).all() and size.shape == (3,) and np.isfinite(size).all()
+    require(known, "the reference or the target has no place in space, and so there is no region", got=size.tolist())
+
+    def states(places: np.ndarray) -> np.ndarray:
+        """(P,) int8: the rule's verdict on a target centred at each place ((P, 3), level axes)."""
+        ends = zip((places - size / 2, places + size / 2), (lo, hi), strict=True)
+        both = [np.stack([edge, np.broadcast_to(own, edge.shape)], axis=1) for edge, own in ends]
+        # Extents stand in for points.
+        surface = np.broadcast_to(both[1][:, None, :, 1], (len(places), 2, 2))
+        share = np.zeros(surface.shape)
+        share[:, 0, 1] = enclosed_share(-size / 2, size / 2, None, lo - places, hi - places, profile)
+        measured = AllMeasures(measure_pairs(both[0], both[1], profile), profile, given=(surface, share))
+        return pair_states(measured, np.ones((len(places), 2), np.bool_), (relation,))[:, 0, 1, 0]
+
+    middle, far = (lo + hi) / 2, (size + hi - lo) / 2 + reach
+    levels = middle + np.linspace(-far[1], far[1], LEVELS)[:, None] * [0, 1, 0]
+    held = levels[states(levels) == T]
+    height = held[np.abs(held - middle).sum(axis=1).argmin(), 1] if len(held) else middle[1]
+    right, forward = (np.linspace(middle[k] - far[k], middle[k] + far[k], CELLS + 1) for k in (0, 2))
+    corners = np.stack(np.broadcast_arrays(right, height, forward[:, None]), axis=-1)
+    state = states((corners[:-1, :-1] + corners[1:, 1:]).reshape(-1, 3) / 2).reshape(CELLS, CELLS)
+    found = []
+    for value in (1, 0):
+        cells = np.pad(state == value, 1)
+        if cells.any():
+            triangles, lines = _drawn(cells, corners @ viewer.matrix)
+            found.append(RegionPart(letter(value), triangles, lines))
+    return tuple(found)
+
+
+def _drawn(cells: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles (M, 3, 3) and outline (S, 2, 3) of cells (R + 2, C + 2) bool with an empty border, by their corners."""
+    beside, below = (cells[1:-1, 1:] != cells[1:-1, :-1]), (cells[1:, 1:-1] != cells[:-1, 1:-1])
+    # Neighbours in a row are one rectangle: its ends come by turns.
+    i, j = np.nonzero(beside)
+    row, column = i.reshape(-1, 2), j.reshape(-1, 2)
+    a, b, c, d = (corners[row[:, 0] + down, column[:, end]] for down, end in ((0, 0), (0, 1), (1, 1), (1, 0)))
+    triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    k, m = np.nonzero(below)
+    upright = np.stack([corners[i, j], corners[i + 1, j]], axis=1)
+    level = np.stack([corners[k, m], corners[k, m + 1]], axis=1)
+    return triangles, np.concatenate([upright, level])
+
+
+def _check_pairwise(relation: str) -> None:
     require(
         relation in PAIRWISE, "there is no region of this relation", got=repr(relation), expected=", ".join(PAIRWISE)
     )
-    size = np.asarray(size, np.float64)
-    require(
-        size.shape == (3,) and np.isfinite(size).all() and not (size < 0).any(),
-        "the target's size must be three lengths",
-        got=size.tolist(),
-    )
-    require(
-        (np.isfinite(reach) and 0 < reach <= 100),
-        "the reach of a region is out of range",
-        got=reach,
-        expected="above 0, up to 100 m",
-    )
-    lo, hi = reference.lo, reference.hi
-    require(
-        known_extents(lo[None], hi[None]).all(),
-        "the reference has no place in space, and so there is no region around it",
-    )
-    middle = (lo + hi) / 2
-    if relation in SOLIDS:
-        found = solids(lo, hi, size, relation, profile, reach)
-    else:
-        found = _plane(lo, hi, size, relation, profile, reach)
-    axes = middle[None, None] + np.stack([np.zeros((3, 3)), np.eye(3) * 0.5 * min(reach, 1.0)], axis=1)
-    depth = max(profile.dead_zone_depth, profile.dead_zone_depth_relative * abs(float(middle[2])))
-    axis, _ = RELATIONS[relation].axis or (None, 1)
-    return Region(
-        relation,
-        tuple(RegionPart(name, tri @ viewer.matrix, lines @ viewer.matrix) for name, tri, lines in found),
-        axes @ viewer.matrix,
-        0.0 if axis is None else depth if axis == 2 else profile.dead_zone,
-        relation in HORIZONTAL,
-    )
 
 
-def plane_states(
-    lo: np.ndarray, hi: np.ndarray, size: np.ndarray, indices: np.ndarray, relation: str, profile: Profile
-) -> np.ndarray:
-    """(P,) int8: rule's verdict on a target of a size, centred at each place ((P, 3), level axes)."""
-    count = len(indices)
-    both = [
-        np.stack([indices + sign * size / 2, np.broadcast_to(own, (count, 3))], axis=1)
-        for sign, own in ((-1, lo), (1, hi))
-    ]
-    pairs = measure_pairs(both[0], both[1], profile)
-    return pair_states(AllMeasures(pairs, profile), np.ones((count, 2), np.bool_), (relation,))[:, 0, 1, 0]
+@dataclass(frozen=True)
+class Placement:
+    """Pair under a relation's rule."""
+
+    relation: str
+    state: int  # 1 T, 0 U, -1 F: the rule's own
+    why: str  # One sentence
+    measures: Measures  # What the rule looked at; names end in `_m` (metres), `_deg` (degrees), else they are shares
 
 
-def _plane(
-    lo: np.ndarray, hi: np.ndarray, size: np.ndarray, relation: str, profile: Profile, reach: float
-) -> list[tuple[str, np.ndarray, np.ndarray]]:
-    """Trapezoids in the plane through the reference's middle, merged along the second coordinate.
-
-    The coordinates are (s, t): s along the relation's axis towards its side, t across, both from the middle. Of a
-    relation without an axis s is along right, and the trapezoids are cells of a grid.
-    """
-    axis, side = HORIZONTAL.get(relation, (0, 1))
-    across = 2 - axis
-    middle = (lo + hi) / 2
-    far = ((size + (hi - lo)) / 2)[[axis, across]] + reach
-    if relation in HORIZONTAL:
-        s, c, m = _exact_cuts(lo, hi, size, axis, side, far, profile)
-    else:
-        s, c = (np.linspace(-end, end, GRID_CELLS + 1) for end in far)
-        m = np.zeros(len(c))
-    s0, s1 = s[:-1], s[1:]
-    t0, t1 = (np.clip(c[None] + m[None] * x[:, None], -far[1], far[1]) for x in (s0, s1))
-    order = np.argsort(t0 + t1, axis=1, kind="stable")
-    t0, t1 = (np.take_along_axis(t, order, axis=1) for t in (t0, t1))
-    low0, high0, low1, high1 = t0[:, :-1], t0[:, 1:], t1[:, :-1], t1[:, 1:]
-    strip = np.broadcast_to(np.arange(len(s0))[:, None], low0.shape)
-    solid = (high0 - low0) + (high1 - low1) > 1e-9
-    corners = np.stack([low0[solid], high0[solid], low1[solid], high1[solid]], axis=1)
-    strip = strip[solid]
-    indices = np.broadcast_to(middle, (len(strip), 3)).copy()
-    indices[:, axis] += side * (s0[strip] + s1[strip]) / 2
-    indices[:, across] += corners.mean(axis=1)
-    state = plane_states(lo, hi, size, indices, relation, profile)
-    return _merged(strip, corners, state, s0, s1, axis, side, middle)
-
-
-def _exact_cuts(
-    lo: np.ndarray, hi: np.ndarray, size: np.ndarray, axis: int, side: int, far: np.ndarray, profile: Profile
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Lines of possible change of the verdict: sorted s, and c and m of the lines t = c + m s."""
-    across = 2 - axis
-    extent = np.maximum(hi - lo, profile.min_extent)
-    half = (size + (hi - lo)) / 2
-    shorter = np.minimum(np.maximum(size, profile.min_extent), extent)
-    depth = float(((lo + hi) / 2)[2])
-    upright = _uprights(axis, side, float(half[axis]), float(shorter[axis]), depth, profile)
-    band = [profile.gap_switch, *profile.gap_switch_band, 0.0]
-    # A line t = c + m s, and its mirror image.
-    sloped: list[tuple[float, float]] = [(float(half[across]) + g, 0.0) for g in band]
-    for angle in (profile.cone, profile.doubtful_cone):
-        if angle < 90:
-            slope = float(np.tan(np.deg2rad(angle)))
-            sloped += [(0.0, slope), (float(half[across] - slope * half[axis]), slope)]
-    lines = np.array(sorted({*sloped, *((-c, -m) for c, m in sloped), (far[1], 0.0), (-far[1], 0.0)}))
-    cuts = [*upright, 0.0, far[0]]
-    c, m = lines[:, 0], lines[:, 1]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        meet = -(c[:, None] - c[None]) / (m[:, None] - m[None])
-    cuts += meet[np.isfinite(meet)].tolist()
-    return np.unique(np.round([x for x in cuts if 0 <= x <= far[0]], 9)), c, m
-
-
-def _uprights(axis: int, side: int, half: float, shorter: float, depth: float, profile: Profile) -> list[float]:
-    """Places along the relation's axis of a possible change for every place across it."""
-    found = [half + g for g in (0.0, profile.gap_switch, *profile.gap_switch_band)]
-    found += [half - share * shorter for share in (profile.overlap_doubts, profile.overlap_excludes)]
-    if axis == 0:
-        return [*found, profile.dead_zone]
-    # The dead zone along forward is max(fixed, relative * the farther centre's distance).
-    r = profile.dead_zone_depth_relative
-    found += [profile.dead_zone_depth, r * abs(depth)]
-    for sign in (1, -1):
-        # s = r |depth + side s|
-        bottom = 1 - sign * r * side
-        if abs(bottom) > 1e-9:
-            found.append(sign * r * depth / bottom)
-    return found
-
-
-def _merged(
-    strip: np.ndarray,
-    corners: np.ndarray,
-    state: np.ndarray,
-    s0: np.ndarray,
-    s1: np.ndarray,
-    axis: int,
-    side: int,
-    middle: np.ndarray,
-) -> list[tuple[str, np.ndarray, np.ndarray]]:
-    """Triangles and outlines of T and of U; neighbours of equal verdict in a strip are merged."""
-    first = np.r_[True, (strip[1:] != strip[:-1]) | (state[1:] != state[:-1])]
-    start = np.flatnonzero(first)
-    last = np.r_[start[1:], len(strip)] - 1
-    which, at = state[start], strip[start]
-    edges = np.stack([corners[start, 0], corners[last, 1], corners[start, 2], corners[last, 3]], axis=1)
-
-    def level(s: np.ndarray, t: np.ndarray) -> np.ndarray:
-        points = np.broadcast_to(middle, (*s.shape, 3)).copy()
-        points[..., axis] += side * s
-        points[..., 2 - axis] += t
-        return points
-
-    found = []
-    for value in (1, 0):
-        mine = which == value
-        a, b = s0[at[mine]], s1[at[mine]]
-        p, q, r, w = (level(x, edges[mine, k]) for k, x in enumerate((a, a, b, b)))
-        triangles = np.concatenate([np.stack([p, q, r], axis=1), np.stack([q, w, r], axis=1)])
-        rims = np.concatenate([np.stack([p, r], axis=1), np.stack([q, w], axis=1)])
-        walls = _walls(a, b, edges[mine], level)
-        if len(triangles):
-            found.append((letter(value), triangles, np.concatenate([rims, walls])))
-    return found
-
-
-def _walls(a: np.ndarray, b: np.ndarray, edges: np.ndarray, level: _Level) -> np.ndarray:
-    """Outline between strips: exactly one of two neighbouring strips has the verdict."""
-    found = []
-    for s in np.unique(np.concatenate([a, b])):
-        ends = np.concatenate([edges[a == s, :2], edges[b == s, 2:]])
-        cuts = np.unique(np.round(ends, 9))
-        low, high = cuts[:-1], cuts[1:]
-        mid = (low + high) / 2
-        covered = ((ends[:, 0] < mid[:, None]) & (mid[:, None] < ends[:, 1])).sum(axis=1) == 1
-        x = np.full(int(covered.sum()), s)
-        found.append(np.stack([level(x, low[covered]), level(x, high[covered])], axis=1))
-    return np.concatenate(found) if found else np.zeros((0, 2, 3))
-
-
-def solids(
-    lo: np.ndarray, hi: np.ndarray, size: np.ndarray, relation: str, profile: Profile, reach: float
-) -> list[Solid]:
-    """Solids of T and U of a relation around extents lo and hi ((3,)) for a target of a size ((3,))."""
-    middle, half = (lo + hi) / 2, (size + (hi - lo)) / 2
-    if relation in ("above", "below"):
-        return _vertical(middle, half, hi - lo, size, relation, profile, reach)
-    if relation == "on":
-        return _on(middle, half, hi, lo, size, profile)
-    if relation == "in":
-        return _in(middle, hi, lo, size, profile)
-    return _near(middle, half, hi - lo, size, profile)
-
-
-def _vertical(
-    middle: np.ndarray,
-    half: np.ndarray,
-    extent: np.ndarray,
-    size: np.ndarray,
+def place_in_region(
+    target: LiftedObject,
+    reference: LiftedObject,
     relation: str,
-    profile: Profile,
-    reach: float,
-) -> list[Solid]:
-    """A prism over the plan overlap, and a frustum that widens with the height."""
-    sign = 1.0 if relation == "above" else -1.0
-    extent, own = np.maximum(extent, profile.min_extent), np.maximum(size, profile.min_extent)
-    sink = max(profile.sink, profile.sink_relative * min(extent[1], own[1]))
-    found = []
-    for label, plan, elevation in (
-        ("T", profile.plan_overlap, profile.elevation),
-        ("U", profile.plan_overlap_doubtful, profile.elevation_doubtful),
-    ):
-        bottom = max(half[1] - sink, profile.dead_zone if label == "T" else 0.0)
-        outline = _overlapping(half, extent, own, plan)
-        parts = [_loft(middle, [outline, outline], [sign * bottom, sign * (half[1] + reach)])] if len(outline) else []
-        if 0 < elevation < 90:
-            spread = 1 / np.tan(np.deg2rad(elevation))
-            low = max(half[1] + profile.clear_height, bottom)
-            rings = [_rounded(half, (h - half[1]) * spread) for h in (low, half[1] + reach)]
-            parts.append(_loft(middle, rings, [sign * low, sign * (half[1] + reach)]))
-        if parts:
-            found.append((label, *(np.concatenate([p[k] for p in parts]) for k in (0, 1))))
-    return found
+    viewer: ViewerAxes,
+    profile: Profile | None = None,
+) -> Placement:
+    """Judge "target RELATION reference" by the profile, with the reason."""
+    _check_pairwise(relation)
+    profile = profile or Profile()
+    lo, hi = stacked_extents([target, reference])
+    if not known_extents(lo, hi).all():
+        return Placement(relation, 0, "One of the two has no place in space: U", {})
+    axes = viewer.matrix.T.astype(np.float32)
+    measured = AllMeasures(measure_pairs(lo, hi, profile), profile, [o.points @ axes for o in (target, reference)])
+    state = int(pair_states(measured, np.ones(2, np.bool_), (relation,))[0, 1, 0])
+    why = _horizontal if relation in HORIZONTAL else _REASONS.get(relation, _by_margin)
+    measures, reason = why(measured, relation, state)
+    return Placement(relation, state, f"{reason}: {letter(state)}", measures)
 
 
-def _on(
-    middle: np.ndarray, half: np.ndarray, hi: np.ndarray, lo: np.ndarray, size: np.ndarray, profile: Profile
-) -> list[Solid]:
-    """Slab over the upper face; for a reference with points the rule takes their height instead."""
-    extent, own = np.maximum(hi - lo, profile.min_extent), np.maximum(size, profile.min_extent)
-    if own[0] * own[2] / (extent[0] * extent[2]) >= profile.on_area_ratio:
-        return []
-    touching = max(profile.on_gap, profile.on_gap_relative * own[1])
-    # Covered is a share of the target's own footprint, and not of the smaller one.
-    footprint, other = own[0] * own[2], extent[0] * extent[2]
-    outline = _overlapping(half, extent, own, profile.on_overlap * footprint / min(footprint, other))
-    if not len(outline):
-        return []
-    return [
-        (label, *_loft(middle, [outline, outline], [half[1] - gap, half[1] + gap]))
-        for label, gap in (("T", touching), ("U", max(touching, profile.on_gap_doubtful)))
-    ]
+def _first(*reasons: tuple[bool, str]) -> str:
+    """First applicable reason."""
+    return next(text for given, text in reasons if given)
 
 
-def _in(middle: np.ndarray, hi: np.ndarray, lo: np.ndarray, size: np.ndarray, profile: Profile) -> list[Solid]:
-    """Box of places with no axis alone leaving more of the target outside than allowed."""
-    own = np.maximum(size, profile.min_extent)
-    room = hi - lo + 2 * profile.in_inflation
-    found = []
-    for label, share in (("T", profile.in_share), ("U", profile.in_share_doubtful)):
-        if (room < share * own).any():
-            continue
-        # The shared length on an axis is at least share * own up to this distance of the centres.
-        limit = (room + own) / 2 - share * own
-        top = min(limit[1], (hi[1] - lo[1]) / 2 + own[1] / 2 - profile.in_below_rim * own[1])
-        if top > -limit[1]:
-            outline = _rectangle(limit)
-            found.append((label, *_loft(middle, [outline, outline], [-limit[1], top])))
-    return found
+def _horizontal(measured: AllMeasures, relation: str, state: int) -> tuple[Measures, str]:
+    pairs, profile = measured.pairs, measured.profile
+    axis, side = HORIZONTAL[relation]
+    gap, delta = pairs.gap[0, 1], pairs.delta[0, 1]
+    widest = float(np.abs(gap[[0, 2]]).max())
+    by_gap, by_center = _off_axis(gap, axis), _off_axis(delta, axis)
+    alpha, read = (by_center, "centres") if widest < profile.gap_switch else (by_gap, "gaps")
+    offset, rho = float(side * delta[axis]), float(pairs.overlap_share[0, 1, axis])
+    farther = float(np.abs(pairs.center[:, 2]).max())
+    deep = max(profile.dead_zone_depth, profile.dead_zone_depth_relative * farther)
+    dead, along = (profile.dead_zone, "right") if axis == 0 else (deep, "forward")
+    cone, undecided = profile.cone, profile.doubtful_cone
+    measures = {
+        "alpha_deg": alpha,
+        "alpha_by_gaps_deg": by_gap,
+        "alpha_by_centres_deg": by_center,
+        "gap_right_m": float(gap[0]),
+        "gap_forward_m": float(gap[2]),
+        "offset_m": offset,
+        "dead_zone_m": dead,
+        "rho": rho,
+        "cone_deg": cone,
+        "doubtful_cone_deg": undecided,
+    }
+    off, overlap = f"{alpha:.0f}° off the axis by {read}", f"The two overlap by {rho:.0%} along {along}"
+    return measures, _first(
+        (offset <= 0, f"It lies on the other side, by {-offset:.2f} m"),
+        (rho >= profile.overlap_excludes, f"{overlap}, {profile.overlap_excludes:.0%} or more"),
+        (state < 0, f"{off}, beyond {undecided:g}°"),
+        (state > 0, f"{off}, within {cone:g}°"),
+        (offset < dead, f"Only {offset:.2f} m to that side, within the dead zone of {dead:.2f} m"),
+        (rho >= profile.overlap_doubts, f"{overlap}, {profile.overlap_doubts:.0%} or more"),
+        (cone < alpha <= undecided, f"{off}, between {cone:g}° and {undecided:g}°"),
+        (True, f"At a gap of {widest:.2f} m gaps ({by_gap:.0f}°) and centres ({by_center:.0f}°) disagree"),
+    )
 
 
-def _near(middle: np.ndarray, half: np.ndarray, extent: np.ndarray, size: np.ndarray, profile: Profile) -> list[Solid]:
-    """The box of touching places, grown by a sphere."""
-    sizes = [np.maximum(s, profile.min_extent) for s in (extent, size)]
-    mean = sum(float(np.linalg.norm(s)) for s in sizes) / 2
-    found = []
-    for label, share in (("T", profile.near_diagonals), ("U", profile.near_diagonals_doubtful)):
-        radius = share * mean
-        angle = np.deg2rad([-90, -60, -30, 0, 0, 30, 60, 90])
-        rise = np.where(np.arange(8) < 4, -half[1], half[1]) + radius * np.sin(angle)
-        rings = [_rounded(half, radius * float(np.cos(a))) for a in angle]
-        found.append((label, *_loft(middle, rings, rise.tolist())))
-    return found
+def _off_axis(displacement: np.ndarray, axis: int) -> float:
+    """Degrees between a displacement in plan and an axis, by the rule's own formula."""
+    angle = float(np.rad2deg(np.arctan2(abs(displacement[2]), abs(displacement[0]))))
+    return angle if axis == 0 else 90 - angle
 
 
-def _rectangle(half: np.ndarray) -> np.ndarray:
-    """(4, 2) outline in (right, forward)."""
-    return np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half[[0, 2]]
+def _vertical(measured: AllMeasures, relation: str, state: int) -> tuple[Measures, str]:
+    pairs, profile = measured.pairs, measured.profile
+    upper, lower, end = (0, 1, "The target's") if relation == "above" else (1, 0, "The reference's")
+    area = pairs.extent[:, 0] * pairs.extent[:, 2]
+    plan = float(pairs.overlap[0, 1, 0] * pairs.overlap[0, 1, 2] / area.min())
+    clearance = float(pairs.lo[upper, 1] - pairs.hi[lower, 1])
+    sink = max(profile.sink, profile.sink_relative * float(pairs.extent[:, 1].min()))
+    sideways = float(np.hypot(pairs.gap[0, 1, 0], pairs.gap[0, 1, 2]))
+    elevation = float(np.rad2deg(np.arctan2(max(clearance, 0), sideways)))
+    offset = float(pairs.delta[upper, lower, 1])
+    measures = {
+        "plan_overlap": plan,
+        "clearance_m": clearance,
+        "sink_m": sink,
+        "sideways_m": sideways,
+        "elevation_deg": elevation,
+        "offset_m": offset,
+        "dead_zone_m": profile.dead_zone,
+    }
+    raised = clearance > profile.clear_height
+    holds = plan >= profile.plan_overlap or (raised and elevation >= profile.elevation)
+    least, more = (profile.plan_overlap, "at least") if state > 0 else (profile.plan_overlap_doubtful, "less than")
+    overlap = f"In plan the two overlap by {plan:.0%}"
+    return measures, _first(
+        (offset <= 0, f"Its centre lies on the other side, by {-offset:.2f} m"),
+        (clearance < -sink, f"{end} bottom is {-clearance:.2f} m below the other's top, more than {sink:.2f} m"),
+        (
+            state == 0 and holds,
+            f"Only {offset:.2f} m between the centres, within the dead zone of {profile.dead_zone:.2f} m",
+        ),
+        (plan >= least, f"{overlap}, {more} {profile.plan_overlap:.0%}"),
+        (raised, f"{overlap}, and the line between them rises by {elevation:.0f}°"),
+        (True, f"In plan the two overlap by only {plan:.0%}"),
+    )
 
 
-def _rounded(half: np.ndarray, radius: float) -> np.ndarray:
-    """(K, 2) outline of a rectangle grown by a disc."""
-    turn = np.linspace(0, np.pi / 2, _CORNER_STEPS)
-    outline = []
-    for quarter, (x, z) in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
-        angle = turn + quarter * np.pi / 2
-        corner = np.array([x * half[0], z * half[2]])
-        outline.append(corner + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1))
-    return np.concatenate(outline)
+def _on(measured: AllMeasures, _relation: str, state: int) -> tuple[Measures, str]:
+    profile = measured.profile
+    covered, ratio, gap = (float(m[0, 1]) for m in on_measures(measured))
+    touching = max(profile.on_gap, profile.on_gap_relative * float(measured.pairs.extent[0, 1]))
+    measures = {"covered": covered, "area_ratio": ratio, "gap_m": gap, "touching_m": touching}
+    above, undecided = f"{gap:.2f} m between its bottom and the surface below", profile.on_gap_doubtful
+    return measures, _first(
+        (
+            covered < profile.on_overlap,
+            f"{covered:.0%} of its footprint lies over the reference, less than {profile.on_overlap:.0%}",
+        ),
+        (
+            ratio >= profile.on_area_ratio,
+            f"Its footprint is {ratio:.1f} times the reference's, too large to stand on it",
+        ),
+        (state > 0, f"{above}, within {touching:.2f} m"),
+        (state == 0, f"{above}, up to {undecided:.2f} m"),
+        (gap <= max(touching, undecided), "Each could be on the other, and its middle is not the higher one"),
+        (True, f"{above}, more than {undecided:.2f} m"),
+    )
 
 
-def _overlapping(half: np.ndarray, extent: np.ndarray, own: np.ndarray, share: float) -> np.ndarray:
-    """(K, 2) outline of the places with a plan overlap of a share of the smaller footprint.
-
-    The overlap is the product of two lengths, and so a quarter of the outline is a hyperbola between the places
-    where one length is as large as it gets.
-    """
-    most = np.minimum(extent, own)[[0, 2]]
-    reach = half[[0, 2]]
-    need = share * min(extent[0] * extent[2], own[0] * own[2])
-    if need > most.prod() or need <= 0:
-        return np.zeros((0, 2)) if need > 0 else _rectangle(half)
-    along = np.geomspace(need / most[1], most[0], _CORNER_STEPS)
-    quarter = np.stack([reach[0] - along, reach[1] - need / along], axis=1)
-    return np.concatenate([quarter[::-1] * [1, 1], quarter * [-1, 1], quarter[::-1] * [-1, -1], quarter * [1, -1]])[
-        ::-1
-    ]
+def _in(measured: AllMeasures, _relation: str, state: int) -> tuple[Measures, str]:
+    profile = measured.profile
+    share, below_rim = (float(m[0, 1]) for m in in_measures(measured))
+    return {"share": share, "below_rim": below_rim}, _first(
+        (
+            below_rim < profile.in_below_rim,
+            f"It reaches {below_rim:.0%} of its height below the rim, less than {profile.in_below_rim:.0%}",
+        ),
+        (state > 0, f"{share:.0%} of it lies inside, at least {profile.in_share:.0%}"),
+        (state == 0, f"{share:.0%} of it lies inside, less than {profile.in_share:.0%}"),
+        (True, f"{share:.0%} of it lies inside, less than {profile.in_share_doubtful:.0%}"),
+    )
 
 
-def _loft(middle: np.ndarray, rings: Sequence[np.ndarray], heights: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles and segments of a solid with an outline ((K, 2), of equal K) at each height, closed at both ends."""
-    levels = []
-    for ring, height in zip(rings, heights, strict=True):
-        points = np.empty((len(ring), 3))
-        points[:, [0, 2]], points[:, 1] = middle[[0, 2]] + ring, middle[1] + height
-        levels.append(points)
-    triangles, lines = [], [np.stack([points, np.roll(points, -1, axis=0)], axis=1) for points in levels]
-    for low, high in pairwise(levels):
-        next_low, next_high = np.roll(low, -1, axis=0), np.roll(high, -1, axis=0)
-        triangles += [np.stack([low, next_low, high], axis=1), np.stack([next_low, next_high, high], axis=1)]
-        lines.append(np.stack([low, high], axis=1)[:: max(1, len(low) // 4)])
-    for points in (levels[0], levels[-1]):
-        center = np.broadcast_to(points.mean(axis=0), points.shape)
-        triangles.append(np.stack([center, points, np.roll(points, -1, axis=0)], axis=1))
-    return np.concatenate(triangles), np.concatenate(lines)
+def _near(measured: AllMeasures, _relation: str, state: int) -> tuple[Measures, str]:
+    profile = measured.profile
+    gap, mean = (float(m[0, 1]) for m in near_measures(measured.pairs))
+    close, undecided = profile.near_diagonals * mean, profile.near_diagonals_doubtful * mean
+    between = f"{gap:.2f} m between the two"
+    return {"gap_m": gap, "mean_diagonal_m": mean, "near_m": close, "doubtful_m": undecided}, _first(
+        (state > 0, f"{between}, within {close:.2f} m"),
+        (state == 0, f"{between}, between {close:.2f} m and {undecided:.2f} m"),
+        (True, f"{between}, more than {undecided:.2f} m"),
+    )
+
+
+def _by_margin(measured: AllMeasures, relation: str, state: int) -> tuple[Measures, str]:
+    """Reason for a relation known by its rule alone."""
+    states = pair_states(measured, np.ones(2, np.bool_), (relation,))
+    margin = float(pair_margins(measured, states, (relation,))[0, 1, 0])
+    sure = {1: f"It holds by {margin:.2f} m", -1: f"It fails by {-margin:.2f} m"}
+    return {"margin_m": margin}, sure.get(state, "It is too close to call")
+
+
+_REASONS = {"above": _vertical, "below": _vertical, "on": _on, "in": _in, "near": _near}
+
+
+@dataclass(frozen=True)
+class AskedPair:
+    """Pair of a region: "target RELATION reference", in the judged order."""
+
+    trace: Trace
+    ends: tuple[int, int]  # Target and reference, indices in the trace's objects
+    profile: Profile  # The rule's thresholds, edited or not
+
+    @property
+    def _lifted(self) -> tuple[LiftedObject, LiftedObject]:
+        a, b = self.ends
+        return self.trace.objects[a].lifted, self.trace.objects[b].lifted
+
+    @property
+    def region(self) -> tuple[RegionPart, ...]:
+        """Region of the relation; empty without 3D extents."""
+        target, reference = self._lifted
+        try:
+            return region_of(reference, self.trace.relation, target.hi - target.lo, self.trace.viewer, self.profile)
+        except InputError:
+            return ()
+
+    @property
+    def placement(self) -> Placement:
+        """Place of the target in the region, by the rule, with the reason."""
+        return place_in_region(*self._lifted, self.trace.relation, self.trace.viewer, self.profile)
+
+    @property
+    def middle(self) -> np.ndarray:
+        """(3,) middle of the target's extents, camera frame, metres; not finite without 3D extents."""
+        target, _ = self._lifted
+        return self.trace.viewer.matrix.T @ (target.lo + target.hi) / 2
+
+    @property
+    def region_key(self) -> tuple[object, ...]:
+        """Cache key of the region, to a tenth of a millimetre: unchanged for a moved target."""
+        target, reference = self._lifted
+        ends = (tuple(np.round(v, 4).tolist()) for v in (reference.lo, reference.hi, target.hi - target.lo))
+        return self.trace.relation, *ends, self.trace.viewer.matrix.tobytes(), self.profile
+
+
+def asked_pair(trace: Trace, pair: ScoredPair | None, edits: Edits) -> AskedPair | None:
+    """Ranked pair under the asked relation; None for a relation of more or fewer than two objects."""
+    if pair is None or pair.reference is None or trace.relation not in PAIRWISE:
+        return None
+    ends = (pair.reference, pair.target) if trace.inverse else (pair.target, pair.reference)
+    return AskedPair(trace, ends, replace(Profile(), **edits.profile))
