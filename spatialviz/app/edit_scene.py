@@ -94,9 +94,9 @@ FACES: tuple[Face, ...] = tuple((axis, side) for axis in range(3) for side in (-
 class BoxGizmo:
     """Box handles of a client: a transform control for move and turn, and a handle on each face for resize."""
 
-    def __init__(self, ctx: Context, dragged: Callable[[Box3D, bool], None], root: str = "/edit") -> None:
+    def __init__(self, ctx: Context, dragged: Callable[[Box3D, bool], None]) -> None:
         # `dragged` gets the latest box (camera frame), and True on release, on the page's own thread.
-        self._ctx, self._dragged, self._root = ctx, dragged, root
+        self._ctx, self._dragged = ctx, dragged
         self._latest: tuple[Box3D, bool] | None = None
         self._lock = Lock()
         self._box: Box3D | None = None
@@ -105,18 +105,13 @@ class BoxGizmo:
         self._pulled = False
         self._mode: EditMode = "off"
 
-    @property
-    def held(self) -> bool:
-        """True during a drag."""
-        return self._held is not None
-
     def show(self, box: Box3D | None, mode: EditMode) -> None:
         """Show the handles of a mode around a box, or none without a box; a held handle stays in place."""
         self._box, self._mode = (box, mode) if box is not None and mode != "off" else (None, "off")
         client, held = self._ctx.client, "" if self._held is None else self._held[0].name
         with client.atomic():
             for face in (None, *FACES):
-                name = f"{self._root}/{'gizmo' if face is None else f'face-{face[0]}{face[1]:+}'}"
+                name = f"/edit/{'gizmo' if face is None else f'face-{face[0]}{face[1]:+}'}"
                 wanted = self._box is not None and (face is None) == (self._mode != "resize")
                 client.change(name, visible=wanted)
                 if wanted and self._box is not None and name != held:
