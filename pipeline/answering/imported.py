@@ -40,8 +40,7 @@ from pipeline.language.tree import Query
 from pipeline.proposals.base import Proposals, no_proposals
 from pipeline.proposals.class_names import meant_names
 from pipeline.relations import make_scorer
-from pipeline.relations.scorer import RelationScorer
-from pipeline.relations.supplied import SuppliedRelations
+from pipeline.relations.scorer import RelationScorer, SuppliedRelations
 from pipeline.system.errors import InputError, UnknownClass, require
 from pipeline.system.reading import checked
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pipeline.datasets.depth.contract import OPTION as DEPTH_OPTION
 from pipeline.datasets.depth.contract import known_contract, network_names, recognised
-from pipeline.proposals.box_config import find_box_model
+from pipeline.proposals.box_detector import find_box_model
 from pipeline.proposals.captions import find_tokenizer
 from pipeline.proposals.class_names import metadata_names
 from pipeline.proposals.contracts import DETECTORS, DetectorContract, TensorSpec, declared

@@ -19,7 +19,7 @@ from pipeline.language.counted import counted
 from pipeline.language.naming import normal_form
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.pair_measures import AllMeasures, F, Profile, T, U, known_extents, measure_pairs
-from pipeline.relations.predicates import PREDICATES, pair_margins, pair_states
+from pipeline.relations.relations import PREDICATES, pair_margins, pair_states
 
 HOLDS, UNDECIDED = 0.02, 0.08
 """Weights where the rule says that the relation holds of what is right, or that it is too close to call."""

@@ -20,7 +20,7 @@ from pipeline.labels.cases import FrameCases
 from pipeline.labels.reading import Labels, labelled_up, open_labels
 from pipeline.proposals import Detector
 from pipeline.relations import TRAINED, make_scorer
-from pipeline.relations.supplied import supplied_relations
+from pipeline.relations.scorer import supplied_relations
 from pipeline.system.errors import InputError
 
 KEPT_FRAMES = 4

@@ -30,7 +30,6 @@ from pipeline.relations import make_scorer, shipped_network
 from pipeline.relations.features import Appearance
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.pair_measures import AllMeasures
-from pipeline.relations.predicates import pair_margins, pair_states
 from pipeline.relations.relations import (
     PROFILE,
     F,
@@ -39,6 +38,8 @@ from pipeline.relations.relations import (
     U,
     known_extents,
     measure_pairs,
+    pair_margins,
+    pair_states,
 )
 from pipeline.system.errors import InputError, require
 from pipeline.system.onnx_session import file_hash

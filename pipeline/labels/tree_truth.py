@@ -19,8 +19,7 @@ from pipeline.language.naming import match, normal_form, same_class
 from pipeline.language.noun_phrase import readable
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import Attachment, Choice, Node
-from pipeline.relations.attributes import SIZES, size_keys, size_probabilities
-from pipeline.relations.colors import color_probabilities, object_colors
+from pipeline.relations.attributes import SIZES, color_probabilities, object_colors, size_keys, size_probabilities
 from pipeline.relations.relations import F, T, U
 
 SIZED, UNLIKE = 0.95, 0.3

@@ -1,6 +1,6 @@
 """The relations, each declared once: names, readings, wordings, columns and colours follow from `DECLARED`.
 
-How a relation is judged is said by its predicate, in `pipeline.relations.predicates`. `docs/adding-a-relation.md`
+How a relation is judged is said by its predicate, in `pipeline.relations.relations`. `docs/adding-a-relation.md`
 shows how one is added.
 """
 

@@ -11,15 +11,25 @@ from pipeline.system.paths import asset_path
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from pipeline.relations.attributes import SIZES, attribute_probabilities, size_keys
+    from pipeline.relations.attributes import SIZES, attribute_probabilities, object_colors, size_keys
     from pipeline.relations.class_vectors import ClassVectors, vectors_path
-    from pipeline.relations.colors import object_colors
     from pipeline.relations.contract import NetworkContract
     from pipeline.relations.features import CLI_FEATURES, FEATURES, Appearance, feature_set, with_class_lengths
     from pipeline.relations.installed import install_network, is_named
     from pipeline.relations.pair_measures import AllMeasures, measure_pairs
-    from pipeline.relations.predicates import PREDICATES, pair_states, predicates_of
-    from pipeline.relations.relations import PROFILE, F, Profile, T, U, directional_states, letter, pairwise_states
+    from pipeline.relations.relations import (
+        PREDICATES,
+        PROFILE,
+        F,
+        Profile,
+        T,
+        U,
+        directional_states,
+        letter,
+        pair_states,
+        pairwise_states,
+        predicates_of,
+    )
     from pipeline.relations.scorer import rule_probabilities, stacked_extents
 
 __getattr__ = lazy_exports(__name__, __file__)

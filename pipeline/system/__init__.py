@@ -5,7 +5,6 @@ from pipeline.system.lazy_exports import lazy_exports
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from pipeline.system.arrow import pa
-    from pipeline.system.background import SharedJob
     from pipeline.system.chat import ChatClient, ChatPicture, ChatQuestion
     from pipeline.system.detector_setup import DetectorSetup, named_model
     from pipeline.system.encoded_pictures import jpeg, png, resized, thumbnail
@@ -42,5 +41,6 @@ if TYPE_CHECKING:
     from pipeline.system.paths import asset_path
     from pipeline.system.plain_pickle import plain, read_plain_pickle
     from pipeline.system.whole_files import clear_abandoned, sha256_of, temporary_sibling
+    from pipeline.system.worker_pool import SharedJob
 
 __getattr__ = lazy_exports(__name__, __file__)

@@ -8,9 +8,12 @@ from __future__ import annotations
 import os
 import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from threading import Timer
 from typing import Any, Literal
 
 import numpy as np
@@ -20,7 +23,31 @@ from pipeline.system.errors import InputError, require
 from pipeline.system.limits import LIMITS_OPTION, current_limits
 from pipeline.system.onnx_contents import check_network, weight_files
 from pipeline.system.safe_files import opened
-from pipeline.system.time_limit import stopped_after
+
+
+@dataclass
+class Running:
+    """A computation; `stopped` once it was told to stop."""
+
+    stopped: bool = False
+
+
+@contextmanager
+def stopped_after(seconds: float, stop: Callable[[], object]) -> Iterator[Running]:
+    """Call `stop`, from another thread, where the block takes longer than so many seconds."""
+    running = Running()
+
+    def end() -> None:
+        running.stopped = True
+        stop()
+
+    timer = Timer(seconds, end)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield running
+    finally:
+        timer.cancel()
 
 
 def open_session(path: Path, threads: int | None = None) -> Any:

@@ -38,7 +38,7 @@ from pipeline.language.noun_phrase import readable, same_names
 from pipeline.language.relation_names import INVERSE, PAIRWISE, PHRASE
 from pipeline.proposals.simulated import SimulatedDetector, SimulationOptions, leaked, resized
 from pipeline.relations.pair_measures import AllMeasures, Profile, T, U, measure_pairs
-from pipeline.relations.predicates import PREDICATES, pair_states
+from pipeline.relations.relations import PREDICATES, pair_states
 from pipeline.synthetic import render_dataset
 from pipeline.system.errors import InputError
 

@@ -6,7 +6,7 @@ import pytest
 
 from pipeline.language import Attribute, attribute
 from pipeline.relations import SIZES
-from pipeline.relations.colors import _LIGHTNESS
+from pipeline.relations.attributes import _LIGHTNESS
 
 
 @pytest.mark.parametrize(

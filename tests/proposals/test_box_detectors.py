@@ -17,8 +17,7 @@ from scenes import frame_of, upright
 from pipeline.datasets import open_dataset
 from pipeline.geometry import Frame, iou_2d, place_picture
 from pipeline.proposals import make_detector
-from pipeline.proposals.box_config import BoxInput, read_box_model
-from pipeline.proposals.box_detector import BoxDetector
+from pipeline.proposals.box_detector import BoxDetector, BoxInput, read_box_model
 from pipeline.system import InputError
 
 EXAMPLES = Path(read_box_model.__code__.co_filename).with_name("detectors")

@@ -12,7 +12,7 @@ from typing import Any
 from waiting import LONG_S
 
 from pipeline.system import InputError
-from pipeline.system.background import start_background
+from pipeline.system.worker_pool import start_background
 
 
 def counted(to: int, report: Callable[[Any], None]) -> str:

@@ -11,7 +11,7 @@ import pytest
 
 from pipeline.system import LIMITS_VARIABLE, InputError, model_hash, open_session, run_session
 from pipeline.system.onnx_contents import declared_tensors, weight_files
-from pipeline.system.time_limit import stopped_after
+from pipeline.system.onnx_session import stopped_after
 
 onnx: Any = pytest.importorskip("onnx")
 FLOAT, BOOL, INT64 = onnx.TensorProto.FLOAT, onnx.TensorProto.BOOL, onnx.TensorProto.INT64

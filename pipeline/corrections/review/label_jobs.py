@@ -34,7 +34,7 @@ from pipeline.labels.provenance import makers_of
 from pipeline.labels.reading import Labels, labelled_dataset, open_labels
 from pipeline.relations import shipped_network
 from pipeline.relations.model import OnnxScorer
-from pipeline.system.background import SharedJob
+from pipeline.system.worker_pool import SharedJob
 from pipeline.system.errors import InputError, require
 from pipeline.system.whole_files import scratch_folder, staged_folder
 from pipeline.training.label_data import read_label_data

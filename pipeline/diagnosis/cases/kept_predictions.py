@@ -22,7 +22,7 @@ from pipeline.answering.predictions import Predictions, as_json, read_prediction
 from pipeline.datasets.base import Dataset
 from pipeline.language.naming import Synonyms
 from pipeline.relations import RelationScorer, RuleScorer
-from pipeline.relations.supplied import SuppliedRelations
+from pipeline.relations.scorer import SuppliedRelations
 from pipeline.system.errors import require
 
 

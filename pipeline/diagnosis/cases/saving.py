@@ -52,7 +52,7 @@ from pipeline.language.naming import default_synonyms
 from pipeline.language.tree import Query
 from pipeline.proposals.registry import open_detector
 from pipeline.relations import RelationScorer, RuleScorer, make_scorer, shipped_network
-from pipeline.relations.supplied import SuppliedRelations
+from pipeline.relations.scorer import SuppliedRelations
 from pipeline.system.detector_setup import DetectorSetup
 from pipeline.system.errors import InputError, needed, require
 from pipeline.system.safe_files import read_bytes

@@ -20,8 +20,7 @@ from pipeline.language.relation_names import PAIRWISE
 from pipeline.proposals.base import Proposals
 from pipeline.relations.model import OnnxScorer, combined
 from pipeline.relations.pair_measures import AllMeasures, enclosed_share, points_decide, surface_heights
-from pipeline.relations.predicates import pair_states
-from pipeline.relations.relations import Profile, known_extents, measure_pairs, pairwise_states
+from pipeline.relations.relations import Profile, known_extents, measure_pairs, pair_states, pairwise_states
 from pipeline.relations.scorer import RelationScorer, RelationScores, RuleScorer, rule_probabilities, stacked_extents
 
 _WHOLE = 0.5

@@ -13,8 +13,7 @@ from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.relation_names import HORIZONTAL, PAIRWISE
 from pipeline.relations.pair_measures import AllMeasures, enclosed_share, in_measures, near_measures, on_measures
-from pipeline.relations.predicates import pair_margins, pair_states
-from pipeline.relations.relations import Profile, T, known_extents, letter, measure_pairs
+from pipeline.relations.relations import Profile, T, known_extents, letter, measure_pairs, pair_margins, pair_states
 from pipeline.relations.scorer import stacked_extents
 from pipeline.system.errors import InputError, require
 

@@ -39,8 +39,19 @@ from pipeline.labels.check.view import Finding, FrameView, state_letter
 from pipeline.labels.profiles import GIVEN, JudgedPairs, semantic_abstraction_directions
 from pipeline.language.relation_names import HORIZONTAL, INVERSE, MIRRORED, OPPOSITES, PAIRWISE, PHRASE
 from pipeline.relations.pair_measures import NOT_JUDGED, AllMeasures
-from pipeline.relations.predicates import PREDICATES, pair_margins, pair_states
-from pipeline.relations.relations import F, PairMeasures, Profile, T, U, known_extents, letter, measure_pairs
+from pipeline.relations.relations import (
+    PREDICATES,
+    F,
+    PairMeasures,
+    Profile,
+    T,
+    U,
+    known_extents,
+    letter,
+    measure_pairs,
+    pair_margins,
+    pair_states,
+)
 
 MIRRORED_PROFILES = ("viewer-cone-v1",)
 """Profiles in which "a left of b" and "b right of a" are one question."""
