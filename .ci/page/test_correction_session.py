@@ -42,7 +42,7 @@ def handles(tab: Tab, name: str) -> Locator:
 
 @pytest.fixture
 def labelled(corrected: Server, open_tab: OpenTab) -> Tab:
-    """A tab that shows the demo's labels, for ann to correct; handles stand in its scene."""
+    """A tab that shows the demo's labels, for ann to correct."""
     tab = open_tab(corrected.address)
     labels_shown(tab)
     return tab
@@ -78,12 +78,10 @@ def test_a_review_by_keys(labelled: Tab) -> None:
 
 
 def test_fields_and_handles_are_left(labelled: Tab) -> None:
-    """A field that was sent or left gives the keys back to the page; handles do not outlast a change of mode."""
+    """A field that was sent or left gives the keys back to the page; no handles stand in the labels' scene."""
     tab = labelled
     show_pair(tab)
     tab.press("Shift+E")
-    tab.drawer("Edit")
-    handles(tab, "Move")
     tab.click("task:explain")
     tab.see("#stages .stage")
     tab.drawer("Edit")

@@ -21,7 +21,6 @@ from pipeline.language.relation_names import PHRASE
 from pipeline.relations.installed import installed_networks
 from pipeline.relations.relations import Profile
 from spatialviz.app.markup import (
-    BAD,
     DOUBT,
     GOOD,
     Child,
@@ -167,12 +166,10 @@ def _settings(state: State, trace: Trace, source: Pipeline) -> Child:
     thresholds = [_setting(n, getattr(profile, n), "1" if "cone" in n else "0.01") for n in PROFILE_SETTINGS]
     scorers = {"own": f"own: {source.scorer.name}", "trained": "trained", "rule": "rule"}
     own = {n.name: n.name for n in installed_networks()}
-    aggregates = {"max": "best pair", "marginal": "sum of pairs"}
     return (
         heading("Settings"),
         detector,
         row("PRM", h.div(weights, cls="fields")),
-        row("", segments("edit:set:aggregate", aggregates, rank.aggregate, "The best pair, or the sum of pairs")),
         row("SRM", segments("edit:set:scorer", scorers, edits.scorer or "own", "Relation scorer")),
         row("", segments("edit:set:scorer", own, edits.scorer or "", "Installed networks")) if own else None,
         row("Rule", h.div(thresholds, cls="fields four")),
@@ -234,11 +231,6 @@ def _slider(kind: str, label: str, value: float, hint: str) -> Element:
     )
 
 
-STATUS_WORDS = {
-    "accepted": ("accept", GOOD, "Y"),
-    "unsure": ("unsure", DOUBT, "Shift+U"),
-    "rejected": ("reject", BAD, "Shift+Y"),
-}
 LENGTH_DIGITS, TURN_DIGITS = 3, 1
 FIELD_NAMES = {"label": "class", "status": "status", "mask": "mask", "bbox": "2D box", "box": "3D box"}
 SOURCES = {
@@ -256,28 +248,7 @@ _FITS = h.div(
 )
 
 
-def saved_html(author: str, said: str, bad: bool) -> Element:
-    """Notice of saved edits, with the author's name and the outcome of the last edit."""
-    color, done = (
-        (BAD, "the last action was not saved; you are ") if bad else (GOOD, "edits are saved to the journal as ")
-    )
-    last = h.div(said, cls="dim said2", title=said) if said else None
-    return panel(
-        h.div(
-            h.span(done, h.b(author), cls="said2"),
-            h.span(
-                button("undo", "take-back", "take the last action back (Ctrl+Z)"),
-                button("redo", "bring-back", "bring it back (Ctrl+Y)"),
-                cls="chips",
-            ),
-            cls="mode",
-            css={"--c": color},
-        ),
-        last,
-    )
-
-
-def object_html(card: ObjectCard, name: str, color: RGB, mode: str, author: str) -> Element:
+def object_html(card: ObjectCard, name: str, color: RGB) -> Element:
     facts = [counted(card.points, "point"), *([] if card.distance is None else [f"{card.distance:.2f} m"])]
     asked = counted(card.expressions, "expression")
     counts = " ".join(f"{n} {state}" for state, n in card.states.items())
@@ -299,29 +270,10 @@ def object_html(card: ObjectCard, name: str, color: RGB, mode: str, author: str)
                 field="class",
             ),
         ),
-        status=_status_row(card, author),
         concern=note(f"Not asked for: {card.concern}", DOUBT) if card.concern else None,
-        handles=row("Handles", segments("edit-mode", MODES, mode, "Handles"), title="Shift+E"),
         box=h.div(_box_rows(card.numbers, box_command(card.frame, card.number), LENGTH_DIGITS, _FITS)),
         sources=(heading("Where it comes from"), (_from(line, card) for line in card.fields)),
     )
-
-
-def _status_row(card: ObjectCard, author: str) -> Child:
-    """Status by this person, beside other people's."""
-    own = card.statuses.get(author)
-    cells = (
-        h.button(
-            word,
-            aria_pressed=str(own == status).lower(),
-            css={"--c": color},
-            do=f"object-status:{status}",
-            title=key,
-        )
-        for status, (word, color, key) in STATUS_WORDS.items()
-    )
-    others = ", ".join(f"{name}: {status}" for name, status in card.statuses.items() if name != author)
-    return row("Status", h.div(cells, cls="seg")), h.div(others, cls="dim under-row") if others else None
 
 
 def _box_rows(numbers: BoxNumbers | None, sends: str, digits: int, *more: Child) -> Child:
@@ -356,15 +308,6 @@ def _box_rows(numbers: BoxNumbers | None, sends: str, digits: int, *more: Child)
 def box_command(frame: str, number: int) -> str:
     """Command of an object's number fields; names the object, so that a later selection is left alone."""
     return "box-set:" + f"{frame}@{number}".replace(":", "_")
-
-
-def numbers_said(numbers: BoxNumbers, sends: str) -> dict[str, str]:
-    """Values of a box's number fields by command."""
-    return {f"{sends}:yaw": f"{numbers.yaw:.{TURN_DIGITS}f}"} | {
-        f"{sends}:{kind}:{axis}": f"{getattr(numbers, kind)[axis]:.{LENGTH_DIGITS}f}"
-        for kind in ("center", "size")
-        for axis in range(3)
-    }
 
 
 def _from(line: FieldLine, card: ObjectCard) -> Element:

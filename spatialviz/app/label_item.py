@@ -6,16 +6,14 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pipeline.corrections.journal.field_refs import object_ref, relation_ref
 from pipeline.corrections.label_editor import LabelEditor
 from pipeline.corrections.label_view import LabelView
-from pipeline.corrections.review.bulk import ReviewPace
 from pipeline.corrections.review.items import ItemKey
 from pipeline.labels.by_hand import grows
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
-from pipeline.relations.relations import F, T, U, letter
-from spatialviz.app.markup import Child, Element, button, h, progress
+from pipeline.relations.relations import F, T, U
+from spatialviz.app.markup import Element, button, h, progress
 
 RULE = re.compile(r"^[a-z]+/[a-z-]+: ")
 UNNAMED = "unnamed"
@@ -59,17 +57,17 @@ def item_card(view: LabelView, item: ItemKey | None, row: Row | None, selected: 
             return _relation(view, item, reasons)
         case ItemKey(kind="expression"):
             text = (view.frame.expression(item.what) or {}).get("text", "")
-            return _card(view, "expression", f"“{text}”", "Is this sentence true of what is marked?", reasons)
+            return _card("expression", f"“{text}”", "Is this sentence true of what is marked?", reasons)
         case ItemKey() if item.a < 0:
             label = "" if row is None else row["label"]
-            return _card(view, "object", f"No {label} is labelled here", "Is there none?", reasons)
+            return _card("object", f"No {label} is labelled here", "Is there none?", reasons)
     if selected is None or (labelled := view.frame.objects.get(selected)) is None:
         return None
     name = labelled["label"]
     if name == UNNAMED:
-        return _card(view, "object", "What is this?", "Name it: Shift+O, or the digit of its class.", reasons)
+        return _card("object", "What is this?", "Name it: Shift+O, or the digit of its class.", reasons)
     ask = "Are its name, its pixels and its box right?"
-    return _card(view, "object", f"{name}·{selected}", ask, reasons, _object_change(view, selected))
+    return _card("object", f"{name}·{selected}", ask, reasons)
 
 
 def _relation(view: LabelView, item: ItemKey, reasons: Sequence[str]) -> Element:
@@ -86,49 +84,20 @@ def _relation(view: LabelView, item: ItemKey, reasons: Sequence[str]) -> Element
         cls="answers",
     )
     labelled = "not labelled" if state is None else f"labelled {SAYS[state]}"
-    origin = view.frame.origin(relation_ref(view.frame.frame, item.a, item.b, item.what))
-    was = view.frame.auto.pairs.state(item.a, item.b, item.what)
-    change = None
-    if origin.source != "auto" and was != state:
-        change = "none" if was is None else letter(was), f"{'none' if state is None else letter(state)} ({origin})"
-    return _frame(view, claim, f"It is {labelled}. Is that right?", reasons, answers, "keep it as it is", change)
+    return _frame(claim, f"It is {labelled}. Is that right?", reasons, answers, "keep it as it is")
 
 
-def _object_change(view: LabelView, number: int) -> tuple[str, str] | None:
-    was, now = view.frame.auto.objects.get(number), view.frame.objects[number]
-    if was is None:
-        return None
-
-    def told(row: Row) -> str:
-        size = "no box" if row["size"] is None else " × ".join(f"{x:.2f}" for x in row["size"]) + " m"
-        return f"{row['label']}, {row['mask_pixels']:,} pixels, {size}"
-
-    before, after = told(was), told(now)
-    origin = view.frame.origin(object_ref(view.frame.frame, number, "box"))
-    return None if before == after else (before, after + (f" ({origin.author})" if origin.author else ""))
-
-
-def _card(
-    view: LabelView, kind: str, claim: str, ask: str, reasons: Sequence[str], change: tuple[str, str] | None = None
-) -> Element:
+def _card(kind: str, claim: str, ask: str, reasons: Sequence[str]) -> Element:
     answers = h.div(
         answer("Right", "Y", "accept-item", "accept it", "yes"),
         answer("Wrong", "N", "reject-item", "leave it out" if kind == "object" else "it is not so", "no"),
         answer("Unsure", "Shift+U", "unsure-item", "ask somebody else"),
         cls="answers",
     )
-    return _frame(view, claim, ask, reasons, answers, "", change)
+    return _frame(claim, ask, reasons, answers, "")
 
 
-def _frame(
-    view: LabelView,
-    claim: str,
-    ask: str,
-    reasons: Sequence[str],
-    answers: Element,
-    accept: str,
-    change: tuple[str, str] | None,
-) -> Element:
+def _frame(claim: str, ask: str, reasons: Sequence[str], answers: Element, accept: str) -> Element:
     why = (
         h.ul((h.li(plain_reason(reason)) for reason in reasons), cls="because", aria_label="why it is asked")
         if reasons
@@ -142,12 +111,7 @@ def _frame(
         small("Zoom", "⇧F", "focus", "look at it in the scene"),
         cls="lesser",
     )
-    both = (
-        None
-        if change is None
-        else h.div(h.div(h.b("as it was labelled"), change[0]), h.div(h.b("now"), change[1]), cls="beforeafter")
-    )
-    return h.div(h.div(claim, cls="claim"), h.div(ask, cls="dim"), why, answers, lesser, both, cls="task-item")
+    return h.div(h.div(claim, cls="claim"), h.div(ask, cls="dim"), why, answers, lesser, cls="task-item")
 
 
 def digits_row(names: Sequence[str], label: str) -> Element | None:
@@ -184,26 +148,12 @@ def begin_card(view: LabelView, editor: LabelEditor) -> Element:
     )
 
 
-def pace_html(pace: ReviewPace | None, settled: int, items: int) -> Element:
-    """Progress and speed."""
-    parts: list[Child] = [h.span(h.b(f"{settled:,}"), f" of {items:,} settled")] if items else []
-    if pace is not None and pace.items:
-        parts.append(h.span(h.b(f"{pace.items:,}"), " today"))
-        if pace.per_hour is not None:
-            parts.append(h.span(h.b(f"{pace.per_hour:.0f}"), " an hour"))
-    return h.div(parts, progress("settled of the queue", settled, items) if items else None, cls="pace", id="pace")
-
-
-def upcoming(place: int, text: str, row: Row, shot: str) -> Element:
-    """Next item: place in the queue, claim, row, and address of a thumbnail."""
-    reason = plain_reason(row["reasons"][0]) if row["reasons"] else ""
-    return h.button(
-        h.img(src=shot, alt="", cls="peek"),
-        h.span(text, h.small(reason or row["frame"])),
-        do=f"item:{place}",
-        title=f"{text}\n{reason}\n{row['frame']}",
-        id=f"next-{place}",
-    )
+def pace_html(settled: int, items: int) -> Element | None:
+    """Progress through the queue."""
+    if not items:
+        return None
+    told = h.span(h.b(f"{settled:,}"), f" of {items:,} settled")
+    return h.div(told, progress("settled of the queue", settled, items), cls="pace", id="pace")
 
 
 def bulk_html(find: str, found: int, all_items: int) -> Element:

@@ -1,27 +1,25 @@
-"""Correction of a labelled object: class, status, 3D box, reset of each field; three side views, and a large crop."""
+"""Correction of a labelled object: class, 3D box, reset of each field; three side views, and a large crop."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
 import xxhash
 
 from pipeline.answering.objects import SceneObject
-from pipeline.corrections.journal.edits import Edits, set_box, set_class, set_status
+from pipeline.corrections.journal.edits import Edits, set_box, set_class
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Event, Saved
-from pipeline.corrections.journal.field_refs import object_ref
 from pipeline.corrections.label_view import LabelView
-from pipeline.corrections.object_card import back_to_automatic, bring_back, judgements, object_card
+from pipeline.corrections.object_card import back_to_automatic, bring_back, object_card
 from pipeline.corrections.side_views import SideViews, drag_box, dragged, face_to_points, fit_to_points, side_views
 from pipeline.corrections.vocabulary import Vocabulary, completions, vocabulary_of
 from pipeline.diagnosis.whatif.edit_words import box_with, number_of
-from pipeline.diagnosis.whatif.placement import SMALLEST_SIDE, box_numbers
+from pipeline.diagnosis.whatif.placement import SMALLEST_SIDE
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import outlines
@@ -29,8 +27,7 @@ from pipeline.geometry.palette import RGB, hex_color, palette
 from pipeline.geometry.viewer import viewer_axes
 from pipeline.system.errors import InputError, needed, require
 from spatialviz.app.context import Context, command
-from spatialviz.app.edit_panel import box_command, numbers_said, object_html, rejected_html, saved_html
-from spatialviz.app.edit_scene import BoxGizmo
+from spatialviz.app.edit_panel import box_command, object_html, rejected_html
 from spatialviz.app.frames import jpeg_url
 from spatialviz.app.label_item import UNNAMED, digits_row
 from spatialviz.app.label_part import LabelPart
@@ -49,11 +46,7 @@ class LabelObject(LabelPart):
         super().__init__(ctx)
         self._words: dict[str, Vocabulary] = {}
         self._asked: tuple[str, int, str] | None = None
-        self._rejected: list[tuple[str, int]] = []
-        self._held: int | None = None
-        self._follows = False
         ctx.editors.on_saved.append(self._learn)
-        self._gizmo = BoxGizmo(ctx, self._dragged, "/label")
 
     @property
     def _box(self) -> Box3D | None:
@@ -125,28 +118,15 @@ class LabelObject(LabelPart):
         if source in self._words and given:
             self._words[source] = self._words[source].with_names(given)
 
-    # ---- status -----------------------------------------------------------------------
-
-    @command("object-status")
-    def set_status(self, status: Literal["accepted", "rejected", "unsure"]) -> None:
-        """Accept, reject or doubt the object; the same status again removes it."""
-        frame, number, author = self.view.frame, needed(self.number, SELECT), self.editor.author
-        cell = object_ref(frame.frame, number, "status")
-        wanted = None if judgements(frame, number).get(author) == status else status
-        if self._edit(lambda f, n, c: set_status(f, cell, wanted, author=author)) and wanted == "rejected":
-            self._rejected.append((frame.frame, number))
+    # ---- rejected objects ------------------------------------------------------------
 
     @command("object-back")
-    def bring_back(self, said: str) -> None:
-        """Restore a rejected object, by number, else the last rejected, and select it."""
-        frame, author = self.view.frame, self.editor.author
-        gone = [n for name, n in self._rejected if name == frame.frame and n in frame.left_out]
-        found = int(said) if said.isdecimal() else next(reversed(gone or sorted(frame.left_out)), None)
-        number = needed(found if found in frame.left_out else None, "no rejected object to bring back")
+    def bring_back(self, number: int) -> None:
+        """Restore a rejected object, and select it."""
+        author = self.editor.author
+        require(number in self.view.frame.left_out, "no rejected object to bring back", got=number)
         self.save(lambda frame: bring_back(frame, number, author))
-        place = self.view.place(number)
-        if place is not None:
-            self.ctx.show(selected=place)
+        self.ctx.show(selected=self.view.place(number))
 
     # ---- box --------------------------------------------------------------------------
 
@@ -177,43 +157,12 @@ class LabelObject(LabelPart):
         changed = box_with(box, loaded.context.viewer, what, numbers)
         self._edit(lambda f, n, c: set_box(f, n, changed))
 
-    def _dragged(self, box: Box3D, ended: bool) -> None:
-        view, number, state = self.state.labels, self.number, self.state
-        if view is None or number is None or number != self._held or state.selected is None:
-            return
-        if ended:
-            try:
-                self.save(lambda frame: set_box(frame, number, box))
-            except InputError as error:
-                self.ctx.fail(error)
-                self.renew()
-                self.ctx.draw()
-            return
-        objects = list(state.shown.objects)
-        entry = objects[state.selected]
-        objects[state.selected] = replace(entry, lifted=replace(entry.lifted, box=box))
-        self.state = replace(state, found=replace(state.shown, objects=tuple(objects)))
-        self.ctx.draw(live=True)
-
     # ---- drawing ----------------------------------------------------------------------
 
-    def follow(self, live: bool = False) -> None:
-        """Draw the handles and the Edit tab for the state; `live` follows a drag."""
-        state, view, page = self.state, self.state.labels, self.ctx.page
+    def follow(self) -> None:
+        """Draw the Edit tab for the state."""
+        state, view, page, number = self.state, self.state.labels, self.ctx.page, self.number
         if view is None:
-            self._gizmo.show(None, "off")
-            return
-        number, box = self.number, self._box
-        if not self._gizmo.held:
-            self._held = number
-        self._gizmo.show(None if box is None else self.ctx.scene.shown_box(box), state.mode)
-        page.show("cost", saved_html(self.editor.author, view.said, view.bad))
-        if (live or self._follows) and number is not None and box is not None and state.loaded is not None:
-            # After a drag without effect the fields are reset.
-            numbers, sends = box_numbers(box, state.loaded.context.viewer), box_command(state.frame_id, number)
-            page.call("numbers", numbers_said(numbers, sends))
-        self._follows = live
-        if live:
             return
         named = number is not None and (view.item is None or view.item.kind == "object")
         label = view.frame.objects[number]["label"] if named and number is not None else ""
@@ -222,7 +171,7 @@ class LabelObject(LabelPart):
         if number is not None and state.selected is not None:
             color = palette(state.dark)[state.roles.get(state.selected, "other")]
             name = state.shown.names[state.selected]
-            shown = object_html(object_card(view.frame, number), name, color, state.mode, self.editor.author)
+            shown = object_html(object_card(view.frame, number), name, color)
         page.show("edit", shown, rejected_html(view.frame.left_out))
 
 

@@ -44,10 +44,17 @@ class Labelling(LabelPart):
     ) -> None:
         super().__init__(ctx)
         self._reopen = reopen
-        self.pixels, self.object = Pixels(ctx), LabelObject(ctx)
-        self._following = ReviewQueue(ctx), RetrainPanel(ctx, go), self.pixels, SidePanel(ctx), RightPair(ctx, ask)
+        self.pixels = Pixels(ctx)
+        self._following = (
+            LabelObject(ctx),
+            ReviewQueue(ctx),
+            RetrainPanel(ctx, go),
+            self.pixels,
+            SidePanel(ctx),
+            RightPair(ctx, ask),
+        )
         # All parts with commands
-        self.parts = self, self.object, *self._following, Sentences(ctx), Conflicts(ctx)
+        self.parts = self, *self._following, Sentences(ctx), Conflicts(ctx)
         if ctx.shared.journals:
             threading.Thread(target=_watch, args=(ctx, self), daemon=True, name="labels-watch").start()
 

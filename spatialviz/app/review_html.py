@@ -153,7 +153,7 @@ Names = Mapping[tuple[str, int], str]
 def queue_html(
     work: Worklist | None,
     making: QueueProgress,
-    asked: Mapping[str, bool],
+    networks: bool,
     kind: str,
     item: ItemKey | None,
     names: Names,
@@ -164,34 +164,18 @@ def queue_html(
     stop = button("stop", "stop-queue", "ends the asking; the queue that there is stays")
     make = button(again, "make-queue", "ranks the labels by what is switched on here")
     head = heading("Queue", stop if making.running else make).with_(id="queue-head")
-    parts = [head, _asked(asked), h.div(_busy(making), id="queue-busy")]
+    hint = "beside the rules and the linter, networks that have not learnt from a label"
+    switch = button("networks", "queue-networks", hint, role="switch", aria_checked=str(networks).lower())
+    parts = [head, h.div(switch, id="queue-asks", cls="asks"), h.div(_busy(making), id="queue-busy")]
     if work is None:
         return panel(parts, None if making.running else h.div("No queue yet.", cls="dim"))
-    counts = work.counts
-    tally = [f" · {counts[state]:,} {state}" for state in STATUS_MARKS if state != "unreviewed" and counts[state]]
     rows = [_row(work, place, names, item) for place in shown_places(work, kind, item)]
     return panel(
         parts,
-        _known(making.made),
-        h.div(f"{counts['settled']:,} of {counts['items']:,} settled", tally, id="queue-settled", cls="dim"),
         segments("queue-kind", KINDS, kind, "Items of one kind"),
         bulk,
         h.div(rows or "nothing of this kind", id="queue-rows", cls="queue"),
     )
-
-
-def _asked(asked: Mapping[str, bool]) -> Element:
-    """Switches for sources of the next queue besides the rules and the linter."""
-    return h.div(
-        h.span("rules and linter", cls="try fixed", title="always in it"),
-        _switch("networks", "networks", asked["networks"], "networks that have not learnt from a label"),
-        id="queue-asks",
-        cls="asks",
-    )
-
-
-def _switch(name: str, label: str, on: bool, hint: str) -> Element:
-    return button(label, f"queue-from:{name}", hint, role="switch", aria_checked=str(on).lower())
 
 
 def _busy(making: QueueProgress) -> Child:
@@ -203,18 +187,6 @@ def _busy(making: QueueProgress) -> Child:
     _, done, of = making.step or ("", 0, 0)
     what = f"asking network {done + 1} of {of}" if done < of else "ranking the labels"
     return progress(what, done, of), h.div(what, cls="dim")
-
-
-def _known(made: Mapping[str, Any] | None) -> Element | None:
-    """Origin of the queue: predictions of networks, and the agreement of reviewers so far."""
-    if made is None:
-        return None
-    wrong = made["estimated_wrong"]
-    parts = ["rules and linter"] + ([] if wrong is None else [f"networks: {wrong:.0f} relations wrong"])
-    for pair in made["agreement"]:
-        kappa = "–" if pair["kappa"] is None else f"{pair['kappa']:.2f}"
-        parts.append(f"{' and '.join(pair['reviewers'])}: κ {kappa} on {counted(pair['items'], 'item')}")
-    return h.div(f"made of {' · '.join(parts)}", cls="dim", title="what this queue was made of")
 
 
 def shown_places(work: Worklist, kind: str, item: ItemKey | None) -> Sequence[int]:

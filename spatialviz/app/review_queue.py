@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from datetime import datetime
+from dataclasses import dataclass, field
 from functools import cached_property
-
-import numpy as np
 
 from pipeline.answering.frame_store import LoadedFrame
 from pipeline.answering.pipeline import Pipeline
 from pipeline.corrections.journal.edits import Edits, judge_relation, set_relation, set_status, settle
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.events import Event, Saved
+from pipeline.corrections.journal.events import Saved
 from pipeline.corrections.journal.field_refs import object_ref, relation_ref
 from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.label_view import Target
-from pipeline.corrections.review.bulk import MOST, ReviewPace, accept_all, found_items, pace_of, say_of_item
+from pipeline.corrections.review.bulk import MOST, accept_all, found_items, say_of_item
 from pipeline.corrections.review.items import BLOCK, ItemKey
 from pipeline.corrections.review.label_jobs import CANCELLED, QueueJob, QueueProgress
 from pipeline.corrections.review.worklist import NOTHING, Mark, Worklist, refreshed_worklist
@@ -27,7 +24,6 @@ from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import InputError, needed
 from spatialviz.app.channel import Command
 from spatialviz.app.context import Context, command, there
-from spatialviz.app.frames import thumb_url
 from spatialviz.app.keys import KEYS_OF_ONE
 from spatialviz.app.label_item import (
     begin_card,
@@ -35,15 +31,11 @@ from spatialviz.app.label_item import (
     idle_card,
     item_card,
     pace_html,
-    upcoming,
 )
 from spatialviz.app.label_part import NO_LABELS, LabelPart
-from spatialviz.app.markup import Element, h, heading, panel
+from spatialviz.app.markup import Element, h, panel
 from spatialviz.app.review_html import doubt_html, queue_html, said
 
-SHOWN_NEXT = 5
-NEWEST = 3000
-"""Events of a person read for the day's pace."""
 LETTERS = {"T": T, "U": U, "F": F}
 DOUBT_TITLE = "Against geometry"
 
@@ -58,8 +50,7 @@ class SourceQueue:
     newest: Mark = NOTHING  # Newest event known to the list
     seen: QueueProgress = field(default_factory=QueueProgress)  # Progress as last taken
     behind: bool = False  # Finished since the last drawing
-    # sources of the next queue besides the rules and the linter
-    asked: dict[str, bool] = field(default_factory=lambda: {"networks": False})
+    networks: bool = False  # The next queue is made of networks too
 
     @cached_property
     def names(self) -> dict[tuple[str, int], str]:
@@ -78,7 +69,6 @@ class ReviewQueue(LabelPart):
             for name, location in ctx.shared.journals.items()
         }
         self._kind, self._find = "all", ""
-        self._pace: tuple[int, list[Event]] = 0, []
         self._ahead: tuple[str, str] | None = None
         self._doubted: tuple[str, str] | None = None
         ctx.editors.on_saved.append(lambda _: self._caught_up())
@@ -100,7 +90,7 @@ class ReviewQueue(LabelPart):
     @command("make-queue")
     def make(self) -> None:
         """Make the queue of the current pipeline, from the chosen sources."""
-        queue, place, asked = self._queue, self.location, self._queue.asked
+        queue, place = self._queue, self.location
         if place.jobs.queue.running:
             return
         place.jobs.make(
@@ -110,7 +100,7 @@ class ReviewQueue(LabelPart):
                 None if place.where is None else str(place.where),
                 place.project,
                 str(queue.source.dataset.root),
-                networks=asked["networks"],
+                networks=queue.networks,
             )
         )
 
@@ -119,13 +109,12 @@ class ReviewQueue(LabelPart):
         """Stop making the queue, begun by any client; the present queue stays."""
         self.location.jobs.queue.stop()
 
-    @command("queue-from")
-    def switch(self, what: str) -> None:
+    @command("queue-networks")
+    def switch(self) -> None:
         """Switch networks on or off as a source of the next queue."""
-        asked = self._queue.asked
-        if what in asked:
-            asked[what] = not asked[what]
-            self.follow()
+        queue = self._queue
+        queue.networks = not queue.networks
+        self.follow()
 
     def _made(self, queue: SourceQueue) -> None:
         """Take over a finished queue, begun by any client."""
@@ -307,12 +296,6 @@ class ReviewQueue(LabelPart):
         if self._doubted is not None and self._doubted[0] == self.view.frame.frame:
             self.settle_relation(self._doubted[1], sure=True)
 
-    @command("leave-item")
-    def leave(self) -> None:
-        """Close the item; keys act on the selection again."""
-        if self._item is not None:
-            self.ctx.show(labels=replace(self.view, item=None))
-
     @command("accept-item=accepted", "reject-item=rejected", "unsure-item=unsure")
     def say(self, status: str) -> None:
         """Mark the open item, else the selected object, as right, wrong, or unclear."""
@@ -360,11 +343,11 @@ class ReviewQueue(LabelPart):
             self.ctx.reviewed = work.frame_counts
             self.ctx.post(lambda: self.ctx.handle(Command("strip")))
         bulk = None if work is None else bulk_html(self._find, len(self._found(work)), len(work))
-        rows = queue_html(work, queue.seen, queue.asked, self._kind, item, queue.names, bulk)
+        rows = queue_html(work, queue.seen, queue.networks, self._kind, item, queue.names, bulk)
         page.fill({"review-item": None if view is None else self._card(queue, item), "review-list": rows})
 
     def _card(self, queue: SourceQueue, item: ItemKey | None) -> Element:
-        """Item with answers, pace, and next items."""
+        """Item with answers, and progress."""
         work, view = queue.work, self.view
         place = None if work is None or item is None else work.indices.get(item.plain)
         row = None if work is None or place is None or work.gone[place] else work.queue.slice(place, 1).to_pylist()[0]
@@ -372,42 +355,7 @@ class ReviewQueue(LabelPart):
         if card is None:
             card = begin_card(view, self.editor) if not view.frame.objects else idle_card(work is not None)
         counts = {} if work is None else work.counts
-        pace = pace_html(self._paced(), counts.get("settled", 0), counts.get("items", 0))
+        pace = pace_html(counts.get("settled", 0), counts.get("items", 0))
         # A new id for each card, so that the page scrolls to the card.
         card = card.with_(id=f"card-{place}-{self.number}", data_shown=True)
-        after = [] if work is None else self._upcoming(queue, work, item)
-        return h.div(panel(card), panel(pace), panel(heading("Next"), h.div(after, cls="upcoming")) if after else None)
-
-    def _upcoming(self, queue: SourceQueue, work: Worklist, item: ItemKey | None) -> list[Element]:
-        found, after = dict[int, Element](), self._next(work, item)
-        while after is not None and after != item and len(found) < SHOWN_NEXT:
-            place, row = work.indices[after.plain], work.row(after)
-            if place in found:
-                break
-            found[place] = upcoming(place, said(row, queue.names), row, self._shot(after))
-            after = self._next(work, after)
-        return list(found.values())
-
-    def _shot(self, key: ItemKey) -> str:
-        """Thumbnail of an item's object, or of the frame without an object or before loading."""
-        loaded = self.ctx.shared.store.kept(self.state.source, key.frame)
-        with suppress(InputError):
-            row = None if loaded is None else self.editor.corrector.index.rows(key.frame).objects.get(key.a)
-            if loaded is not None and row is not None:
-                return thumb_url(loaded, np.array(row["bbox"], np.float32))
-        return self.ctx.shared.pictures.url(self.state.source, key.frame)
-
-    def _paced(self) -> ReviewPace | None:
-        """Today's pace of this person; None while the journal is unavailable."""
-        author = self.editor.author
-        with suppress(InputError):
-            journal, (last, events) = self.location.to_read(), self._pace
-            if journal is None:
-                return None
-            fresh = journal.events(author=author, after=last, last=None if last else NEWEST)
-            if events and events[0].author != author:
-                fresh, events = journal.events(author=author, last=NEWEST), []
-            events = [*events, *fresh]
-            self._pace = (events[-1].id if events else 0), events
-            return pace_of(events, author, datetime.now().astimezone())
-        return None
+        return h.div(panel(card), None if pace is None else panel(pace))

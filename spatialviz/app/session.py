@@ -453,4 +453,3 @@ class PageSession(Part):
         tags = [*self.ctx.scene.draw(self.state), *self._aids.follow()]
         self.ctx.page.call("tags", [asdict(tag) for tag in tags])
         self._what_if.follow(live)
-        self._labels.object.follow(live)

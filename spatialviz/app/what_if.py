@@ -137,7 +137,7 @@ class WhatIf(Part):
     @command("edit-mode")
     def _set_mode(self, mode: str) -> None:
         state, chosen = self.state, choice(MODES, self.state.mode, mode)
-        if chosen is not None:
+        if chosen is not None and state.labels is None:
             selected = state.pair[0] if state.selected is None and state.pair is not None else state.selected
             self.ctx.show(mode=chosen, selected=selected)
 
@@ -155,6 +155,7 @@ class WhatIf(Part):
         state, selected = self.state, self.state.selected
         if state.labels is not None:
             self._gizmo.show(None, "off")
+            self.ctx.page.show("cost")
             return
         candidate = selected is not None and selected in state.shown.place.values()
         box = None

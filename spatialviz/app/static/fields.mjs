@@ -330,14 +330,6 @@ locals.checked = (element, command) => {
 
 /* What changes many times a second: numbers of a box that is dragged, the drawing over the picture. */
 
-calls.numbers = numbers => {
-  for (const [kind, number] of Object.entries(numbers)) {
-    for (const field of document.querySelectorAll(`input[data-change^="${CSS.escape(kind)}"]`)) {
-      if (field !== document.activeElement && [kind, `${kind}:`].includes(field.dataset.change)) field.value = number;
-    }
-  }
-};
-
 calls.overlay = marks => {
   for (const drawing of document.querySelectorAll('.pic > #overlay')) fill(drawing, marks);
 };
