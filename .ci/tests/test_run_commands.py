@@ -36,8 +36,6 @@ def test_tables_and_plots_of_a_run_from_the_command_line(
         "tables/srm_relations.csv",
         "relation_records.parquet",
         "run.json",
-        "plots/srm.html",
-        "plots/srm_reliability.png",
         "plots/srm_relations.png",
     }
     again = ["tables", str(tmp_path / "run"), "--json"]

@@ -1,4 +1,4 @@
-"""Which relation was asked, and in which the answer really stands; and what the network takes for what."""
+"""Which relation was asked, and in which the answer really stands."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.evaluation.relation_records import RelationRecords
 from pipeline.labels.reading import Labels
 from pipeline.labels.statistics import add_views, quoted
 from pipeline.language.relation_names import PAIRWISE, PHRASE
@@ -175,37 +174,3 @@ def _pairs_of_answers(
 
     states, margins = (np.stack([found[f"{letter}{k}"] for k in range(len(names))], axis=1) for letter in "sm")
     return found["row"].astype(np.int64), states, margins
-
-
-def network_confusion(records: RelationRecords | None) -> list[Confusion]:
-    """Count labelled relations against the most probable relations of each scorer; empty without records of pairs."""
-    if records is None:
-        return []
-    found = []
-    for system in records.systems:
-        names = tuple(r for r in records.relations if r in system.relations)
-        if names:
-            counts = _taken_for(records.truth(names), system.p[:, [system.relations.index(r) for r in names]])
-            found.append(
-                Confusion(
-                    f"confusion-{system.name}",
-                    f"What {system.name} takes a relation for",
-                    names,
-                    names,
-                    counts,
-                    "Labelled pairs, a pair once for each relation that holds of it. The diagonal: the relation with "
-                    "the highest probability holds; else the pair stands in the column of that relation.",
-                )
-            )
-    return found
-
-
-def _taken_for(states: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """(R, R) counts: true relations against the most probable relation, right answers on the diagonal."""
-    holds, known = states == T, np.isfinite(p)
-    top = np.where(known, p, -np.inf).argmax(axis=1)
-    pair, relation = np.nonzero(holds & known.any(axis=1, keepdims=True))
-    right = holds[pair, top[pair]]
-    counts = np.zeros((states.shape[1],) * 2, np.int64)
-    np.add.at(counts, (relation, np.where(right, relation, top[pair])), 1)
-    return counts

@@ -1,4 +1,4 @@
-"""Tables from records: the systems of the paper, by relation, where answers are lost, what calibration does."""
+"""Tables from records: the systems of the paper, by relation, and where answers are lost."""
 
 from __future__ import annotations
 
@@ -11,13 +11,11 @@ import numpy as np
 from pipeline.answering.ask import AskConfig
 from pipeline.answering.pipeline import Pipeline
 from pipeline.evaluation.leakage import Share, rank, title_of, with_caveats
-from pipeline.evaluation.records import DetectorScores, detector_scores, is_calibrated, raw_records
 from pipeline.labels.cases import HIT
 from pipeline.labels.reading import Labels, read_table
 from pipeline.language.relation_names import PAIRWISE, PHRASE
-from pipeline.metrics.calibration_metrics import ECE_BINS
-from pipeline.metrics.intervals import BootstrapConfig, Estimate, McNemar, bootstrap, mcnemar, mean_estimate, ratio
-from pipeline.metrics.tables import NOTHING_SHARED, Cell, Row, Table, in_blocks
+from pipeline.metrics.intervals import BootstrapConfig, Estimate, McNemar, mcnemar, mean_estimate
+from pipeline.metrics.tables import NOTHING_SHARED, Row, Table, in_blocks
 from pipeline.proposals.score_calibration import ScoreCalibration
 from pipeline.system.arrow import pa
 
@@ -198,91 +196,10 @@ def gain_table(
     )
 
 
-BY_CALIBRATION = {
-    "Acc@0.5 single truth": "correct",
-    "strict set": "strict_correct",
-    "set-valued": "set_correct",
-    "reference": "reference_correct",
-    "pair": "pair_correct",
-}
-
-
-def calibration_table(systems: Mapping[str, pa.Table], config: BootstrapConfig | None = None) -> Table | None:
-    """Accuracy and detector scores by raw and by calibrated scores; None where no system's are calibrated.
-
-    Differences are paired, with clustered intervals; McNemar's exact test is of the answers.
-    """
-    calibrated = {name: records for name, records in systems.items() if is_calibrated(records)}
-    if not calibrated:
-        return None
-    rows: list[Row] = []
-    for name, records in calibrated.items():
-        prefix = f"{name}: " if len(systems) > 1 else ""
-        rows += [Row(f"{prefix}{what}", cells) for what, cells in _accuracies(records, config)]
-        rows += [Row(f"{prefix}{what}", cells) for what, cells in _score_figures(detector_scores(records), config)]
-    return Table(
-        "calibration",
-        "Score calibration",
-        ("raw scores", "calibrated", "difference", "only calibrated right", "only raw right", "McNemar p", "n"),
-        tuple(rows),
-        "Accuracies in percent of the expressions; Brier score and expected calibration error (15 bins), times 100, of "
-        "all detections against an IoU of at least 0.5 with a labelled object of the class asked for. Difference: "
-        "calibrated less raw, paired, with 95 % bootstrap intervals over scenes, or frames where there is one scene.",
-    )
-
-
-def _accuracies(records: pa.Table, config: BootstrapConfig | None) -> list[tuple[str, tuple[Cell, ...]]]:
-    clusters, _ = clusters_of(records)
-    found: list[tuple[str, tuple[Cell, ...]]] = []
-    for title, name in BY_CALIBRATION.items():
-        raw, own = column(records, f"raw_{name}"), column(records, name)
-        test = mcnemar(own > 0, raw > 0)
-        estimates = (mean_estimate(values, clusters, config=config) for values in (raw, own))
-        difference = mean_estimate(own, clusters, other=raw, config=config)
-        found.append((title, (*estimates, difference, test.b, test.c, f"{test.p_value:.2g}", test.n)))
-    return found
-
-
-def _score_figures(scores: DetectorScores, config: BootstrapConfig | None) -> list[tuple[str, tuple[Cell, ...]]]:
-    sides = (scores.raw, scores.calibrated)
-    squared = [np.square(p - scores.hits) for p in sides]
-    brier = [mean_estimate(s, scores.clusters, config=config) for s in squared]
-    brier.append(mean_estimate(squared[1], scores.clusters, other=squared[0], config=config))
-    ece = [ece_estimate(p, scores.hits, scores.clusters, config=config) for p in sides]
-    ece.append(ece_estimate(sides[1], scores.hits, scores.clusters, other=sides[0], config=config))
-    blank: tuple[Cell, ...] = (None, None, None, len(scores.hits))
-    return [("Brier score of detections", (*brier, *blank)), ("ECE of detections", (*ece, *blank))]
-
-
-def ece_estimate(
-    p: np.ndarray,
-    hits: np.ndarray,
-    clusters: np.ndarray,
-    *,
-    other: np.ndarray | None = None,
-    config: BootstrapConfig | None = None,
-) -> Estimate:
-    """Expected calibration error of (N,) probabilities; with `other` (N,), the difference `p` less `other`."""
-    second = None if other is None else _bin_gaps(other, hits)
-
-    def ece(sums: np.ndarray) -> np.ndarray:
-        return ratio(np.abs(sums[:, :-1]).sum(axis=1, keepdims=True), sums[:, -1:])
-
-    return bootstrap(_bin_gaps(p, hits), clusters, ece, other=second, config=config)[0]
-
-
-def _bin_gaps(p: np.ndarray, hits: np.ndarray) -> np.ndarray:
-    """(N, B + 1): p - [hit] in the bin's column, and a last column of 1 to count by."""
-    rows = np.zeros((len(p), ECE_BINS + 1))
-    rows[np.arange(len(p)), np.minimum((p * ECE_BINS).astype(np.int64), ECE_BINS - 1)] = p - hits
-    rows[:, -1] = 1.0
-    return rows
-
-
 def calibration_warnings(source: Pipeline, labels: Labels, records: pa.Table) -> tuple[str, ...]:
     """Warn where the effect of the calibration in these records is not held out, or may not be."""
     calibration = source.config.score_calibration
-    if calibration is None or not is_calibrated(records):
+    if calibration is None or source.needed_detector().exact:
         return ()
     rows = read_table(labels.root / "frames.parquet", "frames", ("frame", "scene", "rgb_hash")).to_pylist()
     evaluated = set(records.column("frame").to_pylist())
@@ -342,8 +259,6 @@ def make_tables(
         found = []
         if has_opm(records):
             found.append(opm_row(f"{name}{OPM_ONLY}", records, bootstrap))
-        if is_calibrated(records):
-            found.append(full_row(f"{name}, raw scores", raw_records(records), bootstrap))
         found.append(full_row(name, records, bootstrap))
         rows += [replace(row, shares=titles[name]) for row in found]
     unit = clusters_of(first)[1]
@@ -352,6 +267,5 @@ def make_tables(
         relation_table(systems, bootstrap, titles),
         stages_table(systems, titles),
         gain_table(systems, bootstrap, titles),
-        calibration_table(systems, bootstrap),
     ]
     return [with_caveats(table, shares) for table in tables if table is not None]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
 from time import perf_counter
@@ -12,8 +12,7 @@ from typing import Any
 
 from pipeline.diagnosis.verdict import RULES_VERSION
 from pipeline.evaluation.comparing import Comparison, compare
-from pipeline.evaluation.confusion import Confusion, answer_confusion, network_confusion
-from pipeline.evaluation.figure_style import need_matplotlib
+from pipeline.evaluation.confusion import Confusion, answer_confusion
 from pipeline.evaluation.grounding_tables import (
     calibration_warnings,
     clusters_of,
@@ -29,10 +28,9 @@ from pipeline.evaluation.leakage import (
     titles_of,
     with_caveats,
 )
-from pipeline.evaluation.plots import draw, draw_diagnosis, draw_relations
+from pipeline.evaluation.plots import draw_accuracy, draw_diagnosis, draw_relations, need_matplotlib
 from pipeline.evaluation.records import read_records, records_schema
 from pipeline.evaluation.relation_cases import RelationSpec, labelled_detector
-from pipeline.evaluation.relation_records import RelationRecords
 from pipeline.evaluation.relation_report import measure_relations, relation_sink, shares_by_title
 from pipeline.evaluation.run import Progress, evaluate_labels, median_confidence
 from pipeline.evaluation.run_folder import RUN_FILE, Run, open_run, read_manifest, spec_record
@@ -45,7 +43,7 @@ from pipeline.labels.profiles import canonical_hash
 from pipeline.labels.provenance import Makers, makers_of
 from pipeline.labels.reading import Labels, labelled_up, open_labels
 from pipeline.metrics.intervals import BootstrapConfig
-from pipeline.metrics.tables import NOTHING_SHARED, Table, as_csv, caveats_html, latex, markdown
+from pipeline.metrics.tables import NOTHING_SHARED, Table, as_csv, latex, markdown
 from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import MissingExtra, require
 from pipeline.system.version import __version__
@@ -144,8 +142,7 @@ def evaluate_dataset(
         relations = None if sink is None else measure_relations(spec, source, labels, folder, bootstrap)
         tables += [] if relations is None else relations.tables
         diagnosed = spec.grounding and spec.verdicts and system.name == OWN
-        pairs = None if relations is None else relations.records
-        diagnosis = diagnose_run(systems, labels, pairs, bootstrap, shares) if diagnosed else None
+        diagnosis = diagnose_run(systems, labels, bootstrap, shares) if diagnosed else None
         tables += [] if diagnosis is None else diagnosis.tables
         shown = tables
         if paper is not None:
@@ -160,15 +157,18 @@ def evaluate_dataset(
         comparison = None if before is None else compare(before, records)
         if comparison is not None:
             write_json(folder / "comparison.json", comparison.record())
+        if diagnosis is not None:
+            diagnosis.write(folder)
         if plots:
             if spec.grounding:
-                draw(systems, tables, folder / "plots", titles_of(shares))
+                accuracy = next(t for t in tables if t.key == "relations")
+                draw_accuracy(accuracy, folder / "plots", titles_of(shares))
             if relations is not None:
                 alike = titles_of(shares_by_title(relations.figures, relations.shares))
-                draw_relations(relations.figures, relations.tables, folder / "plots", alike)
-        if diagnosis is not None:
-            diagnosis.write(folder, plots)
-        of_calibration = calibration_warnings(source, labels, records) if spec.grounding else ()
+                draw_relations(relations.figures, folder / "plots", alike)
+            if diagnosis is not None:
+                draw_diagnosis(diagnosis.summaries, folder / "plots", titles_of(diagnosis.shares))
+        of_calibration = calibration_warnings(source, labels, records) if spec.grounding and system.name == OWN else ()
         of_relations = () if relations is None else relations.warnings
         warnings = (*left_out, *changed, *of_calibration, *problem_warnings(records), *of_relations)
         options = {k: str(v) for k, v in spec.options.items() if k != "config"}
@@ -318,17 +318,13 @@ class RunDiagnosis:
 
     summaries: dict[str, RunSummary]  # by system; those without verdicts are left out
     slices: tuple[Slices, ...]  # by every dimension that the runs have
-    confusions: tuple[Confusion, ...]  # that of the answers first, then of each network
-    # shares: what systems have in common with what made the labels
-    shares: Mapping[str, Sequence[Share]] = field(default_factory=dict)
+    confusions: tuple[Confusion, ...]  # that of the answers, where the labels are at hand
+    shares: Mapping[str, Sequence[Share]]  # what the systems have in common with what made the labels
 
     @property
     def tables(self) -> list[Table]:
         """Tables of verdicts and oracles; empty without verdicts."""
-        return self._shared(summary_tables(self.summaries))
-
-    def _shared(self, tables: Sequence[Table]) -> list[Table]:
-        return [with_caveats(table, {name: self.shares.get(name, ()) for name in self.summaries}) for table in tables]
+        return [with_caveats(table, self.shares) for table in summary_tables(self.summaries)]
 
     def record(self) -> dict[str, Any]:
         """Convert to JSON: `diagnosis.json`."""
@@ -338,38 +334,25 @@ class RunDiagnosis:
             "confusions": {c.key: c.record() for c in self.confusions},
         }
 
-    def write(self, folder: Path, plots: bool = True) -> None:
-        """Write `diagnosis.json`, `slices.md` and tables into a run's folder; with `plots` also pictures and a page."""
+    def write(self, folder: Path) -> None:
+        """Write `diagnosis.json`, `slices.md` and tables into a run's folder."""
         write_json(folder / DIAGNOSIS_FILE, self.record())
-        tables = self._shared([*map(slice_table, self.slices), *(c.table() for c in self.confusions)])
-        write_tables(tables, folder, "slices.md")
-        if plots:
-            shares = {name: self.shares.get(name, ()) for name in self.summaries}
-            draw_diagnosis(
-                self.summaries,
-                self.slices,
-                self.confusions,
-                folder / "plots",
-                caveats_html(self.tables),
-                titles_of(shares),
-            )
+        tables = [*map(slice_table, self.slices), *(c.table() for c in self.confusions)]
+        write_tables([with_caveats(table, self.shares) for table in tables], folder, "slices.md")
 
 
 def diagnose_run(
     systems: Mapping[str, pa.Table],
     labels: Labels | None = None,
-    relations: RelationRecords | None = None,
     config: BootstrapConfig | None = None,
     shares: Mapping[str, Sequence[Share]] = NOTHING_SHARED,
 ) -> RunDiagnosis:
     """Summaries, slices and confusions of runs; the first is the run itself.
 
-    `systems`: records by system. `labels`: of the first run: needed for the confusion of its answers. `relations`: of
-    the first run: they tell what the networks take for what.
+    `systems`: records by system. `labels`: of the first run: needed for the confusion of its answers.
     """
     confusions = [] if labels is None else [answer_confusion(next(iter(systems.values())), labels)]
-    confusions += network_confusion(relations)
     summaries = {name: summarise_run(r, config) for name, r in systems.items() if has_verdicts(r)}
     cuts = [d for d in DIMENSIONS.values() if all(not d.column or d.column in r.column_names for r in systems.values())]
     slices = tuple(slice_by(systems, d, config, most=MOST) for d in cuts)
-    return RunDiagnosis(summaries, slices, tuple(confusions), shares)
+    return RunDiagnosis(summaries, slices, tuple(confusions), {name: shares.get(name, ()) for name in summaries})

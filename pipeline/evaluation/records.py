@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -53,24 +51,6 @@ oracle. `object_…` is the labelled target: longest edge of its box and distanc
 pixels of its mask. `untold` is of imported predictions: each oracle that cannot be put in place, and why, as "LIFT: the
 file gives no 3D boxes"; what `right_with` says of it is no part of what a module costs."""
 
-
-RAW = (
-    "box",
-    "reference_box",
-    "iou",
-    "strict_iou",
-    "set_iou",
-    "correct",
-    "strict_correct",
-    "set_correct",
-    "reference_correct",
-    "pair_correct",
-    "matched_target",
-    "matched_reference",
-)
-"""Columns that stand a second time, as raw_…, where scores are calibrated: the answer by the detector's own."""
-DETECTIONS = {"scores": "numbers", "calibrated": "numbers", "hits": "flags"}
-"""Of all detections of the target's and of the reference's name, where scores are calibrated."""
 
 COLUMNS: dict[str, str] = {
     "id": "string",
@@ -130,14 +110,11 @@ COLUMNS: dict[str, str] = {
     "target_distance": "float32",
     **DIAGNOSIS_COLUMNS,
 }
-COLUMNS |= {f"raw_{name}": COLUMNS[name] for name in RAW}
-COLUMNS |= {f"{end}_{what}": kind for end in ("target", "reference") for what, kind in DETECTIONS.items()}
 """The columns of `records.parquet`. Indices of objects are those of the labels, ranks count from 1 and are null where
 nothing fits; `right_…` is the best-scoring acceptable pair among the candidates; overlaps are 0 without an answer.
 `worked_out` names, of imported predictions, which of p_relation, log_score and those of the right pair no file gives.
 `degenerate` is set where all pairs are one thing, so that the detector's best target answers alone, as in `ask`.
-`raw_…`, `target_scores` and so on are null where scores are not calibrated: see `raw_columns`; the
-columns of the diagnosis for systems that are not the pipeline."""
+The columns of the diagnosis are null for systems that are not the pipeline."""
 
 
 ASKED = ("id", "frame", "frame_index", "scene", "text", "target", "relation", "reference", "correct", "iou")
@@ -155,8 +132,6 @@ def records_schema() -> pa.Schema:
         "float32": pa.float32(),
         "box": pa.list_(pa.float32(), 4),
         "strings": pa.list_(pa.string()),
-        "numbers": pa.list_(pa.float64()),
-        "flags": pa.list_(pa.bool_()),
     }
     return pa.schema([pa.field(name, kinds[kind]) for name, kind in COLUMNS.items()])
 
@@ -363,95 +338,6 @@ def diagnosis_columns(d: Diagnosis) -> dict[str, Any]:
 
 def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
-
-
-def by_raw_scores(answers: FrameAnswers) -> FrameAnswers | None:
-    """Copy the answers with the detector's own scores; None where scores are not calibrated.
-
-    Detections, boxes and relations are those of the first answer; only the ranking differs.
-    """
-    if answers.source.config.score_calibration is None or answers.source.needed_detector().exact:
-        return None
-    raw = copy.copy(answers)
-    raw.candidates = {
-        name: found if found.raw_scores is None else replace(found, scores=found.raw_scores)
-        for name, found in answers.candidates.items()
-    }
-    return raw
-
-
-def raw_columns(
-    case: Case,
-    truth: FrameCases,
-    answers: FrameAnswers,
-    raw: FrameAnswers,
-    parsed: tuple[Query | None, InputError | None],
-    overlap: np.ndarray,
-) -> dict[str, Any]:
-    """Cells of the answer by raw scores, and of detections with their hits.
-
-    A hit has an IoU of at least 0.5 with a labelled object of the class that was asked for; `overlap` is that of each
-    detection with each labelled object, (D, N) float64.
-    """
-    second = record(case, truth, raw, parsed, overlap)
-    found: dict[str, Any] = {f"raw_{name}": second[name] for name in RAW}
-    ends = (("target", case.target, case.target_object), ("reference", case.reference, case.reference_object))
-    for end, name, labelled in ends:
-        own, plain = answers.candidates[name], raw.candidates[name]
-        alike = np.broadcast_to(truth.alike[labelled], (len(own.index), len(truth.labels)))
-        hits = matched(overlap[own.index], alike) >= 0
-        lists = (plain.scores.tolist(), own.scores.tolist(), hits.tolist())
-        found |= {f"{end}_{what}": values for what, values in zip(DETECTIONS, lists, strict=True)}
-    return found
-
-
-def is_calibrated(records: pa.Table) -> bool:
-    """Tell whether records hold the answers by raw scores too; earlier releases recorded none."""
-    return "raw_iou" in records.column_names and records.column("raw_iou").null_count < records.num_rows
-
-
-def raw_records(records: pa.Table) -> pa.Table:
-    """Replace the given answers by the answers of the detector's raw scores.
-
-    Columns of the ranking itself (probabilities, margins) stay those of the calibrated one.
-    """
-    for name in RAW:
-        index = records.column_names.index(name)
-        records = records.set_column(index, records.schema.field(name), records.column(f"raw_{name}"))
-    return records
-
-
-@dataclass(frozen=True)
-class DetectorScores:
-    """All detections of a run, each once: a name is asked once of a frame."""
-
-    # raw, calibrated (D,) float64
-    raw: np.ndarray
-    calibrated: np.ndarray
-    hits: np.ndarray  # (D,) bool
-    # frames, scenes (D,) str: of each
-    frames: np.ndarray
-    scenes: np.ndarray
-
-    @property
-    def clusters(self) -> np.ndarray:
-        """(D,) clusters for intervals: the scene; the frame in a run of one scene."""
-        return self.scenes if len(np.unique(self.scenes)) > 1 else self.frames
-
-
-def detector_scores(records: pa.Table) -> DetectorScores:
-    """Detections in calibrated records."""
-    parts: dict[tuple[str, str], tuple[Any, Any, Any, str]] = {}
-    for end in ("target", "reference"):
-        columns = ("frame", end, *(f"{end}_{what}" for what in DETECTIONS), "scene")
-        for frame, name, *rest in zip(*(records.column(c).to_pylist() for c in columns), strict=True):
-            if rest[0] is not None:
-                parts.setdefault((frame, name), tuple(rest))
-    lengths = [len(part[0]) for part in parts.values()]
-    raw, calibrated = (np.array([x for part in parts.values() for x in part[k]], np.float64) for k in (0, 1))
-    hits = np.array([x for part in parts.values() for x in part[2]], np.bool_)
-    frames = np.repeat(np.array([frame for frame, _ in parts], np.str_), lengths)
-    return DetectorScores(raw, calibrated, hits, frames, np.repeat(np.array([p[3] for p in parts.values()]), lengths))
 
 
 def read_records(run: Path, columns: list[str] | None = None) -> pa.Table:

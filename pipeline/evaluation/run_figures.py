@@ -15,7 +15,6 @@ from pipeline.diagnosis.verdict import RULES_VERSION, Diagnosis
 from pipeline.evaluation.browsing import RunRows, labelled_boxes
 from pipeline.evaluation.comparing import Comparison, compare
 from pipeline.evaluation.confusion import Confusion, answer_standings, count_standings
-from pipeline.evaluation.plots import MOST_SHOWN
 from pipeline.evaluation.run_folder import Run
 from pipeline.evaluation.search import Field, completions
 from pipeline.evaluation.slices import Slices, slice_by
@@ -27,6 +26,8 @@ from pipeline.system.version import __version__
 
 STANDS_IN = "stands_in"
 """The column, and the field of a search, that says in which relation an answer stands."""
+MOST_SHOWN = 12
+"""Slices of one dimension."""
 FRAMES = 8
 """Decoded frames that are kept."""
 Drawn = Literal["labelled", "second run", "answered reference", "answered target", "wrong target"]

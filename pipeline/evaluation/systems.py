@@ -22,7 +22,7 @@ from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence,
 from pipeline.diagnosis.imported_answers import answered_box, answered_overlap
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.evaluation.leakage import Measured, measured_of
-from pipeline.evaluation.records import asked_columns, by_raw_scores, diagnosis_columns, raw_columns, record
+from pipeline.evaluation.records import asked_columns, diagnosis_columns, record
 from pipeline.evaluation.relation_cases import RelationSpec
 from pipeline.evaluation.relation_records import RelationRecords, SystemRecords
 from pipeline.geometry.boxes import iou_2d
@@ -188,10 +188,6 @@ class OwnPipeline:
             with clock.stage("records"):
                 overlap = iou_2d(answers.boxes, truth.boxes)
                 rows = [record(case, truth, answers, parsed[case.text], overlap) for case in truth.cases]
-                raw = by_raw_scores(answers)
-                if raw is not None:
-                    for case, row in zip(truth.cases, rows, strict=True):
-                        row |= raw_columns(case, truth, answers, raw, parsed[case.text], overlap)
             if not spec.verdicts:
                 return rows
             with clock.stage("verdicts"):

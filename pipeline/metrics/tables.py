@@ -7,7 +7,6 @@ import io
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from types import MappingProxyType
 from typing import Any
 
@@ -77,12 +76,6 @@ def with_heads(rows: Sequence[Row]) -> Iterator[tuple[str, Row]]:
     for row in rows:
         yield ("" if row.shares == before else row.shares), row
         before = row.shares
-
-
-def caveats_html(tables: Iterable[Table]) -> str:
-    """Caveats of tables as paragraphs, for pages of plots of the same figures."""
-    message = dict.fromkeys(caveat for table in tables for caveat in table.caveats)
-    return "".join(f'<p style="color:#a85b00;font:13px Arial,sans-serif">{escape(text)}</p>' for text in message)
 
 
 def shown(cell: Cell, decimals: int = 1, fraction: bool = False) -> str:

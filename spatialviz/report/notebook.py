@@ -16,10 +16,10 @@ from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.oracles import shown_oracle
 from pipeline.diagnosis.verdict import Diagnosis
-from pipeline.evaluation.plots import LOSS_COLORS, VERDICT_COLORS
+from pipeline.evaluation.plots import LOSS_COLORS
 from pipeline.evaluation.run_folder import Failure, Failures, Run
 from pipeline.evaluation.summary import cost_words, summarise_run
-from pipeline.geometry.palette import ON_LIGHT, hex_color, ink
+from pipeline.geometry.palette import ON_LIGHT, VERDICTS, hex_color, ink
 from pipeline.language.counted import counted
 from pipeline.metrics.intervals import Estimate
 from pipeline.system.errors import InputError, MissingExtra
@@ -29,6 +29,7 @@ from spatialviz.report.picture import QUALITY, WIDEST, answer_picture, answer_ro
 SHOWN_PAIRS = 8
 SHOWN_ROWS = 12
 _QUIET = "color:gray"
+_COLORS = {verdict: hex_color(color) for verdict, color in VERDICTS.items()}
 
 
 def notebook_html(shown: InNotebook) -> str:
@@ -140,7 +141,7 @@ def _run(run: Run) -> Element:
         []
         if summary is None
         else [
-            _shares("verdict", {name: share.estimate for name, share in summary.verdicts.items()}, VERDICT_COLORS),
+            _shares("verdict", {name: share.estimate for name, share in summary.verdicts.items()}, _COLORS),
             *(
                 [_shares("of all, lost to", {k: v for k, v in summary.loss.items() if k != "accuracy"}, LOSS_COLORS)]
                 if summary.loss
@@ -180,7 +181,7 @@ def _bar(share: float, color: str) -> Element:
 
 
 def _chip(verdict: str, text: str) -> Element:
-    color = VERDICT_COLORS[verdict]
+    color = _COLORS[verdict]
     return element("b", text, style=f"background:{color};color:{ink(color)};padding:0 0.4em;margin-left:0.5em")
 
 

@@ -22,7 +22,7 @@ from pipeline.datasets import demo_path
 from pipeline.evaluation import EvalSpec, compare, evaluate_dataset, evaluate_labels, read_records
 from pipeline.evaluation.grounding_tables import make_tables, problem_warnings
 from pipeline.evaluation.job import CHANGED
-from pipeline.evaluation.records import COLUMNS, DETECTIONS, records_schema
+from pipeline.evaluation.records import COLUMNS, records_schema
 from pipeline.evaluation.run import Evaluator, table_of
 from pipeline.geometry import iou_2d
 from pipeline.labels import HIT, SourceSpec, label_dataset, open_labels, read_cases
@@ -32,7 +32,6 @@ from pipeline.paper import Referring, Vlm, VlmOptions, recorded_system
 from pipeline.system import InputError
 
 FRAMES = 4
-OF_CALIBRATED = {f"{end}_{what}" for end in ("target", "reference") for what in DETECTIONS}
 QUICK = BootstrapConfig(resamples=200)
 
 
@@ -214,7 +213,8 @@ def test_a_run_folder_and_its_comparison(labels: Path, recording: Path, tmp_path
         plots=False,
     )
     names = {p.relative_to(tmp_path / "rule").as_posix() for p in (tmp_path / "rule").rglob("*") if p.is_file()}
-    wanted = {"records.parquet", "run.json", "tables.md", "tables.tex", "tables/grounding.csv", "plots/plots.html"}
+    wanted = {"records.parquet", "run.json", "tables.md", "tables.tex", "tables/grounding.csv"}
+    wanted |= {f"plots/{name}.png" for name in ("relations", "verdicts", "oracles")}
     assert names >= wanted
     assert "poor \\| odd_name & co" in (tmp_path / "rule" / "tables.md").read_text()
     assert "odd\\_name \\& co" in (tmp_path / "rule" / "tables.tex").read_text()
@@ -342,11 +342,10 @@ def test_tables_of_a_run_hold_every_system(labels: Path, recording: Path) -> Non
 def test_columns_are_all_filled(labels: Path) -> None:
     (table, *_) = evaluate_labels(spec_of(labels, None))
     empty = {name for name in COLUMNS if table.column(name).null_count == table.num_rows}
-    # The annotations miss nothing, and no score is calibrated.
+    # The annotations miss nothing.
     nothing_missed = {"problem", "missed_name", "missed_overlap", "missed_score", "missed_rank"}
-    raw = {name for name in COLUMNS if name.startswith("raw_") or name in OF_CALIBRATED}
     imported = {"worked_out", "untold"}
-    assert empty - {"detail"} == nothing_missed | raw | imported
+    assert empty - {"detail"} == nothing_missed | imported
     assert set(table.column("verdict").to_pylist()) == {"CORRECT", "LABEL"}
     assert set(table.column("detail").to_pylist()) == {None, "AMBIGUOUS"}
     assert not any(table.column("lucky").to_pylist())

@@ -29,10 +29,9 @@ from pipeline.evaluation import (
     slice_table,
     summarise_run,
 )
-from pipeline.evaluation.confusion import answer_confusion, answer_standings, network_confusion, stands_in
+from pipeline.evaluation.confusion import answer_confusion, answer_standings, stands_in
 from pipeline.evaluation.grounding_tables import clusters_of, column
 from pipeline.evaluation.job import diagnose_run
-from pipeline.evaluation.relation_records import RelationRecords, SystemRecords
 from pipeline.evaluation.slices import DIMENSIONS
 from pipeline.evaluation.summary import oracle_table, verdict_table
 from pipeline.labels import SourceSpec, label_dataset, open_labels
@@ -183,7 +182,6 @@ def test_a_run_leaves_its_diagnosis(run: Path) -> None:
     assert np.trace(counts[:, : len(counts)]) == states.count(1)
     assert "## Verdicts" in (run / "tables.md").read_text()
     assert (run / "tables" / "slice-relation.csv").is_file()
-    assert network_confusion(None) == []
 
 
 def test_every_cell_of_the_confusion_is_a_search(run: Path) -> None:
@@ -201,14 +199,6 @@ def test_other_labels_are_refused(run: Path) -> None:
     records = pq.read_table(run / "records.parquet")
     with pytest.raises(InputError, match="not the labels"):
         answer_confusion(records, open_labels(run.parent / "labels"), "0" * 64)
-
-
-def test_what_networks_take_for_what() -> None:
-    p, none = np.array([[0.9, 0.2], [0.6, 0.4], [0.1, 0.8]], np.float32), np.zeros(3, np.int32)
-    states = np.array([[1, 1], [-1, 1], [-1, 0]], np.int8)
-    net = SystemRecords("net", "net", ("left", "on"), p, np.full(3, -1, np.int8))
-    (found,) = network_confusion(RelationRecords(("left", "on"), states, none, ("room",), none, (net,)))
-    np.testing.assert_array_equal(found.counts, [[1, 0], [1, 1]])
 
 
 def test_sql_reads_a_run_and_nothing_else(run: Path, tmp_path: Path) -> None:

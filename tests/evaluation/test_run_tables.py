@@ -14,7 +14,6 @@ from pipeline.evaluation import PERFECT, EvalSpec, RunReport, evaluate_dataset
 from pipeline.evaluation.grounding_tables import relation_gain
 from pipeline.evaluation.job import other_systems
 from pipeline.evaluation.leakage import SIMULATED
-from pipeline.evaluation.plots import PALE_TONE, _tones
 from pipeline.labels import Makers, SourceSpec, label_dataset, open_labels
 from pipeline.metrics import BootstrapConfig, Estimate
 from pipeline.paper import Referring, Vlm, VlmOptions
@@ -89,12 +88,7 @@ def test_every_detector_has_its_rows(folder: Path) -> None:
         assert isinstance(alone, Estimate)
         assert isinstance(row.cells[0], Estimate)
         assert row.cells[0].value == pytest.approx(own.value - alone.value)
-    tones = _tones(dict.fromkeys(names))
-    assert {tones[n] for n in names if n.endswith("OPM only")} == {PALE_TONE}
-    assert len({tones[n] for n in names if not n.endswith("OPM only")}) == 5
-    page = (folder / "recorded" / "plots" / "plots.html").read_text()
-    assert f"{VLM}, whole expression" in page
-    assert f"{VLM}, OPM only" not in page, "it has none"
+    assert (folder / "recorded" / "plots" / "relations.png").stat().st_size > 10_000
 
 
 @pytest.mark.slow
