@@ -166,7 +166,21 @@ REMOVED_OPTIONS = {
         (("whatif", "--decision-map"), ("whatif", "--move"), ("whatif", "--cells")),
         "there is no map of the floor: `--do center:0:0.5` moves the object and answers again",
     ),
-    ("review", "--detector"): "label the frames with the other detector, and `review LABELS --other ITS_LABELS`",
+    ("import", "--crowds"): "new annotations with iscrowd 1 are objects as all others",
+    ("import", "--outline"): "a polygon within 1.5 pixels of the exported mask is that mask",
+    **dict.fromkeys(
+        (("review", "--detector"), ("review", "--other")),
+        "answers of two detectors are compared by `spatialviz failures A --compare B --answers`",
+    ),
+    **dict.fromkeys(
+        (("review", "--overlap"), ("review", "--second-opinion-of")),
+        "every reviewer is shown what nobody has settled (--author), the items that two have judged by --agreement",
+    ),
+    ("review", "--progress"): "`review LABELS --queue FILE` says how much is left, `journal LABELS` who did what",
+    **dict.fromkeys(
+        (("review", name) for name in ("--features", "--folds", "--passes", "--seed", "--linter", "--no-linter")),
+        "the queue is made one way, with the networks or, faster, with --no-networks",
+    ),
 }
 """Earlier commands, and where they went."""
 COMMANDS = {name: command for group in (*GROUPS.values(), FORMS) for name, command in group.items()}

@@ -24,7 +24,6 @@ from spatialviz.options import (
     OnPictures,
     Output,
     Overwrite,
-    PairFeatures,
     SourceOptions,
     Workers,
 )
@@ -170,8 +169,7 @@ class ImportCommand(OnPictures):
     """
 
     file: Positional[Path]
-    """instances.json, refs.json or relations.json; objects.jsonl, relations.jsonl, expressions.jsonl, frames.jsonl; or
-    the folder of them."""
+    """instances.json; objects.jsonl, relations.jsonl, expressions.jsonl, frames.jsonl; or the folder of them."""
     author: str
     """Who made the corrections."""
     format: Literal["coco", "jsonl"] | None = None
@@ -181,10 +179,6 @@ class ImportCommand(OnPictures):
     where nobody has corrected anything since."""
     deleted: Literal["keep", "reject"] = "keep"
     """reject: an object that the file lacks, in a picture or frame that it has, is rejected."""
-    crowds: Flag = False
-    """New COCO annotations with iscrowd 1 are objects too."""
-    outline: float = 1.5
-    """A polygon that nowhere lies farther than so many pixels from the mask that was exported is that mask."""
     skip_conflicts: Flag = False
     """Save what does not contradict later corrections, instead of nothing."""
     reason: str = ""
@@ -306,7 +300,7 @@ class EffectiveCommand(OnPictures):
 
 @dataclass(frozen=True)
 class ReviewCommand(OnPictures):
-    """Rank labels by the probability of a fault, each with the reasons; report the progress of their review."""
+    """Rank labels by the probability of a fault, each with the reasons; how far its reviewers agree."""
 
     limit: int = 50
     """Show so many; --out holds all."""
@@ -318,31 +312,14 @@ class ReviewCommand(OnPictures):
     """Show what is settled too."""
     author: str | None = None
     """What is left for this reviewer, without what others said."""
-    overlap: float = 0.0
-    """With --author: ask again this share of what others have settled, so that agreement can be measured."""
-    second_opinion_of: str | None = None
-    """With --author: only what this person has judged."""
     agreement: Flag = False
     """Print how far each two reviewers agree (Cohen's kappa), and on what they differ; exit status 1 where no two have
     judged the same item."""
-    progress: Flag = False
-    """Print how far the review has come."""
     kind: Literal["relation", "object", "expression"] | None = None
     """Only items of this kind."""
     find: str = ""
     """Only items whose label, reasons or frame hold each of these words."""
     accept: Flag = False
     """With --author: accept all items that are shown, as one action that one `undo` takes back."""
-    other: Path | None = None
-    """Labels of the same dataset by another detector or run: what they say otherwise counts too."""
     networks: bool = True
-    """Ask networks that have not learnt from a label (confident learning)."""
-    linter: bool = True
-    """Count what `spatialviz check` finds."""
-    features: PairFeatures = "rel14"
-    folds: int = 5
-    """Each network learns from all scenes but those of one fold, or from all blocks of camera positions but one."""
-    passes: int = 3
-    """Training again without the labels that were found wrong, so often in all. 1 is three times as fast, and worse."""
-    seed: int = 0
-    """Of folds and networks."""
+    """Ask networks that have not learnt from a label (confident learning); that takes the most time."""

@@ -108,8 +108,6 @@ def run_import(command: ImportCommand) -> int:
         format=command.format,
         base=command.base,
         deleted=command.deleted,
-        crowds=command.crowds,
-        outline=command.outline,
         skip_conflicts=command.skip_conflicts,
         reason=command.reason,
         dry_run=command.dry_run,

@@ -88,8 +88,9 @@ def put(path: Path, content: Any) -> Path:
 @pytest.mark.parametrize("format", ["coco", "jsonl"])
 def test_an_export_that_nobody_changed_brings_no_event(exported: Path, take: Take, format: str) -> None:
     report = take(exported / format)
-    assert report.compared > 1_000
-    assert (report.edits, report.saved, report.conflicts, report.problems, report.notes) == ((), None, (), (), ())
+    assert report.compared > 100
+    assert (report.edits, report.saved, report.conflicts, report.problems) == ((), None, (), ())
+    assert all("not read" in note for note in report.notes)
 
 
 @pytest.mark.parametrize("format", mostly_slow(["coco", "jsonl"]))
@@ -209,7 +210,6 @@ def test_edited_coco_is_what_the_labels_say_then(
     path = put(tmp_path / "instances.json", content)
     report = take(path, deleted="reject")
     assert report.saved is not None, import_record(report)
-    assert any("iscrowd" in note for note in report.notes)
     now = bare_corrector.frame(FRAME, journal)
     assert now.objects[renamed]["label"] == "samovar"
     mask = decode_run_length(size, now.objects[redrawn]["mask"])
@@ -248,43 +248,12 @@ def test_a_missing_annotation_rejects_nothing_unless_it_is_asked_for(
     assert {e.ref.frame for e in journal.events()} == {FRAME}
 
 
-def test_references_and_relations_of_coco(
-    exported: Path, bare_corrector: Corrector, journal: Journal, take: Take, tmp_path: Path
-) -> None:
-    before = bare_corrector.frame(FRAME, ())
-    row = an_expression(before)
-    pair, relation = (row["target_object"], row["reference_object"]), row["relation"]
-    quiet = next(
-        e
-        for e in before.expressions.values()
-        if set(pair).isdisjoint(e["acceptable"])
-        and e["target_object"] not in pair
-        and e["reference_object"] not in pair
-    )
-    for name in ("instances.json", "refs.json", "relations.json"):
-        (tmp_path / name).write_bytes((exported / "coco" / name).read_bytes())
-    found = in_frame(json.loads((tmp_path / "instances.json").read_bytes()))
-    ids = {number: a["id"] for number, a in found.items()}
-    refs = json.loads((tmp_path / "refs.json").read_bytes())
-    ref = next(r for r in refs if r["id"] == quiet["id"] and r["image_id"] == found[pair[0]]["image_id"])
-    ref["sentences"][0]["raw"] = "that one"
-    ref["target_ann_ids"] = ref["acceptable_ann_ids"] = [ids[pair[0]]]
-    put(tmp_path / "refs.json", refs)
-    report = take(tmp_path / "refs.json")
-    assert {e.ref.field for e in report.edits} >= {"text", "targets", "acceptable"}
-    relations = json.loads((tmp_path / "relations.json").read_bytes())
-    columns = next(i for i in relations["images"] if i["image_id"] == ref["image_id"])
-    at = list(zip(columns["a"], columns["b"], strict=True)).index((ids[pair[0]], ids[pair[1]]))
-    columns[relation][at] = -1
-    columns["statuses"] = [{"a": ids[pair[0]], "b": ids[pair[1]], "relation": "near", "status": "unsure"}]
-    put(tmp_path / "relations.json", relations)
-    assert len(take(tmp_path / "relations.json").edits) == 3
-    now = bare_corrector.frame(FRAME, journal)
-    assert now.expressions[quiet["id"]]["text"] == "that one"
-    assert now.expressions[quiet["id"]]["targets"] == [pair[0]]
-    assert now.pairs.state(*pair, relation) == F  # pyright: ignore[reportCallIssue]
-    assert now.statuses[relation_ref(FRAME, *pair, "near.status")] == "unsure"
-    assert take(tmp_path).edits == ()
+def test_sentences_and_relations_of_coco_are_named_as_not_read(exported: Path, take: Take) -> None:
+    (note,) = take(exported / "coco").notes
+    assert "(refs.json, relations.json): 2" in note
+    for name in ("refs.json", "relations.json"):
+        with pytest.raises(InputError, match="--format jsonl"):
+            take(exported / "coco" / name)
 
 
 def test_two_people_are_both_told_and_nothing_is_overwritten(

@@ -16,7 +16,7 @@ from journal_world import FRAME
 
 from pipeline.corrections import ImportConfig, ImportReport, Journal, import_corrections, journal_of
 from pipeline.corrections.journal.incoming import claims as claims_module
-from pipeline.corrections.journal.incoming.segmentation import (
+from pipeline.corrections.journal.incoming.coco_file import (
     is_rectangle,
     mask_of,
     polygon_mask,
@@ -73,7 +73,7 @@ COCO: list[tuple[str, Callable[[dict[str, Any]], Any], str]] = [
     ("another size", lambda c: c["images"][0].update(width=1280), "another size"),
     ("an id that is a list", lambda c: c["images"][0].update(id=[1]), "whole number of its own"),
     ("a picture twice", lambda c: c["images"].append({**c["images"][0], "id": 77}), "second image of frame"),
-    ("a picture that is none", lambda c: c["images"].append("x"), "whole number of its own"),
+    ("a picture that is none", lambda c: c["images"].append("x"), "not an object of JSON"),
     ("NaN box", lambda c: first(c, bbox=[1, 2, 1e400, 3]), "bbox is x, y, width, height"),
     ("negative box", lambda c: first(c, bbox=[10, 10, -5, 3]), "bbox is x, y, width, height"),
     ("box of text", lambda c: first(c, bbox=["1", "2", "3", "4"]), "bbox is x, y, width, height"),
@@ -104,8 +104,12 @@ COCO: list[tuple[str, Callable[[dict[str, Any]], Any], str]] = [
     ("codes of nonsense", lambda c: first(c, segmentation={"size": [480, 640], "counts": "äöü"}), "the mask"),
     ("segmentation of text", lambda c: first(c, segmentation="circle"), "list of polygons"),
     ("no such status", lambda c: first(c, status="great"), "no such status"),
-    ("box3d of text", lambda c: first(c, box3d="big"), "box3d is center, size and R"),
-    ("box3d of NaN", lambda c: first(c, box3d={"center": [1e400] * 3, "size": [1] * 3, "R": []}), "list of numbers"),
+    ("box3d of text", lambda c: first(c, box3d="big"), "must have center, R and size"),
+    (
+        "box3d of NaN",
+        lambda c: first(c, box3d={"center": [1e400] * 3, "size": [1] * 3, "R": []}),
+        "must have center, R and size",
+    ),
     ("box3d no rotation", lambda c: first(c, box3d={"center": [1] * 3, "size": [1] * 3, "R": [1] * 9}), "box"),
     ("box3d of two", lambda c: first(c, box3d={"center": [1] * 2, "size": [1] * 3, "R": [1] * 9}), "box"),
     (

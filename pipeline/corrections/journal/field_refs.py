@@ -202,7 +202,7 @@ def box_value(box: Box3D) -> dict[str, list[float]]:
 def box_of(value: Any) -> Box3D:
     """3D box of a JSON value; InputError for none."""
     with as_input_error(
-        "a 3D box must have center, R and size", KeyError, TypeError, ValueError, IndexError, got=Shown(value)
+        "a 3D box must have center, R and size", LookupError, TypeError, ValueError, OverflowError, got=Shown(value)
     ):
         center, R, size = (np.array(value[n], np.float64) for n in ("center", "R", "size"))
         shaped = R.reshape(3, 3)
@@ -268,7 +268,7 @@ def _number(value: Any) -> int:
 
 
 def _rectangle(value: Any) -> list[float]:
-    with as_input_error("a 2D box must be four numbers", TypeError, ValueError, got=Shown(value)):
+    with as_input_error("a 2D box must be four numbers", TypeError, ValueError, OverflowError, got=Shown(value)):
         box = [float(x) for x in value]
     require(
         len(box) == 4 and all(map(math.isfinite, box)) and box[2] > box[0] and box[3] > box[1],

@@ -16,7 +16,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -60,20 +60,17 @@ class States:
         self.labels = labels
         self.version = labels_version(labels.manifest)
         self._events = grouped(events, lambda e: e.ref.frame)
-        self._last = events[-1] if events else None
         self._id_of = {e.ulid: e.id for e in events}
         self._pixels = any(e.ref.kind == "object" and e.ref.field in _OF_PIXELS for e in events)
         self._bare = Corrector(labels)
         self.index = self._bare.index
         self._open = open_dataset
-        self._full: Corrector | None = None
         self._frame_after = lru_cache(maxsize=FRAMES_KEPT)(self._computed)
 
     @property
     def now(self) -> ExportedFrom:
         """Newest state; with the dataset where needed."""
-        full = self._pixels and self._corrector(True) is not None
-        return ExportedFrom(self.version, None if self._last is None else self._last.ulid, full)
+        return ExportedFrom(self.version, next(reversed(self._id_of), None), self._full is not None)
 
     def check(self, state: ExportedFrom) -> None:
         """Refuse a state of other labels or another journal, or for want of the dataset."""
@@ -92,7 +89,7 @@ class States:
             cause="is --journal right?",
         )
         require(
-            not (state.relifted and self._pixels) or self._corrector(True) is not None,
+            not (state.relifted and self._pixels) or self._full is not None,
             "the dataset is needed",
             cause="what follows from corrected pixels is in the file",
             expected="--dataset says where it is",
@@ -100,33 +97,26 @@ class States:
 
     def frame(self, frame: str, state: ExportedFrom) -> EffectiveFrame:
         """Frame in a checked state."""
-        return self._at(frame, 0 if state.event is None else self._id_of[state.event], state.relifted)
+        last = 0 if state.event is None else self._id_of[state.event]
+        count = bisect_right(self._events.get(frame, []), last, key=lambda e: e.id)
+        return self._frame_after(frame, count, state.relifted and self._pixels)
 
     def frame_now(self, frame: str, like: ExportedFrom) -> EffectiveFrame:
         """Frame with all corrections, computed as in that state."""
-        return self._at(frame, 0 if self._last is None else self._last.id, like.relifted)
+        return self.frame(frame, replace(self.now, relifted=like.relifted))
 
-    def newest(self, frame: str, ref: object) -> Event | None:
+    def newest(self, ref: FieldRef) -> Event | None:
         """Newest event of a cell."""
-        return next((e for e in reversed(self._events.get(frame, ())) if e.ref == ref), None)
-
-    def _at(self, frame: str, last: int, relifted: bool) -> EffectiveFrame:
-        return self._frame_after(
-            frame, bisect_right([e.id for e in self._events.get(frame, [])], last), relifted and self._pixels
-        )
+        return next((e for e in reversed(self._events.get(ref.frame, ())) if e.ref == ref), None)
 
     def _computed(self, frame: str, count: int, full: bool) -> EffectiveFrame:
-        corrector = self._corrector(full)
-        assert corrector is not None
-        return corrector.frame(frame, self._events.get(frame, [])[:count])
+        return needed(self._full if full else self._bare, "unchecked").frame(frame, self._events.get(frame, [])[:count])
 
-    def _corrector(self, full: bool) -> Corrector | None:
-        if not full:
-            return self._bare
-        if self._full is None and self._open is not None:
-            dataset, self._open = self._open(), None
-            self._full = None if dataset is None else Corrector(self.labels, dataset)
-        return self._full
+    @cached_property
+    def _full(self) -> Corrector | None:
+        """Corrector with the dataset; None where it is not needed or not to be had."""
+        dataset = self._open() if self._pixels and self._open is not None else None
+        return None if dataset is None else Corrector(self.labels, dataset)
 
 
 class TooManyProblems(Exception):
@@ -167,14 +157,6 @@ class Claims:
             yield
         except InputError as error:
             self.problem(where, error)
-
-    @contextmanager
-    def stopping(self) -> Iterator[None]:
-        """End the block after too many problems, and note so."""
-        try:
-            yield
-        except TooManyProblems:
-            self.notes[f"reading stopped after {MOST_PROBLEMS} problems"] += 1
 
     def say(self, where: str, ref: FieldRef, value: Any, state: ExportedFrom) -> None:
         """Claim a cell's value unless exported so."""

@@ -5,15 +5,13 @@ anew and keep none of our keys. Pictures are told by `frame`, else by the file
 name that the export gave them; annotations by `object`, also as an attribute.
 Where no annotation of a file has it any more, by where they lie: by the greatest
 overlap of 2D boxes in a picture, of one half at least, or within an object's box
-and with its class name. What is left is new.
-
-`refs.json` and `relations.json` name annotations: `instances.json` of the same
-export must stand beside them, and say of which object each is. All three become
-rows as those of JSON lines.
+and with its class name. What is left is new. Annotations become rows as those of
+JSON lines; sentences and relations come back by these alone.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -21,24 +19,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.field_refs import box_of, box_value
 from pipeline.corrections.journal.frame_rows import BOX_COLUMNS, Row
 from pipeline.corrections.journal.incoming.claims import Claims, no_number, take_row
-from pipeline.corrections.journal.incoming.segmentation import (
-    bounds_of,
-    is_rectangle,
-    mask_of,
-    near,
-    polygons_of,
-    rectangle_of,
-    same_outline,
-)
 from pipeline.geometry.boxes import iou_2d
-from pipeline.geometry.masks import decode_run_length, encode_run_length, mask_box
+from pipeline.geometry.masks import decode_run_length, encode_run_length, fill_polygons, mask_box
 from pipeline.labels.exports.row_provenance import ExportedFrom
-from pipeline.language.relation_names import PAIRWISE
 from pipeline.proposals.segmenter import share_inside
 from pipeline.system.errors import InputError, Shown, as_input_error, needed, require
 from pipeline.system.safe_files import read_json
@@ -47,9 +37,9 @@ SAME_BOX = 0.5
 WITHIN = 0.9
 ROUNDED = 0.02
 """Pixels by which a 2D box may differ and be the same: tools write two decimals."""
+OUTLINE = 1.5
+"""Pixels by which a polygon may leave the exported mask and be that mask."""
 _NAMED = re.compile(r"(?:.*[/\\])?(\d{6,})\.\w+")
-Annotations = dict[int, tuple[str, int]]
-"""Frame and object of annotations, by id."""
 
 
 def load_coco(path: Path) -> Any:
@@ -60,97 +50,63 @@ def load_coco(path: Path) -> Any:
         return read_json(path, parse_constant=no_number)
 
 
-def listed(content: Any, key: str, name: str) -> list[Any]:
-    """List in a file; InputError for none."""
-    found: Any = content.get(key) if isinstance(content, dict) else None
-    require(isinstance(found, list), f"{name} lacks the list {key!r}", cause="is it COCO?")
-    return found
-
-
-def entries(rows: list[Any], what: str, key: str = "id") -> Iterator[tuple[str, Any]]:
-    """Rows of a list, each with a name for messages."""
-    for index, row in enumerate(rows):
-        yield f"{what} {row.get(key) if isinstance(row, dict) else index!r}", row
-
-
-def base_of(content: Any) -> Any:
-    """State named by a file; None for no name."""
-    info = content.get("info") if isinstance(content, dict) else None
-    return info.get("base") if isinstance(info, dict) else None
-
-
 def read_instances(
-    content: Any,
-    name: str,
-    claims: Claims,
-    state_of: Callable[[Any], ExportedFrom],
-    *,
-    reject_deleted: bool,
-    crowds: bool,
-    outline: float,
+    content: Any, name: str, claims: Claims, state_of: Callable[[Any], ExportedFrom], *, reject_deleted: bool
 ) -> None:
     """Read `instances.json` into claims; InputError for no COCO at all.
 
-    `reject_deleted` rejects objects that a listed picture lacks, `crowds` takes new annotations with `iscrowd` 1,
-    `outline` is the tolerance of polygons in pixels.
+    `reject_deleted` rejects objects that a listed picture lacks.
     """
-    state = state_of(base_of(content))
-    categories = _categories(listed(content, "categories", name), name, claims)
-    frames = images_of(listed(content, "images", name), name, claims)
-    by_image: dict[Any, list[tuple[str, Row]]] = {image: [] for image in frames}
-    ids: set[Any] = set()
-    for index, row in enumerate(listed(content, "annotations", name)):
-        if not isinstance(row, dict):
-            claims.problem(f"{name} annotation at {index}", f"not an object of JSON, got {type(row).__name__}")
-            continue
-        where = f"{name} annotation {row.get('id')!r}"
-        image = row.get("image_id")
-        if type(row.get("id")) is not int or row["id"] in ids:
-            claims.problem(f"{where} at {index}", "its id must be a whole number of its own")
-        elif type(image) is not int or image not in by_image:
-            claims.problem(where, f"it is of image {image!r}, which the file does not list")
-        else:
+    info = content.get("info") if isinstance(content, dict) else None
+    state = state_of(info.get("base") if isinstance(info, dict) else None)
+    categories: dict[int, str] = {}
+    for where, row in _listed(content, "categories", f"{name} category", claims):
+        with claims.reading(where):
+            require(isinstance(row.get("name"), str), "a category has a name")
+            categories[row["id"]] = row["name"]
+    frames: dict[str, int] = {}
+    for where, row in _listed(content, "images", f"{name} image", claims):
+        with claims.reading(where):
+            frame = _frame_of(row, claims)
+            require(frame not in frames, f"the second image of frame {frame}")
+            frames[frame] = row["id"]
+    by_image: dict[Any, list[tuple[str, Row]]] = {image: [] for image in frames.values()}
+    for where, row in _listed(content, "annotations", f"{name} annotation", claims):
+        with claims.reading(where):
+            image = row.get("image_id")
+            known = type(image) is int and image in by_image
+            require(known, f"it is of image {image!r}, which the file does not list")
             by_image[image].append((where, row))
-        if isinstance(row.get("id"), int):
-            ids.add(row["id"])
     bare = all(_stated(row) is None for found in by_image.values() for _, row in found)
-    for image, found in by_image.items():
-        frame = frames[image]
-        reader = _Reader(claims, claims.states.frame(frame, state), categories, outline)
+    for frame, image in frames.items():
+        found, seen = by_image[image], set[int]()
+        reader = _Reader(claims, claims.states.frame(frame, state), categories)
         numbers = reader.matched_by_overlap(found) if bare else {}
-        seen: set[int] = set()
         for index, (where, row) in enumerate(found):
             with claims.reading(where):
-                number = numbers.get(index) if bare else number_of(row)
+                number = numbers.get(index) if bare else _number_of(row)
                 require(number not in seen, f"a second annotation of object {number}")
                 if number is not None:
                     # Also one that cannot be read was not deleted.
                     seen.add(number)
-                if number is None and row.get("iscrowd") == 1 and not crowds:
-                    claims.notes[
-                        "new annotations with iscrowd 1 left out: they may be groups (--crowds takes them)"
-                    ] += 1
-                    continue
                 take_row("objects", where, reader.row_of(row, number), frame, state, claims)
         if reject_deleted:
             claims.say_deleted(f"{name} image {image}", frame, seen, state)
 
 
-def images_of(images: list[Any], name: str, claims: Claims) -> dict[int, str]:
-    """Frames by image id; a wrong image is a problem of the file."""
-    found: dict[int, str] = {}
-    taken: set[str] = set()
-    for where, image in entries(images, f"{name} image"):
+def _listed(content: Any, key: str, what: str, claims: Claims) -> Iterator[tuple[str, Row]]:
+    """Rows of a list by their ids, each with a name for messages; a wrong row is a problem of the file."""
+    rows: Any = content.get(key) if isinstance(content, dict) else None
+    require(isinstance(rows, list), f"{what.partition(' ')[0]} lacks the list {key!r}", cause="is it COCO?")
+    ids: set[int] = set()
+    for index, row in enumerate(rows):
+        where = f"{what} {row.get('id')!r}" if isinstance(row, dict) else f"{what} at {index}"
         with claims.reading(where):
-            require(
-                isinstance(image, dict) and type(image.get("id")) is int and image["id"] not in found,
-                "an image has a whole number of its own as id",
-            )
-            frame = _frame_of(image, claims)
-            require(frame not in taken, f"the second image of frame {frame}")
-            taken.add(frame)
-            found[image["id"]] = frame
-    return found
+            require(isinstance(row, dict), f"not an object of JSON, got {type(row).__name__}")
+            own = type(row.get("id")) is int and row["id"] not in ids
+            require(own, f"its id must be a whole number of its own, at {index}")
+            ids.add(row["id"])
+            yield where, row
 
 
 def _frame_of(image: Row, claims: Claims) -> str:
@@ -167,19 +123,6 @@ def _frame_of(image: Row, claims: Claims) -> str:
     return frame
 
 
-def _categories(categories: list[Any], name: str, claims: Claims) -> dict[int, str]:
-    found: dict[int, str] = {}
-    for where, category in entries(categories, f"{name} category"):
-        with claims.reading(where):
-            require(
-                isinstance(category, dict) and type(category.get("id")) is int and category["id"] not in found,
-                "a category has a whole number of its own as id",
-            )
-            require(isinstance(category.get("name"), str), "a category has a name")
-            found[category["id"]] = category["name"]
-    return found
-
-
 def _stated(row: Row) -> Any:
     """Object of an annotation, also among attributes, as of tools."""
     attributes = row.get("attributes")
@@ -189,7 +132,7 @@ def _stated(row: Row) -> Any:
     return int(value) if isinstance(value, str) and value.isascii() and value.isdigit() and len(value) <= 10 else value
 
 
-def number_of(row: Row) -> int | None:
+def _number_of(row: Row) -> int | None:
     """Object number of an annotation; None for a new object; InputError for no number."""
     value = _stated(row)
     require(
@@ -205,7 +148,6 @@ class _Reader:
     claims: Claims
     base: EffectiveFrame
     categories: dict[int, str]
-    outline: float
 
     def matched_by_overlap(self, found: list[tuple[str, Row]]) -> dict[int, int]:
         """Objects by the index of overlapping annotations; see the module."""
@@ -263,14 +205,14 @@ class _Reader:
             return is_rectangle(row["segmentation"])
         before = decode_run_length(self.base.size, was["mask"])
         polygons = isinstance(row.get("segmentation"), list)
-        return same_outline(before, pixels, self.outline) if polygons else bool((before == pixels).all())
+        return same_outline(before, pixels, OUTLINE) if polygons else bool((before == pixels).all())
 
     def _rectangle(self, row: Row, was: Row, drawn: np.ndarray | None) -> Row:
         """2D box changed on purpose, not by a new mask."""
         if "bbox" not in row:
             return {}
         box, before = rectangle_of(row["bbox"]), list(was["bbox"])
-        slack, outline = max(self.outline, 1), row.get("segmentation")
+        slack, outline = max(OUTLINE, 1), row.get("segmentation")
         if near(box, before, ROUNDED) and was["mask"] is None and is_rectangle(outline):
             box = bounds_of(polygons_of(outline)[0])
         if near(box, before, ROUNDED):
@@ -285,106 +227,116 @@ class _Reader:
 
 
 def _box3d(value: Any) -> Row:
-    """Columns of a 3D box, R row by row; null for none."""
+    """Columns of a 3D box; null for none."""
     if value is None:
         return dict.fromkeys(BOX_COLUMNS)
-    require(isinstance(value, dict), "box3d is center, size and R", got=repr(value)[:40])
-    R = value.get("R")
-    flat = [x for line in R for x in line] if isinstance(R, list) and all(isinstance(x, list) for x in R) else R
-    found = {"center": value.get("center"), "R": flat, "size": value.get("size")}
-    for name, numbers in found.items():
+    return dict(box_value(box_of(value)))
+
+
+LONGEST_OUTLINE = 2e6
+"""Pixels that all polygons of an object may run through: rasterising takes memory in proportion."""
+
+
+def rectangle_of(value: Any) -> list[float]:
+    """Corners x0, y0, x1, y1 of COCO's x, y, width, height; InputError for none."""
+    sound = isinstance(value, list) and len(value) == 4 and all(type(x) in (int, float) for x in value)
+    # Beyond 1e9 is no picture; NaN is not below it either.
+    require(
+        sound and all(abs(x) < 1e9 for x in value) and value[2] > 0 and value[3] > 0,
+        "bbox is x, y, width, height above 0",
+        got=Shown(value),
+    )
+    x, y, w, h = map(float, value)
+    return [x, y, x + w, y + h]
+
+
+def bounds_of(corners: np.ndarray) -> list[float]:
+    """Bounding rectangle of corners (N, 2)."""
+    return [*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()]
+
+
+def near(one: Sequence[float], other: Sequence[float], slack: float) -> bool:
+    return all(math.isclose(x, y, abs_tol=slack, rel_tol=0) for x, y in zip(one, other, strict=True))
+
+
+def mask_of(segmentation: Any, size: tuple[int, int]) -> np.ndarray | None:
+    """Mask (H, W) bool of COCO's `segmentation`; None if empty; InputError for no code or polygons of that
+    size.
+    """
+    if segmentation in (None, [], {}):
+        return None
+    if isinstance(segmentation, dict):
+        found, counts = segmentation.get("size"), segmentation.get("counts")
+        require(found == list(size), "the mask has another size", got=repr(found)[:40], expected=list(size))
+        if isinstance(counts, str) or (isinstance(counts, list) and all(type(n) is int for n in counts)):
+            return decode_run_length(size, counts, "the mask")
+        raise InputError("a run-length code is a text or a list of whole numbers", got=repr(counts)[:40])
+    return polygon_mask(polygons_of(segmentation), size)
+
+
+def polygons_of(segmentation: Any) -> list[np.ndarray]:
+    """Corners (N, 2) float64 of each polygon, N >= 3; InputError for none."""
+    require(
+        isinstance(segmentation, list),
+        "a segmentation is a run-length code or a list of polygons",
+        got=Shown(segmentation, 40),
+    )
+    found = []
+    for polygon in segmentation:
+        numbers = isinstance(polygon, list) and all(type(x) in (int, float) and abs(x) < 1e9 for x in polygon)
         require(
-            isinstance(numbers, list) and all(type(x) in (int, float) and abs(x) < 1e9 for x in numbers),
-            f"{name} of box3d is a list of numbers",
-            got=Shown(numbers, 40),
+            numbers and len(polygon) >= 6 and len(polygon) % 2 == 0 and all(map(math.isfinite, polygon)),
+            "a polygon is x, y of three corners or more",
+            got=Shown(polygon, 40),
         )
+        found.append(np.array(polygon, np.float64).reshape(-1, 2))
     return found
 
 
-def annotated(instances: Any, name: str, claims: Claims) -> tuple[dict[int, str], Annotations, Any]:
-    """Frames by image, objects by annotation, and the stated base; InputError for no COCO."""
-    frames = images_of(listed(instances, "images", name), name, claims)
-    found: Annotations = {}
-    for row in listed(instances, "annotations", name):
-        number = number_of(row) if isinstance(row, dict) else None
-        whole = isinstance(row, dict) and all(type(row.get(key)) is int for key in ("id", "image_id"))
-        if number is not None and whole and row["image_id"] in frames:
-            found[row["id"]] = frames[row["image_id"]], number
-    return frames, found, base_of(instances)
+def polygon_mask(polygons: list[np.ndarray], size: tuple[int, int]) -> np.ndarray:
+    """Mask (H, W) bool of the pixels inside any polygon, as in the COCO API."""
+    clipped = [np.clip(p, 0, np.array(size[::-1], np.float64)) for p in polygons]
+    length = sum(float(np.abs(np.diff(p, axis=0, append=p[:1])).max(axis=1).sum()) + len(p) for p in clipped)
+    require(
+        length <= LONGEST_OUTLINE,
+        "the polygons are too long",
+        got=f"{length:.3g} pixels",
+        expected=f"{LONGEST_OUTLINE:.3g}",
+    )
+    return fill_polygons(size, clipped)
 
 
-def read_refs(
-    refs: Any, name: str, frames: dict[int, str], annotations: Annotations, state: ExportedFrom, claims: Claims
-) -> None:
-    """Read `refs.json`: sentences, answers, marks and statuses."""
-    require(isinstance(refs, list), f"{name} is a list", got=type(refs).__name__)
-    seen: set[tuple[str, Any]] = set()
-    for where, ref in entries(refs, f"{name} ref", "ref_id"):
-        with claims.reading(where):
-            listed_image = isinstance(ref, dict) and type(ref.get("image_id")) is int and ref["image_id"] in frames
-            require(listed_image, "it is of no image that instances.json lists")
-            frame, own = frames[ref["image_id"]], str(ref.get("id"))
-            require((frame, own) not in seen, "the second one of its expression")
-            seen.add((frame, own))
-            row = {key: ref[key] for key in ("id", "ambiguous", "mark", "status") if key in ref}
-            if "sentences" in ref:
-                first: Any = ref["sentences"][0] if isinstance(ref["sentences"], list) and ref["sentences"] else None
-                require(isinstance(first, dict), "sentences is a list of sentences", got=Shown(ref["sentences"], 40))
-                row["text"] = first.get("raw")
-            for key, field in (("target_ann_ids", "targets"), ("acceptable_ann_ids", "acceptable")):
-                if key in ref:
-                    row[field] = _objects(ref[key], frame, annotations, key)
-            take_row("expressions", where, row, frame, state, claims)
+def same_outline(mask: np.ndarray, other: np.ndarray, tolerance: float) -> bool:
+    """Compare a mask made from polygons with another, but for rounding.
+
+    Polygons know no holes, and drawing moves edges by up to a pixel: differences, holes filled, must lie within
+    `tolerance` pixels of the other's edge.
+    """
+    rows, columns = np.nonzero(mask | other)
+    if not len(rows):
+        return True
+    index = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
+    # The picture ends where its pixels do: beyond it is outside.
+    one, two = (np.pad(m[index], 1) for m in (mask, other))
+    more, less = two & ~_filled(one), one & ~_filled(two)
+    beyond = cv2.distanceTransform((~one).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    within = cv2.distanceTransform(one.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return bool((beyond[more] <= tolerance).all() and (within[less] <= tolerance).all())
 
 
-def _objects(ids: Any, frame: str, annotations: Annotations, what: str) -> list[int]:
-    sound = isinstance(ids, list) and all(type(n) is int for n in ids)
-    require(sound, f"{what} is a list of annotations", got=Shown(ids, 40))
-    for n in ids:
-        require(
-            annotations.get(n, ("", 0))[0] == frame,
-            f"{what} names annotation {n}, which instances.json does not give an object of this image",
-        )
-    return [annotations[n][1] for n in ids]
+def _filled(mask: np.ndarray) -> np.ndarray:
+    outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    found = np.zeros(mask.shape, np.uint8)
+    cv2.drawContours(found, outlines, -1, 1, cv2.FILLED)
+    return found.astype(np.bool_)
 
 
-def read_relations(
-    content: Any, name: str, frames: dict[int, str], annotations: Annotations, state: ExportedFrom, claims: Claims
-) -> None:
-    """Read `relations.json`: columns of states, and statuses."""
-    seen: set[int] = set()
-    for where, image in entries(listed(content, "images", name), f"{name} image", "image_id"):
-        with claims.reading(where):
-            require(isinstance(image, dict) and type(image.get("image_id")) is int, "it has no image_id")
-            known = image["image_id"] in frames and image["image_id"] not in seen
-            require(known, "it is of no image that instances.json lists, or of one a second time")
-            seen.add(image["image_id"])
-            frame = frames[image["image_id"]]
-            for (a, b), row in _pairs(image, claims.states.frame(frame, state), annotations).items():
-                take_row("relations", f"{where}, pair {a},{b}", {"a": a, "b": b, **row}, frame, state, claims)
-
-
-def _pairs(image: Row, base: EffectiveFrame, annotations: Annotations) -> dict[tuple[int, int], Row]:
-    """Convert the columns of an image to rows by pair."""
-    a, b = (_objects(image.get(end), base.frame, annotations, end) for end in ("a", "b"))
-    columns = {r: image[r] for r in PAIRWISE if r in image}
-    for relation, states in columns.items():
-        sound = isinstance(states, list) and len(states) == len(a)
-        require(sound, f"the column {relation!r} has not one state a pair")
-    found: dict[tuple[int, int], Row] = {
-        pair: {r: states[at] for r, states in columns.items()} for at, pair in enumerate(zip(a, b, strict=False))
-    }
-    require(len(a) == len(b) == len(found), "the columns a and b do not give each pair once")
-    if "statuses" in image:
-        # One that was exported and is not listed any more was taken off.
-        for pair in [ref.numbers for ref in base.statuses if ref.kind == "relation"]:
-            found.setdefault(pair, {})  # pyright: ignore[reportArgumentType]
-        for row in found.values():
-            row["statuses"] = []
-        listed_here: list[Any] = image["statuses"] if isinstance(image["statuses"], list) else [None]
-        for entry in listed_here:
-            sound = isinstance(entry, dict) and entry.get("relation") in base.setting.relations
-            require(sound, "statuses is a list of {a, b, relation, status}", got=Shown(entry))
-            m, n = _objects([entry.get("a"), entry.get("b")], base.frame, annotations, "statuses")
-            found.setdefault((m, n), {}).setdefault("statuses", []).append(entry)
-    return found
+def is_rectangle(segmentation: Any) -> bool:
+    """True for a single upright rectangular polygon: the export of a 2D box without a mask."""
+    if not isinstance(segmentation, list) or len(segmentation) != 1:
+        return False
+    (corners,) = polygons_of(segmentation)
+    if len(corners) == 5 and (corners[0] == corners[4]).all():
+        corners = corners[:4]
+    sides = [len(np.unique(line)) for line in corners.T]
+    return len(corners) == 4 and sides == [2, 2] and len(np.unique(corners, axis=0)) == 4

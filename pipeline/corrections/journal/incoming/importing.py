@@ -6,8 +6,8 @@ what is there now.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -15,15 +15,17 @@ from typing import Any, Literal
 from pipeline.corrections.journal import edits as actions
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Edit, Saved, event_record, grouped
-from pipeline.corrections.journal.field_refs import LONGEST_NAME, FieldRef, box_of, plain_text, same_value, shown_value
-from pipeline.corrections.journal.incoming.claims import Claim, Claims, States, read_lines
-from pipeline.corrections.journal.incoming.coco_file import (
-    annotated,
-    load_coco,
-    read_instances,
-    read_refs,
-    read_relations,
+from pipeline.corrections.journal.field_refs import (
+    LONGEST_NAME,
+    FieldRef,
+    box_of,
+    object_ref,
+    plain_text,
+    same_value,
+    shown_value,
 )
+from pipeline.corrections.journal.incoming.claims import Claim, Claims, States, TooManyProblems, read_lines
+from pipeline.corrections.journal.incoming.coco_file import load_coco, read_instances
 from pipeline.corrections.journal.journal import Journal
 from pipeline.datasets import Dataset
 from pipeline.labels.exports.exporting import MARK
@@ -31,9 +33,12 @@ from pipeline.labels.exports.row_provenance import ExportedFrom
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import TABLES
 from pipeline.language.relation_names import PAIRWISE
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, in_file, require
 
-COCO_FILES = ("instances.json", "refs.json", "relations.json")
+COCO_FILE = "instances.json"
+_NOT_READ = ("refs.json", "relations.json")
+"""Sentences and relations of a COCO export."""
+_BY_LINES = "sentences and relations come back by `export --format jsonl`"
 NOW = "now"
 ANSWERS = ("targets", "acceptable", "ambiguous")
 
@@ -45,14 +50,9 @@ class ImportConfig:
     format: Literal["coco", "jsonl"] | None = None  # by default by the file's name
     base: str | None = None  # folder of the export, or "now", in place of what the file says
     deleted: Literal["keep", "reject"] = "keep"  # of objects that listed frames lack
-    crowds: bool = False  # take new annotations with `iscrowd` 1
-    outline: float = 1.5  # pixels
     skip_conflicts: bool = False  # save the others
     reason: str = ""  # by default the file's name
     dry_run: bool = False
-
-    def __post_init__(self) -> None:
-        require(0 <= self.outline <= 100, "outline", got=self.outline, expected="0 to 100 pixels")
 
 
 @dataclass(frozen=True)
@@ -92,14 +92,11 @@ def import_corrections(
         path=labels.root,
     )
     given = Path(path).expanduser()
-    format = config.format or _format(given)
-    states = States(labels, () if journal is None else journal.events(), open_dataset)
-    claims, source = Claims(states), _Source(states, given, config.base)
+    claims = Claims(States(labels, () if journal is None else journal.events(), open_dataset))
     reason = config.reason or f"imported from {given.name}"
     edits, conflicts, agreed, done = [], [], 0, None
-    with claims.stopping():
-        _read(given, format, claims, source, config)
-    with claims.stopping():
+    with suppress(TooManyProblems):
+        _read(given, claims, config)
         edits, conflicts, agreed = settle(claims, reason[:2000])
     wanted = not claims.problems and (config.skip_conflicts or not conflicts)
     if edits and wanted and not config.dry_run and journal is not None:
@@ -120,7 +117,7 @@ def import_corrections(
 
 def _format(given: Path) -> Literal["coco", "jsonl"]:
     if given.is_dir():
-        if (given / COCO_FILES[0]).is_file():
+        if (given / COCO_FILE).is_file():
             return "coco"
         if any((given / f"{name}.jsonl").is_file() for name in TABLES):
             return "jsonl"
@@ -129,78 +126,55 @@ def _format(given: Path) -> Literal["coco", "jsonl"]:
     raise InputError("neither a COCO nor a JSONL export", cause="--format says which", path=given)
 
 
-def _read(given: Path, format: str, claims: Claims, source: _Source, config: ImportConfig) -> None:
-    reject, names = config.deleted == "reject", [f"{n}.jsonl" for n in TABLES] if format == "jsonl" else COCO_FILES
+def _read(given: Path, claims: Claims, config: ImportConfig) -> None:
+    format = config.format or _format(given)
     require(given.exists(), "there is no such file", path=given)
+    names = [f"{n}.jsonl" for n in TABLES] if format == "jsonl" else [COCO_FILE]
     paths = [given] if given.is_file() else [p for n in names if (p := given / n).is_file()]
     require(paths, f"no file of a {format.upper()} export here", path=given)
-    instances: Any = None
+    state_of, reject = _state_of(claims.states, given, config.base), config.deleted == "reject"
     for path in paths:
         if format == "jsonl":
-            read_lines(path, claims, source.state, reject_deleted=reject)
+            read_lines(path, claims, state_of, reject_deleted=reject)
             continue
-        content = load_coco(path)
-        if isinstance(content, dict) and "annotations" in content:
-            instances = content
-            with _in_file(path):
-                read_instances(
-                    content,
-                    path.name,
-                    claims,
-                    source.state,
-                    reject_deleted=reject,
-                    crowds=config.crowds,
-                    outline=config.outline,
-                )
-            continue
-        if instances is None:
-            instances = load_coco(path.with_name(COCO_FILES[0]))
-        # What is wrong with instances.json is its own import's to tell.
-        frames, objects, stated = annotated(instances, COCO_FILES[0], Claims(claims.states))
-        state, read = source.state(stated), read_refs if isinstance(content, list) else read_relations
-        with _in_file(path):
-            read(content, path.name, frames, objects, state, claims)
+        require(path.name not in _NOT_READ, f"of a COCO export {COCO_FILE} is read", cause=_BY_LINES, path=path)
+        with in_file(path):
+            read_instances(load_coco(path), path.name, claims, state_of, reject_deleted=reject)
+        left = [n for n in _NOT_READ if given.is_dir() and (given / n).is_file()]
+        if left:
+            claims.notes[f"not read, for {_BY_LINES} ({', '.join(left)})"] += len(left)
 
 
-@contextmanager
-def _in_file(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except InputError as error:
-        if str(path) in str(error):
-            raise
-        raise InputError(str(error), path=path) from error
+def _state_of(states: States, given: Path, base: str | None) -> Callable[[Any], ExportedFrom]:
+    """Base by what a row or file states: as the user says, as stated, or as the folder says.
+
+    InputError for no state, or an unknown state.
+    """
+    fixed = None if base is None else states.now if base == NOW else _of_folder(Path(base).expanduser())
+    known: dict[str, ExportedFrom] = {}
+
+    def state(stated: Any) -> ExportedFrom:
+        key = stated if isinstance(stated, str) else ""
+        if key not in known:
+            folder = given if given.is_dir() else given.parent
+            found = fixed or (_of_folder(folder) if stated is None else ExportedFrom.parse(stated))
+            states.check(found)
+            known[key] = found
+        return known[key]
+
+    return state
 
 
-class _Source:
-    """Base of a file: as the user says, as the file says, or as its folder says."""
-
-    def __init__(self, states: States, given: Path, base: str | None) -> None:
-        self._states = states
-        self._folder = given if given.is_dir() else given.parent
-        self._given = None if base is None else states.now if base == NOW else self._of_folder(Path(base).expanduser())
-        self._known: dict[Any, ExportedFrom] = {}
-
-    def state(self, stated: Any) -> ExportedFrom:
-        """State named by a row or file; InputError for no state, or an unknown state."""
-        key = stated if isinstance(stated, str) else None
-        if key not in self._known:
-            told = None if stated is None or self._given is not None else ExportedFrom.parse(stated)
-            found = self._given or told or self._of_folder(self._folder)
-            self._states.check(found)
-            self._known[key] = found
-        return self._known[key]
-
-    def _of_folder(self, folder: Path) -> ExportedFrom:
-        mark = folder / MARK
-        require(
-            mark.is_file(),
-            "it is not said what the file was exported from",
-            expected="--base EXPORT, the folder of the export, or --base now",
-            path=folder,
-        )
-        content = load_coco(mark)
-        return ExportedFrom.parse(content.get("base") if isinstance(content, dict) else None)
+def _of_folder(folder: Path) -> ExportedFrom:
+    mark = folder / MARK
+    require(
+        mark.is_file(),
+        "it is not said what the file was exported from",
+        expected="--base EXPORT, the folder of the export, or --base now",
+        path=folder,
+    )
+    content = load_coco(mark)
+    return ExportedFrom.parse(content.get("base") if isinstance(content, dict) else None)
 
 
 def import_record(report: ImportReport) -> dict[str, Any]:
@@ -235,20 +209,21 @@ def settle(claims: Claims, reason: str) -> tuple[list[Edit], list[str], int]:
     """
     edits: dict[FieldRef, tuple[Edit, str]] = {}
     contradictions: list[str] = []
-    agreed = 0
-    for group in _grouped(claims.found.values()):
+    agreed, states = 0, claims.states
+    # All answers of an expression are one action.
+    groups = grouped(claims.found.values(), lambda c: replace(c.ref, field="targets") if _is_answer(c.ref) else c.ref)
+    for ref, group in sorted(groups.items(), key=lambda found: found[0].frame):
         first = group[0]
-        now = claims.states.frame_now(first.ref.frame, first.base)
-        base = claims.states.frame(first.ref.frame, first.base)
-        gone = _gone(first.ref, base, now, claims)
+        now, base = states.frame_now(ref.frame, first.base), states.frame(ref.frame, first.base)
+        gone = _gone(first.ref, base, now, states)
         if gone is not None:
             contradictions += [f"{c.where}: {c.ref}: wanted {shown_value(c.ref, c.value)}, but {gone}" for c in group]
             continue
         with claims.reading(first.where):
-            made = [e for e in _edits(group, base, now, reason) if not same_value(e.before, e.after)]
+            made = [e for e in _edits(group, now, reason) if not same_value(e.before, e.after)]
             agreed += not made
             against = [e for e in made if not same_value(base.value(e.ref), now.value(e.ref))]
-            contradictions += [_contradiction(first.where, e, base.value(e.ref), claims) for e in against]
+            contradictions += [_contradiction(first.where, e, base.value(e.ref), states) for e in against]
             for edit in made if not against else ():
                 before, where = edits.setdefault(edit.ref, (edit, first.where))
                 if not same_value(before.after, edit.after):
@@ -256,9 +231,13 @@ def settle(claims: Claims, reason: str) -> tuple[list[Edit], list[str], int]:
     return [edit for edit, _ in edits.values()], contradictions, agreed
 
 
-def _contradiction(where: str, edit: Edit, exported: Any, claims: Claims) -> str:
+def _is_answer(ref: FieldRef) -> bool:
+    return ref.kind == "expression" and ref.field in ANSWERS
+
+
+def _contradiction(where: str, edit: Edit, exported: Any, states: States) -> str:
     """Word an edit against a later correction or consequence."""
-    event = claims.states.newest(edit.ref.frame, edit.ref)
+    event = states.newest(edit.ref)
     by = "it was recomputed since"
     if event is not None:
         by = f"{event.author} corrected it at {event.time:%Y-%m-%d %H:%M:%S UTC}"
@@ -266,37 +245,22 @@ def _contradiction(where: str, edit: Edit, exported: Any, claims: Claims) -> str
     return f"{where}: {edit.ref}: exported as {was}, wanted {wanted}, is {now} now: {by}"
 
 
-def _grouped(claims: Iterable[Claim]) -> list[list[Claim]]:
-    """Group claims into actions (with all answers of an expression), by frame."""
-
-    def action(claim: Claim) -> Any:
-        ref = claim.ref
-        answers = ref.kind == "expression" and ref.field in ANSWERS
-        return (ref.frame, ref.key, "answers") if answers else ref
-
-    return sorted(grouped(claims, action).values(), key=lambda group: group[0].ref.frame)
-
-
-def _gone(ref: FieldRef, base: EffectiveFrame, now: EffectiveFrame, claims: Claims) -> str | None:
+def _gone(ref: FieldRef, base: EffectiveFrame, now: EffectiveFrame, states: States) -> str | None:
     """Reason why nothing is left to correct, where it was taken away since."""
-    if ref.kind in ("object", "relation") and ref.field not in ("status", "exists"):
-        for number in ref.numbers:
-            if number in base.objects and number not in now.objects:
-                by = claims.states.newest(ref.frame, FieldRef("object", ref.frame, str(number), "status"))
-                return f"object {number} was rejected since" + (f" by {by.author}" if by is not None else "")
-    if ref.kind == "relation" and any(
-        base.pairs.index_of(n) is not None and now.pairs.index_of(n) is None for n in ref.numbers
-    ):
-        return "one of its objects takes part in no relation any more"
-    told = ref.kind == "expression" and ref.field not in ("status", "mark")
-    if told and ref.key in base.expressions and ref.key not in now.expressions:
+    if ref.field in ("status", "exists", "mark"):
+        return None
+    for number in ref.numbers:
+        if number in base.objects and number not in now.objects:
+            by = states.newest(object_ref(ref.frame, number, "status"))
+            return f"object {number} was rejected since" + (f" by {by.author}" if by is not None else "")
+    if ref.kind == "expression" and ref.key in base.expressions and ref.key not in now.expressions:
         return f"it was withdrawn since: {next((w.reason for w in now.withdrawn if w.id == ref.key), '')}"
     return None
 
 
-def _edits(group: Sequence[Claim], base: EffectiveFrame, now: EffectiveFrame, reason: str) -> tuple[Edit, ...]:
+def _edits(group: Sequence[Claim], now: EffectiveFrame, reason: str) -> tuple[Edit, ...]:
     ref, value = group[0].ref, group[0].value
-    if ref.kind == "expression" and ref.field in ANSWERS:
+    if _is_answer(ref):
         return _answers({c.ref.field: c.value for c in group}, ref.key, now, reason)
     if ref.kind == "relation" and ref.field in PAIRWISE:
         return actions.set_relation(now, *ref.numbers, ref.field, value, reason)  # pyright: ignore[reportCallIssue]
