@@ -1,7 +1,7 @@
 """Pair scores of PRM: the score of every candidate pair, excluded pairs, and the order.
 
 S = target_weight log P(target) + reference_weight log P(reference) + relation_weight log P(relation). The ranking, an
-evaluation, a diagnosis and a decision map all build this table, with as many axes of scenes in front as they need.
+evaluation and a diagnosis all build this table, with as many axes of scenes in front as they need.
 """
 
 from __future__ import annotations
@@ -10,11 +10,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from pipeline.answering.evidence import HOLDS, Factor
+from pipeline.system.errors import require
 
 MIN_RELATION = 1e-6
 MIN_SCORE = 1e-6
@@ -25,16 +26,15 @@ TIE = 1e-9
 
 @dataclass(frozen=True)
 class RankConfig:
-    """Weights of the three log factors, and the aggregation of references.
-
-    `max` takes the best pair, as the paper; `marginal` first takes the target
-    whose pairs together are most probable.
-    """
+    """Weights of the three log factors."""
 
     target_weight: float = 1.0
     reference_weight: float = 1.0
     relation_weight: float = 1.0
-    aggregate: Literal["max", "marginal"] = "max"
+    aggregate: str = "max"  # The best pair wins, as in the paper; files of before may say "marginal"
+
+    def __post_init__(self) -> None:
+        require(self.aggregate == "max", "a ranking by sums of pairs is no more", got=self.aggregate, expected="max")
 
     @property
     def rule(self) -> Any:
@@ -237,15 +237,6 @@ class PairTable:
         total[total == 0] = 1
         return weight / total
 
-    @cached_property
-    def target_posterior(self) -> np.ndarray:
-        """(B, T) float64: posterior of all pairs of a target together."""
-        return self.posterior.reshape(len(self.flat), self.shape[0], -1).sum(axis=2)
-
-    def _mass(self) -> np.ndarray:
-        """(B, P) float64: first sort key of `marginal`, in steps of a tie."""
-        return np.repeat(np.round(self.target_posterior / TIE), self.flat.shape[1] // self.shape[0], axis=1)
-
     def _ties(self, scene: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, ...]:
         """Tie-breakers between pairs of equal S, the last first: relation, target's score, its mask, lower places."""
         i, rest = np.divmod(at, math.prod(self.shape[1:]))
@@ -266,10 +257,7 @@ class PairTable:
         at = np.flatnonzero(np.isfinite(self.flat[0]))
         if not len(at):
             return at
-        keys = [*self._ties(np.zeros_like(at), at), -np.round(self.flat[0, at] / TIE)]
-        if self.config.aggregate == "marginal":
-            keys.append(-self._mass()[0, at])
-        return at[np.lexsort(keys)]
+        return at[np.lexsort((*self._ties(np.zeros_like(at), at), -np.round(self.flat[0, at] / TIE)))]
 
     def first(self, allowed: np.ndarray | None = None) -> np.ndarray:
         """(B,) int64: first pair of each scene, as in `order`; -1 for none.
@@ -285,9 +273,6 @@ class PairTable:
         if allowed is not None:
             fits = allowed if allowed.size == flat.size else np.broadcast_to(allowed, self.log_score.shape)
             flat = np.where(fits.reshape(flat.shape), flat, -np.inf)
-        if self.config.aggregate == "marginal":
-            mass = np.where(np.isfinite(flat), self._mass(), -np.inf)
-            flat = np.where(mass >= mass.max(axis=1, keepdims=True), flat, -np.inf)
         found, top = flat.argmax(axis=1), flat.max(axis=1, keepdims=True)
         near = flat > top - 2 * TIE
         count = np.count_nonzero(near)
@@ -303,20 +288,11 @@ class PairTable:
         found[scene[heads]] = at[heads]
         return found
 
-    def second(self, first: np.ndarray) -> np.ndarray:
-        """(B,) int64: pair after the first; -1 for none."""
-        others = np.isfinite(self.flat)
-        others[np.flatnonzero(first >= 0), first[first >= 0]] = False
-        return self.first(others)
-
     def lead(self, first: int) -> float:
         """S of the first pair of the only scene less that of the next; inf for a single pair."""
         scores = self.flat[0]
-        if self.config.aggregate == "max":
-            # The pair after it is the second largest, or in a tie with that.
-            return float(scores[first] - np.partition(scores, -2)[-2]) if len(scores) > 1 else math.inf
-        second = int(self.second(np.array([first]))[0])
-        return math.inf if second < 0 else float(scores[first] - scores[second])
+        # The pair after it is the second largest, or in a tie with that.
+        return float(scores[first] - np.partition(scores, -2)[-2]) if len(scores) > 1 else math.inf
 
     def pair(self, at: int) -> ScoredPair:
         """Pair of the only scene, for a single relation of two objects; without a relation a single object."""

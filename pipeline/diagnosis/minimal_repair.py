@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import exp, inf, log, prod
+from math import exp, inf, prod
 
 import numpy as np
 
@@ -53,7 +53,7 @@ def factor_repairs(
         else:
             now = tuple(getattr(pair, f"p_{factor}") for pair in (ours, theirs))
         mine, other = (max(p, low) for p in now)
-        up, down = _least_rise(table, factor, right, ahead), _least_fall(table, factor, winner, right, ahead)
+        up, down = (_least_change(table, factor, pair, right, ahead) for pair in (right, winner))
         above, below = mine * exp(min(up / weight, 700.0)), other * exp(-min(down / weight, 700.0))
         found.append(
             FactorRepair(factor, mine, other, above if above < high else None, below if below >= low else None)
@@ -70,54 +70,18 @@ def _touched(table: PairTable, factor: str, pair: int) -> np.ndarray:
     return at // columns == pair // columns if factor in ("target", "attributes") else at % columns == pair % columns
 
 
-def _least_rise(table: PairTable, factor: str, right: int, ahead: np.ndarray) -> float:
-    """Least rise of the right pair's weighted log factor; inf where no rise puts the pair first."""
-    low, _ = _bounds(table, _touched(table, factor, right), right, ahead)
-    return log(low) if low < inf else inf
+def _least_change(table: PairTable, factor: str, pair: int, right: int, ahead: np.ndarray) -> float:
+    """Least rise of the right pair's weighted log factor, or fall of another's, that puts the right pair first.
 
-
-def _least_fall(table: PairTable, factor: str, winner: int, right: int, ahead: np.ndarray) -> float:
-    """Least fall of the answer's weighted log factor; inf where no fall puts the right pair first."""
-    touched = _touched(table, factor, winner)
-    if touched[right]:
-        return inf
-    _, high = _bounds(table, touched, right, ahead, rising=False)
-    return -log(high) if high > 0 else inf
-
-
-def _bounds(
-    table: PairTable, touched: np.ndarray, right: int, ahead: np.ndarray, rising: bool = True
-) -> tuple[float, float]:
-    """Bounds of a factor on the touched pairs' weights (e to the S) with the right pair first.
-
-    `ahead`, (P,) bool: pairs now before the right one. First the least rising factor from 1, inf for none; second the
-    greatest falling factor from 1, 0 for none.
+    `ahead`, (P,) bool: pairs now before the right one. Inf where one of them keeps its distance.
     """
+    touched = _touched(table, factor, pair)
+    # Pairs that share the risen factor rise with it; only those that share the fallen one fall.
+    gained = touched if pair != right else ~touched
+    if gained[right] or (ahead & ~gained).any():
+        return inf
     scores = table.flat[0]
-    weight = np.exp(np.minimum(scores - scores[right], 700.0))
-    moving, fixed = np.where(touched, weight, 0.0), np.where(touched, 0.0, weight)
-    others = np.isfinite(scores) & (np.arange(len(scores)) != right)
-    rows = np.arange(len(scores)) // prod(table.shape[1:])
-    if table.config.aggregate == "marginal":
-        # Of the pairs only those of its own target are compared with it; targets by the sums of their pairs.
-        others &= rows == rows[right]
-    sides = [(moving[others], fixed[others], moving[right], fixed[right], ahead[others])]
-    if table.config.aggregate == "marginal":
-        a, b = (np.bincount(rows, weights=w, minlength=table.shape[0]) for w in (moving, fixed))
-        away = np.arange(len(a)) != rows[right]
-        before = np.bincount(rows, weights=ahead, minlength=table.shape[0]) > 0
-        sides.append((a[away], b[away], a[rows[right]], b[rows[right]], before[away]))
-    low, high = (1.0, inf) if rising else (0.0, 1.0)
-    for theirs, rest, ours, base, before in sides:
-        # ours * y + base > theirs * y + rest
-        slope, gap = ours - theirs, rest - base
-        bound = gap / np.where(slope == 0, 1.0, slope)
-        low = max(low, float(bound[slope > 0].max(initial=0.0)))
-        high = min(high, float(bound[slope < 0].min(initial=inf)))
-        if ((slope == 0) & ((gap > 0) | ((gap == 0) & before))).any():
-            low = inf
-    # Bounds that meet leave a point, where two pairs tie, and no room in which the right pair comes first.
-    return (low, high) if low < high * (1 - 1e-9) else (inf, 0.0)
+    return float((scores[gained] - scores[right]).max(initial=0.0))
 
 
 def smallest_change(changes: Sequence[FactorRepair]) -> str:

@@ -161,11 +161,7 @@ class OracleScores:
 
     @cached_property
     def margins(self) -> np.ndarray:
-        """(S,) float64: margin of the best acceptable pair over the best other; -inf, inf where either is missing.
-
-        Difference in S; where the probabilities of a target's pairs are summed up and the targets differ, that of the
-        logs of these sums.
-        """
+        """(S,) float64: margin of the best acceptable pair over the best other; -inf, inf where either is missing."""
         return margins_of(_levelled(self.table), self.covered)
 
     def decided_margin(self, subset: int) -> float:
@@ -187,22 +183,12 @@ def _levelled(table: PairTable) -> PairTable:
 
 
 def margins_of(table: PairTable, covered: np.ndarray) -> np.ndarray:
+    """(S,) float64: S of the best covered pair less that of the best other one; NaN without any pair."""
     flat, right = table.flat, covered.ravel()
     best = np.where(right, flat, -np.inf).max(axis=1, initial=-np.inf)
     other = np.where(right, -np.inf, flat).max(axis=1, initial=-np.inf)
-    found = np.full(len(flat), np.nan)
-    either = np.isfinite(best) | np.isfinite(other)
-    found[either] = best[either] - other[either]
-    both = np.flatnonzero(np.isfinite(best) & np.isfinite(other))
-    if table.config.aggregate == "marginal" and len(both):
-        of_table = covered.reshape(table.shape)
-        a, b = table.first(of_table)[both], table.first(~of_table)[both]
-        i, k = a // covered.shape[1], b // covered.shape[1]
-        mass = np.log(np.maximum(table.target_posterior[both], 1e-300))
-        every = np.arange(len(both))
-        # Pairs of one target are compared by S.
-        found[both] = np.where(i == k, flat[both, a] - flat[both, b], mass[every, i] - mass[every, k])
-    return found
+    with np.errstate(invalid="ignore"):
+        return best - other
 
 
 def role_of(evidence: FrameEvidence, name: str, asked: np.ndarray) -> CandidateSet:

@@ -173,8 +173,7 @@ def _facts(
         ("relations by", source.scorer.name),
         (
             "weights",
-            f"target {rank.target_weight:g}, reference {rank.reference_weight:g}, "
-            f"relation {rank.relation_weight:g}, {rank.aggregate}",
+            f"target {rank.target_weight:g}, reference {rank.reference_weight:g}, relation {rank.relation_weight:g}",
         ),
         ("picture", f"{context.frame.width}×{context.frame.height}, up {context.viewer.up_source}"),
     ]

@@ -261,18 +261,6 @@ def test_certain_and_impossible_scores_stay_finite() -> None:
     assert found.pairs[0].target == 0
 
 
-def test_marginal_adds_up_the_references_of_a_target() -> None:
-    table = np.full((N, N), 0.01)
-    table[0, 4] = 0.60
-    table[1, 4:7] = 0.50
-    problem, root = simple(([0, 1], [0.5, 0.5]), ([4, 5, 6], [0.5, 0.5, 0.5]), table)
-    assert problem.rank(root).pairs[0].target == 0
-    found = problem.rank(root, config=RankConfig(aggregate="marginal"))
-    assert [p.target for p in found.pairs] == [1, 1, 1, 0, 0, 0]
-    assert sum(p.probability for p in found.pairs) == pytest.approx(1)
-    assert found.pairs[3].reference == 4
-
-
 def test_a_non_default_reading_pays_a_tenth() -> None:
     table = np.full((N, N, 1), 0.5)[..., 0]
     problem, default = simple(([0], [0.5]), ([5], [0.5]), table)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from diagnosis_worlds import world
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.answering import PairTable, RankConfig, ScoredPair, alone, rank, side
-from pipeline.answering.pair_table import TIE, pair_table
+from pipeline.answering.pair_table import pair_table
 from pipeline.diagnosis import (
     CONF,
     LIFT,
@@ -39,7 +39,6 @@ WEIGHTS = st.builds(
     target_weight=st.sampled_from([0.0, 0.5, 1.0]),
     reference_weight=st.sampled_from([0.0, 1.0]),
     relation_weight=st.sampled_from([0.05, 1.0, 2.0]),
-    aggregate=st.sampled_from(["max", "marginal"]),
 )
 QUERY = parse("mug left of the box", class_names=("mug", "box"))
 
@@ -203,8 +202,6 @@ def test_all_verdicts_of_ranking_occur_in_the_worlds(diagnosed: Diagnosed) -> No
 
 
 @given(SEEDS, WEIGHTS)
-@example(16646785, RankConfig(0.0, 0.0, 0.05, aggregate="marginal"))
-@example(509932391, RankConfig(0.5, 1.0, 2.0, aggregate="marginal"))
 @settings(max_examples=75, deadline=None)
 def test_a_needed_change_and_no_smaller_one_puts_the_right_pair_first(seed: int, weights: RankConfig) -> None:
     evidence, case = world(seed, weights)
@@ -221,11 +218,6 @@ def test_a_needed_change_and_no_smaller_one_puts_the_right_pair_first(seed: int,
                 if not 1e-5 <= value <= 1 - 1e-5:
                     continue
                 changed = _changed(table, change.factor, pair, value)
-                if weights.aggregate == "marginal":
-                    mass = changed.target_posterior[0][np.isin(table.target.index, (d.right.target, d.winner.target))]
-                    if len(mass) > 1 and abs(mass[0] - mass[1]) < 2 * TIE:
-                        # Sums that differ by less are a tie, which the rules for ties decide.
-                        continue
                 first = changed.pair(int(changed.first()[0]))
                 is_right = (first.target, first.reference) == (d.right.target, d.right.reference)
                 assert is_right == (sign == (1 if pair is d.right else -1))

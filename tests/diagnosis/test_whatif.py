@@ -117,7 +117,7 @@ def test_without_edits_it_is_the_answer_itself(text: str, scorer: str, detector:
     ("edits", "config", "scorer"),
     [
         (Edits().with_k(2), AskConfig(k=2), "trained"),
-        (Edits().with_settings("rank", relation_weight=0.3, aggregate="marginal"), None, "trained"),
+        (Edits().with_settings("rank", relation_weight=0.3, target_weight=2.0), None, "trained"),
         (
             Edits().with_settings("lift", erode=0.0, part=0.5),
             AskConfig(lift=LiftConfig(erode=0.0, part=0.5)),
@@ -130,7 +130,7 @@ def test_without_edits_it_is_the_answer_itself(text: str, scorer: str, detector:
 @pytest.mark.parametrize("text", QUESTIONS[:2])
 def test_settings_edited_are_settings_set(edits: Edits, config: AskConfig | None, scorer: str, text: str) -> None:
     if config is None:
-        config = AskConfig(rank=RankConfig(relation_weight=0.3, aggregate="marginal"))
+        config = AskConfig(rank=RankConfig(relation_weight=0.3, target_weight=2.0))
     baseline = Baseline(source(ScoringDetector()), context_of(FRAME), text)
     whole = ask(PreparedFrame(FRAME, config.lift), text, ScoringDetector(), scorer=make_scorer(scorer), config=config)
     assert_same(apply(baseline, edits), whole)

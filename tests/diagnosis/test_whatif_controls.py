@@ -139,7 +139,7 @@ def all_kinds() -> Edits:
     edits = Edits().with_box("#1", box).with_box("#2", box).with_mask("#1", mask).with_hidden("mug/3")
     edits = edits.with_confidence('a "mug"', "#1", 0.25).with_relation("left", "#1", "#2", 0.5)
     edits = edits.with_k(3).with_min_score(0.1).with_scorer("rule")
-    edits = edits.with_settings("rank", relation_weight=2.0, aggregate="marginal")
+    edits = edits.with_settings("rank", relation_weight=2.0, target_weight=0.5)
     return edits.with_settings("profile", cone=30.0).with_settings("lift", erode=1.0)
 
 

@@ -24,7 +24,6 @@ _WORDS = {
     "target_weight": "weight of the target α",
     "reference_weight": "weight of the reference β",
     "relation_weight": "weight of the relation γ",
-    "aggregate": "references",
     "cone": "cone, degrees",
     "doubtful_cone": "undecided cone, degrees",
     "dead_zone": "dead zone, m",

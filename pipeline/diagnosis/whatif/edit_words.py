@@ -175,8 +175,6 @@ def _setting(edits: Edits, source: Pipeline, name: str, value: str) -> Edits:
             expected = "rule, trained, or an installed one"
             require(value == "own" or is_named(value), "there is no such relation scorer", got=value, expected=expected)
             return edits.with_scorer(None if value == "own" else value)
-        case "aggregate":
-            return edits.with_settings("rank", aggregate=value)
         case "k":
             k = int(number_of([value]))
             return edits.with_k(None if k == source.config.k else k)
