@@ -1,4 +1,4 @@
-"""Jobs in worker processes: each opens once the needs of its jobs, and none outlives its parent.
+"""Jobs in other processes, none of which outlives its parent: many by a pool, or one, cancelled at any time.
 
 Each computes on one thread: sums of a matrix product depend on the number of threads.
 """
@@ -205,7 +205,7 @@ def start_background(
     """
     context = multiprocessing.get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(target=_work, args=(function, args, sender), daemon=True)
+    process = context.Process(target=_work_apart, args=(function, args, sender), daemon=True)
     with without_ctrl_c():
         process.start()
     sender.close()
@@ -231,7 +231,7 @@ def start_background(
     return job
 
 
-def _work(function: Callable[..., Any], args: tuple[Any, ...], sender: Connection) -> None:
+def _work_apart(function: Callable[..., Any], args: tuple[Any, ...], sender: Connection) -> None:
     # Ctrl-C in the terminal is for the process that waits: it ends this one.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _leave)
