@@ -33,7 +33,7 @@ from pipeline.evaluation.summary import RunSummary, cost_words, need_verdicts, s
 from pipeline.evaluation.systems import EvalSpec
 from pipeline.language.counted import counted
 from pipeline.metrics.tables import latex, markdown
-from pipeline.paper.systems import Referring, Vlm, VlmOptions
+from pipeline.paper.systems import Referring, Vlm
 from pipeline.paper.tables import tables_of_folder, tables_of_run
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
@@ -80,7 +80,7 @@ def run_eval(command: EvalCommand) -> None:
         )
     vlm = None
     if command.vlm_url is not None and command.vlm_model is not None:
-        vlm = Vlm(VlmOptions(command.vlm_url, command.vlm_model, command.vlm_rate))
+        vlm = Vlm(command.vlm_url, command.vlm_model, command.vlm_rate)
     elif command.system == "vlm":
         raise InputError("--system vlm needs a server and a model", expected="--vlm-url URL --vlm-model NAME")
     elif command.vlm_url is not None or command.vlm_model is not None:

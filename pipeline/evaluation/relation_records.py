@@ -145,14 +145,14 @@ def _rows(
         "b": pairs.numbers[pairs.b],
         "label_a": names[pairs.a],
         "label_b": names[pairs.b],
-        "state": _struct(pairs.relations, pairs.states.T),
-        "p": _struct(called, [_struct(s.relations, p.T) for s, p in zip(systems, found, strict=True)]),
-        "learnt_from": _struct(called, [[_part_of(s, pairs, labels)] * len(pairs.a) for s in systems]),
+        "state": struct_of(pairs.relations, pairs.states.T),
+        "p": struct_of(called, [struct_of(s.relations, p.T) for s, p in zip(systems, found, strict=True)]),
+        "learnt_from": struct_of(called, [[_part_of(s, pairs, labels)] * len(pairs.a) for s in systems]),
     }
     return pa.Table.from_arrays([pa.array(c, schema.field(n).type) for n, c in columns.items()], schema=schema)
 
 
-def _struct(names: Sequence[str], columns: Iterable[Any]) -> pa.StructArray:
+def struct_of(names: Sequence[str], columns: Iterable[Any]) -> pa.StructArray:
     """Join columns under their names."""
     return pa.StructArray.from_arrays([pa.array(c) for c in columns], names=list(names))
 

@@ -1,4 +1,7 @@
-"""Systems that the paper is compared with: a detector and a vision-language model that are given whole expressions."""
+"""Systems that the paper is compared with: a detector and a vision-language model that are given whole expressions.
+
+The model is asked LLaVA's questions: for the box of a sentence, and whether the relations of a pair hold.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from pipeline.answering.batch import StageClock
@@ -16,22 +20,27 @@ from pipeline.answering.pipeline import Pipeline
 from pipeline.datasets import Dataset
 from pipeline.diagnosis.frame_evidence import matched
 from pipeline.evaluation.leakage import Measured, measured_of
+from pipeline.evaluation.model_answers import parse_box, parse_yes_no
 from pipeline.evaluation.records import asked_columns, overlaps
 from pipeline.evaluation.relation_cases import RelationSpec, read_pairs
-from pipeline.evaluation.relation_records import RelationRecords, SystemRecords
+from pipeline.evaluation.relation_records import RelationRecords, SystemRecords, struct_of
 from pipeline.evaluation.systems import OWN, AskedPairs, EvalSpec, Records, System
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.labels.cases import HIT, Case, FrameCases
+from pipeline.labels.exports.vqa_questions import ask_grounding, ask_relation, can_be_asked
 from pipeline.labels.reading import Labels
 from pipeline.metrics.splits import DROPPED
-from pipeline.paper.questions import ground_many, score_pairs
 from pipeline.proposals.base import Detector, detect_expression
 from pipeline.system.arrow import pa, pq
-from pipeline.system.chat import ChatClient
-from pipeline.system.errors import InputError
+from pipeline.system.chat import ChatAnswer, ChatClient, ChatPicture, ChatQuestion
+from pipeline.system.errors import InputError, require
 
 VLM_FILE = "relation_records_vlm.parquet"
+PADDING = (122, 116, 104)
+"""CLIP's mean colour, with which LLaVA-1.5 makes pictures square (llava/mm_utils.py, expand2square)."""
+UNKNOWN = 0.5
+_YES_NO_TOKENS, _BOX_TOKENS = 32, 64
 
 
 @dataclass(frozen=True)
@@ -82,28 +91,21 @@ def point_by_detector(detector: Detector, frame: Frame, texts: Sequence[str]) ->
 
 
 @dataclass(frozen=True)
-class VlmOptions:
-    """Address and name of a vision-language model behind an OpenAI-compatible server."""
+class Vlm:
+    """A vision-language model behind an OpenAI-compatible server, by the server's address and the model's name."""
 
     url: str
     model: str
     requests_per_minute: float | None = None
+    name: str = "vlm"
+    processes: bool = False
 
     def client(self) -> ChatClient:
         """Open the server."""
         return ChatClient(self.url, self.model, requests_per_minute=self.requests_per_minute)
 
-
-@dataclass(frozen=True)
-class Vlm:
-    """A vision-language model, asked LLaVA's questions for the box of a sentence and for the relations of a pair."""
-
-    options: VlmOptions
-    name: str = "vlm"
-    processes: bool = False
-
     def title(self, source: Pipeline) -> str:
-        return f"VLM {self.options.model}"
+        return f"VLM {self.model}"
 
     def measured(self, source: Pipeline, relations: Sequence[str]) -> Measured:
         return Measured(None, None)
@@ -112,16 +114,11 @@ class Vlm:
         return spec, {"vlm": self.record()}
 
     def record(self) -> dict[str, Any]:
-        return {"url": self.options.url, "model": self.options.model}
+        return {"url": self.url, "model": self.model}
 
     def open(self, spec: EvalSpec, source: Pipeline, labels: Labels, clock: StageClock) -> Records:
-        client = self.options.client()
-
-        def point(frame: Frame, texts: Sequence[str]) -> list[Pointed]:
-            found = ground_many(client, frame, texts)
-            return [Pointed(g.box, problem=g.reason if g.box is None else None) for g in found]
-
-        return _pointing(source, clock, point)
+        client = self.client()
+        return _pointing(source, clock, lambda frame, texts: point_by_model(client, frame, texts))
 
     def ask(
         self,
@@ -132,8 +129,52 @@ class Vlm:
         counted: np.ndarray,
         folder: Path,
     ) -> AskedPairs:
-        client, title = self.options.client(), f"VLM {self.options.model}"
-        return ask_pairs(client, title, how, dataset, labels, records, counted, folder)
+        """Ask of a sample of the counted pairs whether each relation holds, and write every answer into a run's folder.
+
+        A probability is 0.5, a no, where the answer is not known.
+
+        Raises ServerError: the server gives no answer at all.
+        """
+        client, rows, relations = self.client(), np.flatnonzero(counted), records.systems[0].relations
+        if how.vlm_pairs < len(rows):
+            rows = np.sort(np.random.default_rng([how.seed, 53]).choice(rows, how.vlm_pairs, replace=False))
+        p = np.empty((len(rows), len(relations)), np.float32)
+        reasons: Counter[str] = Counter()
+        tables: list[pa.Table] = []
+        for index in np.unique(records.frame_index[rows]):
+            (pairs,) = read_pairs(labels, int(index), int(index) + 1)
+            # The rows of a frame stand in one piece and in the order of its pairs.
+            first = int(np.searchsorted(records.frame_index, index))
+            mine = np.flatnonzero(records.frame_index[rows] == index)
+            chosen = rows[mine] - first
+            named = zip(pairs.numbers.tolist(), pairs.labels, pairs.geometry["bbox"], strict=True)
+            objects = [Annotation(number, name, box) for number, name, box in named]
+            asked = np.stack([pairs.a[chosen], pairs.b[chosen]], axis=1)
+            found = score_pairs(client, dataset.load(pairs.key.frame), objects, asked, relations)
+            p[mine] = found.probabilities
+            reasons.update(found.reasons)
+            states = pairs.states[chosen][:, [pairs.relations.index(r) for r in relations]]
+            columns = {"state": states.T, "p": p[mine].T, "answer": zip(*found.texts, strict=True)}
+            tables.append(
+                pa.table(
+                    {
+                        "frame": [pairs.key.frame] * len(mine),
+                        "frame_index": np.full(len(mine), index, np.int32),
+                        "a": pairs.numbers[asked[:, 0]].astype(np.int32),
+                        "b": pairs.numbers[asked[:, 1]].astype(np.int32),
+                        **{name: struct_of(relations, values) for name, values in columns.items()},
+                    }
+                )
+            )
+        pq.write_table(pa.concat_tables(tables), folder / VLM_FILE, compression="zstd")
+        title = f"VLM {self.model}, yes/no question, {len(rows)} pairs"
+        system = SystemRecords("vlm", title, relations, p, np.full(len(rows), DROPPED, np.int8))
+        note = (
+            f"The VLM was asked about {len(rows)} pairs drawn at random (seed {how.seed}), {sum(reasons.values())} of "
+            f"{p.size} answers are not known and count as no."
+        )
+        record = {"pairs": len(rows), "answers": int(p.size), "unknown": dict(reasons), "requests": client.requests}
+        return AskedPairs(rows, system, note, record)
 
 
 def recorded_system(manifest: Mapping[str, Any]) -> System | None:
@@ -181,75 +222,121 @@ def record_whole(case: Case, truth: FrameCases, pointed: Pointed) -> dict[str, A
     return row
 
 
-def sample_pairs(counted: np.ndarray, number: int, seed: int) -> np.ndarray:
-    """(M,) int64: indices of at most so many of the counted pairs, without replacement, rising."""
-    indices = np.flatnonzero(counted)
-    if number >= len(indices):
-        return indices
-    return np.sort(np.random.default_rng([seed, 53]).choice(indices, number, replace=False))
+@dataclass(frozen=True)
+class View:
+    """Picture of a frame as it is sent."""
+
+    picture: ChatPicture
+    offset: tuple[int, int]
+    """x and y of the frame's upper left corner, pixels of the picture."""
+    frame_size: tuple[int, int]
+    """Width and height of the frame."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the picture."""
+        height, width = self.picture.rgb.shape[:2]
+        return width, height
+
+    def to_frame(self, box: Sequence[float]) -> np.ndarray | None:
+        """A box as shares of the picture, in the frame's pixels.
+
+        Returns (4,) float32: x0, y0, x1, y1, cut at the frame's edges; None where it lies in the padding.
+        """
+        corners = np.array(box, np.float64).reshape(2, 2) * self.size
+        corners = np.clip(corners - self.offset, 0, self.frame_size)
+        return corners.reshape(4).astype(np.float32) if (corners[1] > corners[0]).all() else None
 
 
-def ask_pairs(
-    client: ChatClient,
-    title: str,
-    how: RelationSpec,
-    dataset: Dataset,
-    labels: Labels,
-    records: RelationRecords,
-    counted: np.ndarray,
-    folder: Path,
-) -> AskedPairs:
-    """Ask of a sample of the counted pairs whether each relation holds, and write every answer into a run's folder.
+def view_of(rgb: np.ndarray) -> View:
+    """Picture of a frame ((H, W, 3) uint8) padded to a square, the frame in the middle.
 
-    A probability is 0.5, a no, where the answer is not known.
-
-    Raises ServerError: the server gives no answer at all.
+    LLaVA-1.5 was trained on pictures padded to a square, and its boxes are shares of that square; some servers pad
+    themselves, others cut the middle out. A picture that is square already is treated alike by all.
     """
-    rows = sample_pairs(counted, how.vlm_pairs, how.seed)
-    relations = records.systems[0].relations
-    p = np.empty((len(rows), len(relations)), np.float32)
-    reasons: Counter[str] = Counter()
-    tables: list[pa.Table] = []
-    for index in np.unique(records.frame_index[rows]):
-        (pairs,) = read_pairs(labels, int(index), int(index) + 1)
-        # The rows of a frame stand in one piece and in the order of its pairs.
-        first = int(np.searchsorted(records.frame_index, index))
-        mine = np.flatnonzero(records.frame_index[rows] == index)
-        chosen = rows[mine] - first
-        named = zip(pairs.numbers.tolist(), pairs.labels, pairs.geometry["bbox"], strict=True)
-        objects = [Annotation(number, name, box) for number, name, box in named]
-        asked = np.stack([pairs.a[chosen], pairs.b[chosen]], axis=1)
-        frame = dataset.load(pairs.key.frame)
-        found = score_pairs(client, frame, objects, asked, relations)
-        p[mine] = found.probabilities
-        reasons.update(found.reasons)
+    height, width = ChatPicture(rgb).rgb.shape[:2]
+    wide, high = (max(height, width) - inner for inner in (width, height))
+    x, y = wide // 2, high // 2
+    image = cv2.copyMakeBorder(rgb, y, high - y, x, wide - x, cv2.BORDER_CONSTANT, value=PADDING)
+    return View(ChatPicture(image), (x, y), (width, height))
 
-        def struct(columns: list[pa.Array]) -> pa.StructArray:
-            return pa.StructArray.from_arrays(columns, names=list(relations))
 
-        tables.append(
-            pa.table(
-                {
-                    "frame": pa.array([pairs.key.frame] * len(mine), pa.string()),
-                    "frame_index": pa.array(np.full(len(mine), index, np.int32)),
-                    "a": pa.array(pairs.numbers[asked[:, 0]].astype(np.int32)),
-                    "b": pa.array(pairs.numbers[asked[:, 1]].astype(np.int32)),
-                    "ambiguous": pa.array(found.ambiguous),
-                    "state": struct([pa.array(pairs.states[chosen, pairs.relations.index(r)]) for r in relations]),
-                    "p": struct([pa.array(p[mine, k]) for k in range(len(relations))]),
-                    "known": struct([pa.array(found.known[:, k]) for k in range(len(relations))]),
-                    "answer": struct(
-                        [pa.array([t[k] for t in found.texts], pa.string()) for k in range(len(relations))]
-                    ),
-                }
-            )
-        )
-    pq.write_table(pa.concat_tables(tables), folder / VLM_FILE, compression="zstd")
-    asked = f"{title}, yes/no question, {len(rows)} pairs"
-    system = SystemRecords("vlm", asked, relations, p, np.full(len(rows), DROPPED, np.int8))
-    note = (
-        f"The VLM was asked about {len(rows)} pairs drawn at random (seed {how.seed}), {sum(reasons.values())} of "
-        f"{p.size} answers are not known and count as no."
+@dataclass(frozen=True)
+class PairScores:
+    """Answers of the model about N ordered pairs and R relations."""
+
+    probabilities: np.ndarray  # (N, R) float64: 1 for yes, 0 for no, UNKNOWN for an answer that is not known
+    texts: tuple[tuple[str, ...], ...]  # N by R
+    reasons: dict[str, int]  # counts of why answers are not known
+
+
+def score_pairs(
+    client: ChatClient, frame: Frame, objects: Sequence[Annotation], pairs: np.ndarray, relations: Sequence[str]
+) -> PairScores:
+    """Ask of each pair whether each relation holds, in LLaVA's words; things are told apart by their names only.
+
+    `pairs` (N, 2) int: indices of a and b in `objects`. `relations`: out of `PAIRWISE`.
+
+    Raises ServerError: no answer from the server to any question.
+    """
+    asked = [_question(r, objects[a].label, objects[b].label) for a, b in pairs for r in relations]
+    # Things of one name ask the same, and are asked about once.
+    prompts = [text for text in dict.fromkeys(asked) if text is not None]
+    picture = view_of(frame.rgb).picture
+    answers = dict(
+        zip(prompts, client.ask_many([ChatQuestion(t, picture, _YES_NO_TOKENS) for t in prompts]), strict=True)
     )
-    record = {"pairs": len(rows), "answers": int(p.size), "unknown": dict(reasons), "requests": client.requests}
-    return AskedPairs(rows, system, note, record)
+    probabilities, reasons = np.full((len(pairs), len(relations)), UNKNOWN), Counter[str]()
+    for cell, text in enumerate(asked):
+        value, reason = (None, "a name that cannot stand in a question") if text is None else _judged(answers[text])
+        if value is None:
+            reasons[reason] += 1
+        else:
+            probabilities.flat[cell] = float(value)
+    said = iter("" if text is None else answers[text].text for text in asked)
+    texts = tuple(tuple(next(said) for _ in relations) for _ in pairs)
+    return PairScores(probabilities, texts, dict(reasons))
+
+
+def _question(relation: str, a: str, b: str) -> str | None:
+    """None where a name cannot be said."""
+    if not (can_be_asked(a) and can_be_asked(b)):
+        return None
+    try:
+        return ask_relation(relation, a, b, 0)
+    except InputError:
+        return None
+
+
+def _judged(answer: ChatAnswer) -> tuple[bool | None, str]:
+    """Yes or no, or None and the reason."""
+    if answer.failure is not None:
+        return None, "the server failed"
+    verdict = parse_yes_no(answer.text)
+    return verdict.value, f"{verdict.reason}{_cut(answer)}"
+
+
+def _cut(answer: ChatAnswer) -> str:
+    return ", cut off by max_tokens" if answer.finish == "length" else ""
+
+
+def point_by_model(client: ChatClient, frame: Frame, texts: Sequence[str]) -> list[Pointed]:
+    """Ask for the boxes of expressions about one frame, such as "the mug left of the laptop"; in the same order.
+
+    Raises InputError: an expression that cannot be asked.
+    Raises ServerError: no answer from the server to any question.
+    """
+    require(all(text.strip() for text in texts), "an expression is empty")
+    view = view_of(frame.rgb)
+    questions = [ChatQuestion(ask_grounding(text, 0), view.picture, _BOX_TOKENS) for text in texts]
+    return [_pointed(answer, view) for answer in client.ask_many(questions)]
+
+
+def _pointed(answer: ChatAnswer, view: View) -> Pointed:
+    if answer.failure is not None:
+        return Pointed(None, problem=answer.failure)
+    found = parse_box(answer.text, view.size)
+    if found.box is None:
+        return Pointed(None, problem=f"{found.reason}{_cut(answer)}")
+    box = view.to_frame(found.box)
+    return Pointed(box, problem="a box outside the frame, in the padding" if box is None else None)

@@ -28,7 +28,7 @@ from pipeline.geometry import iou_2d
 from pipeline.labels import HIT, SourceSpec, label_dataset, open_labels, read_cases
 from pipeline.language import PHRASE
 from pipeline.metrics import BootstrapConfig, Estimate, Row, Table, as_csv, latex, markdown
-from pipeline.paper import Referring, Vlm, VlmOptions, recorded_system
+from pipeline.paper import Referring, Vlm, recorded_system
 from pipeline.system import InputError
 
 FRAMES = 4
@@ -360,7 +360,7 @@ def test_a_vision_language_model_is_measured_by_its_boxes(labels: Path, tmp_path
     monkeypatch.setenv("SPATIALVIZ_CACHE", str(tmp_path / "cache"))
     with running(Clock()) as server:
         server.answer = lambda _: "[0.25, 0.25, 0.75, 0.75]"
-        model = Vlm(VlmOptions(server.url, MODELS[0]))
+        model = Vlm(server.url, MODELS[0])
         spec = EvalSpec("demo", str(labels), {"srm": "rule"}, system=model, limit=12)
         report = evaluate_dataset(spec, tmp_path / "vlm", plots=False, bootstrap=QUICK)
         asked = len(server.requests)

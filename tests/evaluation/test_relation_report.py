@@ -19,7 +19,7 @@ from pipeline.evaluation.relation_report import BY_RELATION, MEASURES, all_syste
 from pipeline.labels import MANIFEST_FILE, Labels
 from pipeline.language import DIRECTIONAL, PHRASE, VOCABULARIES
 from pipeline.metrics import DROPPED, VALIDATION, BootstrapConfig, Estimate, Row, markdown
-from pipeline.paper import Vlm, VlmOptions
+from pipeline.paper import Vlm
 from pipeline.relations import OnnxScorer
 from pipeline.system import InputError
 from pipeline.training import LabelTraining, TrainConfig, train_on_labels
@@ -343,7 +343,7 @@ def test_a_vision_language_model_is_asked_about_a_sample(
     monkeypatch.setenv("SPATIALVIZ_CACHE", str(tmp_path / "cache"))
     with running(Clock()) as server:
         server.answer = lambda request: "Yes" if " left of " in request.prompt else "No"
-        model = Vlm(VlmOptions(server.url, MODELS[0]))
+        model = Vlm(server.url, MODELS[0])
         labels = label_sets["demo"].root
         report = measured(labels, tmp_path / "vlm", "trained", vlm=model, vlm_pairs=15, seed=4)
         again = measured(labels, tmp_path / "again", "trained", vlm=model, vlm_pairs=15, seed=4)

@@ -16,7 +16,7 @@ from pipeline.evaluation.job import other_systems
 from pipeline.evaluation.leakage import SIMULATED
 from pipeline.labels import Makers, SourceSpec, label_dataset, open_labels
 from pipeline.metrics import BootstrapConfig, Estimate
-from pipeline.paper import Referring, Vlm, VlmOptions
+from pipeline.paper import Referring, Vlm
 from pipeline.system import InputError
 
 FRAMES = 3
@@ -43,7 +43,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch, running(Clock()) as server:
         patch.setenv("SPATIALVIZ_CACHE", str(out / "cache"))
         server.answer = lambda _: "[0.25, 0.25, 0.75, 0.75]"
-        model = Vlm(VlmOptions(server.url, MODELS[0]))
+        model = Vlm(server.url, MODELS[0])
         asked = EvalSpec("demo", str(out / "labels"), {"srm": "rule"}, model, limit=9)
         evaluate_dataset(asked, out / "vlm", plots=False, bootstrap=QUICK)
     return out

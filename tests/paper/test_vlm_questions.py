@@ -10,7 +10,7 @@ from chat_server import ChatServer, Make, Script, completion, error
 from scenes import frame_of, upright
 
 from pipeline.geometry import Frame
-from pipeline.paper.questions import PADDING, ground_many, score_pairs, view_of
+from pipeline.paper.systems import PADDING, point_by_model, score_pairs, view_of
 from pipeline.system import InputError
 
 
@@ -48,10 +48,8 @@ def test_relations_by_yes_and_no(server: ChatServer, client_of: Make, frame: Fra
     pairs = np.array([[0, 1], [1, 0], [2, 1]])
     found = score_pairs(client_of(), frame, frame.annotations, pairs, ("left", "behind"))
     assert found.probabilities.tolist() == [[1, 0], [0.5, 0.5], [1, 0]]
-    assert found.known.tolist() == [[True, True], [False, False], [True, True]]
     assert found.texts[1] == ("Perhaps.", "Yes and no.")
     assert found.reasons == {"neither yes nor no": 1, "both yes and no": 1}
-    assert found.ambiguous.all()
     # Both mugs ask the same words about the same picture.
     assert len(server.requests) == 4
     assert server.requests[0].prompt.endswith("\nAnswer the question using a single word or phrase.")
@@ -61,32 +59,28 @@ def test_relations_by_yes_and_no(server: ChatServer, client_of: Make, frame: Fra
 def test_relations_go_on_without_some_answers(server: ChatServer, client_of: Make, frame: Frame) -> None:
     replies: dict[str, Script] = {"left": error(400, "refused"), "right": completion("The mug", finish="length")}
     server.answer = lambda request: next((r for word, r in replies.items() if f" {word} of" in request.prompt), "No")
-    found = score_pairs(client_of(), frame, frame.annotations, [(0, 1)], ("left", "right", "on"))
+    found = score_pairs(client_of(), frame, frame.annotations, np.array([[0, 1]]), ("left", "right", "on"))
     assert found.probabilities.tolist() == [[0.5, 0.5, 0.0]]
     assert found.reasons == {"the server failed": 1, "neither yes nor no, cut off by max_tokens": 1}
 
 
-def test_names_that_cannot_be_asked_and_pairs_that_are_none(server: ChatServer, client_of: Make, frame: Frame) -> None:
+def test_names_that_cannot_be_asked_and_no_pairs(server: ChatServer, client_of: Make, frame: Frame) -> None:
     odd = [replace(frame.annotations[0], label="<image>"), frame.annotations[1]]
-    found = score_pairs(client_of(), frame, odd, [(0, 1)], ("left",))
+    found = score_pairs(client_of(), frame, odd, np.array([[0, 1]]), ("left",))
     assert found.probabilities.tolist() == [[0.5]]
     assert found.reasons == {"a name that cannot stand in a question": 1}
     empty = score_pairs(client_of(), frame, frame.annotations, np.zeros((0, 2), int), ("left", "on"))
     assert empty.probabilities.shape == (0, 2)
-    assert empty.ambiguous.shape == (0,)
     assert server.requests == []
-    for pairs, relations in (([(0, 3)], ["left"]), ([(-1, 0)], ["left"]), ([(0, 1, 2)], ["left"]), ([(0, 1)], ["up"])):
-        with pytest.raises(InputError):
-            score_pairs(client_of(), frame, frame.annotations, pairs, relations)  # type: ignore[arg-type]
 
 
 def test_grounding_finds_the_box_in_the_frame(server: ChatServer, client_of: Make, frame: Frame) -> None:
     """The picture of 320 x 240 is sent as a square of 320, with 40 rows of padding above and below."""
     server.script = ["[0.25, 0.25, 0.5, 0.5]"]
-    found = ground_many(client_of(), frame, ["the mug left of the laptop"])[0]
+    found = point_by_model(client_of(), frame, ["the mug left of the laptop"])[0]
     assert found.box is not None
     assert found.box == pytest.approx([80, 40, 160, 120])
-    assert (found.raw, found.reason, found.notes) == ("[0.25, 0.25, 0.5, 0.5]", None, ())
+    assert found.problem is None
     assert server.requests[0].prompt == (
         "Please provide the bounding box coordinate of the region this sentence describes: the mug left of the laptop"
     )
@@ -104,18 +98,15 @@ def test_grounding_reads_other_scales_and_says_why_there_is_no_box(
         "e": error(400, "refused"),
     }
     server.answer = lambda request: said[request.prompt[-1]]
-    boxes = ground_many(client_of(), frame, list("abce"), box_scale=1000)
+    boxes = point_by_model(client_of(), frame, list("abce"))
     assert boxes[0].box == pytest.approx([80, 40, 160, 120])
-    assert [g.reason for g in boxes[1:2]] == ["no box"]
+    assert [g.problem for g in boxes[1:2]] == ["no box"]
     assert boxes[2].box is None
-    assert boxes[2].notes == ("shares, not numbers up to 1000",)
-    assert "refused" in str(boxes[3].reason)
-    padded = ground_many(client_of(), frame, ["c", "d"])
-    assert [g.reason for g in padded] == ["a box outside the frame, in the padding", "3 numbers, not the 4 of a box"]
+    assert "refused" in str(boxes[3].problem)
+    padded = point_by_model(client_of(), frame, ["c", "d"])
+    assert [g.problem for g in padded] == ["a box outside the frame, in the padding", "3 numbers, not the 4 of a box"]
     asked = len(server.requests)
-    with pytest.raises(InputError, match="scale"):
-        ground_many(client_of(), frame, ["a"], box_scale=-1)
     for text in (" ", "the <image> there"):
         with pytest.raises(InputError):
-            ground_many(client_of(), frame, [text])
+            point_by_model(client_of(), frame, [text])
     assert len(server.requests) == asked
