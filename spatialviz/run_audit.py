@@ -5,7 +5,6 @@ from __future__ import annotations
 from itertools import chain, islice
 
 from pipeline.audit.report import AuditReport, audit
-from pipeline.corrections.review.queue import QueueConfig
 from pipeline.language.counted import counted
 from pipeline.system.errors import require
 from spatialviz.cli_labels import AuditCommand
@@ -14,14 +13,13 @@ from spatialviz.printing import print_rows, print_table, rate_bar, say
 
 def run_audit(command: AuditCommand) -> None:
     require(command.limit >= 0, "--limit must not be negative", got=command.limit)
-    queue = QueueConfig() if command.networks else None
     with rate_bar("auditing", "items") as advance:
         report = audit(
             command.target,
             command.dataset,
             command.runs,
             options=command.source.arguments(),
-            queue=queue,
+            networks=command.networks,
             progress=advance,
         )
     if command.out is not None:

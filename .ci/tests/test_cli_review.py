@@ -41,19 +41,10 @@ def test_what_reviewers_disagree_on_comes_first(work: Path) -> None:
     assert "reviewers disagree" in spatialviz(0, *words).out
 
 
-def test_progress_counts_reviewers_and_disagreements(work: Path) -> None:
-    words = ["review", work / "labels", "--queue", work / "queue.parquet", "--progress"]
-    found = spatialviz(0, *words, "--json").record
-    assert found["disagreements"] == 1
-    assert set(found["reviewers"]) == {"ann", "bob"}
-    assert "bob" in spatialviz(0, *words).out
-
-
 @pytest.mark.parametrize(
     "words",
     [
-        ["--author", "cay", "--overlap", 0.5, "--limit", 3],
-        ["--author", "cay", "--second-opinion-of", "ann"],
+        ["--author", "cay", "--limit", 3],
         ["--all", "--limit", 3],
     ],
 )
@@ -62,17 +53,14 @@ def test_a_queue_is_shown_to_a_person(work: Path, words: list[object]) -> None:
     assert "to look at" in printed.out
 
 
-def test_labels_of_another_detector_are_evidence_too(work: Path) -> None:
-    words = ["review", work / "labels", "--no-networks", "--other", work / "labels", "--limit", 3]
-    assert "labels to look at" in spatialviz(0, *words).out
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         (["--queue", "LABELS/objects.parquet"], "queue"),
-        (["--overlap", 0.5], "--author"),
-        (["--no-networks", "--detector", "recorded"], "review LABELS --other"),
+        (["--author", "ann", "--all"], "exclude"),
+        (["--accept"], "--author"),
+        (["--no-networks", "--detector", "recorded"], "failures A --compare B"),
+        (["--progress"], "journal LABELS"),
     ],
 )
 def test_options_that_make_no_sense_are_told_in_a_line(work: Path, words: list[object], message: str) -> None:

@@ -10,7 +10,8 @@ from pipeline.audit.geometry import by_own_sides, fit_of_triple, geometry_eviden
 from pipeline.audit.sentences import object_names
 from pipeline.audit.suspicion import AuditItem, Evidence
 from pipeline.audit.systems import SystemAnswers, system_evidence
-from pipeline.corrections.review.queue import QueueConfig, review_queue
+from pipeline.corrections.review.doubts import DoubtConfig
+from pipeline.corrections.review.queue import review_queue
 from pipeline.labels.cases import Case, FrameCases, read_cases
 from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import HORIZONTAL
@@ -27,24 +28,22 @@ Reasons = dict[tuple[str, ...], tuple[float, str]]
 def audit_labels(
     labels: Labels,
     systems: Sequence[SystemAnswers] = (),
-    config: QueueConfig | None = None,
-    queue: pa.Table | None = None,
+    doubts: DoubtConfig | None = None,
 ) -> Iterator[AuditItem]:
     """Audit every expression of labels, in the order of frames.
 
-    `systems`: of runs on these labels. `config`: of the review queue that is joined. Default: what the linter finds and
-    small margins, without networks.
+    `systems`: of runs on these labels. `doubts`: of the networks that the review queue asks; None: none.
 
     Raises InputError: the labels are damaged.
     """
-    doubts = _doubts(review_queue(labels, config or QueueConfig(doubts=None)))
+    reasons = _reasons(review_queue(labels, doubts))
     for truth in read_cases(labels, 0, np.iinfo(np.int32).max):
         own, names = by_own_sides(truth), object_names(truth)
         for case in truth.cases:
-            yield _audited(case, truth, own, names, doubts, systems)
+            yield _audited(case, truth, own, names, reasons, systems)
 
 
-def _doubts(queue: pa.Table) -> Reasons:
+def _reasons(queue: pa.Table) -> Reasons:
     found: Reasons = {}
     for row in queue.to_pylist():
         if not row["reasons"]:

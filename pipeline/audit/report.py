@@ -18,7 +18,7 @@ from pipeline.audit.questions import audit_questions
 from pipeline.audit.sentences import audit_sentences
 from pipeline.audit.suspicion import KINDS, PRIOR, AuditItem
 from pipeline.audit.systems import read_answers
-from pipeline.corrections.review.queue import QueueConfig
+from pipeline.corrections.review.doubts import DoubtConfig
 from pipeline.diagnosis.whatif.state import ViewState, encode
 from pipeline.evaluation.robospatial import is_robospatial, read_question_answers, read_questions, score_table
 from pipeline.evaluation.sentence_files import read_sentence_file
@@ -109,14 +109,14 @@ def audit(
     runs: Sequence[Path] = (),
     *,
     options: dict[str, Any] | None = None,
-    queue: QueueConfig | None = None,
+    networks: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> AuditReport:
     """The items of labels or of a benchmark, ranked by how probably their truth is wrong.
 
     `target`: a labels folder; RoboSpatial-Home's; or, about the frames of `dataset`, a file of sentences as `eval
     --sentences` takes it. `runs`: run folders of systems that answered the same items; of RoboSpatial-Home files of
-    answers in its form. `options`: arguments of `open_pipeline`. `queue`: of the review queue of labels.
+    answers in its form. `options`: arguments of `open_pipeline`. `networks`: the review queue of labels asks networks.
 
     Raises InputError: something cannot be read, or --dataset is missing.
     """
@@ -126,7 +126,7 @@ def audit(
     if (target / MANIFEST_FILE).is_file():
         labels = open_labels(target)
         where = dataset or str(labels.manifest.dataset.get("path") or "DATASET")
-        return AuditReport.ranked(where, audit_labels(labels, systems, queue))
+        return AuditReport.ranked(where, audit_labels(labels, systems, DoubtConfig() if networks else None))
     require(target.exists(), "there is nothing to audit", expected="labels, or a benchmark's file", path=target)
     where = needed(dataset, "sentences are audited on their dataset", expected="--dataset DATASET", path=target)
     source = open_pipeline(where, **(options or {}))

@@ -52,9 +52,8 @@ if TYPE_CHECKING:
     from pipeline.corrections.label_editors import LabelEditors
     from pipeline.corrections.label_view import LabelView, paired
     from pipeline.corrections.object_card import ExpressionCard, back_to_automatic, bring_back, set_answer
-    from pipeline.corrections.review.bulk import accept_all, found_items, pace_of, say_of_item
-    from pipeline.corrections.review.evidence import read_relation_labels
-    from pipeline.corrections.review.items import STATES, ItemKey, State, item_keys, left_to_review, with_states
+    from pipeline.corrections.review.doubts import DoubtConfig
+    from pipeline.corrections.review.items import STATES, ItemKey, State
     from pipeline.corrections.review.label_jobs import (
         CANCELLED,
         QueueJob,
@@ -63,23 +62,22 @@ if TYPE_CHECKING:
         RetrainingRun,
         run_retraining,
     )
-    from pipeline.corrections.review.out_of_fold import DoubtConfig
-    from pipeline.corrections.review.queue import QueueConfig, review_queue
-    from pipeline.corrections.review.retraining import RetrainConfig, Retraining, retrain
-    from pipeline.corrections.review.reviewed import (
+    from pipeline.corrections.review.queue import (
         automatic_version,
-        left_for,
-        pair_agreements,
-        review_progress,
-        reviewed_labels,
+        read_relation_labels,
+        review_queue,
         states_on_labels,
-        without_gone,
     )
+    from pipeline.corrections.review.retraining import RetrainConfig, Retraining, retrain
+    from pipeline.corrections.review.reviewed import pair_agreements, reviewed_labels
     from pipeline.corrections.review.worklist import (
         NOTHING,
         Worklist,
+        accept_all,
+        item_keys,
         read_queue,
         refreshed_worklist,
+        say_of_item,
         worklist,
         write_queue,
     )

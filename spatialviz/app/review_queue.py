@@ -14,10 +14,18 @@ from pipeline.corrections.journal.events import Saved
 from pipeline.corrections.journal.field_refs import object_ref, relation_ref
 from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.label_view import Target
-from pipeline.corrections.review.bulk import MOST, accept_all, found_items, say_of_item
-from pipeline.corrections.review.items import BLOCK, ItemKey
+from pipeline.corrections.review.items import ItemKey
 from pipeline.corrections.review.label_jobs import CANCELLED, QueueJob, QueueProgress
-from pipeline.corrections.review.worklist import NOTHING, Mark, Worklist, refreshed_worklist
+from pipeline.corrections.review.worklist import (
+    BLOCK,
+    MOST,
+    NOTHING,
+    Mark,
+    Worklist,
+    accept_all,
+    refreshed_worklist,
+    say_of_item,
+)
 from pipeline.corrections.scene import ASKED_BEYOND_M, labelled_objects, pair_card
 from pipeline.language.counted import counted
 from pipeline.relations.relations import F, T, U
@@ -125,8 +133,7 @@ class ReviewQueue(LabelPart):
         was, now = queue.seen, queue.location.jobs.queue.seen
         queue.seen = now
         if now.work is not None and now.work is not was.work:
-            made = now.made or {}
-            queue.work, queue.newest, queue.behind = now.work, made.get("last", NOTHING), True
+            queue.work, queue.newest, queue.behind = now.work, now.last, True
             self.ctx.note(f"review queue: {counted(len(now.work), 'item')}")
         if now.problem and now.problem != was.problem:
             stopped = now.problem == CANCELLED
@@ -151,12 +158,8 @@ class ReviewQueue(LabelPart):
     def step(self, step: int) -> None:
         """Show the next open item, or the previous."""
         work, found = there(self._caught_up()), self._item
-        if step < 0:
-            while (found := work.previous(found)) is not None and self._kind not in ("all", found.kind):
-                pass
-        else:
-            found = self._next(work, found)
-        self.open(there(found))
+        kind = None if self._kind == "all" else self._kind
+        self.open(there(work.previous(found, kind) if step < 0 else self._next(work, found)))
 
     def _next(self, work: Worklist, after: ItemKey | None) -> ItemKey | None:
         if not self._find:
@@ -167,7 +170,7 @@ class ReviewQueue(LabelPart):
     def _found(self, work: Worklist) -> list[int]:
         """Positions of open items matching the filter."""
         names, kind = self._queue.names, None if self._kind == "all" else self._kind
-        return found_items(work, lambda row: said(row, names), kind, self._find)
+        return sorted(work.found(lambda row: said(row, names), self._find, kind))
 
     @command("queue-find")
     def narrow(self, text: str) -> None:

@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pipeline.corrections.review.out_of_fold import (
+from pipeline.corrections.review.doubts import (
     DoubtConfig,
     Doubts,
     doubt_labels,

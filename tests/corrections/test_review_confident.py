@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.corrections.review.confident import (
+from pipeline.corrections.review.doubts import (
     Noise,
     confident_joint,
     estimate_noise,

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.corrections.review.out_of_fold import make_folds
+from pipeline.corrections.review.doubts import make_folds
 from pipeline.metrics import FrameKey
 from pipeline.system import InputError
 

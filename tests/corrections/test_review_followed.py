@@ -16,7 +16,6 @@ from pipeline.corrections import (
     FieldRef,
     ItemKey,
     Journal,
-    QueueConfig,
     QueueJob,
     item_keys,
     open_journal,
@@ -28,7 +27,6 @@ from pipeline.corrections import (
     reviewed_labels,
     states_on_labels,
     undo,
-    without_gone,
     worklist,
 )
 from pipeline.corrections.journal import edits as actions
@@ -93,7 +91,7 @@ def test_states_are_followed_as_a_new_queue_has_them(
     assert found.get(ItemKey(FRAME, "object", number, None, ""), "unreviewed") == "unreviewed"
     # Whoever works through a queue made now is shown the same.
     job = QueueJob(demo_labels.root, tmp_path / "queue.parquet", str(journal.location), networks=False)
-    assert make_queue(job, lambda _: None)["last"] == newest
+    assert make_queue(job, lambda _: None) == newest
     work = worklist(read_queue(job.out))
     assert {k: work.state(k) for k in expected if k in work.indices} == {
         k: s for k, s in expected.items() if k in work.indices
@@ -106,7 +104,7 @@ def test_what_a_rejected_object_takes_along_is_gone_until_it_is_back(
 ) -> None:
     before = frame()
     number = some_pairs(before, 1)[0][0]
-    whole = review_queue(demo_labels, QueueConfig(doubts=None, linter=False))
+    whole = review_queue(demo_labels)
     of_frame = [k for k in item_keys(whole) if k.frame == FRAME]
     more = [ItemKey(FRAME, "expression", NOBODY, None, name) for name in before.expressions]
     more += [ItemKey(FRAME, "object", n, None, "") for n in before.objects]
@@ -116,15 +114,14 @@ def test_what_a_rejected_object_takes_along_is_gone_until_it_is_back(
         journal, actions.set_status(before, FieldRef("object", FRAME, str(number), "status"), "rejected", author="ann")
     )
     away, newest = refreshed_worklist(work, bare_corrector, journal, NOTHING)
-    gone = {k for k in work.keys if away.is_gone(k)}
+    gone = {k for k, lost in zip(work.keys, away.gone, strict=True) if lost}
     assert gone == {k for k in of_frame if k.kind == "relation" and number in (k.a, k.b)}
     assert gone
     assert away.counts["items"] == work.counts["items"] - len(gone)
     # A queue made now has the same relations of the frame, and expressions only of what is left.
     now = reviewed_labels(demo_labels, journal, tmp_path / "labels").labels
-    made_now = item_keys(review_queue(now, QueueConfig(doubts=None, linter=False)))
+    made_now = item_keys(review_queue(now))
     assert {k for k in made_now if k.frame == FRAME and k.kind == "relation"} <= {k for k in of_frame if k not in gone}
-    assert item_keys(without_gone(whole, now, states_of(journal))) == [k for k in work.keys if k not in gone]
     lost = gone_items(frame(), more, states_of(journal))
     said = {e["id"] for e in now.expressions.to_pylist() if e["frame"] == FRAME}
     assert {k.what for k in lost} == set(before.expressions) - said
@@ -138,7 +135,7 @@ def test_what_a_rejected_object_takes_along_is_gone_until_it_is_back(
 def test_of_a_journal_that_was_replaced_nothing_is_kept(
     demo_labels: Labels, bare_corrector: Corrector, journal: Journal, frame: Any, tmp_path: Path
 ) -> None:
-    work = worklist(review_queue(demo_labels, QueueConfig(doubts=None, linter=False)))
+    work = worklist(review_queue(demo_labels))
     of_frame = [k for k in work.keys if (k.frame, k.kind, k.what) == (FRAME, "relation", "left")]
     (a, b), (c, d) = [(k.a, k.b or 0) for k in of_frame[:2]]
     saved(journal, actions.set_status(frame(), status_cell(a, b), "accepted", author="ann"))

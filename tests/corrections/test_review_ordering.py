@@ -9,7 +9,7 @@ import pyarrow as pa
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.corrections.review.items import by_frame
+from pipeline.corrections.review.worklist import by_frame
 
 ROWS = st.lists(st.tuples(st.integers(0, 3), st.integers(0, 4), st.none() | st.integers(0, 4)), max_size=60)
 

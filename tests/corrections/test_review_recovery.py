@@ -11,7 +11,7 @@ from benchmarks.planted_labels import ReviewBenchConfig, measure_recovery, plant
 from needs import needs
 
 from pipeline.corrections import DoubtConfig
-from pipeline.corrections.review.out_of_fold import PASSES, doubt_labels, stacked, unstacked
+from pipeline.corrections.review.doubts import PASSES, doubt_labels, stacked, unstacked
 from pipeline.labels import Labels
 from pipeline.language import DIRECTIONAL
 from pipeline.relations import U

@@ -18,35 +18,29 @@ from pipeline.corrections import (
     FieldRef,
     ItemKey,
     Journal,
-    QueueConfig,
     Saved,
     State,
     actions_of,
     apply_actions,
     item_keys,
-    left_for,
-    left_to_review,
     materialise,
     pair_agreements,
     read_relation_labels,
     redo,
-    review_progress,
     review_queue,
     reviewed_labels,
     states_on_labels,
     undo,
+    worklist,
 )
 from pipeline.corrections.journal import edits as actions
-from pipeline.corrections.review.evidence import QueueItems
+from pipeline.corrections.review.doubts import doubt_labels
 from pipeline.corrections.review.items import NOBODY, item_of, judgements_of
-from pipeline.corrections.review.out_of_fold import doubt_labels
-from pipeline.corrections.review.reviewed import trusted_of_data, wrong_left
+from pipeline.corrections.review.queue import Evidence
 from pipeline.labels import Labels
 from pipeline.relations import F, T
 from pipeline.system import InputError
 from pipeline.training import TrainConfig, read_label_data
-
-RULES_ONLY = QueueConfig(doubts=None)
 
 
 def test_every_state_has_its_edit_and_undo_takes_it_back(frame: Any, journal: Journal) -> None:
@@ -238,7 +232,7 @@ def test_judgements_change_no_label(demo_labels: Labels, journal: Journal, frame
 
 
 def test_the_queue_takes_what_was_said(demo_labels: Labels, journal: Journal, frame: Any, tmp_path: Path) -> None:
-    before = review_queue(demo_labels, RULES_ONLY)
+    before = review_queue(demo_labels)
     mirrored = ("left", "right", "front", "behind")
     doubted = [k for k in item_keys(before) if k.what in mirrored and k.frame == FRAME]
     settled = doubted[0]
@@ -251,7 +245,7 @@ def test_the_queue_takes_what_was_said(demo_labels: Labels, journal: Journal, fr
     status = FieldRef("object", FRAME, str(number), "status")
     saved(journal, actions.set_status(frame(), status, "accepted", author="bob"), "bob")
     reviewed = reviewed_labels(demo_labels, journal, tmp_path / "effective")
-    queue = review_queue(reviewed.labels, RULES_ONLY, judgements=reviewed.judgements)
+    queue = review_queue(reviewed.labels, judgements=reviewed.judgements)
     rows = dict(zip(item_keys(queue), queue.to_pylist(), strict=True))
     top = queue.slice(0, 1).to_pylist()[0]
     assert {top["a"], top["b"]} == {disputed.a, disputed.b}
@@ -260,28 +254,23 @@ def test_the_queue_takes_what_was_said(demo_labels: Labels, journal: Journal, fr
     assert rows[settled]["label"] == "F"
     assert rows[settled]["reasons"] == []
     states = states_on_labels(reviewed.judgements, read_relation_labels(reviewed.labels))
-    hidden = item_keys(left_to_review(queue, states))
-    assert settled not in hidden
-    assert disputed in hidden
+    work = worklist(queue, states)
+    left_over = {work.keys[k] for k in work.left()}
+    assert settled not in left_over
+    assert disputed in left_over
+    assert work.counts["settled"] == 3
     assert ItemKey(FRAME, "object", number, None, "") in rows
-    record = review_progress(queue, reviewed.judgements, states)
-    assert record["reviewers"]["ann"]["corrected"] + record["reviewers"]["ann"]["accepted"] == 4
-    assert record["disagreements"] == 2
-    assert record["settled"] == 3
-    assert record["share"] == pytest.approx(3 / queue.num_rows)
-    assert sum(record["days"].values()) == 5
-    assert record["kinds"]["object"]["accepted"] == 1
-    assert record["estimated_wrong"] is None
 
 
 def test_settled_labels_are_never_doubted(demo_labels: Labels) -> None:
     cells = read_relation_labels(demo_labels)
-    rows = np.flatnonzero(cells.states[:, 0] != 0)[::3]
-    keys = [ItemKey(str(cells.frame[r]), "relation", int(cells.a[r]), int(cells.b[r]), "left") for r in rows]
-    settled = QueueItems(cells, dict.fromkeys(keys, "accepted")).settled_cells.reshape(cells.states.shape)
+    some = np.flatnonzero(cells.states[:, 0] != 0)[::3]
+    keys = [ItemKey(str(cells.frame[r]), "relation", int(cells.a[r]), int(cells.b[r]), "left") for r in some]
+    settled = Evidence(cells, dict.fromkeys(keys, "accepted")).settled_cells.reshape(cells.states.shape)
     assert settled.sum() == len(keys)
     data = read_label_data(demo_labels, "rel14", demo_labels.relation_names)
-    trusted = trusted_of_data(cells, settled, data)
+    rows = [cells.rows_of_pairs(frame) for frame in data.frames]
+    trusted = [(at >= 0)[..., None] & settled[at] for at in rows]
     known = [k for k in keys for f in data.frames if f.key.frame == k.frame and {k.a, k.b} <= set(f.objects.tolist())]
     assert sum(int(t.sum()) for t in trusted) == len(known) > 20
     config = DoubtConfig(folds=2, train=TrainConfig(vocabulary="all", epochs=1, batch=256))
@@ -290,13 +279,10 @@ def test_settled_labels_are_never_doubted(demo_labels: Labels) -> None:
         assert (wrong[sure] == 0).all()
     untrusted = doubt_labels(data, config)
     assert doubts.noise["left"].joint.sum() == pytest.approx(untrusted.noise["left"].joint.sum() - len(known))
-    queue = review_queue(demo_labels, RULES_ONLY, doubts=(data, untrusted))
-    assert wrong_left(queue, {}) == pytest.approx(float((queue.schema.metadata or {})[b"estimated_wrong"]))
-    assert wrong_left(queue, dict.fromkeys(item_keys(queue), "accepted")) == 0
 
 
 def test_what_is_left_for_a_second_reviewer(demo_labels: Labels, journal: Journal, frame: Any) -> None:
-    queue = review_queue(demo_labels, RULES_ONLY)
+    queue = review_queue(demo_labels)
     of_frame = [k for k in item_keys(queue) if k.kind == "relation" and k.frame == FRAME][:60]
     edits = [
         e
@@ -308,23 +294,13 @@ def test_what_is_left_for_a_second_reviewer(demo_labels: Labels, journal: Journa
     saved(journal, tuple(edits))
     judgements = judgements_of(journal)
     states = judgements.states()
-    keys = set(item_keys(queue))
+    first = next(k for k in item_keys(queue) if k not in of_frame)
+    own = {"ann": judgements.states("ann"), "bob": {first: "unsure"}}
 
-    def shown(**options: Any) -> list[ItemKey]:
-        return item_keys(left_for(queue, judgements, states, "bob", **options))
+    def shown(author: str) -> list[ItemKey]:
+        found = worklist(queue, {**states, first: "unsure"}).of_reviewer(own[author])
+        return [found.keys[k] for k in found.left()]
 
-    assert set(shown()) == keys - set(of_frame)
-    assert set(shown(overlap=1.0)) == keys
-    third = set(shown(overlap=0.3)) & set(of_frame)
-    assert 5 < len(third) < 35
-    assert third <= set(shown(overlap=0.6)), "a larger share holds the smaller one"
-    assert set(shown(second_opinion_of="ann")) == set(of_frame)
-    assert set(shown(second_opinion_of="ann", overlap=0.3)) == third
-    order = shown(overlap=0.3)
-    assert [k for k in order if k not in third] == [k for k in item_keys(queue) if k not in of_frame]
-    assert order.index(min(third, key=order.index)) < len(order) - len(third), "they are not all at the end"
-    assert set(item_keys(left_for(queue, judgements, states, "ann"))) == keys - set(of_frame)
-    assert set(left_for(queue, judgements, states, "bob", overlap=1.0).column("state").to_pylist()) == {"unreviewed"}
-    for wrong in ({"overlap": 1.5}, {"overlap": float("nan")}, {"second_opinion_of": "bob"}):
-        with pytest.raises(InputError):
-            shown(**wrong)
+    left_over = [k for k in item_keys(queue) if k not in of_frame]
+    assert shown("ann") == left_over, "what another is unsure of is asked where it stands"
+    assert shown("bob") == [*left_over[1:], first], "and of one's own last"

@@ -6,9 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import pytest
-
-from pipeline.corrections import CANCELLED, QueueConfig, QueueJob, QueueProgress, review_queue, write_queue
+from pipeline.corrections import CANCELLED, QueueJob, QueueProgress
 from pipeline.corrections.review.label_jobs import LabelJobs
 from pipeline.labels import Labels
 from pipeline.system import InputError, SharedJob
@@ -56,14 +54,13 @@ def test_one_runs_at_a_time_and_who_comes_later_finds_it() -> None:
     held = Held()
     job: SharedJob[tuple[Any, ...]] = SharedJob((), held.start)
 
-    def start(to: int, then: Callable[[], None] | None = None) -> bool:
+    def start(to: int) -> bool:
         return job.start(
             counted,
             to,
             begun=lambda seen: (*seen, "begun"),
             heard=lambda seen, n: (*seen, n),
             ended=lambda seen, result, problem: (*seen, result or problem),
-            then=then,
         )
 
     first: list[Any] = []
@@ -78,10 +75,6 @@ def test_one_runs_at_a_time_and_who_comes_later_finds_it() -> None:
     assert (job.running, job.seen) == (False, ("begun", 0, 1, "counted"))
     assert first == ["begun"]
     assert late == [0, 1, "counted"]
-    assert start(0, then=lambda: None if start(1) else pytest.fail("what follows has to wait for nothing"))
-    held.run()
-    assert job.running, "and there is no pause"
-    held.run()
     job.change(lambda seen: (*seen, "noted"))
     assert late[-2:] == ["counted", "noted"]
     job.end()
@@ -89,29 +82,26 @@ def test_one_runs_at_a_time_and_who_comes_later_finds_it() -> None:
     assert held.waiting == []
 
 
-def test_the_first_queue_is_there_before_networks_are_trained(demo_labels: Labels, tmp_path: Path) -> None:
+def test_a_queue_stays_where_no_new_one_is_made(demo_labels: Labels, tmp_path: Path) -> None:
     held, jobs = Held(), LabelJobs()
     jobs.queue = SharedJob(QueueProgress(), held.start)
     outs: list[Path] = []
 
     def job_for(out: Path) -> QueueJob:
         outs.append(out)
-        return QueueJob(demo_labels.root, out, str(tmp_path / "none.sqlite"), networks=True)
+        return QueueJob(demo_labels.root, out, str(tmp_path / "none.sqlite"), networks=False)
 
-    def damaged(job: QueueJob, report: Callable[[Any], None]) -> dict[str, Any]:
+    def damaged(job: QueueJob, report: Callable[[Any], None]) -> None:
         raise InputError("the labels are damaged")
 
     assert jobs.make(job_for)
     assert not jobs.make(job_for)
-    assert not held.waiting[0].argument.networks
-    held.waiting[0].work = lambda job, report: quick(job, demo_labels, report)
     held.run()
     seen = jobs.queue.seen
-    assert seen.running
-    assert seen.job is not None
-    assert seen.job.networks, "what was asked for follows by itself"
+    assert not seen.running
     assert seen.work is not None
-    assert len(seen.work) == 0
+    assert len(seen.work) > 0
+    assert jobs.make(job_for)
     held.waiting[0].work = damaged
     held.run()
     seen = jobs.queue.seen
@@ -124,10 +114,3 @@ def test_the_first_queue_is_there_before_networks_are_trained(demo_labels: Label
     now = jobs.queue.seen
     assert (now.running, now.problem) == (False, CANCELLED)
     assert now.work is seen.work
-
-
-def quick(job: QueueJob, labels: Labels, report: Callable[[Any], None]) -> dict[str, Any]:
-    """An empty queue, made without looking at the labels."""
-    config = QueueConfig(doubts=None, linter=False, margins=False, undecided=False)
-    write_queue(review_queue(labels, config), job.out)
-    return {"items": 0, "last": (0, "")}

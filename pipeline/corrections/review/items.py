@@ -1,4 +1,4 @@
-"""What is reviewed, item by item: its key, where it stands by what people did, and the order it is worked through.
+"""What is reviewed, item by item: its key, and where it stands by what people did.
 
 What a person did to an item is a word on it. Correcting a value says
 "corrected", or "accepted" where it is what the labeller had said; leaving out
@@ -15,22 +15,15 @@ something else opens the item again.
 
 from __future__ import annotations
 
-import json
-from collections import Counter
-from collections.abc import Callable, Collection, Container, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from datetime import datetime
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, get_args
-
-import numpy as np
 
 from pipeline.corrections.journal.events import Event, grouped
 from pipeline.corrections.journal.field_refs import FieldRef, judged_item, same_value
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.replay import by_ref, standing_at
 from pipeline.relations.relations import letter
-from pipeline.system.arrow import pa
-from pipeline.system.errors import InputError, Shown, as_input_error, require
 
 Kind = Literal["relation", "object", "expression"]
 State = Literal["unreviewed", "accepted", "corrected", "rejected", "unsure"]
@@ -42,8 +35,6 @@ SETTLED: tuple[State, ...] = ("accepted", "corrected", "rejected")
 """Nothing is left to do; an item that a reviewer is unsure of may be asked of another."""
 NOBODY = -1
 """In place of an object's number where there is none."""
-BLOCK = 60
-"""Items that are as good as equally undecided: what differs little in rank may be looked at in any order."""
 
 
 class ItemKey(NamedTuple):
@@ -62,142 +53,10 @@ class ItemKey(NamedTuple):
     """The relation, or the expression's id; empty for objects. Where one may be missing (in queues and journals of
     earlier versions), its place x0,y0,x1,y1 in pixels."""
 
-    def text(self) -> str:
-        """One line of JSON; equal keys have equal texts."""
-        return json.dumps(list(self), ensure_ascii=False, separators=(",", ":"))
-
     @property
     def plain(self) -> ItemKey:
         """Key without the objects of an expression: the id names it, and a journal knows no more."""
         return self._replace(a=NOBODY, b=None) if self.kind == "expression" else self
-
-    @classmethod
-    def read(cls, text: str) -> ItemKey:
-        """Key from its text.
-
-        Raises InputError: it is no key.
-        """
-        with as_input_error("not the key of a review item", ValueError, TypeError, got=Shown(text, 80)):
-            frame, kind, a, b, what = json.loads(text)
-        numbers = type(a) is int and (b is None or type(b) is int)
-        require(
-            isinstance(frame, str) and kind in KINDS and numbers and isinstance(what, str),
-            "not the key of a review item",
-            got=repr(text)[:80],
-        )
-        return cls(frame, kind, a, b, what)
-
-
-def item_keys(queue: pa.Table) -> list[ItemKey]:
-    """The keys of a queue's rows, in their order; of expressions without their objects, see `ItemKey.plain`."""
-    names = ("frame", "kind", "a", "b", "relation", "expression", "place")
-    absent = [None] * queue.num_rows
-    known = set(queue.column_names)
-    frame, kind, a, b, relation, expression, location = (
-        queue.column(name).to_pylist() if name in known else absent for name in names
-    )
-    what = [r or e or p or "" for r, e, p in zip(relation, expression, location, strict=True)]
-    return [
-        ItemKey(f, k, NOBODY, None, w) if k == "expression" else ItemKey(f, k, i, j, w)
-        for f, k, i, j, w in zip(frame, kind, a, b, what, strict=True)
-    ]
-
-
-def with_states(queue: pa.Table, states: Mapping[ItemKey, State]) -> pa.Table:
-    """Queue with a column `state`; unreviewed if not in the mapping.
-
-    Raises InputError: a state is none of STATES.
-    """
-    checked_states(states)
-    kept = queue.select([name for name in queue.column_names if name != "state"])
-    return kept.append_column(
-        "state", pa.array([states.get(key, "unreviewed") for key in item_keys(queue)], pa.string())
-    )
-
-
-def left_to_review(queue: pa.Table, states: Mapping[ItemKey, State]) -> pa.Table:
-    """Open rows in the order of the queue; unsure last.
-
-    What reviewers judge differently is unsure, too, but stays where it is: at the top.
-    """
-    known = with_states(queue, states)
-    state = np.array(known.column("state").to_pylist(), object)
-    last = (state == "unsure") & ~disputed_rows(known)
-    is_open = np.flatnonzero(~np.isin(state.astype(str), SETTLED))
-    return known.take(is_open[np.argsort(last[is_open], kind="stable")])
-
-
-def disputed_rows(queue: pa.Table) -> np.ndarray:
-    """(N,) bool: items judged differently by reviewers, by score."""
-    return (
-        np.zeros(queue.num_rows, np.bool_)
-        if "score" not in queue.column_names
-        else queue.column("score").to_numpy(zero_copy_only=False).astype(np.float64) >= DISAGREED
-    )
-
-
-def progress_counts(queue: pa.Table, states: Mapping[ItemKey, State]) -> dict[str, int]:
-    """Counts of items, of each state, of settled ones, and of judged items outside the queue."""
-    keys = item_keys(queue)
-    checked_states(states)
-    found = Counter(states.get(key, "unreviewed") for key in keys)
-    counts = {"items": len(keys), **{state: found[state] for state in STATES}}
-    return {**counts, "settled": sum(found[s] for s in SETTLED), "elsewhere": len(set(states) - set(keys))}
-
-
-def key_stands(
-    key: ItemKey,
-    states: Mapping[ItemKey, State],
-    frames: Container[str],
-    pairs: Container[ItemKey],
-    objects: Container[tuple[str, int]],
-    expressions: Container[tuple[str, str]],
-) -> bool:
-    """Tell items with something left to be right or wrong.
-
-    A relation goes with its pair, an expression with its objects, everything with its frame. An object or expression
-    that somebody has settled, by leaving it out for one, stays.
-    """
-    if key.kind == "relation":
-        return key in pairs
-    if states.get(key.plain) in SETTLED:
-        return True
-    if key.kind == "expression":
-        return (key.frame, key.what) in expressions
-    return key.frame in frames if key.a < 0 else (key.frame, key.a) in objects
-
-
-def checked_states(states: Mapping[ItemKey, str]) -> None:
-    """Raise InputError for an unknown state."""
-    for key, state in states.items():
-        if state not in STATES:
-            raise InputError(f"no such state of review item {key.text()}", got=repr(state), expected=" | ".join(STATES))
-
-
-def by_frame(queue: pa.Table, block: int = BLOCK) -> pa.Table:
-    """The queue with the items of a frame next to each other within every `block` items.
-
-    Frames stand in the order of their first item of the block, and the items of
-    a frame, pair by pair, in the order in which the pair's first one stood.
-    """
-    if not queue.num_rows:
-        return queue
-    rank = np.arange(queue.num_rows)
-    part = rank // max(block, 1)
-    frame = np.unique(queue.column("frame").to_numpy(zero_copy_only=False), return_inverse=True)[1]
-    a = queue.column("a").to_numpy().astype(np.int64)
-    b = np.nan_to_num(queue.column("b").to_numpy(zero_copy_only=False).astype(np.float64), nan=-1).astype(np.int64)
-    of_frame = _first(rank, part, frame)
-    of_pair = _first(rank, part, frame, np.minimum(a, b), np.maximum(a, b))
-    return queue.take(np.lexsort((rank, of_pair, of_frame, part)))
-
-
-def _first(rank: np.ndarray, *keys: np.ndarray) -> np.ndarray:
-    """(N,) int: the rank of the first row that agrees in all keys."""
-    _, group = np.unique(np.stack(keys, axis=1), axis=0, return_inverse=True)
-    first = np.full(int(group.max()) + 1, len(rank), np.int64)
-    np.minimum.at(first, group.ravel(), rank)
-    return first[group.ravel()]
 
 
 _RANK = {"unreviewed": 0, "unsure": 1, "accepted": 2, "corrected": 3, "rejected": 4}
@@ -218,16 +77,15 @@ class Judgement:
     accepts what another has corrected says "corrected", as that one did."""
     at: int
     """`id` of the event that made it so: later words have greater ones."""
-    time: datetime
 
 
 @dataclass(frozen=True)
 class Judgements:
     """All words that stand."""
 
-    words: dict[ItemKey, dict[str, Judgement]]
+    words: dict[ItemKey, dict[str, Judgement]] = field(default_factory=dict)
     """The newest of each author."""
-    settled: dict[ItemKey, Judgement]
+    settled: dict[ItemKey, Judgement] = field(default_factory=dict)
     """What was settled where people differed."""
 
     @property
@@ -360,7 +218,7 @@ def _word(
         verdict = "corrected"
     else:
         verdict = status
-    return Judgement(event.author, status, verdict, at, event.time)
+    return Judgement(event.author, status, verdict, at)
 
 
 def _status_of(event: Event, automatic: Any) -> tuple[State, int | None]:

@@ -14,16 +14,23 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from pipeline.corrections.journal.effective_frame import setting_of
 from pipeline.corrections.journal.journal import journal_of
 from pipeline.corrections.journal.materialise import MARKS_FILE, materialise
-from pipeline.corrections.review.evidence import read_relation_labels
-from pipeline.corrections.review.items import by_frame, with_states
-from pipeline.corrections.review.out_of_fold import DoubtConfig
-from pipeline.corrections.review.queue import QueueConfig, review_queue
+from pipeline.corrections.review.doubts import DoubtConfig
+from pipeline.corrections.review.queue import read_relation_labels, review_queue, states_on_labels
 from pipeline.corrections.review.retraining import RetrainConfig, Retraining, compare_networks, retrain, shared_split
-from pipeline.corrections.review.reviewed import Reviewed, pair_agreements, reviewed_labels, states_on_labels
-from pipeline.corrections.review.worklist import NOTHING, Mark, Worklist, mark_of, read_queue, worklist, write_queue
+from pipeline.corrections.review.reviewed import Reviewed, reviewed_labels
+from pipeline.corrections.review.worklist import (
+    NOTHING,
+    Mark,
+    Worklist,
+    by_frame,
+    item_keys,
+    mark_of,
+    read_queue,
+    worklist,
+    write_queue,
+)
 from pipeline.datasets import Dataset
 from pipeline.diagnosis.marks import read_marks
 from pipeline.evaluation.comparing import Comparison
@@ -34,9 +41,10 @@ from pipeline.labels.provenance import makers_of
 from pipeline.labels.reading import Labels, labelled_dataset, open_labels
 from pipeline.relations import shipped_network
 from pipeline.relations.model import OnnxScorer
-from pipeline.system.worker_pool import SharedJob
+from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
 from pipeline.system.whole_files import scratch_folder, staged_folder
+from pipeline.system.worker_pool import SharedJob
 from pipeline.training.label_data import read_label_data
 
 Step = tuple[str, int, int]
@@ -77,13 +85,10 @@ class QueueJob(CorrectedLabelsJob):
     """Ask networks that have not learnt from a label; that takes the most time."""
 
 
-def make_queue(job: QueueJob, report: Callable[[Step], None]) -> dict[str, Any]:
+def make_queue(job: QueueJob, report: Callable[[Step], None]) -> Mark:
     """Make the queue, ordered for working through, and store it.
 
-    Returns items (how many), estimated_wrong (relation labels that networks hold for wrong; None without networks),
-    agreement (each two reviewers, how many items both have judged, and Cohen's kappa; None where it means nothing), and
-    last (the newest event that surely counts in it, a `worklist.Mark`). The states of the items then are the queue's
-    column `state`.
+    Returns the newest event that surely counts in it. The states of the items then are the queue's column `state`.
 
     Raises InputError: the labels or the journal cannot be read, or hold nothing to learn from.
     Raises MissingExtra: torch is not installed, and networks are to be asked.
@@ -91,24 +96,17 @@ def make_queue(job: QueueJob, report: Callable[[Step], None]) -> dict[str, Any]:
     labels = open_labels(job.labels)
     with scratch_folder() as folder:
         reviewed, last = _reviewed(job, labels, Path(folder) / "labels")
-        config = QueueConfig(DoubtConfig() if job.networks else None)
         queue = review_queue(
             reviewed.labels,
-            config,
+            DoubtConfig() if job.networks else None,
             judgements=reviewed.judgements,
             progress=lambda done, of: report(("networks", done, of)),
         )
         states = states_on_labels(reviewed.judgements, read_relation_labels(reviewed.labels))
-    metadata = queue.schema.metadata
-    write_queue(with_states(by_frame(queue), states).replace_schema_metadata(metadata), job.out)
-    wrong = (metadata or {}).get(b"estimated_wrong")
-    pairs = [pair.record() for pair in pair_agreements(reviewed.judgements, setting_of(labels).inverse)]
-    return {
-        "items": queue.num_rows,
-        "last": last,
-        "estimated_wrong": None if wrong is None else float(wrong),
-        "agreement": [{key: pair[key] for key in ("reviewers", "items", "kappa")} for pair in pairs],
-    }
+    queue = by_frame(queue)
+    stored = [states.get(key, "unreviewed") for key in item_keys(queue)]
+    write_queue(queue.append_column("state", pa.array(stored, pa.string())), job.out)
+    return last
 
 
 def _reviewed(job: QueueJob, labels: Labels, folder: Path) -> tuple[Reviewed, Mark]:
@@ -126,16 +124,14 @@ class QueueProgress:
     """A review queue that is being made, and the one that was made last."""
 
     running: bool = False
-    job: QueueJob | None = None
-    """What is being made, or was last."""
     step: Step | None = None
     """How far it is; None before it tells."""
     problem: str = ""
     """Why there is none, or no new one."""
-    made: Mapping[str, Any] | None = None
-    """What is known of the queue: `make_queue`."""
     work: Worklist | None = None
     """The queue as it was made."""
+    last: Mark = NOTHING
+    """The newest event that counts in it."""
 
 
 @dataclass(frozen=True)
@@ -163,36 +159,28 @@ class LabelJobs:
     def make(self, job_for: Callable[[Path], QueueJob]) -> bool:
         """Make the queue; returns True if started, see `SharedJob.start`.
 
-        The first is made without networks, so that there is something to begin with; what was asked for follows it.
-
         `job_for`: gives the job for a file that it is to write, which does not stay.
         """
         folder = ExitStack()
         job = job_for(folder.enter_context(scratch_folder()) / "queue.parquet")
-        now = job if self.queue.seen.work is not None else replace(job, networks=False)
 
-        def ended(seen: QueueProgress, record: Any, problem: str) -> QueueProgress:
+        def ended(seen: QueueProgress, last: Mark, problem: str) -> QueueProgress:
             seen = replace(seen, running=False, step=None)
             try:
                 if not problem:
-                    return replace(seen, made=record, work=worklist(read_queue(now.out)))
+                    return replace(seen, last=last, work=worklist(read_queue(job.out)))
             except InputError as error:
                 problem = str(error)
             finally:
                 folder.close()
             return replace(seen, problem=problem)
 
-        def then() -> None:
-            if now != job and not self.queue.seen.problem:
-                self.make(job_for)
-
         started = self.queue.start(
             make_queue,
-            now,
-            begun=lambda seen: replace(seen, running=True, job=now, step=None, problem=""),
+            job,
+            begun=lambda seen: replace(seen, running=True, step=None, problem=""),
             heard=lambda seen, step: replace(seen, step=step),
             ended=ended,
-            then=then,
         )
         if not started:
             folder.close()
@@ -360,5 +348,5 @@ def _replay(run: Run, folder: Path, workers: int, tell: Progress) -> tuple[Compa
 
 
 def retraining_in_background(job: RetrainingJob, report: Callable[[tuple[str, int, int]], None]) -> dict[str, Any]:
-    """Record of `run_retraining`, for `pipeline.system.background`."""
+    """Record of `run_retraining`, for `pipeline.system.worker_pool`."""
     return run_retraining(job, lambda what, done, of: report((what, done, of))).record()

@@ -1,32 +1,31 @@
-"""The review queue: labels ranked by how probably they are wrong, each with the reasons in words."""
+"""The review queue: labels ranked by how probably they are wrong, each with the reasons in words.
+
+Each piece of evidence has a weight, the probability that the label is wrong if
+there were nothing else. The networks' own is estimated (`doubts`); the weights
+of the linter, small margins and reviewers who differ are judgements, ordered by
+what a finding proves.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from pipeline.corrections.review.evidence import (
-    EvidenceRows,
-    QueueItems,
-    disputed_evidence,
-    doubts_of_labels,
-    letters,
-    linter_evidence,
-    margin_evidence,
-    network_evidence,
-    read_relation_labels,
-    undecided_evidence,
-)
-from pipeline.corrections.review.items import ItemKey, Judgements
-from pipeline.corrections.review.out_of_fold import DoubtConfig, Doubts, doubt_labels
-from pipeline.corrections.review.reviewed import automatic_version, disagreements, states_on_labels, trusted_of_data
+from pipeline.corrections.review.doubts import DoubtConfig, doubt_labels
+from pipeline.corrections.review.items import DISAGREED, SETTLED, ItemKey, Judgements, State
 from pipeline.labels.check.linter import check_labels
-from pipeline.labels.reading import Labels
+from pipeline.labels.check.view import Finding
+from pipeline.labels.reading import Labels, read_table
+from pipeline.labels.schema import Manifest, labels_version
+from pipeline.language.relation_names import INVERSE
+from pipeline.relations.pair_measures import NOT_JUDGED, F, T, U
 from pipeline.system.arrow import pa
-from pipeline.training.label_data import LabelData, read_label_data
+from pipeline.training.label_data import LabelledFrame, read_label_data, rows_of_frame
 
 _TEXT, _NUMBER, _REAL = pa.string(), pa.int32(), pa.float64()
 QUEUE_COLUMNS = {
@@ -48,32 +47,33 @@ LEAST = 0.02
 """Evidence that is weaker is not worth a reason, and a label without any is not in the queue."""
 
 
-@dataclass(frozen=True)
-class QueueConfig:
-    """What a queue is made from."""
-
-    doubts: DoubtConfig | None = field(default_factory=DoubtConfig)
-    """None: without networks."""
-    linter: bool = True
-    margins: bool = True
-    undecided: bool = True
-    """Whether findings of `check_labels`, small margins, and U cells are looked at."""
+CONTRADICTED = 0.9
+"""Of an error that names one label: the stored state contradicts the extents, an expression states what is F."""
+ONE_OF_TWO = 0.5
+"""Of two labels that cannot both be right; of n in a cycle each has 1 / n."""
+WARNED = 0.2
+UNDECIDED = 0.5
+"""Times how sure the networks are of a label that is U."""
+MARGIN_SIGMA_M = 0.01
+"""Metres: what a margin may be off by, from depth noise and mask borders."""
+DISAGREE = "reviewers disagree"
+"""How the reason begins."""
+Reason = tuple[ItemKey, float, str]
+"""What speaks against one item: its key, the weight, the words."""
 
 
 def review_queue(
     labels: Labels,
-    config: QueueConfig | None = None,
+    doubts: DoubtConfig | None = None,
     *,
-    other: Labels | None = None,
     judgements: Judgements | None = None,
-    doubts: tuple[LabelData, Doubts] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> pa.Table:
     """Rank labels by the probability of an error, the worst first.
 
-    `other`: of the same dataset, by another detector or run: what they say otherwise counts too. `judgements`: what
-    people said of these labels, which are effective ones then: see `reviewed_labels`. What is settled has no evidence
-    against it, and stands last, with a score of 0. `doubts`: where the networks were already asked.
+    `doubts`: of the networks that are asked; None: without. `judgements`: what people said of these labels, which are
+    effective ones then: see `reviewed_labels`. What is settled has no evidence against it, and stands last, with a
+    score of 0.
 
     Returns one row an item: frame (string), frame_index (int32), kind ("relation", "object", "expression"), a, b
     (int32, numbers of objects; b null for objects), relation, expression (its id), place, label (T, U or F; the class
@@ -81,55 +81,277 @@ def review_queue(
     without), wrong (float64, that the label is wrong by confident learning alone; null for U, for what is settled, and
     without networks), score (float64, the same by all evidence), reasons (list of string, the strongest first).
     Metadata: `estimated_wrong` relation labels of those that are not settled; `elsewhere`, findings that are of no
-    single label; `labels_version`, the automatic labels that it is of. Where an object may be missing, `row_of` tells
-    where (x0,y0,x1,y1), `a` is -1, and the label is the class. The label of an object that was left out is null.
+    single label; `labels_version`, the automatic labels that it is of. Where an object may be missing (queues of
+    earlier versions), `place` tells where (x0,y0,x1,y1), `a` is -1, and the label is the class. The label of an object
+    that was left out is null.
 
     Raises InputError: the labels are damaged, or hold nothing to learn from.
     Raises MissingExtra: torch is not installed.
     """
-    config = config or QueueConfig()
     cells = read_relation_labels(labels)
-    probability = wrong = np.full(cells.states.shape, np.nan)
-    metadata = {"elsewhere": "0", "labels_version": automatic_version(labels.manifest)}
-    items = QueueItems(cells, {} if judgements is None else states_on_labels(judgements, cells))
-    settled = items.settled_cells.reshape(cells.states.shape)
-    evidence: list[EvidenceRows] = []
-    if doubts is None and config.doubts is not None:
-        data = read_label_data(labels, config.doubts.train.features, labels.relation_names)
-        trusted = trusted_of_data(cells, settled, data)
-        doubts = data, doubt_labels(data, config.doubts, trusted=trusted, progress=progress)
+    probability, wrong = np.full((2, *cells.states.shape), np.nan)
+    evidence = Evidence(cells, {} if judgements is None else states_on_labels(judgements, cells))
+    metadata = {"labels_version": automatic_version(labels.manifest)}
     if doubts is not None:
-        probability, wrong = doubts_of_labels(cells, *doubts)
-        wrong = np.where(settled, np.nan, wrong)
-        evidence.append(network_evidence(items, probability, wrong, LEAST))
-        metadata["estimated_wrong"] = f"{sum(n.wrong for n in doubts[1].noise.values()):.0f}"
-    if config.linter:
-        found, elsewhere = linter_evidence(items, check_labels(labels))
-        evidence.append(found)
-        metadata["elsewhere"] = str(elsewhere)
-    if config.margins:
-        evidence.append(margin_evidence(items, LEAST))
-    if config.undecided:
-        evidence.append(undecided_evidence(items, probability))
-    if other is not None:
-        evidence += disputed_evidence(items, labels, other)
+        settled = evidence.settled_cells.reshape(cells.states.shape)
+        data = read_label_data(labels, doubts.train.features, labels.relation_names)
+        columns = [cells.relations.index(relation) for relation in data.vocabulary]
+        rows = [cells.rows_of_pairs(frame) for frame in data.frames]
+        trusted = [(at >= 0)[..., None] & settled[at][..., columns] for at in rows]
+        asked = doubt_labels(data, doubts, trusted=trusted, progress=progress)
+        for at, p, w in zip(rows, asked.probabilities, asked.wrong, strict=True):
+            known = at[at >= 0][:, None], columns
+            probability[known], wrong[known] = p[at >= 0], w[at >= 0]
+        wrong[settled] = np.nan
+        network_evidence(evidence, probability, wrong)
+        metadata["estimated_wrong"] = f"{sum(n.wrong for n in asked.noise.values()):.0f}"
+    metadata["elsewhere"] = str(linter_evidence(evidence, check_labels(labels)))
+    margin_evidence(evidence)
+    undecided_evidence(evidence, probability)
     if judgements is not None:
-        evidence.append(items.rows(disagreements(judgements)))
-        evidence.append(items.rows(((k, 0.0, "") for k in items.settled if k.kind != "relation"), settled=True))
+        evidence.of_items(disagreements(judgements))
+        evidence.of_items(((k, 0.0, "") for k in evidence.settled if k.kind != "relation"), settled=True)
     doubted = {"probability": probability.ravel(), "wrong": wrong.ravel()}
-    return _ranked(labels, items, doubted, evidence).replace_schema_metadata(metadata)
+    return _ranked(labels, evidence, doubted).replace_schema_metadata(metadata)
 
 
-def _ranked(
-    labels: Labels, items: QueueItems, doubted: Mapping[str, np.ndarray], evidence: Sequence[EvidenceRows]
-) -> pa.Table:
-    cells, others = items.cells, list(items.others)
-    none = EvidenceRows(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, object))
-    at, weight, reason = (np.concatenate(parts) for parts in zip(none, *evidence, strict=True))
+class Evidence:
+    """What speaks against labels: their numbers, and rows of (number, weight, reason), as arrays of equal length.
+
+    Numbered are first the cells of the relation labels, row by row, then other items. What people have settled is not
+    doubted.
+    """
+
+    def __init__(self, cells: RelationLabels, states: Mapping[ItemKey, State]) -> None:
+        self.cells, self.others = cells, dict[ItemKey, int]()
+        self.settled = {key for key, state in states.items() if state in SETTLED}
+        self.settled_cells = np.zeros(cells.states.size, np.bool_)
+        self.settled_cells[cells.cells_of(self.settled)[0]] = True
+        self.found = [(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, object))]
+
+    def of_items(self, reasons: Iterable[Reason], settled: bool = False) -> None:
+        """Add reasons against items; settled and missing labels are left out."""
+        found = [reason for reason in reasons if settled or reason[0].plain not in self.settled]
+        numbers, cells = self.cells.cells_of([key for key, *_ in found])
+        number = dict(zip(cells, numbers.tolist(), strict=True))
+        for key, *_ in found:
+            if key.kind != "relation":
+                number[key] = self.cells.states.size + self.others.setdefault(key.plain, len(self.others))
+        known = [(number[key], weight, words) for key, weight, words in found if key in number]
+        item, weight, words = zip(*known, strict=True) if known else ((), (), ())
+        self.found.append((np.array(item, np.int64), np.array(weight, np.float64), np.array(words, object)))
+
+    def of_cells(self, item: np.ndarray, weight: np.ndarray, reason: np.ndarray) -> None:
+        """Add evidence against cells; settled ones are left out."""
+        kept = ~self.settled_cells[item]
+        self.found.append((item[kept], weight[kept], reason[kept].astype(object)))
+
+
+def network_evidence(evidence: Evidence, probability: np.ndarray, wrong: np.ndarray) -> None:
+    """Add labels that out-of-fold networks find wrong."""
+    item = np.flatnonzero(wrong >= LEAST)
+    states, p = evidence.cells.states.ravel()[item], probability.ravel()[item]
+    reason = _joined(
+        "the label is ",
+        letters(states),
+        ", and networks that have not learnt from it give it a probability of ",
+        np.char.mod("%.2f", np.where(states == T, p, 1 - p)),
+    )
+    evidence.of_cells(item, wrong.ravel()[item], reason)
+
+
+def undecided_evidence(evidence: Evidence, probability: np.ndarray) -> None:
+    """Add undecided cells (U), weighted by the networks' certainty."""
+    item = np.flatnonzero(evidence.cells.states == U)
+    p = np.nan_to_num(probability.ravel()[item], nan=0.5)
+    reason = _joined(
+        "too close to call by the rule (U); networks that have not learnt from it say ",
+        np.where(p > 0.5, "T", "F"),
+        " with ",
+        np.char.mod("%.2f", np.maximum(p, 1 - p)),
+    )
+    evidence.of_cells(item, UNDECIDED * np.abs(2 * p - 1), reason)
+
+
+def margin_evidence(evidence: Evidence) -> None:
+    """Add labels near a threshold of the rule, by half the chance of an error of MARGIN_SIGMA_M across: it leads to U
+    and not to the opposite."""
+    from scipy.special import ndtr
+
+    near, states = np.abs(evidence.cells.margins.ravel()), evidence.cells.states.ravel()
+    weight = np.where(np.isnan(near), 0.0, 0.5 * ndtr(-np.nan_to_num(near) / MARGIN_SIGMA_M))
+    item = np.flatnonzero(((states == T) | (states == F)) & (weight >= LEAST))
+    mm = 1000 * near[item]
+    told = np.where(mm < 0.05, "less than 0.1", np.char.add("only ", np.char.mod("%.1f", mm)))
+    evidence.of_cells(item, weight[item], _joined(told, " mm from where the rule would be undecided"))
+
+
+def linter_evidence(evidence: Evidence, findings: Iterable[Finding]) -> int:
+    """Add findings of `check_labels`; returns how many are of no single label: of files, frames and missing rows."""
+    reasons: list[Reason] = []
+    elsewhere = 0
+    for found in findings:
+        blamed = _blamed(found, evidence.cells.relations)
+        elsewhere += not blamed
+        reasons += [(key, weight, f"{found.rule}: {found.message}") for key, weight in blamed]
+    evidence.of_items(reasons)
+    relations = [key for key, *_ in reasons if key.kind == "relation"]
+    return elsewhere + len(relations) - len(evidence.cells.cells_of(relations)[1])
+
+
+def _blamed(found: Finding, relations: Collection[str]) -> list[tuple[ItemKey, float]]:
+    frame, group = found.frame, found.rule.split("/")[0]
+    if frame is None:
+        return []
+    if group == "relation":
+        most = 1.0 if found.severity == "error" else WARNED
+        return [
+            (ItemKey(frame, group, a, b, r), min(weight, most))
+            for a, b, r, weight in _blamed_cells(found)
+            if r in relations
+        ]
+    weight = CONTRADICTED if found.severity == "error" else WARNED
+    if group == "object":
+        weight = ONE_OF_TWO if len(found.objects) > 1 and found.severity == "error" else weight
+        return [(ItemKey(frame, group, n, None, ""), weight) for n in found.objects]
+    if group != "expression" or not found.objects:
+        return []
+    return [(ItemKey(frame, group, found.objects[0], None, str(found.figures.get("id", ""))), weight)]
+
+
+def _blamed_cells(found: Finding) -> list[tuple[int, int, str, float]]:
+    relation = found.figures.get("relation")
+    if not isinstance(relation, str) or len(found.objects) < 2:
+        return []
+    a, b = found.objects[:2]
+    if found.rule == "relation/geometry":
+        return [(a, b, relation, CONTRADICTED)]
+    inverse = INVERSE.get(relation, relation)
+    if found.rule == "relation/cycle":
+        return [(i, j, relation, 1 / len(found.objects)) for i, j in pairwise((*found.objects, found.objects[0]))]
+    others = {
+        "relation/inverse": (b, a, inverse),
+        "relation/exclusive": (a, b, inverse),
+        "relation/antisymmetry": (b, a, relation),
+    }
+    other = others.get(found.rule)
+    return [] if other is None else [(a, b, relation, ONE_OF_TWO), (*other, ONE_OF_TWO)]
+
+
+def disagreements(judgements: Judgements) -> list[Reason]:
+    """Items judged differently by reviewers, with each verdict."""
+    words = {
+        key: sorted((w for w in opinions.values() if w.status in SETTLED), key=lambda w: w.at)
+        for key, opinions in judgements.words.items()
+        if judgements.differ(key)
+    }
+    return [
+        (key, DISAGREED, f"{DISAGREE}: " + ", ".join(f"{w.author} says {w.verdict}" for w in opinions))
+        for key, opinions in words.items()
+    ]
+
+
+def states_on_labels(judgements: Judgements, cells: RelationLabels) -> dict[ItemKey, State]:
+    """The state of each item over all, see `Judgements.states_now`."""
+    return judgements.states_now(relation_states(cells, judgements.states()).get)
+
+
+def relation_states(cells: RelationLabels, keys: Iterable[ItemKey]) -> dict[ItemKey, int]:
+    """T, U or F of the items with a state in the labels."""
+    numbers, known = cells.cells_of(keys)
+    states = cells.states.ravel()[numbers].tolist()
+    return {key: state for key, state in zip(known, states, strict=True) if state in (T, U, F)}
+
+
+def automatic_version(manifest: Manifest) -> str:
+    """Version of the automatic labels behind these: see `labels_version`."""
+    stated = (manifest.corrections or {}).get("automatic")
+    return str(stated) if stated else labels_version(manifest)
+
+
+@dataclass(frozen=True, eq=False)
+class RelationLabels:
+    """The table of relations as arrays, in its order."""
+
+    relations: tuple[str, ...]
+    frame: np.ndarray
+    """(P,) object: ids."""
+    frame_index: np.ndarray
+    a: np.ndarray
+    b: np.ndarray
+    """(P,) int64"""
+    states: np.ndarray
+    """(P, R) int8: T, U, F; NOT_JUDGED where there is none."""
+    margins: np.ndarray
+    """(P, R) float64: metres; NaN where there is none."""
+
+    def __len__(self) -> int:
+        return len(self.a)
+
+    def cells_of(self, keys: Iterable[ItemKey]) -> tuple[np.ndarray, list[ItemKey]]:
+        """Cell numbers (K,) int64, row by row, of the keys of relations of these labels, with the keys.
+
+        Keys that the labels lack are left out.
+        """
+        wanted = [k for k in keys if k.kind == "relation" and k.what in self.relations]
+        of_them = np.flatnonzero(np.isin(self.frame, list({k.frame for k in wanted})))
+        pairs = zip(self.frame[of_them], self.a[of_them].tolist(), self.b[of_them].tolist(), strict=True)
+        index = dict(zip(pairs, of_them.tolist(), strict=True))
+        rows = np.array([index.get((k.frame, k.a, k.b), -1) for k in wanted], np.int64)
+        columns = np.array([self.relations.index(k.what) for k in wanted], np.int64)
+        there = rows >= 0
+        return (rows * len(self.relations) + columns)[there], [
+            k for k, known in zip(wanted, there, strict=True) if known
+        ]
+
+    def rows_of_pairs(self, frame: LabelledFrame) -> np.ndarray:
+        """(N, N) int64: row of each pair of a frame's objects; -1 for none."""
+        mine, known = rows_of_frame(self.frame_index, frame.key.index), frame.objects
+        a, b = self.a[mine], self.b[mine]
+        i, j = (np.minimum(np.searchsorted(known, x), len(known) - 1) for x in (a, b))
+        there = np.flatnonzero((known[i] == a) & (known[j] == b) & (i != j))
+        rows = np.full((len(known), len(known)), -1, np.int64)
+        rows[i[there], j[there]] = mine.start + there
+        return rows
+
+
+def read_relation_labels(labels: Labels) -> RelationLabels:
+    """All relation labels of a folder.
+
+    Raises InputError: the table is damaged.
+    """
+    relations = labels.relation_names
+    margins = [f"{r}_margin" for r in relations]
+    table = read_table(
+        labels.root / "relations.parquet", "relations", ("frame", "frame_index", "a", "b", *relations, *margins)
+    )
+    table = table.take(np.lexsort([table.column(name).to_numpy() for name in ("b", "a", "frame_index")]))
+    states = [table.column(r).fill_null(NOT_JUDGED).to_numpy().astype(np.int8) for r in relations]
+    frame_index, a, b = (table.column(name).to_numpy().astype(np.int64) for name in ("frame_index", "a", "b"))
+    margin_columns = [table.column(m).to_numpy().astype(np.float64) for m in margins]
+    frame = table.column("frame").to_numpy().astype(object)
+    return RelationLabels(
+        relations, frame, frame_index, a, b, np.stack(states, axis=1), np.stack(margin_columns, axis=1)
+    )
+
+
+def letters(states: np.ndarray) -> np.ndarray:
+    """T, F or U of each state."""
+    return np.where(states == T, "T", np.where(states == F, "F", "U"))
+
+
+def _joined(*parts: str | np.ndarray) -> np.ndarray:
+    """Texts joined element by element."""
+    return reduce(np.char.add, parts, np.array(""))
+
+
+def _ranked(labels: Labels, evidence: Evidence, doubted: Mapping[str, np.ndarray]) -> pa.Table:
+    cells, others = evidence.cells, list(evidence.others)
+    at, weight, reason = (np.concatenate(parts) for parts in zip(*evidence.found, strict=True))
     right = np.zeros(cells.states.size + len(others))
     np.add.at(right, at, np.log1p(-np.minimum(weight, 1 - 1e-12)))
     score = -np.expm1(right)
-    cell = np.flatnonzero((score[: cells.states.size] >= LEAST) | items.settled_cells)
+    cell = np.flatnonzero((score[: cells.states.size] >= LEAST) | evidence.settled_cells)
     row, column = np.divmod(cell, max(len(cells.relations), 1))
     columns = {
         "frame": cells.frame[row],

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.corrections.review.out_of_fold import stacked
+from pipeline.corrections.review.doubts import stacked
 from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import PHRASE, VOCABULARIES
 from pipeline.metrics.intervals import BootstrapConfig, McNemar, mcnemar

@@ -1,39 +1,45 @@
-"""A stored queue with what became of its items, also while people go on saving: what a reviewer is shown next."""
+"""The review queue while people work: its items with what became of them, which is next, and what settles them."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from pipeline.corrections.journal.edits import Edits, judge_both_ways, judge_missing, set_status
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Event, grouped
+from pipeline.corrections.journal.field_refs import FieldRef, object_ref
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.review.items import (
+    DISAGREED,
     KINDS,
+    NOBODY,
     SETTLED,
     STATES,
     ItemKey,
     State,
-    checked_states,
-    disputed_rows,
-    item_keys,
     item_of,
     judgements_of,
-    key_stands,
 )
 from pipeline.corrections.review.queue import QUEUE_COLUMNS
 from pipeline.labels.reading import write_table
 from pipeline.system.arrow import pa
-from pipeline.system.errors import as_input_error, first_line, needed, require
+from pipeline.system.errors import InputError, as_input_error, first_line, needed, require
 from pipeline.system.safe_files import read_parquet
 
 VERSION_KEY = b"labels_version"
 _UNREVIEWED, _UNSURE = STATES.index("unreviewed"), STATES.index("unsure")
+_SETTLED = [STATES.index(s) for s in SETTLED]
+BLOCK = 60
+"""Items that are as good as equally undecided: what differs little in rank may be looked at in any order."""
+MOST = 1000
+"""Items that one action settles: more would not have been looked at."""
 Mark = tuple[int, str]
 """An event of a journal: `id` and `ulid`. The second tells a journal from one that was put in its place."""
 NOTHING: Mark = (0, "")
@@ -56,7 +62,7 @@ class Worklist:
     disputed: np.ndarray
     """(N,) bool: what reviewers judged differently when the queue was made."""
     frames: Mapping[str, np.ndarray]
-    """dict of str to (K,) int64: the indices of each frame's items."""
+    """Places of the items of each frame, (K,) int64."""
     gone: np.ndarray
     """(N,) bool: items of which nothing is left, since what they are about was left out: not shown and not counted,
     until they come back."""
@@ -64,16 +70,12 @@ class Worklist:
     def __len__(self) -> int:
         return len(self.keys)
 
-    @cached_property
-    def tally(self) -> tuple[int, ...]:
-        """Number of items in each of STATES, without lost ones."""
-        return tuple(np.bincount(self.codes[~self.gone], minlength=len(STATES)).tolist())
-
     @property
     def counts(self) -> dict[str, int]:
         """Number of `items`, of each state, and `settled`, without lost items."""
-        by_state = dict(zip(STATES, self.tally, strict=True))
-        return {"items": sum(self.tally), **by_state, "settled": sum(by_state[s] for s in SETTLED)}
+        tally = np.bincount(self.codes[~self.gone], minlength=len(STATES)).tolist()
+        by_state = dict(zip(STATES, tally, strict=True))
+        return {"items": sum(tally), **by_state, "settled": sum(by_state[s] for s in SETTLED)}
 
     @cached_property
     def frame_counts(self) -> dict[str, tuple[int, int]]:
@@ -81,8 +83,7 @@ class Worklist:
         places = list(self.frames.values())
         number = np.repeat(np.arange(len(places)), [len(indices) for indices in places])
         items = np.concatenate(places or [np.zeros(0, np.int64)])
-        settled = np.isin(self.codes[items], [STATES.index(s) for s in SETTLED])
-        kept = ~self.gone[items]
+        settled, kept = np.isin(self.codes[items], _SETTLED), ~self.gone[items]
         counts = (np.bincount(number[kept & those], minlength=len(places)).tolist() for those in (settled, ~settled))
         return dict(zip(self.frames, zip(*counts, strict=True), strict=True))
 
@@ -95,13 +96,14 @@ class Worklist:
         index = self.indices.get(key.plain)
         return index is not None and bool(self.disputed[index]) and self.codes[index] == _UNSURE
 
-    def is_gone(self, key: ItemKey) -> bool:
-        """Tell lost items; InputError where the queue has no such item."""
-        return bool(self.gone[self._index(key)])
-
-    def row(self, key: ItemKey) -> dict:
+    def row(self, key: ItemKey) -> dict[str, Any]:
         """Row of the item in the queue; InputError if absent."""
-        return self.queue.slice(self._index(key), 1).to_pylist()[0]
+        return self.rows([self._index(key)])[0]
+
+    def rows(self, places: Sequence[int]) -> list[dict[str, Any]]:
+        """Rows of the queue, with the `state` of each."""
+        rows = self.queue.take(pa.array(places, pa.int64())).to_pylist()
+        return [{**row, "state": STATES[self.codes[place]]} for place, row in zip(places, rows, strict=True)]
 
     def with_states(self, states: Mapping[ItemKey, State]) -> Worklist:
         """List after changes of states. Nothing is ranked anew: a byte an item is copied.
@@ -110,8 +112,18 @@ class Worklist:
 
         Raises InputError: there is no such state.
         """
-        codes = _codes(self.codes, self.indices, states)
+        codes = self.codes.copy()
+        for key, state in states.items():
+            require(state in STATES, f"no such state of review item {key}", got=state, expected=" | ".join(STATES))
+            if (index := self.indices.get(key.plain)) is not None:
+                codes[index] = STATES.index(state)
         return self if (codes == self.codes).all() else replace(self, codes=codes)
+
+    def of_reviewer(self, own: Mapping[ItemKey, State]) -> Worklist:
+        """List by one reviewer's own states, without what others have settled: a second opinion is independent."""
+        nothing = np.zeros_like(self.gone)
+        unseen = replace(self, codes=np.full_like(self.codes, _UNREVIEWED), disputed=nothing)
+        return replace(unseen.with_states(own), gone=self.gone | np.isin(self.codes, _SETTLED))
 
     @property
     def touched(self) -> tuple[str, ...]:
@@ -121,9 +133,7 @@ class Worklist:
 
     def with_gone(self, frame: str, gone: Collection[ItemKey]) -> Worklist:
         """List with exactly these items of a frame lost."""
-        if frame not in self.frames:
-            return self
-        indices = self.frames[frame]
+        indices = self.frames.get(frame, np.zeros(0, np.int64))
         now = np.array([self.keys[index] in gone for index in indices.tolist()], np.bool_)
         if (now == self.gone[indices]).all():
             return self
@@ -131,18 +141,19 @@ class Worklist:
         marks[indices] = now
         return replace(self, gone=marks)
 
-    def next_item(
-        self, after: ItemKey | None = None, skip: Collection[ItemKey] = (), kind: str | None = None
-    ) -> ItemKey | None:
-        """Next open item behind `after`, else from the top; undisputed unsure items come last. None at the end.
+    def left(self, kind: str | None = None) -> np.ndarray:
+        """Places (K,) int64 of open items of a kind, in order; undisputed unsure ones last."""
+        unsure = (self.codes == _UNSURE) & ~self.disputed
+        places = np.flatnonzero(~np.isin(self.codes, _SETTLED) & self._shown(kind))
+        return places[np.argsort(unsure[places], kind="stable")]
 
-        `after`: None, and one that the queue does not hold, stand before the first. `skip`: put off: not shown. `kind`:
-        only items of this kind.
+    def next_item(self, after: ItemKey | None = None, kind: str | None = None) -> ItemKey | None:
+        """Next open item of a kind behind `after`, else from the top; undisputed unsure items last. None at the end.
+
+        `after`: None, and one that the queue does not hold, stand before the first.
         """
         start = -1 if after is None else self.indices.get(after.plain, -1)
-        shown = ~self.gone if kind is None else ~self.gone & (self.kinds == KINDS.index(kind))
-        shown[[self.indices[k.plain] for k in skip if k.plain in self.indices]] = False
-        unsure = self.codes == _UNSURE
+        shown, unsure = self._shown(kind), self.codes == _UNSURE
         for wanted in ((self.codes == _UNREVIEWED) | (unsure & self.disputed), unsure & ~self.disputed):
             # The item itself comes last: it is shown again only where it is the only one.
             found = np.roll(wanted & shown, -start - 1)
@@ -150,17 +161,34 @@ class Worklist:
                 return self.keys[(int(found.argmax()) + start + 1) % len(self)]
         return None
 
-    def previous(self, before: ItemKey | None = None) -> ItemKey | None:
-        """Item above, whatever its state, to look again at settled work; None above the first.
+    def previous(self, before: ItemKey | None = None, kind: str | None = None) -> ItemKey | None:
+        """Item of a kind above, whatever its state, to look again at settled work; None above the first.
 
         None, and one that the queue does not hold, stand behind the last.
         """
         index = len(self) if before is None else self.indices.get(before.plain, len(self))
-        above = np.flatnonzero(~self.gone[:index])
+        above = np.flatnonzero(self._shown(kind)[:index])
         return self.keys[above[-1]] if len(above) else None
 
+    def _shown(self, kind: str | None) -> np.ndarray:
+        return ~self.gone if kind is None else ~self.gone & (self.kinds == KINDS.index(kind))
+
     def _index(self, key: ItemKey) -> int:
-        return needed(self.indices.get(key.plain), "the queue holds no such item", got=key.text())
+        return needed(self.indices.get(key.plain), "the queue holds no such item", got=str(key))
+
+    def found(
+        self, words: Callable[[dict[str, Any]], str], text: str, kind: str | None = None, settled: bool = False
+    ) -> list[int]:
+        """Places of open items of a kind, in order, with each word of a text in words, reasons or frame.
+
+        `words`: what the label of a row of the queue says. `settled`: of settled items, too.
+        """
+        places = (np.flatnonzero(self._shown(kind)) if settled else self.left(kind)).tolist()
+        wanted = text.casefold().split()
+        if not wanted:
+            return places
+        texts = (" ".join((words(row), row["frame"], *row["reasons"])).casefold() for row in self.rows(places))
+        return [k for k, said in zip(places, texts, strict=True) if all(w in said for w in wanted)]
 
 
 def worklist(queue: pa.Table, states: Mapping[ItemKey, State] | None = None) -> Worklist:
@@ -170,32 +198,49 @@ def worklist(queue: pa.Table, states: Mapping[ItemKey, State] | None = None) -> 
 
     Raises InputError: a state is none, or the queue holds an item twice.
     """
-    keys = tuple(item_keys(queue))
+    keys = item_keys(queue)
     if states is None:
         stored = queue.column("state").to_pylist() if "state" in queue.column_names else []
         states = dict(zip(keys, stored, strict=False))
     indices = {key: k for k, key in enumerate(keys)}
-    require(
-        len(indices) >= len(keys),
-        "the queue holds an item twice",
-        got=f"{len(keys) - len(indices)} of {len(keys)} items",
-    )
-    codes = _codes(np.full(len(keys), _UNREVIEWED, np.int8), indices, states)
+    twice = len(keys) - len(indices)
+    require(not twice, "the queue holds an item twice", got=f"{twice} of {len(keys)} items")
+    disputed = np.zeros(len(keys), np.bool_)
+    if "score" in queue.column_names:
+        disputed = queue.column("score").to_numpy() >= DISAGREED
     kinds = np.array([KINDS.index(key.kind) for key in keys], np.int8)
-    frames = {
-        frame: np.array(found, np.int64) for frame, found in grouped(range(len(keys)), lambda k: keys[k].frame).items()
-    }
-    return Worklist(queue, keys, indices, codes, kinds, disputed_rows(queue), frames, np.zeros(len(keys), np.bool_))
+    of_frame = grouped(range(len(keys)), lambda place: keys[place].frame)
+    frames = {frame: np.array(places, np.int64) for frame, places in of_frame.items()}
+    codes, gone = np.full(len(keys), _UNREVIEWED, np.int8), np.zeros(len(keys), np.bool_)
+    return Worklist(queue, tuple(keys), indices, codes, kinds, disputed, frames, gone).with_states(states)
 
 
-def _codes(codes: np.ndarray, indices: Mapping[ItemKey, int], states: Mapping[ItemKey, State]) -> np.ndarray:
-    """The codes with other states, where there are such items."""
-    checked_states(states)
-    found = codes.copy()
-    for key, state in states.items():
-        if (index := indices.get(key.plain)) is not None:
-            found[index] = STATES.index(state)
-    return found
+def item_keys(queue: pa.Table) -> list[ItemKey]:
+    """The keys of a queue's rows, in their order; of expressions without their objects, see `ItemKey.plain`."""
+    names = ("frame", "kind", "a", "b", "relation", "expression", "place")
+    absent = [None] * queue.num_rows
+    known = set(queue.column_names)
+    columns = (queue.column(name).to_pylist() if name in known else absent for name in names)
+    return [
+        ItemKey(f, k, NOBODY, None, e or "") if k == "expression" else ItemKey(f, k, a, b, r or p or "")
+        for f, k, a, b, r, e, p in zip(*columns, strict=True)
+    ]
+
+
+def by_frame(queue: pa.Table, block: int = BLOCK) -> pa.Table:
+    """The queue with the items of a frame next to each other within every `block` items.
+
+    Frames stand in the order of their first item of the block, and the items of
+    a frame, pair by pair, in the order in which the pair's first one stood.
+    """
+    first: dict[tuple[Any, ...], int] = {}
+    frames, *ends = (queue.column(name).to_pylist() for name in ("frame", "a", "b"))
+    order = []
+    for rank, (frame, a, b) in enumerate(zip(frames, *ends, strict=True)):
+        part = rank // block
+        pair = (part, frame, *sorted((a, -1 if b is None else b)))
+        order.append((part, first.setdefault((part, frame), rank), first.setdefault(pair, rank), rank))
+    return queue.take(pa.array([rank for *_, rank in sorted(order)], pa.int64()))
 
 
 def write_queue(queue: pa.Table, path: Path) -> None:
@@ -211,7 +256,7 @@ def write_queue(queue: pa.Table, path: Path) -> None:
 def read_queue(path: str | Path, version: str | None = None) -> pa.Table:
     """A stored queue.
 
-    `version`: of the automatic labels that it must be of: see `reviewed.automatic_version`.
+    `version`: of the automatic labels that it must be of: see `queue.automatic_version`.
 
     Raises InputError: it is no queue, damaged, or of other labels.
     """
@@ -231,38 +276,21 @@ def read_queue(path: str | Path, version: str | None = None) -> pa.Table:
         cause="were the labels made again? then build the queue again: spatialviz review LABELS --out",
         path=path,
     )
-    _check_columns(queue, path)
+    for name, kind in {**QUEUE_COLUMNS, "reasons": pa.list_(pa.string())}.items():
+        have = [column.type for column in queue.schema if column.name == name]
+        same = have == [kind] or (have == [pa.null()] and not queue.num_rows)
+        require(same, f"the queue's column {name!r} is missing or damaged", got=have, expected=kind, path=path)
+        gaps = name in ("frame", "kind", "a", "score", "reasons") and queue.column(name).null_count
+        require(not gaps, f"the queue's column {name!r} has gaps", got=gaps, path=path)
+    strange = sorted(set(queue.column("kind").to_pylist()) - {*KINDS})
+    require(not strange, "the queue holds an unknown kind of item", got=strange[:3], path=path)
+    keys = item_keys(queue)
+    require(len(set(keys)) >= len(keys), "the queue holds an item twice", path=path)
     return queue
 
 
-def _check_columns(queue: pa.Table, path: Path) -> None:
-    text = pa.string()
-    for name, kind in {**QUEUE_COLUMNS, "reasons": pa.list_(text)}.items():
-        require(len(queue.schema.get_all_field_indices(name)) == 1, f"the queue lacks the column {name!r}", path=path)
-        have = queue.schema.field(name).type
-        same = pa.types.is_list(have) and have.value_type == text if name == "reasons" else have == kind
-        require(
-            same or (pa.types.is_null(have) and not queue.num_rows),
-            f"the queue's column {name!r} is damaged",
-            got=have,
-            expected=kind,
-            path=path,
-        )
-    for name in ("frame", "kind", "a", "score"):
-        require(
-            not queue.column(name).null_count,
-            f"the queue's column {name!r} has gaps",
-            got=queue.column(name).null_count,
-            path=path,
-        )
-    strange = next((k for k in queue.column("kind").unique().to_pylist() if k not in KINDS), None)
-    require(strange is None, "the queue holds an unknown kind of item", got=repr(strange)[:60], path=path)
-    keys = item_keys(queue)
-    require(len(set(keys)) >= len(keys), "the queue holds an item twice", path=path)
-
-
 def frame_states(frame: EffectiveFrame, events: Sequence[Event]) -> dict[ItemKey, State]:
-    """States of a frame's items over all people, as by `reviewed.states_on_labels` for all frames.
+    """States of a frame's items over all people, as by `queue.states_on_labels` for all frames.
 
     `events`: all of it, in the order of their saving.
     """
@@ -311,10 +339,55 @@ def _since(journal: Journal, after: Mark) -> tuple[Sequence[Event], bool]:
     return journal.events(), False
 
 
-def gone_items(frame: EffectiveFrame, keys: Collection[ItemKey], states: Mapping[ItemKey, State]) -> frozenset[ItemKey]:
-    """Items of a frame absent from a queue made now: see `key_stands`."""
-    name, stood = frame.frame, frame.stands
-    objects, expressions = ({(name, key) for key in rows if stood} for rows in (frame.objects, frame.expressions))
-    pairs = {k for k in keys if k.kind == "relation" and stood and frame.pairs.state(k.a, k.b, k.what) is not None}
-    frames = [name] if stood else []
-    return frozenset(key for key in keys if not key_stands(key, states, frames, pairs, objects, expressions))
+def gone_items(frame: EffectiveFrame, keys: Iterable[ItemKey], states: Mapping[ItemKey, State]) -> frozenset[ItemKey]:
+    """Items of a frame with nothing left to be right or wrong.
+
+    A relation goes with its pair, an expression with its objects, everything with its frame. An object or expression
+    that somebody has settled, by leaving it out for one, stays.
+    """
+
+    def stands(key: ItemKey) -> bool:
+        if key.kind == "relation":
+            return frame.stands and frame.pairs.state(key.a, key.b, key.what) is not None
+        if states.get(key.plain) in SETTLED:
+            return True
+        of_kind = key.what in frame.expressions if key.kind == "expression" else key.a < 0 or key.a in frame.objects
+        return frame.stands and of_kind
+
+    return frozenset(key for key in keys if not stands(key))
+
+
+def say_of_item(frame: EffectiveFrame, item: ItemKey, status: str, author: str) -> Edits:
+    """Edits of a reviewer's word: "accepted", "rejected" or "unsure"; InputError for a rejected relation."""
+    if item.kind == "relation":
+        require(status != "rejected", "a relation is not rejected", expected="T, U or F")
+        ref = FieldRef("relation", item.frame, f"{item.a},{item.b}", f"{item.what}.status")
+        return judge_both_ways(frame, ref, status, author)
+    if item.kind == "object" and item.a < 0:
+        return judge_missing(frame, item.what, status, author)
+    expression = FieldRef("expression", item.frame, item.what, "status")
+    ref = object_ref(item.frame, item.a, "status") if item.kind == "object" else expression
+    return set_status(frame, ref, status, author=author)
+
+
+def accept_all(items: Collection[ItemKey], frame_of: Callable[[str], EffectiveFrame], author: str) -> Edits:
+    """Edits of one action for all these items, of whatever frames; undo takes all of them back.
+
+    Items that have gone since they were found are left out.
+
+    Raises InputError: there are none, or more than a person can have looked at.
+    """
+    require(items, "no open item is found: there is nothing to accept")
+    require(len(items) <= MOST, "too many items at once", got=len(items), expected=f"at most {MOST}: filter them")
+    made: dict[FieldRef, Any] = {}
+    problem: InputError | None = None
+    for name, of_frame in grouped(items, lambda key: key.frame).items():
+        frame = frame_of(name)
+        for item in of_frame:
+            try:
+                made |= {e.ref: e for e in say_of_item(frame, item, "accepted", author)}
+            except InputError as error:
+                problem = error
+    if not made and problem is not None:
+        raise problem
+    return tuple(made.values())

@@ -1,4 +1,4 @@
-"""What a relation network says of each label that has not learnt from it, nor from anything of its scene.
+"""Doubts on relation labels, by networks that have learnt neither from a label nor from anything of its scene.
 
 The network's answers are antisymmetric by construction: "a left of b" and "b
 right of a" get the mean of their two logits. Both cells are of one frame, and
@@ -9,6 +9,13 @@ second look at the same geometry.
 
 As in `pipeline.metrics.splits`, frames of one scene resemble each other. So scenes
 are held out, or where there are few, blocks of camera positions with a gap.
+
+Which labels are probably wrong then follows by confident learning (C. G. Northcutt, L. Jiang and I. L. Chuang, JAIR 70
+(2021), 1373-1411): per-class thresholds, the confident joint of given and true labels, its calibration to the counts of
+given labels (section 3.1). Each relation is a question of its own, as relations may hold together and cells that are
+too close to call (U) have no label. The network is trained on given labels, and so its probability is that of the given
+label. With the noise rates of the confident joint it is inverted to that of the true label, and Bayes' rule gives the
+probability that a label is wrong.
 """
 
 from __future__ import annotations
@@ -21,7 +28,6 @@ from typing import Literal
 import numpy as np
 import xxhash
 
-from pipeline.corrections.review.confident import Noise, estimate_noise, probability_wrong
 from pipeline.language.relation_names import VOCABULARIES
 from pipeline.metrics.calibration_metrics import antisymmetric, sigmoid
 from pipeline.metrics.splits import FEWEST_SCENES, FRAME_GAP, GAP_M, FrameKey, along_spread
@@ -30,7 +36,102 @@ from pipeline.relations.relations import T, U
 from pipeline.system.errors import require
 from pipeline.system.worker_pool import one_thread
 from pipeline.training.label_data import LabelData, LabelledFrame, pair_set
-from pipeline.training.train import OUTPUTS, TrainConfig, TrainedModel, train_pairs
+from pipeline.training.train import TrainConfig, TrainedModel, train_pairs
+
+FEWEST = 10
+"""With fewer labels of either answer no noise rates are estimated."""
+MOST_NOISE = 0.9
+"""The two noise rates together; at 1 a label would say nothing."""
+TRUSTED = 0.9
+"""How far the inverted probability is trusted; for the rest the network's own counts, so that none is certain."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """How labels of one question came to be wrong."""
+
+    thresholds: np.ndarray
+    """(2,) float64: mean probability of "no" over labels that say no, of "yes" over those that say yes; NaN where there
+    are none."""
+    joint: np.ndarray
+    """(2, 2) float64: labels by what they say [0: no, 1: yes] and what they should [0, 1]; sums to their number."""
+    yes_for_no: float
+    no_for_yes: float
+    """Share of true noes that were labelled yes, and the reverse."""
+
+    @property
+    def wrong(self) -> float:
+        """Estimated number of wrong labels."""
+        return float(self.joint[0, 1] + self.joint[1, 0])
+
+
+def estimate_noise(p: np.ndarray, says: np.ndarray) -> Noise:
+    """Noise rates by the confident joint.
+
+    `p` (M,) float: out-of-fold probability of "yes". `says` (M,) bool: what the labels say.
+
+    Raises InputError: lengths differ, or a probability is not in 0..1.
+    """
+    require(p.ndim == 1 and p.shape == says.shape, "one probability a label is needed", got=p.shape)
+    require(((p >= 0) & (p <= 1)).all(), "probabilities must lie between 0 and 1")
+    counts = np.array([(~says).sum(), says.sum()], np.float64)
+    if counts.min() < FEWEST:
+        thresholds = np.array([(1 - p[~says]).mean() if counts[0] else np.nan, p[says].mean() if counts[1] else np.nan])
+        return Noise(thresholds, np.diag(counts), 0.0, 0.0)
+    thresholds, table = confident_joint(p, says)
+    # One more of each kind of error: where none was seen, ranks still differ.
+    table += [[0, 1], [1, 0]]
+    joint = table / table.sum(axis=1, keepdims=True) * counts[:, None]
+    # Columns are true classes; a class that is confidently seen nowhere leaves its rate at nothing.
+    true = np.maximum(joint.sum(axis=0), 1e-12)
+    yes_for_no, no_for_yes = joint[1, 0] / true[0], joint[0, 1] / true[1]
+    scale = min(1.0, MOST_NOISE / max(yes_for_no + no_for_yes, 1e-12))
+    return Noise(thresholds, joint, float(yes_for_no * scale), float(no_for_yes * scale))
+
+
+def confident_joint(p: np.ndarray, says: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Thresholds and the confident joint of given and true labels (equation 1 of the paper).
+
+    `p` (M,) float; `says` (M,) bool, with either answer at least once.
+
+    Returns `thresholds` (2,) float64: mean probability of each answer over the labels that give it. `counts` (2, 2)
+    float64: by what labels say and what they should.
+    """
+    thresholds = np.array([(1 - p[~says]).mean(), p[says].mean()])
+    confident = np.stack([1 - p >= thresholds[0], p >= thresholds[1]])
+    # Where both are confident, the more probable one is what the label should be.
+    truly_yes = np.where(confident.all(axis=0), p >= 0.5, confident[1])
+    counted = confident.any(axis=0)
+    table = np.zeros((2, 2))
+    np.add.at(table, (says[counted].astype(np.int64), truly_yes[counted].astype(np.int64)), 1.0)
+    return thresholds, table
+
+
+def probability_wrong(p: np.ndarray, says: np.ndarray, noise: Noise | None = None) -> np.ndarray:
+    """(M,) float64: how probably each label is wrong; arguments as of `estimate_noise`.
+
+    P(says | x) = (1 - no_for_yes) P(yes | x) + yes_for_no P(no | x) is solved for
+    P(yes | x), and P(wrong | x, says) follows by Bayes' rule. Without noise rates
+    (too few labels) it is one less the self-confidence.
+    """
+    noise = noise or estimate_noise(p, says)
+    e, d = noise.yes_for_no, noise.no_for_yes
+    if not (e or d):
+        return 1 - self_confidence(p, says)
+    inverted = np.clip((p - e) / (1 - e - d), 0.0, 1.0)
+    yes = np.clip(TRUSTED * inverted + (1 - TRUSTED) * p, 1e-9, 1 - 1e-9)
+    right = np.where(says, (1 - d) * yes, (1 - e) * (1 - yes))
+    wrong = np.where(says, e * (1 - yes), d * yes)
+    return wrong / (wrong + right)
+
+
+def self_confidence(p: np.ndarray, says: np.ndarray) -> np.ndarray:
+    """(M,) float64: probability of the given label; the least first ranks errors.
+
+    Of two answers it ranks as the normalised margin does, which is twice this less 1.
+    """
+    return np.where(says, p, 1 - p)
+
 
 REVIEWED = "all"
 """The vocabulary of the networks: every relation is judged alone; those that were not labelled teach nothing."""
@@ -102,12 +203,6 @@ def doubt_labels(
     """
     config = config or DoubtConfig(train=TrainConfig(data.features, REVIEWED, epochs=EPOCHS))
     config.check()
-    require(
-        config.train.features == data.features,
-        "the labels were read for other features",
-        got=data.features,
-        expected=config.train.features,
-    )
     train = replace(config.train, vocabulary=REVIEWED)
     folds = make_folds([f.key for f in data.frames], config.folds, train.seed)
     done, total = count(1), config.passes * len(folds)
@@ -136,11 +231,6 @@ def out_of_fold(
 
     `trained`: called after each network.
     """
-    require(
-        OUTPUTS[config.vocabulary] == "sigmoid",
-        "labels are judged one by one, not as the one that fits best",
-        got=config.vocabulary,
-    )
     outputs = VOCABULARIES[config.vocabulary]
     indices = [outputs.index(relation) for relation in vocabulary]
     found: list[np.ndarray] = [np.zeros(0)] * len(frames)
