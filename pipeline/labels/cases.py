@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, FiniteFloat, PlainSerializer
 
 from pipeline.geometry.frame import Frame
+from pipeline.labels.frame_stream import frame_spans
 from pipeline.labels.reading import Labels
 from pipeline.language.expression import Reader, parse
 from pipeline.language.noun_phrase import same_names
@@ -274,15 +275,10 @@ def _part(root: Path, name: str, columns: list[str], first: int, stop: int) -> p
 
 def _by_frame(table: pa.Table) -> dict[int, dict[str, list[Any]]]:
     """Columns as lists, by frame; rows are in order of frames."""
-    if not table.num_rows:
-        return {}
-    index = table.column("frame_index").to_numpy()
-    starts = np.flatnonzero(np.diff(index, prepend=-1))
-    stops = [*starts[1:].tolist(), len(index)]
     columns = {name: table.column(name).to_pylist() for name in table.column_names}
     return {
-        int(index[a]): {name: values[a:b] for name, values in columns.items()}
-        for a, b in zip(starts.tolist(), stops, strict=True)
+        frame: {name: values[start:stop] for name, values in columns.items()}
+        for frame, start, stop in frame_spans(table.column("frame_index").to_numpy())
     }
 
 

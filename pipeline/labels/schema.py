@@ -48,7 +48,7 @@ Objects = Annotated[list[int], Field(json_schema_extra={"arrow": "int32"})]
 class LabelRow(BaseModel):
     """What every table has."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     frame: str
     frame_index: Count

@@ -68,21 +68,6 @@ def a_count_of_the_manifest_is_edited(t: Tables) -> set[Where]:
     return {(None, ())}
 
 
-@damages("file/order", "warning")
-def frames_are_swapped(t: Tables) -> set[Where]:
-    rows = t["relations"]
-    rows.sort(key=lambda r: (-r["frame_index"], r["a"], r["b"]))
-    return {(None, ())}
-
-
-@damages("file/order", "warning")
-def rows_of_a_frame_are_swapped(t: Tables) -> set[Where]:
-    rows = t["expressions"]
-    k = next(k for k, r in enumerate(rows) if r["frame"] == "room/1")
-    rows[k], rows[k + 1] = rows[k + 1], rows[k]
-    return {("room/1", ())}
-
-
 @damages("profile/changed", "warning")
 def rules_had_other_thresholds(t: Tables) -> set[Where]:
     t["manifest"][0]["profile_hash"] = "0" * 64

@@ -231,19 +231,6 @@ def its_text_speaks_as_of_the_only_one(t: Tables) -> set[Where]:
     return {("room/1", (row["target_object"], row["reference_object"]))}
 
 
-@damages("expression/duplicate-id")
-def an_id_is_copied(t: Tables) -> set[Where]:
-    one, other = said(t, "room/2", "lamp behind sofa"), said(t, "room/2", "lamp behind pillow")
-    put(other, id=one["id"])
-    return {("room/2", (1, 3))}
-
-
-@damages("expression/id", "warning")
-def an_id_comes_from_another_frame(t: Tables) -> set[Where]:
-    put(said(t, "room/2", "lamp behind sofa"), id=said(t, "room/1", "book on box")["id"])
-    return {("room/2", (1, 0))}
-
-
 @damages("expression/ambiguous")
 def a_flag_is_turned(t: Tables) -> set[Where]:
     put(said(t, "room/1", "box left of box"), ambiguous=False)
@@ -255,18 +242,6 @@ def the_book_is_no_longer_usable(t: Tables) -> set[Where]:
     put(item(t, "room/1", 3), usable=False, reason="fewer than 300 pixels")
     named = [(r["target_object"], r["reference_object"]) for r in t["expressions"] if r["frame"] == "room/1"]
     return {("room/1", p) for p in named if 3 in p}
-
-
-@damages("expression/source", "warning")
-def its_profile_is_another(t: Tables) -> set[Where]:
-    put(said(t, "room/1", "book on box"), profile="half-space")
-    return {("room/1", (3, 1))}
-
-
-@damages("expression/source", "warning")
-def its_up_vector_is_another(t: Tables) -> set[Where]:
-    put(said(t, "room/1", "book on box"), up_source="imu")
-    return {("room/1", (3, 1))}
 
 
 @damages("frame/implausible-depth", "warning")

@@ -21,8 +21,8 @@ from slow_cases import mostly_slow
 
 from pipeline.datasets import demo_path, open_dataset
 from pipeline.geometry import Box3D, Camera, project
-from pipeline.labels import TABLES, HubConfig, Labels, VqaConfig, build_table, export_labels
-from pipeline.labels.exports import FORMATS, ExportFormat, base, exporting
+from pipeline.labels import TABLES, HubConfig, Labels, VqaConfig, build_table, export_labels, frame_stream, write_table
+from pipeline.labels.exports import FORMATS, ExportFormat, exporting
 from pipeline.labels.exports.row_provenance import json_lines
 from pipeline.labels.reading import content_hash
 from pipeline.labels.schema import SCHEMA_FOLDER, json_schemas, schema_text
@@ -52,7 +52,7 @@ def test_small_batches_write_the_same_files(
     demo_labels: Labels, format: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     export_labels(demo_labels, format, tmp_path / "whole")
-    monkeypatch.setattr(base, "BATCH", 97)
+    monkeypatch.setattr(frame_stream, "BATCH", 97)
     seen: list[tuple[int, int]] = []
     export_labels(demo_labels, format, tmp_path / "pieces", progress=lambda done, of: seen.append((done, of)))
     assert format == "parquet" or seen[-1] == (6, 6)
@@ -169,8 +169,10 @@ def test_a_number_and_a_text_survive_json_lines(numbers: list[float | None], tex
 def test_a_number_that_json_cannot_carry_is_refused(tmp_path: Path, format: str, number: float) -> None:
     frame = frame_row(0, "f")
     objects = [object_row(frame, n, "mug", None) for n in (0, 1)]
-    pair = {**pair_row(frame, 0, 1, {"left": 1}), "distance": number}
-    labels = write_labels(tmp_path / "labels", {"frames": [frame], "objects": objects, "relations": [pair]})
+    pairs = [pair_row(frame, 0, 1, {"left": 1})]
+    labels = write_labels(tmp_path / "labels", {"frames": [frame], "objects": objects, "relations": pairs})
+    columns = {name: [value] for name, value in {**pairs[0], "distance": number}.items()}
+    write_table(build_table("relations", columns), labels.root / "relations.parquet")
     with pytest.raises(InputError, match="JSON cannot carry"):
         export_labels(labels, format, tmp_path / "out")
     assert not (tmp_path / "out").exists()

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from pipeline.labels.check.view import Finding, FrameView, state_letter
-from pipeline.labels.labelling import row_hash
 from pipeline.language.expression import parse
 from pipeline.language.naming import normal_form
 from pipeline.language.noun_phrase import readable
@@ -41,26 +39,12 @@ def triple_of(class_names: tuple[str, ...], text: str) -> Triple | str:
     return normal_form(found.target), found.relation, normal_form(found.reference)
 
 
-@dataclass(frozen=True)
-class ExpressionRules:
-    """What the expressions of a run are compared with."""
-
-    read: Callable[[str], Triple | str]
-    """`triple_of` with the class names of the labels, each text once."""
-    seed: int
-    """Of the ids."""
-    profile: str
-
-
-def check_expressions(view: FrameView, rules: ExpressionRules) -> Iterator[Finding]:
-    """All rules on the expressions of a frame."""
+def check_expressions(view: FrameView, read: Callable[[str], Triple | str]) -> Iterator[Finding]:
+    """All rules on the expressions of a frame; `read` is `triple_of` with the class names of the labels."""
     rows = view.expressions
-    seen: set[object] = set()
     for row, number in enumerate(rows["id"]):
         pair = int(rows["target_object"][row]), int(rows["reference_object"][row])
-        found = _on_its_own(view, row, rules)
-        found.append((number in seen, "expression/duplicate-id", f"a second expression has the id {number}", {}))
-        seen.add(number)
+        found = _on_its_own(view, row, read)
         if pair[0] in view.row_of and pair[1] in view.row_of:
             found += _against_objects(view, row) + _against_relations(view, row)
         for fails, rule, message, figures in found:
@@ -90,20 +74,18 @@ Fault = tuple[Any, str, str, dict[str, Any]]
 """Whether a rule is broken, its name, what is wrong, and the figures."""
 
 
-def _on_its_own(view: FrameView, row: int, rules: ExpressionRules) -> list[Fault]:
-    """Rules on the row alone, the frame and the run."""
-    rows, frames = view.expressions, view.tables["frames"]
-    a, relation, b = int(rows["target_object"][row]), rows["relation"][row], int(rows["reference_object"][row])
-    targets, answers = rows["targets"][row], len(rows["acceptable"][row])
-    ambiguous, profile, up = (rows[name][row] for name in ("ambiguous", "profile", "up_source"))
-    wanted = normal_form(str(rows["target"][row])), relation, normal_form(str(rows["reference"][row]))
-    read = rules.read(str(rows["text"][row]))
+def _on_its_own(view: FrameView, row: int, read: Callable[[str], Triple | str]) -> list[Fault]:
+    """Rules on the row alone."""
+    rows = view.expressions
+    a, targets, answers = int(rows["target_object"][row]), rows["targets"][row], len(rows["acceptable"][row])
+    ambiguous = bool(rows["ambiguous"][row])
+    wanted = normal_form(str(rows["target"][row])), rows["relation"][row], normal_form(str(rows["reference"][row]))
+    found = read(str(rows["text"][row]))
     misread = (
-        f"it cannot be read: {read}"
-        if isinstance(read, str)
-        else f"it reads as {' / '.join(read)} and not {' / '.join(map(str, wanted))}"
+        f"it cannot be read: {found}"
+        if isinstance(found, str)
+        else f"it reads as {' / '.join(found)} and not {' / '.join(map(str, wanted))}"
     )
-    of_frame = frames["up_source"][0] if len(frames) else up
     return [
         (
             a not in targets,
@@ -112,30 +94,12 @@ def _on_its_own(view: FrameView, row: int, rules: ExpressionRules) -> list[Fault
             {},
         ),
         (
-            bool(ambiguous) != (answers > 1),
+            ambiguous != (answers > 1),
             "expression/ambiguous",
             f"it is said to be {'ambiguous' if ambiguous else 'not ambiguous'}, with {answers} acceptable",
             {"acceptable": answers},
         ),
-        (
-            rows["id"][row] != f"{row_hash(rules.seed, str(rows['frame'][row]), a, relation, b):016x}",
-            "expression/id",
-            "its id is not the hash of frame, objects and relation",
-            {},
-        ),
-        (read != wanted, "expression/unreadable", misread, {}),
-        (
-            profile != rules.profile,
-            "expression/source",
-            f"its profile is {profile!r}, that of the labels {rules.profile!r}",
-            {},
-        ),
-        (
-            profile == rules.profile and up != of_frame,
-            "expression/source",
-            f"its up vector is {up}, the frame's is {of_frame}",
-            {},
-        ),
+        (found != wanted, "expression/unreadable", misread, {}),
     ]
 
 
@@ -192,12 +156,12 @@ def _against_relations(view: FrameView, row: int) -> list[Fault]:
     ]
 
 
-def _of_set(name: str, stored: np.ndarray, given: np.ndarray) -> Fault:
+def _of_set(name: str, stored: list[int], given: np.ndarray) -> Fault:
     message = f"{name} are {_list(stored)}, the relations give {_list(given)}"
     figures = {"set": name, "stored": len(stored), "given": len(given)}
     return not np.array_equal(np.sort(stored), np.sort(given)), "expression/sets", message, figures
 
 
-def _list(numbers: np.ndarray) -> str:
+def _list(numbers: Sequence[int] | np.ndarray) -> str:
     listed = ", ".join(str(n) for n in np.sort(numbers)[:8])
     return f"{{{listed}{', ...' if len(numbers) > 8 else ''}}}"

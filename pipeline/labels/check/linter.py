@@ -15,7 +15,7 @@ import numpy as np
 
 from pipeline.datasets.settings import ASSUMED
 from pipeline.datasets.up import OFF_SCENE
-from pipeline.labels.check.expressions import TEXTS_KEPT, ExpressionRules, check_expressions, triple_of
+from pipeline.labels.check.expressions import TEXTS_KEPT, check_expressions, triple_of
 from pipeline.labels.check.objects import (
     SizeSurvey,
     check_depth,
@@ -25,15 +25,15 @@ from pipeline.labels.check.objects import (
     rotation_fault,
 )
 from pipeline.labels.check.relations import EXPECTED, check_geometry, check_relations
-from pipeline.labels.check.stream import BATCH_ROWS, Rows, TableStream, frames_of
-from pipeline.labels.check.view import RULES, Figure, Finding, FrameView, Severity, chosen_rules
+from pipeline.labels.check.stream import Rows, column_arrays, frame_rows, no_rows
+from pipeline.labels.check.view import RULES, Figure, Finding, FrameView, chosen_rules
+from pipeline.labels.frame_stream import by_frame, frame_blocks
 from pipeline.labels.profiles import PROFILES
 from pipeline.labels.reading import Corrections, Labels, RowHash, read_corrections
 from pipeline.labels.schema import KEYS, TABLES, Manifest
 from pipeline.language.naming import normal_form
 from pipeline.language.relation_names import PAIRWISE
-from pipeline.system.arrow import pa
-from pipeline.system.safe_files import open_parquet
+from pipeline.system.errors import InputError
 from pipeline.system.whole_files import sha256_of
 
 OF_ANSWERS = (
@@ -52,8 +52,8 @@ def check_labels(labels: Labels, *, rules: Sequence[str] | None = None) -> Itera
 
     What people set in corrected labels is not held against the rules.
 
-    The tables are read twice: first the objects, for class names and sizes;
-    then all, frame by frame. Memory grows with classes, not with frames.
+    The tables are read twice: first as files, with class names and sizes of the objects; then frame by frame. Memory
+    grows with classes, not with frames.
 
     `rules`: names of rules or of groups ("relation"); all by default. Yields first of whole files, then frame by frame.
 
@@ -62,10 +62,6 @@ def check_labels(labels: Labels, *, rules: Sequence[str] | None = None) -> Itera
     chosen, by_people = chosen_rules(rules), read_corrections(labels.root)
     found = _all_findings(labels, frozenset(rule.split("/")[0] for rule in chosen), chosen)
     return (finding for finding in found if finding.rule in chosen and not _settled(finding, by_people))
-
-
-OF_ROWS = frozenset({"row", "frame", "file", "object"})
-"""Groups of rules that look at the rows of a frame one by one."""
 
 
 def _settled(finding: Finding, by_people: Corrections) -> bool:
@@ -79,31 +75,38 @@ def _settled(finding: Finding, by_people: Corrections) -> bool:
 
 
 def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]) -> Iterator[Finding]:
-    manifest = labels.manifest
-    checked = bool(groups & OF_ROWS)
-    streams = {name: TableStream(labels.root / f"{name}.parquet", name, checked) for name in TABLES}
-    if "file" in groups:
-        yield from check_files(labels, streams)
-    if "profile" in groups:
-        yield from check_profile(manifest)
-    profile = str(manifest.profile.get("name"))
+    manifest, profile = labels.manifest, str(labels.manifest.profile.get("name"))
+    class_names: set[str] = set()
+    survey = SizeSurvey()
+    lost: set[str] = set()
+    for name in TABLES:
+        digest = RowHash(name)
+        try:
+            for block in frame_blocks(labels, name):
+                digest.update(block)
+                if name == "objects":
+                    class_names |= set(block.column("label").unique().to_pylist())
+                    survey.add(column_arrays(block, name))
+        except InputError as error:
+            lost.add(name)
+            yield _finding("file/unreadable", str(error), {"table": name})
+        else:
+            yield from _changed(labels, name, digest)
+    yield from _counts(manifest)
+    yield from check_profile(manifest)
+    # What rests on a table that cannot be read would be one error a row.
+    if lost & {"frames", "objects"}:
+        return
+    groups -= {"relation", "expression"} if "relations" in lost else {"expression"} if "expressions" in lost else set()
     expected_of = EXPECTED[profile] if profile_problem(manifest) is None else None
     background = frozenset(normal_form(str(b)) for b in manifest.config.get("background", ()))
     relations = tuple(r for r in manifest.config.get("relations", ()) if r in PAIRWISE)
-    class_names, survey = _surveyed(TableStream(labels.root / "objects.parquet", "objects", checked=False))
-    expression_rules = ExpressionRules(lru_cache(TEXTS_KEPT)(partial(triple_of, class_names)), manifest.seed, profile)
-    # What rests on a table that cannot be read, or lacks columns, would be one error a row.
-    lost = {name for name, stream in streams.items() if stream.problem is not None or stream.lacking}
-    if lost & {"frames", "objects"}:
-        groups -= {"row", "frame", "object", "relation", "expression"}
-    elif "relations" in lost:
-        groups -= {"relation", "expression"}
-    elif "expressions" in lost:
-        groups -= {"expression"}
+    read = lru_cache(TEXTS_KEPT)(partial(triple_of, tuple(sorted(class_names))))
     ups = UpRules()
-    for index, tables in frames_of(streams):
-        view = FrameView(index, tables, background, relations)
-        if groups & OF_ROWS:
+    sound = (frame_rows(labels, name, checked="row" in groups) for name in TABLES if name not in lost)
+    for index, tables in by_frame(*sound):
+        view = FrameView(index, {name: tables.get(name) or no_rows(name) for name in TABLES}, background, relations)
+        if groups & {"row", "frame", "object"}:
             yield from check_rows(view)
         if "frame" in groups:
             yield from ups.add(view)
@@ -119,28 +122,8 @@ def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]
             if expected is not None:
                 yield from check_geometry(view, expected)
         if "expression" in groups:
-            yield from check_expressions(view, expression_rules)
+            yield from check_expressions(view, read)
     yield from ups.finish()
-    if "file" in groups:
-        for name, stream in streams.items():
-            # Damage that showed only while the table was read.
-            if stream.problem is not None and stream.opened:
-                yield _finding(
-                    "file/unreadable",
-                    f"{stream.path.name} could not be read to its end: {stream.problem}",
-                    {"table": name},
-                )
-
-
-def _surveyed(objects: TableStream) -> tuple[tuple[str, ...], SizeSurvey]:
-    """The class names of all objects, sorted, and how large their kinds are."""
-    found: set[str] = set()
-    survey = SizeSurvey()
-    while (index := objects.peek()) is not None:
-        rows = objects.take(index)
-        found |= {label for label in rows["label"] if label is not None}
-        survey.add(rows)
-    return tuple(sorted(found)), survey
 
 
 DISAGREE_DEG = 10.0
@@ -188,53 +171,22 @@ class UpRules:
             yield Finding("frame/up-disagrees", "warning", ups[k][0], (), message, figures)
 
 
-def _finding(rule: str, message: str, figures: dict[str, Figure], severity: Severity | None = None) -> Finding:
-    return Finding(rule, severity or RULES[rule].severity, None, (), message, figures)
+def _finding(rule: str, message: str, figures: dict[str, Figure]) -> Finding:
+    return Finding(rule, RULES[rule], None, (), message, figures)
 
 
-def check_files(labels: Labels, streams: dict[str, TableStream]) -> Iterator[Finding]:
-    """Faults of the tables as files."""
-    for name, stream in streams.items():
-        file, table = stream.path.name, dict[str, Figure](table=name)
-        if stream.problem is not None:
-            yield _finding("file/unreadable", f"{file}: {stream.problem}", table)
-            continue
-        for column in sorted(stream.lacking):
-            yield _finding("file/schema", f"{file} has no usable column {column}", {**table, "column": column})
-        for words in stream.other_types:
-            yield _finding("file/schema", f"{file}: {words}", table, "warning")
-        for column in stream.extra:
-            yield _finding("file/schema", f"{file} has an unknown column {column}", {**table, "column": column})
-        yield from _changed(labels, name, stream)
-        if not stream.ordered:
-            yield _finding("file/order", f"{file} is not in the order of frames", table)
-    yield from _counts(labels.manifest)
-
-
-def _changed(labels: Labels, name: str, stream: TableStream) -> Iterator[Finding]:
+def _changed(labels: Labels, name: str, found: RowHash) -> Iterator[Finding]:
     record = labels.manifest.tables.get(name)
     if record is None:
-        yield _finding("file/changed", f"the manifest does not know {stream.path.name}", {"table": name})
+        yield _finding("file/changed", f"the manifest does not know {name}.parquet", {"table": name})
         return
-    rows, content = _content(stream, name)
-    figures: dict[str, Figure] = {"table": name, "rows": rows, "rows_in_manifest": record.rows}
-    if sha256_of(stream.path) != record.sha256:
-        same = (rows, content) == (record.rows, record.content_hash)
+    figures: dict[str, Figure] = {"table": name, "rows": found.rows, "rows_in_manifest": record.rows}
+    same = (found.rows, found.hexdigest()) == (record.rows, record.content_hash)
+    if sha256_of(labels.root / f"{name}.parquet") != record.sha256:
         what = "was written anew with the same rows" if same else "was changed after it was written"
-        yield _finding("file/changed", f"{stream.path.name} {what}", figures)
-    elif (content is not None and content != record.content_hash) or rows != record.rows:
-        yield _finding("file/changed", f"the manifest's rows or hash of {stream.path.name} were changed", figures)
-
-
-def _content(stream: TableStream, name: str) -> tuple[int, str | None]:
-    """Rows of a table and the hash of their content; None where its columns are not the schema's."""
-    file = open_parquet(stream.path, pre_buffer=False)
-    if stream.lacking or stream.other_types:
-        return file.metadata.num_rows, None
-    digest = RowHash(name)
-    for batch in file.iter_batches(BATCH_ROWS):
-        digest.update(pa.Table.from_batches([batch]))
-    return digest.rows, digest.hexdigest()
+        yield _finding("file/changed", f"{name}.parquet {what}", figures)
+    elif not same:
+        yield _finding("file/changed", f"the manifest's rows or hash of {name}.parquet were changed", figures)
 
 
 def _counts(manifest: Manifest) -> Iterator[Finding]:
@@ -292,8 +244,6 @@ def check_rows(view: FrameView) -> Iterator[Finding]:
         of_row = partial(_of_row, view, table)
         yield from (of_row(v.rule, v.row, v.message, {"column": v.column}) for v in rows.violations)
         yield from (of_row("row/duplicate-key", row, "a second row has this key") for row in _repeated(table, rows))
-        if not _in_order(table, rows):
-            yield of_row("file/order", None, "the rows of the frame are out of order")
         yield from _references(view, table, rows, of_row)
     frames, objects = view.tables["frames"], view.objects
     if len(frames) and int(frames["objects"][0]) != len(objects):
@@ -318,13 +268,6 @@ def _repeated(table: str, rows: Rows) -> list[int]:
     codes = [np.unique(c.astype(str), return_inverse=True)[1] if c.dtype == object else c for c in columns]
     keys = np.stack([np.zeros(len(rows), np.int64), *codes], axis=1)
     return np.setdiff1d(np.arange(len(rows)), np.unique(keys, axis=0, return_index=True)[1]).tolist()
-
-
-def _in_order(table: str, rows: Rows) -> bool:
-    rank = {relation: k for k, relation in enumerate(PAIRWISE)}
-    columns = [rows[name] for name in KEYS[table][1:]] if len(rows) > 1 else []
-    keys = [np.array([rank.get(v, -1) for v in c]) if c.dtype == object else c for c in columns]
-    return not keys or np.array_equal(np.lexsort(keys[::-1]), np.arange(len(rows)))
 
 
 def _references(view: FrameView, table: str, rows: Rows, of_row: Callable[..., Finding]) -> Iterator[Finding]:

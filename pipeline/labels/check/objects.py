@@ -5,7 +5,7 @@ Sizes are compared with what the class can be, and with the object's own kind in
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,7 +14,6 @@ import numpy as np
 from pipeline.datasets.plausible import doubt_by_sizes
 from pipeline.geometry.boxes import CORNER_SIGNS, Box3D, iou_3d, paired_iou_2d
 from pipeline.geometry.masks import MaskCrop
-from pipeline.labels.check.stream import Rows
 from pipeline.labels.check.view import Finding, FrameView, Severity, pairs_where
 from pipeline.language.class_sizes import size_factor, size_range
 from pipeline.system.errors import InputError
@@ -288,14 +287,13 @@ class SizeSurvey:
 
     counts: dict[str, np.ndarray] = field(default_factory=dict)
 
-    def add(self, rows: Rows) -> None:
-        """Count the objects of a frame that are seen whole and well."""
+    def add(self, rows: Mapping[str, np.ndarray]) -> None:
+        """Count objects that are seen whole and well."""
         longest, _ = lengths(rows)
         good = np.isfinite(longest) & (longest > 0) & seen_whole(rows)
         for label, length in zip(rows["label"][good], longest[good], strict=True):
-            if label is not None:
-                bins = self.counts.setdefault(label, np.zeros(_BINS, np.int64))
-                bins[int(np.clip((np.log(length) - _LOWEST) / _STEP, 0, _BINS - 1))] += 1
+            bins = self.counts.setdefault(label, np.zeros(_BINS, np.int64))
+            bins[int(np.clip((np.log(length) - _LOWEST) / _STEP, 0, _BINS - 1))] += 1
 
     def spread(self, label: str) -> tuple[float, float, int]:
         """Median and robust deviation of the logarithm, and of how many; to one step of 2 %."""
@@ -311,12 +309,12 @@ class SizeSurvey:
         return median, max(MAD_SIGMA * deviation, 2 * _STEP), n
 
 
-def lengths(rows: Rows) -> tuple[np.ndarray, np.ndarray]:
+def lengths(rows: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Longest edges in metres of the lifted box and of the dataset's own; two (N,), NaN if absent."""
     return rows["size"].max(axis=1), rows["exact_size"].max(axis=1)
 
 
-def seen_whole(rows: Rows) -> np.ndarray:
+def seen_whole(rows: Mapping[str, np.ndarray]) -> np.ndarray:
     """(N,) bool: objects neither hidden nor cut, with a cleaned box."""
     return ~rows["touches_border"] & (rows["occluded"] < HARDLY_OCCLUDED) & ~rows["fallback"]
 
@@ -324,7 +322,11 @@ def seen_whole(rows: Rows) -> np.ndarray:
 def check_sizes(view: FrameView, survey: SizeSurvey) -> Iterator[Finding]:
     """Find objects too large or too small for the class, or unlike others of the class."""
     rows = view.objects
-    columns = (*lengths(rows), seen_whole(rows), np.isin(rows["mask_source"].astype(str), ["annotation", "detector"]))
+    columns = (
+        *lengths(rows.columns),
+        seen_whole(rows.columns),
+        np.isin(rows["mask_source"].astype(str), ["annotation", "detector"]),
+    )
     for k, (label, lifted, exact, whole, own) in enumerate(zip(view.labels, *columns, strict=True)):
         own_pixels = bool(own) and not rows["fallback"][k]
         found = _against_table(label, lifted, exact, bool(whole), own_pixels) or _against_kind(
@@ -341,7 +343,7 @@ def check_depth(view: FrameView) -> Iterator[Finding]:
     """Find a frame with things too large or too small by a common factor, as by a wrong depth scale."""
     if not view.usable:
         return
-    lifted, whole = lengths(view.objects)[0], seen_whole(view.objects)
+    lifted, whole = lengths(view.objects.columns)[0], seen_whole(view.objects.columns)
     found = size_factor([label for label, sound in zip(view.labels, whole, strict=True) if sound], lifted[whole])
     doubt = doubt_by_sizes(found)
     if found is not None and doubt is not None:

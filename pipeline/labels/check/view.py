@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -71,7 +71,7 @@ class FrameView:
         plain = ((k, v.item() if isinstance(v, np.generic) else v) for k, v in (figures or {}).items())
         return Finding(
             rule,
-            severity or RULES[rule].severity,
+            severity or RULES[rule],
             self.id,
             tuple(int(o) for o in objects),
             message,
@@ -266,64 +266,87 @@ class Finding:
     """The numbers behind it."""
 
 
-@dataclass(frozen=True)
-class Rule:
-    """What a rule looks for."""
-
-    about: str
-    """One line."""
-    severity: Severity
-    """The worst it reports; `about` says where it is milder."""
-
-
-_error, _warning = partial(Rule, severity="error"), partial(Rule, severity="warning")
-RULES: dict[str, Rule] = {
-    "file/unreadable": _error("a table cannot be read as Parquet, or is of another table or schema"),
-    "file/schema": _error("a column is missing, unknown, or of another type (of another width: warning)"),
-    "file/changed": _warning("a table or the manifest is not as it was written: edited by hand"),
-    "file/order": _warning("rows are not in canonical order"),
-    "profile/changed": _warning("this release has other rules under the profile's name: geometry is not compared"),
-    "row/model": _error("a value is outside what the schema allows"),
-    "row/non-finite": _error("a number is NaN or infinite"),
-    "row/duplicate-key": _error("two rows have one key"),
-    "row/dangling": _error("a row names a frame or an object that does not exist"),
-    "frame/camera": _error("intrinsics, pose or up vector are not those of a camera"),
-    "frame/up-assumed": _warning("nothing says where up is: it was assumed, and every direction rests on it"),
-    "frame/up-disagrees": _warning("a frame's up vector, or its own level plane, is not that of most of its scene"),
-    "frame/implausible-depth": _warning("its things are all too large or too small: is the depth scale another?"),
-    "frame/objects": _error("the frame's number of objects is not that of its rows"),
-    "object/mask": _error("a mask cannot be decoded, or is not of the frame's size or stated area"),
-    "object/rotation": _error("the rotation of a 3D box is not a rotation, or an edge is negative"),
-    "object/bbox-mask": _error("the 2D box lies elsewhere than the mask (off by a part: warning)"),
-    "object/box-mask": _error("the 3D box lies elsewhere in the picture than the mask (off by a part: warning)"),
-    "object/extent-box": _error("the extents are not those of the 3D box (off by a part: warning)"),
-    "object/duplicate": _error("two objects are one thing (under different names: warning)"),
-    "object/few-points": _warning("an object that may be asked for has fewer than 100 points"),
-    "object/no-depth": _warning("most pixels of an object that may be asked for have no depth"),
-    "object/border": _warning("the image border cuts an object that may be asked for"),
-    "object/implausible-size": _error("it is larger than its class can be (smaller or unlike its kind: warning)"),
-    "relation/inverse": _error("a is left of b, and b is not right of a; so for above and below, front and behind"),
-    "relation/antisymmetry": _error("a relation holds both ways (on and in, where geometry allows it: warning)"),
-    "relation/exclusive": _error("two opposite relations hold of one pair"),
-    "relation/pair-missing": _error("a pair of objects, or the state of a labelled relation, is missing"),
-    "relation/unexpected": _error("a relation of an object with itself or with a background class"),
-    "relation/cycle": _error("a relation leads back to its start (on and in, where geometry allows it: warning)"),
-    "relation/geometry": _error("a state contradicts the extents (where one of the two is U, and margins: warning)"),
-    "expression/empty": _error("an expression without targets, or whose own target is not among them"),
-    "expression/everything": _warning("all objects of the target's class are acceptable: it tells nothing apart"),
-    "expression/state": _error("the relation that the expression states does not hold"),
-    "expression/margin": _warning("the expression's margin is not that of its relation"),
-    "expression/sets": _error("targets or acceptable objects are not those that the relations give"),
-    "expression/class": _error("target or reference is not called what the object is called"),
-    "expression/unreadable": _error("the text does not read back as target, relation and reference"),
-    "expression/article": _warning("the text says `the` of a name that several objects of the frame have"),
-    "expression/duplicate-id": _error("two expressions of a frame have one id"),
-    "expression/id": _warning("the id is not the hash of what the row says: edited, or copied from another row"),
-    "expression/ambiguous": _error("the flag `ambiguous` does not fit the acceptable objects"),
-    "expression/unusable": _error("an expression names an object that may not be asked for"),
-    "expression/source": _warning("profile or source of the up vector are not those of the labels and the frame"),
+RULES: dict[str, Severity] = {
+    # A table cannot be read as Parquet, is of another table or schema, or not in the order of its frames.
+    "file/unreadable": "error",
+    # A table or the manifest is not as it was written: edited by hand.
+    "file/changed": "warning",
+    # This release has other rules under the profile's name: geometry is not compared.
+    "profile/changed": "warning",
+    # A value is outside what the schema allows.
+    "row/model": "error",
+    # A number is NaN or infinite.
+    "row/non-finite": "error",
+    # Two rows have one key.
+    "row/duplicate-key": "error",
+    # A row names a frame or an object that does not exist.
+    "row/dangling": "error",
+    # Intrinsics, pose or up vector are not those of a camera.
+    "frame/camera": "error",
+    # Nothing says where up is: it was assumed, and every direction rests on it.
+    "frame/up-assumed": "warning",
+    # A frame's up vector, or its own level plane, is not that of most of its scene.
+    "frame/up-disagrees": "warning",
+    # Its things are all too large or too small: is the depth scale another?
+    "frame/implausible-depth": "warning",
+    # The frame's number of objects is not that of its rows.
+    "frame/objects": "error",
+    # A mask cannot be decoded, or is not of the frame's size or stated area.
+    "object/mask": "error",
+    # The rotation of a 3D box is not a rotation, or an edge is negative.
+    "object/rotation": "error",
+    # The 2D box lies elsewhere than the mask (off by a part: warning).
+    "object/bbox-mask": "error",
+    # The 3D box lies elsewhere in the picture than the mask (off by a part: warning).
+    "object/box-mask": "error",
+    # The extents are not those of the 3D box (off by a part: warning).
+    "object/extent-box": "error",
+    # Two objects are one thing (under different names: warning).
+    "object/duplicate": "error",
+    # An object that may be asked for has fewer than 100 points.
+    "object/few-points": "warning",
+    # Most pixels of an object that may be asked for have no depth.
+    "object/no-depth": "warning",
+    # The image border cuts an object that may be asked for.
+    "object/border": "warning",
+    # It is larger than its class can be (smaller or unlike its kind: warning).
+    "object/implausible-size": "error",
+    # A is left of b, and b is not right of a; so for above and below, front and behind.
+    "relation/inverse": "error",
+    # A relation holds both ways (on and in, where geometry allows it: warning).
+    "relation/antisymmetry": "error",
+    # Two opposite relations hold of one pair.
+    "relation/exclusive": "error",
+    # A pair of objects, or the state of a labelled relation, is missing.
+    "relation/pair-missing": "error",
+    # A relation of an object with itself or with a background class.
+    "relation/unexpected": "error",
+    # A relation leads back to its start (on and in, where geometry allows it: warning).
+    "relation/cycle": "error",
+    # A state contradicts the extents (where one of the two is U, and margins: warning).
+    "relation/geometry": "error",
+    # An expression without targets, or whose own target is not among them.
+    "expression/empty": "error",
+    # All objects of the target's class are acceptable: it tells nothing apart.
+    "expression/everything": "warning",
+    # The relation that the expression states does not hold.
+    "expression/state": "error",
+    # The expression's margin is not that of its relation.
+    "expression/margin": "warning",
+    # Targets or acceptable objects are not those that the relations give.
+    "expression/sets": "error",
+    # Target or reference is not called what the object is called.
+    "expression/class": "error",
+    # The text does not read back as target, relation and reference.
+    "expression/unreadable": "error",
+    # The text says `the` of a name that several objects of the frame have.
+    "expression/article": "warning",
+    # The flag `ambiguous` does not fit the acceptable objects.
+    "expression/ambiguous": "error",
+    # An expression names an object that may not be asked for.
+    "expression/unusable": "error",
 }
-"""All rules by name, in the order in which they are described."""
+"""All rules by name, with the worst that each reports."""
 
 
 def chosen_rules(names: Sequence[str] | None) -> frozenset[str]:

@@ -1,24 +1,20 @@
-"""What an export format offers and its writer is given: labels frame by frame, read as a stream, and pictures."""
+"""What an export format offers and its writer is given: labels frame by frame, and pictures."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from heapq import merge
-from itertools import groupby, pairwise
-from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy as np
 
 from pipeline.datasets import Dataset
 from pipeline.labels.exports.row_provenance import Provenance
-from pipeline.labels.reading import Labels, arrow_schema, check_version, sound_rows
+from pipeline.labels.frame_stream import by_frame, frame_tables, table_batches
+from pipeline.labels.reading import Labels, arrow_schema
 from pipeline.system.arrow import pa
-from pipeline.system.errors import as_input_error, first_line, require
-from pipeline.system.safe_files import open_parquet
+from pipeline.system.errors import require
 
 Progress = Callable[[int, int], None]
 """Called with (frames done, frames in all)."""
@@ -119,9 +115,6 @@ def image_name(frame_index: int, folder: str = "images", suffix: str = "jpg") ->
     return f"{folder}/{frame_index:06d}.{suffix}"
 
 
-BATCH = 16_384
-
-
 @dataclass(frozen=True)
 class ExportFrame:
     """All rows of one frame."""
@@ -137,25 +130,6 @@ class ExportFrame:
         return self.frame["frame_index"]
 
 
-def table_batches(labels: Labels, name: str, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
-    """A table in pieces of at most 16,384 rows, in order.
-
-    Raises InputError: the file is damaged or of another schema.
-    """
-    path = labels.root / f"{name}.parquet"
-    with (
-        as_input_error(
-            "not a readable Parquet file", pa.ArrowInvalid, pa.ArrowTypeError, OSError, got=first_line, path=path
-        ),
-        # Pre-buffering keeps what was read of every row group until the last is done.
-        open_parquet(path, pre_buffer=False) as file,
-    ):
-        check_version(file.schema_arrow.metadata or {}, name, path)
-        there = set(file.schema_arrow.names)
-        for batch in file.iter_batches(BATCH, columns=columns and [n for n in columns if n in there]):
-            yield sound_rows(pa.Table.from_batches([batch]), name, columns, path=path)
-
-
 def label_names(labels: Labels) -> list[str]:
     """The class names of all objects, sorted."""
     batches = table_batches(labels, "objects", ["label"])
@@ -168,9 +142,8 @@ def iterate_frames(labels: Labels, tell: Progress | None = None) -> Iterator[Exp
     Raises InputError: a table is damaged, out of order, or has rows of a frame that is not listed.
     """
     names = "frames", "objects", "relations", "expressions"
-    parts = merge(*(_runs(labels, name) for name in names), key=itemgetter(0))
-    for done, (index, of_frame) in enumerate(groupby(parts, itemgetter(0)), start=1):
-        rows = {name: table for _, name, table in of_frame}
+    frames = by_frame(*(frame_tables(labels, name) for name in names))
+    for done, (index, rows) in enumerate(frames, start=1):
         require(
             "frames" in rows,
             f"the table {min(rows)} has rows of frame_index {index}, which is not among the frames",
@@ -182,23 +155,3 @@ def iterate_frames(labels: Labels, tell: Progress | None = None) -> Iterator[Exp
         yield ExportFrame(listed[0], objects.to_pylist(), relations, expressions.to_pylist())
         if tell is not None:
             tell(done, labels.manifest.tables["frames"].rows)
-
-
-def _runs(labels: Labels, name: str) -> Iterator[tuple[int, str, pa.Table]]:
-    """(frame_index, the table's name, its rows), in order."""
-    current, waiting = -1, []
-    for batch in table_batches(labels, name):
-        index = batch.column("frame_index").to_numpy()
-        edges = [0, *(np.flatnonzero(np.diff(index)) + 1).tolist(), len(index)]
-        for start, end in pairwise(edges):
-            if start == end:
-                continue
-            found = int(index[start])
-            require(found >= current, f"the table {name} is not in the order of its frames", path=labels.root)
-            if found != current and waiting:
-                yield current, name, pa.concat_tables(waiting)
-                waiting = []
-            current = found
-            waiting.append(batch.slice(start, end - start))
-    if waiting:
-        yield current, name, pa.concat_tables(waiting)

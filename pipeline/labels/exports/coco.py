@@ -37,9 +37,9 @@ from pipeline.labels.exports.base import (
     image_name,
     iterate_frames,
     label_names,
-    table_batches,
 )
 from pipeline.labels.exports.row_provenance import JsonList, Provenance, json_line
+from pipeline.labels.frame_stream import table_batches
 from pipeline.system.errors import InputError, require
 from pipeline.system.whole_files import text_file
 

@@ -33,7 +33,6 @@ from pipeline.labels.exports.base import (
     Progress,
     Written,
     iterate_frames,
-    table_batches,
 )
 from pipeline.labels.exports.row_provenance import (
     extended_json_schemas,
@@ -41,6 +40,7 @@ from pipeline.labels.exports.row_provenance import (
     json_lines,
     open_provenance,
 )
+from pipeline.labels.frame_stream import table_batches
 from pipeline.labels.reading import (
     MANIFEST_FILE,
     ROW_GROUP,
