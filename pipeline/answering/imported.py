@@ -21,7 +21,6 @@ from pipeline.answering.coordinate_conventions import box_2d, box_3d
 from pipeline.answering.fitted_scorer import FittedScorer
 from pipeline.answering.objects import PreparedFrame, SceneObject
 from pipeline.answering.pair_rules import (
-    Rescore,
     RuledConfig,
     RunRules,
     factors_of,
@@ -174,7 +173,6 @@ class ImportedPipeline(Pipeline):
     """Dataset with the predictions of another pipeline, of the whole file or of a single `line`."""
 
     predictions: Predictions = field(kw_only=True)
-    rescore: Rescore | None = None  # Asks the other pipeline's ranking again; see `pair_rules.Rescore`
     shown: RunRules | None = None  # What the whole file showed of its ranking, where these are some of its lines
 
     @cached_property
@@ -200,7 +198,7 @@ class ImportedPipeline(Pipeline):
         detector = ImportedDetector(file, line)
         assert isinstance(self.scorer, SuppliedRelations)
         scorer = scorer_of(file, line, self.scorer.stand_in)
-        rule = line_rule(self.rules, file.header, line, self.rescore)
+        rule = line_rule(self.rules, file.header, line)
         config = self.config
         if rule is not None:
             config = replace(config, rank=RuledConfig(**vars(config.rank), pairs=rule))
@@ -237,12 +235,10 @@ def open_imported(predictions: Path, dataset: Any, **options: Any) -> ImportedPi
     """
     for name in ("detector", "model", "segmenter", "fuse", "also", "config"):
         require(not options.get(name), f"{name} is not for imported predictions", cause="the file says what was seen")
-    rescore = options.pop("rescore", None)
-    rescored = options.pop("rescored", False)
     require(
-        rescore is not None or not rescored,
-        "the run's ranking was asked again by a function, which no file holds",
-        expected="in Python: open_run(RUN, rescore=that function)",
+        not options.pop("rescored", False),
+        "the run's ranking was asked again by a function, which no file holds: only its records stand",
+        expected="import-run FILE, judged by the scores of its pairs",
         path=predictions,
     )
     options.pop("srm", None)
@@ -268,7 +264,6 @@ def open_imported(predictions: Path, dataset: Any, **options: Any) -> ImportedPi
         config_of(read),
         source.synonyms,
         predictions=read,
-        rescore=rescore,
     )
 
 

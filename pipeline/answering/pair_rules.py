@@ -1,8 +1,8 @@
 """Ranking rules of imported predictions: known by the given scores, not by their derivation.
 
 Given scores of pairs are kept. With other factors, P(target), P(reference) and P(relation), a pair scores by so much
-more or less as a model of the ranking says: the pipeline where it can be asked again (`Rescore`), the product named by
-the header, else the fit of the file (`fitted_ranking`). A ranking not explained by its factors has no model: it is not
+more or less as a model of the ranking says: the product named by the header, else the fit of the file
+(`fitted_ranking`). A ranking not explained by its factors has no model: it is not
 separable into modules, and nothing is said of them.
 """
 
@@ -22,9 +22,6 @@ from pipeline.language.expression import parse
 from pipeline.language.naming import match
 from pipeline.system.errors import InputError, require
 
-Rescore = Callable[[Prediction, np.ndarray, np.ndarray], np.ndarray]
-"""(line, ids (P, 2) int64, factors (P, 3) float64) -> scores (P,): the other pipeline's own ranking, asked again. An id
-is -1 for a thing that was not proposed, and for the reference of an expression without one."""
 Pair = tuple[int, int]
 Factors = dict[Pair, tuple[float, float, float]]
 """P(target), P(reference) and P(relation) by the ids of a pair."""
@@ -262,17 +259,15 @@ class RuledConfig(RankConfig):
         return replace(self, pairs=None if rule is None else replace(rule, ids=np.array(ids, np.int64)))
 
 
-def line_rule(run: RunRules, header: Header, line: Prediction, rescore: Rescore | None) -> PairRule | None:
+def line_rule(run: RunRules, header: Header, line: Prediction) -> PairRule | None:
     """Rule of a line; None for the header's product agreeing with the answer."""
     known, model = PairRule({}), run.shown and partial(_shown, run.shown)
     if header.ranking == "product":
         known, model = replace(known, own_scores=False), partial(_product, header)
-    elif rescore is not None:
-        model = partial(_rescored, rescore, line)
-    elif run.shown is not None:
-        known = replace(known, unit=run.shown.unit, scale=run.shown.scale)
-    if header.ranking != "product" and rescore is None:
+    else:
         known = replace(known, true_scores=run.true_scores)
+        if run.shown is not None:
+            known = replace(known, unit=run.shown.unit, scale=run.shown.scale)
     if not line.ranked:
         # Of one that had nothing to rank it is known how it would have been.
         return replace(known, **_unranked(header, line), model=model if line.relations is not None else None)
@@ -336,18 +331,7 @@ def _product(header: Header, ids: np.ndarray, factors: np.ndarray) -> np.ndarray
 
 def _shown(shown: FittedRanking, ids: np.ndarray, factors: np.ndarray) -> np.ndarray:
     pairs = ids.reshape(-1, 2)
-    return shown.sums(_scenes(factors, len(pairs)), pairs).reshape(factors.shape[:-1])
-
-
-def _rescored(rescore: Rescore, line: Prediction, ids: np.ndarray, factors: np.ndarray) -> np.ndarray:
-    """Scene by scene: a ranking may compare the pairs of a line with each other."""
-    pairs = ids.reshape(-1, 2)
-    every = (rescore(line, pairs, scene) for scene in _scenes(factors, len(pairs)))
-    return np.concatenate([[], *every]).reshape(factors.shape[:-1])
-
-
-def _scenes(factors: np.ndarray, pairs: int) -> np.ndarray:
-    return factors.reshape(-1, pairs, 3) if pairs else np.zeros((0, 0, 3))
+    return shown.sums(factors.reshape(-1, len(pairs), 3), pairs).reshape(factors.shape[:-1])
 
 
 def _unranked(header: Header, line: Prediction) -> dict[str, Any]:

@@ -440,5 +440,5 @@ def unexplained(detail: str | None, target: str, answered: bool = True) -> str:
     }.get(
         detail or "",
         "Wrong, and not separable: what a pair would have scored with a true module does not follow from the scores of "
-        "the file. A callback that ranks again would tell, or the probabilities that the ranking went by.",
+        "the file. The probabilities that the ranking went by would tell.",
     )

@@ -19,7 +19,6 @@ from pipeline.answering.coordinate_checks import check_places
 from pipeline.answering.coordinate_conventions import box_2d
 from pipeline.answering.imported import ImportedPipeline, open_imported
 from pipeline.answering.objects import prepare_frame
-from pipeline.answering.pair_rules import Rescore
 from pipeline.answering.predictions import (
     Header,
     PredictedAnswer,
@@ -62,22 +61,19 @@ def import_run(
     workers: int = 1,
     plots: bool = True,
     overwrite: bool = False,
-    rescore: Rescore | None = None,
     progress: Progress | None = None,
     **options: Any,
 ) -> RunReport:
     """Judge the predictions of another pipeline on a dataset and labels; the run folder keeps a copy.
 
     `predictions`: a file as `docs/predictions.md` describes it. `name`: of the system in tables; the header's by
-    default. `rescore`: ranks pairs anew as the pipeline does; see `pair_rules.Rescore`. With it one process works.
+    default.
     `options`: of the dataset: intrinsics, depth_scale, up, ...
 
     Raises InputError: the file does not follow the schema, its frames or coordinates are not the dataset's, or no line
     is an expression of the labels; nothing is written then.
     """
     given: dict[str, Any] = {"predictions": Path(predictions), **options}
-    if rescore is not None:
-        given["rescore"], workers = rescore, 1
     spec = EvalSpec(str(dataset), str(labels), given)
     source, read = open_imported(dataset=spec.dataset, **given), open_labels(labels)
     file = source.predictions
@@ -134,7 +130,7 @@ def import_records(
     header : Header or mapping, optional
         Fields of the first line ("system", "ranking", ...), where `records` begins with none.
     options
-        What `import_run` takes: name, workers, plots, overwrite, rescore.
+        What `import_run` takes: name, workers, plots, overwrite.
 
     Raises
     ------

@@ -89,10 +89,9 @@ def _run(
         require(
             not options.pop("rescored", False),
             "the run was ranked again by a function, which no folder holds",
-            expected="import_run(..., rescore=...)",
+            expected="import-run FILE, judged by the scores of its pairs",
             path=path,
         )
-        options.pop("rescore", None)
         report = import_run(
             predictions,
             run.spec.dataset,

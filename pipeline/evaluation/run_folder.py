@@ -301,15 +301,13 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     return manifest
 
 
-def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | None = None, **given: Any) -> Run:
+def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | None = None) -> Run:
     """Open a run folder.
 
     Parameters
     ----------
     dataset, labels : str, optional
         Where they are now, if they are no longer where the run found them.
-    given
-        `rescore`, of a run that was imported with one: without it its records stand, and nothing is answered again.
 
     Raises
     ------
@@ -332,7 +330,7 @@ def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | No
         spec = replace(spec, dataset=dataset)
     if labels is not None:
         spec = replace(spec, labels=labels)
-    return Run(folder, manifest["name"], manifest, replace(spec, options={**spec.options, **given}))
+    return Run(folder, manifest["name"], manifest, spec)
 
 
 def _read_spec(record: Mapping[str, Any], folder: Path) -> EvalSpec:

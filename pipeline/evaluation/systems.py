@@ -226,10 +226,9 @@ class ImportedPredictions:
         return measured_of(source, relations)
 
     def kept(self, spec: EvalSpec, source: Pipeline, folder: Path, out: Path) -> tuple[EvalSpec, dict[str, Any]]:
-        file, rescored = file_of(source), spec.options.get("rescore") is not None
+        file = file_of(source)
         copyfile(file.path, folder / PREDICTIONS_FILE)
-        options = {k: v for k, v in spec.options.items() if k != "rescore"}
-        options |= {"predictions": out / PREDICTIONS_FILE, **({"rescored": True} if rescored else {})}
+        options = spec.options | {"predictions": out / PREDICTIONS_FILE}
         return replace(spec, options=options), {"imported": file.record()}
 
     def open(self, spec: EvalSpec, source: Pipeline, labels: Labels, clock: StageClock) -> Records:

@@ -161,7 +161,7 @@ def test_the_pair_that_was_answered_stands_first(
         relations={"left": tuple((a, b, p) for (a, b), p in zip(pairs, scores, strict=True))},
         pairs=tuple((a, b, s) for (a, b), s in zip(pairs, scores, strict=True)) if ranking == "pair_scores" else None,
     )
-    found = line_rule(RunRules(None, (0.9, 0.1)), Header(1, ranking=ranking), line, None)
+    found = line_rule(RunRules(None, (0.9, 0.1)), Header(1, ranking=ranking), line)
     rule = None if found is None else found.among(range(5), np.eye(5, dtype=np.bool_))
     own = [p for p in pairs if p[0] == answer and end in (None, p[1])]
     given = dict(zip(pairs, scores, strict=True)) if rule is None else rule.given
@@ -178,7 +178,7 @@ def test_a_line_that_had_nothing_to_rank_scores_what_the_truth_adds() -> None:
     shown = FittedRanking.of(lines(lambda f: f[:, 2] + (f[:, 0] == f[:, 0].max())))
     assert shown is not None
     line = Prediction("1", "cup left of box", problem="no cup", proposals={"cup": ()}, relations={"left": ()})
-    rule = line_rule(RunRules(shown, (0.9, 0.1)), Header(1, ranking="pair_scores"), line, None)
+    rule = line_rule(RunRules(shown, (0.9, 0.1)), Header(1, ranking="pair_scores"), line)
     assert rule is not None
     nothing, missing = (side(np.zeros(n, np.int64), np.full(n, 0.5), 1.0) for n in (0, 1))
     assert rule.scores(nothing, [nothing], np.zeros((0, 0))).shape == (0, 0)

@@ -129,15 +129,10 @@ def test_a_later_file_in_other_coordinates_is_refused(
         list(replayed(kept, predictions=file))
 
 
-def test_what_cannot_be_run_again_is_told(kept: Path, labels: Labels, tmp_path: Path) -> None:
+def test_what_cannot_be_run_again_is_told(kept: Path) -> None:
     opened = open_case(kept / "cases" / "000")
     with pytest.raises(InputError, match="--predictions FILE"):
         opened.with_detector("live", None)
-    source = open_imported(kept / "first.jsonl", "demo", rescore=lambda line, ids, factors: factors[:, 0])
-    context = source.prepare(opened.manifest.frame.id)
-    with pytest.raises(InputError, match="asked again by a function"):
-        save_case(tmp_path / "case", source, context, opened.manifest.text)
-    assert not (tmp_path / "case").exists()
 
 
 @pytest.mark.parametrize("damage", ["shown", "scorer", "file", "level"])

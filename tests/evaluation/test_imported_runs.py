@@ -25,7 +25,6 @@ from pipeline.answering import (
     write_predictions,
 )
 from pipeline.answering.imported import open_imported
-from pipeline.answering.pair_rules import factors_of
 from pipeline.diagnosis import answer_record, ask_and_judge, open_case, save_case
 from pipeline.diagnosis.asking import edited_trace
 from pipeline.evaluation import EvalSpec, Run, evaluate_dataset, export_run, import_run, open_run
@@ -367,40 +366,6 @@ def test_a_killed_writer_leaves_whole_lines(folder: Path, tmp_path: Path) -> Non
     report = import_run(path, "demo", folder / "labels", tmp_path / "run", plots=False)
     assert f"line {ASKED + 1} is cut off, as a killed writer leaves it, and is not read" in report.warnings
     assert len(read_predictions(path).lines) == ASKED - 1
-
-
-@pytest.mark.slow
-def test_a_ranking_that_can_be_asked_again_is_judged_like_the_product_that_it_is(folder: Path, tmp_path: Path) -> None:
-    read = read_predictions(folder / "run.jsonl")
-    asked: list[int] = []
-
-    def scored(factors: np.ndarray) -> np.ndarray:
-        return np.log(np.clip(factors, [0.01, 0.01, 1e-6], [0.99, 0.99, 1.0])).sum(axis=1)
-
-    def rescore(line: Prediction, ids: np.ndarray, factors: np.ndarray) -> np.ndarray:
-        assert ids.shape == (len(factors), 2)
-        assert factors.shape == (len(ids), 3)
-        assert set(ids.ravel().tolist()) <= {-1, *line.objects}
-        asked.append(len(ids))
-        return scored(factors)
-
-    lines = []
-    for line in read.lines.values():
-        factors = factors_of(line)
-        scores = scored(np.array(list(factors.values())).reshape(-1, 3)).tolist()
-        lines.append(replace(line, pairs=tuple((a, b, s) for (a, b), s in zip(factors, scores, strict=True))))
-    header = replace(read.header, ranking="pair_scores")
-    write_predictions(tmp_path / "own.jsonl", header, lines)
-    labels = folder / "labels"
-    import_run(tmp_path / "own.jsonl", "demo", labels, tmp_path / "run", plots=False, rescore=rescore)
-    ours = {r["id"]: r["verdict"] for r in rows(open_run(folder / "run"))}
-    theirs = {r["id"]: r["verdict"] for r in rows(open_run(tmp_path / "run"))}
-    assert theirs == ours
-    assert asked
-    # The function is in no file: what stands is read, and what would be answered by another ranking is refused.
-    with pytest.raises(InputError, match=r"asked again by a function.*open_run\(RUN, rescore="):
-        _ = open_run(tmp_path / "run").source
-    assert open_run(tmp_path / "run", rescore=rescore).source.dataset.frame_ids
 
 
 def of_three(

@@ -23,7 +23,6 @@ from pipeline.datasets.base import Dataset
 from pipeline.language.naming import Synonyms
 from pipeline.relations import RelationScorer, RuleScorer
 from pipeline.relations.scorer import SuppliedRelations
-from pipeline.system.errors import require
 
 
 class ShownRankingRecord(BaseModel, extra="forbid"):
@@ -52,11 +51,6 @@ class ShownRecord(BaseModel, extra="forbid"):
 
 def keep_predictions(source: ImportedPipeline, frame: str) -> tuple[bytes, ShownRecord]:
     """Lines of a frame as a file of predictions, with the findings from the whole file."""
-    require(
-        source.rescore is None,
-        "the ranking was asked again by a function, which no case holds",
-        expected="the run without rescore",
-    )
     file, rules, stand_in = source.predictions, source.rules, named_scorer(source)
     lines = (as_json(thing) for thing in (replace(file.header, events=False), *file.of_frame(frame)))
     ranking = rules.shown and ShownRankingRecord(
