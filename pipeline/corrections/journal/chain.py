@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
-from datetime import datetime, timedelta, timezone
+from datetime import datetime, timezone
 from functools import partial
 from typing import Any, NamedTuple, get_args
 
-from pipeline.corrections.journal.events import CROCKFORD, Action
-from pipeline.corrections.journal.field_refs import LONGEST_NAME, LONGEST_TEXT, FieldRef, checked, plain_text
+from pipeline.corrections.journal.events import Action, Edit
+from pipeline.corrections.journal.field_refs import LONGEST_NAME, FieldRef, plain_text
 from pipeline.system.errors import InputError
 
 FIRST = "0" * 64
@@ -43,11 +42,6 @@ CONTENT = (
 """All columns but the hash, in the order in which they are hashed."""
 Row = Mapping[str, Any]
 _JSON = json.JSONEncoder(sort_keys=True, separators=(",", ":"))
-_APART = timedelta(seconds=2)
-"""An event's two times were taken one right after the other."""
-_BEGAN = datetime(2020, 1, 1, tzinfo=timezone.utc)
-_LOOSE = ("relation", "review")
-"""Kinds whose values are so short that an ordinary change of one is a change of one bit."""
 
 
 def link(previous: str, row: Row) -> str:
@@ -133,101 +127,43 @@ def _link(previous: str, row: Row) -> str | None:
 def judged_alone(rows: Sequence[tuple[int, Row | None]]) -> Verdict:
     """Check events of version 1, without a chain, for impossible content; arguments as of `judged`.
 
-    A flipped bit that makes another possible text goes unseen where no other event speaks of the cell.
+    Damage that makes another possible value goes unseen.
     """
     intact: list[Row] = []
     damage: list[str] = []
-    known: dict[str, Row] = {}
-    heads: dict[tuple[Any, ...], Row] = {}
-    groups: dict[str, Row] = {}
+    versions: dict[tuple[str, FieldRef], int] = {}
+    known: set[str] = set()
     for number, row in rows:
-        message = "it cannot be read" if row is None else _wrong(row)
+        message = "it cannot be read" if row is None else _wrong(row, versions, known)
         if row is not None and message is None:
-            ref = row["project"], row["kind"], row["frame"], row["key"], row["field"]
-            message = _against(row, known, heads.get(ref), groups.get(row["group"]))
-            if message is None:
-                known[row["ulid"]] = heads[ref] = groups[row["group"]] = row
-                intact.append(row)
-        if message is not None:
+            intact.append(row)
+        else:
             damage.append(f"event {number}: {message}")
     return Verdict(tuple(intact), tuple(damage))
 
 
-def _wrong(row: Row) -> str | None:
-    """Impossible content of an event, in words."""
+def _wrong(row: Row, versions: dict[tuple[str, FieldRef], int], known: set[str]) -> str | None:
+    """Impossible content of an event after others, in words."""
     try:
         ref = FieldRef(row["kind"], row["frame"], row["key"], row["field"])
-        for value in (row["after"], *([] if row["before"] is None else [row["before"]])):
-            if checked(ref, value) != value:
-                return "a value is not as it is kept"
-        if plain_text(row["author"], "an author", LONGEST_NAME).strip() != row["author"]:
-            return "its author is no name"
-        for name in ("reason", "project", "labels"):
-            if row[name] != "":
-                plain_text(row[name], name, LONGEST_TEXT)
+        edit = Edit(ref, row["before"], row["after"], row["base"], row["reason"])
+        plain_text(row["author"], "an author", LONGEST_NAME)
     except InputError as error:
         return error.what
     except (TypeError, ValueError, AttributeError, RecursionError):
         return "it cannot be read"
+    if (edit.before, edit.after) != (row["before"], row["after"]):
+        return "a value is not as it is kept"
+    cell, before = (row["project"], ref), row["base"]
+    if versions.get(cell, 0) != before or row["version"] != before + 1:
+        return "its version does not follow"
     if row["action"] not in get_args(Action) or (row["action"] == "edit") != (row["undo_of"] is None):
         return "there is no such action"
-    numbers = row["base"], row["version"]
-    if any(type(n) is not int for n in numbers) or row["base"] < 0 or row["version"] != row["base"] + 1:
-        return "its version does not follow"
-    times = [_made(row["ulid"]), _made(row["group"])]
-    if times[0] is None or times[1] is None or (row["undo_of"] is not None and _made(row["undo_of"]) is None):
-        return "its ULID is none"
-    if abs(row["time"] - times[0]) > _APART or times[1] > times[0] + _APART or row["time"] < _BEGAN:
-        return "its time is not that of its ULID"
-    return None if _is_anchor(row["anchor"]) else "its anchor is none"
-
-
-def _against(row: Row, known: Mapping[str, Row], head: Row | None, group: Row | None) -> str | None:
-    """Contradiction with earlier events, in words."""
-    if row["ulid"] in known:
-        return "its ULID stands twice"
-    if row["version"] != (1 if head is None else head["version"] + 1):
-        return "its version does not follow"
-    if head is not None and row["kind"] not in _LOOSE and _one_bit_apart(head["after"], row["before"]):
-        return "what it was made on is not what was saved before it"
-    if group is not None and any(row[name] != group[name] for name in ("project", "author", "action", "labels")):
-        return "it is not of its action"
-    if row["undo_of"] is None:
-        return None
-    source = known.get(row["undo_of"])
-    if source is None:
-        return "what it takes back is not there"
-    same = ("project", "kind", "frame", "key", "field", "author", "reason", "anchor")
-    turned = row["before"] == source["after"] and row["after"] == source["before"]
-    reverse = turned and all(row[name] == source[name] for name in same)
-    return None if reverse else "it is not the reverse of what it takes back"
-
-
-def _made(ulid: Any) -> datetime | None:
-    """Time of a ULID; None for another text."""
-    if not isinstance(ulid, str) or len(ulid) != 26 or any(c not in CROCKFORD for c in ulid):
-        return None
-    milliseconds = sum(CROCKFORD.index(c) << 5 * (9 - k) for k, c in enumerate(ulid[:10]))
-    try:
-        return datetime.fromtimestamp(milliseconds / 1000, timezone.utc)
-    except (OverflowError, ValueError, OSError):
-        return None
-
-
-def _is_anchor(value: Any) -> bool:
-    return isinstance(value, dict) and all(
-        name.isdecimal()
-        and isinstance(box, list)
-        and len(box) == 4
-        and all(isinstance(x, (int, float)) and math.isfinite(x) for x in box)
-        for name, box in value.items()
-    )
-
-
-def _one_bit_apart(a: Any, b: Any) -> bool:
-    """True where the JSON of two values differs in a single bit, as after a flip."""
-    one, other = (json.dumps(v).encode() for v in (a, b))
-    return len(one) == len(other) and sum((x ^ y).bit_count() for x, y in zip(one, other, strict=True)) == 1
+    if row["ulid"] in known or (row["undo_of"] is not None and row["undo_of"] not in known):
+        return "its ULID, or that of what it takes back, is wrong"
+    versions[cell] = row["version"]
+    known.add(row["ulid"])
+    return None
 
 
 VERSION = 2

@@ -14,8 +14,7 @@ version of its field where what was changed since was taken back itself.
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, Literal
@@ -203,9 +202,7 @@ def provenance_schema() -> pa.Schema:
 
 
 Turn = Literal["undo", "redo"]
-Taken = defaultdict[str, set[str | None]]
-"""What later actions took back ("undo") and brought back ("redo"): ULIDs of the first event of each."""
-PAGE = 32
+PAGE = 64
 """Events that are read at first to know what may be taken back."""
 
 
@@ -259,52 +256,30 @@ def redo(
 def newest(journal: Journal, author: str, action: Turn) -> tuple[Event, ...] | None:
     """Action for `undo`, the last of `history(...).done`, or for `redo`.
 
-    Read from the newest event on, in pages: an action stands unless a later one took it back.
+    Read from the newest events alone: what came before them was not taken back by any other.
     """
-    taken: Taken = defaultdict(set)
-    for members in _newest_first(journal, author):
-        if _stands(members, action, taken):
-            return members
-        if action == "redo" and members[0].action == "edit":
-            return None
-        taken[members[0].action].add(members[0].undo_of)
-    return None
-
-
-def _stands(members: tuple[Event, ...], action: Turn, taken: Taken) -> bool:
-    """True for an action of the stack, not taken later."""
-    return (members[0].action == "undo") == (action == "redo") and not any(e.ulid in taken[action] for e in members)
-
-
-def _newest_first(journal: Journal, author: str) -> Iterator[tuple[Event, ...]]:
-    """Read a person's actions, newest first, in growing pages."""
-    size, before = PAGE, None
-    held: tuple[Event, ...] = ()
+    size = PAGE
     while True:
-        page = journal.events(author=author, before=before, last=size)
-        whole = actions_of([*page, *held])
-        if len(page) == size:
-            # Of the oldest action there may be more on the next page.
-            held, before = whole.pop(0), page[0].id
-        yield from reversed(whole)
-        if len(page) < size:
-            return
-        size = min(2 * size, 64 * PAGE)
+        page = journal.events(author=author, last=size)
+        # Of the oldest action there may be more.
+        events = page if len(page) < size else [e for e in page if e.group != page[0].group]
+        stack = _stack(events, action)
+        ended = action == "redo" and any(e.action == "edit" for e in events)
+        if stack or ended or len(page) < size:
+            return stack[-1] if stack else None
+        size *= 4
+
+
+def _stack(events: Iterable[Event], action: Turn) -> tuple[tuple[Event, ...], ...]:
+    found = history(events)
+    return found.done if action == "undo" else found.undone
 
 
 def _of_group(journal: Journal, author: str, action: Turn, group: str) -> tuple[Event, ...]:
     """Action of a group; InputError where neither undo nor redo applies."""
     members = journal.events(author=author, group=group)
-    later = actions_of(journal.events(author=author, after=members[-1].id)) if members else []
-    taken: Taken = defaultdict(set)
-    for found in later:
-        taken[found[0].action].add(found[0].undo_of)
-    cleared = action == "redo" and any(found[0].action == "edit" for found in later)
-    require(
-        members and not cleared and _stands(members, action, taken),
-        f"{author} has no action of this group to {action}",
-        got=repr(group),
-    )
+    since = journal.events(author=author, after=members[0].id - 1) if members else ()
+    require(members in _stack(since, action), f"{author} has no action of this group to {action}", got=repr(group))
     return members
 
 
