@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pipeline.datasets.base import Dataset, DatasetFormat
     from pipeline.diagnosis.answer import Answer
     from pipeline.diagnosis.opened import Opened, ask, open
-    from pipeline.evaluation.adapters.base import PredictionFormat
+    from pipeline.evaluation.adapters.published import PredictionFormat
     from pipeline.evaluation.importing import import_records
     from pipeline.evaluation.job import evaluate
     from pipeline.evaluation.run_folder import Run, open_run

@@ -16,8 +16,8 @@ from scenes import frame_of, upright
 from pipeline.answering import Header, Predictions, read_predictions
 from pipeline.datasets import FrameNames, InMemoryDataset
 from pipeline.evaluation.adapters import FORMATS, PredictionFormat, convert_predictions
-from pipeline.evaluation.adapters.answers import answer_of
 from pipeline.evaluation.adapters.converting import is_published
+from pipeline.evaluation.adapters.published import answer_of
 from pipeline.system import FrameUnusable, InputError, pa, plugins, sha256_of
 
 IDS = ("000001/000000", "000001/000020", "000002/000003")

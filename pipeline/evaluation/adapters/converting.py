@@ -12,14 +12,12 @@ from typing import Any
 from pipeline.answering.pipeline import open_pipeline
 from pipeline.answering.predictions import VERSION, Header, Prediction, parse_header, parse_line, write_predictions
 from pipeline.datasets import Dataset
-from pipeline.evaluation.adapters.answers import ANSWER_FORMATS
-from pipeline.evaluation.adapters.base import PredictionFormat, Published
-from pipeline.evaluation.adapters.detections import read_recording
+from pipeline.evaluation.adapters.published import FORMATS, PredictionFormat, Published
 from pipeline.evaluation.importing import import_run
 from pipeline.evaluation.job import RunReport
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.expression import parse
-from pipeline.proposals.detection_files import DETECTION_FORMATS, detection_files
+from pipeline.proposals.detection_files import detection_files
 from pipeline.system.errors import FrameUnusable, InputError, needed, require
 from pipeline.system.plugins import load_plugins
 from pipeline.system.safe_files import opened
@@ -29,21 +27,6 @@ ENTRY_POINT_GROUP = "spatialviz.predictions"
 """Entry points of this group name a PredictionFormat, and so add a format."""
 OWN = "spatialviz"
 """The format that needs no adapter."""
-FORMATS: dict[str, PredictionFormat] = {
-    **ANSWER_FORMATS,
-    **{
-        name: PredictionFormat(
-            read_recording, form.recognises, form.description, 2 if name == "concept-graphs" else 1, form.needs
-        )
-        for name, form in DETECTION_FORMATS.items()
-    },
-    "recording": PredictionFormat(
-        read_recording,
-        lambda content: "frames" in content.first,
-        "a recording of detections, JSON or a folder of NPZ",
-        1,
-    ),
-}
 
 
 @dataclass(frozen=True)

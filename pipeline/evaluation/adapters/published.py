@@ -1,4 +1,8 @@
-"""Answers in words: JSON lines that evaluations of vision-language models and agents leave behind.
+"""Files that other pipelines publish, read as predictions: detections, and answers in words.
+
+Detections are any file that `--detector recorded` plays back: what was found for the names of each expression, and no
+answer; of a map of ConceptGraphs the objects' 3D boxes come too, in the world. Answers are JSON lines that evaluations
+of vision-language models and agents leave behind:
 
 RoboRefer: Zhoues/RoboRefer, Evaluation/test_benchmark.py: question_id, prompt, object_name, text (the answer),
 model_id, rgb_path, mask_path, category, step. What numbers mean goes by model_id as in its summarize_acc.py.
@@ -18,21 +22,167 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, field
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
-from pipeline.answering.predictions import Header, PredictedAnswer, Prediction
-from pipeline.datasets.frame_names import Picture
-from pipeline.evaluation.adapters.base import PredictionFormat, Published
+from pipeline.answering.predictions import Header, PredictedAnswer, PredictedBox, Prediction, Proposal
+from pipeline.datasets import Dataset
+from pipeline.datasets.base import load_picture
+from pipeline.datasets.frame_names import FrameNames, Picture
 from pipeline.evaluation.model_answers import parse_box, parse_yes_no, spoken_part
-from pipeline.system.errors import InputError, needed, require
+from pipeline.geometry.masks import RunLength
+from pipeline.language.counted import counted
+from pipeline.proposals.base import Proposals
+from pipeline.proposals.detection_files import DETECTION_FORMATS
+from pipeline.proposals.recorded import RecordedDetector
+from pipeline.system.errors import FrameUnusable, InputError, UnknownClass, needed, require
 from pipeline.system.limits import current_limits
 from pipeline.system.reading import Content, read_content
 from pipeline.system.safe_files import opened, parse_json
+
+_WORD = re.compile(r"[^\W_]+")
+
+
+@dataclass(frozen=True)
+class Published:
+    """A published file, and what it is about."""
+
+    path: Path  # a file or folder
+    key: Path | None  # the file that says what the first leaves open: pictures and classes by number, questions by id
+    dataset: Dataset
+    # sentences: the labels' expressions by frame, each with the names that it asks for
+    sentences: Mapping[str, Mapping[str, tuple[str, ...]]]
+    notes: list[str] = field(default_factory=list)  # for an adapter to add what the user should know
+    # elsewhere: the pictures that the dataset does not hold, each with where the file names it
+    elsewhere: list[str] = field(default_factory=list)
+
+    @cached_property
+    def content(self) -> Content:
+        """Read the file as JSON, JSON lines or CSV; InputError for anything else."""
+        return read_content(self.path)
+
+    @cached_property
+    def _frames(self) -> FrameNames:
+        return FrameNames(self.dataset.frame_ids)
+
+    @cached_property
+    def _sizes(self) -> dict[str, tuple[int, int]]:
+        return {}
+
+    @cached_property
+    def _texts(self) -> dict[str, dict[str, str]]:
+        return {frame: {words(text): text for text in found} for frame, found in self.sentences.items()}
+
+    def frame(self, picture: Picture, where: str) -> str | None:
+        """Frame of a picture named at `where`; None, and noted, for an unknown picture.
+
+        The adapter leaves out what is about such a picture. FrameUnusable where it may be of several frames.
+        """
+        found = self._frames.find(picture, where)
+        if found is None:
+            self.elsewhere.append(f"{where}, {picture}")
+        return found
+
+    def size(self, frame: str) -> tuple[int, int]:
+        """Width and height of a frame, pixels; InputError for an unreadable frame."""
+        if frame not in self._sizes:
+            loaded = load_picture(self.dataset, frame)
+            self._sizes[frame] = loaded.width, loaded.height
+        return self._sizes[frame]
+
+    def text(self, frame: str, candidates: Sequence[str]) -> str:
+        """Expression of the labels in a question of any wording; else the first wording.
+
+        "Point to the mug left of the laptop." has "mug left of the laptop"; of several the longest, if it is one.
+        """
+        known = self._texts.get(frame, {})
+        asked = [words(text) for text in candidates]
+        for text in asked:
+            if text in known:
+                return known[text]
+        within = [short for short in known if any(short in text for text in asked)]
+        longest = [short for short in within if len(short) == max(map(len, within))]
+        return known[longest[0]] if len(longest) == 1 else candidates[0]
+
+
+def words(text: str) -> str:
+    """The words of a text, in small letters, with a space around each."""
+    return f" {' '.join(_WORD.findall(text.casefold()))} "
+
+
+@dataclass(frozen=True)
+class PredictionFormat:
+    """A published format of predictions."""
+
+    # read: the header and the lines of a file, also as the dicts that `docs/predictions.md` describes
+    read: Callable[[Published], tuple[Header | dict[str, Any], Iterable[Prediction | dict[str, Any]]]]
+    recognises: Callable[[Content], bool]  # whether a file's content is of the format. Must be fast and must not raise.
+    description: str  # one line
+    level: int  # what its lines reach
+    needs: str = ""  # what must be given besides, with --key; empty for nothing
+
+
+ONLY_DETECTIONS = "the file holds detections and no answers"
+
+
+def read_recording(published: Published) -> tuple[Header, Iterator[Prediction]]:
+    """Join every expression of the labels with the detections of the names in the text."""
+    detector = RecordedDetector(published.path, key=published.key, frame_ids=published.dataset.frame_ids)
+    published.notes.append(
+        f"{ONLY_DETECTIONS}: with --detector recorded they can be ranked as ours are (spatialviz eval)"
+    )
+    if detector.elsewhere:
+        published.notes.append(
+            f"left out: {counted(len(detector.elsewhere), 'picture')} of the file that the dataset does not hold "
+            f"(first: {detector.elsewhere[0]})"
+        )
+    system = detector.made_by or published.path.name
+    header = Header(system=system, coordinates="world" if detector.corners else "camera_opencv", notes=ONLY_DETECTIONS)
+    return header, _detections(published, detector)
+
+
+def _detections(published: Published, detector: RecordedDetector) -> Iterator[Prediction]:
+    for frame_id, sentences in published.sentences.items():
+        frame = load_picture(published.dataset, frame_id)
+        told: set[int] = set()
+        for text, names in sentences.items():
+            proposals: dict[str, tuple[Proposal, ...]] = {}
+            unknown: dict[str, str] = {}
+            try:
+                for name in names:
+                    try:
+                        proposals[name] = tuple(_proposals(detector.detect(frame, [name]), told))
+                    except UnknownClass:
+                        unknown[name] = "the file has no such name"
+            except FrameUnusable as error:
+                yield Prediction(frame_id, text, problem=error.what)
+                continue
+            ids = dict.fromkeys(p.id for found in proposals.values() for p in found)
+            known = detector.corners
+            boxes: dict[int, PredictedBox | None] = {i: PredictedBox(corners=known[i]) for i in ids if known}
+            yield Prediction(
+                frame_id,
+                text,
+                problem=ONLY_DETECTIONS,
+                proposals=proposals,
+                unknown=unknown or None,
+                boxes_3d=boxes or None,
+            )
+
+
+def _proposals(found: Proposals, told: set[int]) -> Iterator[Proposal]:
+    """Proposals, best first; an object's mask stands at the first mention in the frame."""
+    rows = zip(found.ids.tolist(), found.scores.tolist(), found.boxes.tolist(), strict=True)
+    for k, (i, score, box) in enumerate(rows):
+        masked = found.masks is not None and (found.has_mask is None or found.has_mask[k]) and i not in told
+        mask = RunLength.of(found.masks[k]) if found.masks is not None and masked else None
+        told.add(i)
+        yield Proposal(i, score, tuple(box), found.label(k), mask)
+
 
 PICTURES = ("frame", "rgb_path", "image_path", "image_file", "image", "img", "images", "input_media", "file_name")
 QUESTIONS = ("text_q", "question", "prompt", "text", "instruction", "query")
@@ -226,3 +376,19 @@ ANSWER_FORMATS = {
         "the documents in their order, with image and question, where the log has no input_media",
     ),
 }
+FORMATS: dict[str, PredictionFormat] = {
+    **ANSWER_FORMATS,
+    **{
+        name: PredictionFormat(
+            read_recording, form.recognises, form.description, 2 if name == "concept-graphs" else 1, form.needs
+        )
+        for name, form in DETECTION_FORMATS.items()
+    },
+    "recording": PredictionFormat(
+        read_recording,
+        lambda content: "frames" in content.first,
+        "a recording of detections, JSON or a folder of NPZ",
+        1,
+    ),
+}
+"""All formats by name, but for our own and those of plugins."""
