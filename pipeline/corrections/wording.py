@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Event, Saved
-from pipeline.corrections.journal.field_refs import FieldRef, box_of, judged_item, object_ref, shown_value
+from pipeline.corrections.journal.field_refs import FieldRef, box_of, judged_item, object_ref, relation_ref, shown_value
 from pipeline.corrections.scene import labelled_box
 from pipeline.corrections.unsaved import Waiting
 from pipeline.geometry.boxes import Box3D
@@ -159,142 +158,69 @@ def _pair(ref: FieldRef) -> tuple[int, int, str] | None:
     return None if b is None or kind != "relation" else (a, b, what)
 
 
-@dataclass(frozen=True)
-class BoxChange:
-    """A 3D box that is not what it was."""
-
-    number: int
-    name: str  # "mug·3"
-    # moved, grown: metres by which its centre moved; factor by which its volume grew. None where there was or is no
-    # box.
-    moved: float | None
-    grown: float | None
-    gone: bool = False  # there is no box any more
-
-    def __str__(self) -> str:
-        if self.gone:
-            return f"{self.name} has no 3D box any more"
-        if self.moved is None or self.grown is None:
-            return f"3D box of {self.name} fitted"
-        percent = f", {100 * (self.grown - 1):+.0f} % volume" if abs(self.grown - 1) >= 0.005 else ""
-        return f"3D box of {self.name} recomputed: moved {100 * self.moved:.1f} cm{percent}"
-
-
-@dataclass(frozen=True)
-class RelationChange:
-    """A relation whose state is not what it was; None is no state."""
-
-    a: str
-    b: str
-    relation: str
-    before: int | None
-    after: int | None
-
-    def __str__(self) -> str:
-        was, now = ("none" if s is None else letter(s) for s in (self.before, self.after))
-        return f"{self.a} {PHRASE[self.relation]} {self.b} {was}→{now}"
-
-
-@dataclass(frozen=True)
-class Consequences:
-    """What is different in a frame after an edit."""
-
-    # appeared, gone: names of objects
-    appeared: tuple[str, ...] = ()
-    gone: tuple[str, ...] = ()
-    unusable: tuple[str, ...] = ()  # objects that stand but are not asked for, and were before, with the reason
-    boxes: tuple[BoxChange, ...] = ()  # without those that a person placed
-    recomputed: int = 0  # relations that were judged anew; a relation and its mirror image are one
-    # changed: those of objects that were there before that came out otherwise; what a person set is not among them
-    changed: tuple[RelationChange, ...] = ()
-    stale: bool = False  # something could not be recomputed, because the dataset is not at hand
-    answers: tuple[str, ...] = ()  # texts of expressions with other answers
-    # withdrawn, returned: texts of expressions that are left out now, or no longer
-    withdrawn: tuple[str, ...] = ()
-    returned: tuple[str, ...] = ()
-
-    def __str__(self) -> str:
-        parts = [f"{name} added" for name in self.appeared] + [f"{name} left out" for name in self.gone]
-        parts += [str(b) for b in self.boxes] + list(self.unusable)
-        if self.recomputed or self.changed:
-            count = f"{counted(self.recomputed, 'relation')} recomputed, " if self.recomputed else "relations: "
-            told = "; ".join(map(str, self.changed[:MOST_SHOWN])) + (" ..." if len(self.changed) > MOST_SHOWN else "")
-            parts.append(f"{count}{len(self.changed) or 'none'} changed" + (f": {told}" if told else ""))
-        texts = {"answered otherwise": self.answers, "withdrawn": self.withdrawn, "back": self.returned}
-        parts += [f"{counted(len(found), 'expression')} {what}" for what, found in texts.items() if found]
-        if self.stale:
-            parts.append("what follows is stale: the dataset is not at hand")
-        return " · ".join(parts)
-
-
-def consequences(before: EffectiveFrame, after: EffectiveFrame) -> Consequences:
-    """Compare two states of one frame."""
+def consequences(before: EffectiveFrame, after: EffectiveFrame) -> str:
+    """What is different in a frame after an edit, in one line; "" for nothing."""
     old, new = before.objects, after.objects
-    both = sorted(old.keys() & new.keys())
-    unusable = tuple(
+    parts = [f"{_name(after, n)} added" for n in sorted(new.keys() - old.keys())]
+    parts += [f"{_name(before, n)} left out" for n in sorted(old.keys() - new.keys())]
+    parts += [text for n in sorted(new) if (text := _box_followed(before, after, n))]
+    parts += [
         f"{_name(after, n)} is not asked for: {new[n]['reason']}"
         for n in sorted(new)
         if not new[n]["usable"] and (n not in old or old[n]["usable"]) and new[n]["reason"]
-    )
-    told = before.origins
+    ]
     renewed = {
-        (key, column): origin.source
+        (*map(int, key.split(",")), column): origin.source
         for (table, key, column), (origin, _) in after.origins.items()
         if table == "relations"
         and origin.source in ("recomputed", "stale")
-        and ((table, key, column) not in told or told[table, key, column][0].event != origin.event)
+        and before.noted("relations", key, column) != origin
     }
-    human = {
-        (key, column)
-        for (table, key, column), (origin, _) in after.origins.items()
-        if table == "relations" and origin.source == "human"
-    }
-    pairs = ((*map(int, key.split(",")), column) for key, column in renewed)
-    mirrored = {_folded(after, a, b, column) for a, b, column in pairs}
-    texts = {i: row["text"] for i, row in (*after.expressions.items(), *before.expressions.items())}
-    kept = before.expressions.keys() & after.expressions.keys()
-    sets = ("targets", "acceptable")
-    return Consequences(
-        tuple(_name(after, n) for n in sorted(new.keys() - old.keys())),
-        tuple(_name(before, n) for n in sorted(old.keys() - new.keys())),
-        unusable,
-        tuple(_box_changes(before, after, both)),
-        len(mirrored),
-        tuple(_relation_changes(before, after, both, human)),
-        "stale" in renewed.values(),
-        _texts(texts, (i for i in kept if any(before.expressions[i][s] != after.expressions[i][s] for s in sets))),
-        _texts(texts, before.expressions.keys() - kept),
-        _texts(texts, after.expressions.keys() - kept),
-    )
+    judged = {_folded(after, a, b, relation) for a, b, relation in renewed}
+    changed = _relations_followed(before, after)
+    if judged or changed:
+        count = f"{counted(len(judged), 'relation')} recomputed, " if judged else "relations: "
+        told = "; ".join(changed[:MOST_SHOWN]) + (" ..." if len(changed) > MOST_SHOWN else "")
+        parts.append(f"{count}{len(changed) or 'none'} changed" + (f": {told}" if told else ""))
+    was, now = before.expressions, after.expressions
+    kept = was.keys() & now.keys()
+    answered = [i for i in kept if any(was[i][name] != now[i][name] for name in ("targets", "acceptable"))]
+    texts = {"answered otherwise": answered, "withdrawn": was.keys() - kept, "back": now.keys() - kept}
+    parts += [f"{counted(len(found), 'expression')} {what}" for what, found in texts.items() if found]
+    if "stale" in renewed.values():
+        parts.append("what follows is stale: the dataset is not at hand")
+    return " · ".join(parts)
 
 
-def _box_changes(before: EffectiveFrame, after: EffectiveFrame, both: Iterable[int]) -> Iterable[BoxChange]:
-    for n in sorted({*both, *(after.objects.keys() - before.objects.keys())}):
-        was = labelled_box(before.objects[n]) if n in before.objects else None
-        now = labelled_box(after.objects[n])
-        if after.origin(object_ref(after.frame, n, "box")).source == "human":
-            continue
-        if now is None or was is None:
-            if now is not was:
-                yield BoxChange(n, _name(after, n), None, None, gone=now is None)
-        else:
-            moved = float(np.linalg.norm(now.center - was.center))
-            if moved >= SAME_POSITION or float(np.abs(now.corners - was.corners).max()) >= SAME_POSITION:
-                yield BoxChange(n, _name(after, n), moved, float(now.volume / max(was.volume, 1e-12)))
+def _box_followed(before: EffectiveFrame, after: EffectiveFrame, number: int) -> str:
+    """Change of a box that no person placed, in words; "" for none."""
+    if after.origin(object_ref(after.frame, number, "box")).source == "human":
+        return ""
+    was = labelled_box(before.objects[number]) if number in before.objects else None
+    now, name = labelled_box(after.objects[number]), _name(after, number)
+    if now is None:
+        return "" if was is None else f"{name} has no 3D box any more"
+    if was is None:
+        return f"3D box of {name} fitted"
+    if float(np.abs(now.corners - was.corners).max()) < SAME_POSITION:
+        return ""
+    moved, grown = float(np.linalg.norm(now.center - was.center)), float(now.volume / max(was.volume, 1e-12)) - 1
+    percent = f", {100 * grown:+.0f} % volume" if abs(grown) >= 0.005 else ""
+    return f"3D box of {name} recomputed: moved {100 * moved:.1f} cm{percent}"
 
 
-def _relation_changes(
-    before: EffectiveFrame, after: EffectiveFrame, both: list[int], human: set[tuple[str, str]]
-) -> Iterable[RelationChange]:
-    was, now = before.pairs.of_objects(both), after.pairs.of_objects(both)
-    seen: set[tuple[int, int, str]] = set()
-    for i, j, k in np.argwhere(was.states != now.states):
+def _relations_followed(before: EffectiveFrame, after: EffectiveFrame) -> list[str]:
+    """Relations with another state that no person set, in words; one for each and its mirror image."""
+    both = sorted(before.objects.keys() & after.objects.keys())
+    was, now = before.pairs.of_objects(both).states, after.pairs.of_objects(both).states
+    found: dict[tuple[int, int, str], str] = {}
+    for i, j, k in np.argwhere(was != now):
         a, b, relation = both[i], both[j], PAIRWISE[k]
-        if (f"{a},{b}", relation) in human or (folded := _folded(after, a, b, relation)) in seen:
-            continue
-        seen.add(folded)
-        states = [None if s == NOT_JUDGED else int(s) for s in (was.states[i, j, k], now.states[i, j, k])]
-        yield RelationChange(_name(after, a), _name(after, b), relation, *states)
+        if after.origin(relation_ref(after.frame, a, b, relation)).source != "human":
+            states = "→".join("none" if s == NOT_JUDGED else letter(int(s)) for s in (was[i, j, k], now[i, j, k]))
+            text = f"{_name(after, a)} {PHRASE[relation]} {_name(after, b)} {states}"
+            found.setdefault(_folded(after, a, b, relation), text)
+    return list(found.values())
 
 
 def _folded(frame: EffectiveFrame, a: int, b: int, relation: str) -> tuple[int, int, str]:
@@ -305,7 +231,3 @@ def _folded(frame: EffectiveFrame, a: int, b: int, relation: str) -> tuple[int, 
 
 def _name(frame: EffectiveFrame, number: int) -> str:
     return f"{frame.objects[number]['label']}·{number}"
-
-
-def _texts(texts: dict[str, str], ids: Iterable[str]) -> tuple[str, ...]:
-    return tuple(texts[i] for i in sorted(ids))

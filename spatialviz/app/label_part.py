@@ -106,7 +106,7 @@ class LabelPart(Part):
         """Set the message of outcomes, with the current labels, without drawing."""
         self.renew()
         view = self.state.labels
-        if view is not None and before is not None and (followed := str(consequences(before, view.frame))):
+        if view is not None and before is not None and (followed := consequences(before, view.frame)):
             said = f"{said} · {followed}"
         self.ctx.editors.said = said, bad
         if view is not None:
