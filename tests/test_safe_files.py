@@ -66,7 +66,6 @@ HANDED = {
 OWN = {
     "answering/predictions.py open": "written to",
     "corrections/journal/": "the journal, which has checks of its own",
-    "corrections/journal_location.py .open": "tries whether a folder can be written",
     "corrections/review/": "keys of items that were made here",
     "datasets/depth/estimated.py np.load": "the cache",
     "datasets/scene_mesh.py": "the cache",

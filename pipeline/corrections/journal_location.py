@@ -9,18 +9,15 @@ from __future__ import annotations
 import json
 import re
 import tempfile
-import time
 from collections.abc import Sequence
-from concurrent.futures import Future
-from concurrent.futures import TimeoutError as NotYet
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
-from itertools import count
 from pathlib import Path
-from threading import Lock, Thread
+from threading import Lock
 
 from pipeline.corrections.journal.connection import is_url
+from pipeline.corrections.journal.events import new_ulid
 from pipeline.corrections.journal.examining import DamagedJournal
 from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, journal_of
 from pipeline.corrections.journal.postgres import without_password
@@ -28,10 +25,7 @@ from pipeline.corrections.review.label_jobs import LabelJobs
 from pipeline.corrections.unsaved import Unsaved, unsaved_actions
 from pipeline.labels.reading import Labels
 from pipeline.system.errors import InputError
-from pipeline.system.whole_files import temporary_sibling, write_synced
-
-PATIENCE_S = 3.0
-"""How long anybody waits for a journal that is being opened; it goes on being opened after that."""
+from pipeline.system.whole_files import write_synced
 
 
 class JournalLocation:
@@ -45,7 +39,6 @@ class JournalLocation:
         self.unsaved = Unsaved()
         self.jobs = LabelJobs()
         self._journal: Journal | None = None
-        self._opening: tuple[float, Future[Journal]] | None = None
         self._lock = Lock()
 
     def __str__(self) -> str:
@@ -72,17 +65,11 @@ class JournalLocation:
         return self.to_write()
 
     def to_write(self) -> Journal:
-        """Open or make the journal; InputError on failure, or while opening."""
-        if self._journal is not None:
-            return self._journal
+        """Open or make the journal; InputError on failure."""
         with self._lock:
-            if self._opening is None:
-                self._opening = time.monotonic(), self._open()
-            began, opening = self._opening
-        try:
-            return opening.result(max(0.0, began + PATIENCE_S - time.monotonic()))
-        except NotYet:
-            raise InputError("the journal cannot be opened", got="it does not answer yet", path=str(self)) from None
+            if self._journal is None:
+                self._journal = journal_of(self.labels, self.where, project=self.project)
+            return self._journal
 
     def check(self) -> str:
         """Open an existing journal; the reason where out of reach now, else ""; DamagedJournal for damage."""
@@ -94,35 +81,12 @@ class JournalLocation:
             return str(error)
         return ""
 
-    def _open(self) -> Future[Journal]:
-        """Open on a thread: a silent database holds nobody up."""
-        opening: Future[Journal] = Future()
-
-        def work() -> None:
-            journal = problem = None
-            try:
-                journal = journal_of(self.labels, self.where, project=self.project)
-            except BaseException as error:  # Whatever it is, those who wait must hear of it.
-                problem = error
-            with self._lock:
-                wanted = self._opening is not None and self._opening[1] is opening
-                if wanted:
-                    self._journal, self._opening = journal, None
-            if journal is None:
-                return opening.set_exception(problem)
-            opening.set_result(journal)
-            if not wanted:
-                journal.close()
-
-        Thread(target=work, daemon=True, name="journal-open").start()
-        return opening
-
     def close(self) -> None:
         """Let go of the database."""
         with self._lock:
             if self._journal is not None:
                 self._journal.close()
-            self._journal = self._opening = None
+            self._journal = None
 
 
 def journal_words(where: str | Path | None, project: str | None = None) -> tuple[str, ...]:
@@ -162,31 +126,18 @@ def dump_unsaved(location: JournalLocation, folders: Sequence[Path] | None = Non
 
 def _written(lists: list[list[dict]], author: str, folders: Sequence[Path]) -> tuple[Path, ...]:
     """Write the files into the first folder with room for all; else ()."""
-    stem = "-".join(("unsaved", re.sub(r"[^A-Za-z0-9]+", "_", author), datetime.now().strftime("%Y%m%d-%H%M%S")))
+    # Other authors' names may come down to the same letters.
+    name, unique = re.sub(r"[^A-Za-z0-9]+", "_", author), new_ulid()[-6:]
+    stem = f"unsaved-{name}-{datetime.now():%Y%m%d-%H%M%S}-{unique}"
     for folder in folders:
-        files: list[Path] = []
-        temporary = None
+        files = tuple(folder / f"{stem}-{k}.json" for k in range(1, len(lists) + 1))
         try:
-            for k, actions in enumerate(lists, start=1):
-                files.append(_free(folder, stem if len(lists) == 1 else f"{stem}-{k}"))
-                temporary = temporary_sibling(files[-1])
-                write_synced(temporary, json.dumps(actions, ensure_ascii=False, indent=1).encode())
-                temporary.replace(files[-1])
+            for file, actions in zip(files, lists, strict=True):
+                write_synced(file, json.dumps(actions, ensure_ascii=False, indent=1).encode())
+            return files
         except OSError:
-            for path in (*files, *([] if temporary is None else [temporary])):
+            for file in files:
                 # A folder that takes no file may not let go of one either.
                 with suppress(OSError):
-                    path.unlink(missing_ok=True)
-            continue
-        return tuple(files)
+                    file.unlink(missing_ok=True)
     return ()
-
-
-def _free(folder: Path, stem: str) -> Path:
-    """A new empty file: other authors' names may come down to the same letters."""
-    for number in count(1):
-        path = folder / f"{stem}{'' if number == 1 else f'-{number}'}.json"
-        with suppress(FileExistsError):
-            path.open("xb").close()
-            return path
-    raise AssertionError

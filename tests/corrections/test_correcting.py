@@ -368,7 +368,7 @@ def test_files_of_several_people_do_not_replace_each_other(
         ("postgresql://ann:secret@host:5433/team", ("--journal", "postgresql://ann@host:5433/team")),
         ("postgresql://host/team?sslmode=require", ("--journal", "postgresql://host/team?sslmode=require")),
         ("postgresql://host/team?port=1&password=secret", ("--journal", "postgresql://host/team?port=1")),
-        ("postgresql://ann:secret@host:5x/team?password=secret", ("--journal", "host:5x/team")),
+        ("postgresql://ann:secret@host:5x/team?password=secret", ("--journal", "postgresql://ann@host:5x/team")),
     ],
 )
 def test_a_place_names_itself_without_its_password(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from journal_world import FRAME, an_expression
-from waiting import LONG_S
 
 from pipeline.corrections import (
     ASKED_BEYOND_M,
@@ -21,7 +19,6 @@ from pipeline.corrections import (
     Saved,
     Waiting,
     events_text,
-    journal_location,
     judge_relation,
     labelled_objects,
     pair_card,
@@ -172,39 +169,6 @@ def test_what_cannot_be_saved_is_kept_shown_and_saved_later(
         assert len(desk.events(FRAME)) == 2
     assert LabelEditor(demo_labels, place, "ben").frame(FRAME).objects[3]["label"] == "jar"
     assert [e.after for e in place.to_write().events()] == ["beaker", "jar"]
-
-
-def test_while_the_journal_is_being_opened_an_edit_waits_and_nobody_with_it(
-    demo_labels: Labels, place: JournalLocation, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    desk, slow = LabelEditor(demo_labels, place, "ann"), threading.Event()
-    real, asked = journal_location.journal_of, threading.Event()
-
-    def opened(*given: Any, **named: Any) -> Any:
-        asked.set()
-        slow.wait(LONG_S)
-        return real(*given, **named)
-
-    monkeypatch.setattr(journal_location, "journal_of", opened)
-    monkeypatch.setattr(journal_location, "PATIENCE_S", 0.02)
-    frame = desk.frame(FRAME)
-
-    def first() -> None:
-        with pytest.raises(InputError, match="does not answer"):
-            place.to_write()
-
-    other = threading.Thread(target=first)
-    other.start()
-    assert asked.wait(LONG_S)
-    outcome = desk.save(set_class(frame, 3, "jar"))
-    assert isinstance(outcome, Waiting)
-    assert "does not answer" in outcome.problem
-    slow.set()
-    other.join()
-    monkeypatch.undo()
-    assert not place.to_write().events()
-    assert [type(x) for x in desk.retry()] == [Saved]
-    assert [e.after for e in place.to_write().events()] == ["jar"]
 
 
 def test_what_waits_can_be_dropped_and_is_a_conflict_where_somebody_was_faster(
