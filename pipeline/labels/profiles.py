@@ -269,8 +269,8 @@ def as_given(judged: JudgedPairs, numbers: Sequence[int], given: Sequence[GivenE
 NONE, TRAINED = "none", "trained"
 LEAST_OF_T, MOST_OF_F = 0.95, 0.05
 """The network agrees with T from this probability on, and with F up to that one. Chosen so that in crowded rooms of
-other makers about 2 in 1,000 cells at most are flipped. On rooms of solids (`synthetic.solids`), where its
-probabilities are calibrated, it is 1.1 in 1,000 decided ones (by 0.9 and 0.1 it would be 1.7, with one in a hundred
+other makers about 2 in 1,000 cells at most are flipped. On rooms of analytic solids, where its
+probabilities were calibrated, it is 1.1 in 1,000 decided ones (by 0.9 and 0.1 it would be 1.7, with one in a hundred
 more decided)."""
 
 

@@ -4,7 +4,6 @@ from pipeline.system.lazy_exports import lazy_exports
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from pipeline.synthetic.assembled import assembled_view
     from pipeline.synthetic.dataset import RenderReport, render_dataset
     from pipeline.synthetic.layout import Instance, Room
     from pipeline.synthetic.render import (
@@ -18,6 +17,5 @@ if TYPE_CHECKING:
     )
     from pipeline.synthetic.rooms import make_room
     from pipeline.synthetic.scattered import make_scattered, roaming_cameras
-    from pipeline.synthetic.solids import solid_view
 
 __getattr__ = lazy_exports(__name__, __file__)

@@ -39,13 +39,12 @@ from pipeline.system.whole_files import clear_abandoned, take_places, temporary_
 from pipeline.system.worker_pool import one_thread
 from pipeline.training.train import TrainConfig, TrainedModel, check_room_config, require_training, train_srm
 from pipeline.training.training_data import (
-    ASSEMBLED_A_ROOM,
     SCALES,
-    SCATTERED_A_ROOM,
     WRONG_NAMES,
     FrameSamples,
     make_split,
     room_seeds,
+    scattered_seeds,
     with_other_sizes,
     with_wrong_names,
 )
@@ -165,11 +164,10 @@ def held_out_figures(scorer: OnnxScorer, plain: OnnxScorer, frames: Sequence[Fra
 
 
 def _room_ranges(rooms: RoomConfig) -> dict[str, list[int]]:
-    """First and last room seed of each part; calibrated on are rooms of solids, measured on furnished ones."""
-    train, *others = room_seeds(rooms.seed, rooms.rooms)
-    parts: dict[str, Sequence[int]] = dict(zip(("train", "calibration", "test"), (train, *others), strict=True))
-    for name, each in (("scattered", SCATTERED_A_ROOM), ("assembled", ASSEMBLED_A_ROOM)):
-        parts[name] = range(train[0], train[0] + each * rooms.rooms)
+    """First and last room seed of each part; calibrated on are scattered rooms, measured on furnished ones."""
+    train, _, test = room_seeds(rooms.seed, rooms.rooms)
+    scattered, calibration = scattered_seeds(rooms.seed, rooms.rooms)
+    parts = {"train": train, "calibration": calibration, "test": test, "scattered": scattered}
     return {f"{name}_rooms": [part[0], part[-1]] for name, part in parts.items()}
 
 

@@ -5,9 +5,8 @@ features come from noisy depth through masks that are a little wrong. The
 network therefore has to learn more than the rule: what a thing is like behind
 the part of it that is seen.
 
-It learns from furnished rooms, from scattered ones and from those of another make,
-seen by cameras of every kind; its probabilities are fitted on rooms of solids, which another program
-makes and sees.
+It learns from furnished rooms and from scattered ones, seen by cameras of every kind; its probabilities are fitted
+on other scattered rooms.
 """
 
 from __future__ import annotations
@@ -26,9 +25,7 @@ from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.relations.features import FEATURES, Appearance, FeatureSet
 from pipeline.relations.relations import directional_states
 from pipeline.synthetic import Instance, Room, choose_views, make_room, sense_view
-from pipeline.synthetic.assembled import assembled_view
 from pipeline.synthetic.scattered import make_scattered, roaming_cameras
-from pipeline.synthetic.solids import solid_view
 from pipeline.system.errors import require
 from pipeline.system.worker_pool import results_of
 
@@ -48,21 +45,15 @@ ROUGH_MASK_PIXELS, ROUGH_SHIFT_PIXELS = (-4, 4), 2
 STEREO_SHARE = 0.5
 """So many of the views that are learnt from have a stereo camera's steps of disparity added to their noise."""
 
-Maker = Literal["furnished", "varied", "scattered", "assembled", "solids"]
+Maker = Literal["furnished", "varied", "scattered"]
 """furnished: the rooms and cameras of `spatialviz render`. varied: those rooms, cameras, noise and masks of every kind.
-scattered: `synthetic.scattered`, likewise. assembled, solids: `synthetic.assembled`, `synthetic.solids`."""
+scattered: `synthetic.scattered`, likewise."""
 
 Job = tuple[int, int, int, int, Maker]
 """Seed, views, width, height and maker of a room."""
 
-SCATTERED_A_ROOM = 2
-"""Scattered rooms for each furnished one: they teach more of other makers' rooms than furnished ones do."""
-
-ASSEMBLED_A_ROOM = 20
-"""Assembled rooms, each seen once, for each furnished one."""
-
-SOLIDS_A_VIEW = 2
-"""Rooms of solids, each seen once, for each view that a room to calibrate on would have."""
+SCATTERED_A_ROOM = 5
+"""Scattered rooms for each furnished one, to learn from and to calibrate on: they teach more of other makers' rooms."""
 
 WRONG_NAMES = 0.1
 """So many of the things that are learnt from go by the name of another one: detectors and labels are wrong, too."""
@@ -201,6 +192,13 @@ def room_seeds(seed: int, rooms: int) -> tuple[tuple[int, ...], tuple[int, ...],
     return seeds[:train], seeds[train : train + calibration], seeds[train + calibration :]
 
 
+def scattered_seeds(seed: int, rooms: int) -> tuple[range, range]:
+    """Seeds of the scattered rooms to learn from and to calibrate on."""
+    train, calibration, _ = room_seeds(seed, rooms)
+    middle = train[0] + SCATTERED_A_ROOM * rooms
+    return range(train[0], middle), range(middle, middle + SCATTERED_A_ROOM * len(calibration))
+
+
 def make_split(
     seed: int,
     rooms: int,
@@ -211,19 +209,19 @@ def make_split(
     workers: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[tuple[FrameSamples, ...], tuple[FrameSamples, ...], tuple[FrameSamples, ...]]:
-    """Samples of rooms, split by room, with scattered and assembled scenes: to train, to calibrate, to test.
+    """Samples of rooms, split by room: to train, to calibrate, to test.
 
-    Trained on are varied views of furnished rooms and of the others, and every second furnished room as
-    `spatialviz render` shows it; calibrated on rooms of solids; measured on furnished rooms as rendered.
-    `progress` is called with (rooms done, rooms in all); for the rest see `make_samples`.
+    Learnt from are furnished rooms of every kind of view, every second of them also as `spatialviz render` shows it,
+    and scattered rooms; calibrated on are other scattered rooms; measured on furnished rooms as rendered.
+    `progress` is called with (rooms done, rooms in all).
     """
-    train, calibration, test = room_seeds(seed, rooms)
+    train, _, test = room_seeds(seed, rooms)
+    scattered, calibration = scattered_seeds(seed, rooms)
     jobs: list[tuple[Sequence[int], Maker]] = [
         (train, "varied"),
         (train[::2], "furnished"),
-        (range(train[0], train[0] + SCATTERED_A_ROOM * rooms), "scattered"),
-        (range(train[0], train[0] + ASSEMBLED_A_ROOM * rooms), "assembled"),
-        (calibration, "solids"),
+        (scattered, "scattered"),
+        (calibration, "scattered"),
         (test, "furnished"),
     ]
     total, done, parts = sum(len(seeds) for seeds, _ in jobs), 0, []
@@ -241,20 +239,13 @@ def make_split(
             )
         )
         done += len(seeds)
-    *learnt, solids, measured = parts
-    return tuple(frame for part in learnt for frame in part), solids, measured
+    *learnt, held_back, measured = parts
+    return tuple(frame for part in learnt for frame in part), held_back, measured
 
 
 def _room_samples(job: Job) -> tuple[FrameSamples, ...]:
     seed, views, width, height, maker = job
     rng = np.random.default_rng([seed, 17])
-    if maker == "solids":
-        return tuple(_solid_samples(seed, k, width, height) for k in range(SOLIDS_A_VIEW * views))
-    if maker == "assembled":
-        view = assembled_view(seed, width, height, MIN_PIXELS)
-        return (
-            () if view is None else (_seen_samples(seed, view.depth, view.camera, view.masks, view.exact, view.labels),)
-        )
     if maker == "scattered":
         room = make_scattered(seed)
         return tuple(view_samples(room, c, rng, rough=True) for c in roaming_cameras(room, views, rng, width, height))
@@ -265,14 +256,6 @@ def _room_samples(job: Job) -> tuple[FrameSamples, ...]:
         cameras = [varied_camera(camera, rng) for camera in cameras]
         cameras += roaming_cameras(room, views - usual, rng, width, height)
     return tuple(view_samples(room, camera, rng, rough=maker == "varied") for camera in cameras)
-
-
-def _solid_samples(seed: int, number: int, width: int, height: int) -> FrameSamples:
-    view = solid_view(seed, number, width, height, MIN_PIXELS)
-    assert view.camera.up is not None
-    viewer = viewer_axes(view.camera.up)
-    exact = [(lo, hi) for lo, hi in view.exact(viewer.matrix)]
-    return _seen_samples(seed, view.depth, view.camera, view.masks, exact, ("",) * len(exact))
 
 
 def varied_camera(camera: Camera, rng: np.random.Generator) -> Camera:

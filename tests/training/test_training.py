@@ -29,8 +29,6 @@ from pipeline.training import (
 from pipeline.training.card import save_onnx
 from pipeline.training.train import train_srm
 from pipeline.training.training_data import (
-    SCATTERED_A_ROOM,
-    SOLIDS_A_VIEW,
     WRONG_NAMES,
     iterate_pairs,
     make_split,
@@ -44,7 +42,7 @@ pytestmark = needs("embreex", "torch", "onnx")
 
 
 WIDTH, HEIGHT = 200, 150
-ASSEMBLED = 2
+SCATTERED = 2
 SEEDS = (8_500_000, 8_500_002)
 
 
@@ -166,9 +164,9 @@ def test_rooms_are_split_from_rooms() -> None:
 
 @pytest.fixture
 def few_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Cameras are the best of few and not of many, and assembled rooms are few: they cost most."""
+    """Cameras are the best of few and not of many, and scattered rooms are few: they cost most."""
     monkeypatch.setattr("pipeline.synthetic.render.CANDIDATES", 4)
-    monkeypatch.setattr("pipeline.training.training_data.ASSEMBLED_A_ROOM", ASSEMBLED)
+    monkeypatch.setattr("pipeline.training.training_data.SCATTERED_A_ROOM", SCATTERED)
 
 
 @pytest.mark.usefixtures("few_candidates")
@@ -177,10 +175,10 @@ def test_progress_counts_all_rooms() -> None:
     train, calibration, test = make_split(
         1, 3, views=1, width=64, height=48, progress=lambda done, of: seen.append((done, of))
     )
-    total = 4 + 3 * (SCATTERED_A_ROOM + ASSEMBLED)
+    total = 3 + 4 * SCATTERED
     assert seen == [(k, total) for k in range(1, total + 1)]
     assert len(test) == 1
-    assert len(calibration) == SOLIDS_A_VIEW
+    assert len(calibration) == SCATTERED
     assert len(train) > 1
 
 

@@ -1,18 +1,15 @@
-"""What the shipped network learns from and is calibrated on: scattered rooms, roaming cameras, rooms of solids."""
+"""What the shipped network learns from and is calibrated on: scattered rooms and roaming cameras."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from needs import needs
 
-from pipeline.geometry import lift_pixels, viewer_axes
-from pipeline.synthetic import Room, assembled_view, exact_view, make_scattered, roaming_cameras, solid_view
+from pipeline.geometry import viewer_axes
+from pipeline.synthetic import Room, exact_view, make_scattered, roaming_cameras
 from pipeline.synthetic.layout import Instance, overlaps, part_boxes
 from pipeline.synthetic.scattered import NEAR_SHARE, NEAREST_M, SCATTERED, TABLE_TOP
-from pipeline.synthetic.solids import Solid, solid
 from pipeline.training import make_samples
 
 pytestmark = needs("embreex")
@@ -79,94 +76,10 @@ def test_roaming_cameras_are_low_and_high_steep_and_rolled(rooms: list[Room]) ->
     assert cut > len(pitches) / 2
 
 
-@settings(max_examples=25, deadline=None)
-@given(
-    kind=st.sampled_from(["box", "cylinder", "ball"]),
-    seed=st.integers(0, 1000),
-)
-def test_a_solids_reach_is_that_of_its_surface(kind: str, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    made = Solid(kind, rng.normal(size=(3, 3)) + 2 * np.eye(3), rng.normal(size=3))  # pyright: ignore[reportArgumentType]
-    unit = rng.normal(size=(20_000, 3))
-    if kind == "ball":
-        unit /= np.linalg.norm(unit, axis=1, keepdims=True)
-    elif kind == "box":
-        unit /= 2 * np.abs(unit).max(axis=1, keepdims=True)
-    else:
-        unit[:, :2] /= np.linalg.norm(unit[:, :2], axis=1, keepdims=True)
-        unit[:, 2] = rng.choice([-0.5, 0.5], len(unit))
-    axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    along = (unit @ made.A.T) @ axes.T
-    reach = made.reach(axes)
-    assert (along.max(axis=0) <= reach + 1e-9).all()
-    assert (along.max(axis=0) >= 0.9 * reach).all()
-
-
-@pytest.mark.parametrize("kind", ["box", "cylinder", "ball"])
-def test_rays_meet_a_solid_on_its_surface(kind: str) -> None:
-    made = solid(kind, (0.4, 0.4, 0.6), np.array([0.1, 2.0, 0.3]), 0.5, lean=0.3)  # pyright: ignore[reportArgumentType]
-    low = made.t - made.reach(np.eye(3))
-    assert low[2] == pytest.approx(0.3)
-    aim = made.t + np.random.default_rng(0).normal(0, 0.15, (500, 3))
-    met = made.met(np.zeros(3), aim)
-    hit = np.isfinite(met)
-    assert hit.sum() > 100
-    unit = (met[hit, None] * aim[hit] - made.t) @ np.linalg.inv(made.A).T
-    radius = np.linalg.norm(unit[:, :2], axis=1)
-    if kind == "box":
-        on = 2 * np.abs(unit).max(axis=1)
-    elif kind == "ball":
-        on = np.linalg.norm(unit, axis=1)
-    else:
-        on = np.maximum(radius, 2 * np.abs(unit[:, 2]))
-    np.testing.assert_allclose(on, 1, atol=1e-9)
-
-
-def test_views_of_solids_show_what_is_there() -> None:
-    errors = []
-    for seed in range(6):
-        view = solid_view(seed, 0, WIDTH, HEIGHT)
-        assert view.camera.up is not None
-        viewer = viewer_axes(view.camera.up)
-        exact = view.exact(viewer.matrix)
-        assert len(exact) == len(view.masks) == len(view.things)
-        for mask, (lo, hi) in zip(view.masks, exact, strict=True):
-            v, u = np.nonzero(mask & (view.depth > 0))
-            along = lift_pixels(view.depth[v, u], view.camera, v, u) @ viewer.matrix.T
-            if len(along):
-                errors.append(np.maximum(lo - np.median(along, axis=0), np.median(along, axis=0) - hi).max())
-    assert len(errors) > 8
-    # The middle of what a mask shows lies within the thing, but for noise.
-    assert np.mean(np.array(errors) < 0.05) > 0.9
-    again = solid_view(3, 0, WIDTH, HEIGHT)
-    np.testing.assert_array_equal(again.depth, solid_view(3, 0, WIDTH, HEIGHT).depth)
-
-
-def test_assembled_views_show_what_is_there() -> None:
-    views = [view for seed in range(12) if (view := assembled_view(seed, 160, 120, 60)) is not None]
-    assert len(views) >= 8
-    errors, names = [], set()
-    for view in views:
-        assert view.camera.up is not None
-        assert len(view.masks) == len(view.labels) == len(view.exact)
-        axes = viewer_axes(view.camera.up).matrix.T
-        names |= set(view.labels)
-        for mask, (lo, hi) in zip(view.masks, view.exact, strict=True):
-            v, u = np.nonzero(mask & (view.depth > 0))
-            middle = np.median(lift_pixels(view.depth[v, u], view.camera, v, u) @ axes, axis=0) if len(v) else lo
-            errors.append(np.maximum(lo - middle, middle - hi).max())
-    assert np.mean(np.array(errors) < 0.05) > 0.9
-    assert len(names) > 8
-    again = assembled_view(3, 160, 120, 60)
-    assert again is not None
-    np.testing.assert_array_equal(again.depth, assembled_view(3, 160, 120, 60).depth)  # pyright: ignore
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("maker", ["varied", "scattered", "assembled", "solids"])
+@pytest.mark.parametrize("maker", ["varied", "scattered"])
 def test_samples_of_every_maker_see_less_than_there_is(maker: str) -> None:
-    seeds = range(700_001, 700_009 if maker == "assembled" else 700_002)
-    frames = make_samples(seeds, views=3, width=480, height=360, maker=maker)  # pyright: ignore
+    frames = make_samples([700_001], views=3, width=480, height=360, maker=maker)  # pyright: ignore
     seen = np.concatenate([f.seen_hi - f.seen_lo for f in frames])
     exact = np.concatenate([f.exact_hi - f.exact_lo for f in frames])
     assert len(seen) > 10
