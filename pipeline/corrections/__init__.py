@@ -48,8 +48,7 @@ if TYPE_CHECKING:
     from pipeline.corrections.journal.replay import redo, undo
     from pipeline.corrections.journal_location import JournalLocation, dump_unsaved
     from pipeline.corrections.judging import Judge
-    from pipeline.corrections.label_editor import LabelEditor
-    from pipeline.corrections.label_editors import LabelEditors
+    from pipeline.corrections.label_editor import LabelEditor, LabelEditors
     from pipeline.corrections.label_view import LabelView, paired
     from pipeline.corrections.object_card import ExpressionCard, back_to_automatic, bring_back, set_answer
     from pipeline.corrections.review.doubts import DoubtConfig

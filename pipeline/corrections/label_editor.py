@@ -1,19 +1,22 @@
-"""An editor: one person who corrects labels, what they see, what is saved, who changed what, what is not saved yet."""
+"""Editors of one person who corrects labels: what they see, what is saved, who changed what, what is not saved yet."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+import getpass
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from functools import cached_property
 from threading import Lock
 
+from pipeline.answering.pipeline import Pipeline
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Edit, Event, NotSaved, Saved, new_ulid
-from pipeline.corrections.journal.field_refs import LONGEST_NAME, FieldRef, plain_text, shown_value
+from pipeline.corrections.journal.field_refs import LONGEST_NAME, FieldRef, plain_text
 from pipeline.corrections.journal.replay import history, redo, undo
 from pipeline.corrections.journal_location import JournalLocation
+from pipeline.corrections.review.items import ItemKey
 from pipeline.corrections.unsaved import Waiting, decided
 from pipeline.datasets import Dataset
 from pipeline.labels.by_hand import NewLabels, grows, seen_with, with_frames
@@ -281,12 +284,6 @@ class EventLine:
     group: str  # action to take back; "" for none
     waiting: bool = False  # not saved yet
 
-    @property
-    def change(self) -> tuple[str, str]:
-        """Value before and after, in words."""
-        e = self.event
-        return shown_value(e.ref, e.before), shown_value(e.ref, e.after)
-
 
 def event_lines(
     events: Sequence[Event],
@@ -325,3 +322,77 @@ def event_lines(
         else EventLine(e, None, last.group if last.group in mine else "", e.group in unsaved)
         for e, last in reversed(shown)
     )
+
+
+@dataclass(frozen=True)
+class Target:
+    """Objects, relation and queue item to look at."""
+
+    frame: str
+    objects: tuple[int, ...] = ()  # one object, or a pair
+    relation: str | None = None
+    item: ItemKey | None = None  # of the review queue
+
+
+ANYTHING = Target("")
+"""No frame in particular."""
+
+
+class LabelEditors:
+    """Editors of one person for the labels of several sources, by name."""
+
+    def __init__(
+        self, journals: Mapping[str, JournalLocation], sources: Mapping[str, Pipeline], author: str | None
+    ) -> None:
+        self._journals, self._sources = journals, sources
+        self._open: dict[str, LabelEditor] = {}
+        self._author = author or login_name()
+        self._given, self._of_token = author is not None, False
+        self.wanted: Target | None = None
+        self.said: tuple[str, bool] = "", False
+        self.on_saved: list[Callable[[tuple[Event, ...]], object]] = []
+
+    def of(self, source: str) -> LabelEditor | None:
+        """Editor of a source, opened when first needed; None without labels."""
+        if source not in self._open and source in self._journals:
+            location = self._journals[source]
+            dataset = self._sources[source].dataset
+            self._open[source] = LabelEditor(location.labels, location, self._author, dataset)
+        return self._open.get(source)
+
+    def opened(self, source: str) -> LabelEditor | None:
+        """Editor of a source where open; for any thread."""
+        return self._open.get(source)
+
+    def corrected(self, source: str, frame: str) -> EffectiveFrame | None:
+        """The labels of a frame as they were corrected by now; None where nobody has corrected any."""
+        editor = self.of(source)
+        return None if editor is None else editor.corrected(frame)
+
+    def greet(self, author: str) -> None:
+        """Take a name used before, unless given; raises as `sign`."""
+        if author and not self._given:
+            self.sign(author)
+
+    def sign_for_token(self, author: str) -> None:
+        """Correct under a token's name; `sign` cannot change it."""
+        self.sign(author)
+        self._given = self._of_token = True
+
+    def sign(self, author: str) -> None:
+        """Save what follows under another name; InputError as `LabelEditor.sign`, and where a token has the name."""
+        name = plain_text(author.strip(), "an author", LONGEST_NAME).strip()
+        require(not self._of_token, "corrections are under the name of your token", got=name, expected=self._author)
+        # All of them, or none.
+        for step in (LabelEditor.check_name, LabelEditor.sign):
+            for editor in self._open.values():
+                step(editor, name)
+        self._author = name
+
+
+def login_name() -> str:
+    """Login name of the user; "somebody" for none."""
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError):  # A container may know no name of its user.
+        return "somebody"

@@ -17,20 +17,6 @@ from pipeline.proposals.annotations import box_mask
 
 
 @dataclass(frozen=True)
-class Target:
-    """Objects, relation and queue item to look at."""
-
-    frame: str
-    objects: tuple[int, ...] = ()  # one object, or a pair
-    relation: str | None = None
-    item: ItemKey | None = None  # of the review queue
-
-
-ANYTHING = Target("")
-"""No frame in particular."""
-
-
-@dataclass(frozen=True)
 class LabelView:
     """Labels of the shown frame, and what of them is selected."""
 

@@ -204,7 +204,6 @@ class ExpressionCard:
     statuses: dict[str, str]  # by reviewer
     withdrawn: str  # reason; "" where it stands
     origins: dict[str, Origin]  # by CORRECTED_FIELDS
-    versions: dict[str, int]
 
     def certainty(self, number: int) -> Certainty:
         """Truth of the expression for an object."""
@@ -259,7 +258,6 @@ def _card(
         statuses.get(("expression", -1, None, name), {}),
         withdrawn,
         {field: frame.origin(ref) for field, ref in refs.items()},
-        {field: frame.version(ref) for field, ref in refs.items()},
     )
 
 

@@ -16,7 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 from pipeline.answering.frame_store import FrameStore
 from pipeline.answering.pipeline import Pipeline
 from pipeline.corrections.journal_location import JournalLocation
-from pipeline.corrections.label_editors import LabelEditors
+from pipeline.corrections.label_editor import LabelEditors
 from pipeline.datasets.demo import DEMO_EXPRESSION
 from pipeline.diagnosis.whatif.state import ViewState
 from pipeline.evaluation.run_folder import Run

@@ -9,8 +9,8 @@ from pipeline.corrections.journal.edits import Edits
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Saved
 from pipeline.corrections.journal_location import JournalLocation
-from pipeline.corrections.label_editor import LabelEditor, Outcome
-from pipeline.corrections.label_view import ANYTHING, LabelView, Target
+from pipeline.corrections.label_editor import ANYTHING, LabelEditor, Outcome, Target
+from pipeline.corrections.label_view import LabelView
 from pipeline.corrections.scene import labelled_objects
 from pipeline.corrections.wording import consequences, outcome_text
 from pipeline.diagnosis.whatif.answer_view import ShownObjects

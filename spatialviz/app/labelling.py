@@ -15,7 +15,7 @@ from pydantic import NonNegativeInt
 
 from pipeline.corrections.confirming import right_objects, right_pair, why_not_kept, words_of
 from pipeline.corrections.journal.events import Event, Saved
-from pipeline.corrections.label_view import Target
+from pipeline.corrections.label_editor import Target
 from pipeline.corrections.unsaved import Waiting
 from pipeline.corrections.wording import events_text, outcome_text
 from pipeline.language.tree import Query

@@ -13,7 +13,7 @@ from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Saved
 from pipeline.corrections.journal.field_refs import object_ref, relation_ref
 from pipeline.corrections.journal_location import JournalLocation
-from pipeline.corrections.label_view import Target
+from pipeline.corrections.label_editor import Target
 from pipeline.corrections.review.items import ItemKey
 from pipeline.corrections.review.label_jobs import CANCELLED, QueueJob, QueueProgress
 from pipeline.corrections.review.worklist import (

@@ -13,7 +13,7 @@ from pipeline.answering.frame_store import LoadedFrame
 from pipeline.answering.ranking import RankConfig
 from pipeline.answering.suggestions import completions
 from pipeline.corrections.judging import Judge
-from pipeline.corrections.label_view import ANYTHING, Target
+from pipeline.corrections.label_editor import ANYTHING, Target
 from pipeline.datasets.base import dataset_notes, named_frame
 from pipeline.datasets.demo import DEMO_EXPRESSION
 from pipeline.diagnosis.suggested_questions import SuggestedQuestions, first_answered, suggest_questions

@@ -61,7 +61,7 @@ def test_answers_are_set_one_by_one_and_the_origin_is_told(bare_corrector: Corre
 @settings(max_examples=30)
 @given(st.lists(st.tuples(st.integers(0, 5), st.sampled_from(["sure", "likely", "no"])), max_size=12))
 def test_targets_are_always_acceptable(steps: list[tuple[int, Any]]) -> None:
-    card = ExpressionCard("f", "e", "t", "a", "left", "b", 0, 1, (0,), (0,), {}, False, None, None, {}, "", {}, {})
+    card = ExpressionCard("f", "e", "t", "a", "left", "b", 0, 1, (0,), (0,), {}, False, None, None, {}, "", {})
     for number, doubt in steps:
         targets, acceptable = answers_with(card, number, doubt)
         assert set(targets) <= set(acceptable)

@@ -12,7 +12,7 @@ from journal_world import FRAME, an_expression, widest
 
 from pipeline.answering import Pipeline, open_pipeline
 from pipeline.corrections import JournalLocation, LabelEditor, LabelEditors, LabelView, labelled_box, paired, set_box
-from pipeline.corrections.label_editors import login_name
+from pipeline.corrections.label_editor import login_name
 from pipeline.datasets import Dataset
 from pipeline.geometry import Box3D
 from pipeline.labels import Labels
