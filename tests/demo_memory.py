@@ -25,12 +25,12 @@ from pipeline.geometry import Frame, lifting
 def demo_remembered() -> Iterator[None]:
     """While it holds, a frame of the demo is decoded once, and each of its masks lifted once."""
     demo = demo_path().resolve()
-    load, lift = BopDataset._load, lifting._lift_one
+    load, lift = BopDataset._decoded, lifting._lift_one
     frames: dict[Any, Frame] = {}
     depths: set[int] = set()
     objects: dict[Any, lifting.LiftedObject] = {}
 
-    def load_once(self: BopDataset, frame_id: str, annotated: bool) -> Frame:
+    def load_once(self: BopDataset, frame_id: str, annotated: bool = True) -> Frame:
         if Path(self.root).resolve() != demo:
             return load(self, frame_id, annotated)
         key = frame_id, annotated, repr(self._settings)
@@ -48,7 +48,7 @@ def demo_remembered() -> Iterator[None]:
         return objects[key]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(BopDataset, "_load", load_once)
+        patch.setattr(BopDataset, "_decoded", load_once)
         patch.setattr(lifting, "_lift_one", lift_once)
         yield
 

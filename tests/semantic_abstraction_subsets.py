@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from pipeline.datasets import GivenExpression
-from pipeline.datasets.semantic_abstraction_file import (
+from pipeline.datasets.semantic_abstraction_splits import (
     _OTHER_NAMES,
     NOVEL_CLASSES,
     RANDOMIZED_ROOMS,

@@ -53,8 +53,7 @@ MAYBE = re.compile(rf"\b({'|'.join(LAST)})\(")
 METHODS = {"read_bytes", "read_text"}
 """Of paths; a file of an archive or a table has them too, and functions of the same names are fine."""
 HANDED = {
-    "datasets/files.py .read_bytes": "a member of an archive or a table hands its own bytes over",
-    "datasets/semantic_abstraction_file.py h5py.File": "a checked path",
+    "datasets/semantic_abstraction.py h5py.File": "a checked path",
     "datasets/images.py Image.open": "an opened file",
     "datasets/images.py OpenEXR.File": "checked bytes stand there",
     "language/vectors.py gzip.open": "an opened file, unpacked line by line",

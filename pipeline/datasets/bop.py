@@ -10,28 +10,32 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pipeline.datasets.base import DatasetFormat
-from pipeline.datasets.cameras import inverse, one_file, or_note, read_pair, rigid
+from pipeline.datasets.camera_files import Stated
+from pipeline.datasets.cameras import inverse, one_file, or_note, rigid
 from pipeline.datasets.files import as_floats, listing, read_bytes, read_json, readable
 from pipeline.datasets.images import read_mask
 from pipeline.datasets.pairing import COLOR_SUFFIXES
-from pipeline.datasets.recording import Recording
+from pipeline.datasets.recording import Listed, Recording
 from pipeline.datasets.settings import Settings
 from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.frame import Annotation, Frame
+from pipeline.geometry.frame import Annotation
 from pipeline.geometry.masks import mask_box
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, needed, require
 from pipeline.system.recent import Recent
 
-SCENES_KEPT = 8
-"""How many scenes' tables stay parsed in memory."""
+TABLES_KEPT = 24
+"""How many tables of scenes stay parsed in memory."""
+MM = 1e-3
+Model = tuple[str | None, Box3D | None]
+"""The extra key `name`, which BOP itself does not have, and the exact box in the object's own frame, metres."""
+NO_MODEL: Model = None, None
 
 
 class BopDataset(Recording):
@@ -43,11 +47,12 @@ class BopDataset(Recording):
     """
 
     format = "bop"
+    one_size = True
 
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
-        self._models: dict[int, ObjectModel] = read_models(root)
-        self._scenes: Recent[str, BopScene] = Recent(SCENES_KEPT)
+        self._models = read_models(root)
+        self._tables: Recent[Path, dict[int, Any]] = Recent(TABLES_KEPT)
         self._folders = _scene_folders(root)
         gray = [f for f in self._folders.values() if (f / "gray").is_dir() and not (f / "rgb").is_dir()]
         if gray and len(gray) == len(self._folders):
@@ -59,60 +64,48 @@ class BopDataset(Recording):
         }
         self.frame_ids = tuple(self._index)
 
+    @property
+    def class_names(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Annotated classes, read on first use."""
+        return self._class_names
+
     @cached_property
     def _class_names(self) -> tuple[str, ...]:
         """Annotated classes, in the order of object numbers."""
         numbers: set[int] = set().union(*map(annotated_objects, self._folders.values()))
         return tuple(dict.fromkeys(self._label(number) for number in sorted(numbers)))
 
-    @property
-    def class_names(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Annotated classes, read on first use."""
-        return self._class_names
+    def _table(self, path: Path) -> dict[int, Any]:
+        return self._tables.get(path, partial(read_images, path))
 
-    def load(self, frame_id: str) -> Frame:
-        """Decode a frame; see `Dataset.load`."""
-        return self._load(frame_id, annotated=True)
-
-    def load_picture(self, frame_id: str) -> Frame:
-        """Decode a frame without annotations."""
-        return self._load(frame_id, annotated=False)
-
-    def _load(self, frame_id: str, annotated: bool) -> Frame:
+    def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         name, image = self._found(self._index, frame_id)
-        scene = self._scenes.get(name, lambda: read_scene(self._folders[name]))
-        table = scene.folder / "scene_camera.json"
-        require(image in scene.camera, f"image {image} is no longer listed", path=table)
-        entry, settings = scene.camera[image], self._settings
-        K, units_per_metre = read_camera(entry, table, image)
-        color = _image(scene.folder / "rgb", image, COLOR_SUFFIXES)
-        depth = _image(scene.folder / "depth", image, (".png", ".tif", ".tiff"))
-        pair = read_pair(color, depth, settings.depth_scale or units_per_metre)
-        notes: list[str] = []
+        folder = self._folders[name]
+        table = folder / "scene_camera.json"
+        entry = needed(self._table(table).get(image), f"image {image} is no longer listed", path=table)
+        stated = read_camera(entry, table, image)
+        color = _image(folder / "rgb", image, COLOR_SUFFIXES)
+        depth = _image(folder / "depth", image, (".png", ".tif", ".tiff"))
         pose = or_note(notes, "no camera pose: ", read_pose, entry, table)
-        annotations = self._annotations(scene, image, pair[1].shape, notes) if annotated else ()
-        return self._frame(frame_id, pair, K, pose, table, depth, annotations, notes)
+        return Listed(color, depth, stated, pose, partial(self._annotations, folder, image))
 
     def _label(self, number: int) -> str:
-        model = self._models.get(number)
-        return (model.name if model else None) or f"obj_{number:06d}"
+        return self._models.get(number, NO_MODEL)[0] or f"obj_{number:06d}"
 
-    def _annotations(
-        self, scene: BopScene, image: int, size: tuple[int, ...], notes: list[str]
-    ) -> tuple[Annotation, ...]:
-        if scene.gt is None:
+    def _annotations(self, folder: Path, image: int, size: tuple[int, ...], notes: list[str]) -> tuple[Annotation, ...]:
+        path, info_path = folder / "scene_gt.json", folder / "scene_gt_info.json"
+        if not path.is_file():
             return ()
-        path = scene.folder / "scene_gt.json"
-        if image not in scene.gt:
+        entries = self._table(path).get(image)
+        if entries is None:
             notes.append("no entry in scene_gt.json")
             return ()
-        entries = scene.gt[image]
         require(isinstance(entries, list), f"image {image}: a list was expected", got=type(entries).__name__, path=path)
-        infos = scene.gt_info.get(image) if scene.gt_info is not None else None
+        infos = self._table(info_path).get(image) if info_path.is_file() else None
         if infos is not None and (not isinstance(infos, list) or len(infos) != len(entries)):
             notes.append(f"scene_gt_info.json is ignored: its list does not match the {len(entries)} objects")
             infos = None
-        has_masks = (scene.folder / "mask_visib").is_dir()
+        has_masks = (folder / "mask_visib").is_dir()
         found: list[Annotation] = []
         for index, entry in enumerate(entries):
             number = entry.get("obj_id") if isinstance(entry, Mapping) else None
@@ -120,25 +113,23 @@ class BopDataset(Recording):
                 notes.append(f"annotation {index}: no obj_id")
                 continue
             info = infos[index] if infos is not None and isinstance(infos[index], Mapping) else {}
-            mask_path = scene.folder / "mask_visib" / f"{image:06d}_{index:06d}.png" if has_masks else None
+            mask_path = folder / "mask_visib" / f"{image:06d}_{index:06d}.png" if has_masks else None
             label = self._label(number)
             remarks: list[str] = []
-            box = self._box(entry, self._models.get(number), path, remarks)
+            box = _box(entry, self._models.get(number, NO_MODEL)[1], path, remarks)
             try:
-                bbox, mask = _extent(mask_path, info, size, scene.folder / "scene_gt_info.json", remarks)
+                bbox, mask = _extent(mask_path, info, size, info_path, remarks)
                 found.append(Annotation(index, label, bbox, mask, box, _visible(info)))
             except InputError as error:
                 remarks = [error.what]
             notes.extend(f"annotation {index} ({label}): {what}" for what in remarks)
         return tuple(found)
 
-    @staticmethod
-    def _box(entry: Mapping[str, Any], model: ObjectModel | None, path: Path, remarks: list[str]) -> Box3D | None:
-        """The exact box in the camera frame: center = R (min + size / 2) + t."""
-        if model is None or model.center is None or model.size is None:
-            return None
-        T = or_note(remarks, "no 3D box, ", _rigid_mm, entry, "cam_R_m2c", "cam_t_m2c", path)
-        return None if T is None else Box3D(T[:3, :3] @ model.center + T[:3, 3], T[:3, :3], model.size)
+
+def _box(entry: Mapping[str, Any], box: Box3D | None, path: Path, remarks: list[str]) -> Box3D | None:
+    """The exact box of an object in the camera frame."""
+    T = None if box is None else or_note(remarks, "no 3D box, ", _rigid_mm, entry, "cam_R_m2c", "cam_t_m2c", path)
+    return None if box is None or T is None else box.transformed(T)
 
 
 def _extent(
@@ -210,28 +201,6 @@ FORMAT = DatasetFormat(
 )
 
 
-MM = 1e-3
-
-
-@dataclass(frozen=True)
-class ObjectModel:
-    """An object of `models_info.json`."""
-
-    name: str | None  # The extra key `name`, which BOP itself does not have
-    center: np.ndarray | None
-    size: np.ndarray | None  # (3,) float64 or None: The exact axis-aligned box in the object's own frame, metres
-
-
-@dataclass(frozen=True)
-class BopScene:
-    """The three tables of a scene, each keyed by image number."""
-
-    folder: Path
-    camera: Mapping[int, Any]  # `scene_camera.json`
-    gt: Mapping[int, Any] | None
-    gt_info: Mapping[int, Any] | None  # `scene_gt.json` and `scene_gt_info.json`; None where there is no such file
-
-
 def read_images(path: Path) -> dict[int, Any]:
     """A table keyed by image number, in their order."""
     images: dict[int, Any] = {}
@@ -248,15 +217,8 @@ def read_images(path: Path) -> dict[int, Any]:
     return dict(sorted(images.items()))
 
 
-def read_scene(folder: Path) -> BopScene:
-    """The tables of a scene folder."""
-    optional = (folder / name for name in ("scene_gt.json", "scene_gt_info.json"))
-    gt, gt_info = (read_images(path) if path.is_file() else None for path in optional)
-    return BopScene(folder, read_images(folder / "scene_camera.json"), gt, gt_info)
-
-
-def read_camera(entry: Any, path: Path, image: int) -> tuple[np.ndarray, float]:
-    """Intrinsics K (3, 3) and depth units per metre of an entry of `scene_camera.json`."""
+def read_camera(entry: Any, path: Path, image: int) -> Stated:
+    """Intrinsics and depth units of an entry of `scene_camera.json`."""
     require(
         isinstance(entry, Mapping), f"image {image}: a camera must be an object", got=type(entry).__name__, path=path
     )
@@ -267,7 +229,7 @@ def read_camera(entry: Any, path: Path, image: int) -> tuple[np.ndarray, float]:
     require(
         (np.isfinite(scale) and scale > 0), f"image {image}: depth_scale must be positive", got=f"{scale:g}", path=path
     )
-    return K, 1 / (scale * MM)
+    return Stated(K, units_per_metre=1 / (scale * MM), path=path)
 
 
 def read_pose(entry: Mapping[str, Any], path: Path) -> np.ndarray | None:
@@ -284,10 +246,10 @@ def _rigid_mm(entry: Mapping[str, Any], R_key: str, t_key: str, path: Path) -> n
     return rigid(R, as_floats(entry[t_key], 3, path, t_key) * MM)
 
 
-def read_models(root: Path) -> dict[int, ObjectModel]:
+def read_models(root: Path) -> dict[int, Model]:
     """Objects by number, from `models/models_info.json` and variants (`models_eval`, ...). Where several folders speak
     of an object, `models` comes first and the others fill in what it leaves out."""
-    models: dict[int, ObjectModel] = {}
+    models: dict[int, Model] = {}
     for folder in listing(root)[0]:
         path = root / folder / "models_info.json"
         if not re.fullmatch(r"models(_\w+)?", folder) or not path.is_file():
@@ -299,34 +261,24 @@ def read_models(root: Path) -> dict[int, ObjectModel]:
                 expected='"12": {...}',
                 path=path,
             )
-            found, known = _model(entry), models.get(int(key), ObjectModel(None, None, None))
-            exact = known if known.size is not None else found
-            models[int(key)] = ObjectModel(known.name or found.name, exact.center, exact.size)
+            name, box = models.get(int(key), NO_MODEL)
+            own = entry.get("name")
+            name = name or (own.strip() if isinstance(own, str) else None)
+            models[int(key)] = name or None, box or or_note([], "", _model_box, entry, path)
     return models
 
 
-def _model(entry: Mapping[str, Any]) -> ObjectModel:
-    name = entry.get("name")
-    name = name.strip() if isinstance(name, str) else None
-    keys = [f"{kind}_{axis}" for kind in ("min", "size") for axis in "xyz"]
-    try:
-        values = np.array([entry[key] for key in keys], dtype=np.float64)
-    except (KeyError, TypeError, ValueError):
-        return ObjectModel(name or None, None, None)
-    low, size = values[:3] * MM, values[3:] * MM
-    if not np.isfinite(values).all() or (size <= 0).any():
-        return ObjectModel(name or None, None, None)
-    return ObjectModel(name or None, low + size / 2, size)
+def _model_box(entry: Mapping[str, Any], path: Path) -> Box3D:
+    """Exact axis-aligned box of an object in its own frame; InputError where unknown or empty."""
+    low, size = (
+        as_floats([entry.get(f"{kind}_{axis}") for axis in "xyz"], 3, path, kind) * MM for kind in ("min", "size")
+    )
+    require((size > 0).all(), "an empty box")
+    return Box3D(low + size / 2, np.eye(3), size)
 
 
 def annotated_objects(folder: Path) -> set[int]:
     """Object numbers in a scene's `scene_gt.json`. Matched rather than parsed: parsing every scene of a large dataset
     takes seconds, and a malformed scene is reported frame by frame anyway."""
-    path = folder / "scene_gt.json"
-    if not path.is_file():
-        return set()
-    try:
-        data = read_bytes(path)
-    except InputError:
-        return set()
+    data = or_note([], "", read_bytes, folder / "scene_gt.json") or b""
     return {int(number) for number in re.findall(rb'"obj_id"\s*:\s*([0-9]{1,12})', data)}

@@ -1,8 +1,8 @@
-"""Cameras and poses from files, checked; frames assembled with the file to blame in every error."""
+"""Poses from files, checked, and a dataset with its poses shifted."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -10,13 +10,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from pipeline.datasets.base import ChangedFrames, Dataset, load_picture, load_pose, scene_of
-from pipeline.datasets.files import Blob, read_matrix
-from pipeline.datasets.images import read_color, read_depth
-from pipeline.datasets.settings import INTRINSICS, Settings
-from pipeline.geometry.camera import Camera, intrinsics
-from pipeline.geometry.frame import Annotation, Frame
-from pipeline.geometry.pose_convention import standard_poses
-from pipeline.system.errors import InputError, in_file, needed, require
+from pipeline.datasets.files import read_matrix
+from pipeline.geometry.frame import Frame
+from pipeline.system.errors import InputError, require
 
 Value = TypeVar("Value")
 ROUNDING = 1e-2
@@ -78,86 +74,6 @@ def pose_from_quaternion(values: np.ndarray) -> np.ndarray:
         ]
     )
     return rigid(R, values[:3])
-
-
-def make_camera(
-    K: np.ndarray | None,
-    size: Sequence[int],
-    T_world_camera: np.ndarray | None,
-    settings: Settings,
-    path: Blob,
-    untold: tuple[str, ...] = (),
-) -> Camera:
-    """Checked camera; intrinsics and pose convention of the settings win over `K` and the file.
-
-    `K` (3, 3) float64 or None: What the dataset's own files say, from `path`; `size` (height, width): Or the shape
-    of the image; `T_world_camera` (4, 4) float64 or None.
-    """
-    height, width = size[:2]
-    if settings.intrinsics is not None:
-        K = intrinsics(*settings.intrinsics)
-    if K is None and settings.browse:
-        # Any camera shows the picture; that it is none is kept with it.
-        K, untold = intrinsics(width, width, (width - 1) / 2, (height - 1) / 2), (INTRINSICS, *untold)
-    K = needed(K, "the camera is not known", expected=INTRINSICS, path=path)
-    if settings.poses is not None and T_world_camera is not None:
-        T_world_camera = standard_poses(T_world_camera, settings.poses)
-    with in_file(path):
-        camera = Camera(K, width, height, T_world_camera, untold=untold)
-    require(
-        (-0.5 * width <= camera.cx <= 1.5 * width and -0.5 * height <= camera.cy <= 1.5 * height),
-        f"the principal point is far outside the {width}x{height} image",
-        got=f"cx={camera.cx:g}, cy={camera.cy:g}",
-        cause="are these the intrinsics of another image size?",
-        path=path,
-    )
-    return camera
-
-
-def read_pair(color: Blob, depth: Blob, units_per_metre: float | None) -> tuple[np.ndarray, np.ndarray]:
-    """Colour and depth of a frame, (H, W, 3) uint8 and (H, W) float32 metres; see `read_depth`."""
-    rgb, metres = read_color(color), read_depth(depth, units_per_metre)
-    if rgb.shape[:2] != metres.shape:
-        raise differ_in_size(rgb, metres, color, depth)
-    return rgb, metres
-
-
-def differ_in_size(rgb: np.ndarray, metres: np.ndarray, color: Blob, depth: Blob) -> InputError:
-    """Error for colour and depth of different sizes."""
-    return InputError(
-        "colour and depth differ in size",
-        got=f"depth {metres.shape[1]}x{metres.shape[0]}",
-        expected=f"{rgb.shape[1]}x{rgb.shape[0]} as {color.name}",
-        cause="is this the raw depth and not the one registered to the colour image?",
-        path=depth,
-    )
-
-
-def make_frame(
-    frame_id: str,
-    pair: tuple[np.ndarray, np.ndarray],
-    camera: Camera,
-    depth_path: Blob,
-    annotations: tuple[Annotation, ...] = (),
-    notes: tuple[str, ...] = (),
-) -> Frame:
-    """Assemble a Frame; errors name `depth_path`."""
-    with in_file(depth_path):
-        return Frame(frame_id, pair[0], pair[1], camera, annotations, notes)
-
-
-def known_intrinsics(
-    numbers: tuple[float, float, float, float], whose: str, size: Sequence[int], expected: str, path: Blob
-) -> np.ndarray:
-    """Intrinsics (3, 3) known for a format at 640x480; InputError for another size."""
-    require(
-        tuple(size) == (480, 640),
-        f"the camera is not known: {whose} own intrinsics are for 640x480",
-        got=f"{size[1]}x{size[0]}",
-        expected=f"{expected}--intrinsics fx,fy,cx,cy",
-        path=path,
-    )
-    return intrinsics(*numbers)
 
 
 def one_file(candidates: list[Path], what: str, where: Path) -> Path:

@@ -7,11 +7,12 @@ import json
 import math
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -22,16 +23,25 @@ from pipeline.system.limits import within
 CUT_OFF = "was the copy or the download interrupted?"
 
 
-class Blob(Protocol):
-    """A file at any place: a path, or a member of an archive, table or stream. One that holds an array and no encoded
-    picture also has `pixels()`. `os.fspath` says what a message calls it."""
+@dataclass(frozen=True)
+class Part:
+    """Part of a file: a member of an archive, a cell of a table, a message of a stream."""
+
+    file: Path
+    inside: str  # What a message calls it, with its separator from the file
+    read: Callable[[], bytes | np.ndarray]  # An encoded picture, or its pixels
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        return self.inside
 
-    def read_bytes(self) -> bytes: ...
+    def __str__(self) -> str:
+        return f"{self.file}{self.inside}"
 
-    def __fspath__(self) -> str: ...
+    __fspath__ = __str__
+
+
+Blob = Path | Part
 
 
 def shortened(error: Exception) -> str:
@@ -45,7 +55,7 @@ def read_bytes(path: Blob, limit: str = "bytes") -> bytes:
         as_input_error("a file cannot be read", OSError, got=lambda error: error.strerror, path=path),
         as_input_error("a file is missing", FileNotFoundError, path=path),
     ):
-        data = safe_files.read_bytes(path, limit) if isinstance(path, Path) else path.read_bytes()
+        data = bytes(path.read()) if isinstance(path, Part) else safe_files.read_bytes(path, limit)
     require(data, "a file is empty", got="0 bytes", cause="was the copy interrupted?", path=path)
     return data
 

@@ -15,10 +15,22 @@ from pipeline.datasets.camera_files import NOTHING, Stated, read_stated, stated_
 from pipeline.datasets.cameras import or_note, pose_from_matrix, pose_from_quaternion
 from pipeline.datasets.files import as_floats, numbered_lines, read_matrix
 from pipeline.datasets.images import INTEGER_DEPTH_SUFFIXES, read_numbers
-from pipeline.datasets.pairing import Files, Key, Naming, Pair, choose_naming, files_by_role, pair_files, role_of, twice
-from pipeline.datasets.recording import Listed, Recording, files_of
+from pipeline.datasets.pairing import (
+    COLOR_SUFFIXES,
+    Files,
+    Key,
+    Naming,
+    Pair,
+    choose_naming,
+    files_by_role,
+    files_in,
+    pair_files,
+    role_of,
+    twice,
+)
+from pipeline.datasets.recording import Listed, Recording
 from pipeline.datasets.settings import DEPTH_SCALE, Settings
-from pipeline.geometry.frame import Annotation, Frame
+from pipeline.geometry.frame import Annotation
 from pipeline.geometry.masks import mask_box
 from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, needed, require
@@ -140,6 +152,8 @@ class FolderDataset(Recording):
     format = "folder"
     names: ClassVar[Mapping[int, str]] = {}
     """What numbers in label pictures mean, where no file says it."""
+    parts: ClassVar[Mapping[str, str]] = {}
+    """The format's own folders by role; empty where the words of names tell them."""
 
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
@@ -162,6 +176,8 @@ class FolderDataset(Recording):
         return {"": root}
 
     def _files(self, folder: Path) -> Files:
+        if self.parts:
+            return Files(folder, False, {role: files_in(folder, name, role) for role, name in self.parts.items()})
         return needed(files_by_role(folder), "no colour and depth that their names tell", path=folder)
 
     def _camera(self, scene: SceneFolder, pair: Pair) -> Stated:
@@ -170,7 +186,10 @@ class FolderDataset(Recording):
     def _pose(self, scene: SceneFolder, pair: Pair, notes: list[str]) -> np.ndarray | None:
         notes += [] if scene.pose_problem is None else [f"no camera pose: {scene.pose_problem}"]
         text = scene.poses.get(pair.key)
-        return None if text is None else or_note(notes, "no camera pose: ", text.read)
+        if text is None:
+            notes += ["no camera pose: its file is missing"] if scene.poses else []
+            return None
+        return or_note(notes, f"no camera pose, {text.path.name}: ", text.read)
 
     def _up(self, pose: np.ndarray | None) -> np.ndarray | None:
         """Up vector, camera frame, of the layout's world; None for plain layouts."""
@@ -181,11 +200,13 @@ class FolderDataset(Recording):
         told, camera, unit, floats = self._settings, False, False, False
         scene = next(iter(self._scenes.values()))
         for scene in self._scenes.values():
-            stated = or_note([], "", self._camera, scene, scene.pairs[0]) or NOTHING
+            stated = or_note([], "", self._camera, scene, scene.pairs[0])
+            if stated is None:
+                continue  # What is wrong with its file is told when a frame is loaded.
             depths = {os.path.splitext(name)[1].lower() for name in scene.files.of("depth")}
             integer = bool(depths & set(INTEGER_DEPTH_SUFFIXES))
             no_unit = told.depth_scale is stated.units_per_metre is self.rule.units_per_metre is None
-            camera |= told.intrinsics is None and stated.K is None
+            camera |= told.intrinsics is self.documented is stated.K is None
             unit |= no_unit and integer
             floats |= no_unit and not integer
         self._ask_for(_seen(scene), camera, unit)
@@ -195,23 +216,20 @@ class FolderDataset(Recording):
     def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         prefix, pair = self._found(self._index, frame_id)
         scene = self._scenes[prefix]
-        if self._settings.estimated and pair.color is not None:
-            color, depth = pair.color, pair.depth
-        else:
-            color, depth = files_of(pair, self.root)
+        color, depth = needed(pair.color, "the colour file is missing", path=pair.depth), pair.depth
+        if not self._settings.estimated:
+            depth = needed(depth, "the depth file is missing", path=color)
         pose = self._pose(scene, pair, notes)
-        stated = NOTHING if self._told else self._camera(scene, pair)
+        stated = NOTHING if self._known else self._camera(scene, pair)
         label = scene.labels.get(pair.key)
         annotate = None if label is None else LabelPicture(scene.files.root / label, self._names).annotations
         return Listed(color, depth, stated, pose, annotate, self._up(pose))
 
     @property
-    def _told(self) -> bool:
-        return self._settings.intrinsics is not None and self._settings.depth_scale is not None
-
-    def load_picture(self, frame_id: str) -> Frame:
-        """Decode a frame without annotations."""
-        return self._decoded(frame_id, annotated=False)
+    def _known(self) -> bool:
+        """Test whether the settings and the format leave no number to a camera file."""
+        units = self._settings.depth_scale or self.rule.units_per_metre
+        return self._settings.intrinsics is not None and units is not None
 
 
 def _seen(scene: SceneFolder) -> str:
@@ -248,3 +266,24 @@ FORMAT = DatasetFormat(
     lambda root: files_by_role(root) is not None,
     FolderDataset,
 )
+
+
+class PicturesDataset(FolderDataset):
+    """Colour alone, for `--depth-model`; poses, camera files and label pictures as in any recording in folders."""
+
+    format = "pictures"
+
+    def _files(self, folder: Path) -> Files:
+        if folder.is_file():
+            return Files(folder.parent, True, {"color": [folder.name]})
+        return needed(files_by_role(folder, depth=False), "no pictures", path=folder)
+
+    def _check(self) -> None:
+        """Check nothing: colour alone has no unit, and the network or the user gives the focal length."""
+
+
+def _are_pictures(root: Path) -> bool:
+    return root.suffix.lower() in COLOR_SUFFIXES if root.is_file() else files_by_role(root, depth=False) is not None
+
+
+PICTURES = DatasetFormat("pictures", "pictures: colour alone, with --depth-model", _are_pictures, PicturesDataset)

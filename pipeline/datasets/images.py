@@ -11,14 +11,13 @@ import os
 import re
 import zlib
 from pathlib import Path
-from typing import Any
 from zipfile import BadZipFile
 
 import cv2
 import numpy as np
 from PIL import Image
 
-from pipeline.datasets.files import CUT_OFF, Blob, read_bytes, shortened
+from pipeline.datasets.files import CUT_OFF, Blob, Part, read_bytes, shortened
 from pipeline.system import safe_files
 from pipeline.system.errors import InputError, as_input_error, needed, require
 
@@ -50,17 +49,19 @@ def read_color(path: Blob, upright: bool = False) -> np.ndarray:
     InputError
         Missing, empty, cut off, corrupt, or no image.
     """
-    if hasattr(path, "pixels"):
-        return _pixels(path)
-    data, kind = _checked(path, "png, jpeg, tiff or ppm")
+    content = path.read() if isinstance(path, Part) else read_bytes(path)
+    if isinstance(content, np.ndarray):
+        return content
+    kind = _checked(content, path, "png, jpeg, tiff or ppm")
     require(kind not in _ARRAYS, "a colour file must be a png, jpeg, tiff or ppm", got=kind, path=path)
-    bgr = _decode(data, kind, path, cv2.IMREAD_COLOR | (0 if upright else cv2.IMREAD_IGNORE_ORIENTATION))
+    bgr = _decode(content, kind, path, cv2.IMREAD_COLOR | (0 if upright else cv2.IMREAD_IGNORE_ORIENTATION))
     return np.ascontiguousarray(bgr[..., ::-1])
 
 
 def read_numbers(path: Blob) -> np.ndarray:
     """Stored mask or label picture, (H, W) or (H, W, C)."""
-    data, kind = _checked(path, "png")
+    data = read_bytes(path)
+    kind = _checked(data, path, "png")
     require(kind not in _ARRAYS, "a mask must be a png", got=kind, path=path)
     return _decode(data, kind, path, cv2.IMREAD_UNCHANGED)
 
@@ -93,16 +94,8 @@ def read_depth(path: Blob, units_per_metre: float | None, nothing: int | None = 
 
 def read_stored(path: Blob, rotated: int = 0) -> np.ndarray:
     """Stored depth (H, W) of 16-bit or larger integers or floats; see `read_depth`."""
-    if hasattr(path, "pixels"):
-        stored = _pixels(path)
-    else:
-        data, kind = _checked(path, "png, pgm, tiff, exr, npy or npz")
-        if kind in ("npy", "npz"):
-            stored = _decode_numpy(data, path)
-        elif kind == "exr":
-            stored = _decode_exr(data, path)
-        else:
-            stored = _decode(data, kind, path, cv2.IMREAD_UNCHANGED)
+    content = path.read() if isinstance(path, Part) else read_bytes(path)
+    stored = content if isinstance(content, np.ndarray) else _decode_depth(content, path)
     if stored.ndim == 3 and stored.shape[2] == 1:
         stored = stored[..., 0]
     require(
@@ -119,6 +112,13 @@ def read_stored(path: Blob, rotated: int = 0) -> np.ndarray:
         require(stored.dtype == np.uint16, "depth with rotated bits must have 16", got=stored.dtype, path=path)
         stored = (stored >> rotated) | (stored << (16 - rotated))
     return stored
+
+
+def _decode_depth(data: bytes, path: Blob) -> np.ndarray:
+    kind = _checked(data, path, "png, pgm, tiff, exr, npy or npz")
+    if kind in ("npy", "npz"):
+        return _decode_numpy(data, path)
+    return _decode_exr(data, path) if kind == "exr" else _decode(data, kind, path, cv2.IMREAD_UNCHANGED)
 
 
 EXIF_TABLE, FOCAL_35MM = 0x8769, 0xA405
@@ -147,14 +147,8 @@ def picture_size(path: Path) -> tuple[int, int] | None:
         return None
 
 
-def _pixels(blob: Any) -> np.ndarray:
-    """Array of a blob in memory."""
-    return blob.pixels()
-
-
-def _checked(path: Blob, expected: str) -> tuple[bytes, str]:
-    """Bytes and kind of a complete image file."""
-    data = read_bytes(path)
+def _checked(data: bytes, path: Blob, expected: str) -> str:
+    """Kind of a complete image file."""
     kind = needed(
         next((name for magic, name in _MAGIC.items() if data.startswith(magic)), None),
         "not an image that can be read",
@@ -169,7 +163,7 @@ def _checked(path: Blob, expected: str) -> tuple[bytes, str]:
         _check_jpeg(data, path)
     if kind not in _ARRAYS:
         safe_files.check_pixels(data, path)
-    return data, kind
+    return kind
 
 
 def _check_png(data: bytes, path: Blob) -> None:

@@ -6,24 +6,19 @@ from dataclasses import replace
 from pathlib import Path
 
 from pipeline.datasets import (
-    apc,
     avd,
     bop,
     folder,
+    layouts,
     parquet,
     phones,
-    pictures,
     reconstructions,
-    redwood,
     robospatial,
     saved_case,
-    scannet,
     semantic_abstraction,
-    seven_scenes,
     streams,
     sunrgbd,
     tum,
-    ycb_video,
 )
 from pipeline.datasets.base import Dataset, DatasetFormat
 from pipeline.datasets.cameras import ShiftedPoses
@@ -42,18 +37,18 @@ FORMATS: tuple[DatasetFormat, ...] = (
     saved_case.FORMAT,
     robospatial.FORMAT,
     bop.FORMAT,
-    apc.FORMAT,
-    seven_scenes.FORMAT,
-    scannet.FORMAT,
+    layouts.APC,
+    layouts.SEVEN_SCENES,
+    layouts.SCANNET,
     tum.FORMAT,
     sunrgbd.VOTENET_FORMAT,
     sunrgbd.FORMAT,
-    ycb_video.FORMAT,
+    layouts.YCB_VIDEO,
     phones.ARKITSCENES,
     phones.RECORD3D,
     reconstructions.NERFSTUDIO,
     reconstructions.COLMAP,
-    redwood.FORMAT,
+    layouts.REDWOOD,
     parquet.FORMAT,
     streams.FORMAT,
     avd.FORMAT,
@@ -141,7 +136,7 @@ def open_dataset(
     )
     added = (loaded for _, loaded in load_plugins(ENTRY_POINT_GROUP, "dataset", DatasetFormat))
     formats = (*FORMATS, *added, FALLBACK) if root.is_dir() else CAPTURES
-    formats = formats if model is None else (*formats, pictures.FORMAT)
+    formats = formats if model is None else (*formats, folder.PICTURES)
     with listed_once():
         for candidate in formats:
             if candidate.recognises(root):

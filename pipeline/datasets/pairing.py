@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 
 from pipeline.datasets.camera_files import CAMERA_SUFFIXES
-from pipeline.datasets.files import listing, natural, readable
+from pipeline.datasets.files import natural, readable
 from pipeline.datasets.images import DEPTH_SUFFIXES
 from pipeline.system.errors import InputError, require
 
@@ -71,15 +71,12 @@ class Files:
     def of(self, role: str) -> list[str]:
         return self.by_role.get(role, [])
 
-    def paths(self, role: str) -> list[Path]:
-        return [self.root / name for name in self.of(role)]
-
 
 def files_by_role(root: Path, depth: bool = True) -> Files | None:
     """Files of a recording by role; None without colour and depth by name. Without `depth` colour alone will do."""
     folders, names = readable(root)
     own = _by_name(names)
-    beside = sum(len(_files(root, folder, "depth")) for folder in folders if role_of(folder)[0] == "depth")
+    beside = sum(len(files_in(root, folder, "depth")) for folder in folders if role_of(folder)[0] == "depth")
     # A picture or two beside the folders are no recording of their own.
     if own.get("color") and len(own.get("depth", ())) > beside:
         return Files(root, True, own | {"camera": [*own.get("camera", ()), *_inside(root, folders, "camera")]})
@@ -114,24 +111,20 @@ def _by_name(names: Iterable[str]) -> dict[str, list[str]]:
 
 def _inside(root: Path, folders: Iterable[str], role: str) -> list[str]:
     """Files in folders of a role; colour and depth use a single folder, preferably of a plain name."""
-    found = {folder: _files(root, folder, role) for folder in folders if role_of(folder)[0] == role}
+    found = {folder: files_in(root, folder, role) for folder in folders if role_of(folder)[0] == role}
     full = {folder: names for folder, names in found.items() if names}
     if role in ("color", "depth"):
         full = {folder: names for folder, names in full.items() if not role_of(folder)[1]} or full
-        one_folder(found, full, role, root)
+        what = {"color": "colour"}.get(role, role)
+        got = f"{'/, '.join(found)}/ without one"
+        require(full, f"no {what} files", got=got, expected=", ".join(SUFFIXES[role]), path=root)
+        require(len(full) <= 1, f"more than one {what} folder", got=", ".join(full), expected="one", path=root)
     return [name for names in full.values() for name in names]
 
 
-def _files(root: Path, folder: str, role: str) -> list[str]:
+def files_in(root: Path, folder: str, role: str) -> list[str]:
+    """Files of a role in a folder, relative to `root`."""
     return [f"{folder}/{name}" for name in readable(root / folder)[1] if name.lower().endswith(SUFFIXES[role])]
-
-
-def one_folder(found: dict[str, list[str]], full: dict[str, list[str]], role: str, root: Path) -> None:
-    """Raise InputError unless exactly a single folder has files."""
-    what = {"color": "colour"}.get(role, role)
-    suffixes = ", ".join(SUFFIXES[role])
-    require(full, f"no {what} files", got=f"{'/, '.join(found)}/ without one", expected=suffixes, path=root)
-    require(len(full) <= 1, f"more than one {what} folder", got=", ".join(full), expected="one", path=root)
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,18 +148,6 @@ class Pair:
     def stem(self) -> str:
         """Stem of the colour file, else of the depth file."""
         return stem_of(self.color_name or self.depth_name or "")
-
-
-def image_files(root: Path, folders: tuple[str, ...], suffixes: tuple[str, ...], role: str) -> list[str]:
-    """Image files in the single folder named in `folders`, relative to `root`."""
-    found = {
-        folder: [f"{folder}/{name}" for name in listing(root / folder)[1] if name.lower().endswith(suffixes)]
-        for folder in listing(root)[0]
-        if folder.lower() in folders
-    }
-    full = {name: paths for name, paths in found.items() if paths}
-    one_folder(found, full, role, root)
-    return next(iter(full.values()))
 
 
 def numbers(name: str) -> Key:
@@ -241,12 +222,3 @@ def pair_files(naming: Naming, colors: list[str], depths: list[str], root: Path)
     order = (lambda key: (int(key[0]), key)) if single else (lambda key: [natural(part) for part in key])
     keys = sorted(keys, key=order)
     return [Pair(key, root, color.get(key), depth.get(key)) for key in keys]
-
-
-def paired_files(
-    root: Path, folders: tuple[str, ...], depth_suffixes: tuple[str, ...], depth_folders: tuple[str, ...] = ("depth",)
-) -> dict[str, Pair]:
-    """Pairs of a recording by name of the colour file, else of the depth file."""
-    colors = image_files(root, folders, COLOR_SUFFIXES, "color")
-    depths = image_files(root, depth_folders, depth_suffixes, "depth")
-    return {pair.stem: pair for pair in pair_files(choose_naming(colors, depths), colors, depths, root)}

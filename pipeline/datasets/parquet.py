@@ -6,9 +6,8 @@ https://huggingface.co/docs/datasets/image_dataset, https://huggingface.co/docs/
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import replace
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +15,12 @@ import numpy as np
 
 from pipeline.datasets.base import DatasetFormat
 from pipeline.datasets.camera_files import NOTHING, Stated, flat_numbers, stated_in
-from pipeline.datasets.files import read_json, readable
+from pipeline.datasets.cameras import or_note
+from pipeline.datasets.files import Part, read_json, readable
 from pipeline.datasets.pairing import role_of
 from pipeline.datasets.recording import Listed, Recording
 from pipeline.datasets.settings import DEPTH_SCALE, Settings
-from pipeline.system.errors import InputError, as_input_error, needed, require
+from pipeline.system.errors import as_input_error, needed, require
 from pipeline.system.safe_files import open_parquet
 
 SUFFIX = ".parquet"
@@ -31,34 +31,16 @@ LEROBOT_UNITS = {"m": 1.0, "mm": 1000.0}
 NAME_COLUMNS = ("id", "frame_id", "image_id", "frame", "name")
 
 
-@dataclass(frozen=True)
-class Cell:
-    """A picture in a table cell: encoded bytes or an array."""
-
-    table: Path
-    row: int
-    column: str
-
-    @property
-    def name(self) -> str:
-        return self.column
-
-    def __fspath__(self) -> str:
-        return f"{self.table}/{self.column}[{self.row}]"
-
-    def read_bytes(self) -> bytes:
-        value = _row(self.table, self.row)[self.column]
-        value = value.get("bytes") if isinstance(value, Mapping) else value
-        return needed(value if isinstance(value, bytes) else None, "a cell without a picture", path=self)
+def cell(table: Path, row: int, column: str) -> Part:
+    """Picture in a cell of a table: encoded bytes, bare or in a struct, or nested lists of numbers."""
+    return Part(table, f"/{column}[{row}]", partial(_read_cell, table, row, column))
 
 
-@dataclass(frozen=True)
-class ArrayCell(Cell):
-    """A cell of nested lists of numbers."""
-
-    def pixels(self) -> np.ndarray:
-        with as_input_error("a cell that is no picture of numbers", ValueError, TypeError, path=self):
-            return np.array(_row(self.table, self.row)[self.column], np.float32)
+def _read_cell(table: Path, row: int, column: str) -> bytes | np.ndarray:
+    value = _row(table, row)[column]
+    value = value.get("bytes") if isinstance(value, Mapping) else value
+    with as_input_error("a cell without a picture", ValueError, TypeError, path=f"{table}/{column}[{row}]"):
+        return value if isinstance(value, bytes) else np.array(needed(value, "an empty cell"), np.float32)
 
 
 def _file(table: Path) -> Any:
@@ -134,11 +116,7 @@ class ParquetDataset(Recording):
 
     def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         table, row = self._found(self._rows, frame_id)
-        kinds = _file(table).schema_arrow
-        color, depth = (
-            (ArrayCell if _is_array(kinds.field(name)) else Cell)(table, row, name)
-            for name in map(str, self._columns.values())
-        )
+        color, depth = (cell(table, row, str(name)) for name in self._columns.values())
         stated = NOTHING if self._settings.intrinsics is not None else self._stated((table, row))
         return Listed(color, depth, replace(stated, units_per_metre=stated.units_per_metre or self._units))
 
@@ -151,10 +129,8 @@ def lerobot_features(root: Path) -> dict[str, Any]:
     """Features of a LeRobot dataset by name, from `meta/info.json`; empty otherwise."""
     if root.is_file() or not (root / LEROBOT).is_file():
         return {}
-    with suppress(InputError):
-        features = read_json(root / LEROBOT).get("features")
-        return {str(k): v for k, v in features.items() if isinstance(v, dict)} if isinstance(features, dict) else {}
-    return {}
+    features = (or_note([], "", read_json, root / LEROBOT) or {}).get("features")
+    return {str(k): v for k, v in features.items() if isinstance(v, dict)} if isinstance(features, dict) else {}
 
 
 def _info(features: Mapping[str, Any], name: str) -> Mapping[str, Any]:

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile, ZipFile
@@ -19,7 +18,7 @@ import numpy as np
 from pipeline.datasets.base import DatasetFormat
 from pipeline.datasets.camera_files import Stated, flat_numbers, stated_in
 from pipeline.datasets.cameras import inverse, or_note, pose_from_quaternion, rigid
-from pipeline.datasets.files import Blob, as_floats, natural, numbered_lines, read_json, readable
+from pipeline.datasets.files import Blob, Part, as_floats, natural, numbered_lines, read_json, readable
 from pipeline.datasets.folder import FolderDataset, SceneFolder
 from pipeline.datasets.pairing import Files, Pair, numbers, stem_of
 from pipeline.datasets.reconstructions import OPENCV_OF_OPENGL
@@ -104,23 +103,29 @@ ARKITSCENES = DatasetFormat(
 )
 
 
-@dataclass(frozen=True)
-class Member:
-    """A file in an archive, read in place."""
+def _member(archive: Path, inside: str) -> bytes:
+    """Read a file in an archive in place."""
+    with as_input_error(
+        "a member of the archive cannot be read", KeyError, BadZipFile, OSError, path=f"{archive}/{inside}"
+    ):
+        return _archive(archive).read(inside)
 
-    archive: Path
-    inside: str
 
-    @property
-    def name(self) -> str:
-        return self.inside.rpartition("/")[2]
-
-    def __fspath__(self) -> str:
-        return f"{self.archive}/{self.inside}"
-
-    def read_bytes(self) -> bytes:
-        with as_input_error("a member of the archive cannot be read", KeyError, BadZipFile, OSError, path=self):
-            return _archive(self.archive).read(self.inside)
+def _lzfse_depth(archive: Path, inside: str, size: tuple[int, int]) -> np.ndarray:
+    """Decompress depth of Record3D: an LZFSE stream of float32 metres, NaN where nothing was measured."""
+    lzfse = extra_module("lzfse", "depth of Record3D", "record3d")
+    path = f"{archive}/{inside}"
+    with as_input_error("depth that cannot be decompressed", Exception, got=str, path=path):
+        data = lzfse.decompress(_member(archive, inside))
+    width, height = size
+    require(
+        len(data) == 4 * width * height,
+        "depth of another size than the recording says",
+        got=f"{len(data)} bytes",
+        expected=f"{width}x{height} floats",
+        path=path,
+    )
+    return np.frombuffer(data, np.float32).reshape(height, width)
 
 
 def _archive(path: Path) -> ZipFile:
@@ -131,27 +136,6 @@ def _archive(path: Path) -> ZipFile:
 def _opened(path: Path, written: int) -> ZipFile:
     """An open archive; `ZipFile` reads members from several threads."""
     return open_zip(path)
-
-
-@dataclass(frozen=True)
-class LzfseDepth(Member):
-    """Depth of Record3D: an LZFSE stream of float32 metres, NaN where nothing was measured."""
-
-    size: tuple[int, int] = (0, 0)
-
-    def pixels(self) -> np.ndarray:
-        lzfse = extra_module("lzfse", "depth of Record3D", "record3d")
-        with as_input_error("depth that cannot be decompressed", Exception, got=str, path=self):
-            data = lzfse.decompress(self.read_bytes())
-        width, height = self.size
-        require(
-            len(data) == 4 * width * height,
-            "depth of another size than the recording says",
-            got=f"{len(data)} bytes",
-            expected=f"{width}x{height} floats",
-            path=self,
-        )
-        return np.frombuffer(data, np.float32).reshape(height, width)
 
 
 class Record3dDataset(Recording):
@@ -178,8 +162,9 @@ class Record3dDataset(Recording):
         self._table: Mapping[str, Any] = needed(table if isinstance(table, dict) else None, "no metadata", path=root)
         size = self._whole("dw"), self._whole("dh")
         inside = [name for name in names if name.startswith("rgbd/")]
-        colors = {stem_of(name): Member(root, name) for name in inside if name.endswith(".jpg")}
-        return colors, {stem_of(name): LzfseDepth(root, name, size) for name in inside if name.endswith(".depth")}
+        colors = {stem_of(n): Part(root, f"/{n}", partial(_member, root, n)) for n in inside if n.endswith(".jpg")}
+        depths = [name for name in inside if name.endswith(".depth")]
+        return colors, {stem_of(n): Part(root, f"/{n}", partial(_lzfse_depth, root, n, size)) for n in depths}
 
     def _exported(self, root: Path) -> tuple[Mapping[str, Blob], Mapping[str, Blob]]:
         self._table = read_json(root / METADATA)

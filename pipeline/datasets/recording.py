@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
 import cv2
 import numpy as np
 
-from pipeline.datasets.base import load_picture, unknown_id
+from pipeline.datasets.base import unknown_id
 from pipeline.datasets.camera_files import NOTHING, Stated
-from pipeline.datasets.cameras import differ_in_size, known_intrinsics, make_camera, make_frame, one_file
 from pipeline.datasets.files import Blob
 from pipeline.datasets.images import exif_focal, read_color, read_depth, read_stored
-from pipeline.datasets.pairing import Pair
 from pipeline.datasets.settings import DEPTH_SCALE, FILE_NAME, INTRINSICS, Settings, unit_notes
-from pipeline.geometry.camera import intrinsics
+from pipeline.geometry.camera import Camera, intrinsics
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.pose_convention import standard_poses
 from pipeline.geometry.registration import Registration, registered
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, in_file, needed, require
 
 Value = TypeVar("Value")
 SAME_SHAPE = 0.02
@@ -42,6 +40,7 @@ class DepthRule:
     whose: str = ""  # Whose unit that is, for the note: "ScanNet's"
     nothing: int | None = None  # A stored value, besides 0, that means nothing was measured
     rotated: int = 0  # By how many bits the stored values are rotated to the left
+    farthest: float = np.inf  # Depth beyond is left out, metres
 
 
 Annotate = Callable[[tuple[int, int], list[str]], tuple[Annotation, ...]]
@@ -58,8 +57,6 @@ class Listed:
     pose: np.ndarray | None = None  # (4, 4) float64 or None: T_world_camera, metres
     annotate: Annotate | None = None
     up: np.ndarray | None = None  # (3,) float64 or None: What the dataset declares, camera frame
-    documented: tuple[float, float, float, float] | None = None
-    """(fx, fy, cx, cy) or None: The format's own camera for 640x480, where `stated` has none."""
 
 
 class Recording:
@@ -67,6 +64,10 @@ class Recording:
 
     format = ""
     rule = DepthRule()
+    one_size = False
+    """Whether colour has the size of the depth, and is never resized to it."""
+    documented: tuple[float, float, float, float] | None = None
+    """(fx, fy, cx, cy) or None: The format's own camera for 640x480, where no file states one."""
     camera_file = ""
     """What a camera file of the format is called, for a message: "camera-intrinsics.txt or "."""
     frame_ids: tuple[str, ...] = ()
@@ -85,14 +86,16 @@ class Recording:
         """Decode a frame; see `Dataset.load`."""
         return self._decoded(frame_id)
 
+    def load_picture(self, frame_id: str) -> Frame:
+        """Decode a frame without annotations."""
+        return self._decoded(frame_id, annotated=False)
+
     def load_pose(self, frame_id: str) -> np.ndarray | None:
         """Pose T_world_camera (4, 4) of a frame, without decoding."""
-        told = self._settings
-        if told.registration is not None or type(self)._listed is Recording._listed:
-            # A warp moves the pose; some formats read a frame in a way of their own.
-            return load_picture(self, frame_id).camera.T_world_camera
-        pose = self._listed(frame_id, []).pose
-        return pose if pose is None or told.poses is None else standard_poses(pose, told.poses)
+        if self._settings.registration is not None:
+            # A warp moves the pose.
+            return self.load_picture(frame_id).camera.T_world_camera
+        return self._standard(self._listed(frame_id, []).pose)
 
     def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         """Files and facts of a frame (subclasses); remarks are appended to `notes`."""
@@ -103,27 +106,70 @@ class Recording:
         found = self._listed(frame_id, notes)
         # A picture whose camera is known as it is stored stays as it is stored.
         rgb = read_color(found.color, upright=found.depth is None and found.stated.K is None)
-        metres, untold = self._metres(found, rgb)
-        whole = rgb.shape[:2]
-        if whole != metres.shape:
-            rgb = _resized(rgb, metres, found, notes, frame_id == self.frame_ids[0])
-        size = (metres.shape[1], metres.shape[0])
-        told = self._settings.intrinsics
-        alone = found.depth is None and whole != metres.shape
-        stated = found.stated if told is None else NOTHING
-        if told is not None and alone:
-            stated = Stated(intrinsics(*told), (whole[1], whole[0]))
-        K = stated.scaled(size, (whole[1], whole[0]))
-        if K is None and found.documented is not None and self._settings.intrinsics is None:
-            whose = self.rule.whose.removesuffix(" own")
-            K = known_intrinsics(found.documented, whose, metres.shape, self.camera_file, found.color)
-        if K is None and self._settings.estimated and self._settings.intrinsics is None:
-            K = _exif_intrinsics(found.color, metres.shape, notes)
-        annotations = found.annotate(metres.shape, notes) if annotated and found.annotate is not None else ()
-        source, depth = found.stated.path or found.color, found.depth or found.color
-        return self._frame(
-            frame_id, (rgb, metres), K, found.pose, source, depth, annotations, notes, found.up, untold, fits=alone
+        metres, unknown = self._metres(found, rgb)
+        whole, size = (rgb.shape[0], rgb.shape[1]), (metres.shape[0], metres.shape[1])
+        if whole != size:
+            rgb = self._resized(rgb, metres, found, notes, frame_id == self.frame_ids[0])
+        K = self._intrinsics(found, size, whole, notes)
+        if K is None and self._settings.browse:
+            # Any camera shows the picture; that it is none is kept with it.
+            K, unknown = _centred(size[1], size), (INTRINSICS, *unknown)
+        annotations = found.annotate(size, notes) if annotated and found.annotate is not None else ()
+        camera = self._camera_of(K, size, found, unknown)
+        if unknown and not self._settings.estimated:
+            notes.append(f"nothing can be measured, sizes are made up: {' and '.join(unknown)}")
+        if self._settings.registration is not None:
+            metres, camera = registered(metres, camera, Registration(*self._settings.registration))
+        with in_file(found.depth or found.color):
+            return Frame(frame_id, rgb, metres, camera, annotations, tuple(notes))
+
+    def _camera_of(
+        self, K: np.ndarray | None, size: tuple[int, int], found: Listed, unknown: tuple[str, ...]
+    ) -> Camera:
+        """Checked camera of a frame; errors name the file that states it."""
+        height, width = size
+        path = found.stated.path or found.color
+        K = needed(K, "the camera is not known", expected=INTRINSICS, path=path)
+        with in_file(path):
+            camera = Camera(K, width, height, self._standard(found.pose), untold=unknown)
+        require(
+            (-0.5 * width <= camera.cx <= 1.5 * width and -0.5 * height <= camera.cy <= 1.5 * height),
+            f"the principal point is far outside the {width}x{height} image",
+            got=f"cx={camera.cx:g}, cy={camera.cy:g}",
+            cause="are these the intrinsics of another image size?",
+            path=path,
         )
+        return camera if found.up is None else camera.with_up(found.up, "declared")
+
+    def _standard(self, pose: np.ndarray | None) -> np.ndarray | None:
+        """Pose by the convention of the settings."""
+        convention = self._settings.poses
+        return pose if pose is None or convention is None else standard_poses(pose, convention)
+
+    def _intrinsics(
+        self, found: Listed, size: tuple[int, int], whole: tuple[int, int], notes: list[str]
+    ) -> np.ndarray | None:
+        """Intrinsics (3, 3) by the settings, a file, the format or the picture's EXIF; None where nothing says them.
+        `size` and `whole` (height, width): Of the frame, and of the colour before it was resized."""
+        (height, width), (tall, wide) = size, whole
+        given, stated = self._settings.intrinsics, found.stated
+        if given is not None:
+            stated = Stated(intrinsics(*given), (wide, tall) if found.depth is None else (width, height))
+        K = stated.scaled((width, height), (wide, tall))
+        if K is None and self.documented is not None:
+            require(
+                size == (480, 640),
+                f"the camera is not known: {self.rule.whose.removesuffix(' own')} own intrinsics are for 640x480",
+                got=f"{width}x{height}",
+                expected=f"{self.camera_file}{INTRINSICS}",
+                path=found.color,
+            )
+            K = intrinsics(*self.documented)
+        focal = exif_focal(found.color, height, width) if K is None and self._settings.estimated else None
+        if focal is None:
+            return K
+        notes.append(f"the focal length is that of the picture's EXIF, {focal[1]:g} mm as of 35 mm film")
+        return _centred(focal[0], size)
 
     def _metres(self, found: Listed, rgb: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
         """Depth (H, W) float32 metres, and the option for the unit where unknown. A stand-in of one metre where it is
@@ -131,14 +177,35 @@ class Recording:
         if found.depth is None:
             shrink = 1.0 if found.annotate is not None else min(1.0, LONGEST_ALONE / max(rgb.shape[:2]))
             return np.ones((round(rgb.shape[0] * shrink), round(rgb.shape[1] * shrink)), np.float32), ()
-        rule = self.rule
+        rule, unknown = self.rule, ()
         units = self._settings.depth_scale or found.stated.units_per_metre or rule.units_per_metre
         if units is None and self._settings.browse:
             stored = read_stored(found.depth)
             if stored.dtype.kind != "f":
                 units = float(np.median(stored[stored > 0])) / BROWSED_MEDIAN_M if stored.any() else 1.0
-                return read_depth(found.depth, units, rule.nothing, rule.rotated), (DEPTH_SCALE,)
-        return read_depth(found.depth, units, rule.nothing, rule.rotated), ()
+                unknown = (DEPTH_SCALE,)
+        metres = read_depth(found.depth, units, rule.nothing, rule.rotated)
+        metres[metres > rule.farthest] = 0
+        return metres, unknown
+
+    def _resized(self, rgb: np.ndarray, metres: np.ndarray, found: Listed, notes: list[str], first: bool) -> np.ndarray:
+        """Colour resized to the depth's size; InputError for another aspect ratio."""
+        (height, width), whole = metres.shape, rgb.shape[:2]
+        measured = found.depth is not None
+        off = abs(whole[1] * height / (whole[0] * width) - 1)
+        require(
+            not measured or (off <= SAME_SHAPE and not self.one_size),
+            "colour and depth differ in size",
+            got=f"depth {width}x{height}",
+            expected=f"{whole[1]}x{whole[0]} as {found.color.name}",
+            cause="is this the raw depth and not the one registered to the colour image?",
+            path=found.depth,
+        )
+        if first or not measured:
+            target = "the depth's {} everywhere" if measured else "{} before its depth is estimated"
+            notes.append(f"colour of {whole[1]}x{whole[0]} is resized to {target.format(f'{width}x{height}')}")
+        # OpenCV's average over areas becomes nearest-neighbour where the image grows.
+        return cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA if whole[0] > height else cv2.INTER_LINEAR)
 
     def _ask_for(self, seen: str, camera: bool, unit: bool) -> None:
         """Raise InputError for a missing camera or unit; while browsing, record the options instead."""
@@ -163,60 +230,7 @@ class Recording:
             raise unknown_id(self.frame_ids, frame_id, self.root)
         return table[frame_id]
 
-    def _frame(
-        self,
-        frame_id: str,
-        pair: tuple[np.ndarray, np.ndarray],
-        K: np.ndarray | None,
-        pose: np.ndarray | None,
-        source: Blob,
-        depth_path: Blob,
-        annotations: tuple[Annotation, ...] = (),
-        notes: Sequence[str] = (),
-        up: np.ndarray | None = None,
-        untold: tuple[str, ...] = (),
-        fits: bool = False,
-    ) -> Frame:
-        """Assemble a Frame; errors in intrinsics name `source`, `up` ((3,), camera frame) is declared. Where K `fits`,
-        it is made for this size of whatever intrinsics were told."""
-        settings = replace(self._settings, intrinsics=None) if fits else self._settings
-        camera = make_camera(K, pair[1].shape, pose, settings, source, untold)
-        if camera.untold and not self._settings.estimated:
-            notes = [*notes, f"nothing can be measured, sizes are made up: {' and '.join(camera.untold)}"]
-        if up is not None:
-            camera = camera.with_up(up, "declared")
-        if self._settings.registration is not None:
-            metres, camera = registered(pair[1], camera, Registration(*self._settings.registration))
-            pair = pair[0], metres
-        return make_frame(frame_id, pair, camera, depth_path, annotations, tuple(notes))
 
-
-def _resized(rgb: np.ndarray, metres: np.ndarray, found: Listed, notes: list[str], first: bool) -> np.ndarray:
-    """Colour resized to the depth's size; InputError for another aspect ratio."""
-    (height, width), whole = metres.shape, rgb.shape[:2]
-    if found.depth is not None and abs(whole[1] * height / (whole[0] * width) - 1) > SAME_SHAPE:
-        raise differ_in_size(rgb, metres, found.color, found.depth)
-    if first or found.depth is None:
-        what = "everywhere" if found.depth is not None else "before its depth is estimated"
-        of_depth = "" if found.depth is None else "the depth's "
-        notes.append(f"colour of {whole[1]}x{whole[0]} is resized to {of_depth}{width}x{height} {what}")
-    # OpenCV's average over areas becomes nearest-neighbour where the image grows.
-    return cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA if whole[0] > height else cv2.INTER_LINEAR)
-
-
-def _exif_intrinsics(path: Blob, size: tuple[int, ...], notes: list[str]) -> np.ndarray | None:
-    """Intrinsics (3, 3) by the focal length in the picture's EXIF, with a note; else None."""
-    found = exif_focal(path, size[0], size[1])
-    if found is None:
-        return None
-    notes.append(f"the focal length is that of the picture's EXIF, {found[1]:g} mm as of 35 mm film")
-    return intrinsics(found[0], found[0], (size[1] - 1) / 2, (size[0] - 1) / 2)
-
-
-def files_of(pair: Pair, root: Path, color: Path | None = None, depth: Path | None = None) -> tuple[Path, Path]:
-    """Both files of a frame; InputError for a missing file, naming the expected `color` or `depth`."""
-    present = pair.color or pair.depth or root
-    return (
-        one_file([pair.color] if pair.color else [], "colour", color or present),
-        one_file([pair.depth] if pair.depth else [], "depth", depth or present),
-    )
+def _centred(focal: float, size: tuple[int, ...]) -> np.ndarray:
+    """Intrinsics (3, 3) with the principal point in the middle of a picture of (height, width)."""
+    return intrinsics(focal, focal, (size[1] - 1) / 2, (size[0] - 1) / 2)

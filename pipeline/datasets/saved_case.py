@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,8 +15,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from pipeline.datasets.base import DatasetFormat, unknown_frame
-from pipeline.datasets.cameras import make_frame, read_pair
 from pipeline.datasets.files import read_json
+from pipeline.datasets.images import read_color, read_depth
 from pipeline.datasets.settings import Settings
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera, UpSource
@@ -178,7 +177,7 @@ def read_saved_frame(root: Path, manifest: dict[str, Any]) -> Frame:
     path = root / MANIFEST
     saved = _frame_part(manifest, path)
     depth_path = checked_file(root, manifest, saved.depth)
-    rgb, depth = read_pair(checked_file(root, manifest, COLOR), depth_path, saved.units)
+    rgb, depth = read_color(checked_file(root, manifest, COLOR)), read_depth(depth_path, saved.units)
     require(
         depth.shape == (saved.height, saved.width),
         "the pictures have another size than the case says",
@@ -192,8 +191,8 @@ def read_saved_frame(root: Path, manifest: dict[str, Any]) -> Frame:
         up = None if up is None else np.array(up)
         camera = Camera(np.array(saved.K), saved.width, saved.height, pose, up, up_source)
         annotations = tuple(_annotation(a, depth.shape) for a in saved.annotations)
-    found = make_frame(saved.id, (rgb, depth), camera, depth_path, annotations, saved.notes)
-    return replace(found, depth_source=saved.depth_source or "")
+    with in_file(depth_path):
+        return Frame(saved.id, rgb, depth, camera, annotations, saved.notes, saved.depth_source or "")
 
 
 def _answered_up(manifest: dict[str, Any]) -> tuple[Three | None, UpSource | None]:

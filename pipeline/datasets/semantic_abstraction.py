@@ -1,55 +1,49 @@
 """Semantic Abstraction: AI2-THOR views as HDF5 files, with masks, whole-object points and expressions.
 
-https://github.com/columbia-ai-robotics/semantic-abstraction
+https://github.com/columbia-ai-robotics/semantic-abstraction. The root datasets of a view have one entry an item along
+their first axis; the group `data` refers to them by region references, and holds the rest itself.
 """
 
 from __future__ import annotations
 
 import os
 import re
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pipeline.datasets.base import DatasetFormat, GivenExpression, unknown_frame
-from pipeline.datasets.cameras import make_camera, or_note
-from pipeline.datasets.files import natural, readable
-from pipeline.datasets.recording import Recording
-from pipeline.datasets.semantic_abstraction_file import (
-    RANDOMIZED,
-    RENAMED,
-    SUFFIXES,
-    SYNONYMS,
-    has,
-    item_count,
-    open_view,
-    read_array,
-    read_classes,
-    read_integers,
-    read_item,
-    read_names,
-    read_split,
-    split_files,
-    view_name,
-    with_synonyms,
-)
+from pipeline.datasets.camera_files import Stated
+from pipeline.datasets.cameras import or_note
+from pipeline.datasets.files import CUT_OFF, Part, natural, readable
+from pipeline.datasets.images import read_depth
+from pipeline.datasets.recording import Listed, Recording
 from pipeline.datasets.semantic_abstraction_objects import (
     SCENE_BOUNDS,
-    ObjectPoints,
-    ScenePose,
     annotated_objects,
     depth_samples,
     fit_pose,
     object_ids,
     points_of,
 )
+from pipeline.datasets.semantic_abstraction_splits import (
+    RANDOMIZED,
+    RENAMED,
+    SUFFIXES,
+    SYNONYMS,
+    read_split,
+    split_files,
+    view_name,
+    with_synonyms,
+)
 from pipeline.datasets.settings import Settings
-from pipeline.geometry.camera import Camera, lift_pixels
-from pipeline.geometry.frame import Frame
+from pipeline.geometry.camera import Camera, intrinsics, lift_pixels
 from pipeline.language.relation import SEMANTIC_ABSTRACTION
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, as_input_error, in_file, require
+from pipeline.system.safe_files import checked_path
 
 SUFFIX = ".hdf5"
 LEVELS = 3
@@ -58,23 +52,13 @@ NOT_AN_OBJECT = frozenset({"empty", "out of bounds", "unlabelled"})
 LARGEST_ID = 1_000_000
 MOST_OBJECTS = 2000
 """Objects are numbered by their place in one list of names, and a view shows some dozens of them."""
+MOST_VALUES = 100_000_000
+MOST_NAMES = 1_000_000
+"""Bounds on what a file may make us read of one item and of one list: far above what the dataset has."""
 LARGEST_SCENE = 100.0
-
 RELATIONS = {words: name for name, words in SEMANTIC_ABSTRACTION.items()}
 """The dataset's six relations and what we call them."""
-
-
 NO_POSE = "no camera pose and no 3D boxes"
-
-
-@dataclass(frozen=True)
-class _FileScene:
-    """Scene data of a file: cam_pose (4, 4), points (M, 3) with objects (M,), bounds (2, 3)."""
-
-    cam_pose: np.ndarray
-    xyz: np.ndarray
-    owner: np.ndarray
-    bounds: np.ndarray
 
 
 class SemanticAbstractionDataset(Recording):
@@ -90,51 +74,56 @@ class SemanticAbstractionDataset(Recording):
     """
 
     format = "semantic-abstraction"
+    one_size = True
 
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
         self._index: dict[str, tuple[str, int]] = {}
-        self._views: dict[str, tuple[str, ...]] = {}
+        self._views: dict[str, list[str]] = {}
         names: set[str] = set()
         for view in sorted(_views_below(root, LEVELS), key=natural):
             count = 1
             try:
                 with open_view(root / (view + SUFFIX)) as file:
-                    count = item_count(file)
+                    count = file["rgb"].shape[0] if "rgb" in file and file["rgb"].ndim == 4 else 1
                     names.update(read_classes(file).values())
             except InputError:  # Told when the frame is loaded.
                 pass
-            ids = (view,) if count == 1 else tuple(f"{view}/{k}" for k in range(count))
-            self._views[view] = ids
-            self._index.update({frame_id: (view, k) for k, frame_id in enumerate(ids)})
+            self._views[view] = [f"{view}/{k}" for k in range(count)] if count > 1 else [view]
+            self._index |= {frame_id: (view, k) for k, frame_id in enumerate(self._views[view])}
         self.frame_ids = tuple(self._index)
         self.class_names: tuple[str, ...] = tuple(sorted(names - NOT_AN_OBJECT))
 
-    def load(self, frame_id: str) -> Frame:
-        """Decode a frame; see `Dataset.load`."""
+    def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         path, item = self._view(frame_id)
-        notes: list[str] = []
+        given = self._settings.intrinsics
         with open_view(path) as file:
             rgb = _picture(file, item, frame_id.endswith(RANDOMIZED))
             size = (rgb.shape[0], rgb.shape[1])
             stored = read_item(file, "depth", item, "f", *size)
-            K = None if self._settings.intrinsics is not None else read_array(file, "data/cam_intr", 3, 3)
+            K = read_array(file, "data/cam_intr", 3, 3) if given is None else intrinsics(*given)
             seg = _segments(file, item, size, notes)
             labels = _labels(file, object_ids(seg), notes)
             if frame_id.endswith(RENAMED):
                 labels = {number: SYNONYMS.get(label, label) for number, label in labels.items()}
             scene = or_note(notes, f"{NO_POSE}: ", _scene, file, item)
-        depth = _depth(stored, self._settings)
-        camera = make_camera(K, size, None, self._settings, path)
+        depth = Part(path, "/depth", lambda: stored)
         pose, points = None, None
         if scene is not None:
-            points = points_of(scene.xyz, scene.owner, list(labels))
-            pose = _pose(scene, points, camera, depth, seg, list(labels), notes)
+            cam_pose, xyz, owner, bounds = scene
+            points = points_of(xyz, owner, list(labels))
+            metres = read_depth(depth, self._settings.depth_scale)
+            v, u, sample_owner = depth_samples(seg, metres, list(labels))
+            with in_file(path):
+                samples = lift_pixels(metres[v, u], Camera(K, size[1], size[0]), v, u)
+            known = cam_pose, samples, sample_owner, points.xyz, points.owner, bounds
+            pose = or_note(notes, f"{NO_POSE}: ", fit_pose, *known)
         if pose is not None and pose.convention and frame_id == self.frame_ids[0]:
             notes.append(f"cam_pose fits the file's points only {pose.convention}; said of the first frame only")
         T, up = (None, None) if pose is None else (pose.T_world_camera, pose.up)
         annotations = annotated_objects(seg, labels, pose, points)
-        return self._frame(frame_id, (rgb, depth), K, T, path, path, annotations, notes, up)
+        stated = Stated(K, path=path)
+        return Listed(Part(path, "/rgb", lambda: rgb), depth, stated, T, lambda size, notes: annotations, up)
 
     def given_expressions(self, frame_id: str) -> tuple[GivenExpression, ...]:
         """The dataset's own expressions; see `base.given_expressions`.
@@ -144,32 +133,27 @@ class SemanticAbstractionDataset(Recording):
         """
         path, item = self._view(frame_id)
         with open_view(path) as file:
-            if not has(file, "data/descriptions"):
-                return ()
             group = "data/descriptions"
+            if group not in file:
+                return ()
             targets, references, relations = (
                 read_names(file, f"{group}/{name}")
                 for name in ("target_obj_name", "reference_obj_name", "spatial_relation_name")
             )
-            ids = read_integers(file, f"{group}/target_obj_id") if has(file, f"{group}/target_obj_id") else None
-            require(
-                len({len(targets), len(references), len(relations), len(relations if ids is None else ids)}) <= 1,
-                "the lists of data/descriptions differ in length",
-            )
+            given = f"{group}/target_obj_id" in file
+            ids = read_integers(file, f"{group}/target_obj_id") if given else [-1] * len(targets)
+            lengths = {len(targets), len(references), len(relations), len(ids)}
+            require(len(lengths) == 1, "the lists of data/descriptions differ in length")
             classes = _labels(file, object_ids(_segments(file, item, (None, None), [])), [])
-        of_class: dict[str, tuple[int, ...]] = {}
-        for number, label in classes.items():
-            of_class[label] = (*of_class.get(label, ()), number)
         found: list[GivenExpression] = []
-        for k, (target, relation, reference) in enumerate(zip(targets, relations, references, strict=True)):
+        for target, number, relation, reference in zip(targets, ids, relations, references, strict=True):
             if relation not in RELATIONS:
                 continue
-            number = -1 if ids is None else ids[k]
-            meant = of_class.get(target, ()) if number < 0 else (number,) if number in classes else ()
+            meant, others = (tuple(i for i, label in classes.items() if label == name) for name in (target, reference))
+            if number >= 0:
+                meant = tuple(i for i in (number,) if i in classes)
             text = f"{target} {relation} a {reference}"
-            found.append(
-                GivenExpression(text, target, RELATIONS[relation], reference, meant, of_class.get(reference, ()))
-            )
+            found.append(GivenExpression(text, target, RELATIONS[relation], reference, meant, others))
         return tuple(map(with_synonyms, found) if frame_id.endswith(RENAMED) else found)
 
     def scene_of(self, frame_id: str) -> str | None:
@@ -208,17 +192,16 @@ def _picture(file: Any, item: int, randomized: bool) -> np.ndarray:
         raise InputError("this view has no picture with randomised materials", got=error.what) from error
 
 
-def _depth(stored: np.ndarray, settings: Settings) -> np.ndarray:
-    """Depth (H, W) float32 metres; NaN, inf and non-positive values become 0."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        depth = (stored / (settings.depth_scale or 1.0)).astype(np.float32)
-    depth[~(np.isfinite(depth) & (depth > 0))] = 0
-    return depth
+def _scene(file: Any, item: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Scene data of a file: cam_pose (4, 4), points (M, 3) with objects (M,), bounds (2, 3)."""
+    cam_pose = read_array(file, "data/cam_pose", 4, 4)
+    xyz = read_item(file, "full_xyz_pts", item, "f", None, 3)
+    return cam_pose, xyz, read_item(file, "full_objid_pts", item, "iu", len(xyz)), _bounds(file)
 
 
 def _segments(file: Any, item: int, size: tuple[int | None, int | None], notes: list[str]) -> np.ndarray:
     """Object ids (H, W), below 0 for none; without `seg` empty, with a note."""
-    if not has(file, "seg"):
+    if "seg" not in file:
         notes.append("no annotations, seg is missing")
         return np.full((size[0] or 1, size[1] or 1), -1)
     return read_item(file, "seg", item, "iu", *size)
@@ -226,59 +209,186 @@ def _segments(file: Any, item: int, size: tuple[int | None, int | None], notes: 
 
 def _labels(file: Any, ids: np.ndarray, notes: list[str]) -> dict[int, str]:
     """Class names by id for `ids` (ascending), without background."""
-    classes: dict[int, str] = {}
     require(
         len(ids) <= MOST_OBJECTS and ids.max(initial=0) < LARGEST_ID,
         "seg cannot be a segmentation",
         got=f"{len(ids)} ids up to {ids.max(initial=0)}",
     )
     wanted = [int(i) for i in ids]
-    try:
-        classes = read_classes(file)
-    except InputError as error:
-        if wanted:
-            notes.append(f"the objects are named by their ids: {error.what}")
-    else:
-        unknown = [i for i in wanted if i not in classes]
-        if unknown:
-            notes.append(f"{len(unknown)} objects have no class, the first is object {unknown[0]}")
-    named = {i: classes.get(i, f"object_{i}") for i in wanted}
+    classes = or_note(notes if wanted else [], "the objects are named by their ids: ", read_classes, file)
+    unknown = [] if classes is None else [i for i in wanted if i not in classes]
+    if unknown:
+        notes.append(f"{len(unknown)} objects have no class, the first is object {unknown[0]}")
+    named = {i: (classes or {}).get(i, f"object_{i}") for i in wanted}
     return {i: label for i, label in named.items() if label not in NOT_AN_OBJECT}
-
-
-def _scene(file: Any, item: int) -> _FileScene:
-    """Scene data of a file; InputError where incomplete."""
-    cam_pose = read_array(file, "data/cam_pose", 4, 4)
-    xyz = read_item(file, "full_xyz_pts", item, "f", None, 3)
-    return _FileScene(cam_pose, xyz, read_item(file, "full_objid_pts", item, "iu", len(xyz)), _bounds(file))
-
-
-def _pose(
-    scene: _FileScene,
-    points: ObjectPoints,
-    camera: Camera,
-    depth: np.ndarray,
-    seg: np.ndarray,
-    ids: list[int],
-    notes: list[str],
-) -> ScenePose | None:
-    """Pose aligning the depth with the file's points; None, with a note, without a fit."""
-    v, u, owner = depth_samples(seg, depth, ids)
-    samples = lift_pixels(depth[v, u], camera, v, u)
-    given = scene.cam_pose, samples, owner, points.xyz, points.owner, scene.bounds
-    return or_note(notes, f"{NO_POSE}: ", fit_pose, *given)
 
 
 def _bounds(file: Any) -> np.ndarray:
     """Scene bounds (2, 3); defaults where implausible."""
-    try:
-        bounds = read_array(file, "data/scene_bounds", 2, 3)
-    except InputError:
-        return SCENE_BOUNDS
-    if not np.abs(bounds).max() < LARGEST_SCENE:  # Nor is NaN.
+    bounds = or_note([], "", read_array, file, "data/scene_bounds", 2, 3)
+    if bounds is None or not np.abs(bounds).max() < LARGEST_SCENE:  # Nor is NaN.
         return SCENE_BOUNDS
     size = bounds[1] - bounds[0]
     return bounds if size.min() > 0.01 * size.max() > 0 else SCENE_BOUNDS
+
+
+@contextmanager
+def open_view(path: Path) -> Iterator[Any]:
+    """Open an h5py file read-only, with all data in the file itself; any failure becomes an InputError."""
+    import h5py
+
+    # h5py raises all of these for damaged files.
+    errors = (OSError, KeyError, ValueError, TypeError, RuntimeError, MemoryError)
+    with (
+        in_file(path),
+        as_input_error(
+            "an HDF5 file that cannot be read",
+            *errors,
+            got=lambda e: str(e).strip("'\"")[:120],
+            cause=CUT_OFF,
+            path=path,
+        ),
+        as_input_error("a file is missing", FileNotFoundError, path=path),
+        h5py.File(checked_path(path, "unpacked"), "r") as file,
+    ):
+        for group in ("/", "data", "data/descriptions"):
+            _check_own(file.get(group))
+        yield file
+
+
+def _check_own(group: Any) -> None:
+    """Raise InputError for a link in a group, and for data in another file."""
+    import h5py
+
+    for name in group if isinstance(group, h5py.Group) else ():
+        hard = isinstance(group.get(name, getlink=True), h5py.HardLink)
+        require(hard, f"{name} is a link", expected="data in the file itself")
+        _own(group[name], name)
+
+
+def _own(node: Any, name: Any) -> Any:
+    import h5py
+
+    outside = isinstance(node, h5py.Dataset) and (node.is_virtual or node.external)
+    require(not outside, f"{name} keeps its data in another file")
+    return node
+
+
+def _dataset(file: Any, name: str) -> Any:
+    import h5py
+
+    found = file.get(name)
+    require(isinstance(found, h5py.Dataset), f"{name} is missing")
+    return found
+
+
+def read_item(file: Any, name: str, item: int, kinds: str, *shape: int | None) -> np.ndarray:
+    """Item of a root dataset, through the region reference in `data` if present."""
+    dataset = _dataset(file, name)
+    require(
+        dataset.dtype.kind in kinds and dataset.ndim == len(shape) + 1,
+        f"{name} has another form",
+        got=f"{dataset.dtype} {dataset.shape}",
+    )
+    inside = dataset.shape[1:]
+    require(
+        not any(want is not None and want != have for want, have in zip(shape, inside, strict=True)),
+        f"{name} has another shape",
+        got=inside,
+        expected=tuple(n or "any" for n in shape),
+    )
+    require(
+        min(inside) >= 1 and np.prod(inside, dtype=np.float64) <= MOST_VALUES,
+        f"{name} cannot be of this size",
+        got=inside,
+    )
+    reference = _reference(file, name, item)
+    if reference is None:
+        require(item < dataset.shape[0], f"{name} has no item {item}", got=f"{dataset.shape[0]} items")
+        return np.asarray(dataset[item])
+    require(
+        file[reference] == dataset,
+        f"the reference data/{name} leads to another dataset",
+        got=lambda: file[reference].name,
+    )
+    values = np.asarray(dataset[reference])
+    require(
+        values.shape == (1, *inside),
+        f"the reference data/{name} is not one item",
+        got=values.shape,
+        expected=(1, *inside),
+    )
+    return values[0]
+
+
+def read_array(file: Any, name: str, *shape: int) -> np.ndarray:
+    """A small dataset of numbers of this shape, as float64."""
+    dataset = _dataset(file, name)
+    require(
+        dataset.shape == shape and dataset.dtype.kind in "fiu",
+        f"{name} has another form",
+        got=f"{dataset.dtype} {dataset.shape}",
+        expected=shape,
+    )
+    return np.asarray(dataset[()], dtype=np.float64)
+
+
+def read_names(file: Any, name: str) -> list[str]:
+    """A list of texts, stored as bytes or as strings, itself or by region references."""
+    values = _list(file, name)
+    require(
+        values.dtype.kind in "SUO" and all(isinstance(v, (bytes, str)) for v in values.tolist()),
+        f"{name} is no list of names",
+        got=values.dtype,
+    )
+    texts = (v.decode("utf-8", "replace") if isinstance(v, bytes) else v for v in values.tolist())
+    return [" ".join("".join(c if c.isprintable() else " " for c in text).split()) for text in texts]
+
+
+def read_integers(file: Any, name: str) -> list[int]:
+    """A list of integers, itself or by region references."""
+    values = _list(file, name)
+    require(not (values.dtype.kind not in "iu" and values.size), f"{name} is no list of integers", got=values.dtype)
+    return [int(v) for v in values.tolist()]
+
+
+def read_classes(file: Any) -> dict[int, str]:
+    """Class names by object id, from `data/objid_to_class` with entries `name[id]` or by index."""
+    found: dict[int, str] = {}
+    for index, text in enumerate(read_names(file, "data/objid_to_class")):
+        match = re.fullmatch(r"(.*?)\s*\[([0-9]{1,9})\]", text, re.ASCII | re.DOTALL)
+        name, number = (match[1], int(match[2])) if match else (text, index)
+        if name:
+            found.setdefault(number, name)
+    return found
+
+
+def _list(file: Any, name: str) -> np.ndarray:
+    import h5py
+
+    dataset = _dataset(file, name)
+    require(dataset.ndim == 1 and dataset.shape[0] <= MOST_NAMES, f"{name} is no list", got=dataset.shape)
+    values = np.asarray(dataset[()])
+    if h5py.check_ref_dtype(dataset.dtype) is not h5py.RegionReference:
+        return values
+    require(all(values), f"{name} holds an empty reference")
+    parts = [np.ravel(_own(file[reference], name)[reference]) for reference in values]
+    return np.concatenate(parts) if parts else np.zeros(0, "S1")
+
+
+def _reference(file: Any, name: str, item: int) -> Any:
+    """Region reference to an item; None without references of this name."""
+    import h5py
+
+    references = file.get(f"data/{name}")
+    if not isinstance(references, h5py.Dataset):
+        return None
+    if h5py.check_ref_dtype(references.dtype) is not h5py.RegionReference or references.ndim != 1:
+        return None
+    require(item < references.shape[0], f"data/{name} has no item {item}", got=f"{references.shape[0]} references")
+    reference = references[item]
+    require(reference, f"the reference data/{name} is empty")
+    return reference
 
 
 def _views_below(root: Path, levels: int, prefix: str = "") -> list[str]:
@@ -296,7 +406,7 @@ def _is_view(root: Path, view: str) -> bool:
         return True
     try:
         with open_view(root / (view + SUFFIX)) as file:
-            return all(has(file, name) for name in ("rgb", "depth", "data/cam_intr"))
+            return all(name in file for name in ("rgb", "depth", "data/cam_intr"))
     except InputError:
         return False
 

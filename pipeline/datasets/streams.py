@@ -9,7 +9,7 @@ import struct
 from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import lru_cache
 from os.path import commonpath
 from pathlib import Path
@@ -22,7 +22,7 @@ import numpy as np
 from pipeline.datasets.base import DatasetFormat
 from pipeline.datasets.camera_files import NOTHING, Stated
 from pipeline.datasets.cameras import or_note, pose_from_quaternion
-from pipeline.datasets.files import readable
+from pipeline.datasets.files import Part, readable
 from pipeline.datasets.pairing import role_of
 from pipeline.datasets.recording import Listed, Recording
 from pipeline.datasets.settings import Settings
@@ -70,28 +70,6 @@ _TO_RGB = {
     "bayer_gbrg8": cv2.COLOR_BayerGR2RGB,
     "bayer_grbg8": cv2.COLOR_BayerGB2RGB,
 }
-
-
-@dataclass(frozen=True)
-class Message:
-    """A decoded picture of a stream."""
-
-    path: Path
-    topic: str
-    array: np.ndarray
-
-    @property
-    def name(self) -> str:
-        return self.topic
-
-    def __fspath__(self) -> str:
-        return f"{self.path}{self.topic}"
-
-    def read_bytes(self) -> bytes:
-        return self.array.tobytes()
-
-    def pixels(self) -> np.ndarray:
-        return self.array
 
 
 class Stream:
@@ -198,16 +176,15 @@ class StreamDataset(Recording):
     def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         color_at, depth_at, stamp = self._found(self._at, frame_id)
         stream = _stream(self.root)
-        color = Message(self.root, self._color, _rgb(stream.message(self._color, color_at), self.root))
+        rgb = _rgb(stream.message(self._color, color_at), self.root)
         message = stream.message(self._depth, depth_at)
         depth = _depth(message, self.root)
         if self._transforms is None:
             self._transforms = Transforms(stream)
         pose = or_note(notes, "no camera pose, tf: ", self._transforms.pose, message.header.frame_id, stamp)
-        units = 1.0 if depth.dtype.kind == "f" else 1000.0
-        stated = self._stated
-        stated = Stated(stated.K, stated.size, units, stated.path)
-        return Listed(color, Message(self.root, self._depth, depth), stated, pose)
+        stated = replace(self._stated, units_per_metre=1.0 if depth.dtype.kind == "f" else 1000.0)
+        color = Part(self.root, self._color, lambda: rgb)
+        return Listed(color, Part(self.root, self._depth, lambda: depth), stated, pose)
 
 
 def _topics(stream: Stream) -> tuple[str, str, str | None]:

@@ -7,7 +7,7 @@ Published: `image/`, `depth/`, `intrinsics.txt` and `extrinsics/`, a folder a pi
 from __future__ import annotations
 
 import os
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from pipeline.datasets.base import DatasetFormat
 from pipeline.datasets.camera_files import Stated
 from pipeline.datasets.cameras import nearest_rotation, one_file, or_note
 from pipeline.datasets.files import (
+    Part,
     as_floats,
     listing,
     natural,
@@ -24,14 +25,14 @@ from pipeline.datasets.files import (
     read_matrix,
     readable,
 )
-from pipeline.datasets.images import read_color
+from pipeline.datasets.images import picture_size
 from pipeline.datasets.pairing import COLOR_SUFFIXES
 from pipeline.datasets.recording import DepthRule, Listed, Recording
 from pipeline.datasets.settings import Settings
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import intrinsics
-from pipeline.geometry.frame import Annotation, Frame
-from pipeline.system.errors import InputError, require
+from pipeline.geometry.frame import Annotation
+from pipeline.system.errors import InputError, needed, require
 
 UNITS_PER_METRE = 1000.0
 ROTATED_BITS = 3
@@ -163,6 +164,7 @@ class SunRgbdVoteNetDataset(Recording):
     """
 
     format = "sunrgbd-votenet"
+    one_size = True
 
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
@@ -186,21 +188,19 @@ class SunRgbdVoteNetDataset(Recording):
         """Annotated classes, read on first use."""
         return self._class_names
 
-    def load(self, frame_id: str) -> Frame:
-        """Decode a frame; see `Dataset.load`."""
+    def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         self._found(self._known, frame_id)
-        rgb = read_color(self._folder / "image" / f"{frame_id}.jpg")
-        size = (rgb.shape[0], rgb.shape[1])
+        color = self._folder / "image" / f"{frame_id}.jpg"
         calib = self._folder / "calib" / f"{frame_id}.txt"
         R_camera_upright, K = _calibration(calib)
         cloud = self._folder / "depth" / f"{frame_id}.mat"
-        depth = _depth_image(_points(cloud) @ R_camera_upright.T, K, size, cloud)
-        depth /= np.float32(self._settings.depth_scale or 1.0)
-        notes: list[str] = []
-        annotations = self._annotations(frame_id, R_camera_upright, notes)
-        return self._frame(frame_id, (rgb, depth), K, None, calib, cloud, annotations, notes, up=R_camera_upright[:, 2])
+        depth = Part(cloud, "", partial(_depth_image, cloud, R_camera_upright, K, color))
+        annotate = partial(self._annotations, frame_id, R_camera_upright)
+        return Listed(color, depth, Stated(K, path=calib), None, annotate, R_camera_upright[:, 2])
 
-    def _annotations(self, frame_id: str, R_camera_upright: np.ndarray, notes: list[str]) -> tuple[Annotation, ...]:
+    def _annotations(
+        self, frame_id: str, R_camera_upright: np.ndarray, size: tuple[int, int], notes: list[str]
+    ) -> tuple[Annotation, ...]:
         if self._labels is None:
             return ()
         path = self._labels / f"{frame_id}.txt"
@@ -251,9 +251,10 @@ def _points(path: Path) -> np.ndarray:
     return points[np.isfinite(points).all(axis=1)]
 
 
-def _depth_image(points: np.ndarray, K: np.ndarray, size: tuple[int, int], path: Path) -> np.ndarray:
-    """Depth (H, W) float32 metres rebuilt from camera-frame points (N, 3)."""
-    height, width = size
+def _depth_image(path: Path, R_camera_upright: np.ndarray, K: np.ndarray, color: Path) -> np.ndarray:
+    """Depth (H, W) float32 metres of a picture, rebuilt from a list of upright points."""
+    points = _points(path) @ R_camera_upright.T
+    width, height = needed(picture_size(color), "the picture's size is not known", path=color)
     points = points[points[:, 2] > 0]
     require(len(points), "no point lies in front of the camera", path=path)
     u = K[0, 0] * points[:, 0] / points[:, 2] + K[0, 2]

@@ -79,9 +79,9 @@ class TumDataset(Recording):
             self._pose_notes, "no camera pose, groundtruth.txt: ", _camera_path, root / "groundtruth.txt"
         )
         found = re.search("freiburg[123]", root.resolve().name.lower())
-        self._camera = CAMERAS[found[0]] if found else DEFAULT_CAMERA
+        self.documented = CAMERAS[found[0]] if found else DEFAULT_CAMERA
         whose = f"{found[0]}'s by the folder's name" if found else "TUM's default"
-        self.notes += camera_notes(settings, self._camera, whose)
+        self.notes += camera_notes(settings, self.documented, whose)
 
     def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         color = self._found(self._colors, frame_id)
@@ -89,7 +89,7 @@ class TumDataset(Recording):
         notes += self._pose_notes
         pose = self._pose(color.time, notes)
         depth = self.root / self._depths[frame_id].name
-        return Listed(self.root / color.name, depth, pose=pose, documented=self._camera)
+        return Listed(self.root / color.name, depth, pose=pose)
 
     def _pose(self, time: float, notes: list[str]) -> np.ndarray | None:
         path = self._path

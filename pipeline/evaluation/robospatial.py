@@ -21,7 +21,7 @@ import numpy as np
 
 from pipeline.datasets.files import Blob
 from pipeline.datasets.images import read_color
-from pipeline.datasets.parquet import Cell, tables_in
+from pipeline.datasets.parquet import cell, tables_in
 from pipeline.datasets.robospatial import FILE, KEYS, item_name, robospatial_entries
 from pipeline.evaluation.model_answers import parse_yes_no
 from pipeline.metrics.tables import Row, Table
@@ -111,14 +111,14 @@ def _of_table(table: Path, several: bool) -> Iterator[Question]:
     masked = "mask" in parquet_columns(table)
     for row, entry in enumerate(columns):
         frame = f"{table.stem}/{row}" if several else str(row)
-        mask = Cell(table, row, "mask") if masked and entry["category"] == POINTING else None
+        mask = cell(table, row, "mask") if masked and entry["category"] == POINTING else None
         yield Question(
             f"{table.stem.partition('-')[0]}_{row}",
             frame,
             entry["category"],
             entry["question"],
             entry["answer"],
-            Cell(table, row, "img"),
+            cell(table, row, "img"),
             mask,
         )
 

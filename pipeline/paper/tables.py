@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import BaseModel, Field
 
-from pipeline.datasets.semantic_abstraction_file import SUBSETS, subsets_of
+from pipeline.datasets.semantic_abstraction_splits import SUBSETS, subsets_of
 from pipeline.datasets.settings import read_settings
 from pipeline.evaluation.grounding_tables import OPM_ONLY, clusters_of, column, has_opm
 from pipeline.evaluation.leakage import shares_of_run, title_of

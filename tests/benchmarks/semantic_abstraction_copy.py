@@ -19,7 +19,7 @@ from benchmarks.container_rooms import inside, with_containers, without
 from semantic_abstraction_writer import FIRST_OBJECT, RenderedView, scene_clouds, write_rendered
 
 from pipeline.datasets.semantic_abstraction import RELATIONS
-from pipeline.datasets.semantic_abstraction_file import NOVEL_CLASSES
+from pipeline.datasets.semantic_abstraction_splits import NOVEL_CLASSES
 from pipeline.geometry.camera import Camera, intrinsics
 from pipeline.synthetic import Room, camera_at, exact_view, make_room, render_view
 

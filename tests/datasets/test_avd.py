@@ -18,7 +18,6 @@ from avd_writer import (
     FX,
     FY,
     NAMES,
-    SCALE,
     ImageTruth,
     edit_annotations,
     image_name,
@@ -30,8 +29,7 @@ from dataset_writers import random_rotation, write_png
 
 from pipeline.answering import frame_record, open_pipeline
 from pipeline.datasets import MOVES, has_moves, moves, open_dataset, splits, survey
-from pipeline.datasets.avd import FARTHEST_M, SPLITS
-from pipeline.datasets.avd_scan import read_names, read_poses
+from pipeline.datasets.avd import FARTHEST_M, SPLITS, read_names, read_poses
 from pipeline.geometry import Frame
 from pipeline.system import InputError
 
@@ -118,8 +116,7 @@ def test_a_smaller_copy_scales_the_camera_and_the_boxes(written: tuple[Path, dic
         assert frame.camera.cx == pytest.approx((CX + 0.5) / 10 - 0.5)
         assert frame.camera.cy == pytest.approx((CY + 0.5) / 10 - 0.5)
     np.testing.assert_allclose(frames[1].annotations[0].bbox, [10.1, 20, 42.1, 33], atol=1e-5)
-    assert "1920x1080" in frames[0].notes[1]
-    assert [len(frame.notes) for frame in frames] == [2, 0, 1, 0]
+    assert [len(frame.notes) for frame in frames] == [1, 0, 1, 0]
     assert "not registered" in frames[2].notes[0]
     assert frames[2].camera.up is None
 
@@ -311,7 +308,7 @@ def test_a_broken_depth_file_breaks_its_frame_only(scan: Path) -> None:
 def test_an_image_of_another_shape_is_refused(scan: Path) -> None:
     write_png(scan / "high_res_depth" / f"{image_name(SCAN, 1, 3)}.png", np.full((120, 192), 1500, np.uint16))
     assert cv2.imwrite(str(scan / "jpg_rgb" / f"{name(1)}.jpg"), np.zeros((120, 192, 3), np.uint8))
-    refused(lambda: open_dataset(scan).load(name(1)), "another shape", "192x120", "1920x1080")
+    refused(lambda: open_dataset(scan).load(name(1)), "another image size", "192x120", "1920x1080")
 
 
 @pytest.mark.parametrize(
@@ -433,7 +430,6 @@ def test_the_up_axis_is_that_of_most_cameras(tmp_path: Path) -> None:
     assert poses.up is not None
     # The level cameras have R = diag(1, -1, -1): their own y is down and is the world's -y.
     assert poses.up.tolist() == [0, 1, 0]
-    assert poses.metres == SCALE / 1000
     np.testing.assert_allclose(poses.pose(name(20))[:3, 3], [0.3, 0.1, -2], atol=1e-9)
     sideways = np.eye(4)
     sideways[:3, :3] = [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]

@@ -17,7 +17,7 @@ from slow_cases import mostly_slow
 from pipeline.answering import open_pipeline
 from pipeline.datasets import GivenExpression, Settings, given_expressions, has_moves, open_dataset
 from pipeline.datasets.semantic_abstraction import RELATIONS, SemanticAbstractionDataset
-from pipeline.datasets.semantic_abstraction_file import (
+from pipeline.datasets.semantic_abstraction_splits import (
     RANDOMIZED,
 )
 from pipeline.datasets.semantic_abstraction_objects import fit_pose

@@ -20,7 +20,7 @@ from slow_cases import mostly_slow
 
 from pipeline.datasets import SUBSETS, GivenExpression, open_dataset, splits, subsets_of
 from pipeline.datasets.semantic_abstraction import SemanticAbstractionDataset
-from pipeline.datasets.semantic_abstraction_file import (
+from pipeline.datasets.semantic_abstraction_splits import (
     NOVEL_CLASSES,
     RANDOMIZED,
     RENAMED,
