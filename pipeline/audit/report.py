@@ -13,11 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.answering.pipeline import open_pipeline
-from pipeline.audit.labels import audit_labels
 from pipeline.audit.questions import audit_questions
-from pipeline.audit.sentences import audit_sentences
-from pipeline.audit.suspicion import KINDS, PRIOR, AuditItem
-from pipeline.audit.systems import read_answers
+from pipeline.audit.sentences import audit_labels, audit_sentences
+from pipeline.audit.suspicion import KINDS, PRIOR, AuditItem, read_answers
 from pipeline.corrections.review.doubts import DoubtConfig
 from pipeline.diagnosis.whatif.state import ViewState, encode
 from pipeline.evaluation.robospatial import is_robospatial, read_question_answers, read_questions, score_table

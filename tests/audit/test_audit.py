@@ -16,11 +16,17 @@ from scenes import frame_of, upright
 from pipeline.answering import Pipeline, open_pipeline
 from pipeline.audit import AuditReport
 from pipeline.audit.geometry import FACING, has_front
-from pipeline.audit.labels import audit_labels
 from pipeline.audit.report import audit
-from pipeline.audit.sentences import audit_sentences
-from pipeline.audit.suspicion import PRIOR, AuditItem, Evidence, agreement_weight, wrong_probability
-from pipeline.audit.systems import SystemAnswers, read_answers
+from pipeline.audit.sentences import audit_labels, audit_sentences
+from pipeline.audit.suspicion import (
+    PRIOR,
+    AuditItem,
+    Evidence,
+    SystemAnswers,
+    agreement_weight,
+    read_answers,
+    wrong_probability,
+)
 from pipeline.datasets import InMemoryDataset
 from pipeline.diagnosis import decode
 from pipeline.evaluation import Sentence, SentenceFile

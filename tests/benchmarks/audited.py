@@ -28,8 +28,7 @@ import numpy as np
 
 from pipeline.answering.pipeline import Pipeline, open_pipeline
 from pipeline.audit.sentences import audit_sentences
-from pipeline.audit.suspicion import AuditItem, Evidence, wrong_probability
-from pipeline.audit.systems import SystemAnswers
+from pipeline.audit.suspicion import AuditItem, Evidence, SystemAnswers, wrong_probability
 from pipeline.datasets import open_dataset
 from pipeline.datasets.base import InMemoryDataset
 from pipeline.evaluation.sentence_files import Sentence, SentenceFile
