@@ -27,7 +27,7 @@ from pipeline.language.relation_names import PAIRWISE
 from pipeline.metrics.splits import DROPPED, PARTS
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.arrow import pa, pc
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.safe_files import parse_json, read_parquet
 from pipeline.training.label_data import parts_seen
 
@@ -200,12 +200,16 @@ def read_relation_records(path: Path) -> RelationRecords:
         )
         for s in about
     )
+    held = _matrix(states, relations, np.int8)
+    sound = all(((s.p >= 0) & (s.p <= 1)).all() for s in systems) and np.isin(held, (-1, 0, 1)).all()
+    require(sound, "relation records hold a probability outside 0..1, or a state that is none", path=path)
     scene = coded.indices.to_numpy().astype(np.int32)
     names = tuple(coded.dictionary.to_pylist())
-    return RelationRecords(relations, _matrix(states, relations, np.int8), frames.to_numpy(), names, scene, systems)
+    return RelationRecords(relations, held, frames.to_numpy(), names, scene, systems)
 
 
 def _matrix(rows: pa.StructArray, names: Sequence[str], kind: Any) -> np.ndarray:
     """(P, K): the fields of a struct side by side."""
-    columns = [rows.field(name).to_numpy() for name in names]
+    # 2 is neither a probability nor a state.
+    columns = [rows.field(name).fill_null(2).to_numpy() for name in names]
     return np.stack(columns, axis=1).astype(kind) if columns else np.zeros((len(rows), 0), kind)

@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.language.relation_names import INVERSE
-from pipeline.metrics.inputs import checked_cells, checked_flags, checked_probabilities
 from pipeline.metrics.intervals import ratio
-from pipeline.system.errors import require
 
 ECE_BINS = 15
 
@@ -44,11 +42,9 @@ def reliability_diagram(p: Any, holds: Any, bins: int = ECE_BINS) -> Reliability
     """Reliability diagram of (M,) probabilities, 0..1, and (M,) bool: mean probability and frequency by bin.
 
     For a softmax, `p` is the largest probability of each row and `holds` says
-    whether its relation is the true one. InputError where lengths differ, probabilities are NaN or outside 0..1,
-    or there is no bin.
+    whether its relation is the true one.
     """
-    p, holds = _checked(p, holds)
-    require(bins >= 1, "a reliability diagram needs at least one bin", got=bins)
+    p, holds = np.asarray(p, np.float64), np.asarray(holds, np.bool_)
     index = np.minimum((p * bins).astype(np.int64), bins - 1)
     count = np.bincount(index, minlength=bins)
     confidence = ratio(np.bincount(index, p, bins), count)
@@ -69,25 +65,15 @@ def expected_calibration_error(p: Any, holds: Any, bins: int = ECE_BINS) -> floa
 
 def brier_score(p: Any, holds: Any) -> float:
     """Brier score, the mean of (p - [holds])², of (M,) probabilities and (M,) bool; NaN without any."""
-    p, holds = _checked(p, holds)
+    p, holds = np.asarray(p, np.float64), np.asarray(holds, np.bool_)
     return float(ratio(np.square(p - holds).sum(), len(p)))
 
 
-def calibration_metrics(p: Any, truth: Any) -> CalibrationMetrics:
-    """Calibration of relation probabilities, (P, R), by states, (P, R) int8: 1 T, 0 U (left out), -1 F.
-
-    InputError where shapes differ, probabilities are NaN or outside 0..1, or a state is none.
-    """
-    p, truth = checked_cells(p, truth)
+def calibration_metrics(p: np.ndarray, truth: np.ndarray) -> CalibrationMetrics:
+    """Calibration of relation probabilities, (P, R), by states, (P, R) int8: 1 T, 0 U (left out), -1 F."""
     known, holds = truth != 0, truth > 0
     squared = np.where(known, np.square(p - holds), 0.0)
     return CalibrationMetrics(float(ratio(squared.sum(), known.sum())), reliability_diagram(p[known], holds[known]))
-
-
-def _checked(p: Any, holds: Any) -> tuple[np.ndarray, np.ndarray]:
-    p, holds = checked_probabilities(p, dimensions=1), checked_flags(holds, "what holds")
-    require(p.shape == holds.shape, "there must be one truth for each probability", got=holds.shape, expected=p.shape)
-    return p, holds
 
 
 Platt = tuple[float, float]

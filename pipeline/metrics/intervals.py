@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.metrics.inputs import checked_clusters, checked_flags, checked_numbers
 from pipeline.system.errors import require
 
 FEWEST_CLUSTERS = 10
@@ -136,12 +135,14 @@ def bootstrap(
     Raises
     ------
     InputError
-        Not one cluster a row, numbers that are not finite, or systems with different rows.
+        Numbers that are not finite, as where records lack some.
     """
     config = config or BootstrapConfig()
-    rows = checked_numbers(rows, "rows", np.shape(rows))
-    systems = [rows] if other is None else [rows, checked_numbers(other, "rows of the other system", rows.shape)]
-    index, count = checked_clusters(clusters, len(rows))
+    systems = [np.asarray(of, np.float64) for of in (rows, other) if of is not None]
+    require(
+        all(np.isfinite(of).all() for of in systems), "figures that are counted must be finite", cause="are some lost?"
+    )
+    rows, (index, count) = systems[0], numbered(clusters)
     sums = [_cluster_sums(system.reshape(len(rows), math.prod(rows.shape[1:])), index, count) for system in systems]
 
     def figures(of: list[np.ndarray]) -> np.ndarray:
@@ -159,6 +160,12 @@ def bootstrap(
         blocks = [[weights @ s for s in sums] for weights in resample_weights(count, config)]
         drawn = figures([np.concatenate(parts) for parts in zip(*blocks, strict=True)])
     return [_estimate(float(values[k]), drawn[:, k], int(n[k]), int(held[k]), config) for k in range(len(values))]
+
+
+def numbered(clusters: Any) -> tuple[np.ndarray, int]:
+    """Number of each row's cluster, (N,) int64, in the order of the sorted ids, and the number of clusters."""
+    names, index = np.unique(np.asarray(clusters), return_inverse=True)
+    return index.astype(np.int64), len(names)
 
 
 def _cluster_sums(rows: np.ndarray, index: np.ndarray, count: int) -> np.ndarray:
@@ -201,8 +208,8 @@ def ratio_estimate(
     With `other`, the (numerator, denominator) of another system on the same
     rows, the difference of the two ratios. Arguments else as in `bootstrap`.
     """
-    first = _columns((numerator, denominator))
-    second = None if other is None else _columns(other)
+    first = np.stack([numerator, denominator], axis=1)
+    second = None if other is None else np.stack(other, axis=1)
     counted = first[:, 1:] != 0 if second is None else (first[:, 1:] != 0) | (second[:, 1:] != 0)
     return bootstrap(
         first, clusters, lambda sums: ratio(sums[:, :1], sums[:, 1:]), counted=counted, other=second, config=config
@@ -227,8 +234,7 @@ def share_estimate(flags: Any, clusters: Any, confidence: float = 0.95) -> Estim
     >>> share_estimate([True] * 8 + [False] * 2, ["kitchen"] * 5 + ["office"] * 5).formatted()
     '80.0 [49.0, 94.3]'
     """
-    flags = checked_flags(flags, "flags")
-    _, held = checked_clusters(clusters, len(flags))
+    flags, (_, held) = np.asarray(flags, np.bool_), numbered(clusters)
     n = len(flags)
     if not n:
         return Estimate(math.nan, math.nan, math.nan, 0, 0, "no row counts")
@@ -236,11 +242,6 @@ def share_estimate(flags: Any, clusters: Any, confidence: float = 0.95) -> Estim
     middle = (share + z2 / (2 * n)) / (1 + z2 / n)
     half = math.sqrt(z2 * (share * (1 - share) / n + z2 / (4 * n * n))) / (1 + z2 / n)
     return Estimate(share, max(0.0, middle - half), min(1.0, middle + half), n, held)
-
-
-def _columns(columns: tuple[Any, ...]) -> np.ndarray:
-    shape = (len(np.atleast_1d(columns[0])),)
-    return np.stack([checked_numbers(c, "counts and values", shape) for c in columns], axis=1)
 
 
 def ratio(part: Any, whole: Any) -> np.ndarray:
@@ -287,13 +288,7 @@ def mcnemar(first: Any, second: Any) -> McNemar:
     >>> mcnemar([True] * 9 + [False], [False] * 6 + [True] * 4)
     McNemar(n=10, b=6, c=1, p_value=0.125)
     """
-    first, second = checked_flags(first, "answers of the first"), checked_flags(second, "answers of the second")
-    require(
-        first.shape == second.shape,
-        "paired systems must have answered the same questions",
-        got=second.shape,
-        expected=first.shape,
-    )
+    first, second = np.asarray(first, np.bool_), np.asarray(second, np.bool_)
     b, c = int((first & ~second).sum()), int((~first & second).sum())
     return McNemar(len(first), b, c, _two_sided(b, c))
 
@@ -333,17 +328,12 @@ class Agreement:
 
 
 def cohen_kappa(first: Sequence[str], second: Sequence[str]) -> Agreement:
-    """Cohen's kappa of two reviewers' judgements of the same items, in the same order; InputError for other lengths.
+    """Cohen's kappa of two reviewers' judgements of the same items, in the same order.
 
     >>> from pipeline.metrics import cohen_kappa
     >>> cohen_kappa(["yes", "yes", "no", "no"], ["yes", "no", "no", "no"]).kappa
     0.5
     """
-    require(
-        len(first) == len(second),
-        "both reviewers must have judged the same items",
-        got=f"{len(first)} and {len(second)}",
-    )
     names, codes = np.unique(np.array([*first, *second], np.str_), return_inverse=True)
     table = np.zeros((len(names), len(names)), np.int64)
     np.add.at(table, (codes[: len(first)], codes[len(first) :]), 1)

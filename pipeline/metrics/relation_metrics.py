@@ -12,15 +12,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.language.relation_names import DIRECTIONAL
-from pipeline.metrics.inputs import (
-    checked_cells,
-    checked_clusters,
-    checked_names,
-    checked_probabilities,
-    checked_thresholds,
-)
-from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, f1_of, mean_of_defined, ratio
-from pipeline.system.errors import InputError, require
+from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, f1_of, mean_of_defined, numbered, ratio
 
 THRESHOLD = 0.5
 """A relation is said to hold where its probability is greater, so that a doubt of exactly one half is a no."""
@@ -69,14 +61,9 @@ def cell_outcomes(p: Any, truth: Any, thresholds: Any = THRESHOLD) -> CellOutcom
         1 T, 0 U, -1 F.
     thresholds : float or (R,) float
         A relation is predicted where p is greater.
-
-    Raises
-    ------
-    InputError
-        Shapes differ, probabilities are NaN or outside 0..1, or a state is none.
     """
-    p, truth = checked_cells(p, truth)
-    text = p > checked_thresholds(thresholds, p.shape[1])
+    p, truth = np.asarray(p), np.asarray(truth)
+    text = p > np.asarray(thresholds)
     holds, fails = truth > 0, truth < 0
     return CellOutcomes(text & holds, text & fails, ~text & holds, ~text & fails)
 
@@ -86,7 +73,7 @@ def multi_label_metrics(
 ) -> RelationMetrics:
     """Compute every figure of a multi-label relation scorer.
 
-    Parameters and errors are those of `cell_outcomes`; thresholds of `tuned_thresholds` must come from other pairs
+    Parameters are those of `cell_outcomes`; thresholds of `tuned_thresholds` must come from other pairs
     than these, and `relations` names the R columns.
 
     >>> from pipeline.metrics import multi_label_metrics
@@ -94,17 +81,15 @@ def multi_label_metrics(
     >>> found.recall.tolist(), round(found.micro_f1, 3)
     ([0.5, nan], 0.667)
     """
-    p, truth = checked_cells(p, truth)
-    names = checked_names(relations, p.shape[1])
-    cut = checked_thresholds(thresholds, p.shape[1])
-    cells = cell_outcomes(p, truth, cut)
+    p, truth = np.asarray(p), np.asarray(truth)
+    cells = cell_outcomes(p, truth, thresholds)
     tp, fp, fn, tn = (c.sum(axis=0) for c in (cells.tp, cells.fp, cells.fn, cells.tn))
     f1 = f1_of(tp, fp, fn)
     ap = average_precision(p, truth)
     positives, negatives = tp + fn, fp + tn
     known = positives + negatives
     return RelationMetrics(
-        relations=names,
+        relations=tuple(relations),
         pairs=len(p),
         positives=positives,
         undecided=len(p) - known,
@@ -123,12 +108,11 @@ def multi_label_metrics(
     )
 
 
-def average_precision(p: Any, truth: Any) -> np.ndarray:
+def average_precision(p: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """Average precision by relation, (R,): sum of (R_n - R_(n-1)) P_n over falling probabilities; NaN if none holds.
 
     No interpolation; the definition of scikit-learn's average_precision_score.
     """
-    p, truth = checked_cells(p, truth)
     found = np.full(p.shape[1], np.nan)
     for k in range(p.shape[1]):
         _, tp, text, positives = _ranked(p[:, k], truth[:, k])
@@ -137,14 +121,13 @@ def average_precision(p: Any, truth: Any) -> np.ndarray:
     return found
 
 
-def tuned_thresholds(p_validation: Any, truth_validation: Any) -> np.ndarray:
+def tuned_thresholds(p: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """Threshold of each relation with the largest F1 on validation pairs, (R,); 0.5 where no cell holds.
 
     It lies half way between two neighbouring probabilities; of thresholds with
     the same F1 the one nearest to 0.5 is taken. A negative one says that the
     relation always holds.
     """
-    p, truth = checked_cells(p_validation, truth_validation)
     found = np.full(p.shape[1], THRESHOLD)
     for k in range(p.shape[1]):
         values, tp, text, positives = _ranked(p[:, k], truth[:, k])
@@ -163,7 +146,7 @@ def tuned_thresholds(p_validation: Any, truth_validation: Any) -> np.ndarray:
 def _ranked(p: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
     """Distinct probabilities of the known cells, falling; down to each, positives and cells; all positives."""
     known = truth != 0
-    p, holds = p[known], truth[known] > 0
+    p, holds = p[known].astype(np.float64), truth[known] > 0
     order = np.argsort(-p, kind="stable")
     p, holds = p[order], holds[order]
     last = np.flatnonzero(np.append(p[1:] != p[:-1], True)) if len(p) else np.zeros(0, np.int64)
@@ -202,24 +185,9 @@ def relation_estimates(
     other : CellOutcomes, optional
         Another scorer's on the same pairs and the same truth: the estimates are
         then the figures of `cells` less those of `other`.
-
-    Raises
-    ------
-    InputError
-        Not one cluster a pair, or a scorer that was measured against another truth.
     """
-    shape, names = cells.tp.shape, checked_names(relations, cells.tp.shape[1])
-    require(
-        other is None
-        or (
-            shape == other.tp.shape
-            and np.array_equal(cells.tp | cells.fn, other.tp | other.fn)
-            and np.array_equal(cells.fp | cells.tn, other.fp | other.tn)
-        ),
-        "two scorers can only be compared on the same pairs and the same truth",
-    )
     # Sums by cluster first: a million pairs with four numbers for each relation would be hundreds of megabytes.
-    index, count = checked_clusters(clusters, shape[0])
+    index, count = numbered(clusters)
     known = cells.tp | cells.fp | cells.fn | cells.tn
     sums = _by_cluster(cells, index, count)
     some = np.repeat(_sums(np.asarray(known.any(axis=1)), index, count)[:, None], 3, axis=1)
@@ -234,8 +202,9 @@ def relation_estimates(
     )
     found = [replace(e, n=int(n)) for e, n in zip(found, rows.sum(axis=0), strict=True)]
     *by_relation, micro, macro, accuracy = found
-    precision, recall, f1 = (tuple(by_relation[k * len(names) : (k + 1) * len(names)]) for k in range(3))
-    return RelationEstimates(names, precision, recall, f1, micro, macro, accuracy)
+    count = len(relations)
+    precision, recall, f1 = (tuple(by_relation[k : k + count]) for k in range(0, 3 * count, count))
+    return RelationEstimates(tuple(relations), precision, recall, f1, micro, macro, accuracy)
 
 
 def _by_cluster(cells: CellOutcomes, index: np.ndarray, count: int) -> np.ndarray:
@@ -258,10 +227,6 @@ def _figures(sums: np.ndarray) -> np.ndarray:
     return np.concatenate([ratio(tp, tp + fp), ratio(tp, tp + fn), f1, np.stack(overall, axis=1)], axis=1)
 
 
-SUM_TOLERANCE = 1e-3
-"""Softmax in half precision adds up to one no better than this."""
-
-
 @dataclass(frozen=True)
 class SingleLabelMetrics:
     """The figures of a single-label relation scorer."""
@@ -275,28 +240,20 @@ class SingleLabelMetrics:
     top2: float  # Share of pairs whose true relation is among the two most probable
 
 
-def true_ranks(p: Any, truth: Any) -> np.ndarray:
+def true_ranks(p: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """Rank of the true relation by probability, (P,) int64, 0 for the most probable, -1 where unknown.
 
     `p`, (P, R), has a distribution in each row, and of equals the earlier column comes first; `truth`, (P,), is the
     column of the true relation, -1 where unknown.
-
-    Raises
-    ------
-    InputError
-        Shapes that do not match, NaN, rows that do not add up to 1, or a column that does not exist.
     """
-    p, truth = _checked(p, truth)
     own = np.take_along_axis(p, np.maximum(truth, 0)[:, None], axis=1)
     earlier = np.arange(p.shape[1])[None] < truth[:, None]
     return np.where(truth < 0, -1, ((p > own) | ((p == own) & earlier)).sum(axis=1))
 
 
-def single_label_metrics(p: Any, truth: Any, relations: Sequence[str]) -> SingleLabelMetrics:
-    """Compute every figure of a single-label relation scorer; arguments and errors as in `true_ranks`."""
-    p, truth = _checked(p, truth)
+def single_label_metrics(p: np.ndarray, truth: np.ndarray) -> SingleLabelMetrics:
+    """Compute every figure of a single-label relation scorer; arguments as in `true_ranks`."""
     count = p.shape[1]
-    checked_names(relations, count)
     known = truth >= 0
     ranks = true_ranks(p, truth)[known]
     index = truth[known] * count + p[known].argmax(axis=1)
@@ -311,26 +268,3 @@ def single_label_metrics(p: Any, truth: Any, relations: Sequence[str]) -> Single
         top1=float(ratio((ranks == 0).sum(), len(ranks))),
         top2=float(ratio((ranks < 2).sum(), len(ranks))),
     )
-
-
-def _checked(p: Any, truth: Any) -> tuple[np.ndarray, np.ndarray]:
-    p, truth = checked_probabilities(p), np.asarray(truth)
-    require(p.shape[1] != 0, "probabilities must have a column for each relation", got=p.shape)
-    require(
-        truth.shape == (len(p),) and truth.dtype.kind in "iu",
-        "the truth must be one column a pair",
-        got=f"{truth.dtype} {truth.shape}",
-        expected=f"integers ({len(p)},)",
-    )
-    if len(truth) and (truth.min() < -1 or truth.max() >= p.shape[1]):
-        raise InputError(
-            "the truth names a relation that has no column",
-            got=f"{truth.min()} to {truth.max()}",
-            expected=f"-1 to {p.shape[1] - 1}",
-        )
-    if len(p) and np.abs(p.sum(axis=1) - 1).max() > SUM_TOLERANCE:
-        row = int(np.abs(p.sum(axis=1) - 1).argmax())
-        raise InputError(
-            "each row of probabilities must add up to 1", got=f"{p[row].sum():.6g} in row {row}", cause="not a softmax?"
-        )
-    return p, truth.astype(np.int64)

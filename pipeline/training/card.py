@@ -26,10 +26,9 @@ from pipeline.metrics.calibration_metrics import (
 )
 from pipeline.metrics.intervals import mean_of_defined, ratio
 from pipeline.metrics.relation_metrics import multi_label_metrics, single_label_metrics
-from pipeline.relations.class_vectors import vectors_path
 from pipeline.relations.contract import TrainedOn
 from pipeline.relations.features import cli_features
-from pipeline.relations.model import OnnxScorer
+from pipeline.relations.model import OnnxScorer, vectors_path
 from pipeline.relations.relations import measure_pairs
 from pipeline.relations.scorer import rule_probabilities
 from pipeline.system.errors import extra_module, require
@@ -327,9 +326,9 @@ def evaluate_classes(
         answer, and `relations` (name -> precision, recall, f1, positives). None where a figure has no meaning.
     """
     p, t = labelled_pairs(probabilities, truth, len(vocabulary))
-    metrics = single_label_metrics(p, t, vocabulary)
+    metrics = single_label_metrics(p, t)
     weighted = p / np.asarray(prior, np.float64)
-    divided = single_label_metrics(weighted / weighted.sum(axis=1, keepdims=True), t, vocabulary)
+    divided = single_label_metrics(weighted / weighted.sum(axis=1, keepdims=True), t)
     holds = metrics.confusion.sum(axis=1)
     return {
         "pairs": metrics.pairs,

@@ -250,6 +250,21 @@ def test_a_damaged_record_of_training_is_refused(networks: dict[str, Path], tmp_
             OnnxScorer(tmp_path / "odd.onnx")
 
 
+def test_pairs_without_a_probability_are_refused(label_sets: dict[str, Labels], tmp_path: Path) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    measured(label_sets["demo"].root, tmp_path / "run", "rule", frames=1)
+    file = tmp_path / "run" / "relation_records.parquet"
+    rows = pq.read_table(file)
+    told = rows.column("p").to_pylist()
+    for value in (None, 1.5, float("nan")):
+        odd = pa.array([{"rule": {**told[0]["rule"], "left": value}}, *told[1:]], rows.schema.field("p").type)
+        pq.write_table(rows.set_column(rows.schema.get_field_index("p"), rows.schema.field("p"), odd), file)
+        with pytest.raises(InputError, match="a probability outside"):
+            read_relation_records(file)
+
+
 @pytest.mark.slow
 def test_workers_and_shared_frames_change_nothing(
     label_sets: dict[str, Labels], networks: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
