@@ -160,6 +160,7 @@ REMOVED = {
     "of its camera and unit in spatialviz.toml beside it",
 }
 REMOVED_OPTIONS = {
+    ("save-case", "--copy-srm"): "a relation network that does not come with the program is always in the case",
     ("show", "--support"): "boxes are not snapped any more: drag the lower face in the page's side views",
     **dict.fromkeys((("view", "--also"), ("detect", "--agree")), _BY_ANSWERS),
     **dict.fromkeys(

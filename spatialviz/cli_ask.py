@@ -374,8 +374,6 @@ class SaveCaseCommand(Output):
     """Edits as a JSON file."""
     name: str | None = None
     """Title of the case."""
-    copy_srm: Flag = False
-    """Put the file of the relation network into the case."""
 
 
 @dataclass(frozen=True)

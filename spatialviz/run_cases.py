@@ -28,7 +28,6 @@ from pipeline.system.errors import InputError, require
 from spatialviz.cli_ask import ReplayCommand, ReportCommand, SaveCaseCommand, WhatIfCommand
 from spatialviz.options import BAD, FINE, NO, one_frame, warn
 from spatialviz.printing import figure, print_rows, say
-from spatialviz.report import Subject, failure_page, write_page
 
 _STYLE = {"same": "green", "updated": "yellow", "changed": "red", "damaged": "red"}
 
@@ -76,7 +75,6 @@ def run_save_case(command: SaveCaseCommand) -> None:
         edits=edits,
         run=None if run is None else {"run": str(run.folder)},
         name=command.name,
-        copy_network=command.copy_srm,
     )
     command.write({"case": str(command.out), **answer_record(now)}, print_saved, now, command.out)
 
@@ -116,7 +114,9 @@ def run_replay(command: ReplayCommand) -> int:
 
 
 def run_report(command: ReportCommand) -> None:
-    from spatialviz.report.scene import scene_html  # Brings viser in.
+    # Bring viser in.
+    from spatialviz.report.page import Subject, failure_page, write_page
+    from spatialviz.report.scene import scene_html
 
     require(
         not (command.out.is_dir() or (command.out.exists() and not command.overwrite)),

@@ -7,7 +7,7 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -22,6 +22,9 @@ from pipeline.proposals.recorded import MADE_BY, MADE_BY_FILE
 from pipeline.system.errors import InputError, UnknownClass, require
 from pipeline.system.whole_files import temporary_folder, text_file, whole_file
 
+Record = dict[str, Any]
+"""Detection as JSON: label, score, bbox; mask, segmented and id where it has them."""
+
 
 @dataclass(frozen=True)
 class RecordingReport:
@@ -33,17 +36,6 @@ class RecordingReport:
     unknown: tuple[str, ...]  # Names that the detector does not know
     seconds: float
     classes: dict[str, int] = field(default_factory=dict)  # Detections by label, the commonest first
-
-
-@dataclass(frozen=True)
-class RecordedDetection:
-    """Detection as written; an object found under several labels has a single id."""
-
-    id: int
-    label: str
-    score: float
-    bbox: tuple[float, ...]
-    counts: str | None
 
 
 def record_detections(
@@ -94,7 +86,7 @@ def record_detections(
             else:
                 write(frame, found)
                 frames, detections = frames + 1, detections + len(found)
-                classes.update(one.label for one in found)
+                classes.update(one["label"] for one in found)
             if progress is not None:
                 progress(done, len(chosen))
         if not frames:
@@ -108,11 +100,11 @@ def record_detections(
 
 def findings(
     frame: Frame, detector: Detector, class_names: Sequence[str] | None, k: int, unknown: dict[str, int] | None = None
-) -> list[RecordedDetection]:
+) -> list[Record]:
     """Detections of a frame: for each name the K best; `unknown` counts the refused names."""
     queries: list[list[str] | None] = [None] if class_names is None else [[name] for name in class_names]
-    best: dict[tuple[int, str], RecordedDetection] = {}
-    codes: dict[int, str | None] = {}
+    best: dict[tuple[int, str], Record] = {}
+    masks: dict[int, Record | None] = {}
     nameless = 0
     for query in queries:
         try:
@@ -124,50 +116,46 @@ def findings(
             continue
         if query is not None and not detector.exact:
             found = top_k(found, k)
-        for i in range(len(found)):
-            entry = finding_of(found, i)
-            if entry.id < 0:
+        for i, number in enumerate(found.ids.tolist()):
+            if number < 0:
                 # Without an identity each detection is a thing of its own.
                 nameless -= 1
-                entry = replace(entry, id=nameless)
-            entry = replace(entry, counts=codes.setdefault(entry.id, entry.counts))
-            other = best.get((entry.id, entry.label))
-            if other is None or entry.score > other.score:
-                best[entry.id, entry.label] = entry
+                number = nameless
+            if number not in masks:
+                masks[number] = mask_record(found, i)
+            entry = detection_record(found, i, masks[number])
+            key = number, entry["label"]
+            if key not in best or entry["score"] > best[key]["score"]:
+                best[key] = entry
     return list(best.values())
 
 
-def finding_of(found: Proposals, i: int) -> RecordedDetection:
-    """Detection of a detector's run."""
-    masked = found.masks is not None and (found.has_mask is None or found.has_mask[i])
-    code = encode_run_length(found.masks[i]) if found.masks is not None and masked else None
-    return RecordedDetection(
-        int(found.ids[i]), found.label(i), float(found.scores[i]), tuple(map(float, found.boxes[i])), code
-    )
+def mask_record(found: Proposals, i: int) -> Record | None:
+    """Mask of a detection in COCO's code; None for a mere box."""
+    if found.masks is None or (found.has_mask is not None and not found.has_mask[i]):
+        return None
+    return {"size": found.masks.shape[1:], "counts": encode_run_length(found.masks[i])}
 
 
-def detection_record(frame: Frame, finding: RecordedDetection, segmented: bool = False) -> dict[str, Any]:
-    """Detection as JSON; `segmented` marks a mask made by a segmenter."""
-    record: dict[str, Any] = {"label": finding.label, "score": finding.score, "bbox": finding.bbox}
-    if finding.counts is not None:
-        record["mask"] = {"size": (frame.height, frame.width), "counts": finding.counts}
-        record |= {"segmented": True} if segmented else {}
-    if finding.id >= 0:
-        record["id"] = finding.id
-    return record
+def detection_record(found: Proposals, i: int, mask: Record | None, segmented: bool = False) -> Record:
+    """Detection as JSON, without an absent mask or identity; `segmented` marks a mask made by a segmenter."""
+    record: Record = {"label": found.label(i), "score": float(found.scores[i]), "bbox": found.boxes[i].tolist()}
+    if mask is not None:
+        record |= {"mask": mask} | ({"segmented": True} if segmented else {})
+    return record | ({"id": int(found.ids[i])} if found.ids[i] >= 0 else {})
 
 
 @contextmanager
-def _json_file(out: Path, made_by: str) -> Iterator[Callable[[Frame, list[RecordedDetection]], None]]:
+def _json_file(out: Path, made_by: str) -> Iterator[Callable[[Frame, list[Record]], None]]:
     """Write a JSON file frame by frame, visible once complete."""
     require(not out.is_dir(), "the recording would replace a folder", expected="the name of a file", path=out)
     with whole_file(out, "the recording") as temporary, text_file(temporary) as file:
         file.write(f'{{"{MADE_BY}": {json.dumps(made_by)}, "frames": {{')
         lines = 0
 
-        def write(frame: Frame, found: list[RecordedDetection]) -> None:
+        def write(frame: Frame, found: list[Record]) -> None:
             nonlocal lines
-            entries = json.dumps([detection_record(frame, f) for f in found], allow_nan=False)
+            entries = json.dumps(found, allow_nan=False)
             file.write(f"{',' if lines else ''}\n{json.dumps(frame.id)}: {entries}")
             lines += 1
 
@@ -176,7 +164,7 @@ def _json_file(out: Path, made_by: str) -> Iterator[Callable[[Frame, list[Record
 
 
 @contextmanager
-def _npz_folder(out: Path, made_by: str) -> Iterator[Callable[[Frame, list[RecordedDetection]], None]]:
+def _npz_folder(out: Path, made_by: str) -> Iterator[Callable[[Frame, list[Record]], None]]:
     """Write a folder of NPZ files, visible once complete."""
     require(
         not (out.exists() and not (out.is_dir() and not any(out.iterdir()))),
@@ -191,16 +179,16 @@ def _npz_folder(out: Path, made_by: str) -> Iterator[Callable[[Frame, list[Recor
         os.replace(partial, out)
 
 
-def _write_arrays(folder: Path, frame: Frame, found: list[RecordedDetection]) -> None:
+def _write_arrays(folder: Path, frame: Frame, found: list[Record]) -> None:
     path = folder / (frame.id.replace("/", "__") + ".npz")
     require(not path.exists(), "two frames would have one file", got=frame.id, path=path)
     arrays: dict[str, Any] = {
-        "boxes": np.array([f.bbox for f in found], np.float32).reshape(-1, 4),
-        "scores": np.array([f.score for f in found], np.float32),
-        "labels": np.array([f.label for f in found], np.str_),
-        "mask_counts": np.array([(f.counts or "").encode("ascii") for f in found], np.bytes_),
+        "boxes": np.array([f["bbox"] for f in found], np.float32).reshape(-1, 4),
+        "scores": np.array([f["score"] for f in found], np.float32),
+        "labels": np.array([f["label"] for f in found], np.str_),
+        "mask_counts": np.array([f["mask"]["counts"].encode() if "mask" in f else b"" for f in found], np.bytes_),
         "mask_size": np.array([frame.height, frame.width]),
     }
-    if all(f.id >= 0 for f in found):
-        arrays["ids"] = np.array([f.id for f in found], np.int64)
+    if all("id" in f for f in found):
+        arrays["ids"] = np.array([f["id"] for f in found], np.int64)
     np.savez_compressed(path, **arrays)

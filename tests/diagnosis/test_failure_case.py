@@ -273,22 +273,26 @@ def test_the_first_module_that_gives_something_else_is_named(
     assert replay_case(asked_else).moved == "PARSE"
 
 
-def test_a_network_file_is_copied_on_request_and_else_asked_for(tmp_path: Path) -> None:
+def test_a_network_of_ones_own_comes_along_and_is_asked_for_where_it_did_not(tmp_path: Path) -> None:
     from pipeline.relations import make_scorer, shipped_network
 
     file = tmp_path / "mine.onnx"
     shutil.copyfile(shipped_network(), file)
     used, context = replace(made(), scorer=make_scorer(file)), context_of()
-    save_case(tmp_path / "copied", used, context, TEXT, copy_network=True)
-    save_case(tmp_path / "named", used, context, TEXT)
+    case = tmp_path / "case"
+    save_case(case, used, context, TEXT)
     file.unlink()
-    assert replay_case(open_case(tmp_path / "copied")).same
+    assert replay_case(open_case(case)).same
+    assert str(tmp_path) not in (case / MANIFEST).read_text()
+    # A case of before may lack it.
+    table = json.loads((case / MANIFEST).read_text())
+    table["scorer"]["in_case"] = False
+    (case / MANIFEST).write_text(json.dumps(table))
     with pytest.raises(InputError, match=r"'mine.onnx' is not in the case; expected --srm FILE"):
-        open_case(tmp_path / "named")
-    given = replay_case(open_case(tmp_path / "named", srm=shipped_network()))
+        open_case(case)
+    given = replay_case(open_case(case, srm=shipped_network()))
     assert given.same
     assert not given.warnings
-    assert str(tmp_path) not in (tmp_path / "named" / MANIFEST).read_text()
 
 
 def test_a_case_that_cannot_be_asked_is_kept_with_its_verdict(tmp_path: Path) -> None:

@@ -10,8 +10,12 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, FiniteFloat, TypeAdapter
 
 from pipeline.answering.ask import AskConfig
+from pipeline.answering.fitted_ranking import FittedRanking, Scale
+from pipeline.answering.fitted_scorer import FittedScorer
+from pipeline.answering.pair_rules import RunRules
+from pipeline.answering.predictions import Predictions
+from pipeline.datasets.base import Dataset
 from pipeline.datasets.saved_case import CASE_FORMAT, DAMAGED, MANIFEST, Four, SavedFrame, Three
-from pipeline.diagnosis.cases.kept_predictions import ShownRecord
 from pipeline.labels.cases import Case, FrameCases
 from pipeline.language.naming import Synonyms
 from pipeline.language.relation_names import PAIRWISE
@@ -58,6 +62,35 @@ class ScorerRecord(_Strict):
     file: str | None = None
     sha256: str | None = None
     in_case: bool = False
+
+
+class ShownRankingRecord(_Strict):
+    """`FittedRanking` as JSON."""
+
+    weights: tuple[FiniteFloat, ...]
+    unit: FiniteFloat
+    scale: Scale = "values"
+
+
+class ShownRecord(_Strict):
+    """Findings from a whole file of predictions."""
+
+    level: int
+    true_scores: tuple[FiniteFloat, FiniteFloat]
+    ranking: ShownRankingRecord | None = None
+    # The scorer's fit by relation; None where the file names its scorer
+    relations: dict[str, tuple[FiniteFloat, ...] | None] | None = None
+
+    @property
+    def rules(self) -> RunRules:
+        """Rules for `ImportedPipeline`."""
+        shown = self.ranking and FittedRanking(np.array(self.ranking.weights), self.ranking.unit, self.ranking.scale)
+        return RunRules(shown, self.true_scores)
+
+    def scorer(self, read: Predictions, dataset: Dataset) -> FittedScorer:
+        """Stand-in for the scorer of the predictions."""
+        told = {k: None if w is None else np.array(w) for k, w in (self.relations or {}).items()}
+        return FittedScorer(read, dataset, told)
 
 
 def config_record(config: AskConfig) -> dict[str, Any]:

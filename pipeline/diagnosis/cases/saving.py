@@ -15,11 +15,11 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from pipeline.answering.imported import ImportedPipeline
+from pipeline.answering.imported import ImportedPipeline, config_of
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.pair_rules import RunRules
 from pipeline.answering.pipeline import Pipeline
-from pipeline.answering.predictions import Predictions
+from pipeline.answering.predictions import Predictions, read_predictions
 from pipeline.datasets.saved_case import (
     CASE_FORMAT,
     MANIFEST,
@@ -31,8 +31,14 @@ from pipeline.datasets.saved_case import (
 from pipeline.datasets.settings import Settings
 from pipeline.diagnosis.answer import Answer, Edited, answer_record
 from pipeline.diagnosis.asking import answer
-from pipeline.diagnosis.cases.kept_predictions import keep_predictions, kept_source, named_scorer, newer_source
-from pipeline.diagnosis.cases.kept_proposals import KeptDetector, keep_proposals, read_proposals
+from pipeline.diagnosis.cases.kept import (
+    KeptDetector,
+    imported_source,
+    keep_predictions,
+    keep_proposals,
+    named_scorer,
+    read_proposals,
+)
 from pipeline.diagnosis.cases.manifest import (
     NETWORK,
     PREDICTIONS,
@@ -59,9 +65,6 @@ from pipeline.system.safe_files import read_bytes
 from pipeline.system.version import __version__
 from pipeline.system.whole_files import sha256_of, temporary_sibling, write_synced, write_whole
 
-LARGEST_COPY = 16 * 2**20
-"""Bytes of a relation network that may be copied into a case."""
-
 
 def save_case(
     folder: str | Path,
@@ -77,7 +80,6 @@ def save_case(
     run: Mapping[str, Any] | None = None,
     name: str | None = None,
     expected: Mapping[str, Any] | None = None,
-    copy_network: bool = False,
 ) -> Answer:
     """Write a case, and run it once from its folder to check the answer.
 
@@ -101,8 +103,6 @@ def save_case(
         Its title; the expression and the frame by default.
     expected : mapping, optional
         The answer that a replay is compared with, as `answer_record` gives it; by default the answer now.
-    copy_network : bool
-        Put the ONNX file of the relation network into the folder.
 
     Returns
     -------
@@ -130,7 +130,7 @@ def save_case(
         made_relations = source.scorer if shown.relations is not None else named_scorer(source)
     else:
         files[PROPOSALS] = _json(_proposals(source, context, now, case)).encode()
-    scorer, network = _scorer_record(made_relations, copy_network)
+    scorer, network = _scorer_record(made_relations)
     if network is not None:
         files[NETWORK] = network
     judged = now.diagnosis
@@ -218,8 +218,8 @@ def _json(record: dict[str, Any]) -> str:
     return json.dumps(record, ensure_ascii=False, allow_nan=False, indent=1) + "\n"
 
 
-def _scorer_record(scorer: RelationScorer, copy: bool) -> tuple[ScorerRecord, bytes | None]:
-    """Record of the relation scorer, and its file where copied into the case."""
+def _scorer_record(scorer: RelationScorer) -> tuple[ScorerRecord, bytes | None]:
+    """Record of the relation scorer, and the file of a network that does not come with the program."""
     if isinstance(scorer, SuppliedRelations):
         return ScorerRecord(kind="imported", name=scorer.name), None
     if isinstance(scorer, RuleScorer):
@@ -227,24 +227,15 @@ def _scorer_record(scorer: RelationScorer, copy: bool) -> tuple[ScorerRecord, by
     path = getattr(scorer, "path", None)
     if not isinstance(path, Path):
         raise InputError("the relation scorer has no file to be known by", got=scorer.name)
-    data = read_bytes(path, "model")
+    data, shipped = read_bytes(path, "model"), path.resolve() == shipped_network().resolve()
     record = ScorerRecord(
-        kind="trained" if path.resolve() == shipped_network().resolve() else "file",
+        kind="trained" if shipped else "file",
         name=scorer.name,
         file=path.name,
         sha256=hashlib.sha256(data).hexdigest(),
-        in_case=copy,
+        in_case=not shipped,
     )
-    if not copy:
-        return record, None
-    require(
-        len(data) <= LARGEST_COPY,
-        "the relation network is too large for a case",
-        got=f"{len(data) / 2**20:.0f} MB",
-        expected=f"at most {LARGEST_COPY >> 20} MB",
-        path=path,
-    )
-    return record, data
+    return record, None if shipped else data
 
 
 @dataclass(frozen=True)
@@ -309,7 +300,9 @@ class OpenedCase:
 
     def with_predictions(self, predictions: Predictions, rules: RunRules | None = None) -> OpenedCase:
         """Case answered by another pipeline, possibly a later version of its own."""
-        source = newer_source(predictions, self.manifest.shown, self.source, rules)
+        own, shown = self.source, self.manifest.shown
+        scorer = RuleScorer() if shown is None else shown.scorer(predictions, own.dataset)
+        source = imported_source(predictions, own.dataset, scorer, config_of(predictions), own.synonyms, rules)
         return replace(self, source=source, notes=())
 
 
@@ -356,9 +349,11 @@ def open_case(
 def _imported_source(
     root: Path, table: dict[str, Any], manifest: CaseManifest, scorer: RelationScorer | None
 ) -> ImportedPipeline:
-    assert manifest.shown is not None
-    file, dataset = checked_file(root, table, PREDICTIONS), SavedCaseDataset(root, Settings())
-    return kept_source(file, manifest.shown, dataset, scorer, manifest.config, manifest.synonyms)
+    shown, dataset = manifest.shown, SavedCaseDataset(root, Settings())
+    assert shown is not None
+    read = replace(read_predictions(checked_file(root, table, PREDICTIONS)), least=shown.level)
+    scorer = scorer or shown.scorer(read, dataset)
+    return imported_source(read, dataset, scorer, manifest.config, manifest.synonyms, shown.rules)
 
 
 def _own_source(root: Path, table: dict[str, Any], manifest: CaseManifest, scorer: RelationScorer | None) -> Pipeline:

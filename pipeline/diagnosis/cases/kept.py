@@ -1,8 +1,9 @@
-"""Proposals of a detector for each asked name, before K and suppression, with and without its minimum score.
+"""What a case keeps of its detector, or of another pipeline: what was given for each asked name, and played back.
 
-The file is also a recording of one frame (`pipeline.proposals.recorded`): what
-a recording does not have stands beside its "frames". Scores and boxes are
-written so that reading gives the same float32 numbers.
+Proposals are those before K and suppression, with and without the detector's minimum score. Their file is also a
+recording of one frame (`pipeline.proposals.recorded`): what a recording does not have stands beside its "frames".
+Predictions are the lines of the frame. A ranking and a scorer that cannot be asked again are known by all pairs of
+their file (`pair_rules`, `fitted_scorer`); a case has those of one frame, and so keeps what was found.
 """
 
 from __future__ import annotations
@@ -17,12 +18,21 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, Field
 
-from pipeline.answering.recording import detection_record, finding_of
-from pipeline.diagnosis.cases.manifest import validated
+from pipeline.answering.ask import AskConfig
+from pipeline.answering.fitted_scorer import FittedScorer
+from pipeline.answering.imported import ImportedDetector, ImportedPipeline, scorer_of
+from pipeline.answering.pair_rules import RunRules
+from pipeline.answering.predictions import Predictions, as_json
+from pipeline.answering.recording import detection_record, mask_record
+from pipeline.datasets.base import Dataset
+from pipeline.diagnosis.cases.manifest import ShownRankingRecord, ShownRecord, validated
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import RunLength
+from pipeline.language.naming import Synonyms
 from pipeline.proposals.base import Detector, Proposals
 from pipeline.proposals.recorded import Playback, RecordedDetection, as_arrays
+from pipeline.relations import RelationScorer
+from pipeline.relations.scorer import SuppliedRelations
 from pipeline.system.errors import InputError, UnknownClass, as_input_error, require
 from pipeline.system.safe_files import parse_json, read_bytes
 
@@ -57,7 +67,7 @@ def keep_proposals(frame: Frame, detector: Detector, unfiltered: Detector, names
 
     def keep(found: Proposals) -> list[int]:
         by_segmenter = np.zeros(len(found), np.bool_) if found.segmented is None else found.segmented
-        rows = [detection_record(frame, finding_of(found, i), bool(s)) for i, s in enumerate(by_segmenter)]
+        rows = [detection_record(found, i, mask_record(found, i), bool(s)) for i, s in enumerate(by_segmenter)]
         index = []
         for row in rows:
             # Without an identity two equal detections are two things.
@@ -140,3 +150,36 @@ def read_proposals(path: Path) -> tuple[KeptProposals, str]:
         path=path,
     )
     return kept, hashlib.sha256(data).hexdigest()
+
+
+def keep_predictions(source: ImportedPipeline, frame: str) -> tuple[bytes, ShownRecord]:
+    """Lines of a frame as a file of predictions, with the findings from the whole file."""
+    file, rules, stand_in = source.predictions, source.rules, named_scorer(source)
+    lines = (as_json(thing) for thing in (replace(file.header, events=False), *file.of_frame(frame)))
+    ranking = rules.shown and ShownRankingRecord(
+        weights=tuple(rules.shown.weights.tolist()), unit=rules.shown.unit, scale=rules.shown.scale
+    )
+    relations = None
+    if isinstance(stand_in, FittedScorer):
+        relations = {k: None if w is None else tuple(w.tolist()) for k, w in stand_in.weights.items()}
+    shown = ShownRecord(level=file.level, true_scores=rules.true_scores, ranking=ranking, relations=relations)
+    return "".join(f"{line}\n" for line in lines).encode(), shown
+
+
+def named_scorer(source: ImportedPipeline) -> RelationScorer:
+    """Scorer of pairs missing in the file."""
+    assert isinstance(source.scorer, SuppliedRelations)
+    return source.scorer.stand_in
+
+
+def imported_source(
+    read: Predictions,
+    dataset: Dataset,
+    scorer: RelationScorer,
+    config: AskConfig,
+    synonyms: Synonyms | None,
+    rules: RunRules | None,
+) -> ImportedPipeline:
+    """Pipeline of a case by predictions; `scorer`: the one they name, or a stand-in for theirs."""
+    relations = scorer_of(read, None, scorer)
+    return ImportedPipeline(dataset, ImportedDetector(read), relations, config, synonyms, predictions=read, shown=rules)
