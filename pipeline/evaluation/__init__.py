@@ -10,10 +10,9 @@ from pipeline.system.lazy_exports import lazy_exports
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from pipeline.evaluation.adapters import import_published
-    from pipeline.evaluation.browsing import RunRows
+    from pipeline.evaluation.browsing import RunRows, complete, with_value
     from pipeline.evaluation.comparing import CHANGES, answer_differences, compare
     from pipeline.evaluation.costs import oracle_deltas
-    from pipeline.evaluation.facets import with_value
     from pipeline.evaluation.importing import export_run, import_run
     from pipeline.evaluation.job import RunReport, evaluate_dataset
     from pipeline.evaluation.judging_again import judge_again
@@ -34,8 +33,7 @@ if TYPE_CHECKING:
         recorded_verdict,
     )
     from pipeline.evaluation.run_folder import Run, open_run, spec_record
-    from pipeline.evaluation.search import complete, find_failures, find_rows
-    from pipeline.evaluation.search_words import quote
+    from pipeline.evaluation.search import find_failures, find_rows, quote
     from pipeline.evaluation.sentence_files import Sentence, SentenceFile, read_sentence_file
     from pipeline.evaluation.sentence_report import SentenceReport, evaluate_sentences
     from pipeline.evaluation.slices import Slices, slice_by, slice_table

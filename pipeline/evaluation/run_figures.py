@@ -12,11 +12,11 @@ import numpy as np
 from pipeline.answering.imported import file_of
 from pipeline.datasets.base import load_picture
 from pipeline.diagnosis.verdict import RULES_VERSION, Diagnosis
-from pipeline.evaluation.browsing import RunRows, labelled_boxes
+from pipeline.evaluation.browsing import RunRows, completions, labelled_boxes
 from pipeline.evaluation.comparing import Comparison, compare
 from pipeline.evaluation.confusion import Confusion, answer_standings, count_standings
 from pipeline.evaluation.run_folder import Run
-from pipeline.evaluation.search import Field, completions
+from pipeline.evaluation.search import Field
 from pipeline.evaluation.slices import Slices, slice_by
 from pipeline.evaluation.summary import RunSummary, summarise_run
 from pipeline.language.counted import counted

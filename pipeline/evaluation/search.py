@@ -14,8 +14,7 @@ from __future__ import annotations
 import atexit
 import difflib
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -26,21 +25,98 @@ from pipeline.diagnosis.verdict import MODULE_OF, VERDICTS
 from pipeline.evaluation.comparing import CHANGE, CHANGES, SECOND
 from pipeline.evaluation.records import DIAGNOSIS_COLUMNS
 from pipeline.evaluation.run_notes import MARKS
-from pipeline.evaluation.search_words import Term, Value, quote, read_terms
 from pipeline.evaluation.summary import need_verdicts
 from pipeline.labels.statistics import quoted
 from pipeline.language.relation_names import PAIRWISE, PHRASE
-from pipeline.system.arrow import pa, pc
+from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
 from pipeline.system.limits import current_limits
 
 if TYPE_CHECKING:
     import duckdb
 
+_HEAD = re.compile(r"(-)?(?:([A-Za-z_]\w*)(:|\s*(?:<=|>=|!=|<|>|=)\s*))?")
+_QUOTED = re.compile(r'"((?:[^"\\]|\\.)*)"', re.DOTALL)
+_BARE = re.compile(r'[^\s,"]+')
+_FREE = re.compile(r"\S+")
+
+
+@dataclass(frozen=True)
+class Value:
+    """One value of a term."""
+
+    text: str
+    quoted: bool = False  # then `*` and `none` mean themselves
+
+    @property
+    def written(self) -> str:
+        """Write as in a search."""
+        return quote(self.text, self.quoted) if self.quoted else self.text
+
+
+@dataclass(frozen=True)
+class Term:
+    """One condition of a search; all of them must hold."""
+
+    field: str | None  # None for a free word
+    operator: str  # one of : = != < <= > >=; ":" for a free word
+    values: tuple[Value, ...]  # any of them may hold
+    negated: bool = False
+
+    @property
+    def written(self) -> str:
+        """Write as in a search."""
+        head = "" if self.field is None else f"{self.field}{self.operator}"
+        return f"{'-' if self.negated else ''}{head}{','.join(v.written for v in self.values)}"
+
+
+def read_terms(text: str) -> tuple[Term, ...]:
+    """Take a search apart.
+
+    Raises InputError: a quote is not closed, or a value is missing.
+    """
+    terms = []
+    at = len(text) - len(text.lstrip())
+    while at < len(text):
+        head = _HEAD.match(text, at)
+        assert head is not None
+        negated, field, operator = head.group(1) is not None, head.group(2), (head.group(3) or ":").strip()
+        start, at = at, head.end()
+        value, at = _value(text, at, _FREE if field is None else _BARE, text[start:at])
+        values = [value]
+        while field is not None and text.startswith(",", at):
+            value, at = _value(text, at + 1, _BARE, text[start : at + 1])
+            values.append(value)
+        require(
+            at >= len(text) or text[at].isspace(), "a space is missing in the search", got=repr(text[start : at + 1])
+        )
+        terms.append(Term(field, operator, tuple(values), negated))
+        at = len(text) - len(text[at:].lstrip())
+    return tuple(terms)
+
+
+def _value(text: str, at: int, bare: re.Pattern[str], before: str) -> tuple[Value, int]:
+    if text.startswith('"', at):
+        found = _QUOTED.match(text, at)
+        if found is None:
+            raise InputError("a quote is not closed in the search", got=repr(text[at:]))
+        return Value(re.sub(r"\\(.)", r"\1", found.group(1), flags=re.DOTALL), True), found.end()
+    found = bare.match(text, at)
+    if found is None:
+        raise InputError("a value is missing in the search", got=repr(before.strip()))
+    return Value(found.group()), found.end()
+
+
+def quote(text: str, always: bool = False) -> str:
+    """Write a value for a search literally; with `always` in quotes also where none are needed."""
+    if not always and re.fullmatch(r"[A-Za-z0-9_./+-]+", text) and text.lower() != "none":
+        return text
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'
+
+
 Condition = tuple[str, list[Any]]
 _YES, _NO = ("yes", "true", "1"), ("no", "false", "0")
-_WORD = re.compile(r'(?:[^\s"]|"(?:[^"\\]|\\.)*(?:"|$))+')
-"""A quote that is open or closed belongs to its word, blanks included."""
 
 Kind = Literal["text", "words", "number", "flag", "names"]
 
@@ -348,47 +424,3 @@ def _names(field: Field, term: Term) -> Condition:
     elif chosen:
         parts.append(f"list_sort({column}) = list_sort([{', '.join('?' for _ in chosen)}])")
     return _any(parts), list(chosen)
-
-
-def completions(records: pa.Table, most: int = 200) -> tuple[Field, ...]:
-    """List the fields of a run with their values, for completion."""
-    found = fields_of(records.schema).values()
-    return tuple(replace(f, values=_occurring(f, records.column(f.column), most)) for f in found)
-
-
-def _occurring(field: Field, column: Any, most: int) -> tuple[str, ...]:
-    """The values of a field, as `Field.values`."""
-    # Ids are not chosen from a list.
-    if field.kind == "text" and field.column != "id":
-        counts = column.drop_null().value_counts().to_pylist()
-        return tuple(quote(c["values"]) for c in sorted(counts, key=lambda c: (-c["counts"], c["values"]))[:most])
-    if field.kind == "flag":
-        return ("yes", "no")
-    if field.kind == "names":
-        flat = column.drop_null().combine_chunks().flatten()
-        return tuple(sorted(str(v) for v in flat.unique().to_pylist() if v is not None))
-    if field.kind == "number" and column.null_count < len(column):
-        ends = pc.min_max(column).as_py()  # pyright: ignore[reportAttributeAccessIssue]
-        return (f"{ends['min']:.6g}", f"{ends['max']:.6g}")
-    return ()
-
-
-def complete(typed: str, fields: Sequence[Field], most: int = 20) -> list[str]:
-    """Complete the last word of a search, each offer as the whole word."""
-    words = list(_WORD.finditer(typed))
-    word = words[-1][0] if words and words[-1].end() == len(typed) else ""
-    minus, bare = ("-", word[1:]) if word.startswith("-") else ("", word)
-    name, colon, value = bare.partition(":")
-    if not colon:
-        ends = {"flag": "", "number": "<"}
-        offered = [f"{minus}{f.name}{ends.get(f.kind, ':')}" for f in fields if f.name.startswith(bare.lower())]
-        return [*offered, *([f"{SORT}:"] if SORT.startswith(bare.lower()) else [])][:most]
-    if name.lower() == SORT:
-        down = "-" if value.startswith("-") else ""
-        return [f"{SORT}:{down}{f.name}" for f in fields if f.name.startswith(value.removeprefix("-").lower())][:most]
-    before, comma, last = value.rpartition(",")
-    start = last.lstrip('"').lower()
-    chosen = [f for f in fields if f.name == name.lower() and f.kind not in ("number", "words")]
-    return [
-        f"{minus}{name}:{before}{comma}{v}" for f in chosen for v in f.values if v.lstrip('"').lower().startswith(start)
-    ][:most]

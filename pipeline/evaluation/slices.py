@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.diagnosis.verdict import VERDICTS, shown_verdicts
 from pipeline.evaluation.grounding_tables import clusters_of
-from pipeline.evaluation.search_words import quote
+from pipeline.evaluation.search import quote
 from pipeline.evaluation.summary import has_verdicts
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, ratio

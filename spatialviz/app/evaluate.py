@@ -8,10 +8,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pipeline.evaluation.facets import with_value
+from pipeline.evaluation.browsing import complete, with_value
 from pipeline.evaluation.run_figures import STANDS_IN, Listing, RunFigures, figures_of
 from pipeline.evaluation.run_notes import MARKS
-from pipeline.evaluation.search import FAILURES, complete
+from pipeline.evaluation.search import FAILURES
 from pipeline.system.errors import InputError
 from spatialviz.app.context import Context, Part, command, there
 from spatialviz.app.evaluate_html import (

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
+from pipeline.evaluation.browsing import Facet, FacetValue
 from pipeline.evaluation.comparing import CHANGES
-from pipeline.evaluation.facets import Facet, FacetValue
 from pipeline.evaluation.run_figures import Listing
 from pipeline.evaluation.run_notes import MARKS, Notes
 from pipeline.geometry.palette import VERDICTS as COLORS

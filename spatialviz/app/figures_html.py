@@ -13,8 +13,7 @@ from pipeline.evaluation.comparing import CHANGES
 from pipeline.evaluation.confusion import NO_ANSWER, OTHERS, Confusion
 from pipeline.evaluation.leakage import Share, title_of
 from pipeline.evaluation.run_figures import STANDS_IN, RunFigures, doubts_of
-from pipeline.evaluation.search import FAILURES
-from pipeline.evaluation.search_words import quote
+from pipeline.evaluation.search import FAILURES, quote
 from pipeline.evaluation.slices import Slice, Slices
 from pipeline.evaluation.summary import SHORT, RunSummary, cost_words, residual_words
 from pipeline.geometry.palette import VERDICTS as COLORS

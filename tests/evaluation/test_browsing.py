@@ -17,8 +17,8 @@ from run_records import random_records
 
 from pipeline.datasets import demo_run
 from pipeline.evaluation import CHANGES, RunRows, compare, find_failures, find_rows, with_value
+from pipeline.evaluation.browsing import facets_of
 from pipeline.evaluation.comparing import changes, with_second
-from pipeline.evaluation.facets import Facets
 from pipeline.evaluation.run_notes import FILE, keep_filter, mark, notes_path, read_notes
 from pipeline.system import InputError
 
@@ -50,7 +50,7 @@ QUERIES = (
 @given(st.integers(0, 2), st.sampled_from(QUERIES))
 def test_a_facet_counts_what_the_rest_of_the_search_finds(number: int, query: str) -> None:
     records = PAIRS[number]
-    for facet in Facets(records).of(query):
+    for facet in facets_of(records, query):
         own = [v for v in facet.values if v.state]
         for value in facet.values:
             # The search without this facet's own terms, and with the value.
@@ -67,10 +67,10 @@ def test_a_facet_counts_what_the_rest_of_the_search_finds(number: int, query: st
 @given(st.integers(0, 2), st.sampled_from(QUERIES), st.data())
 def test_a_value_that_is_asked_for_twice_is_taken_back(number: int, query: str, data: st.DataObject) -> None:
     records = PAIRS[number]
-    facet = data.draw(st.sampled_from(Facets(records).of(query)))
+    facet = data.draw(st.sampled_from(facets_of(records, query)))
     value = data.draw(st.sampled_from(facet.values))
     once = with_value(query, value.term, records.schema)
-    states = {v.name: v.state for f in Facets(records).of(once) for v in f.values if f.name == facet.name}
+    states = {v.name: v.state for f in facets_of(records, once) for v in f.values if f.name == facet.name}
     assert states.get(value.name, 0) == (0 if value.state == 1 else 1), (query, once)
     if facet.ranges:
         return
@@ -111,7 +111,7 @@ def test_the_second_run_sorts_every_expression_into_one_change() -> None:
             assert row["verdict"] == row["second_verdict"]
     assert set(changes(before, before).tolist()) == {"same"}
     assert find_failures(rows, "change:broken").column("id").to_pylist() == ids["broken"]
-    counted = {v.name: v.count for f in Facets(rows).of() if f.name == "change" for v in f.values}
+    counted = {v.name: v.count for f in facets_of(rows) if f.name == "change" for v in f.values}
     assert sum(counted.values()) == before.num_rows
     with pytest.raises(InputError, match="no expression in common"):
         with_second(before, before.slice(0, 0))

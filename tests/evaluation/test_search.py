@@ -15,9 +15,9 @@ from run_records import CLASSES, RELATIONS, random_records
 
 from pipeline.diagnosis import ORACLES, VERDICTS
 from pipeline.evaluation import complete, find_failures, find_rows, quote
+from pipeline.evaluation.browsing import completions
 from pipeline.evaluation.records import records_schema
-from pipeline.evaluation.search import compile_search, completions
-from pipeline.evaluation.search_words import read_terms
+from pipeline.evaluation.search import compile_search, read_terms
 from pipeline.system import InputError
 
 TABLES = [random_records(seed) for seed in range(4)]
