@@ -16,7 +16,7 @@ from pipeline.language.relation_names import PHRASE
 from pipeline.metrics.tables import shown
 from pipeline.paper.ablation import AblationConfig, compare_features
 from pipeline.relations.features import CLI_FEATURES
-from pipeline.relations.installed import install_network
+from pipeline.relations.model import install_network
 from pipeline.system.errors import require
 from pipeline.training.card import RoomConfig, train_on_rooms
 from pipeline.training.label_training import LabelTraining, train_on_labels
@@ -68,14 +68,14 @@ def run_retrain(command: RetrainCommand) -> None:
         options = command.source.camera()
         job = RetrainingJob(
             command.labels,
-            command.out,
             command.journal.journal,
             command.journal.project,
             command.source.dataset,
             options,
-            command.run_folder,
-            config,
-            command.workers,
+            out=command.out,
+            run=command.run_folder,
+            config=config,
+            workers=command.workers,
         )
         with progress_bars() as advance:
             done = run_retraining(job, advance)
@@ -96,7 +96,7 @@ def run_retrain(command: RetrainCommand) -> None:
 
 def run_install(command: InstallCommand) -> None:
     done = install_network(command.network, command.name, overwrite=command.overwrite)
-    command.write({"name": done.name, "path": str(done.path)}, say, f"--srm {done.name} is now {done.path}")
+    command.write({"name": done.stem, "path": str(done)}, say, f"--srm {done.stem} is now {done}")
 
 
 @contextmanager

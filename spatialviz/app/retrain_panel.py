@@ -59,10 +59,10 @@ class RetrainPanel(LabelPart):
             place.jobs.train(
                 RetrainingJob(
                     place.labels.root,
-                    folder / f"{name}-{datetime.now():%Y%m%d-%H%M%S}",
                     None if place.where is None else str(place.where),
                     place.project,
                     str(self.ctx.source.dataset.root),
+                    out=folder / f"{name}-{datetime.now():%Y%m%d-%H%M%S}",
                     run=None if run is None else run.folder,
                 )
             )

@@ -102,9 +102,8 @@ class ReviewQueue(LabelPart):
         if place.jobs.queue.running:
             return
         place.jobs.make(
-            lambda out: QueueJob(
+            QueueJob(
                 place.labels.root,
-                out,
                 None if place.where is None else str(place.where),
                 place.project,
                 str(queue.source.dataset.root),

@@ -91,9 +91,9 @@ def circle(
     place.close()
     job = RetrainingJob(
         planted.root,
-        folder / "out",
         str(folder / "journal.sqlite"),
         dataset="demo",
+        out=folder / "out",
         run=failed,
         config=replace(CONFIG, split="scene"),
     )
@@ -143,8 +143,8 @@ def test_runs_of_the_circle_can_be_opened_and_name_what_made_them(circle: Retrai
 
 def test_without_corrections_nothing_is_trained(planted: Labels, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no journal here"):
-        run_retraining(RetrainingJob(planted.root, tmp_path / "out", str(tmp_path / "none.sqlite")))
+        run_retraining(RetrainingJob(planted.root, str(tmp_path / "none.sqlite"), out=tmp_path / "out"))
     JournalLocation(planted, tmp_path / "empty.sqlite").to_write().close()
     with pytest.raises(InputError, match="nothing was corrected"):
-        run_retraining(RetrainingJob(planted.root, tmp_path / "out", str(tmp_path / "empty.sqlite")))
+        run_retraining(RetrainingJob(planted.root, str(tmp_path / "empty.sqlite"), out=tmp_path / "out"))
     assert not (tmp_path / "out").exists()

@@ -19,7 +19,6 @@ from pipeline.corrections import (
     QueueJob,
     item_keys,
     open_journal,
-    read_queue,
     read_relation_labels,
     refreshed_worklist,
     relation_ref,
@@ -90,9 +89,10 @@ def test_states_are_followed_as_a_new_queue_has_them(
     ]
     assert found.get(ItemKey(FRAME, "object", number, None, ""), "unreviewed") == "unreviewed"
     # Whoever works through a queue made now is shown the same.
-    job = QueueJob(demo_labels.root, tmp_path / "queue.parquet", str(journal.location), networks=False)
-    assert make_queue(job, lambda _: None) == newest
-    work = worklist(read_queue(job.out))
+    job = QueueJob(demo_labels.root, str(journal.location), networks=False)
+    queue, last = make_queue(job, lambda _: None)
+    assert last == newest
+    work = worklist(queue)
     assert {k: work.state(k) for k in expected if k in work.indices} == {
         k: s for k, s in expected.items() if k in work.indices
     }

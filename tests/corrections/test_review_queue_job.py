@@ -15,7 +15,6 @@ from pipeline.corrections import (
     QueueJob,
     item_keys,
     judge_relation,
-    read_queue,
     worklist,
 )
 from pipeline.corrections.review.label_jobs import make_queue
@@ -26,9 +25,9 @@ from pipeline.system import InputError
 
 
 def test_a_queue_without_corrections_is_ordered_by_frames(demo_labels: Labels, tmp_path: Path) -> None:
-    job = QueueJob(demo_labels.root, tmp_path / "q.parquet", str(tmp_path / "none.sqlite"), networks=False)
-    assert make_queue(job, lambda step: None) == NOTHING
-    queue = read_queue(job.out)
+    job = QueueJob(demo_labels.root, str(tmp_path / "none.sqlite"), networks=False)
+    queue, last = make_queue(job, lambda step: None)
+    assert last == NOTHING
     found = queue.column("frame").to_pylist()[:60]
     assert sum(x != y for x, y in pairwise(found)) == len(set(found)) - 1
 
@@ -42,18 +41,18 @@ def test_what_people_said_is_in_the_queue_and_its_figures(
         saved(journal, judge_relation(frame, a, b, "left", state, author), author)
         saved(journal, judge_relation(frame, a, c, "left", T, author), author)
     where = journal.location
-    job = QueueJob(demo_labels.root, tmp_path / "q.parquet", where, networks=False)
-    made = make_queue(job, lambda step: None)
-    work = worklist(read_queue(job.out))
-    assert made == mark_of(journal.events())
+    job = QueueJob(demo_labels.root, where, networks=False)
+    queue, last = make_queue(job, lambda step: None)
+    work = worklist(queue)
+    assert last == mark_of(journal.events())
     top = work.next_item()
     assert top is not None
     assert work.is_disputed(top)
     assert not work.is_disputed(work.keys[-1])
-    first = [(k.frame, k.a, k.b, k.what) for k in item_keys(read_queue(job.out))[:2]]
+    first = [(k.frame, k.a, k.b, k.what) for k in item_keys(queue)[:2]]
     assert set(first) == {(FRAME, a, b, "left"), (FRAME, b, a, "right")}
 
 
 def test_what_cannot_be_read_is_told(tmp_path: Path) -> None:
     with pytest.raises(InputError):
-        make_queue(QueueJob(tmp_path, tmp_path / "q.parquet"), lambda step: None)
+        make_queue(QueueJob(tmp_path), lambda step: None)

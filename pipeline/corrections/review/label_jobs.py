@@ -8,7 +8,6 @@ before, and a run is made again with the mended labels, once with its own relati
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
@@ -27,9 +26,7 @@ from pipeline.corrections.review.worklist import (
     by_frame,
     item_keys,
     mark_of,
-    read_queue,
     worklist,
-    write_queue,
 )
 from pipeline.datasets import Dataset
 from pipeline.diagnosis.marks import read_marks
@@ -59,8 +56,6 @@ class CorrectedLabelsJob:
 
     labels: Path
     """As they were made."""
-    out: Path
-    """File or folder to write."""
     journal: str | None = None
     project: str | None = None
     """See `journal_of`."""
@@ -79,16 +74,14 @@ class CorrectedLabelsJob:
 
 @dataclass(frozen=True)
 class QueueJob(CorrectedLabelsJob):
-    """What a queue is made of; `out` is the Parquet file to write."""
+    """What a queue is made of."""
 
     networks: bool = True
     """Ask networks that have not learnt from a label; that takes the most time."""
 
 
-def make_queue(job: QueueJob, report: Callable[[Step], None]) -> Mark:
-    """Make the queue, ordered for working through, and store it.
-
-    Returns the newest event that surely counts in it. The states of the items then are the queue's column `state`.
+def make_queue(job: QueueJob, report: Callable[[Step], None]) -> tuple[pa.Table, Mark]:
+    """Make the queue, ordered for working through, with a column `state`; and the newest event that counts in it.
 
     Raises InputError: the labels or the journal cannot be read, or hold nothing to learn from.
     Raises MissingExtra: torch is not installed, and networks are to be asked.
@@ -104,9 +97,8 @@ def make_queue(job: QueueJob, report: Callable[[Step], None]) -> Mark:
         )
         states = states_on_labels(reviewed.judgements, read_relation_labels(reviewed.labels))
     queue = by_frame(queue)
-    stored = [states.get(key, "unreviewed") for key in item_keys(queue)]
-    write_queue(queue.append_column("state", pa.array(stored, pa.string())), job.out)
-    return last
+    found = [states.get(key, "unreviewed") for key in item_keys(queue)]
+    return queue.append_column("state", pa.array(found, pa.string())), last
 
 
 def _reviewed(job: QueueJob, labels: Labels, folder: Path) -> tuple[Reviewed, Mark]:
@@ -156,35 +148,20 @@ class LabelJobs:
         self.queue = SharedJob(QueueProgress())
         self.training = SharedJob(TrainingProgress())
 
-    def make(self, job_for: Callable[[Path], QueueJob]) -> bool:
-        """Make the queue; returns True if started, see `SharedJob.start`.
+    def make(self, job: QueueJob) -> bool:
+        """Make the queue; returns True if started, see `SharedJob.start`."""
 
-        `job_for`: gives the job for a file that it is to write, which does not stay.
-        """
-        folder = ExitStack()
-        job = job_for(folder.enter_context(scratch_folder()) / "queue.parquet")
+        def ended(seen: QueueProgress, made: tuple[pa.Table, Mark] | None, problem: str) -> QueueProgress:
+            work, last = (seen.work, seen.last) if made is None else (worklist(made[0]), made[1])
+            return QueueProgress(problem=problem, work=work, last=last)
 
-        def ended(seen: QueueProgress, last: Mark, problem: str) -> QueueProgress:
-            seen = replace(seen, running=False, step=None)
-            try:
-                if not problem:
-                    return replace(seen, last=last, work=worklist(read_queue(job.out)))
-            except InputError as error:
-                problem = str(error)
-            finally:
-                folder.close()
-            return replace(seen, problem=problem)
-
-        started = self.queue.start(
+        return self.queue.start(
             make_queue,
             job,
-            begun=lambda seen: replace(seen, running=True, step=None, problem=""),
+            begun=lambda seen: replace(seen, running=True, problem=""),
             heard=lambda seen, step: replace(seen, step=step),
             ended=ended,
         )
-        if not started:
-            folder.close()
-        return started
 
     def train(self, job: RetrainingJob) -> bool:
         """Retrain; returns True if started, see `SharedJob.start`."""
@@ -216,6 +193,8 @@ Progress = Callable[[str, int, int], None]
 class RetrainingJob(CorrectedLabelsJob):
     """What is retrained on."""
 
+    out: Path = field(kw_only=True)
+    """Folder to write."""
     run: Path | None = None
     """The run that is made again."""
     config: RetrainConfig = field(default_factory=RetrainConfig)
