@@ -8,15 +8,29 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.labels.exports.base import extended_schema
 from pipeline.labels.exports.coco import BOXES, EXPRESSION_KEYS, EXTENT, FRAME_KEYS, QUALITY
 from pipeline.labels.exports.exporting import BLOCK, FORMATS, MARK
 from pipeline.labels.exports.kitti import FIELDS
-from pipeline.labels.exports.row_provenance import extended_schema, load_json
 from pipeline.labels.reading import MANIFEST_FILE, arrow_schema, build_table, content_hash, read_table, table_of_rows
 from pipeline.labels.schema import TABLES
 from pipeline.system.arrow import pa, pj
 from pipeline.system.errors import InputError, Shown, as_input_error, first_line, kind_and_text, needed, require
 from pipeline.system.safe_files import parse_json, read_json, read_text
+
+
+def load_json(path: Path) -> Any:
+    """The content of a JSON file.
+
+    Raises InputError: missing or damaged.
+    """
+    with (
+        as_input_error(
+            "not a readable JSON file", ValueError, RecursionError, OSError, got=lambda e: str(e)[:120], path=path
+        ),
+        as_input_error("a file of the export is missing", FileNotFoundError, path=path),
+    ):
+        return read_json(path)
 
 
 def import_labels(path: str | Path, format: str) -> dict[str, pa.Table]:

@@ -4,28 +4,70 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from export_readers import load_json
 
 from pipeline.datasets import Dataset
 from pipeline.labels import Labels, VqaConfig, labelled_dataset
-from pipeline.labels.exports.base import ExportFrame, iterate_frames
-from pipeline.labels.exports.row_provenance import load_json, open_provenance
+from pipeline.labels.exports.base import ExportFrame, iterate_frames, open_provenance
 from pipeline.labels.exports.vqa_geometry import (
-    CONVERSATIONS_FILE,
-    IMAGE_TOKEN,
     KINDS,
     Depths,
     Figures,
-    VqaQuestion,
     figures_of,
 )
-from pipeline.labels.exports.vqa_questions import SIZE_AXES, boxed_by_people, distance
+from pipeline.labels.exports.vqa_questions import CONVERSATIONS_FILE, IMAGE_TOKEN, SIZE_AXES, boxed_by_people, distance
 from pipeline.language import readable, same_class
 from pipeline.system import InputError
+
+
+@dataclass(frozen=True)
+class VqaQuestion:
+    """One question about one frame."""
+
+    id: str
+    image: str
+    """File name of the picture, relative to the export."""
+    kind: str
+    frame: str
+    frame_index: int
+    objects: tuple[int, ...]
+    """relation: (target, reference). which: (answer, reference). grounding: (target, reference). distance: the two.
+    size: the one."""
+    about: str
+    """The relation; or what is measured: "center", "gap", "height", "width"."""
+    question: str
+    answer: str
+    """What the human says without the image token, and what the model is to say."""
+    source: str | None = None
+    """Of a grounding question the id of its expression."""
+    rests_on: str | None = None
+    """Of a distance or a size what its figure was measured on: see `vqa_geometry`."""
+
+    def record(self) -> dict[str, Any]:
+        """As LLaVA's training data has it, with `metadata` beside."""
+        return {
+            "id": self.id,
+            "image": self.image,
+            "conversations": [
+                {"from": "human", "value": f"{IMAGE_TOKEN}\n{self.question}"},
+                {"from": "gpt", "value": self.answer},
+            ],
+            "metadata": {
+                "kind": self.kind,
+                "frame": self.frame,
+                "frame_index": self.frame_index,
+                "objects": list(self.objects),
+                "about": self.about,
+                "source": self.source,
+                "rests_on": self.rests_on,
+            },
+        }
 
 
 def verify_vqa(

@@ -9,12 +9,11 @@ if TYPE_CHECKING:
     from pipeline.labels.check import check_labels, finding_record
     from pipeline.labels.check.expressions import says_the
     from pipeline.labels.check.objects import projected
-    from pipeline.labels.engines import label_shard, open_labeller
     from pipeline.labels.exports import export_labels
+    from pipeline.labels.exports.base import ExportedFrom
     from pipeline.labels.exports.exporting import HubConfig
-    from pipeline.labels.exports.row_provenance import ExportedFrom
     from pipeline.labels.exports.vqa_geometry import VqaConfig
-    from pipeline.labels.job import label, label_dataset
+    from pipeline.labels.job import label, label_dataset, label_shard, open_labeller
     from pipeline.labels.labelling import label_objects
     from pipeline.labels.merge import SelectConfig, merge_labels
     from pipeline.labels.plan import SENTENCE_KINDS, LabelConfig, SourceSpec, load_plan, make_plan, save_plan

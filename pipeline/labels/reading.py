@@ -330,46 +330,19 @@ STATUSES_FILE = "statuses.json"
 """What reviewers said of frames, objects, relations and expressions, and notes: kind, frame, key, field, value."""
 
 
-@dataclass(frozen=True)
-class Corrections:
-    """Values that people set: the linter does not hold them against the rules that made the other ones."""
-
-    relations: frozenset[tuple[str, int, int, str]] = frozenset()
-    """Frame, a, b, relation: set by a person, or ruled out by what a person set."""
-    expressions: frozenset[tuple[str, str]] = frozenset()
-    """Frame and id of those whose text or answers a person set."""
-
-
-def read_corrections(root: Path) -> Corrections:
-    """Corrections of a labels folder; none without provenance.
+def provenance_rows(root: Path) -> list[dict[str, Any]]:
+    """Origins of the values of a labels folder that are not the labeller's; none of labels without corrections.
 
     Raises InputError: the file is damaged.
     """
     path = root / PROVENANCE_FILE
     if not path.exists():
-        return Corrections()
+        return []
+    columns = ["table", "frame", "key", "column", "origin", "author", "time", "event", "reason", "was"]
     with as_input_error(
-        "the provenance of the labels is damaged",
-        pa.ArrowException,
-        OSError,
-        ValueError,
-        KeyError,
-        TypeError,
-        AttributeError,
-        got=first_line,
-        path=path,
+        "the provenance of the labels is damaged", pa.ArrowException, OSError, ValueError, got=first_line, path=path
     ):
-        rows = read_parquet(path, ["table", "frame", "key", "column", "origin", "was"]).to_pylist()
-        relations, expressions = set(), set()
-        for row in rows:
-            # A relation that was ruled out follows from no geometry, and neither does its pair's.
-            if row["table"] == "relations" and row["origin"] in ("human", "recomputed"):
-                a, b = (int(n) for n in row["key"].split(","))
-                if row["origin"] == "human" or row["was"] == "1":
-                    relations.add((row["frame"], a, b, row["column"]))
-            elif row["table"] == "expressions" and row["origin"] == "human":
-                expressions.add((row["frame"], row["key"]))
-    return Corrections(frozenset(relations), frozenset(expressions))
+        return read_parquet(path, columns).to_pylist()
 
 
 Intrinsics = tuple[float, float, float, float]

@@ -27,8 +27,7 @@ from pipeline.evaluation.run import (
     evaluate_labels,
 )
 from pipeline.evaluation.systems import EvalSpec
-from pipeline.labels.engines import one_thread
-from pipeline.labels.job import label_dataset
+from pipeline.labels.job import label_dataset, one_thread
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.relation_names import VOCABULARIES

@@ -24,7 +24,7 @@ from pipeline.labels import (
     merge_labels,
     save_plan,
 )
-from pipeline.labels.engines import shard_tables
+from pipeline.labels.job import shard_tables
 from pipeline.labels.plan import Plan
 from pipeline.labels.reading import arrow_schema
 from pipeline.proposals import AnnotationDetector

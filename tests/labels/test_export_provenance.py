@@ -14,7 +14,7 @@ from journal_world import FRAME, an_expression, saved
 from pipeline.corrections import Corrector, FieldRef, Journal, materialise, object_ref, relation_ref
 from pipeline.corrections.journal import edits
 from pipeline.labels import TABLES, ExportedFrom, Labels, export_labels, labels_version, open_labels
-from pipeline.labels.exports.row_provenance import ENTRY, REVIEWED, extended_schema
+from pipeline.labels.exports.base import ENTRY, REVIEWED, extended_schema
 from pipeline.relations import F
 from pipeline.system import InputError
 

@@ -23,7 +23,7 @@ from pipeline.datasets import demo_path, open_dataset
 from pipeline.geometry import Box3D, Camera, project
 from pipeline.labels import TABLES, HubConfig, Labels, VqaConfig, build_table, export_labels, frame_stream, write_table
 from pipeline.labels.exports import FORMATS, ExportFormat, exporting
-from pipeline.labels.exports.row_provenance import json_lines
+from pipeline.labels.exports.base import json_lines
 from pipeline.labels.reading import content_hash
 from pipeline.labels.schema import SCHEMA_FOLDER, json_schemas, schema_text
 from pipeline.system import InputError, plugins

@@ -11,7 +11,8 @@ import pytest
 from vqa_check import read_questions, verify_vqa
 
 from pipeline.labels import Labels, VqaConfig, export_labels
-from pipeline.labels.exports.vqa_geometry import CONVERSATIONS_FILE, KINDS
+from pipeline.labels.exports.vqa_geometry import KINDS
+from pipeline.labels.exports.vqa_questions import CONVERSATIONS_FILE
 from pipeline.system import InputError
 
 

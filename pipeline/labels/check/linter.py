@@ -10,6 +10,8 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -29,11 +31,11 @@ from pipeline.labels.check.stream import Rows, column_arrays, frame_rows, no_row
 from pipeline.labels.check.view import RULES, Figure, Finding, FrameView, chosen_rules
 from pipeline.labels.frame_stream import by_frame, frame_blocks
 from pipeline.labels.profiles import PROFILES
-from pipeline.labels.reading import Corrections, Labels, RowHash, read_corrections
+from pipeline.labels.reading import Labels, RowHash, provenance_rows
 from pipeline.labels.schema import KEYS, TABLES, Manifest
 from pipeline.language.naming import normal_form
 from pipeline.language.relation_names import PAIRWISE
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, as_input_error, first_line
 from pipeline.system.whole_files import sha256_of
 
 OF_ANSWERS = (
@@ -59,19 +61,34 @@ def check_labels(labels: Labels, *, rules: Sequence[str] | None = None) -> Itera
 
     Raises InputError: a rule has no such name; before anything is read.
     """
-    chosen, by_people = chosen_rules(rules), read_corrections(labels.root)
+    chosen, by_people = chosen_rules(rules), set_by_people(labels.root)
     found = _all_findings(labels, frozenset(rule.split("/")[0] for rule in chosen), chosen)
     return (finding for finding in found if finding.rule in chosen and not _settled(finding, by_people))
 
 
-def _settled(finding: Finding, by_people: Corrections) -> bool:
-    if finding.frame is None or len(finding.objects) != 2:
-        return False
-    return (
-        (finding.frame, *finding.objects, finding.figures.get("relation")) in by_people.relations
-        if finding.rule == "relation/geometry"
-        else finding.rule in OF_ANSWERS and (finding.frame, finding.figures.get("id")) in by_people.expressions
-    )
+def set_by_people(root: Path) -> set[tuple[Any, ...]]:
+    """Relations (frame, a, b, relation) and expressions (frame, id) that people set, or ruled out by what they set.
+
+    Raises InputError: the provenance of the labels is damaged.
+    """
+    found: set[tuple[Any, ...]] = set()
+    with as_input_error(
+        "the provenance of the labels is damaged", ValueError, AttributeError, got=first_line, path=root
+    ):
+        for row in provenance_rows(root):
+            human = row["origin"] == "human"
+            # A relation that was ruled out follows from no geometry, and neither does its pair's.
+            if row["table"] == "relations" and (human or (row["origin"] == "recomputed" and row["was"] == "1")):
+                found.add((row["frame"], *map(int, row["key"].split(",")), row["column"]))
+            elif row["table"] == "expressions" and human:
+                found.add((row["frame"], row["key"]))
+    return found
+
+
+def _settled(finding: Finding, by_people: set[tuple[Any, ...]]) -> bool:
+    if finding.rule == "relation/geometry":
+        return (finding.frame, *finding.objects, finding.figures.get("relation")) in by_people
+    return finding.rule in OF_ANSWERS and (finding.frame, finding.figures.get("id")) in by_people
 
 
 def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]) -> Iterator[Finding]:

@@ -16,7 +16,7 @@ number, for tools that keep nothing else of ours.
 `relations.json` has, for each image, columns of equal length: annotations `a`
 and `b`, `distance`, and state (1, 0, -1) and margin of each relation.
 
-Where values come from, see `pipeline.labels.exports.row_provenance`: `info` has
+Where values come from, see `pipeline.labels.exports.base`: `info` has
 `base` and `made_by`; annotations and refs have `status`, `provenance`, and refs
 `mark`; of an image `spatialviz` has them, and `note`; of relations the image's
 `statuses` and `provenance` list annotations `a` and `b` with each entry.
@@ -33,12 +33,14 @@ from pipeline.labels.exports.base import (
     ExportFormat,
     ExportFrame,
     Job,
+    JsonList,
+    Provenance,
     Written,
     image_name,
     iterate_frames,
+    json_line,
     label_names,
 )
-from pipeline.labels.exports.row_provenance import JsonList, Provenance, json_line
 from pipeline.labels.frame_stream import table_batches
 from pipeline.system.errors import InputError, require
 from pipeline.system.whole_files import text_file

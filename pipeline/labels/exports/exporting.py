@@ -2,7 +2,7 @@
 
 JSON lines: one file a table, one row a line.
 `frames.jsonl`, `objects.jsonl`, `relations.jsonl` and `expressions.jsonl` have
-the columns of the tables as keys, and those of `pipeline.labels.exports.row_provenance`;
+the columns of the tables as keys, and those of `pipeline.labels.exports.base`;
 `schemas/` holds the JSON Schema of each.
 A float32 column is written as the double of the same value, so that reading it
 as float32 gives the same bits.
@@ -10,7 +10,7 @@ as float32 gives the same bits.
 The hub: Parquet files and a dataset card.
 `data/TABLE/train-00000-of-0000N.parquet`, `README.md` (the card, whose YAML
 names the four tables as configs), `schemas/`. Beside its own,
-every table has the columns of `pipeline.labels.exports.row_provenance`. Pictures, if
+every table has the columns of `pipeline.labels.exports.base`. Pictures, if
 copied, are in `images/` by frame_index.
 """
 
@@ -32,11 +32,9 @@ from pipeline.labels.exports.base import (
     Job,
     Progress,
     Written,
-    iterate_frames,
-)
-from pipeline.labels.exports.row_provenance import (
     extended_json_schemas,
     extended_schema,
+    iterate_frames,
     json_lines,
     open_provenance,
 )
@@ -76,7 +74,7 @@ def export_labels(
     """Write labels in another tool's format. Either the whole folder appears, or nothing does.
 
     Every format says of its rows where their values come from: see
-    `pipeline.labels.exports.row_provenance`. Of labels that nobody corrected, all is the labeller's.
+    `pipeline.labels.exports.base`. Of labels that nobody corrected, all is the labeller's.
 
     `format`: a name of FORMATS, or a plugin's. `out`: a folder that does not exist yet or is empty. `images`: whether
     the colour images of the frames come too. `dataset`: where they come from, and the depth for what is measured; the

@@ -41,7 +41,7 @@ are PNG in `image_2/`.
 
 A line of KITTI has no room for where its values come from: `provenance.jsonl` has
 a line for every object of `label_2/`, with `index`, `line` (from 1), `frame`,
-`object` and the keys of `pipeline.labels.exports.row_provenance`.
+`object` and the keys of `pipeline.labels.exports.base`.
 
 What comes back: of `frames` frame, frame_index, ok, width, height, K and up
 (image-up where it is unknown; K and up null where the frame is not usable); of
@@ -65,9 +65,9 @@ from pipeline.labels.exports.base import (
     Job,
     Written,
     iterate_frames,
+    json_line,
     label_names,
 )
-from pipeline.labels.exports.row_provenance import json_line
 from pipeline.system.whole_files import text_file, write_json
 
 NO_BOX = "-1 -1 -1 -1000 -1000 -1000 -10"

@@ -1,4 +1,4 @@
-"""A question as a record, what questions say of an object's geometry, and what it rests on.
+"""Geometry of objects that questions are asked of, and what it rests on.
 
 Sizes and centres come from a box that a person or the dataset gives, else from the raw points of the mask: the
 cleaning that relations are judged by takes an eighth off a width, since it erodes the mask. It is undone twice,
@@ -10,7 +10,7 @@ boxes around them, exact ones too, would close or widen them by centimetres.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -185,8 +185,6 @@ class _RawPoints:
 
 Kind = Literal["relation", "which", "grounding", "distance", "size"]
 KINDS: tuple[Kind, ...] = ("relation", "which", "grounding", "distance", "size")
-IMAGE_TOKEN = "<image>"
-CONVERSATIONS_FILE = "conversations.json"
 
 
 @dataclass(frozen=True)
@@ -225,47 +223,3 @@ class VqaConfig:
         )
         require(self.box_decimals in (2, 3), "box_decimals", got=self.box_decimals, expected="2 or 3")
         require(self.min_margin >= 0 and self.min_distance >= 0, "a least margin or distance cannot be negative")
-
-
-@dataclass(frozen=True)
-class VqaQuestion:
-    """One question about one frame."""
-
-    id: str
-    image: str
-    """File name of the picture, relative to the export."""
-    kind: Kind
-    frame: str
-    frame_index: int
-    objects: tuple[int, ...]
-    """relation: (target, reference). which: (answer, reference). grounding: (target, reference). distance: the two.
-    size: the one."""
-    about: str
-    """The relation; or what is measured: "center", "gap", "height", "width"."""
-    question: str
-    answer: str
-    """What the human says without the image token, and what the model is to say."""
-    source: str | None = field(default=None)
-    """Of a grounding question the id of its expression."""
-    rests_on: str | None = field(default=None)
-    """Of a distance or a size what its figure was measured on: see `vqa_geometry`."""
-
-    def record(self) -> dict[str, Any]:
-        """As LLaVA's training data has it, with `metadata` beside."""
-        return {
-            "id": self.id,
-            "image": self.image,
-            "conversations": [
-                {"from": "human", "value": f"{IMAGE_TOKEN}\n{self.question}"},
-                {"from": "gpt", "value": self.answer},
-            ],
-            "metadata": {
-                "kind": self.kind,
-                "frame": self.frame,
-                "frame_index": self.frame_index,
-                "objects": list(self.objects),
-                "about": self.about,
-                "source": self.source,
-                "rests_on": self.rests_on,
-            },
-        }

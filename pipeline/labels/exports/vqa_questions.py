@@ -21,30 +21,37 @@ relations are those of the expressions.
 
 `provenance` of a record lists, of the objects, the pair and the expression that a
 question is made from, every value that is not the labeller's: `table`, `key` and
-the keys of `pipeline.labels.exports.row_provenance`. Whatever it does not list is "auto".
+the keys of `pipeline.labels.exports.base`. Whatever it does not list is "auto".
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
 from operator import attrgetter
+from typing import Any
 
 import numpy as np
 
-from pipeline.labels.exports.base import ExportFormat, ExportFrame, Job, Written, image_name, iterate_frames
-from pipeline.labels.exports.row_provenance import JsonList, Provenance
+from pipeline.labels.exports.base import (
+    ExportFormat,
+    ExportFrame,
+    Job,
+    JsonList,
+    Provenance,
+    Written,
+    image_name,
+    iterate_frames,
+)
 from pipeline.labels.exports.vqa_geometry import (
-    CONVERSATIONS_FILE,
     POINTS,
     Depths,
     Figures,
     Kind,
     VqaConfig,
-    VqaQuestion,
     figures_of,
     gap_between,
 )
@@ -56,25 +63,30 @@ from pipeline.relations.relations import F, T
 from pipeline.system.errors import InputError, Shown, require
 from pipeline.system.whole_files import text_file
 
+IMAGE_TOKEN = "<image>"
+CONVERSATIONS_FILE = "conversations.json"
 SIZE_AXES = {"height": 1, "width": 0}
 """What sizes are asked for, and along which of (right, up, forward)."""
 
 
 @dataclass(frozen=True)
 class PlannedQuestion:
-    """A question that may be asked, of objects by their index; its text is made when it is its turn.
-
-    `key` is the hash that orders the questions of a kind; for the rest see `VqaQuestion`.
-    """
+    """A question that may be asked, of objects by their index; its text is made when it is its turn."""
 
     key: int
+    """Hash that orders the questions of a kind."""
     kind: Kind
     indices: tuple[int, ...]
+    """relation: (target, reference). which: (answer, reference). grounding: (target, reference). distance: the two.
+    size: the one."""
     about: str
+    """The relation; or what is measured: "center", "gap", "height", "width"."""
     text: Callable[[], str]
     answer: str
     source: str | None = None
+    """Of a grounding question the id of its expression."""
     rests_on: str | None = None
+    """Of a distance or a size what its figure was measured on: see `vqa_geometry`."""
 
 
 Unit = tuple[PlannedQuestion, ...]
@@ -100,28 +112,32 @@ class VqaFrame:
     def key(self, kind: str, *parts: object) -> int:
         return row_hash(self.config.seed, self.rows.frame["frame"], kind, *parts)
 
-    def question(self, ask: PlannedQuestion) -> VqaQuestion:
-        """The question in words; InputError where a sentence cannot carry the names."""
-        frame, index = self.rows.frame["frame"], self.rows.index
-        return VqaQuestion(
-            f"{index:06d}-{ask.kind}-{ask.key:016x}",
-            image_name(index),
-            ask.kind,
-            frame,
-            index,
-            tuple(int(self.number[k]) for k in ask.indices),
-            ask.about,
-            ask.text(),
-            ask.answer,
-            ask.source,
-            ask.rests_on,
-        )
+    def record(self, ask: PlannedQuestion) -> dict[str, Any]:
+        """Question in words, as LLaVA's training data has it; InputError where a sentence cannot carry the names."""
+        index = self.rows.index
+        return {
+            "id": f"{index:06d}-{ask.kind}-{ask.key:016x}",
+            "image": image_name(index),
+            "conversations": [
+                {"from": "human", "value": f"{IMAGE_TOKEN}\n{ask.text()}"},
+                {"from": "gpt", "value": ask.answer},
+            ],
+            "metadata": {
+                "kind": ask.kind,
+                "frame": self.rows.frame["frame"],
+                "frame_index": index,
+                "objects": [int(self.number[k]) for k in ask.indices],
+                "about": ask.about,
+                "source": ask.source,
+                "rests_on": ask.rests_on,
+            },
+        }
 
 
 def frame_questions(
     rows: ExportFrame, relations: Sequence[str], config: VqaConfig, figures: Sequence[Figures]
-) -> list[VqaQuestion]:
-    """Chosen questions of a frame: kinds take turns up to `per_frame`.
+) -> list[dict[str, Any]]:
+    """Records of the chosen questions of a frame: kinds take turns up to `per_frame`.
 
     A relation that holds is asked together with one of the same name that does
     not, so that there are as many yes as no, of every relation. `figures` are the
@@ -140,7 +156,7 @@ def frame_questions(
         "size": lambda: zip(size_asks(scene)),
     }
     waiting = [iter(units[kind]()) for kind in config.kinds]
-    found: list[VqaQuestion] = []
+    found: list[dict[str, Any]] = []
     while waiting and len(found) < config.per_frame:
         for kind in list(waiting):
             asked = _next_asked(scene, kind)
@@ -151,10 +167,10 @@ def frame_questions(
     return found
 
 
-def _next_asked(scene: VqaFrame, units: Iterator[Unit]) -> list[VqaQuestion] | None:
+def _next_asked(scene: VqaFrame, units: Iterator[Unit]) -> list[dict[str, Any]] | None:
     for unit in units:
         try:
-            return [scene.question(ask) for ask in unit]
+            return [scene.record(ask) for ask in unit]
         except InputError:
             # A name that a sentence cannot carry beside the other one.
             continue
@@ -364,15 +380,9 @@ def write_vqa(job: Job) -> Written:
             figures = figures_of(rows, job.options, depths, boxed_by_people(job.provenance, rows)) if measured else []
             asked = frame_questions(rows, relations, job.options, figures)
             for question in asked:
-                records.add(
-                    {
-                        **question.record(),
-                        "base": job.provenance.base,
-                        "made_by": job.provenance.made_by,
-                        "provenance": _provenance(job, question),
-                    }
-                )
-                counts[question.kind] += 1
+                made = {"base": job.provenance.base, "made_by": job.provenance.made_by}
+                records.add({**question, **made, "provenance": _provenance(job, question["metadata"])})
+                counts[question["metadata"]["kind"]] += 1
             if asked:
                 job.copy_picture(rows)
         records.close()
@@ -396,14 +406,15 @@ def boxed_by_people(provenance: Provenance, rows: ExportFrame) -> frozenset[int]
     )
 
 
-def _provenance(job: Job, question: VqaQuestion) -> list[dict[str, object]]:
-    known, frame = job.provenance, question.frame
-    rows = [("objects", str(n)) for n in question.objects]
-    if len(question.objects) == 2 and question.kind in ("relation", "which", "grounding"):
-        rows.append(("relations", f"{question.objects[0]},{question.objects[1]}"))
-    if question.source is not None:
-        rows.append(("expressions", question.source))
-    return [{"table": table, "key": key, **entry} for table, key in rows for entry in known.of(table, frame, key)]
+def _provenance(job: Job, question: Mapping[str, Any]) -> list[dict[str, object]]:
+    objects = question["objects"]
+    rows = [("objects", str(n)) for n in objects]
+    if len(objects) == 2 and question["kind"] in ("relation", "which", "grounding"):
+        rows.append(("relations", f"{objects[0]},{objects[1]}"))
+    if question["source"] is not None:
+        rows.append(("expressions", question["source"]))
+    found = ((table, key, job.provenance.of(table, question["frame"], key)) for table, key in rows)
+    return [{"table": table, "key": key, **entry} for table, key, entries in found for entry in entries]
 
 
 FORMAT = ExportFormat(

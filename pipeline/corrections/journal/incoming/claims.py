@@ -34,8 +34,8 @@ from pipeline.corrections.journal.field_refs import (
 from pipeline.corrections.journal.frame_rows import BOX_COLUMNS, Row
 from pipeline.datasets import Dataset
 from pipeline.geometry.masks import decode_run_length
+from pipeline.labels.exports.base import ExportedFrom
 from pipeline.labels.exports.exporting import BLOCK
-from pipeline.labels.exports.row_provenance import ExportedFrom
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import TABLES, labels_version
 from pipeline.language.relation_names import PAIRWISE

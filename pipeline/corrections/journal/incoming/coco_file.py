@@ -28,7 +28,7 @@ from pipeline.corrections.journal.frame_rows import BOX_COLUMNS, Row
 from pipeline.corrections.journal.incoming.claims import Claims, no_number, take_row
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.masks import decode_run_length, encode_run_length, fill_polygons, mask_box
-from pipeline.labels.exports.row_provenance import ExportedFrom
+from pipeline.labels.exports.base import ExportedFrom
 from pipeline.proposals.segmenter import share_inside
 from pipeline.system.errors import InputError, Shown, as_input_error, needed, require
 from pipeline.system.safe_files import read_json

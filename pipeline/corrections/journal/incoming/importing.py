@@ -28,8 +28,8 @@ from pipeline.corrections.journal.incoming.claims import Claim, Claims, States, 
 from pipeline.corrections.journal.incoming.coco_file import load_coco, read_instances
 from pipeline.corrections.journal.journal import Journal
 from pipeline.datasets import Dataset
+from pipeline.labels.exports.base import ExportedFrom
 from pipeline.labels.exports.exporting import MARK
-from pipeline.labels.exports.row_provenance import ExportedFrom
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import TABLES
 from pipeline.language.relation_names import PAIRWISE
