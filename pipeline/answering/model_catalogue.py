@@ -16,7 +16,7 @@ from pipeline.proposals.contracts import DETECTORS, DetectorContract, TensorSpec
 from pipeline.proposals.detic import find_names
 from pipeline.proposals.grounding_dino import TOKENIZERS
 from pipeline.proposals.mismatch import BOXES, SEGMENTERS, FileKind, recognise
-from pipeline.relations.installed import installed_networks
+from pipeline.relations.model import installed_networks
 from pipeline.system.errors import InputError, require
 from pipeline.system.model_files import (
     HubId,
@@ -121,7 +121,7 @@ def take_inventory() -> Inventory:
         ort.__version__,
         tuple(ort.get_available_providers()),
         tuple((str(hub_id), path) for hub_id, path in all_fetched()),
-        tuple((n.name, n.path) for n in installed_networks()),
+        tuple((n.stem, n) for n in installed_networks()),
     )
 
 

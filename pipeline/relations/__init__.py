@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from pipeline.relations.installed import installed_network, installed_networks
-from pipeline.relations.model import OnnxScorer
+from pipeline.relations.model import OnnxScorer, installed_network, installed_networks
 from pipeline.relations.scorer import RelationScorer, RelationScores, RuleScorer
 from pipeline.system.errors import InputError, require
 from pipeline.system.lazy_exports import lazy_exports
@@ -12,10 +11,9 @@ from pipeline.system.paths import asset_path
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from pipeline.relations.attributes import SIZES, attribute_probabilities, object_colors, size_keys
-    from pipeline.relations.class_vectors import ClassVectors, vectors_path
     from pipeline.relations.contract import NetworkContract
     from pipeline.relations.features import CLI_FEATURES, FEATURES, Appearance, feature_set, with_class_lengths
-    from pipeline.relations.installed import install_network, is_named
+    from pipeline.relations.model import ClassVectors, install_network, is_named, vectors_path
     from pipeline.relations.pair_measures import AllMeasures, measure_pairs
     from pipeline.relations.relations import (
         PREDICATES,
@@ -71,7 +69,7 @@ def make_scorer(name: str | Path = RULE, vectors: Path | None = None) -> Relatio
     if path.suffix.lower() != ".onnx" and not path.is_file():
         installed = installed_network(str(name))
         if installed is None:
-            names = ", ".join(n.name for n in installed_networks())
+            names = ", ".join(n.stem for n in installed_networks())
             expected = "trained, rule, an ONNX file, or the name of an installed network"
             raise InputError(
                 f"there is no relation scorer {str(name)!r}", expected=f"{expected} ({names})" if names else expected

@@ -8,24 +8,131 @@ not say so, or says something this program does not compute, is refused.
 
 from __future__ import annotations
 
+import io
+import os
+import re
+import shutil
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import xxhash
 
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
+from pipeline.language.naming import normal_form
 from pipeline.language.relation_names import PAIRWISE
+from pipeline.language.vectors import LanguageContract, open_vectors, read_npz
 from pipeline.metrics.calibration_metrics import antisymmetric, antisymmetric_log_softmax, sigmoid, softmax
-from pipeline.relations.class_vectors import ClassLookup
 from pipeline.relations.contract import NetworkContract
 from pipeline.relations.features import Appearance
 from pipeline.relations.scorer import RelationScorer, RelationScores, RuleScorer, rule_probabilities
 from pipeline.system.errors import InputError, require
 from pipeline.system.onnx_session import metadata, open_session, run_limited, signature
+from pipeline.system.whole_files import file_with_companions
 
-__all__ = ["NetworkContract", "OnnxScorer"]
+_NAMED = 8
+
+
+@dataclass(frozen=True, eq=False)
+class ClassVectors:
+    """Class names and their phrase vectors."""
+
+    names: tuple[str, ...]  # As the labels spell them, each once
+    vectors: np.ndarray  # (C, D) float32
+
+    @property
+    def hash(self) -> str:
+        """Hash (xxh3-128) of names and vectors."""
+        digest = xxhash.xxh3_128("\0".join(self.names).encode("utf-8", "surrogatepass"))
+        digest.update(np.ascontiguousarray(self.vectors, "<f4").tobytes())
+        return digest.hexdigest()
+
+    def content(self) -> bytes:
+        """Content of an .npz file, readable by `pipeline.language.vectors.open_vectors` too."""
+        file = io.BytesIO()
+        np.savez(
+            file, names=np.array(self.names, np.str_), vectors=self.vectors.astype(np.float32), kind=np.str_("phrase")
+        )
+        return file.getvalue()
+
+    @classmethod
+    def read(cls, path: Path) -> ClassVectors:
+        """Read an .npz file of class vectors; InputError for another file."""
+        table = read_npz(path)
+        return cls(table.names, table.vectors.astype(np.float32))
+
+
+def vectors_path(network: Path) -> Path:
+    """Path of the class vectors of an ONNX file."""
+    return network.with_suffix(".vectors.npz")
+
+
+class ClassLookup:
+    """Vectors of class names for a network.
+
+    `language`: text vectors by the network's contract; `expected`: hash of the class vectors; `vectors`: file of text
+    vectors, for classes outside the training.
+    """
+
+    def __init__(self, network: Path, language: LanguageContract, expected: str, vectors: Path | None = None) -> None:
+        self.language = language
+        self._file = None if vectors is None else open_vectors(vectors)
+        path = vectors_path(network)
+        if path.is_file():
+            known = ClassVectors.read(path)
+            require(
+                known.hash == expected and known.vectors.shape[1] == language.dimension,
+                "these class vectors belong to another network",
+                got=known.hash,
+                expected=expected,
+                path=path,
+            )
+        elif self._file is None:
+            raise InputError(
+                "the network's class vectors are missing",
+                expected=f"{path.name} beside the network, or --vectors {language.name}",
+                path=path,
+            )
+        else:
+            known = ClassVectors((), np.zeros((0, language.dimension), np.float32))
+        self._known = known
+
+    @cached_property
+    def _by_name(self) -> dict[str, np.ndarray]:
+        """Known vectors by exact spelling, and by normal form wherever all spellings share one vector."""
+        found: dict[str, np.ndarray] = {}
+        clashing: set[str] = set()
+        for name, vector in zip(self._known.names, self._known.vectors, strict=True):
+            key = normal_form(name)
+            if key in found and not np.array_equal(found[key], vector):
+                clashing.add(key)
+            found.setdefault(key, vector)
+        for key in clashing:
+            del found[key]
+        return {**found, **dict(zip(self._known.names, self._known.vectors, strict=True))}
+
+    def rows(self, labels: Sequence[str]) -> np.ndarray:
+        """(N, D) float64 vectors of the class names."""
+        known = self._by_name
+        unknown = list(dict.fromkeys(n for n in labels if n not in known and normal_form(n) not in known))
+        if unknown and self._file is None:
+            more = f" and {len(unknown) - _NAMED} more" if len(unknown) > _NAMED else ""
+            raise InputError(
+                "the network was not trained on these classes",
+                got=", ".join(repr(n) for n in unknown[:_NAMED]) + more,
+                expected=f"--vectors with the file {self.language.name}",
+            )
+        if unknown and self._file is not None:
+            found = self._file.phrases(unknown, normalised=self.language.normalised)
+            # Its pass through the file has worked out the fingerprint, too.
+            self.language.check(self._file)
+            known.update(zip(unknown, found, strict=True))
+        rows = [known[n] if n in known else known[normal_form(n)] for n in labels]
+        return np.array(rows, np.float64).reshape(len(rows), self.language.dimension)
 
 
 class OnnxScorer:
@@ -166,3 +273,68 @@ def combined(
                 scored_by[relation] = scorer.name
         probabilities[..., own, :] = kept
     return RelationScores(relations, states, probabilities, scored_by)
+
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+TAKEN = ("rule", "trained")
+
+
+def network_folder() -> Path:
+    """Folder of installed networks: the user's, or SPATIALVIZ_NETWORKS."""
+    from platformdirs import user_data_path
+
+    given = os.environ.get("SPATIALVIZ_NETWORKS")
+    return Path(given) if given else user_data_path("spatialviz") / "networks"
+
+
+def installed_networks() -> tuple[Path, ...]:
+    """Files of all installed networks, in the order of their names, which are the files' stems."""
+    folder = network_folder()
+    files = sorted(folder.glob("*.onnx")) if folder.is_dir() else []
+    return tuple(f for f in files if _NAME.fullmatch(f.stem))
+
+
+def installed_network(name: str) -> Path | None:
+    """File of an installed network; None for an unknown name."""
+    if not _NAME.fullmatch(name):
+        return None
+    path = network_folder() / f"{name}.onnx"
+    return path if path.is_file() else None
+
+
+def is_named(scorer: str | None) -> bool:
+    """True for a relation scorer named by something known here: None, rule, trained, or an installed network."""
+    return scorer in (None, *TAKEN) or (scorer is not None and installed_network(scorer) is not None)
+
+
+def install_network(network: Path, name: str, *, overwrite: bool = False) -> Path:
+    """Copy a network, with its card and its vectors, to where `--srm NAME` finds it; returns the copy.
+
+    Raises
+    ------
+    InputError
+        No such network, one that cannot be fed, a name that is none or is taken, a folder that cannot be written.
+    """
+    require(
+        _NAME.fullmatch(name) and name not in TAKEN and not name.endswith(".onnx"),
+        "no name for a network",
+        got=repr(name),
+        expected="letters, digits, . _ -; not rule or trained",
+    )
+    OnnxScorer(network)
+    folder = network_folder()
+    target = folder / f"{name}.onnx"
+    require(
+        not (target.exists() and not overwrite),
+        "there is a network of this name",
+        expected="another name, or --overwrite",
+        path=target,
+    )
+    companions = (network.with_suffix(".json"), vectors_path(network))
+    try:
+        with file_with_companions(target) as made:
+            for source in (*(f for f in companions if f.is_file()), network):
+                shutil.copyfile(source, made.parent / f"{name}{source.name.removeprefix(network.stem)}")
+    except OSError as error:
+        raise InputError("the network cannot be installed", got=error.strerror or str(error), path=folder) from error
+    return target

@@ -120,18 +120,22 @@ def whole_file(path: Path, what: str, make_folder: bool = True) -> Iterator[Path
                 temporary.unlink(missing_ok=True)
 
 
-def take_places(made: Path, out: Path) -> None:
-    """Move all files of a folder beside `out`, and `made`, one of them, to `out` itself.
+@contextmanager
+def file_with_companions(out: Path) -> Iterator[Path]:
+    """Path in a hidden folder to write a file at; at the good end of the block all files there move beside `out`.
 
-    It comes last, and an earlier one goes first: either has its companions, also after a kill.
+    The file itself comes last, and an earlier one goes first: either has its companions, also after a kill.
     """
-    files = [*(file for file in made.parent.iterdir() if file.is_file() and file != made), made]
-    for file in files:
-        with open(file, "rb") as written:
-            os.fsync(written.fileno())
-    out.unlink(missing_ok=True)
-    for file in files:
-        os.replace(file, out if file == made else out.with_name(file.name))
+    clear_abandoned(out.parent, ours=False)
+    with temporary_folder(out) as folder:
+        yield folder / out.name
+        files = sorted((file for file in folder.iterdir() if file.is_file()), key=lambda file: file.name == out.name)
+        for file in files:
+            with open(file, "rb") as written:
+                os.fsync(written.fileno())
+        out.unlink(missing_ok=True)
+        for file in files:
+            os.replace(file, out.with_name(file.name))
 
 
 @contextmanager

@@ -34,7 +34,7 @@ from pipeline.relations.scorer import rule_probabilities
 from pipeline.system.errors import extra_module, require
 from pipeline.system.onnx_session import file_hash
 from pipeline.system.plugins import versions_of
-from pipeline.system.whole_files import clear_abandoned, take_places, temporary_folder
+from pipeline.system.whole_files import file_with_companions
 from pipeline.system.worker_pool import one_thread
 from pipeline.training.train import TrainConfig, TrainedModel, check_room_config, require_training, train_srm
 from pipeline.training.training_data import (
@@ -108,34 +108,59 @@ def train_on_rooms(
     )
     learnt = with_other_sizes(with_wrong_names(train, rooms.seed), rooms.seed)
     model = train_srm(learnt, config, lambda done, loss: tell("epochs", done, config.epochs))
-    out.parent.mkdir(parents=True, exist_ok=True)
-    clear_abandoned(out.parent, ours=False)
-    with temporary_folder(out) as folder:
-        made = folder / out.name
+    training = {
+        **asdict(config),
+        "batch": config.batch_of(model.pairs),
+        "pairs": model.pairs,
+        "loss_by_epoch": [round(loss, 6) for loss in model.losses],
+        "data_xxh3_128": model.data,
+    }
+    ranges = {**asdict(rooms), **_room_ranges(rooms), "scales": list(SCALES), "wrong_names": WRONG_NAMES}
+
+    def calibrate(plain: OnnxScorer) -> dict[str, Platt]:
+        logits = [plain.logits(frame.rows[config.features]) for frame in held_back]
+        return fit_calibration(logits, [frame.truth for frame in held_back], DIRECTIONAL)
+
+    return write_network(
+        out,
+        model,
+        _command(out, rooms, config),
+        calibrate,
+        lambda scorer, plain: {
+            "training": training,
+            "rooms": ranges,
+            "held_out": held_out_figures(scorer, plain, test),
+        },
+    )
+
+
+def write_network(
+    out: Path,
+    model: TrainedModel,
+    command: str,
+    calibrate: Callable[[OnnxScorer], dict[str, Platt]],
+    about: Callable[[OnnxScorer, OnnxScorer], dict[str, Any]],
+    trained_on: TrainedOn | None = None,
+) -> dict[str, Any]:
+    """Write a calibrated network, its class vectors and its card, all of it or nothing; returns the card.
+
+    `calibrate` is called with the bare network, `about` with the calibrated and the bare one: what else the card says.
+    """
+    with file_with_companions(out) as made:
         save_onnx(made, model)
         plain = OnnxScorer(made)
-        logits = [plain.logits(frame.rows[config.features]) for frame in held_back]
-        calibration = fit_calibration(logits, [frame.truth for frame in held_back], DIRECTIONAL)
-        save_onnx(made, model, calibration)
+        calibration = calibrate(plain)
+        save_onnx(made, model, calibration, trained_on)
         card = {
-            "name": config.features,
-            "command": _command(out, rooms, config),
+            "name": model.config.features,
+            "command": command,
             "made_with": versions(),
             "file": {"bytes": made.stat().st_size, "xxh3_128": file_hash(made)},
             "weights_xxh3_128": model.weights_hash,
-            "training": {
-                **asdict(config),
-                "batch": config.batch_of(model.pairs),
-                "pairs": model.pairs,
-                "loss_by_epoch": [round(loss, 6) for loss in model.losses],
-                "data_xxh3_128": model.data,
-            },
-            "rooms": {**asdict(rooms), **_room_ranges(rooms), "scales": list(SCALES), "wrong_names": WRONG_NAMES},
             "calibration": {relation: [round(v, 6) for v in ab] for relation, ab in calibration.items()},
-            "held_out": held_out_figures(OnnxScorer(made), plain, test),
+            **about(OnnxScorer(made), plain),
         }
         made.with_suffix(".json").write_text(json.dumps(rounded(card), indent=1) + "\n", encoding="utf-8")
-        take_places(made, out)
     return card
 
 
@@ -158,7 +183,6 @@ def held_out_figures(scorer: OnnxScorer, plain: OnnxScorer, frames: Sequence[Fra
     network["uncalibrated"] = {key: bare[key] for key in ("micro_f1", "brier", "ece")}
     for report, p in ((network, found), (rule, ruled)):
         report["clear_cut"] = clear_cut_report(p, extents)
-        report["clear_cut_by_centers"] = clear_cut_report(p, extents, by_centers=True)
     return {"views": len(frames), "network": network, "rule": rule}
 
 
@@ -269,12 +293,8 @@ def evaluate(
     Returns
     -------
     dict
-        `relations` (name -> precision, recall, f1, positives), `micro_f1`,
-        `macro_f1`, `element_accuracy`, `all_negative_accuracy` (what a scorer
-        gets that always says no), `positives_per_pair`, `doubtful_share`,
-        `brier`, `ece`, `pairs`, and with `rule` `differing` (cells, errors,
-        rule_errors, rule_opposite: see `differing_cells`). None where a figure
-        has no meaning, as precision where no relation was found to hold.
+        Figures by name, of each relation under `relations`; `all_negative_accuracy` is that of always saying no, and
+        `differing` stands with `rule` only (see `differing_cells`). None where a figure has no meaning.
     """
     p, t = _cells(probabilities).astype(np.float64), _cells(truth).astype(np.int8)
     metrics, calibration = multi_label_metrics(p, t), calibration_metrics(p, t)
@@ -381,25 +401,21 @@ def differing_cells(p: np.ndarray, truth: np.ndarray, rule: np.ndarray) -> dict[
     }
 
 
-def clear_cut(lo: np.ndarray, hi: np.ndarray, by_centers: bool = False) -> np.ndarray:
+def clear_cut(lo: np.ndarray, hi: np.ndarray) -> np.ndarray:
     """Indisputable relation of each ordered pair.
 
     Parameters
     ----------
     lo, hi : (N, 3) float
         Exact extents along (right, up, forward), metres.
-    by_centers
-        The dominant axis is that of the largest difference of centres, and not
-        that of the largest gap.
 
     Returns
     -------
     (N, N) int64
-        Index in DIRECTIONAL of the relation along the dominant axis, where the
-        extents are more than 10 cm apart along it; -1 elsewhere.
+        Index in DIRECTIONAL of the relation along the axis of the largest gap, where it is over 10 cm; -1 elsewhere.
     """
     measured = measure_pairs(lo, hi)
-    axis = np.abs(measured.delta if by_centers else measured.gap).argmax(axis=2)
+    axis = np.abs(measured.gap).argmax(axis=2)
     gap = np.take_along_axis(measured.gap, axis[..., None], axis=2)[..., 0]
     of_axis = {RELATIONS[name].axis: k for k, name in enumerate(DIRECTIONAL)}
     negative, positive = (np.array([of_axis[k, side] for k in range(3)])[axis] for side in (-1, 1))
@@ -407,9 +423,7 @@ def clear_cut(lo: np.ndarray, hi: np.ndarray, by_centers: bool = False) -> np.nd
 
 
 def clear_cut_report(
-    probabilities: Sequence[np.ndarray],
-    extents: Sequence[tuple[np.ndarray, np.ndarray]],
-    by_centers: bool = False,
+    probabilities: Sequence[np.ndarray], extents: Sequence[tuple[np.ndarray, np.ndarray]]
 ) -> dict[str, Any]:
     """Shares of clear-cut relations found likely (p > 0.5), doubted, or opposite.
 
@@ -420,7 +434,7 @@ def clear_cut_report(
     """
     asked, opposed = [], []
     for p, (lo, hi) in zip(probabilities, extents, strict=True):
-        which = clear_cut(lo, hi, by_centers)
+        which = clear_cut(lo, hi)
         a, b = np.nonzero(which >= 0)
         asked.append(p[a, b, which[a, b]])
         opposed.append(p[b, a, which[a, b]])

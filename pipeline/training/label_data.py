@@ -19,9 +19,9 @@ from pipeline.geometry.fitting import canonicalised
 from pipeline.geometry.viewer import viewer_axes
 from pipeline.labels.reading import Labels, read_table
 from pipeline.metrics.splits import DROPPED, TRAIN, VALIDATION, FrameKey, SplitPlan
-from pipeline.relations.class_vectors import ClassVectors
 from pipeline.relations.contract import TrainedOn
 from pipeline.relations.features import feature_set, geometry_of, rows_2d, with_class_lengths
+from pipeline.relations.model import ClassVectors
 from pipeline.relations.relations import T, U
 from pipeline.system.arrow import pa, pc
 from pipeline.system.errors import require

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -16,14 +15,11 @@ from pipeline.language.relation_names import VOCABULARIES
 from pipeline.language.vectors import LanguageContract, open_vectors
 from pipeline.metrics.calibration_metrics import Platt, fit_calibration, fit_temperature
 from pipeline.metrics.splits import PARTS, TEST, TRAIN, VALIDATION, SplitKind, SplitPlan, split_frames
-from pipeline.relations.class_vectors import ClassVectors
 from pipeline.relations.features import LANGUAGE, cli_features, feature_set, geometry_of
-from pipeline.relations.model import OnnxScorer
+from pipeline.relations.model import ClassVectors, OnnxScorer
 from pipeline.system.errors import require
-from pipeline.system.onnx_session import file_hash
-from pipeline.system.whole_files import clear_abandoned, take_places, temporary_folder
 from pipeline.system.worker_pool import one_thread
-from pipeline.training.card import evaluate, evaluate_classes, network_path, rounded, save_onnx, versions
+from pipeline.training.card import evaluate, evaluate_classes, network_path, write_network
 from pipeline.training.label_data import LabelData, LabelledFrame, pair_set, read_label_data, trained_on
 from pipeline.training.train import Epoch, TrainConfig, TrainedModel, require_training, train_pairs
 
@@ -112,31 +108,24 @@ def train_on_labels(
     del learnt, watched
     kept = [data.vocabulary.index(relation) for relation in model.vocabulary]
     test, validation = ([replace(f, states=f.states[..., kept]) for f in frames] for frames in (test, validation))
-    out.parent.mkdir(parents=True, exist_ok=True)
-    clear_abandoned(out.parent, ours=False)
-    with temporary_folder(out) as folder:
-        made = Path(folder) / out.name
-        save_onnx(made, model)
-        calibration = _calibrate(OnnxScorer(made), validation, data)
-        save_onnx(made, model, calibration, trained_on(labels, plan))
-        card = {
-            "name": config.features,
-            "command": _command(job, out),
-            "made_with": versions(),
-            "file": {"bytes": made.stat().st_size, "xxh3_128": file_hash(made)},
-            "weights_xxh3_128": model.weights_hash,
+    worded = {}
+    if language is not None and vectors is not None:
+        worded["language"] = {**asdict(language), "classes": len(vectors.names), "classes_xxh3_128": vectors.hash}
+    return write_network(
+        out,
+        model,
+        _command(job, out),
+        lambda plain: _calibrate(plain, validation, data),
+        lambda scorer, _: {
             "labels": _labels_record(labels, data),
             "training": _training_record(model, job, data),
             "split": plan.record(),
-            "calibration": {relation: list(ab) for relation, ab in calibration.items()},
-            "held_out": held_out(OnnxScorer(made), test, data.names),
+            "held_out": held_out(scorer, test, data.names),
             "warnings": _warnings(model, plan, data, labels.manifest.profile.get("name") == GIVEN),
-        }
-        if language is not None and vectors is not None:
-            card["language"] = {**asdict(language), "classes": len(vectors.names), "classes_xxh3_128": vectors.hash}
-        made.with_suffix(".json").write_text(json.dumps(rounded(card), indent=1) + "\n", encoding="utf-8")
-        take_places(made, out)
-    return card
+            **worded,
+        },
+        trained_on(labels, plan),
+    )
 
 
 def _language(job: LabelTraining, data: LabelData) -> tuple[ClassVectors | None, LanguageContract | None]:

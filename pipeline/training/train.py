@@ -21,9 +21,9 @@ import xxhash
 from pipeline.language.relation_names import DIRECTIONAL, INVERSE, VOCABULARIES
 from pipeline.language.vectors import LanguageContract
 from pipeline.metrics.calibration_metrics import IDENTITY, Platt
-from pipeline.relations.class_vectors import ClassVectors
 from pipeline.relations.contract import NetworkContract, Output
 from pipeline.relations.features import LANGUAGE, feature_set
+from pipeline.relations.model import ClassVectors
 from pipeline.relations.relations import T
 from pipeline.system.errors import MissingExtra, extra_module, require
 from pipeline.training.label_data import PairSet, class_shares

@@ -18,7 +18,7 @@ from pipeline.diagnosis.whatif.placement import BoxNumbers, box_numbers
 from pipeline.geometry.palette import RGB, hex_color, palette
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
-from pipeline.relations.installed import installed_networks
+from pipeline.relations.model import installed_networks
 from pipeline.relations.relations import Profile
 from spatialviz.app.markup import (
     DOUBT,
@@ -165,7 +165,7 @@ def _settings(state: State, trace: Trace, source: Pipeline) -> Child:
     weights = [_setting(name, getattr(rank, name), "0.1") for name in WEIGHTS]
     thresholds = [_setting(n, getattr(profile, n), "1" if "cone" in n else "0.01") for n in PROFILE_SETTINGS]
     scorers = {"own": f"own: {source.scorer.name}", "trained": "trained", "rule": "rule"}
-    own = {n.name: n.name for n in installed_networks()}
+    own = {n.stem: n.stem for n in installed_networks()}
     return (
         heading("Settings"),
         detector,

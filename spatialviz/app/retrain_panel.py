@@ -13,7 +13,7 @@ from platformdirs import user_data_path
 
 from pipeline.corrections.review.label_jobs import CANCELLED, RetrainingJob, TrainingProgress
 from pipeline.language.relation_names import PHRASE
-from pipeline.relations.installed import install_network
+from pipeline.relations.model import install_network
 from pipeline.system.errors import InputError
 from spatialviz.app.channel import Command
 from spatialviz.app.context import Context, command, there
@@ -82,11 +82,11 @@ class RetrainPanel(LabelPart):
         except InputError as error:
             self.ctx.toast("Not installed", str(error), bad=True)
             return
-        self.ctx.note(f"installed: --srm {done.name} is {done.path}")
-        training.change(lambda now: replace(now, installed=done.name))
+        self.ctx.note(f"installed: --srm {done.stem} is {done}")
+        training.change(lambda now: replace(now, installed=done.stem))
         if self.state.labels is None:
             # While labels are shown there is no question for the network.
-            self.ctx.handle(Command("edit", (f"set:scorer:{done.name}",)))
+            self.ctx.handle(Command("edit", (f"set:scorer:{done.stem}",)))
 
     @command("replayed")
     def open_expression(self, said: str) -> None:

@@ -20,13 +20,13 @@ from pipeline.diagnosis.whatif import Edits, edits_record
 from pipeline.diagnosis.whatif.state import CameraView, Toggle, ViewState, decode, encode
 from pipeline.evaluation.leakage import shares_of_answer
 from pipeline.language.counted import counted
-from pipeline.relations.installed import is_named
+from pipeline.relations.model import is_named
 from pipeline.system.errors import InputError, require
 from spatialviz.app.context import Context, Part, command
 from spatialviz.app.markup import BAD, h, note
 from spatialviz.app.state import ColorMode, State
 from spatialviz.app.url_state import Place
-from spatialviz.report import Subject, failure_page
+from spatialviz.report.page import Subject, failure_page
 
 
 class ViewStrings(Part):

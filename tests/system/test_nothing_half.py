@@ -18,9 +18,9 @@ from pipeline.answering.predictions import Header, Prediction, write_predictions
 from pipeline.system import InputError
 from pipeline.system.whole_files import (
     clear_abandoned,
+    file_with_companions,
     scratch_folder,
     staged_folder,
-    take_places,
     temporary_sibling,
     text_file,
     whole_file,
@@ -79,10 +79,8 @@ def test_a_kill_never_leaves_a_network_beside_another_ones_card(
     moves: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     names = ("srm.onnx", "srm.json", "srm.vectors.npz")
-    made, out = tmp_path / "new" / names[0], tmp_path / names[0]
-    made.parent.mkdir()
+    out = tmp_path / names[0]
     for file in names:
-        (made.parent / file).write_text("new")
         (tmp_path / file).write_text("old")
     left, move = [None] * moves, os.replace
 
@@ -93,8 +91,9 @@ def test_a_kill_never_leaves_a_network_beside_another_ones_card(
         move(source, target)
 
     monkeypatch.setattr(os, "replace", killed_after)
-    with suppress(KeyboardInterrupt):
-        take_places(made, out)
+    with suppress(KeyboardInterrupt), file_with_companions(out) as made:
+        for file in names:
+            (made.parent / file).write_text("new")
     assert out.exists() == (moves == len(names))
     if out.exists():
         assert {(tmp_path / name).read_text() for name in names} == {"new"}

@@ -25,7 +25,7 @@ from pipeline.relations.features import LANGUAGE
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import U, letter
 from pipeline.system.errors import require
-from pipeline.system.whole_files import clear_abandoned, take_places, temporary_folder
+from pipeline.system.whole_files import file_with_companions
 from pipeline.training.card import network_path, rounded
 from pipeline.training.label_data import LabelData, LabelledFrame, read_label_data
 from pipeline.training.label_training import LabelTraining, train_on_labels
@@ -171,10 +171,8 @@ def retrain(
     vocabulary = VOCABULARIES[config.train.vocabulary]
     was, now = (read_label_data(labels, config.train.features, vocabulary) for labels in (before, after))
     plan = shared_split(was, now, config)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    clear_abandoned(out.parent, ours=False)
-    with temporary_folder(out) as folder:
-        files = Path(folder) / "before" / out.name, Path(folder) / out.name
+    with file_with_companions(out) as made:
+        files = made.parent / "before" / out.name, made
         cards = []
         for labels, file, name in ((before, files[0], "before"), (after, files[1], "after")):
             job = LabelTraining(labels.root, config.train, config.split)
@@ -186,7 +184,6 @@ def retrain(
         texts = {".comparison.json": json.dumps(found.record(), indent=1) + "\n", ".comparison.md": found.markdown()}
         for suffix, text in texts.items():
             files[1].with_suffix(suffix).write_text(text, encoding="utf-8")
-        take_places(files[1], out)
     return found
 
 

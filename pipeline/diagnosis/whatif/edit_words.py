@@ -18,7 +18,7 @@ from pipeline.diagnosis.whatif.placement import box_numbers, grown, labelled_mas
 from pipeline.diagnosis.whatif.rerun import Baseline, rerun
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.viewer import ViewerAxes
-from pipeline.relations.installed import is_named
+from pipeline.relations.model import is_named
 from pipeline.system.errors import InputError, as_input_error, needed, require
 
 PROFILE_SETTINGS = ("cone", "doubtful_cone", "dead_zone", "dead_zone_depth")
