@@ -27,7 +27,6 @@ from pipeline.diagnosis.asking import ask_and_judge, labelled_truth
 from pipeline.diagnosis.suggested_questions import suggest_questions
 from pipeline.diagnosis.verdict import shown_verdict
 from pipeline.evaluation.run_folder import open_run
-from pipeline.evaluation.systems import EvalSpec
 from pipeline.geometry.measure import Measurement, measure
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.reading import Labels, open_labels
@@ -63,8 +62,8 @@ def run_ask(command: AskCommand) -> int:
         path=command.save,
     )
     answered = 0
-    source, labels, spec = _opened(command)
-    for answer in ask_and_judge(source, command.frame, command.expressions, labels, warn_skipped, spec):
+    source, labels, known = _opened(command)
+    for answer in ask_and_judge(source, command.frame, command.expressions, labels, warn_skipped, **known):
         trace = answer.needed_trace()
         answered += answer.holds is True
         command.write(answer.record(), print_answer, answer, trace)
@@ -75,14 +74,14 @@ def run_ask(command: AskCommand) -> int:
     return FINE if answered else NO
 
 
-def _opened(command: AskCommand) -> tuple[Pipeline, Labels | None, EvalSpec | None]:
-    """Pipeline of a command, labels, and the specification of an asked run."""
+def _opened(command: AskCommand) -> tuple[Pipeline, Labels | None, dict[str, Any]]:
+    """Pipeline of a command, labels, and the marks and confidence of an asked run."""
     labels = None if command.labels is None else open_labels(command.labels)
     if command.run_folder is None:
         if command.dataset == DEMO_NAME and not command.json:
             by = "by the demo's annotations; " if command.source == SourceOptions() else ""
             say(f"{by}--run demo answers as `view` does", style="dim")
-        return command.source.open(command.dataset, command.frame, labels), labels, None
+        return command.source.open(command.dataset, command.frame, labels), labels, {}
     require(command.source == SourceOptions(), "--run brings its own detector and relation scorer")
     built_in = str(command.run_folder) == DEMO_NAME and not command.run_folder.exists()
     run = open_run(
@@ -90,7 +89,7 @@ def _opened(command: AskCommand) -> tuple[Pipeline, Labels | None, EvalSpec | No
         dataset=None if command.dataset == DEMO_NAME else command.dataset,
         labels=None if command.labels is None else str(command.labels),
     )
-    return run.source, run.labels, run.spec
+    return run.source, run.labels, {"marks": run.spec.marks, "confidence": run.spec.confidence}
 
 
 def _complete(command: AskCommand) -> int:

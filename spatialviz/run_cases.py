@@ -12,7 +12,7 @@ from pipeline.answering.pipeline import Pipeline
 from pipeline.answering.predictions import read_predictions
 from pipeline.datasets.saved_case import MANIFEST
 from pipeline.diagnosis.answer import Answer, answer_record
-from pipeline.diagnosis.asking import answer, edited_verdicts, frame_truth
+from pipeline.diagnosis.asking import answer, frame_truth, judged, truth_or_reason
 from pipeline.diagnosis.cases.manifest import ExpectedRecord
 from pipeline.diagnosis.cases.replay import ReplayResult, find_cases, replay_all
 from pipeline.diagnosis.cases.saving import open_case, save_case
@@ -52,7 +52,9 @@ def whatif_answer(baseline: Baseline, edits: Edits, labels: Labels | None) -> tu
         raise InputError("edits of objects that are not there", got=", ".join(unknown), expected=known)
     after = rerun(baseline, edits)
     weights = replace(source.config.rank, **edits.rank)
-    verdicts = edited_verdicts(source, context, baseline.outcome.trace, after.trace, weights, labels)
+    truth = truth_or_reason(source, context, labels)
+    first = judged(baseline.outcome.trace, source, context, truth).verdict
+    verdicts = first, judged(after.trace, source, context, truth, weights).verdict
     return whatif_record(baseline, after, edits, verdicts), after
 
 

@@ -96,22 +96,11 @@ class Trace:
 
     def names_in(self, pair: ScoredPair) -> dict[int, str]:
         """Names of the question for the objects of a pair, by place in `objects`."""
-        found, links = {pair.target: self.root.label}, iter(pair.links)
-
-        def below(node: Node) -> None:
-            for attachment in node.attachments:
-                if attachment.of_pairs and (link := next(links, None)) is not None:
-                    for end, place in zip(attachment.nodes, (link.b, link.c), strict=False):
-                        if place is not None:
-                            found.setdefault(place, end.label)
-                    for end in attachment.nodes:
-                        below(end)
-
-        ends = () if self.asked is None else self.asked.nodes
-        for end, place in zip(ends, (pair.reference, pair.second_reference), strict=False):
-            if place is not None:
-                found.setdefault(place, end.label)
-        below(self.root)
+        found = {pair.target: self.root.label}
+        for link in pair.links:
+            for place, name in zip((link.b, link.c), link.names, strict=False):
+                if place is not None:
+                    found.setdefault(place, name)
         return found
 
     @property

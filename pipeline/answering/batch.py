@@ -119,15 +119,16 @@ class StageClock:
         self._running: list[str] = []
         self._since = 0.0
 
-    def stage(self, name: str) -> _Stage:
+    def stage(self, name: str) -> StageClock:
         """Context timed as this stage."""
-        return _Stage(self, name)
-
-    def enter(self, name: str) -> None:
+        # Entered for every expression: a generator's context would cost several times as much.
         self._settle()
         self._running.append(name)
+        return self
 
-    def leave(self) -> None:
+    def __enter__(self) -> None: ...
+
+    def __exit__(self, *_: object) -> None:
         self._settle()
         self._running.pop()
 
@@ -137,17 +138,3 @@ class StageClock:
             name = self._running[-1]
             self.seconds[name] = self.seconds.get(name, 0.0) + now - self._since
         self._since = now
-
-
-class _Stage:
-    # Entered for every expression: a generator's context would cost several times as much.
-    __slots__ = ("_clock", "_name")
-
-    def __init__(self, clock: StageClock, name: str) -> None:
-        self._clock, self._name = clock, name
-
-    def __enter__(self) -> None:
-        self._clock.enter(self._name)
-
-    def __exit__(self, *_: object) -> None:
-        self._clock.leave()

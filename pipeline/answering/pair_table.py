@@ -65,6 +65,7 @@ class Link:
     probability: float
     c: int | None = None
     inverse: bool = False
+    names: tuple[str, ...] = ()  # Of `b` and `c` in the question
 
 
 @dataclass(frozen=True)

@@ -294,7 +294,9 @@ def _links(
         probability = float(branch.probability[(at, *ends)])
         product *= probability
         second = objects[1] if len(objects) > 1 else None
-        links.append(Link(branch.attachment.relation, here, objects[0], probability, second, branch.attachment.inverse))
+        asked = branch.attachment
+        names = tuple(n.label for n in asked.nodes)
+        links.append(Link(asked.relation, here, objects[0], probability, second, asked.inverse, names))
         for end, k in zip(branch.ends, ends, strict=True):
             below, stated, factor = _links(end, k, None)
             links += below

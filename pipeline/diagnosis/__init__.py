@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from pipeline.diagnosis.asking import (
         annotated_truth,
         ask_and_judge,
-        edited_verdicts,
         frame_truth,
         judge_sentence,
         judge_trace,

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any, Protocol
+from types import MappingProxyType
 
 import numpy as np
 
@@ -32,18 +32,10 @@ from pipeline.labels.reading import Labels
 from pipeline.language.naming import match, spelt
 from pipeline.language.tree import Query
 from pipeline.proposals.annotations import AnnotationDetector
-from pipeline.relations.model import OnnxScorer, is_named
+from pipeline.relations.installed import is_named
+from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import T, U
 from pipeline.system.errors import InputError, ServerError, require
-
-
-class JudgedAs(Protocol):
-    """Settings of an `EvalSpec` relevant to verdicts."""
-
-    @property
-    def marks(self) -> Mapping[tuple[str, str], str]: ...
-    @property
-    def confidence(self) -> float | None: ...
 
 
 def frame_truth(source: Pipeline, context: PreparedFrame, labels: Labels | None = None) -> FrameCases | None:
@@ -69,7 +61,8 @@ def ask_and_judge(
     expressions: Sequence[str],
     labels: Labels | None = None,
     skipped: Skipped | None = None,
-    of_run: JudgedAs | None = None,
+    marks: Mapping[tuple[str, str], str] = MappingProxyType({}),
+    confidence: float | None = None,
 ) -> Iterator[Answer]:
     """Answer and judge every expression on every frame of `key`; the truth of a frame is computed once.
 
@@ -81,8 +74,8 @@ def ask_and_judge(
         What says what is true. By default the frame's annotations do.
     skipped : callable, optional
         Told of each broken frame among all frames.
-    of_run : EvalSpec, optional
-        Expressions are judged as in a run of this specification.
+    marks, confidence
+        As for `judge_trace`, the marks by frame and id of the expression: those of a run judge as the run did.
     """
     source.needed_detector()
     for context in contexts(source, key, skipped):
@@ -92,7 +85,9 @@ def ask_and_judge(
                 trace = source.ask(context, text)
                 if n == 0:
                     truth = truth_or_reason(source, context, labels)
-                yield judged(trace, source, context, truth, of_run=of_run)
+                case = labelled_case(truth, trace.query.text) if isinstance(truth, FrameCases) else None
+                mark = None if case is None else marks.get((context.frame.id, case.id))
+                yield judged(trace, source, context, truth, case=case, mark=mark, confidence=confidence)
         except FrameUnusable as error:
             skip_or_raise(error, key, context.frame.id, skipped)
 
@@ -111,50 +106,21 @@ def judged(
     context: PreparedFrame,
     truth: FrameCases | str | None,
     rank: RankConfig | None = None,
-    of_run: JudgedAs | None = None,
+    *,
+    case: Case | None = None,
+    mark: str | None = None,
+    confidence: float | None = None,
 ) -> Answer:
-    """Answer of a trace with its verdict, or the reason for none.
-
-    `rank`: weights of an edited trace; `of_run`: run providing marks and confidence.
-    """
-    found: Diagnosis | str | None = None if isinstance(truth, FrameCases) else truth
+    """Answer of a trace with its verdict, or the reason for none; parameters as for `judge_trace`."""
+    found: Diagnosis | str | None = truth if isinstance(truth, str) else None
     if isinstance(truth, FrameCases):
         try:
-            case = labelled_case(truth, trace.query.text)
-            known: dict[str, Any] = {}
-            if of_run is not None:
-                mark = None if case is None else of_run.marks.get((truth.frame, case.id))
-                known = {"mark": mark, "confidence": of_run.confidence}
-            found = judge_trace(trace, source, context, truth, case=case, rank=rank, **known)
+            found = judge_trace(trace, source, context, truth, case=case, mark=mark, confidence=confidence, rank=rank)
         except InputError as error:
             found = str(error)
-    return _with_verdict(trace.query.text, trace, found)
-
-
-def _with_verdict(text: str, trace: Trace, found: Diagnosis | str | None) -> Answer:
     if isinstance(found, str):
-        return Answer(text, trace, unjudged=found)
-    return Answer(text, trace, diagnosis=found)
-
-
-def edited_verdicts(
-    source: Pipeline,
-    context: PreparedFrame,
-    before: Trace,
-    after: Trace,
-    rank: RankConfig,
-    labels: Labels | None = None,
-) -> tuple[str | None, str | None]:
-    """Verdicts without and with edits, by the same truth; None where missing.
-
-    Parameters
-    ----------
-    rank : RankConfig
-        The weights that `after` was ranked with.
-    """
-    truth = truth_or_reason(source, context, labels)
-    first, last = judged(before, source, context, truth), judged(after, source, context, truth, rank)
-    return first.verdict, last.verdict
+        return Answer(trace.query.text, trace, unjudged=found)
+    return Answer(trace.query.text, trace, diagnosis=found)
 
 
 def answer(
@@ -185,10 +151,7 @@ def answer(
         return Answer(text, problem=str(error), diagnosis=found)
     if edits:
         trace, rank = edited_trace(source, context, text, edits)
-    if truth is None:
-        return Answer(text, trace)
-    found = judge_trace(trace, source, context, truth, case=case, mark=mark, confidence=confidence, rank=rank)
-    return _with_verdict(text, trace, found)
+    return judged(trace, source, context, truth, rank, case=case, mark=mark, confidence=confidence)
 
 
 def judge_refused(

@@ -11,7 +11,7 @@ import pytest
 
 from pipeline.answering import Pipeline, open_pipeline
 from pipeline.answering.ranking import RankConfig
-from pipeline.diagnosis import Baseline, Edits, ask_and_judge, asking, edited_verdicts
+from pipeline.diagnosis import Baseline, Edits, ask_and_judge, asking
 from pipeline.diagnosis.asking import case_of
 from pipeline.diagnosis.whatif import rerun
 from pipeline.geometry import Frame
@@ -138,9 +138,9 @@ def test_an_edit_that_hides_the_right_object_changes_the_verdict(demo: Pipeline)
     assert before.trace.ranking is not None
     right = before.keys[before.trace.ranking.pairs[0].target]
     after = rerun(baseline, Edits(hidden=frozenset({right})))
-    assert edited_verdicts(demo, context, before.trace, before.trace, RankConfig()) == ("CORRECT", "CORRECT")
-    first, last = edited_verdicts(demo, context, before.trace, after.trace, RankConfig())
-    assert (first, last) == ("CORRECT", "OPM-TARGET")
+    truth = asking.truth_or_reason(demo, context, None)
+    found = [asking.judged(o.trace, demo, context, truth, RankConfig()).verdict for o in (before, before, after)]
+    assert found == ["CORRECT", "CORRECT", "OPM-TARGET"]
     bare = changed(demo, annotations=lambda frame: ())
-    nothing = next(asking.contexts(bare, 0))
-    assert edited_verdicts(bare, nothing, before.trace, after.trace, RankConfig()) == (None, None)
+    nothing = asking.truth_or_reason(bare, next(asking.contexts(bare, 0)), None)
+    assert asking.judged(after.trace, bare, context, nothing, RankConfig()).verdict is None
