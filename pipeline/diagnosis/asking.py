@@ -32,8 +32,7 @@ from pipeline.labels.reading import Labels
 from pipeline.language.naming import match, spelt
 from pipeline.language.tree import Query
 from pipeline.proposals.annotations import AnnotationDetector
-from pipeline.relations.installed import is_named
-from pipeline.relations.model import OnnxScorer
+from pipeline.relations.model import OnnxScorer, is_named
 from pipeline.relations.relations import T, U
 from pipeline.system.errors import InputError, ServerError, require
 
