@@ -12,15 +12,15 @@ from pipeline.corrections.journal.effective_frame import setting_of
 from pipeline.corrections.journal.events import outcome_record
 from pipeline.corrections.journal.journal import JOURNAL_FILE
 from pipeline.corrections.review.doubts import DoubtConfig
-from pipeline.corrections.review.items import ItemKey
+from pipeline.corrections.review.items import ItemKey, Judgements, PairAgreement, pair_agreements
 from pipeline.corrections.review.queue import (
     DISAGREE,
     automatic_version,
     read_relation_labels,
     review_queue,
+    reviewed_labels,
     states_on_labels,
 )
-from pipeline.corrections.review.reviewed import PairAgreement, Reviewed, pair_agreements, reviewed_labels
 from pipeline.corrections.review.worklist import (
     NOTHING,
     Worklist,
@@ -46,15 +46,15 @@ def run_review(command: ReviewCommand) -> int:
     require(command.author is None or not command.all, "--all and --author exclude each other")
     labels = open_labels(command.labels)
     with scratch_folder() as folder:
-        reviewed = _reviewed(command, labels, Path(folder) / "labels")
+        effective, judgements = _reviewed(command, labels, Path(folder) / "labels")
         if command.agreement:
-            pairs = pair_agreements(reviewed.judgements, setting_of(labels).inverse)
+            pairs = pair_agreements(judgements, setting_of(labels).inverse)
             command.write((pair.record() for pair in pairs), print_agreement, pairs, command.limit)
             return FINE if pairs else NO
-        work = _stored(command, labels) if command.queue is not None else _made(command, reviewed)
+        work = _stored(command, labels) if command.queue is not None else _made(command, effective, judgements)
     if command.out is not None:
         write_queue(work.queue, command.out)
-    shown = work if command.author is None else work.of_reviewer(reviewed.judgements.states(command.author))
+    shown = work if command.author is None else work.of_reviewer(judgements.states(command.author))
     places = shown.found(_label, command.find, command.kind, settled=command.all)
     if command.accept:
         return _accept(command, labels, [work.keys[place] for place in places[: command.limit]])
@@ -81,9 +81,9 @@ def _is_reviewed(command: ReviewCommand, labels: Labels) -> bool:
     return command.journal.journal is not None or (labels.root / JOURNAL_FILE).exists()
 
 
-def _reviewed(command: ReviewCommand, labels: Labels, folder: Path) -> Reviewed:
+def _reviewed(command: ReviewCommand, labels: Labels, folder: Path) -> tuple[Labels, Judgements]:
     if not _is_reviewed(command, labels):
-        return Reviewed(labels)
+        return labels, Judgements()
     with command.journal.open(labels, must_exist=True) as journal:
         return reviewed_labels(labels, journal, folder, command.source.open(labels))
 
@@ -96,19 +96,19 @@ def _stored(command: ReviewCommand, labels: Labels) -> Worklist:
         return refreshed_worklist(work, Corrector(labels, command.source.open(labels)), journal, NOTHING)[0]
 
 
-def _made(command: ReviewCommand, reviewed: Reviewed) -> Worklist:
+def _made(command: ReviewCommand, labels: Labels, judgements: Judgements) -> Worklist:
     networks = command.networks
     if networks and (why := MissingExtra.missing(need_torch)):
         networks = False
         warn(f"the networks are left out, as with --no-networks: {why}")
     with progress_bars() as advance:
         queue = review_queue(
-            reviewed.labels,
+            labels,
             DoubtConfig() if networks else None,
-            judgements=reviewed.judgements,
+            judgements=judgements,
             progress=lambda done, of: advance("networks", done, of),
         )
-    return worklist(queue, states_on_labels(reviewed.judgements, read_relation_labels(reviewed.labels)))
+    return worklist(queue, states_on_labels(judgements, read_relation_labels(labels)))
 
 
 def print_queue(work: Worklist, first: list[dict[str, Any]], shown: int, hidden: int, out: Path | None) -> None:

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from pipeline.corrections.label_view import LabelView, paired
     from pipeline.corrections.object_card import ExpressionCard, back_to_automatic, bring_back, set_answer
     from pipeline.corrections.review.doubts import DoubtConfig
-    from pipeline.corrections.review.items import STATES, ItemKey, State
+    from pipeline.corrections.review.items import STATES, ItemKey, State, pair_agreements
     from pipeline.corrections.review.label_jobs import (
         CANCELLED,
         QueueJob,
@@ -65,10 +65,10 @@ if TYPE_CHECKING:
         automatic_version,
         read_relation_labels,
         review_queue,
+        reviewed_labels,
         states_on_labels,
     )
     from pipeline.corrections.review.retraining import RetrainConfig, Retraining, retrain
-    from pipeline.corrections.review.reviewed import pair_agreements, reviewed_labels
     from pipeline.corrections.review.worklist import (
         NOTHING,
         Worklist,

@@ -78,8 +78,8 @@ def test_states_are_followed_as_a_new_queue_has_them(
     saved(journal, (other,))
     newest = mark_of(journal.events())
     found = frame_states(frame(), journal.events(frame=FRAME))
-    reviewed = reviewed_labels(demo_labels, journal, tmp_path / "labels")
-    expected = states_on_labels(reviewed.judgements, read_relation_labels(reviewed.labels))
+    effective, judgements = reviewed_labels(demo_labels, journal, tmp_path / "labels")
+    expected = states_on_labels(judgements, read_relation_labels(effective))
     assert {k: s for k, s in found.items() if s != "unreviewed"} == expected
     assert [found.get(left(*pair), "unreviewed") for pair in ((a, b), (c, d), (e, f), (g, h))] == [
         "accepted",
@@ -119,7 +119,7 @@ def test_what_a_rejected_object_takes_along_is_gone_until_it_is_back(
     assert gone
     assert away.counts["items"] == work.counts["items"] - len(gone)
     # A queue made now has the same relations of the frame, and expressions only of what is left.
-    now = reviewed_labels(demo_labels, journal, tmp_path / "labels").labels
+    now, _ = reviewed_labels(demo_labels, journal, tmp_path / "labels")
     made_now = item_keys(review_queue(now))
     assert {k for k in made_now if k.frame == FRAME and k.kind == "relation"} <= {k for k in of_frame if k not in gone}
     lost = gone_items(frame(), more, states_of(journal))

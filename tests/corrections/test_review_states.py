@@ -244,8 +244,8 @@ def test_the_queue_takes_what_was_said(demo_labels: Labels, journal: Journal, fr
     number = frame().pairs.numbers.tolist()[-1]
     status = FieldRef("object", FRAME, str(number), "status")
     saved(journal, actions.set_status(frame(), status, "accepted", author="bob"), "bob")
-    reviewed = reviewed_labels(demo_labels, journal, tmp_path / "effective")
-    queue = review_queue(reviewed.labels, judgements=reviewed.judgements)
+    effective, judgements = reviewed_labels(demo_labels, journal, tmp_path / "effective")
+    queue = review_queue(effective, judgements=judgements)
     rows = dict(zip(item_keys(queue), queue.to_pylist(), strict=True))
     top = queue.slice(0, 1).to_pylist()[0]
     assert {top["a"], top["b"]} == {disputed.a, disputed.b}
@@ -253,7 +253,7 @@ def test_the_queue_takes_what_was_said(demo_labels: Labels, journal: Journal, fr
     assert rows[settled]["score"] == 0
     assert rows[settled]["label"] == "F"
     assert rows[settled]["reasons"] == []
-    states = states_on_labels(reviewed.judgements, read_relation_labels(reviewed.labels))
+    states = states_on_labels(judgements, read_relation_labels(effective))
     work = worklist(queue, states)
     left_over = {work.keys[k] for k in work.left()}
     assert settled not in left_over

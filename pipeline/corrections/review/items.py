@@ -11,18 +11,22 @@ Over all, the newest word counts as well, unless people say different things:
 then the item is "unsure", and so open, until `edits.settle` says the last word.
 Who is unsure contradicts nobody. A word after the settlement that says
 something else opens the item again.
+
+How far two reviewers agree is told by Cohen's kappa (Educational and Psychological Measurement 20, 1960).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import combinations
 from typing import Any, Literal, NamedTuple, get_args
 
 from pipeline.corrections.journal.events import Event, grouped
 from pipeline.corrections.journal.field_refs import FieldRef, judged_item, same_value
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.replay import by_ref, standing_at
+from pipeline.metrics.intervals import Agreement, cohen_kappa
 from pipeline.relations.relations import letter
 
 Kind = Literal["relation", "object", "expression"]
@@ -237,3 +241,76 @@ def _status_of(event: Event, automatic: Any) -> tuple[State, int | None]:
 def _changed_before(event: Event, of_entity: Sequence[FieldRef], refs: Mapping[FieldRef, Sequence[Event]]) -> bool:
     earlier = ((ref, [e for e in refs[ref] if e.id <= event.id]) for ref in of_entity)
     return any(e and (ref.field == "exists" or not same_value(e[-1].after, e[0].before)) for ref, e in earlier)
+
+
+@dataclass(frozen=True, eq=False)
+class PairAgreement:
+    """How far two people agree."""
+
+    first: str
+    second: str
+    all: Agreement
+    """On all items that both have judged."""
+    kinds: dict[str, Agreement]
+    """On those of a kind, where there are any."""
+    differ: tuple[tuple[ItemKey, str, str], ...]
+    """tuple of (ItemKey, str, str): items that they judge differently, and what each says, by frame and key."""
+
+    def record(self) -> dict[str, Any]:
+        """The agreement as JSON."""
+        return {
+            "reviewers": [self.first, self.second],
+            **self.all.record(),
+            "kinds": {kind: found.record() for kind, found in self.kinds.items()},
+            "differ": [
+                {"frame": k.frame, "kind": k.kind, "a": k.a, "b": k.b, "what": k.what, "said": [one, other]}
+                for k, one, other in self.differ
+            ],
+        }
+
+
+def pair_agreements(judgements: Judgements, inverse: Callable[[str], str | None]) -> tuple[PairAgreement, ...]:
+    """Agreement of each two people with judged items in common.
+
+    Compared is each one's newest word (`Judgement.verdict`); who is unsure, or has withdrawn a word, has not judged.
+    A settlement is nobody's own word, and does not bear on it. "a left of b" and "b right of a" are one item, so that
+    what one key press says counts once.
+
+    `inverse`: what "b ... a" is called where "a RELATION b" is said, as of `Setting.inverse`; None where nothing is.
+    """
+    verdict = {
+        author: {k: w.verdict for k, w in _folded(judgements.of(author), inverse).items() if w.status in SETTLED}
+        for author in judgements.authors
+    }
+    found = []
+    for first, second in combinations(verdict, 2):
+        both = sorted(verdict[first].keys() & verdict[second].keys(), key=str)
+        if not both:
+            continue
+        pairs = [(k, verdict[first][k], verdict[second][k]) for k in both]
+        kinds = {kind: [p for p in pairs if p[0].kind == kind] for kind in KINDS}
+        found.append(
+            PairAgreement(
+                first,
+                second,
+                _of_pairs(pairs),
+                {kind: _of_pairs(of_kind) for kind, of_kind in kinds.items() if of_kind},
+                tuple(p for p in pairs if p[1] != p[2]),
+            )
+        )
+    return tuple(found)
+
+
+def _folded(words: Mapping[ItemKey, Judgement], inverse: Callable[[str], str | None]) -> dict[ItemKey, Judgement]:
+    found: dict[ItemKey, Judgement] = {}
+    for key, word in words.items():
+        mirrored = inverse(key.what) if key.kind == "relation" else None
+        if mirrored is not None and key.b is not None:
+            key = min(key, key._replace(a=key.b, b=key.a, what=mirrored))
+        if key not in found or word.at > found[key].at:
+            found[key] = word
+    return found
+
+
+def _of_pairs(pairs: Sequence[tuple[ItemKey, str, str]]) -> Agreement:
+    return cohen_kappa([p[1] for p in pairs], [p[2] for p in pairs])

@@ -16,9 +16,9 @@ from typing import Any
 from pipeline.corrections.journal.journal import journal_of
 from pipeline.corrections.journal.materialise import MARKS_FILE, materialise
 from pipeline.corrections.review.doubts import DoubtConfig
-from pipeline.corrections.review.queue import read_relation_labels, review_queue, states_on_labels
+from pipeline.corrections.review.items import Judgements
+from pipeline.corrections.review.queue import read_relation_labels, review_queue, reviewed_labels, states_on_labels
 from pipeline.corrections.review.retraining import RetrainConfig, Retraining, compare_networks, retrain, shared_split
-from pipeline.corrections.review.reviewed import Reviewed, reviewed_labels
 from pipeline.corrections.review.worklist import (
     NOTHING,
     Mark,
@@ -88,24 +88,24 @@ def make_queue(job: QueueJob, report: Callable[[Step], None]) -> tuple[pa.Table,
     """
     labels = open_labels(job.labels)
     with scratch_folder() as folder:
-        reviewed, last = _reviewed(job, labels, Path(folder) / "labels")
+        (reviewed, judgements), last = _reviewed(job, labels, Path(folder) / "labels")
         queue = review_queue(
-            reviewed.labels,
+            reviewed,
             DoubtConfig() if job.networks else None,
-            judgements=reviewed.judgements,
+            judgements=judgements,
             progress=lambda done, of: report(("networks", done, of)),
         )
-        states = states_on_labels(reviewed.judgements, read_relation_labels(reviewed.labels))
+        states = states_on_labels(judgements, read_relation_labels(reviewed))
     queue = by_frame(queue)
     found = [states.get(key, "unreviewed") for key in item_keys(queue)]
     return queue.append_column("state", pa.array(found, pa.string())), last
 
 
-def _reviewed(job: QueueJob, labels: Labels, folder: Path) -> tuple[Reviewed, Mark]:
+def _reviewed(job: QueueJob, labels: Labels, folder: Path) -> tuple[tuple[Labels, Judgements], Mark]:
     try:
         journal = journal_of(labels, job.journal, project=job.project, must_exist=True)
     except InputError:
-        return Reviewed(labels), NOTHING
+        return (labels, Judgements()), NOTHING
     with journal:
         newest = journal.events(last=1)
         return reviewed_labels(labels, journal, folder, job.corrected_dataset(labels)), mark_of(newest)

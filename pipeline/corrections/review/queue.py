@@ -4,6 +4,9 @@ Each piece of evidence has a weight, the probability that the label is wrong if
 there were nothing else. The networks' own is estimated (`doubts`); the weights
 of the linter, small margins and reviewers who differ are judgements, ordered by
 what a finding proves.
+
+A relation is settled where people agree on it, or somebody has settled it, and the label says so too. It is taken as
+true then: nothing speaks against it, no noise is estimated from it, and networks learn from it in every pass.
 """
 
 from __future__ import annotations
@@ -12,15 +15,19 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from pipeline.corrections.journal.journal import Journal
+from pipeline.corrections.journal.materialise import materialise
 from pipeline.corrections.review.doubts import DoubtConfig, doubt_labels
-from pipeline.corrections.review.items import DISAGREED, SETTLED, ItemKey, Judgements, State
+from pipeline.corrections.review.items import DISAGREED, SETTLED, ItemKey, Judgements, State, item_of, judgements_of
+from pipeline.datasets import Dataset
 from pipeline.labels.check.linter import check_labels
 from pipeline.labels.check.view import Finding
-from pipeline.labels.reading import Labels, read_table
+from pipeline.labels.reading import Labels, open_labels, read_table
 from pipeline.labels.schema import Manifest, labels_version
 from pipeline.language.relation_names import INVERSE
 from pipeline.relations.pair_measures import NOT_JUDGED, F, T, U
@@ -82,8 +89,7 @@ def review_queue(
     without networks), score (float64, the same by all evidence), reasons (list of string, the strongest first).
     Metadata: `estimated_wrong` relation labels of those that are not settled; `elsewhere`, findings that are of no
     single label; `labels_version`, the automatic labels that it is of. Where an object may be missing (queues of
-    earlier versions), `place` tells where (x0,y0,x1,y1), `a` is -1, and the label is the class. The label of an object
-    that was left out is null.
+    earlier versions) `place` is x0,y0,x1,y1 and `a` is -1. The label of an object that was left out is null.
 
     Raises InputError: the labels are damaged, or hold nothing to learn from.
     Raises MissingExtra: torch is not installed.
@@ -238,6 +244,27 @@ def _blamed_cells(found: Finding) -> list[tuple[int, int, str, float]]:
     return [] if other is None else [(a, b, relation, ONE_OF_TWO), (*other, ONE_OF_TWO)]
 
 
+def reviewed_labels(
+    labels: Labels, journal: Journal, folder: Path, dataset: Dataset | None = None
+) -> tuple[Labels, Judgements]:
+    """Apply a journal to labels, and read the judgements in it.
+
+    `folder`: a new or empty one, into which effective labels are written; it is left alone where there are no
+    corrections.
+
+    Raises InputError: the labels, the journal or a frame cannot be read.
+    """
+    events = journal.events()
+    if not events:
+        return labels, Judgements()
+    _, found = materialise(labels, journal, folder, dataset=dataset)
+    # Where labels say by now what they were corrected to, the word on them holds.
+    ignored = {u.event.ulid for u in found.unapplied if u.kind != "agreed"}
+    keys = {key for event in events if (key := item_of(event.ref)) is not None}
+    automatic = relation_states(read_relation_labels(labels), keys)
+    return open_labels(folder), judgements_of(events, automatic=automatic.get, ignored=ignored)
+
+
 def disagreements(judgements: Judgements) -> list[Reason]:
     """Items judged differently by reviewers, with each verdict."""
     words = {
@@ -390,21 +417,23 @@ def _other_rows(labels: Labels, keys: Sequence[ItemKey]) -> list[dict[str, Any]]
     """Rows of objects and expressions."""
     if not keys:
         return []
-    frames = _by_key(labels.frames, ("frame",), "frame_index")
-    objects = _by_key(labels.objects, ("frame", "object"), "label")
-    sentences = _by_key(labels.expressions, ("frame", "id"), "text", "target_object", "reference_object")
+    objects, sentences, frames = (
+        {tuple(row[name] for name in ("frame", *number)): row for row in table.select(["frame", *columns]).to_pylist()}
+        for table, number, columns in (
+            (labels.objects, ["object"], ["object", "label"]),
+            (labels.expressions, ["id"], ["id", "text", "target_object", "reference_object"]),
+            (labels.frames, [], ["frame_index"]),
+        )
+    )
     found: list[dict[str, Any]] = []
     for k in keys:
-        row = {"frame": k.frame, "kind": k.kind, "frame_index": 0, "a": k.a, "b": k.b, **frames.get((k.frame,), {})}
+        index = frames.get((k.frame,), {"frame_index": 0})["frame_index"]
+        row = {"frame": k.frame, "kind": k.kind, "frame_index": index, "a": k.a, "b": k.b}
         if k.kind == "object":
-            found.append({**row, "place": k.what or None, **objects.get((k.frame, k.a), {})})
-            continue
-        said = sentences.get((k.frame, k.what), {})
-        ends = {"a": said.get("target_object", k.a), "b": said.get("reference_object", k.b)}
-        found.append({**row, **ends, "expression": k.what, "label": said.get("text")})
+            label = objects.get((k.frame, k.a), {}).get("label")
+            found.append({**row, "place": k.what or None, "label": label})
+        else:
+            said = sentences.get((k.frame, k.what), {})
+            ends = {"a": said.get("target_object", k.a), "b": said.get("reference_object", k.b)}
+            found.append({**row, **ends, "expression": k.what, "label": said.get("text")})
     return found
-
-
-def _by_key(table: pa.Table, key: tuple[str, ...], *columns: str) -> dict[tuple[Any, ...], dict[str, Any]]:
-    rows = table.select(list(columns)).to_pylist()
-    return dict(zip(zip(*(table.column(name).to_pylist() for name in key), strict=True), rows, strict=True))
