@@ -18,8 +18,9 @@ import cv2
 import numpy as np
 
 from pipeline.geometry.frame import Frame
+from pipeline.geometry.picture_input import InputPlacement, PictureInput, place_picture
 from pipeline.language.naming import Synonyms
-from pipeline.proposals.base import Proposals, no_proposals, suppress
+from pipeline.proposals.base import MAX_CANDIDATES, Proposals, no_proposals, suppress
 from pipeline.proposals.class_names import metadata_names, names_hash, read_class_names
 from pipeline.proposals.contracts import MASK_COEFFICIENTS, YOLO_SEG_CONTRACTS, yolo_seg_tensors
 from pipeline.proposals.mismatch import fitting
@@ -27,8 +28,6 @@ from pipeline.proposals.network import NetworkDetector
 from pipeline.system.errors import InputError, needed, require
 from pipeline.system.onnx_session import run_session
 
-MAX_CANDIDATES = 1000
-"""Rows that go into non-maximum suppression at most, best first."""
 MIN_SCORE = 0.15
 SCORE_FLOOR = 0.05
 """Rows whose best class is below this, or below the minimum score, are dropped at once."""
@@ -42,7 +41,7 @@ class _Raw:
     classes: np.ndarray
     coefficients: np.ndarray
     prototypes: np.ndarray
-    placement: Letterbox
+    placement: InputPlacement
     rows: np.ndarray
     cell: tuple[float, float]
     """Prototype cells per input pixel, down and across."""
@@ -84,7 +83,8 @@ class YoloSegDetector(NetworkDetector):
         order = order[suppress(raw.boxes[order])]
         if not len(order):
             return no_proposals(frame.height, frame.width)
-        boxes = raw.placement.to_picture(raw.boxes[order], frame.height, frame.width)
+        inside = np.clip(raw.placement.to_picture(raw.boxes[order]), 0, [frame.width, frame.height] * 2)
+        boxes = inside.astype(np.float32)
         masks = _masks(raw, order, boxes, frame.height, frame.width)
         solid = masks.any(axis=(1, 2))
         return Proposals(
@@ -100,8 +100,7 @@ class YoloSegDetector(NetworkDetector):
         _, _, height, width = self._input.shape
         height = height if isinstance(height, int) else _multiple_of_32(frame.height)
         width = width if isinstance(width, int) else _multiple_of_32(frame.width)
-        image, placement = letterbox(frame.rgb, height, width)
-        tensor = np.ascontiguousarray(image.transpose(2, 0, 1)[None], dtype=np.float32) / np.float32(255)
+        tensor, placement = place_picture(frame.rgb, height, width, PictureInput())
         rows, prototypes = run_session(self._session, self._outputs, {self._input.name: tensor}, self.path)
         if prototypes.ndim != 4 or prototypes.shape[:2] != (1, MASK_COEFFICIENTS) or rows.ndim != 3 or len(rows) != 1:
             raise self._odd_outputs(rows, prototypes)
@@ -163,8 +162,8 @@ def _masks(raw: _Raw, order: np.ndarray, boxes: np.ndarray, height: int, width: 
         right, bottom = min(int(np.ceil(x1)), width), min(int(np.ceil(y1)), height)
         if right <= left or bottom <= top:
             continue
-        xs = (((np.arange(left, right) + 0.5) * placement.scale + placement.left) * across - 0.5).astype(np.float32)
-        ys = (((np.arange(top, bottom) + 0.5) * placement.scale + placement.top) * down - 0.5).astype(np.float32)
+        xs = (((np.arange(left, right) + 0.5) * placement.scale_x + placement.left) * across - 0.5).astype(np.float32)
+        ys = (((np.arange(top, bottom) + 0.5) * placement.scale_y + placement.top) * down - 0.5).astype(np.float32)
         grid_x, grid_y = np.meshgrid(xs, ys)
         smooth = cv2.remap(
             np.ascontiguousarray(logits[k]), grid_x, grid_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
@@ -189,33 +188,3 @@ def _checked_names(names: tuple[str, ...] | None, classes: int | None, path: Pat
         path=path,
     )
     return names
-
-
-@dataclass(frozen=True)
-class Letterbox:
-    """Placement of a picture in the network's input."""
-
-    scale: float  # Input pixels per picture pixel
-    left: int
-    top: int  # Where the picture begins in the input, pixels
-    width: int
-    height: int  # Size of the picture in the input, pixels
-
-    def to_picture(self, boxes: np.ndarray, picture_height: int, picture_width: int) -> np.ndarray:
-        """(N, 4) boxes in input pixels as boxes in picture pixels, clipped to the picture."""
-        boxes = (boxes - np.array([self.left, self.top] * 2, np.float32)) / self.scale
-        return np.clip(boxes, 0, np.array([picture_width, picture_height] * 2)).astype(np.float32)
-
-
-def letterbox(rgb: np.ndarray, height: int, width: int, pad: int = 114) -> tuple[np.ndarray, Letterbox]:
-    """The picture scaled to fit (height, width), centred, the rest filled with grey. `image` (height, width, 3)
-    uint8."""
-    h, w = rgb.shape[:2]
-    scale = min(height / h, width / w)
-    inner_w, inner_h = min(max(round(w * scale), 1), width), min(max(round(h * scale), 1), height)
-    left, top = round((width - inner_w) / 2 - 0.1), round((height - inner_h) / 2 - 0.1)
-    image = np.full((height, width, 3), pad, np.uint8)
-    same = (inner_h, inner_w) == (h, w)
-    resized = rgb if same else cv2.resize(rgb, (inner_w, inner_h), interpolation=cv2.INTER_LINEAR)
-    image[top : top + inner_h, left : left + inner_w] = resized
-    return image, Letterbox(scale, left, top, inner_w, inner_h)

@@ -15,9 +15,9 @@ from onnx_stubs import write_stub
 from scenes import frame_of, upright
 
 from pipeline.geometry import Frame
+from pipeline.geometry.picture_input import PictureInput, place_picture
 from pipeline.proposals import detic, make_detector, make_segmenter, metadata_names, prompt_models
 from pipeline.proposals.network import shortest_edge
-from pipeline.proposals.yolo_seg import letterbox
 from pipeline.system import InputError, metadata, model_hash, open_session
 
 
@@ -38,8 +38,8 @@ def test_the_thinnest_picture_keeps_a_pixel() -> None:
             assert min(size) == 1
             assert max(size) <= 1333
             assert (size[0] > size[1]) == (height > width)
-        image, place = letterbox(np.zeros((height, width, 3), np.uint8), 64, 64)
-        assert (image == 0).all(axis=2).sum() == 64 == place.width * place.height
+        image, _ = place_picture(np.zeros((height, width, 3), np.uint8), 64, 64, PictureInput())
+        assert (image[0] == 0).all(axis=0).sum() == 64
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from proposal_checks import SEEDS, _own_cache, equal, frame  # noqa: F401
 
 from pipeline.geometry import Frame, iou_2d
+from pipeline.geometry.picture_input import PictureInput, place_picture
 from pipeline.proposals import (
     AnnotationDetector,
     CachedDetector,
@@ -26,7 +27,6 @@ from pipeline.proposals import (
     suppress,
     top_k,
 )
-from pipeline.proposals.yolo_seg import letterbox
 from pipeline.system import InputError
 
 
@@ -84,20 +84,19 @@ def test_a_letterboxed_box_comes_back(size: tuple[int, int], inside: tuple[int, 
     rng = np.random.default_rng(0)
     h, w = size
     rgb = rng.integers(0, 256, (h, w, 3)).astype(np.uint8)
-    image, place = letterbox(rgb, *inside)
+    tensor, place = place_picture(rgb, *inside, PictureInput(scale=1))
+    image = tensor[0].transpose(1, 2, 0)
     assert image.shape == (*inside, 3)
-    assert place.width == inside[1] or place.height == inside[0]
+    height, width = round(h * place.scale_y), round(w * place.scale_x)
+    assert width == inside[1] or height == inside[0]
     border = np.ones(inside, bool)
-    border[place.top : place.top + place.height, place.left : place.left + place.width] = False
+    border[place.top : place.top + height, place.left : place.left + width] = False
     assert (image[border] == 114).all()
-    assert abs(inside[0] - place.height - 2 * place.top) <= 1
-    assert abs(inside[1] - place.width - 2 * place.left) <= 1
+    assert abs(inside[0] - height - 2 * place.top) <= 1
+    assert abs(inside[1] - width - 2 * place.left) <= 1
     boxes = np.sort(rng.uniform(0, 1, (20, 2, 2)), axis=1).reshape(20, 4) * [w, h, w, h]
-    there = boxes * place.scale + [place.left, place.top] * 2
-    back = place.to_picture(there, h, w)
-    np.testing.assert_allclose(back, boxes, atol=0.01)
-    outside = place.to_picture(np.array([[-500, -500, 5000, 5000.0]]), h, w)
-    np.testing.assert_allclose(outside, [[0, 0, w, h]])
+    there = boxes * ([place.scale_x, place.scale_y] * 2) + [place.left, place.top] * 2
+    np.testing.assert_allclose(place.to_picture(there), boxes, atol=0.01)
     if inside == size:
         np.testing.assert_array_equal(image, rgb)
 
@@ -105,9 +104,9 @@ def test_a_letterboxed_box_comes_back(size: tuple[int, int], inside: tuple[int, 
 def test_a_mark_keeps_its_place_in_the_letterbox() -> None:
     rgb = np.zeros((300, 500, 3), np.uint8)
     rgb[100:150, 200:260] = 255
-    image, place = letterbox(rgb, 640, 640)
-    v, u = np.nonzero((image > 200).all(axis=2))
-    back = place.to_picture(np.array([[u.min(), v.min(), u.max() + 1, v.max() + 1]]), 300, 500)
+    image, place = place_picture(rgb, 640, 640, PictureInput(scale=1))
+    v, u = np.nonzero((image[0] > 200).all(axis=0))
+    back = place.to_picture(np.array([[u.min(), v.min(), u.max() + 1, v.max() + 1]]))
     np.testing.assert_allclose(back, [[200, 100, 260, 150]], atol=1)
 
 
