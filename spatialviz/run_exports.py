@@ -40,13 +40,6 @@ def run_export(command: ExportCommand) -> None:
         not (not command.corrected and command.journal != JournalOptions()),
         "--journal and --project go with --corrected",
     )
-    target, root = command.out.expanduser().resolve(), automatic.root.resolve()
-    require(
-        target != root and target not in root.parents,
-        "an export cannot replace the labels",
-        expected="another folder",
-        path=command.out,
-    )
     with _labels(command, automatic) as labels, rate_bar("exporting", "frames") as advance:
         report = export_labels(
             labels,

@@ -14,7 +14,7 @@ from pipeline.datasets import Dataset
 from pipeline.datasets.base import scene_of
 from pipeline.geometry.lifting import LiftConfig
 from pipeline.labels.labelling import label_objects
-from pipeline.labels.merge import SelectConfig, environment, write_labels, write_merged
+from pipeline.labels.merge import SelectConfig, environment, move_all, write_labels, write_merged
 from pipeline.labels.plan import LabelConfig, files_hash
 from pipeline.labels.profiles import fingerprint
 from pipeline.labels.reading import MANIFEST_FILE, Labels, build_table, open_labels
@@ -181,7 +181,4 @@ def _write(labels: Labels, frames: pa.Table) -> None:
         told = {"tables": files, "counts": _counts(frames, rows), "dataset": dataset}
         manifest = labels.manifest.model_copy(update=told)
         write_labels(staging, manifest)
-        for file in sorted(filter(Path.is_file, staging.rglob("*")), key=lambda p: p.name == MANIFEST_FILE):
-            final = labels.root / file.relative_to(staging)
-            final.parent.mkdir(parents=True, exist_ok=True)
-            os.replace(file, final)
+        move_all(staging, labels.root)

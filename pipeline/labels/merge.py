@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from pipeline.datasets.settings import ASSUMED, DECLARE
-from pipeline.labels.card import dataset_card
 from pipeline.labels.labelling import row_hash
 from pipeline.labels.plan import PLAN_FILE, Plan, Shard, TextStyle, load_plan
 from pipeline.labels.provenance import makers_of
@@ -29,6 +28,7 @@ from pipeline.labels.reading import (
     RowHash,
     arrow_schema,
 )
+from pipeline.labels.report import dataset_card
 from pipeline.labels.schema import SCHEMA_VERSION, SENTENCES_OF, Manifest, TableFile, write_schemas
 from pipeline.labels.store import LabelStore
 from pipeline.labels.wording import expression_text
@@ -87,7 +87,8 @@ def merge_labels(where: str | Path, selection: SelectConfig | None = None, out: 
     clear_abandoned(out)
     with temporary_folder(out / "merged") as staging:
         manifest = _write_all(staging, plan, store, selection)
-        _move_all(staging, out)
+        (out / MANIFEST_FILE).unlink(missing_ok=True)
+        move_all(staging, out)
     return manifest
 
 
@@ -170,11 +171,11 @@ def write_manifest(labels: Labels) -> None:
     write_synced(labels.root / MANIFEST_FILE, labels.manifest.model_dump_json(indent=1).encode())
 
 
-def _move_all(staging: Path, out: Path) -> None:
-    (out / MANIFEST_FILE).unlink(missing_ok=True)
+def move_all(staging: Path, out: Path) -> None:
+    """Move all files of labels into their folder, the manifest last."""
     for file in sorted(filter(Path.is_file, staging.rglob("*")), key=lambda p: (p.name == MANIFEST_FILE, p)):
         final = out / file.relative_to(staging)
-        final.parent.mkdir(exist_ok=True)
+        final.parent.mkdir(parents=True, exist_ok=True)
         os.replace(file, final)
 
 

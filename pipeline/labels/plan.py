@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -229,26 +229,21 @@ def save_plan(plan: Plan, store: LabelStore) -> None:
     if store.read_text(PLAN_FILE) is None:
         store.write_text(PLAN_FILE, json.dumps(plan.record(), indent=1, ensure_ascii=False))
     # Read back also then: another task may have written its own first.
-    there = load_plan(store)
-    differing = [f.name for f in fields(Plan) if f.name != "spec" and getattr(there, f.name) != getattr(plan, f.name)]
+    mine, theirs = (_settings(found) for found in (plan, load_plan(store)))
+    differing = [name.replace("_", " ") for name in {**mine, **theirs} if mine.get(name) != theirs.get(name)]
     require(
         not differing,
         "this folder holds labels made otherwise",
-        got=", ".join(_difference(there, plan, name) for name in differing[:3]),
+        got="other " + ", ".join(differing[:3]),
         cause="use another folder, or remove this one",
         path=store.where,
     )
 
 
-def _difference(a: Plan, b: Plan, name: str) -> str:
-    if name == "config":
-        changed = [f.name for f in fields(LabelConfig) if getattr(a.config, f.name) != getattr(b.config, f.name)]
-        return " and ".join(f"another {c}" for c in changed)
-    if name == "models":
-        changed = [key for key in sorted({*a.models, *b.models}) if a.models.get(key) != b.models.get(key)]
-        return " and ".join(f"another {key.replace('_', ' ')}" for key in changed)
-    named = {"input_hash": "other input files", "frames": "other frames", "version": f"release {a.version}"}
-    return named.get(name, f"another {name}")
+def _settings(plan: Plan) -> dict[str, Any]:
+    """All that the rows depend on, by the names that people know."""
+    whole = {"frames": plan.frames, "input_files": plan.input_hash, "release": plan.version, "format": plan.format}
+    return {**vars(plan.config), **plan.models, **whole, "exact": plan.exact, "frames_a_shard": plan.frames_a_shard}
 
 
 def load_plan(store: LabelStore) -> Plan:

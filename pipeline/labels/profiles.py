@@ -15,10 +15,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -59,24 +59,10 @@ class JudgedPairs:
     """(N, N) int32 or None: bit k is set where relation k is U for a second opinion's sake alone."""
 
 
-class RuleJudge(Protocol):
-    """Rules: they judge every ordered pair of the objects of a frame."""
-
-    def __call__(
-        self,
-        lo: np.ndarray,
-        hi: np.ndarray,
-        centroids: np.ndarray,
-        clouds: Sequence[np.ndarray] | None,
-        relations: Collection[str] = PAIRWISE,
-    ) -> JudgedPairs:
-        """Judge.
-
-        `lo`, `hi`, `centroids` (N, 3) float64: extents and mean points along (right, up, forward), metres. `clouds`
-        sequence of (M, 3) float: the objects' points along the same axes. `relations`: those that are wanted: the
-        others may be left at U with margin 0.
-        """
-        ...
+RuleJudge = Callable[..., JudgedPairs]
+"""Rules that judge every ordered pair of a frame's objects, called with `lo`, `hi`, `centroids`, (N, 3) float64 metres
+along (right, up, forward); `clouds`, the objects' points along the same axes, a sequence of (M, 3) or None; and
+`relations`, those that are wanted: the others may be left at U with margin 0."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +75,6 @@ class RuleProfile:
     parameters: dict[str, Any]
     """Every threshold, as JSON."""
     judge: RuleJudge
-    """See `RuleJudge`."""
 
     @property
     def hash(self) -> str:

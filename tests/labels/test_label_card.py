@@ -7,7 +7,7 @@ from collections import Counter
 import pytest
 
 from pipeline.labels import TABLES, Labels
-from pipeline.labels.card import dataset_card
+from pipeline.labels.report import dataset_card
 
 
 def front_matter(card: str) -> dict[str, object]:

@@ -194,7 +194,7 @@ def test_a_folder_with_something_in_it_is_left_alone(demo: Path, tmp_path: Path)
 def test_labels_made_otherwise_are_not_mixed(demo: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     shutil.copytree(demo, out)
-    with pytest.raises(InputError, match=r"another (seed|vocabulary) and another (seed|vocabulary)"):
+    with pytest.raises(InputError, match="other vocabulary, seed"):
         label_dataset(DEMO, out, LabelConfig(seed=5, vocabulary="all"), limit=FRAMES, frames_a_shard=2, resume=True)
     with pytest.raises(InputError, match="other frames"):
         label_dataset(DEMO, out, limit=2, frames_a_shard=2, resume=True)

@@ -109,7 +109,7 @@ def test_the_first_plan_of_a_folder_stands(tmp_path: Path, monkeypatch: pytest.M
     read, seen = late.read_text, []
     # The second task looked before the first had written.
     monkeypatch.setattr(late, "read_text", lambda name: read(name) if seen else seen.append(name))
-    with pytest.raises(InputError, match="another seed"):
+    with pytest.raises(InputError, match="other seed"):
         save_plan(second, late)
     assert load_plan(store) == first
 
@@ -170,7 +170,7 @@ def test_what_was_said_of_camera_and_names_is_part_of_the_plan(tmp_path: Path) -
         store = LabelStore(tmp_path / "_".join(options))
         store.prepare()
         save_plan(plain, store)
-        with pytest.raises(InputError, match="another " + next(iter(options)).replace("_", " ")):
+        with pytest.raises(InputError, match="other " + next(iter(options)).replace("_", " ")):
             save_plan(other, store)
 
 
@@ -180,7 +180,7 @@ def test_shards_of_another_release_are_not_mixed_in(labels: Path) -> None:
     older = replace(plan, version="0.0.1")
     assert not {s.key for s in older.shards} & {s.key for s in plan.shards}
     (labels / "plan.json").write_text(json.dumps(older.record()))
-    with pytest.raises(InputError, match=r"release 0\.0\.1"):
+    with pytest.raises(InputError, match="other release"):
         save_plan(plan, LabelStore(labels))
 
 

@@ -27,8 +27,8 @@ from pipeline.labels import (
     open_labeller,
     open_labels,
 )
-from pipeline.labels.card import dataset_card
 from pipeline.labels.labelling import FrameLabels
+from pipeline.labels.report import dataset_card
 from pipeline.labels.sentence_maker import (
     COUNTED,
     EXTREME_WORDS,

@@ -119,14 +119,14 @@ def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]
     background = frozenset(normal_form(str(b)) for b in manifest.config.get("background", ()))
     relations = tuple(r for r in manifest.config.get("relations", ()) if r in PAIRWISE)
     read = lru_cache(TEXTS_KEPT)(partial(triple_of, tuple(sorted(class_names))))
-    ups = UpRules()
+    scenes: dict[str, list[tuple[str | None, np.ndarray]]] = {}
     sound = (frame_rows(labels, name, checked="row" in groups) for name in TABLES if name not in lost)
     for index, tables in by_frame(*sound):
         view = FrameView(index, {name: tables.get(name) or no_rows(name) for name in TABLES}, background, relations)
         if groups & {"row", "frame", "object"}:
             yield from check_rows(view)
         if "frame" in groups:
-            yield from ups.add(view)
+            yield from check_up(view, scenes)
             yield from check_depth(view)
         if "object" in groups:
             yield from check_objects(view)
@@ -140,51 +140,40 @@ def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]
                 yield from check_geometry(view, expected)
         if "expression" in groups:
             yield from check_expressions(view, read)
-    yield from ups.finish()
+    yield from check_scenes(scenes)
 
 
 DISAGREE_DEG = 10.0
 """Ups of one scene that are further apart are not one: the undecided band of a relation's cone is 10 degrees wide."""
 
 
-class UpRules:
-    """The frames of one scene are kept until the next begins, so that memory does not grow with scenes."""
+def check_up(view: FrameView, scenes: dict[str, list[tuple[str | None, np.ndarray]]]) -> Iterator[Finding]:
+    """Find ups that are assumed or doubted; those of posed frames are added to their scene's."""
+    frames = view.tables["frames"]
+    if not view.usable or view.viewer is None:
+        return
+    if frames["up_source"][0] == "assumed":
+        yield view.finding("frame/up-assumed", (), ASSUMED)
+        return
+    for note in frames["notes"][0]:
+        if OFF_SCENE in note:
+            yield view.finding("frame/up-disagrees", (), note)
+    pose = frames["T_world_camera"][0].reshape(4, 4)
+    if np.isfinite(pose).all():
+        scenes.setdefault(frames["scene"][0], []).append((view.id, pose[:3, :3] @ view.viewer.up))
 
-    def __init__(self) -> None:
-        self._scene: str | None = None
-        self._ups: list[tuple[str | None, np.ndarray]] = []
 
-    def add(self, view: FrameView) -> Iterator[Finding]:
-        """Findings of a frame, and of the scene before at the start of another."""
-        frames = view.tables["frames"]
-        if not view.usable or view.viewer is None:
-            return
-        if frames["scene"][0] != self._scene:
-            yield from self.finish()
-            self._scene = frames["scene"][0]
-        if frames["up_source"][0] == "assumed":
-            yield view.finding("frame/up-assumed", (), ASSUMED)
-            return
-        for note in frames["notes"][0]:
-            if OFF_SCENE in note:
-                yield view.finding("frame/up-disagrees", (), note)
-        pose = frames["T_world_camera"][0].reshape(4, 4)
-        if np.isfinite(pose).all():
-            self._ups.append((view.id, pose[:3, :3] @ view.viewer.up))
-
-    def finish(self) -> Iterator[Finding]:
-        """Frames of the scene with another up than most."""
-        ups, self._ups = self._ups, []
-        if len(ups) < 2:
-            return
+def check_scenes(scenes: dict[str, list[tuple[str | None, np.ndarray]]]) -> Iterator[Finding]:
+    """Find frames with another up than most of their scene."""
+    for scene, ups in scenes.items():
         vectors = np.array([up / max(np.linalg.norm(up), 1e-9) for _, up in ups])
         apart = np.degrees(np.arccos(np.clip(vectors @ vectors.T, -1, 1)))
         most = int((apart <= DISAGREE_DEG).sum(axis=1).argmax())
         agreeing = int((apart[most] <= DISAGREE_DEG).sum())
         for k in np.flatnonzero(apart[most] > DISAGREE_DEG):
             off = round(float(apart[most, k]), 1)
-            message = f"its up is {off:g} degrees off that of {agreeing} of the {len(ups)} frames of {self._scene}"
-            figures: dict[str, float | int | str] = {"degrees": off, "agreeing": agreeing, "frames": len(ups)}
+            message = f"its up is {off:g} degrees off that of {agreeing} of the {len(ups)} frames of {scene}"
+            figures: dict[str, Figure] = {"degrees": off, "agreeing": agreeing, "frames": len(ups)}
             yield Finding("frame/up-disagrees", "warning", ups[k][0], (), message, figures)
 
 

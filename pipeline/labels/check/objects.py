@@ -14,7 +14,7 @@ import numpy as np
 from pipeline.datasets.plausible import doubt_by_sizes
 from pipeline.geometry.boxes import CORNER_SIGNS, Box3D, iou_3d, paired_iou_2d
 from pipeline.geometry.masks import MaskCrop
-from pipeline.labels.check.view import Finding, FrameView, Severity, pairs_where
+from pipeline.labels.check.view import Finding, FrameView, Severity
 from pipeline.language.class_sizes import size_factor, size_range
 from pipeline.system.errors import InputError
 
@@ -261,7 +261,7 @@ def box_overlaps(view: FrameView, wanted: np.ndarray) -> np.ndarray:
     shared = np.clip(np.minimum(high[:, None], high[None]) - np.maximum(low[:, None], low[None]), 0, None).prod(axis=2)
     larger, smaller = np.maximum(volume[:, None], volume[None]), np.minimum(volume[:, None], volume[None])
     possible = wanted & known[:, None] & known[None, :] & (np.minimum(shared, smaller) >= SAME_NAME_IOU * larger)
-    for a, b in pairs_where(np.triu(possible, 1)):
+    for a, b in np.argwhere(np.triu(possible, 1)).tolist():
         try:
             boxes = [Box3D(center[k], rotation[k], size[k]) for k in (a, b)]
         except InputError:

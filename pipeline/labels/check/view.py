@@ -26,12 +26,6 @@ from pipeline.relations.relations import F, T, U, letter
 from pipeline.system.errors import InputError
 
 
-def pairs_where(chosen: np.ndarray) -> list[tuple[int, int]]:
-    """Rows and columns of the true entries of (N, N) bool, row by row."""
-    rows, columns = np.nonzero(chosen)
-    return list(zip(rows.tolist(), columns.tolist(), strict=True))
-
-
 def state_letter(state: Any) -> str:
     """ "T", "U", "F", or any other number as text."""
     return letter(state) if state in (T, U, F) else str(int(state))

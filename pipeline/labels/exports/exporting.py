@@ -24,7 +24,6 @@ from types import NoneType
 from typing import Any, Literal
 
 from pipeline.datasets import Dataset
-from pipeline.labels.card import UNKNOWN_LICENCE, dataset_card
 from pipeline.labels.exports import coco, kitti, vqa_questions
 from pipeline.labels.exports.base import (
     ExportFormat,
@@ -46,6 +45,7 @@ from pipeline.labels.reading import (
     arrow_schema,
     labelled_dataset,
 )
+from pipeline.labels.report import UNKNOWN_LICENCE, dataset_card
 from pipeline.labels.schema import TABLES, write_schemas
 from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import needed, require
