@@ -10,12 +10,12 @@ from pathlib import Path
 from pipeline.datasets.depth.contract import OPTION as DEPTH_OPTION
 from pipeline.datasets.depth.contract import known_contract, network_names, recognised
 from pipeline.proposals.box_detector import find_box_model
-from pipeline.proposals.captions import find_tokenizer
 from pipeline.proposals.class_names import metadata_names
 from pipeline.proposals.contracts import DETECTORS, DetectorContract, TensorSpec, declared
 from pipeline.proposals.detic import find_names
 from pipeline.proposals.grounding_dino import TOKENIZERS
 from pipeline.proposals.mismatch import BOXES, SEGMENTERS, FileKind, recognise
+from pipeline.proposals.network import find_tokenizer
 from pipeline.relations.model import installed_networks
 from pipeline.system.errors import InputError, require
 from pipeline.system.model_files import (

@@ -22,9 +22,8 @@ from pipeline.geometry.picture_input import (
 )
 from pipeline.language.naming import Synonyms
 from pipeline.proposals.base import Proposals, class_wise
-from pipeline.proposals.captions import sigmoid
 from pipeline.proposals.class_names import metadata_names, names_hash, read_class_names
-from pipeline.proposals.network import MAX_PER_NAME, NetworkDetector, proposals_of
+from pipeline.proposals.network import MAX_PER_NAME, NetworkDetector, proposals_of, sigmoid
 from pipeline.system.errors import InputError, in_file, needed, require
 from pipeline.system.onnx_session import run_session
 

@@ -5,6 +5,7 @@ Pictures become the tensors that networks were trained on, resized by the very a
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -15,13 +16,14 @@ import numpy as np
 from pipeline.geometry.frame import Frame
 from pipeline.language.naming import Synonyms
 from pipeline.proposals.base import Proposals, class_wise
-from pipeline.proposals.captions import TOKENIZER, find_tokenizer, load_tokenizer
 from pipeline.proposals.class_names import synonyms_hash, wanted_names
-from pipeline.system.errors import require
+from pipeline.system.errors import InputError, as_input_error, extra_module, first_line, require
 from pipeline.system.onnx_session import file_hash, model_hash, open_session
 from pipeline.system.recent import Recent
+from pipeline.system.safe_files import checked_path
 
 MAX_PER_NAME = 100
+TOKENIZER = "tokenizer.json"
 Made = TypeVar("Made")
 
 
@@ -203,3 +205,60 @@ def padded_square(rgb: np.ndarray, side: int, fill: float = 0.0) -> np.ndarray:
 def _mirrored(index: np.ndarray, size: int) -> np.ndarray:
     """Indices just outside 0..size-1 reflected about the centre of the edge pixel."""
     return np.clip(np.where(index < 0, -index, np.where(index >= size, 2 * (size - 1) - index, index)), 0, size - 1)
+
+
+_SEPARATORS = re.compile(r"[.?]")
+_GAPS = re.compile(r"[\s_]+")
+
+
+def plain_name(name: str) -> str:
+    """Class name as in captions: lower case, no separators (`T.V._stand` becomes `tv stand`)."""
+    return _GAPS.sub(" ", _SEPARATORS.sub("", name)).strip().lower()
+
+
+def sigmoid(logits: np.ndarray) -> np.ndarray:
+    """1 / (1 + exp(-x)) in float32 for any x, the infinities included."""
+    # Beyond 88 the exponential of float32 is infinite.
+    return (0.5 * (1 + np.tanh(np.clip(logits.astype(np.float64), -80, 80) / 2))).astype(np.float32)
+
+
+def find_tokenizer(model: Path, patterns: Sequence[str] = (TOKENIZER,)) -> Path:
+    """Tokenizer file in the model's folder or the parent folder, as on model hubs."""
+    for folder in (model.parent, model.resolve().parent.parent):
+        for pattern in patterns:
+            found = sorted(p for p in folder.glob(pattern) if p.is_file())
+            if len(found) > 1:
+                names = ", ".join(p.name for p in found[:4])
+                raise InputError("several tokenizers stand beside the model", got=names, expected="one", path=folder)
+            if found:
+                return found[0]
+    raise InputError(
+        "there is no tokenizer for the model",
+        expected=f"{' or '.join(patterns)} in its folder or the one above",
+        cause="it is published with the model",
+        path=model,
+    )
+
+
+def load_tokenizer(path: Path) -> Any:
+    """Load a `tokenizers.Tokenizer` without padding, truncation and special tokens in text."""
+    tokenizers = extra_module("tokenizers", "a detector that reads text", "hub")
+    require(path.is_file(), "there is no tokenizer file", path=path)
+    # The library raises bare Exceptions.
+    with as_input_error("the tokenizer cannot be read", Exception, got=first_line, path=path):
+        file = checked_path(path, "text")
+        tokenizer = _word_pieces(file) if file.suffix == ".txt" else tokenizers.Tokenizer.from_file(str(file))
+    tokenizer.no_padding()
+    tokenizer.no_truncation()
+    # A class name "[SEP]" must not end the sentence.
+    tokenizer.encode_special_tokens = True
+    return tokenizer
+
+
+def _word_pieces(path: Path) -> Any:
+    from tokenizers import Tokenizer, models, normalizers, pre_tokenizers
+
+    tokenizer = Tokenizer(models.WordPiece.from_file(str(path), unk_token="[UNK]"))
+    tokenizer.normalizer = normalizers.BertNormalizer(lowercase=True)
+    tokenizer.pre_tokenizer = pre_tokenizers.BertPreTokenizer()
+    return tokenizer

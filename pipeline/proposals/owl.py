@@ -15,7 +15,6 @@ import numpy as np
 
 from pipeline.geometry.frame import Frame
 from pipeline.proposals.base import NMS_IOU, Proposals
-from pipeline.proposals.captions import plain_name, sigmoid
 from pipeline.proposals.contracts import OWL_CONTRACTS, SIDES, TOKENS, Kind, owl_tensors
 from pipeline.proposals.mismatch import fitting
 from pipeline.proposals.network import (
@@ -27,7 +26,9 @@ from pipeline.proposals.network import (
     normalised,
     padded_square,
     pillow_resized,
+    plain_name,
     proposals_of,
+    sigmoid,
     to_pixels,
 )
 from pipeline.system.errors import InputError, require

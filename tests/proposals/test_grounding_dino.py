@@ -15,10 +15,17 @@ from scenes import frame_of, upright
 from pipeline.geometry import Frame
 from pipeline.paper.systems import point_by_detector
 from pipeline.proposals import make_detector
-from pipeline.proposals.captions import build_captions, load_tokenizer, sigmoid, span_scores, token_blocks
 from pipeline.proposals.contracts import GROUNDING_DINO_CONTRACTS
-from pipeline.proposals.grounding_dino import GroundingDinoDetector
-from pipeline.proposals.network import IMAGENET_MEAN, IMAGENET_STD, normalised, pillow_resized, shortest_edge
+from pipeline.proposals.grounding_dino import GroundingDinoDetector, build_captions, span_scores, token_blocks
+from pipeline.proposals.network import (
+    IMAGENET_MEAN,
+    IMAGENET_STD,
+    load_tokenizer,
+    normalised,
+    pillow_resized,
+    shortest_edge,
+    sigmoid,
+)
 from pipeline.system import InputError, MissingExtra
 
 if TYPE_CHECKING:
