@@ -171,7 +171,7 @@ def consequences(before: EffectiveFrame, after: EffectiveFrame) -> str:
     ]
     renewed = {
         (*map(int, key.split(",")), column): origin.source
-        for (table, key, column), (origin, _) in after.origins.items()
+        for (table, key, column), (origin, _) in after.all_origins().items()
         if table == "relations"
         and origin.source in ("recomputed", "stale")
         and before.noted("relations", key, column) != origin

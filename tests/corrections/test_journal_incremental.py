@@ -35,7 +35,7 @@ PARTS = (
     "expressions",
     "withdrawn",
     "marks",
-    "versions",
+    "cells",
     "statuses",
     "unapplied",
     "origins",
@@ -45,7 +45,6 @@ PARTS = (
     "renamed",
     "moved",
     "sentences",
-    "last",
 )
 
 
@@ -179,7 +178,7 @@ def test_one_changed_relation_costs_little(demo_labels: Labels, journal: Journal
 
 def test_a_frame_is_not_changed_by_what_comes_after(full_corrector: Corrector, journal: Journal) -> None:
     before = full_corrector.frame(FRAME, journal)
-    kept = {name: getattr(before, name).copy() for name in ("objects", "origins", "versions", "statuses")}
+    kept = {name: getattr(before, name).copy() for name in ("objects", "origins", "cells", "statuses")}
     states = before.pairs.states.copy()
     number = widest(before)
     a, b = (int(n) for n in before.pairs.numbers[:2])

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import threading
 from collections import Counter, OrderedDict
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from operator import attrgetter
@@ -183,11 +183,9 @@ class Corrector:
         key = frame, tuple([e.ulid for e in events])
         with self._lock:
             if key not in self._kept:
-                # Of those that more events have come to since, the one with the most.
-                known = [k for k in self._kept if k[0] == frame and key[1][: len(k[1])] == k[1]]
-                before = self._kept[max(known, key=lambda k: len(k[1]))] if known else None
-                auto = self.index.rows(frame) if before is None else before.auto
-                self._kept[key] = effective_frame(auto, events, self.setting, self.relifter, before)
+                known = next((found for (name, _), found in reversed(self._kept.items()) if name == frame), None)
+                auto = self.index.rows(frame) if known is None else known.auto
+                self._kept[key] = effective_frame(auto, events, self.setting, self.relifter, known)
                 while len(self._kept) > FRAMES_KEPT:
                     self._kept.popitem(last=False)
             self._kept.move_to_end(key)
@@ -323,60 +321,40 @@ def effective_frame(
 ) -> EffectiveFrame:
     """Apply the events of a frame, in the order of saving, to the automatic labels.
 
-    `known` is the frame after the first of these events: only what the others change is made anew. Without `relift`,
-    what follows from new pixels or boxes is stale. InputError where the frame cannot be loaded.
+    `known` is any earlier state of the frame: its objects are taken over where no event of an object came or went.
+    Without `relift`, what follows from new pixels or boxes is stale. InputError where the frame cannot be loaded.
     """
-    frame = EffectiveFrame.untouched(auto, setting) if known is None else known.successor()
-    came: dict[str, set[Any]] = {kind: set() for kind in KINDS}
-    for ref, members in by_ref(events if known is None else events[known.count :]).items():
-        entity = ref.kind, _entity(ref)
-        came[ref.kind].add(entity[1])
-        before = frame.said.get(entity, {})
-        frame.said[entity] = {**before, ref: sorted([*before.get(ref, ()), *members], key=attrgetter("version"))}
-        if ref.kind in ("object", "relation"):
-            newest = max(members, key=attrgetter("id"))
-            frame.cause = newest if frame.cause is None or newest.id > frame.cause.id else frame.cause
-    frame.last, frame.count = events[-1].id if events else 0, len(events)
-    if known is None or came["object"]:
-        # Of another geometry, everything else of the objects may follow.
-        touched = [key for kind, key in frame.said if kind == "object"] if frame.geometry else came["object"]
-        correct_objects(frame, touched)
-        relifted = _lift(frame, relift)
-        _rename(frame, touched)
-        before = frame.moved
-        relate_objects(frame, relifted)
-        correct_pairs(frame, came["relation"], None if known is None or before or frame.moved else touched)
-    elif came["relation"]:
-        correct_pairs(frame, came["relation"], ())
-    if known is None or came["object"] or came["relation"] or came["expression"]:
-        correct_expressions(frame, known, came["expression"], bool(came["object"]))
+    said: dict[str, dict[FieldRef, list[Event]]] = {kind: {} for kind in KINDS}
+    for event in events:
+        said[event.ref.kind].setdefault(event.ref, []).append(event)
+    made_of = tuple([e.ulid for e in events if e.ref.kind == "object"])
+    stage = known.stage if known is not None and known.made_of == made_of else None
+    if stage is None:
+        stage = EffectiveFrame.untouched(auto, setting)
+        correct_objects(stage, said["object"])
+        relifted = _lift(stage, relift)
+        _rename(stage)
+        relate_objects(stage, relifted)
+    frame = stage.successor()
+    frame.stage, frame.made_of = stage, made_of
+    causes = [e for e in events if e.ref.kind in ("object", "relation")]
+    frame.cause = max(causes, key=attrgetter("id"), default=None)
+    correct_pairs(frame, said["relation"])
+    correct_expressions(frame, said["expression"])
     boxes = {n: row["bbox"] for n, row in auto.objects.items()}
     there = frame.objects.keys() | frame.left_out.keys()
-    if (
-        known is None
-        or there != known.objects.keys() | known.left_out.keys()
-        or (frame.outcomes.keys() != known.outcomes.keys())
-    ):
-        came["review"] = {key for kind, key in frame.said if kind == "review"}
-    for entity in frame.said if known is None else [(k, e) for k in ("review", "frame") for e in came[k]]:
-        for ref, members in frame.said[entity].items() if entity[0] in ("review", "frame") else ():
-            # A judgement is of labels, and never one itself: nothing follows from it.
-            after = replay(None, members)
-            if ref.kind == "review":
-                after = replayed_judgement(ref, members, boxes, there, frame.outcomes)
-            frame.origins.pop(("frames", "", ref.field), None)
-            if frame.note(members, after).value is not None:
-                frame.statuses[ref] = after.value
-                if ref.kind == "frame" and after.event is not None:
-                    frame.put("frames", "", ref.field, Origin.of("human", after.event))
+    # A judgement is of labels, and never one itself: nothing follows from it.
+    for ref, members in said["review"].items():
+        after = frame.note(members, replayed_judgement(ref, members, boxes, there, frame.outcomes))
+        if after.value is not None:
+            frame.statuses[ref] = after.value
+    for ref, members in said["frame"].items():
+        after = frame.note(members, replay(None, members))
+        if after.value is not None and after.event is not None:
+            frame.statuses[ref] = after.value
+            frame.put("frames", "", ref.field, Origin.of("human", after.event))
     frame.row = {**auto.row, "objects": len(frame.objects)}
     return frame
-
-
-def _entity(ref: FieldRef) -> Any:
-    """Key of a cell's entity in `EffectiveFrame.said`."""
-    numbers = () if ref.kind == "review" else ref.numbers
-    return ref.key if not numbers else numbers[0] if len(numbers) == 1 else tuple(sorted(numbers))
 
 
 def _lift(frame: EffectiveFrame, relift: Relift | None) -> Pairs | None:
@@ -412,11 +390,11 @@ def _lift(frame: EffectiveFrame, relift: Relift | None) -> Pairs | None:
     return relifted
 
 
-def _rename(frame: EffectiveFrame, numbers: Collection[int]) -> None:
+def _rename(frame: EffectiveFrame) -> None:
     """Update `usable` of renamed objects: background is not asked for."""
     for number, event in frame.renamed.items():
         row = frame.objects.get(number)
-        if number not in numbers or row is None or row["reason"] == "not lifted yet":
+        if row is None or row["reason"] == "not lifted yet":
             continue
         config = frame.setting.config
         reason = unusable(config, row["label"], row["mask_pixels"], row["points"], row["fallback"])

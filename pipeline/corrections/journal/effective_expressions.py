@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
 from pipeline.corrections.journal.effective_frame import EffectiveFrame, Withdrawn
 from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FieldRef
-from pipeline.corrections.journal.frame_rows import Answered, Asked, Row
+from pipeline.corrections.journal.frame_rows import AT, Answered, Row
 from pipeline.corrections.journal.replay import Origin, all_gone, replay
 from pipeline.labels.wording import expression_text
 from pipeline.language.noun_phrase import alone
-from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.errors import InputError
 
 _alone = lru_cache(maxsize=64)(alone)
@@ -26,53 +26,37 @@ OPEN_FIELDS = ("text", *SETS)
 """The columns that a person may set."""
 
 
-def correct_expressions(frame: EffectiveFrame, known: EffectiveFrame | None, said: Collection[str], anew: bool) -> None:
-    """Apply corrections of expressions, and update consequences of objects and relations.
-
-    `known` is the frame before (None from the automatic labels), `said` the expressions with new events, `anew` True
-    where objects changed.
-    """
-    said_of = {key for kind, key in frame.said if kind == "expression"}
-    frame.answered = _answered(frame)
-    now, before = frame.answered, None if known is None else known.answered
-    wanted = {*said}
-    if known is None or anew or now is None or before is None:
-        wanted |= {*(said_of if known is None or anew else ()), *_changed(frame, now), *_changed(frame, before)}
-    elif now is not before:
-        same_margin = (now.margins == before.margins) | (np.isnan(now.margins) & np.isnan(before.margins))
-        other = now.differs(before) | ~same_margin | (now.holds != before.holds)
-        wanted |= {*_changed(frame, now, other), *_changed(frame, before, other)}
-    if known is not None and frame.pairs is not known.pairs:
-        # What a person added takes its margin from the pair.
-        wanted |= said_of - frame.auto.expressions.keys()
-    causes = frame.caused
-    if frame.cause is not None and (known is None or frame.cause is not known.cause):
-        frame.caused = Origin.of("recomputed", frame.cause), Origin.of("stale", frame.cause)
-        if causes is not None:
-            _name_cause(frame, causes, [name for name in _changed(frame, now) if name not in wanted])
-    frame.forget("expressions", wanted)
-    order = frame.asked.index if frame.asked is not None else {n: k for k, n in enumerate(frame.auto.expressions)}
-    for name in sorted(wanted, key=lambda n: (order.get(n, len(order)), n)):
-        frame.marks.pop(name, None)
-        fields = {ref.field: events for ref, events in frame.said.get(("expression", name), {}).items()}
-        row = frame.auto.expressions.get(name)
+def correct_expressions(frame: EffectiveFrame, said: Mapping[FieldRef, Sequence[Event]]) -> None:
+    """Apply the events of expressions, and update consequences of objects and relations."""
+    expressions, asked = frame.auto.expressions, frame.asked
+    answers = _answered(frame)
+    changed = [] if answers is None else [asked.ids[at] for at in np.flatnonzero(answers.now.changed).tolist()]
+    fields: dict[str, dict[str, Sequence[Event]]] = {name: {} for name in changed}
+    for ref, events in said.items():
+        fields.setdefault(ref.key, {})[ref.field] = events
+    frame.outcomes = dict(expressions)
+    for name in sorted(fields, key=lambda n: (asked.index.get(n, len(asked.ids)), n)):
+        row = expressions.get(name)
         if row is None:
-            _add(frame, name, fields)
+            _add(frame, name, fields[name])
         else:
-            at = None if now is None or not now.changed[order[name]] else order[name]
-            _correct(frame, row if at is None and not fields else dict(row), fields, at)
-    if not frame.outcomes.keys() <= frame.auto.expressions.keys():
-        added = sorted(frame.outcomes.keys() - frame.auto.expressions.keys())
-        frame.outcomes = {name: frame.outcomes[name] for name in (*frame.auto.expressions, *added)}
+            follows = answers if answers is not None and answers.now.changed[asked.index[name]] else None
+            _correct(frame, dict(row), fields[name], follows)
     frame.expressions = {name: found for name, found in frame.outcomes.items() if found.__class__ is dict}  # pyright: ignore
     frame.withdrawn = tuple([found for found in frame.outcomes.values() if found.__class__ is Withdrawn])  # pyright: ignore
 
 
-def _answered(frame: EffectiveFrame) -> Answered | None:
+class _Answers(NamedTuple):
+    """Answers of the automatic expressions now, and the origins of what follows from them."""
+
+    now: Answered
+    recomputed: Origin
+    stale: Origin
+
+
+def _answered(frame: EffectiveFrame) -> _Answers | None:
     """Answer all expressions by the pairs; None where no correction can change an answer."""
-    auto, pairs, background = frame.auto, frame.pairs, frame.setting.config.is_background
-    if frame.asked is None:
-        frame.asked = Asked(auto, [n for n, row in auto.objects.items() if not background(row["label"])])
+    auto, pairs, asked = frame.auto, frame.pairs, frame.asked
     anew = (
         pairs.numbers.tolist() != sorted(auto.objects)
         or bool(np.isin(pairs.numbers, list(frame.moved)).any())
@@ -80,7 +64,6 @@ def _answered(frame: EffectiveFrame) -> Answered | None:
     )
     if frame.cause is None or not (anew or frame.renamed or frame.left_out):
         return None
-    asked = frame.asked
     rows = [frame.objects[n] for n in pairs.numbers.tolist()]
     now = Answered.of(asked, pairs, tuple([row["label"] for row in rows]))
     usable = np.array([row["usable"] for row in rows], np.bool_) | frame.stale
@@ -89,34 +72,14 @@ def _answered(frame: EffectiveFrame) -> Answered | None:
     stale = (now.kin & frame.stale).any(axis=1)
     renamed = np.isin(asked.ends, list(frame.renamed)).any(axis=1)
     changed = ~now.related | now.differs(asked.before) | margins | stale | renamed | ~now.holds | unusable
-    return replace(now, changed=changed)
+    origins = Origin.of("recomputed", frame.cause), Origin.of("stale", frame.cause)
+    return _Answers(replace(now, changed=changed), *origins)
 
 
-def _changed(frame: EffectiveFrame, answered: Answered | None, among: np.ndarray | bool = True) -> list[str]:
-    """Ids of expressions with a changed answer."""
-    if answered is None or frame.asked is None:
-        return []
-    ids = frame.asked.ids
-    return [ids[at] for at in np.flatnonzero(answered.changed & among).tolist()]
-
-
-def _name_cause(frame: EffectiveFrame, before: tuple[Origin, Origin], names: Collection[str]) -> None:
-    """Name the newest correction as the cause of recomputed and stale values."""
-    assert frame.caused is not None
-    for name in names:
-        for column in (*SETS, "margin"):
-            at = "expressions", name, column
-            if at in frame.origins:
-                origin, was = frame.origins[at]
-                if origin is before[0] or origin is before[1]:
-                    frame.origins[at] = frame.caused[origin is before[1]], was
-
-
-def _add(frame: EffectiveFrame, name: str, fields: dict[str, list[Event]]) -> None:
+def _add(frame: EffectiveFrame, name: str, fields: dict[str, Sequence[Event]]) -> None:
     """Apply the events of an added expression."""
     seeds = fields.pop("exists", [])
     seed = frame.note(seeds, replay(None, seeds)) if seeds else None
-    frame.outcomes.pop(name, None)
     if seed is None or seed.value is None or seed.event is None:
         for events in fields.values():
             frame.note(events, all_gone(None, events, "there is no such expression any more"))
@@ -124,7 +87,7 @@ def _add(frame: EffectiveFrame, name: str, fields: dict[str, list[Event]]) -> No
     frame.statuses[seeds[0].ref] = seed.value
     row, auto = {"frame": frame.frame, "frame_index": frame.auto.index, "id": name, **seed.value}, frame.auto.row
     i, j = (frame.pairs.index_of(row[end]) for end in ("target_object", "reference_object"))
-    margin = np.nan if i is None or j is None else frame.pairs.margins[i, j, PAIRWISE.index(row["relation"])]
+    margin = np.nan if i is None or j is None else frame.pairs.margins[i, j, AT[row["relation"]]]
     row |= {
         "ambiguous": len(row["acceptable"]) > 1,
         "margin": float(margin) if np.isfinite(margin) else None,
@@ -142,13 +105,13 @@ def _correct(
     frame: EffectiveFrame,
     row: Row,
     fields: Mapping[str, Sequence[Event]],
-    at: int | None,
+    answers: _Answers | None,
     reason: str | None = None,
     human: Collection[str] = (),
 ) -> None:
-    """Apply the events of an expression, after the pairs' answers at place `at`."""
+    """Apply the events of an expression, after the pairs' answers."""
     name, was, human = row["id"], dict(row), set(human)
-    reason = reason if at is None else _follow(frame, row, at)
+    reason = reason if answers is None else _follow(frame, row, answers)
     for column in sorted(fields):
         events, is_open = fields[column], column in OPEN_FIELDS
         trusted = is_open and row[column] != was[column]
@@ -177,12 +140,9 @@ def _correct(
     frame.outcomes[name] = row if reason is None else Withdrawn(frame.frame, name, row["text"], reason, row)
 
 
-def _follow(frame: EffectiveFrame, row: Row, at: int) -> str | None:
+def _follow(frame: EffectiveFrame, row: Row, answers: _Answers) -> str | None:
     """Update an expression's names, answers and margin; the reason where withdrawn."""
-    now, ends = frame.answered, (row["target_object"], row["reference_object"])
-    assert now is not None
-    assert frame.asked is not None
-    assert frame.caused is not None
+    now, ends, at = answers.now, (row["target_object"], row["reference_object"]), frame.asked.index[row["id"]]
     for number in ends:
         if number not in frame.objects:
             return f"object {number} was left out" if number in frame.left_out else f"object {number} is gone"
@@ -192,7 +152,6 @@ def _follow(frame: EffectiveFrame, row: Row, at: int) -> str | None:
     if not now.related[at]:
         return "one of its objects takes part in no relation now"
     name, numbers, before = row["id"], now.numbers, frame.asked.before
-    recomputed, outdated = frame.caused
     sure, likely = (numbers[found].tolist() for found in now.sets[at])
     was = [before.numbers[found].tolist() for found in before.sets[at]] if before.related[at] else None
     after: Row = {}
@@ -202,11 +161,11 @@ def _follow(frame: EffectiveFrame, row: Row, at: int) -> str | None:
     if np.isfinite(margin) and not np.isclose(margin, frame.asked.margins[at], atol=1e-6):
         after["margin"] = margin
     for column in [c for c in after if row[c] != after[c]]:
-        frame.put("expressions", name, column, recomputed, row[column])
+        frame.put("expressions", name, column, answers.recomputed, row[column])
         row[column] = after[column]
     if (now.kin[at] & frame.stale).any():
         for column in SETS:
-            frame.put("expressions", name, column, outdated, row[column])
+            frame.put("expressions", name, column, answers.stale, row[column])
     if not now.holds[at]:
         return "it is no longer true of its own objects"
     for number in ends:

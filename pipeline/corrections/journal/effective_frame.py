@@ -6,6 +6,7 @@ import json
 from collections.abc import Collection, Sequence
 from copy import copy
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from itertools import chain
 from operator import attrgetter
 from typing import Any
@@ -14,15 +15,17 @@ import numpy as np
 
 from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FIELDS, FieldRef
-from pipeline.corrections.journal.frame_rows import BOX_COLUMNS, Answered, Asked, FrameRows, Pairs, Row
+from pipeline.corrections.journal.frame_rows import AT, BOX_COLUMNS, Asked, FrameRows, Pairs, Row
 from pipeline.corrections.journal.replay import ORIGIN_FIELDS, Origin, Replayed, Unapplied
 from pipeline.geometry.lifting import LiftConfig
 from pipeline.labels.check.relations import MIRRORED_PROFILES
 from pipeline.labels.plan import LabelConfig
 from pipeline.labels.reading import Labels, table_of_rows
-from pipeline.language.relation_names import MIRRORED, PAIRWISE
+from pipeline.language.relation_names import MIRRORED
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError
+
+_TABLES = ("objects", "relations", "expressions", "frames")
 
 
 @dataclass(frozen=True)
@@ -48,8 +51,7 @@ class EffectiveFrame:
     pairs: Pairs  # standing objects that take part in relations
     labelled: Pairs  # the same by the automatic labels
     related: Pairs  # with what follows from `moved`, before corrections of relations
-    last: int = 0  # id of the newest event
-    count: int = 0  # number of events
+    asked: Asked  # automatic expressions
     row: Row = field(default_factory=dict)  # of the table `frames`
     objects: dict[int, Row] = field(default_factory=dict)
     left_out: dict[int, Row] = field(default_factory=dict)  # rejected, to be brought back
@@ -57,13 +59,10 @@ class EffectiveFrame:
     expressions: dict[str, Row] = field(default_factory=dict)
     withdrawn: tuple[Withdrawn, ...] = ()
     marks: dict[str, str] = field(default_factory=dict)  # BAD_LABEL or BAD_BOX by id
-    versions: dict[FieldRef, int] = field(default_factory=dict)  # number of events of a cell
+    cells: dict[FieldRef, Replayed] = field(default_factory=dict)  # with events
     statuses: dict[FieldRef, Any] = field(default_factory=dict)
     # By (table, key, column), with the automatic value.
     origins: dict[tuple[str, str, str], tuple[Origin, Any]] = field(default_factory=dict)
-    # Events by (kind, entity); of relations by both numbers, ascending.
-    said: dict[tuple[str, Any], dict[FieldRef, list[Event]]] = field(default_factory=dict)
-    ignored: dict[FieldRef, tuple[Unapplied, ...]] = field(default_factory=dict)  # without effect
     geometry: dict[int, Event] = field(default_factory=dict)  # objects with other pixels or box, newest such event
     boxes: dict[int, Any] = field(default_factory=dict)  # 3D boxes that people set
     human_bbox: set[int] = field(default_factory=set)  # objects with a 2D box that people set
@@ -72,17 +71,17 @@ class EffectiveFrame:
     # (N,) bool, of `pairs`: relations wait for the dataset.
     stale: np.ndarray = field(default_factory=lambda: np.zeros(0, np.bool_))
     cause: Event | None = None  # newest correction of an object or relation
-    caused: tuple[Origin, Origin] | None = None  # recomputed and stale from `cause`
-    asked: Asked | None = None
-    answered: Answered | None = None  # None where nothing follows
+    # The same frame after corrections of objects alone, and their ULIDs: other corrections begin there.
+    stage: EffectiveFrame | None = None
+    made_of: tuple[str, ...] = ()
 
     @classmethod
     def untouched(cls, auto: FrameRows, setting: Setting) -> EffectiveFrame:
         """Start from the automatic labels of a frame."""
         background = setting.config.is_background
         pairs = auto.pairs.of_objects(n for n, row in auto.objects.items() if not background(row["label"]))
-        found = cls(auto, setting, pairs, pairs, pairs, objects=dict(sorted(auto.objects.items())))
-        found.outcomes |= auto.expressions
+        asked = Asked(auto, pairs.numbers)
+        found = cls(auto, setting, pairs, pairs, pairs, asked, objects=dict(sorted(auto.objects.items())))
         found.stale = np.zeros(len(pairs.numbers), np.bool_)
         return found
 
@@ -95,29 +94,50 @@ class EffectiveFrame:
     @property
     def unapplied(self) -> tuple[Unapplied, ...]:
         """Events without effect on these labels, by id."""
-        return tuple(sorted(chain.from_iterable(self.ignored.values()), key=attrgetter("event.id")))
+        return tuple(
+            sorted(chain.from_iterable(cell.unapplied for cell in self.cells.values()), key=attrgetter("event.id"))
+        )
 
     def note(self, events: Sequence[Event], replayed: Replayed) -> Replayed:
-        """Keep the version and the ineffective events of a replayed cell; return the argument."""
-        ref = events[0].ref
-        self.versions[ref], self.ignored[ref] = replayed.version, replayed.unapplied
-        self.statuses.pop(ref, None)
+        """Keep a replayed cell; return it."""
+        self.cells[events[0].ref] = replayed
         return replayed
 
     def put(self, table: str, key: str, column: str, origin: Origin, was: Any = None) -> None:
         """Note the origin and the automatic value of a value; the last call counts."""
         self.origins[table, key, column] = origin, was
 
-    def forget(self, table: str, keys: Collection[str]) -> None:
-        """Remove the origins of entities."""
-        self.origins = {at: found for at, found in self.origins.items() if at[0] != table or at[1] not in keys}
-
     def noted(self, table: str, key: str, column: str) -> Origin | None:
         """Origin of a value; None for the labeller's."""
-        return self.origins.get((table, key, column), (None,))[0]
+        found = self.origins.get((table, key, column))
+        if found is not None:
+            return found[0]
+        return self.followed.get(key) if table == "relations" and column in self.setting.relations else None
+
+    @cached_property
+    def followed(self) -> dict[str, Origin]:
+        """Origins of the relations that follow from other pixels or boxes, by pair."""
+        found: dict[str, Origin] = {}
+        source = "stale" if self.stale.any() else "recomputed"
+        for i, j in zip(*np.nonzero(self.related.present | self.labelled.present), strict=True):
+            a, b = int(self.pairs.numbers[i]), int(self.pairs.numbers[j])
+            causes = [self.moved[n] for n in (a, b) if n in self.moved]
+            if causes:
+                found[f"{a},{b}"] = Origin.of(source, max(causes, key=attrgetter("id")))
+        return found
+
+    def all_origins(self) -> dict[tuple[str, str, str], tuple[Origin, Any]]:
+        """Origins of all values that are not the labeller's, with the automatic value."""
+        found = {
+            ("relations", key, relation): (origin, self.labelled.state(*map(int, key.split(",")), relation))  # pyright: ignore
+            for key, origin in self.followed.items()
+            for relation in self.setting.relations
+        }
+        return found | self.origins
 
     def provenance(self) -> list[Row]:
         """Rows of the provenance table."""
+        entries = sorted(self.all_origins().items(), key=lambda entry: _TABLES.index(entry[0][0]))
         rows = (
             (
                 table,
@@ -132,7 +152,7 @@ class EffectiveFrame:
                 origin.reason,
                 json.dumps(was, ensure_ascii=False),
             )
-            for (table, key, column), (origin, was) in self.origins.items()
+            for (table, key, column), (origin, was) in entries
         )
         return [dict(zip(ORIGIN_FIELDS, row, strict=True)) for row in rows]
 
@@ -185,7 +205,7 @@ class EffectiveFrame:
 
     def version(self, ref: FieldRef) -> int:
         """Number of events of a cell: the base of an edit."""
-        return self.versions.get(ref, 0)
+        return self.cells[ref].version if ref in self.cells else 0
 
     def origin(self, ref: FieldRef) -> Origin:
         """Origin of a cell's value."""
@@ -197,7 +217,7 @@ class EffectiveFrame:
         chosen: dict[str, Collection[Row]] = {"frames": [self.row], "objects": self.objects.values()}
         chosen["expressions"] = sorted(
             self.expressions.values(),
-            key=lambda r: (PAIRWISE.index(r["relation"]), r["target_object"], r["reference_object"]),
+            key=lambda r: (AT[r["relation"]], r["target_object"], r["reference_object"]),
         )
         found = {name: table_of_rows(name, rows) for name, rows in chosen.items()}
         return {**found, "relations": self.pairs.table(self.frame, self.auto.index, self.setting.relations)}

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
-from operator import attrgetter
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from pipeline.corrections.journal.effective_frame import EffectiveFrame, Setting, object_value
-from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal.events import Event, grouped
 from pipeline.corrections.journal.field_refs import FieldRef, box_of, object_ref, same_value
-from pipeline.corrections.journal.frame_rows import BOX_COLUMNS, MATRICES, FrameRows, Pairs, Row
-from pipeline.corrections.journal.replay import Origin, all_gone, is_another, replay, standing
+from pipeline.corrections.journal.frame_rows import AT, BOX_COLUMNS, MATRICES, FrameRows, Pairs, Row
+from pipeline.corrections.journal.replay import Origin, all_gone, another_thing, replay, standing
 from pipeline.geometry.masks import decode_crop
 from pipeline.labels.check.objects import clipped, projected
-from pipeline.language.relation_names import INVERSE, PAIRWISE
+from pipeline.language.relation_names import INVERSE
 from pipeline.relations.pair_measures import NOT_JUDGED, F, T
 
 DERIVED = (
@@ -44,14 +42,11 @@ OF_BOX = (*BOX_COLUMNS, "yaw_confidence", "pca_center", "pca_R", "pca_size", "lo
 """Columns that follow from an object's 3D box."""
 
 
-def correct_objects(frame: EffectiveFrame, numbers: Collection[int]) -> None:
-    """Make objects anew from their events, before lifting."""
-    frame.forget("objects", {str(number) for number in numbers})
-    for number in sorted(numbers):
-        for kept in (frame.objects, frame.left_out, frame.geometry, frame.boxes, frame.renamed):
-            kept.pop(number, None)
-        frame.human_bbox.discard(number)
-        _correct_object(frame, number, {ref.field: events for ref, events in frame.said["object", number].items()})
+def correct_objects(frame: EffectiveFrame, said: Mapping[FieldRef, Sequence[Event]]) -> None:
+    """Apply the events of objects, before lifting."""
+    for number, refs in sorted(grouped(said, lambda ref: ref.numbers[0]).items()):
+        frame.objects.pop(number, None)
+        _correct_object(frame, number, {ref.field: said[ref] for ref in refs})
     frame.objects = dict(sorted(frame.objects.items()))
 
 
@@ -79,7 +74,7 @@ def _correct_object(frame: EffectiveFrame, number: int, fields: Mapping[str, Seq
         if name not in fields:
             continue
         events, was = fields[name], object_value(row, name)
-        if not created and any(is_another(e.anchor, number, auto.objects[number]["bbox"]) for e in events):
+        if not created and another_thing(events, {number: auto.objects[number]["bbox"]}) is not None:
             frame.note(events, all_gone(was, events, f"object {number} is another thing now"))
             continue
         trusted = created or (name in ("bbox", "box") and refitted) or (name == "mask" and _from_bbox(row, fields))
@@ -209,86 +204,38 @@ def relate_objects(frame: EffectiveFrame, relifted: Pairs | None) -> None:
         getattr(frame.related, name)[touched] = getattr(anew, name)[touched]
 
 
-def correct_pairs(frame: EffectiveFrame, said: Collection[tuple[int, int]], ends: Collection[int] | None) -> None:
-    """Apply corrections to the relations of the objects.
-
-    `said` are pairs (ascending) with new events, `ends` objects whose relations are made anew; None for all.
-    """
-    both = [pair for kind, pair in frame.said if kind == "relation"]
-    if ends is None:
-        frame.pairs = frame.related.copy()
-        frame.origins = {at: found for at, found in frame.origins.items() if at[0] != "relations"}
-        _note_moved(frame, frame.pairs.numbers, frame.pairs.numbers)
-    else:
-        both = [pair for pair in both if pair in said or pair[0] in ends or pair[1] in ends]
-        frame.forget("relations", {key for a, b in both for key in (f"{a},{b}", f"{b},{a}")})
-        frame.pairs = frame.pairs.of_objects(frame.related.numbers)
-        for cells in ((n, slice(None)) for n in ends):
-            _restore(frame, *cells)
-        for a, b in both:
-            _restore(frame, a, b)
-            _note_moved(frame, [a], [b])
-    judged = {ref: events for pair in both for ref, events in frame.said["relation", pair].items()}
+def correct_pairs(frame: EffectiveFrame, said: Mapping[FieldRef, Sequence[Event]]) -> None:
+    """Apply the events of relations and of their statuses."""
+    frame.pairs = frame.related.copy()
+    judged = {(ref.key, ref.field): events for ref, events in said.items()}
     human: dict[tuple[int, int, str], Event] = {}
-    for ref in sorted(judged, key=attrgetter("key", "field")):
-        _correct_relation(frame, judged, ref, human)
+    for key, field in sorted(judged):
+        _correct_relation(frame, judged, key, field, human)
     for (i, j, relation), event in human.items():
         opposite = INVERSE.get(relation)
-        if frame.pairs.states[i, j, PAIRWISE.index(relation)] != T or opposite is None:
+        if frame.pairs.states[i, j, AT[relation]] != T or opposite is None:
             continue
         # What a person said to hold rules out its opposite, and itself the other way round.
         for a, b, name in ((i, j, opposite), (j, i, relation)):
-            ruled_out = frame.pairs.states[a, b, PAIRWISE.index(name)] == T and (a, b, name) not in human
+            ruled_out = frame.pairs.states[a, b, AT[name]] == T and (a, b, name) not in human
             if ruled_out and name in frame.setting.relations:
-                _settle(frame, a, b, PAIRWISE.index(name), F)
-                frame.put(
-                    "relations",
-                    f"{frame.pairs.numbers[a]},{frame.pairs.numbers[b]}",
-                    name,
-                    Origin.of("recomputed", event),
-                    T,
-                )
+                _settle(frame, a, b, AT[name], F)
+                key = f"{frame.pairs.numbers[a]},{frame.pairs.numbers[b]}"
+                frame.put("relations", key, name, Origin.of("recomputed", event), T)
 
 
-def _restore(frame: EffectiveFrame, a: int, b: int | slice) -> None:
-    """Restore the relations of two objects, or of an object with all, both ways."""
-    i, j = frame.pairs.index_of(a), b if isinstance(b, slice) else frame.pairs.index_of(b)
-    if i is None or j is None:
-        return
-    for name in MATRICES:
-        now, was = getattr(frame.pairs, name), getattr(frame.related, name)
-        now[i, j], now[j, i] = was[i, j], was[j, i]
-
-
-def _note_moved(frame: EffectiveFrame, first: Collection[int], second: Collection[int]) -> None:
-    """Put the origins of relations, both ways, after another geometry."""
-    causes, numbers = frame.moved, frame.pairs.numbers
-    if not causes:
-        return
-    one, other = (np.isin(numbers, list(some)) for some in (first, second))
-    moved = np.isin(numbers, list(causes))
-    wanted = (one[:, None] & other) | (other[:, None] & one)
-    touched = wanted & (moved[:, None] | moved) & ~np.eye(len(numbers), dtype=np.bool_)
-    columns = [k for k, r in enumerate(PAIRWISE) if r in frame.setting.relations]
-    for i, j in zip(*np.nonzero(touched & (frame.related.present | frame.labelled.present)), strict=True):
-        a, b = int(numbers[i]), int(numbers[j])
-        event = max((causes[x] for x in (a, b) if x in causes), key=lambda e: e.id)
-        origin, key = Origin.of("stale" if frame.stale.any() else "recomputed", event), f"{a},{b}"
-        for k in columns:
-            was = frame.labelled.states[i, j, k]
-            frame.put("relations", key, PAIRWISE[k], origin, None if was == NOT_JUDGED else int(was))
+Judged = Mapping[tuple[str, str], Sequence[Event]]
+"""Events of relations and their statuses by key and field."""
 
 
 def _correct_relation(
-    frame: EffectiveFrame,
-    judged: Mapping[FieldRef, Sequence[Event]],
-    ref: FieldRef,
-    human: dict[tuple[int, int, str], Event],
+    frame: EffectiveFrame, judged: Judged, key: str, field: str, human: dict[tuple[int, int, str], Event]
 ) -> None:
     """Apply the events of a relation or a status; a person's value is entered in `human`."""
-    auto, events, (a, b) = frame.auto, judged[ref], ref.numbers
-    i, j = frame.pairs.index_of(a), frame.pairs.index_of(b)
-    relation = ref.field.removesuffix(".status")
+    events, boxes, pairs = judged[key, field], frame.auto.objects, frame.pairs
+    a, b = events[0].ref.numbers
+    i, j = pairs.index_of(a), pairs.index_of(b)
+    relation = field.removesuffix(".status")
     reason = None
     if relation not in frame.setting.relations:
         reason = f"the labels do not hold {relation!r}"
@@ -296,35 +243,33 @@ def _correct_relation(
         gone = next((x for x, at in ((a, i), (b, j)) if at is None), a)
         known = gone in frame.left_out or gone in frame.objects
         reason = f"object {gone} takes part in no relation" if known else f"there is no object {gone} any more"
-    elif any(is_another(e.anchor, x, auto.objects[x]["bbox"]) for e in events for x in (a, b) if x in auto.objects):
+    elif another_thing(events, {n: boxes[n]["bbox"] for n in (a, b) if n in boxes}) is not None:
         reason = "one of the two objects is another thing now"
     if reason is not None or i is None or j is None:
         frame.note(events, all_gone(None, events, str(reason)))
         return
-    if ref.field != relation:
+    if field != relation:
         after = frame.note(events, replay(None, events))
         if after.value is not None and after.event is not None:
-            frame.statuses[ref] = after.value
-            frame.put("relations", ref.key, ref.field, Origin.of("human", after.event))
+            frame.statuses[events[0].ref] = after.value
+            frame.put("relations", key, field, Origin.of("human", after.event))
         return
-    was = frame.pairs.state(a, b, relation)
+    was = pairs.state(a, b, relation)
     # Who saw F where another correction ruled out the labeller's T, did not see the automatic label.
-    trusted = a in frame.geometry or b in frame.geometry or (was == T and _ruled_out_before(ref, judged))
+    trusted = a in frame.geometry or b in frame.geometry or (was == T and _ruled_out_before(judged, key, field))
     after = frame.note(events, replay(was, events, trusted=trusted))
     if after.event is not None:
-        _settle(frame, i, j, PAIRWISE.index(relation), after.value)
+        _settle(frame, i, j, AT[relation], after.value)
         human[i, j, relation] = after.event
-        origin = Origin.of("human", after.event)
-        frame.put("relations", ref.key, relation, origin, auto.pairs.state(a, b, relation))
+        frame.put("relations", key, relation, Origin.of("human", after.event), frame.auto.pairs.state(a, b, relation))
 
 
-def _ruled_out_before(ref: FieldRef, judged: Mapping[FieldRef, Sequence[Event]]) -> bool:
+def _ruled_out_before(judged: Judged, key: str, relation: str) -> bool:
     """True where a person had already ruled the relation out (see `correct_pairs`) at the correction."""
-    stands = standing(judged[ref])
-    if ref.field not in INVERSE or not stands:
+    stands = standing(judged[key, relation])
+    if relation not in INVERSE or not stands:
         return False
-    (a, b), first = ref.numbers, stands[0]
-    others = (FieldRef("relation", ref.frame, ref.key, INVERSE[ref.field]), replace(ref, key=f"{b},{a}"))
+    first, others = stands[0], ((key, INVERSE[relation]), (",".join(reversed(key.split(","))), relation))
     return first.before == F and any(e.after == T and e.id < first.id for c in others for e in judged.get(c, ()))
 
 

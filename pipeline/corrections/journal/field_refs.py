@@ -72,7 +72,7 @@ class FieldRef:
         if self.kind == "review":
             _, kind, a, b, _ = judged_item(self.key)
             return tuple(n for n in (a, b) if n is not None and n >= 0 and kind != "expression")
-        return tuple(int(n) for n in self.key.split(",")) if self.kind in ("object", "relation") else ()
+        return tuple(map(int, self.key.split(","))) if self.kind in ("object", "relation") else ()
 
     @property
     def entity(self) -> str:
@@ -161,8 +161,10 @@ def same_value(a: Any, b: Any) -> bool:
     >>> same_value([1, 2.0], [1.0, 2]), same_value(True, 1)
     (True, False)
     """
+    if a is b:
+        return True
     if isinstance(a, bool) or isinstance(b, bool):
-        return a is b
+        return False
     if isinstance(a, (int, float)) and isinstance(b, (int, float)):
         return math.isclose(a, b, rel_tol=TOLERANCE, abs_tol=TOLERANCE)
     if isinstance(a, (list, tuple)) and isinstance(b, (list, tuple)):

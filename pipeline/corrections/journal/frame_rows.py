@@ -18,6 +18,8 @@ from pipeline.system.arrow import pa
 Row = dict[str, Any]
 BOX_COLUMNS = ("center", "R", "size")
 
+AT = {relation: k for k, relation in enumerate(PAIRWISE)}
+"""Place of a relation in the matrices."""
 MATRICES = ("present", "states", "margins", "distance", "doubted")
 
 
@@ -76,18 +78,18 @@ class Pairs:
 
     def index_of(self, number: int | None) -> int | None:
         """Index of an object among the pairs; None for any other."""
-        return None if number is None else self._index_by_number.get(number)
+        return self._index_by_number.get(number)
 
     @cached_property
-    def _index_by_number(self) -> dict[int, int]:
+    def _index_by_number(self) -> dict[int | None, int]:
         return {number: at for at, number in enumerate(self.numbers.tolist())}
 
     def state(self, a: int, b: int | None, relation: str) -> int | None:
         """State of a relation by object numbers; None for none."""
-        i, j = self.index_of(a), self.index_of(b)
+        i, j = self._index_by_number.get(a), self._index_by_number.get(b)
         if i is None or j is None or not self.present[i, j]:
             return None
-        found = int(self.states[i, j, PAIRWISE.index(relation)])
+        found = int(self.states[i, j, AT[relation]])
         return None if found == NOT_JUDGED else found
 
     def table(self, frame: str, frame_index: int, relations: Sequence[str]) -> pa.Table:
@@ -182,7 +184,7 @@ class Asked:
         self.ids = list(auto.expressions)
         self.index = {name: at for at, name in enumerate(self.ids)}
         self.ends = np.array([(r["target_object"], r["reference_object"]) for r in rows], np.int64).reshape(-1, 2)
-        self.relations = np.array([PAIRWISE.index(r["relation"]) for r in rows], np.int64)
+        self.relations = np.array([AT[r["relation"]] for r in rows], np.int64)
         self.margins = np.array([np.nan if r["margin"] is None else r["margin"] for r in rows], np.float64)
         pairs = auto.pairs.of_objects(numbers)
         self.before = Answered.of(self, pairs, tuple([auto.objects[n]["label"] for n in pairs.numbers.tolist()]))

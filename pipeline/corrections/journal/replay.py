@@ -114,10 +114,18 @@ def all_gone(automatic: Any, events: Sequence[Event], reason: str) -> Replayed:
     )
 
 
-def is_another(anchor: dict[str, list[float]], number: int, bbox: Sequence[float]) -> bool:
-    """True where an object's number was given to another thing since an edit was anchored."""
-    was = anchor.get(str(number))
-    return was is not None and float(iou_2d(np.array([was]), np.array([bbox]))[0, 0]) < ANCHOR_IOU
+def another_thing(events: Sequence[Event], boxes: Mapping[int, Sequence[float]]) -> int | None:
+    """Object whose number was given to another thing since an edit was anchored; None for none.
+
+    `boxes` are the 2D boxes of automatic objects.
+    """
+    for number, bbox in boxes.items():
+        name = str(number)
+        for event in events:
+            was = event.anchor.get(name, bbox)
+            if was != bbox and float(iou_2d(np.array([was]), np.array([bbox]))[0, 0]) < ANCHOR_IOU:
+                return number
+    return None
 
 
 def by_ref(events: Iterable[Event]) -> dict[FieldRef, list[Event]]:
@@ -162,8 +170,9 @@ def replayed_judgement(
     for number in ref.numbers:
         if number not in objects:
             return all_gone(None, events, f"there is no object {number} any more")
-        if number in boxes and any(is_another(e.anchor, number, boxes[number]) for e in events):
-            return all_gone(None, events, f"object {number} is another thing now")
+    other = another_thing(events, {n: boxes[n] for n in ref.numbers if n in boxes})
+    if other is not None:
+        return all_gone(None, events, f"object {other} is another thing now")
     return replay(None, events)
 
 
