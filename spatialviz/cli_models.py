@@ -101,17 +101,12 @@ class TrainCommand(Output):
 
 @dataclass(frozen=True)
 class RetrainCommand(OnPictures):
-    """Train relation networks on labels before and after corrections, and compare both on held-out frames.
-
-    The labels after are those of the folder AFTER, or LABELS with the corrections of their journal; with --run, the run
-    is made again with the mended labels and the new network.
+    """Train relation networks on labels before and after the corrections of their journal, and compare both on held-out
+    frames; with --run, the run is made again with the mended labels and the new network.
     """
 
-    after: Positional[Path | None] = None
-    """Labels folder as it is. Default: the labels with the journal's corrections."""
     out: Path = Path("retrained")
-    """With AFTER an ONNX file, beside which its card and the comparison are written; else a new folder, which gets the
-    mended labels and the runs, too."""
+    """A new folder, for the network with its card and comparison, the mended labels and the runs."""
     run_folder: Annotated[Path | None, arg(name="run")] = None
     """A run that `eval` wrote on these labels, made again."""
     features: PairFeatures = "rel14"

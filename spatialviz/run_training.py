@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.corrections.review.label_jobs import RetrainingJob, RetrainingRun, run_retraining
-from pipeline.corrections.review.retraining import RetrainConfig, Retraining, retrain
-from pipeline.labels.reading import open_labels
+from pipeline.corrections.review.retraining import RetrainConfig
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.metrics.tables import shown
@@ -64,34 +63,20 @@ def run_train(command: TrainCommand) -> None:
 def run_retrain(command: RetrainCommand) -> None:
     train = TrainConfig(CLI_FEATURES[command.features], epochs=command.epochs, batch=command.batch, seed=command.seed)
     config = RetrainConfig(train, command.split)
-    if command.after is None:
-        options = command.source.camera()
-        job = RetrainingJob(
-            command.labels,
-            command.journal.journal,
-            command.journal.project,
-            command.source.dataset,
-            options,
-            out=command.out,
-            run=command.run_folder,
-            config=config,
-            workers=command.workers,
-        )
-        with progress_bars() as advance:
-            done = run_retraining(job, advance)
-        command.write(done.record(), print_retraining_run, done)
-        return
-    require(command.run_folder is None, "--run goes with the labels' own journal, not with AFTER")
-    require(command.out.suffix == ".onnx", "with AFTER, --out is the ONNX file to write", got=str(command.out))
+    job = RetrainingJob(
+        command.labels,
+        command.journal.journal,
+        command.journal.project,
+        command.source.dataset,
+        command.source.camera(),
+        out=command.out,
+        run=command.run_folder,
+        config=config,
+        workers=command.workers,
+    )
     with progress_bars() as advance:
-        found = retrain(
-            open_labels(command.labels),
-            open_labels(command.after),
-            command.out,
-            config,
-            progress=lambda name, epoch: advance(f"epochs {name}", epoch.number, command.epochs),
-        )
-    command.write(found.record(), print_retraining, found, command.out)
+        done = run_retraining(job, advance)
+    command.write(done.record(), print_retraining, done)
 
 
 def run_install(command: InstallCommand) -> None:
@@ -200,12 +185,13 @@ def print_training(card: dict[str, Any], out: Path) -> None:
     say(f"-> {out}, card {out.with_suffix('.json')}")
 
 
-def print_retraining(found: Retraining, out: Path) -> None:
-    """The table before and after, and the most changed cells."""
+def print_retraining(done: RetrainingRun) -> None:
+    """Print the effect of corrections on labels, network and answers."""
+    say(f"{counted(done.corrections['events'], 'event')} of the journal")
+    found = done.retraining
     print_table(found.table())
-    for title, count, cells in (
-        ("became right", found.counts[0], found.better),
-        ("became wrong", found.counts[1], found.worse),
+    for title, count, cells in zip(
+        ("became right", "became wrong"), found.flips["all"], (found.better, found.worse), strict=True
     ):
         say(f"{title}: {count} held-out cells", style="bold")
         for cell in cells[:SHOWN_CELLS]:
@@ -213,21 +199,14 @@ def print_retraining(found: Retraining, out: Path) -> None:
                 f"  frame {cell['frame']}: {cell['a']} {PHRASE[cell['relation']]} {cell['b']} is {cell['label']}: "
                 f"{cell['before']:.2f} -> {cell['after']:.2f}"
             )
-    say(f"-> {out}, {out.with_suffix('.comparison.md')}", style="dim")
-
-
-def print_retraining_run(done: RetrainingRun) -> None:
-    """Print the effect of corrections on labels, network and answers."""
-    say(f"{counted(done.corrections['events'], 'event')} of the journal")
-    print_retraining(done.retraining, done.network)
     if done.in_use is not None:
         before, after = (shown(f.micro_f1) for f in (done.in_use.before, done.in_use.after))
         say(f"the network in use: micro-F1 {before} on the same pairs; the new one {after}")
-    for title, found in (("the labels alone", done.mended), ("the new network", done.replay)):
-        if found is not None:
-            gain = found.differences[found.measure]
+    for title, run in (("the labels alone", done.mended), ("the new network", done.replay)):
+        if run is not None:
+            gain = run.differences[run.measure]
             say(
-                f"{title}: {len(found.fixed)} answers became right, {len(found.broken)} wrong, of {found.shared} "
+                f"{title}: {len(run.fixed)} answers became right, {len(run.broken)} wrong, of {run.shared} "
                 f"({gain.value * 100:+.1f} points [{gain.low * 100:.1f}, {gain.high * 100:.1f}])"
             )
     say(f"-> {done.folder}; spatialviz models --install {done.network} --name NAME takes it into use", style="dim")

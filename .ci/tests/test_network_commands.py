@@ -118,8 +118,8 @@ def test_the_commands_review_and_retrain(
 ) -> None:
     import pyarrow.parquet as pq
 
-    before, after = (str(labels.root) for labels in mended)
-    told = ["--limit", "7", "--folds", "2", "--out", str(tmp_path / "q" / "queue.parquet")]
+    before = str(mended[0].root)
+    told = ["--limit", "7", "--out", str(tmp_path / "q" / "queue.parquet")]
     assert main(["review", before, *told, "--json"]) == 0
     rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert len(rows) == 7
@@ -129,9 +129,13 @@ def test_the_commands_review_and_retrain(
     assert written.num_rows > 500
     assert main(["review", before, "--no-networks", "--limit", "2"]) == 0
     assert "labels to look at" in capsys.readouterr().out
-    told = ["--epochs", "1", "--batch", "128", "--out", str(tmp_path / "srm.onnx")]
-    assert main(["retrain", before, after, *told]) == 0
+    pair = {name: rows[0][name] for name in ("frame", "a", "b", "relation")}
+    (tmp_path / "edits.json").write_text(json.dumps([{"edit": "relation", **pair, "to": "T"}]))
+    journal = ["--journal", str(tmp_path / "journal.sqlite")]
+    assert main(["correct", before, "--edits", str(tmp_path / "edits.json"), "--author", "ann", *journal]) == 0
+    told = ["--epochs", "1", "--batch", "128", "--out", str(tmp_path / "again")]
+    assert main(["retrain", before, *told, *journal]) == 0
     assert "became right" in capsys.readouterr().out
-    assert np.isfinite(OnnxScorer(tmp_path / "srm.onnx").contract.mean).all()
+    assert np.isfinite(OnnxScorer(tmp_path / "again" / "network.onnx").contract.mean).all()
     assert main(["review", str(tmp_path)]) == 2
     assert main(["review", before, "--limit", "-1"]) == 2

@@ -17,10 +17,10 @@ import numpy as np
 from pipeline.corrections.review.doubts import stacked
 from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import PHRASE, VOCABULARIES
-from pipeline.metrics.intervals import BootstrapConfig, McNemar, mcnemar
+from pipeline.metrics.intervals import BootstrapConfig
 from pipeline.metrics.relation_metrics import RelationEstimates, cell_outcomes, relation_estimates
 from pipeline.metrics.splits import PARTS, TEST, SplitKind, SplitPlan, split_frames
-from pipeline.metrics.tables import Row, Table, markdown
+from pipeline.metrics.tables import Row, Table
 from pipeline.relations.features import LANGUAGE
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import U, letter
@@ -67,15 +67,13 @@ class Retraining:
     after: RelationEstimates
     gain: RelationEstimates
     """`gain` is after less before, paired."""
-    tests: dict[str, McNemar]
-    """By relation, and "all": `b` counts cells that only the network after got right, `c` only the one before."""
+    flips: dict[str, tuple[int, int]]
+    """By relation, and "all": how many held-out cells became right, became wrong."""
     changed: dict[str, dict[str, int]]
     """Labels that differ, by part of the split ("train", "validation", "test", "dropped") and relation."""
     better: tuple[dict[str, Any], ...]
     worse: tuple[dict[str, Any], ...]
     """Held-out cells that became right, became wrong: frame, a, b, relation, label, before, after (probabilities)."""
-    counts: tuple[int, int]
-    """How many became right, became wrong."""
     split: dict[str, Any]
     """See `SplitPlan.record`."""
     cluster: str
@@ -87,14 +85,14 @@ class Retraining:
 
     def table(self) -> Table:
         """F1 before and after, relation by relation and together."""
-        columns = ("F1 before", "F1 after", "gain", "became right", "became wrong", "McNemar p", "labels changed")
+        columns = ("F1 before", "F1 after", "gain", "became right", "became wrong", "labels changed")
         estimates = self.before, self.after, self.gain
         changed = {r: sum(part.get(r, 0) for part in self.changed.values()) for r in self.relations}
         rows = [
-            Row(PHRASE[relation], (*(e.f1[k] for e in estimates), *_tested(self.tests[relation]), changed[relation]))
+            Row(PHRASE[relation], (*(e.f1[k] for e in estimates), *self.flips[relation], changed[relation]))
             for k, relation in enumerate(self.relations)
         ]
-        overall = (*(e.micro_f1 for e in estimates), *_tested(self.tests["all"]), sum(changed.values()))
+        overall = (*(e.micro_f1 for e in estimates), *self.flips["all"], sum(changed.values()))
         rows.append(Row("all (micro-F1)", overall))
         return Table(
             "retrain",
@@ -102,8 +100,7 @@ class Retraining:
             columns,
             tuple(rows),
             f"Percent, on {self.pairs} pairs of {self.frames} frames that neither network has seen, against the labels "
-            f"after. Brackets: 95 % bootstrap intervals over {self.cluster}s, paired for the gain. McNemar's exact "
-            "test takes cells as independent, which those of one scene are not: trust the interval.",
+            f"after. Brackets: 95 % bootstrap intervals over {self.cluster}s, paired for the gain.",
             self.caveats,
         )
 
@@ -120,10 +117,9 @@ class Retraining:
                 "before": figures(self.before),
                 "after": figures(self.after),
                 "gain": figures(self.gain),
-                "mcnemar": {k: {"n": t.n, "b": t.b, "c": t.c, "p_value": t.p_value} for k, t in self.tests.items()},
                 "labels_changed": self.changed,
-                "became_right": {"cells": self.counts[0], "listed": list(self.better)},
-                "became_wrong": {"cells": self.counts[1], "listed": list(self.worse)},
+                "became_right": {"cells": self.flips["all"][0], "listed": list(self.better)},
+                "became_wrong": {"cells": self.flips["all"][1], "listed": list(self.worse)},
                 "split": self.split,
                 "caveats": list(self.caveats),
                 "networks": [
@@ -132,18 +128,6 @@ class Retraining:
                 ],
             }
         )
-
-    def markdown(self) -> str:
-        """The table, and the cells that changed most."""
-        parts = [markdown([self.table()])]
-        for title, count, listed in zip(("right", "wrong"), self.counts, (self.better, self.worse), strict=True):
-            lines = [
-                f"- frame {cell['frame']}: object {cell['a']} {PHRASE[cell['relation']]} object {cell['b']} is "
-                f"{cell['label']}; probability {cell['before']:.2f} before, {cell['after']:.2f} after"
-                for cell in listed[:20]
-            ]
-            parts.append("\n".join([f"## Became {title}: {count} held-out cells", "", *lines]) + "\n")
-        return "\n".join(parts)
 
 
 def retrain(
@@ -156,8 +140,7 @@ def retrain(
 ) -> Retraining:
     """Train on labels before and after, compare, and write the network of the latter.
 
-    Writes `out`, its card beside it (.json), and the comparison (.comparison.json and .comparison.md); all of it or
-    nothing.
+    Writes `out`, its card beside it (.json), and the comparison (.comparison.json); all of it or nothing.
 
     `out`: the ONNX file to write. `progress`: called after each epoch with ("before" or "after", the epoch).
 
@@ -181,9 +164,8 @@ def retrain(
         found = compare_networks(
             OnnxScorer(files[0]), OnnxScorer(files[1]), was, now, plan, (cards[0], cards[1]), config.bootstrap
         )
-        texts = {".comparison.json": json.dumps(found.record(), indent=1) + "\n", ".comparison.md": found.markdown()}
-        for suffix, text in texts.items():
-            files[1].with_suffix(suffix).write_text(text, encoding="utf-8")
+        text = json.dumps(found.record(), indent=1) + "\n"
+        made.with_suffix(".comparison.json").write_text(text, encoding="utf-8")
     return found
 
 
@@ -237,9 +219,9 @@ def compare_networks(
         for c, o in ((cells[0], None), (cells[1], None), (cells[1], cells[0]))
     ]
     known, (old, new) = truth != U, (c.tp | c.tn for c in cells)
-    tests = {r: mcnemar(new[known[:, k], k], old[known[:, k], k]) for k, r in enumerate(relations)}
-    tests["all"] = mcnemar(new[known], old[known])
-    better, worse = (_listed(test, relations, truth, p, chosen) for chosen in (new & ~old & known, old & ~new & known))
+    right, wrong = new & ~old & known, old & ~new & known
+    flips = {r: (int(right[:, k].sum()), int(wrong[:, k].sum())) for k, r in enumerate(relations)}
+    better, worse = (_listed(test, relations, truth, p, chosen) for chosen in (right, wrong))
     return Retraining(
         relations=relations,
         pairs=len(truth),
@@ -247,19 +229,14 @@ def compare_networks(
         before=estimates[0],
         after=estimates[1],
         gain=estimates[2],
-        tests=tests,
+        flips={**flips, "all": (int(right.sum()), int(wrong.sum()))},
         changed=_changed(was, now, plan),
         better=better,
         worse=worse,
-        counts=(tests["all"].b, tests["all"].c),
         split=own.record(),
         cluster="scene" if len(scenes) > 1 else "frame",
         cards=cards,
     )
-
-
-def _tested(test: McNemar) -> tuple[int, int, str]:
-    return test.b, test.c, f"{test.p_value:.2g}"
 
 
 def _changed(was: LabelData, now: LabelData, plan: SplitPlan) -> dict[str, dict[str, int]]:
