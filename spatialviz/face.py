@@ -102,8 +102,8 @@ def show(
         sources = {name: opened.pipeline}
         view["labels"] = {} if opened.labels is None else {name: opened.labels}
 
+    from spatialviz.app.access import Access
     from spatialviz.app.server import announce, serve, start
-    from spatialviz.app.site import Access
 
     if block is None:
         block = not (hasattr(sys, "ps1") or sys.flags.interactive)

@@ -16,8 +16,8 @@ from pipeline.evaluation.run_folder import RUN_FILE, open_run
 from pipeline.labels.by_hand import begun_labels, default_folder, grows
 from pipeline.labels.reading import Labels, labelled_up, open_labels
 from pipeline.system.errors import InputError, require
+from spatialviz.app.access import Access
 from spatialviz.app.server import serve
-from spatialviz.app.site import Access
 from spatialviz.cli_ask import ViewCommand
 from spatialviz.options import SourceOptions, warn
 

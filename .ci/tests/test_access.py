@@ -10,7 +10,8 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request
 
 from pipeline.system.errors import InputError
-from spatialviz.app.site import Access, Site
+from spatialviz.app.access import Access
+from spatialviz.app.site import Site
 from spatialviz.app.view_strings import needs_file
 
 TOKEN = "a-token-of-24-characters"

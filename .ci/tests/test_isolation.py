@@ -14,10 +14,10 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.typing import Subprotocol
 
 from pipeline.answering.pipeline import open_pipeline
-from spatialviz.app import pages
+from spatialviz.app import site as pages
 from spatialviz.app.channel import end_all
-from spatialviz.app.pages import Gate
 from spatialviz.app.server import start
+from spatialviz.app.site import Gate
 
 HELLO = json.dumps({"type": "hello"})
 SPOKEN = Subprotocol(f"viser-v{viser.__version__}")

@@ -7,14 +7,14 @@ import pytest
 
 from pipeline.geometry.palette import hex_color, palette
 
-CSS = (resources.files("spatialviz.app") / "static" / "page.css").read_text("utf-8")
+CSS = (resources.files("spatialviz.app") / "static" / "theme.css").read_text("utf-8")
 GROUNDS = ("bg", "panel", "raised", "hover", "field")
 ACCENTS = ("accent-explain", "accent-evaluate", "accent-label")
 TEXTS = ("text", "dim", "good", "doubt", "bad", "idle", "target", "reference", "truth", "edited", "other")
 
 
 def colors(dark: bool) -> dict[str, str]:
-    """Name to "#rrggbb" of a theme, as page.css declares them."""
+    """Name to "#rrggbb" of a theme, as theme.css declares them."""
     theme = "dark" if dark else "light"
     block = re.search(rf"\n(?::root,)?\[data-theme={theme}\]\{{(.*?)\n\}}", CSS, re.S)
     assert block is not None

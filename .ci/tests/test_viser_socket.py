@@ -11,7 +11,7 @@ import websockets.asyncio.server as ws
 from viser.infra import _infra
 
 from pipeline.system.errors import InputError
-from spatialviz.app.viser_socket import OF_SCENE, TUNNELS, RefuseAll, internal, scene_page, served_by
+from spatialviz.app.viser_socket import OF_SCENE, TUNNELS, internal, scene_page, served_by
 
 
 @pytest.mark.parametrize("name", [*OF_SCENE, *TUNNELS, "Message.deserialize"])
@@ -27,7 +27,7 @@ def test_a_server_of_viser_is_started_where_ours_is_put_around_it() -> None:
     source = inspect.getsource(_infra)
     assert "websockets.asyncio.server" in source, "viser starts another server: served_by would not be asked"
     original = ws.serve
-    with served_by(RefuseAll()):
+    with served_by(None):
         assert ws.serve is not original
         server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     assert ws.serve is original

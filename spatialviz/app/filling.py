@@ -37,7 +37,7 @@ def fill_answer(ctx: Context) -> None:
     regions = {
         "answer": sentences.sentence_html(state, view) if view else answer.answer_html(state, ctx.can_ask),
         "stages": None if view else stages.stages_html(state, state.stage),
-        "expressions": sentences.expressions_html(state, view) if view else None,
+        "expressions": sentences.expressions_html(view) if view else None,
         "history": sentences.history_html(view) if view else None,
     }
     ctx.page.fill(regions)

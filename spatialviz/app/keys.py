@@ -91,7 +91,6 @@ LABEL_KEYS: Mapping[str, Rows] = {
         ("Shift+N", "New object, drawn on the picture", "px-new"),
         ("Shift+W", "New object, painted on the picture", "px-new:brush"),
         ("Shift+Q", "New object, by clicks in the picture's depth", "px-new:depth"),
-        ("Shift+T", "New object, by clicks in the scene", "px-new:scene"),
         ("Shift+M", "Merge the selected object into the one before", "px-merge"),
     ),
     "Sentences": (

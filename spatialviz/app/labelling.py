@@ -5,7 +5,6 @@ Polls for other people's edits. *This pair is right*, under any answer, immediat
 
 from __future__ import annotations
 
-import shlex
 import threading
 from collections.abc import Callable
 from contextlib import suppress
@@ -13,12 +12,11 @@ from dataclasses import replace
 
 from pydantic import NonNegativeInt
 
-from pipeline.corrections.confirming import right_objects, right_pair, why_not_kept, words_of
+from pipeline.corrections.confirming import right_pair, why_not_kept
 from pipeline.corrections.journal.events import Event, Saved
 from pipeline.corrections.label_editor import Target
 from pipeline.corrections.unsaved import Waiting
 from pipeline.corrections.wording import events_text, outcome_text
-from pipeline.language.tree import Query
 from pipeline.system.errors import InputError, needed, require
 from spatialviz.app.context import Context, command, there
 from spatialviz.app.label_object import LabelObject, SidePanel
@@ -44,12 +42,11 @@ class Labelling(LabelPart):
     ) -> None:
         super().__init__(ctx)
         self._reopen = reopen
-        self.pixels = Pixels(ctx)
         self._following = (
             LabelObject(ctx),
             ReviewQueue(ctx),
             RetrainPanel(ctx, go),
-            self.pixels,
+            Pixels(ctx),
             SidePanel(ctx),
             RightPair(ctx, ask),
         )
@@ -188,7 +185,6 @@ class RightPair(LabelPart):
         super().__init__(ctx)
         self._ask = ask
         self._kept = ("", "")
-        self._query: Query | None = None
 
     @command("right-pair")
     def confirm(self) -> None:
@@ -210,31 +206,17 @@ class RightPair(LabelPart):
             self.ctx.toast("Taken back", outcome_text(outcome, "taken back", None)[0])
             self._ask(self.state.text)
 
-    @command("right-objects")
-    def means(self) -> None:
-        """Set the truth of the last question to the two objects chosen among the labels."""
-        pair, query = there(self.state.pair), there(self._query)
-        a, b = (self.view.numbers[k] for k in pair[:2])
-        self.save(lambda frame: right_objects(frame, query, a, b))
-
     def follow(self) -> None:
         """Offer the confirmation under an answer with a pair."""
-        if self.state.trace is not None:
-            self._query = self.state.trace.query
         self.ctx.page.show("right-pair", self._offer())
 
     def _offer(self) -> Element | None:
         state = self.state
-        if state.labels is not None:
-            if state.pair is None or self._query is None or words_of(self._query) is None:
-                return None
-            hint = "the two chosen objects become the true answer to the question"
-            return h.div(button(f"“{self._query.text}” means this pair", "right-objects", hint), cls="rightpair panel")
         pair = state.chosen or next(iter(state.ranked), None)
         if state.trace is None or pair is None:
             return None
         if state.source not in self.ctx.shared.journals:
-            return self._how_to_correct() if self.ctx.run is None and state.trace.frame.annotations else None
+            return None
         if self._kept == (state.frame_id, state.text):
             back = button("Undo", "right-undo", "this pair is not right after all")
             return h.div(h.span("This pair is kept as true.", cls="dim"), back, cls="rightpair panel")
@@ -245,10 +227,3 @@ class RightPair(LabelPart):
         hint = "it is kept as true, with its objects, and the answer is judged by it at once"
         made = button("This pair is right", "right-pair", hint, cls="try" if known else "try go")
         return h.div(made, None if known else h.span("No truth is known here yet.", cls="dim"), cls="rightpair panel")
-
-    def _how_to_correct(self) -> Element:
-        """Instructions for correcting a dataset opened without labels."""
-        path = shlex.quote(str(self.ctx.source.dataset.root))
-        commands = (f"spatialviz label {path} --out LABELS", f"spatialviz view {path} --labels LABELS")
-        told = h.p("It is what the dataset's annotations say. Labels made of them can be corrected here:", cls="dim")
-        return h.details(h.summary("Is the truth wrong?"), told, map(h.code, commands), cls="panel rightpair")

@@ -11,13 +11,10 @@ from pipeline.answering.frame_colors import frame_colors
 from pipeline.answering.frame_store import LoadedFrame
 from pipeline.answering.objects import SceneObject
 from pipeline.corrections.draft import Draft
-from pipeline.geometry.boxes import EDGES, Box3D
-from pipeline.geometry.camera import lift_pixels
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.masks import decode_crop, outlines
 from pipeline.geometry.palette import ON_DARK, RGB, depth_colors, depth_ends, hex_color, ink, instance_colors, palette
-from spatialviz.app.context import Context
 from spatialviz.app.frames import jpeg_url, png_url, thumb_url
 from spatialviz.app.markup import Child, Element, chosen, detector_score, h, heading, named, note, panel
 from spatialviz.app.state import State
@@ -249,7 +246,6 @@ def pixel_row_html(state: State) -> Element:
                 for name, does in TOOLS.items()
             ),
             _tool("new object", "px-new", "drawn on the picture (Shift+N; Shift-drag on the picture)", cls="w2"),
-            _tool("new from 3D", "px-new:scene", "by clicks in the scene (Shift+T)", cls="w2"),
             _tool("merge", "px-merge", hint, state.pair is not None, cls="w2"),
             cls="pxrow",
         ),
@@ -301,35 +297,3 @@ def told_of(draft: Draft, lifted: LiftedObject | None, parts: Sequence[np.ndarra
         return f"{pixels} · no 3D box: too little depth"
     width, height, depth = lifted.box.size
     return f"{pixels} · {lifted.quality.points:,} points · box {width:.2f} × {height:.2f} × {depth:.2f} m"
-
-
-POINT = 0.004
-MOST_POINTS = 60_000
-DRAFT = "/draft/"
-"""Scene node of the draft."""
-
-
-def draw_draft(ctx: Context, frame: Frame, mask: np.ndarray, box: Box3D | None) -> None:
-    """Show a mask's points in the scene, slightly towards the viewer, and a box (camera frame)."""
-    with ctx.client.atomic():
-        ctx.client.clear(DRAFT)
-        color = palette(ctx.state.dark)["edited"]
-        v, u = np.nonzero(mask & (frame.depth > 0))
-        step = max(1, -(-len(v) // MOST_POINTS))
-        v, u = v[::step], u[::step]
-        if len(v):
-            points = lift_pixels(frame.depth[v, u] * np.float32(0.995), frame.camera, v, u)
-            shown = (points @ ctx.scene.to_show.T.astype(np.float32)).astype(np.float32)
-            ctx.client.put(
-                "point_cloud",
-                f"{DRAFT}points",
-                points=shown,
-                colors=np.array(color, np.uint8),
-                point_size=POINT,
-                precision="float32",
-                point_shading="flat",
-                point_shape="square",
-            )
-        if box is not None:
-            lines = ctx.scene.shown_box(box).corners[EDGES].astype(np.float32)
-            ctx.client.lines(f"{DRAFT}box", lines, color, 2.6)

@@ -22,7 +22,6 @@ from pipeline.corrections.journal.events import Conflict, Event
 from pipeline.corrections.journal.field_refs import same_value
 from pipeline.corrections.label_view import LabelView, paired
 from pipeline.corrections.vocabulary import vocabulary_of
-from pipeline.drawing.depth_region import TOLERANCE
 from pipeline.drawing.gestures import Canvas, Gesture, gesture_of, read_gesture
 from pipeline.geometry.palette import depth_colors, hex_color
 from pipeline.system.errors import InputError, as_input_error, needed, require
@@ -31,7 +30,7 @@ from spatialviz.app.context import Context, command, there
 from spatialviz.app.frames import jpeg_url
 from spatialviz.app.label_item import UNNAMED
 from spatialviz.app.label_part import LabelPart
-from spatialviz.app.picture import DRAFT, PART_COLORS, around, draw_draft, mask_url, outlined, told_of
+from spatialviz.app.picture import PART_COLORS, around, mask_url, outlined, told_of
 from spatialviz.app.state import State
 from spatialviz.report.picture import box_edges_2d
 
@@ -47,8 +46,7 @@ class Pixels(LabelPart):
         self._open: tuple[str, str] | None = None
         self._canvas: tuple[tuple[str, str], Canvas] | None = None
         self._of: int | None = None
-        self._tool, self._view, self._kind = "brush", "picture", "rgb"
-        self._adds, self._tolerance = True, TOLERANCE
+        self._tool, self._kind = "brush", "rgb"
         self._seen = 0
         self._said, self._bad, self._label = "", False, ""
         self._saving = False
@@ -74,7 +72,7 @@ class Pixels(LabelPart):
         self._tool = tool
         self._tell()
         if self._draft is None and known is not None and known.changed:
-            self._open, self._of, self._adds = self._key, self.number, True
+            self._open, self._of = self._key, self.number
             self._tell("this was not applied yet")
         elif self._draft is None:
             self._begin(view, self.number)
@@ -82,12 +80,11 @@ class Pixels(LabelPart):
 
     @command("px-new")
     def new(self, where: str) -> None:
-        """Begin a new object with a tool, by clicks in the scene ("scene"), or in a rectangle of the picture."""
+        """Begin a new object with a tool, or in a rectangle of the picture."""
         view = self.view
         if self._unapplied(self._drafts.get(self._key)):
             return
-        self._tool = {"scene": "depth", "depth": "depth", "brush": "brush"}.get(where, "rectangle")
-        self._view, self._outlined = "scene" if where == "scene" else "picture", None
+        self._tool, self._outlined = where if where in ("depth", "brush") else "rectangle", None
         self._tell()
         self._begin(view, None)
         if "," in where:
@@ -95,7 +92,7 @@ class Pixels(LabelPart):
         self.follow()
 
     def _begin(self, view: LabelView, number: int | None) -> None:
-        self._open, self._of, self._adds = self._key, self.number, True
+        self._open, self._of = self._key, self.number
         self._drafts[self._key] = new_draft(view.frame, number)
         if number is None and self._tool == "cut":
             self._tool = "brush"
@@ -133,25 +130,6 @@ class Pixels(LabelPart):
         """Add a stroke to the draft; the stroke's number is sent back as a receipt."""
         self._seen = number
         self._changed(lambda draft, canvas: with_gesture(draft, read_gesture(made, draft.height, draft.width), canvas))
-
-    @command("px-hand")
-    def hand(self, adds: bool, tolerance: float) -> None:
-        """Set the mode of clicks in the scene: adding or removing, and the tolerance of surface similarity."""
-        self._tolerance, self._adds = tolerance, adds
-
-    def on_ray(self, pixel: tuple[int, int] | None) -> bool:
-        """Handle a click in the scene; False if not meant for the draft."""
-        if self._draft is None or self._view != "scene":
-            return False
-
-        def grown(draft: Draft, canvas: Canvas) -> Draft:
-            u, v = needed(pixel, "no point of the cloud is there")
-            at = [[u + 0.5, v + 0.5]]
-            made = gesture_of("depth", at, draft.height, draft.width, adds=self._adds, tolerance=self._tolerance)
-            return with_gesture(draft, made, canvas)
-
-        self._changed(grown)
-        return True
 
     def _changed(self, change: Callable[[Draft, Canvas], Draft]) -> None:
         draft = there(self._draft)
@@ -260,13 +238,6 @@ class Pixels(LabelPart):
 
     # ---- display ----------------------------------------------------------------------
 
-    @command("px-view")
-    def look(self, view: Literal["picture", "scene"]) -> None:
-        """Draw on the picture, or by clicks in the scene."""
-        self._view = view
-        self._tell()
-        self.follow()
-
     @command("px-picture")
     def paint(self, kind: Literal["rgb", "depth"]) -> None:
         """Show the picture's colours or depth."""
@@ -295,7 +266,6 @@ class Pixels(LabelPart):
                 self._begin(view, None)
             draft = self._draft
         if draft is None or view is None or state.loaded is None:
-            self.ctx.client.clear(DRAFT)
             self.ctx.page.call("pixels", {"on": False})
             return
         moved = self.number is not None and self.number != self._of
@@ -311,19 +281,14 @@ class Pixels(LabelPart):
         lifted = lifted_draft(canvas, parts[0]) if len(parts) == 1 else None
         box = None if lifted is None else lifted.box
         frame = canvas.context.frame
-        if self._view == "scene":
-            draw_draft(self.ctx, frame, draft.mask, box)
-        else:
-            self.ctx.client.clear(DRAFT)
-            picture = frame.rgb if self._kind == "rgb" else depth_colors(frame.depth)
-            self.ctx.page.call("pixelsPicture", {"kind": self._kind, "url": jpeg_url(picture, 92)})
+        picture = frame.rgb if self._kind == "rgb" else depth_colors(frame.depth)
+        self.ctx.page.call("pixelsPicture", {"kind": self._kind, "url": jpeg_url(picture, 92)})
         fresh, known = self._fresh, draft.number is not None
         row = None if draft.number is None or fresh else view.frame.objects[draft.number]
         data: dict[str, Any] = {
             "on": True,
             "near": around(draft),
             "key": f"{draft.frame}:new" if fresh else f"{draft.frame}:{draft.number}:{draft.version}",
-            "view": self._view,
             "tool": self._tool,
             "w": draft.width,
             "h": draft.height,

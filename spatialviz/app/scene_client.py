@@ -102,6 +102,11 @@ class SceneClient:
         node = self.nodes[name]
         node.show(getattr(client.scene, f"add_{self._made_by[name]}")(**node.values))
 
+    def copy_to(self, scene: viser.SceneApi) -> None:
+        """Make all nodes in a scene that nobody changes any more."""
+        for name, node in self.nodes.items():
+            getattr(scene, f"add_{self._made_by[name]}")(**node.values)
+
     def on_click(self, callback: Callable[[Any], Any]) -> None:
         """Register the callback of clicks in the scene, before a browser shows it."""
         self._clicks.append(callback)

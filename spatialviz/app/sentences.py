@@ -257,19 +257,17 @@ def sentence_html(state: State, view: LabelView) -> Element:
     )
 
 
-def _answers(state: State, view: LabelView, card: ExpressionCard, row: str = "") -> Element:
-    """Objects meeting an expression, in a row of the list if `row` is given."""
+def _answers(state: State, view: LabelView, card: ExpressionCard) -> Element:
+    """Objects meeting an expression."""
     numbers = [*card.targets, *(n for n in card.acceptable if n not in card.targets)]
-    chips = [_chip(state, view, card, n, row) for n in numbers]
-    if row:
-        return h.div(chips, cls="obs")
+    chips = [_chip(state, view, card, n) for n in numbers]
     marks = {ORIGINS[card.origins[name].source] for name in ("targets", "acceptable")} - {"auto"}
     title = "; ".join(str(card.origins[name]) for name in ("targets", "acceptable"))
     told = (h.span(mark, cls="dim", title=title) for mark in sorted(marks))
     return h.div(chips or h.span("nothing", cls="dim"), told, cls="obs")
 
 
-def _chip(state: State, view: LabelView, card: ExpressionCard, number: int, row: str) -> Element:
+def _chip(state: State, view: LabelView, card: ExpressionCard, number: int) -> Element:
     color = palette(state.dark)["target" if number == card.target_object else "other"]
     sure = card.certainty(number) == "sure"
     kinds = {
@@ -285,8 +283,7 @@ def _chip(state: State, view: LabelView, card: ExpressionCard, number: int, row:
     )
     return h.span(
         h.button(name, do=f"number:{number}", title=f"{said}; click selects"),
-        None if row else drop,
-        id=f"{row}-{number}" if row else None,
+        drop,
         cls=" ".join(kind for kind, holds in kinds.items() if holds),
         css={"--c": hex_color(color)},
     )
@@ -335,7 +332,7 @@ def _origin(card: ExpressionCard, field: str) -> str:
     return f"{ORIGINS[origin.source]}{by}"
 
 
-def expressions_html(state: State, view: LabelView) -> Element | None:
+def expressions_html(view: LabelView) -> Element | None:
     """Expressions of the frame, starting with the chosen pair's."""
     if not view.expressions:
         return None
@@ -343,37 +340,25 @@ def expressions_html(state: State, view: LabelView) -> Element | None:
     count = f"{len(view.expressions)}" + (f", {left_out} left out" if left_out else "")
     if len(view.expressions) > SHOWN:
         count += f"; {SHOWN} are listed"
-    own = [card for card in view.expressions if view.about and card.is_of(view.about)]
-    out = [card for card in view.expressions if card.withdrawn and card not in own]
-    # Rows keep their places, hidden while shown in another group, so that another pair or an edit sends few rows.
-    at = {name: k for k, name in enumerate(view.frame.sentences)}
-    rows = sorted(view.expressions, key=lambda card: at[card.id])[:SHOWN]
-    others = h.div("others of the frame", cls="dim others", hidden=not 0 < len(own) < len(view.expressions))
+    # In this order by `LabelView.detailed`.
+    rows = (_row(view, card) for card in view.expressions[:SHOWN])
     return panel(
         heading("Expressions", count).with_(id="expressions-head"),
-        h.div(
-            h.div((_row(state, view, card, "own") for card in own), others, id="expressions-own"),
-            h.div((_row(state, view, card, "any", card in own or card in out) for card in rows), id="expressions-all"),
-            h.div((_row(state, view, card, "out") for card in out[:SHOWN]), id="expressions-out"),
-            cls="scroll expressions",
-        ),
+        h.div(rows, id="expressions-all", cls="scroll expressions"),
     )
 
 
-def _row(state: State, view: LabelView, card: ExpressionCard, kind: str, hidden: bool = False) -> Element:
-    name = f"{kind}-{card.id}"
+def _row(view: LabelView, card: ExpressionCard) -> Element:
     marks = [(MARKED[card.mark], BAD)] if card.mark is not None else []
     marks += [(status, GOOD) for status in sorted({*card.statuses.values()} - {"rejected"})]
     marks += [("ambiguous", DOUBT)] if card.ambiguous else []
     origins = {ORIGINS[o.source] for f, o in card.origins.items() if f not in ("mark", "status")} - {"auto"}
     tags = [*(h.b(word, css={"--c": color}) for word, color in marks), *sorted(origins)]
-    out = h.div(card.withdrawn, cls="dim") if card.withdrawn else None
     return h.div(
         h.div(h.span(card.text, cls="say"), h.span(joined(tags), cls="tags")),
-        out or _answers(state, view, card, name),
-        id=name,
-        hidden=hidden,
-        **chosen(card.id == view.expression and not hidden, "ex out" if card.withdrawn else "ex"),
+        h.div(card.withdrawn, cls="dim") if card.withdrawn else None,
+        id=f"expression-{card.id}",
+        **chosen(card.id == view.expression, "ex out" if card.withdrawn else "ex"),
         role="group",
         do=f"expression:{card.id}",
         title=f"left out: {card.withdrawn}" if card.withdrawn else card.text,

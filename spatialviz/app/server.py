@@ -27,10 +27,10 @@ from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, require
 from pipeline.system.freed_memory import return_freed_memory
 from pipeline.system.worker_pool import one_thread
+from spatialviz.app.access import Access
 from spatialviz.app.channel import answering, end_all
 from spatialviz.app.context import Shared
-from spatialviz.app.pages import MAX_CLIENTS, Pages
-from spatialviz.app.site import Access, Site
+from spatialviz.app.site import MAX_CLIENTS, Pages, Site
 from spatialviz.app.viser_socket import close_tunnels, served_by
 from spatialviz.plain_text import one_line
 

@@ -150,10 +150,8 @@ class PageSession(Part):
             self.ctx.fail(error)
 
     def clicked(self, pixel: tuple[int, int] | None, boxes: list[int]) -> None:
-        """Handle a click in the scene: for the pixel draft, else a selection."""
-        pixel = pixel if self.state.flags.cloud else None
-        if not self._labels.pixels.on_ray(pixel):
-            self._selection.click(pixel, boxes)
+        """Select by a click in the scene."""
+        self._selection.click(pixel if self.state.flags.cloud else None, boxes)
 
     @command("close-dialog")
     def _close_dialog(self) -> None:

@@ -1,4 +1,5 @@
-"""HTTP server: the page at `/`, viser's client as its frame, and access control."""
+"""HTTP server: the page at `/`, viser's client as its frame; and the open pages, each with a session, kept for a while
+after a lost connection."""
 
 from __future__ import annotations
 
@@ -6,32 +7,34 @@ import asyncio
 import gzip
 import http
 import re
-import secrets
-from collections.abc import Awaitable, Callable, Mapping
+import time
+from collections import OrderedDict
+from collections.abc import Awaitable, Callable
 from contextvars import ContextVar
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
-from urllib.parse import SplitResult, parse_qs, parse_qsl, quote, urlencode, urlsplit
+from typing import Any
+from urllib.parse import SplitResult, parse_qs, quote, urlsplit
 
-from websockets.datastructures import Headers
+import viser
+import websockets.exceptions
 from websockets.http11 import Request, Response
 
-from pipeline.system.errors import as_input_error, require
-from spatialviz.app.frames import IMAGES
-from spatialviz.app.viser_socket import scene_page
-
-if TYPE_CHECKING:
-    from spatialviz.app.frames import FramePictures
+from pipeline.language.counted import counted
+from pipeline.system.errors import InputError, require
+from pipeline.system.freed_memory import collect
+from spatialviz.app.access import KINDS, Access, response
+from spatialviz.app.channel import Hello, read
+from spatialviz.app.context import Shared
+from spatialviz.app.frames import IMAGES, FramePictures
+from spatialviz.app.session import PageSession
+from spatialviz.app.viser_socket import SceneConnection, scene_page, subprotocol
+from spatialviz.options import warn
 
 PAGE_ID: ContextVar[str] = ContextVar("page_id")
 """Page of viser's socket during the handling of its connection."""
 ID = re.compile(r"[0-9a-f]{32}")
 REFUSED_SECONDS, MOST_WAITING = 1.0, 100
-PAGE_POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
-    "frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
-)
 SCENE_POLICY = (
     "default-src 'none'; script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval' blob:; worker-src blob:; "
     "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src data:; connect-src 'self' data: blob:; "
@@ -45,38 +48,253 @@ SCENE_STYLE = (
 """Hides viser's panels in favour of the page's own."""
 
 
-class PageSessions(Protocol):
-    """Sessions of the open pages, as used by a site; implemented by `pages.Pages`."""
+MAX_CLIENTS = 24
+"""Open pages, at most."""
+KEPT_SECONDS = 45.0
+"""Time to keep a disconnected page for a return."""
+BURST, PER_SECOND = 200.0, 40.0
+"""Messages of a page: burst, and per second."""
+BACKLOG, BEHIND_SECONDS = 40, 0.05
+"""Queued jobs pausing the reading of a page."""
+FORGOTTEN_SECONDS = 2.0
+"""Delay before freeing a closed page's memory."""
+HELLO_SECONDS = 10.0
+CAMERAS, CAMERAS_PER_SECOND = 400.0, 100.0
+"""Messages of a scene: burst, and per second."""
+GARBAGE = 5
+"""Invalid messages closing a socket."""
+SOCKETS, SOCKETS_PER_SECOND = 20.0, 1.0
+"""Sockets of a page, with the scene's: burst, and per second."""
+NEW_BURST, NEW_PER_SECOND = 20.0, 0.5
+"""Pages that an address may open at once, beside as many as there may be, and in the long run: each costs what opening
+a frame costs."""
+GARBAGE_COSTS = 50.0
+"""Cost of a socket closed for invalid messages, in sockets."""
+REMEMBERED = 1000
+SENT_WRONG = (1002, 1003, 1007, 1008, 1009)
+"""Close codes for invalid messages."""
+LOGGED_SECONDS = 60.0
+
+
+class Pace:
+    """Rate limit of a socket: fast senders wait, other people do not."""
+
+    def __init__(self, burst: float = BURST, per_second: float = PER_SECOND) -> None:
+        self._burst, self._per_second = burst, per_second
+        self._allowed, self._last = burst, time.monotonic()
+
+    @property
+    def wait(self) -> float:
+        """Seconds until the next message is allowed."""
+        now = time.monotonic()
+        self._allowed, self._last = min(self._burst, self._allowed + self._per_second * (now - self._last)), now
+        return max(0.0, (1 - self._allowed) / self._per_second)
+
+    def take(self, cost: float = 1.0) -> None:
+        """Count a message, or the cost of several."""
+        self._allowed -= cost
+
+    async def keep(self) -> None:
+        """Wait until the next message is allowed."""
+        if (wait := self.wait) > 0:
+            await asyncio.sleep(wait)
+        self.take()
+
+
+class Gate:
+    """Rate limits on opening sockets; senders of invalid messages are blocked for a while.
+
+    Open pages have a limit each, new pages a limit by address: garbage under ever new page names delays only new pages
+    of that address.
+    """
+
+    def __init__(self, most_pages: int) -> None:
+        self._burst = NEW_BURST + most_pages
+        self._paces: OrderedDict[str, Pace] = OrderedDict()
+
+    def opens(self, sender: str, page_id: str) -> bool:
+        """True if a socket may be opened now; `page_id` is of an open page, or ""."""
+        pace = self._pace(page_id or sender, not page_id)
+        if pace.wait > 0:
+            return False
+        pace.take()
+        return True
+
+    def charge(self, page_id: str) -> None:
+        """Penalize a page after an invalid message."""
+        self._pace(page_id, False).take(GARBAGE_COSTS)
+
+    def _pace(self, who: str, is_new: bool) -> Pace:
+        made = (self._burst, NEW_PER_SECOND) if is_new else (SOCKETS, SOCKETS_PER_SECOND)
+        pace = self._paces.get(who) or Pace(*made)
+        self._paces[who] = pace
+        self._paces.move_to_end(who)
+        while len(self._paces) > REMEMBERED:
+            self._paces.popitem(last=False)
+        return pace
+
+
+class Pages:
+    """Sessions by the page ids chosen by the browsers."""
+
+    def __init__(self, shared: Shared, access: Access, max_clients: int) -> None:
+        self._shared, self._access, self._most = shared, access, max_clients
+        self._sessions: dict[str, PageSession] = {}
+        self._scenes: dict[str, Any] = {}
+        self._making = asyncio.Lock()
+        self._gate = Gate(max_clients)
+        self._logged = -LOGGED_SECONDS
+        self._unsaid = 0
+
+    def listen(self, server: viser.ViserServer) -> None:
+        """Attach the scenes of viser's clients to the pages."""
+        shown: dict[int, PageSession] = {}
+
+        @server.on_client_connect
+        async def _(client: viser.ClientHandle) -> None:
+            session = self._sessions.get(PAGE_ID.get(""))
+            if session is not None:
+                shown[client.client_id] = session
+                session.ctx.post(lambda: session.ctx.client.attach(client))
+
+        @server.on_client_disconnect
+        async def _(client: viser.ClientHandle) -> None:
+            session = shown.pop(client.client_id, None)
+            if session is not None:
+                session.ctx.post(lambda: session.ctx.client.detach(client))
+
+    async def scene(self, page_id: str, connection: Any, viser_handler: Callable[[Any], Awaitable[None]]) -> None:
+        """Serve viser's socket of a page's scene; a later socket takes over."""
+        before, self._scenes[page_id] = self._scenes.get(page_id), connection
+        if before is not None:
+            await before.close(1013, "shown elsewhere")
+        # Failures in viser's own tasks are logged as briefly.
+        asyncio.get_running_loop().set_exception_handler(
+            lambda _, context: self.log(repr(context.get("exception") or context["message"]))
+        )
+        try:
+            spoken = subprotocol()
+            require(connection.subprotocol == spoken, "no scene", got=connection.subprotocol, expected=spoken)
+            await viser_handler(SceneConnection(connection, Pace(CAMERAS, CAMERAS_PER_SECOND).keep))
+        except Exception as error:
+            # Messages unreadable by viser cost the sender the socket.
+            self.log(f"{type(error).__name__}: {error}")
+            await connection.close(1008, "not the messages of a scene")
+        finally:
+            if self._scenes.get(page_id) is connection:
+                del self._scenes[page_id]
 
     def has(self, page_id: str) -> bool:
         """True for an open page, or a session kept for a return."""
-        ...
+        return page_id in self._sessions
 
     def opens(self, page_id: str, connection: Any, request: Any) -> bool:
         """True if a socket of a page may be opened now."""
-        ...
+        address = connection.remote_address
+        sender = f"{address[0] if address else ''} {self._access.name(request) or ''}"
+        return self._gate.opens(sender, page_id if self.has(page_id) else "")
 
     def closed(self, page_id: str, connection: Any) -> None:
-        """Handle a closed socket."""
-
-    def download(self, page_id: str, key: str) -> tuple[str, bytes] | None:
-        """File name and content of a page's download."""
-        ...
+        """Handle a closed socket; invalid messages delay the sender's next socket."""
+        sent = connection.protocol.close_sent
+        if sent is not None and sent.code in SENT_WRONG:
+            self.log(sent.reason or f"closed by {sent.code}")
+            self._gate.charge(page_id)
 
     async def socket(self, page_id: str, connection: Any) -> None:
-        """Serve the socket of a page."""
+        """Serve the socket of a page until the browser disconnects."""
+        try:
+            # Without a first message no page is taken.
+            first = read(await asyncio.wait_for(connection.recv(), HELLO_SECONDS))
+            require(isinstance(first, Hello), "a page says hello first", got=first.type)
+        except (InputError, asyncio.TimeoutError, websockets.exceptions.ConnectionClosed) as error:
+            self.log(str(error) or "nothing was said")
+            await connection.close(1008, "not a page")
+            return
+        session = self._sessions.get(page_id) or await self._opened(page_id, connection)
+        if session is None:
+            return
+        outgoing = session.ctx.channel.attach(connection)
+        name = self._access.name(connection.request)
+        if name:
+            # The token's name is the only author of this browser's corrections.
+            session.ctx.post(lambda: session.ctx.editors.sign_for_token(name))
+        session.ctx.channel.receive(first)
+        sending = asyncio.create_task(session.ctx.channel.serve(connection, outgoing))
+        try:
+            await self._listen_to(connection, session)
+        except websockets.exceptions.ConnectionClosed:
+            pass
+        finally:
+            session.ctx.channel.detach(outgoing)
+            sending.cancel()
+            await asyncio.gather(sending, return_exceptions=True)
+            asyncio.get_running_loop().call_later(KEPT_SECONDS + 1, self._release)
 
-    async def scene(self, page_id: str, connection: Any, viser_handler: Callable[[Any], Awaitable[None]]) -> None:
-        """Serve viser's socket of a page's scene."""
+    async def _opened(self, page_id: str, connection: Any) -> PageSession | None:
+        """Session of a new page; None for a full server or a disconnected browser."""
+        async with self._making:
+            if page_id in self._sessions:
+                return self._sessions[page_id]
+            self._release(full=len(self._sessions) >= self._most)
+            if len(self._sessions) >= self._most:
+                many = f"The server is full: {counted(self._most, 'page')} at most (--max-clients)."
+                await connection.close(1013, f"{many} Close another one; this one tries again.")
+                return None
+            if connection.close_code is not None:
+                return None
+            session = self._sessions[page_id] = await asyncio.to_thread(PageSession, page_id, self._shared)
+            return session
+
+    async def _listen_to(self, connection: Any, session: PageSession) -> None:
+        pace, garbage = Pace(), 0
+        async for text in connection:
+            await pace.keep()
+            while session.ctx.channel.behind > BACKLOG:
+                # Unread messages wait at the sender.
+                await asyncio.sleep(BEHIND_SECONDS)
+            try:
+                message = read(text)
+                require(not isinstance(message, Hello), "a page says hello once")
+                session.ctx.channel.receive(message)
+            except InputError as error:
+                garbage += 1
+                self.log(str(error))
+                if garbage >= GARBAGE:
+                    await connection.close(1008, "not the messages of a page")
+                    return
+
+    def download(self, page_id: str, key: str) -> tuple[str, bytes] | None:
+        """Name and content of a page's pending download, once."""
+        session = self._sessions.get(page_id)
+        return None if session is None else session.ctx.page.downloads.pop(key, None)
+
+    def _release(self, full: bool = False) -> None:
+        """Close the sessions of lost pages; at a full server, also the session lost first."""
+        gone = sorted((s.ctx.channel.left, key) for key, s in self._sessions.items() if not s.ctx.channel.connected)
+        late = time.monotonic() - KEPT_SECONDS
+        over = [key for number, (left, key) in enumerate(gone) if left < late or (full and not number)]
+        for key in over:
+            self._sessions.pop(key).close()
+        if over:
+            if not self._sessions:
+                self._shared.store.let_go()
+            loop = asyncio.get_running_loop()
+            loop.call_later(FORGOTTEN_SECONDS, loop.run_in_executor, None, collect)
 
     def log(self, problem: str) -> None:
-        """Print a problem with a request, rate-limited."""
+        """Print a problem, at most a line a minute."""
+        now, self._unsaid = time.monotonic(), self._unsaid + 1
+        if now - self._logged >= LOGGED_SECONDS:
+            more = "" if self._unsaid == 1 else f" ({self._unsaid} such messages)"
+            warn(f"a message was not understood{more}: {problem[:200]}")
+            self._logged, self._unsaid = now, 0
 
 
 class Site:
     """Answers every request of a server."""
 
-    def __init__(self, access: Access, pages: PageSessions, pictures: FramePictures) -> None:
+    def __init__(self, access: Access, pages: Pages, pictures: FramePictures) -> None:
         self._access, self._pages, self._pictures = access, pages, pictures
         self._waiting = 0
         static = resources.files("spatialviz.app") / "static"
@@ -159,144 +377,3 @@ class Site:
 
 def _scene_of(path: str) -> str:
     return path.removeprefix("/scene/").rstrip("/")
-
-
-LOCAL_NAMES = ("127.0.0.1", "localhost", "[::1]")
-COOKIE = "spatialviz"
-EVERYWHERE = ("", "0.0.0.0", "::")
-REFUSAL = (
-    '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-    '<meta name="color-scheme" content="dark light"><title>spatialviz: no access</title></head>'
-    "<body><main><h1>No access</h1><p>{}</p></main></body></html>\n"
-)
-KINDS = {
-    ".html": "text/html",
-    ".mjs": "text/javascript",
-    ".css": "text/css",
-    ".svg": "image/svg+xml",
-    ".jpg": "image/jpeg",
-    ".png": "image/png",
-}
-SAFE = {
-    "X-Content-Type-Options": "nosniff",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Cross-Origin-Opener-Policy": "same-origin",
-    "Referrer-Policy": "no-referrer",
-}
-
-
-class Access:
-    """Checks requests; with tokens (names by token), each needs a token, in a cookie or once in the address."""
-
-    def __init__(self, host: str, tokens: Mapping[str, str] | None = None) -> None:
-        self._tokens = dict(tokens or {})
-        self._host = host
-
-    @classmethod
-    def of(cls, host: str, file: Path | None = None) -> Access:
-        """Access by address: free on this machine, else tokens of a file (InputError if invalid), or a new token."""
-        if file is not None:
-            return cls(host, read_tokens(file))
-        return cls(host, {} if host in (*LOCAL_NAMES, "::1") else {secrets.token_urlsafe(24): ""})
-
-    @property
-    def unnamed(self) -> str:
-        """Token without a name; "" for none."""
-        return next((token for token, name in self._tokens.items() if not name), "")
-
-    @property
-    def open(self) -> bool:
-        """True if no token is needed."""
-        return not self._tokens
-
-    def refusal(self, request: Request) -> Response | None:
-        """Refusal of a request; None if allowed.
-
-        The Host must be a name of this machine: a foreign page may point its own name here. A socket, and any other
-        request with an Origin, must come from the page served here.
-        """
-        hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
-        host = hosts[0] if len(hosts) == 1 else ""
-        if not self._names(host):
-            return refused(http.HTTPStatus.MISDIRECTED_REQUEST, "This server does not go by that name.")
-        if len(origins) > 1 or (origins and urlsplit(origins[0]).netloc != host):
-            return refused(http.HTTPStatus.FORBIDDEN, "This page belongs to another site.")
-        if request.headers.get("Sec-Fetch-Site", "same-origin") not in ("same-origin", "none") and not (
-            request.headers.get("Sec-Fetch-Mode") == "navigate" and request.headers.get("Sec-Fetch-Dest") == "document"
-        ):
-            return refused(http.HTTPStatus.FORBIDDEN, "This page belongs to another site.")
-        asked = _token(urlsplit(request.path).query)
-        if self._tokens and self.name(request) is None and asked not in self._tokens:
-            return refused(
-                http.HTTPStatus.UNAUTHORIZED, "A token is needed: open the address that the server has printed."
-            )
-        return None
-
-    def entered(self, request: Request) -> Response | None:
-        """Redirect from an address with a token to the address without, with the token in a cookie."""
-        parts = urlsplit(request.path)
-        token = _token(parts.query)
-        if not token:
-            return None
-        kept = urlencode([(k, v) for k, v in parse_qsl(parts.query, keep_blank_values=True) if k != "token"])
-        headers = {
-            "Location": "/" + ("?" + kept if kept else ""),
-            "Content-Length": "0",
-            "Cache-Control": "no-store",
-        }
-        if token in self._tokens:
-            headers["Set-Cookie"] = f"{COOKIE}={token}; Path=/; HttpOnly; SameSite=Lax"
-        return Response(http.HTTPStatus.FOUND, "Found", Headers(headers), b"")
-
-    def name(self, request: Request) -> str | None:
-        """Name by a request's token; None without a valid token."""
-        for part in request.headers.get("Cookie", "").split(";"):
-            key, _, value = part.strip().partition("=")
-            if key == COOKIE and value in self._tokens:
-                return self._tokens[value]
-        return None
-
-    def _names(self, host: str) -> bool:
-        name = re.sub(r":\d+$", "", host)
-        if name in LOCAL_NAMES or name in (self._host, f"[{self._host}]"):
-            return True
-        # This machine's names in a network are unknown here: numbers and plain local names are accepted.
-        # Dotted web names are refused, or a page could point its own name at this address.
-        return self._host in EVERYWHERE and bool(
-            re.fullmatch(r"\d+(\.\d+){3}|\[[0-9a-f:]+\]|[\w-]+(\.local)?", name, re.ASCII)
-        )
-
-
-def read_tokens(file: Path) -> dict[str, str]:
-    """Names by token, from a file of lines "NAME TOKEN"; "#" begins a comment. InputError if invalid."""
-    how = "a line NAME TOKEN for each person, the token at least 16 letters, digits, - or _"
-    tokens: dict[str, str] = {}
-    with as_input_error("the tokens cannot be read", OSError, UnicodeDecodeError, path=file):
-        lines = file.read_text("utf-8").splitlines()
-    for number, line in enumerate(lines, 1):
-        words = line.partition("#")[0].split()
-        if not words:
-            continue
-        good = len(words) == 2 and re.fullmatch(r"[\w-]{16,}", words[1], re.ASCII) and words[1] not in tokens
-        require(good, f"line {number} is not a name and a token of its own", expected=how, path=file)
-        tokens[words[1]] = words[0]
-    require(tokens, "the file holds no token", expected=how, path=file)
-    return tokens
-
-
-def _token(query: str) -> str:
-    return dict(parse_qsl(query)).get("token", "")
-
-
-def refused(status: http.HTTPStatus, text: str) -> Response:
-    """Refusal as a page readable to everybody; `text` is the program's own."""
-    return response(status, REFUSAL.format(text).encode(), ".html", {"Cache-Control": "no-store"})
-
-
-def response(status: http.HTTPStatus, body: bytes, suffix: str = "", more: Mapping[str, str] | None = None) -> Response:
-    """Response with the common headers; `suffix` is of the file, `more` are further headers."""
-    kind = KINDS.get(suffix, "application/octet-stream" if status == http.HTTPStatus.OK else "text/plain")
-    headers = {"Content-Type": f"{kind}; charset=utf-8" if kind.startswith("text") else kind, **SAFE}
-    headers |= {"Content-Security-Policy": PAGE_POLICY} if kind == KINDS[".html"] else {}
-    headers |= {"Cache-Control": "no-cache", "Content-Length": str(len(body)), **(more or {})}
-    return Response(status, status.phrase, Headers(headers), body)

@@ -35,6 +35,11 @@ def stages_html(state: State, open_stage: str = "") -> Element:
     return h.ol((_item(state, stage, open_stage, failed(state)) for stage in _stages(state)), cls="stages")
 
 
+def all_stages_html(state: State) -> Element:
+    """Stages in order, each with its evidence."""
+    return h.ol((_item(state, stage, stage.name, failed(state)) for stage in _stages(state)), cls="stages")
+
+
 def _item(state: State, stage: Stage, open_stage: str, failed: tuple[str, ...]) -> Element:
     trace, key = state.trace if stage.name == open_stage else None, stage.name.lower()
     marks = ("stage", stage.mark, "open" if trace is not None else "", "failed" if stage.name in failed else "")

@@ -110,29 +110,19 @@ class ConnectionHandler(Protocol):
         """Print a problem with a request."""
 
 
-class RefuseAll:
-    """Refuses every request: a handler for a server without pages."""
-
-    async def answer(self, connection: Any, request: Request) -> Response | None:
-        return connection.respond(http.HTTPStatus.FORBIDDEN, "nobody is served here\n")
-
-    async def socket(self, connection: Any, viser_handler: Callable[[Any], Awaitable[None]]) -> None:
-        """Never opened."""
-
-    def log(self, problem: str) -> None:
-        """Dropped."""
-
-
 @contextmanager
-def served_by(handler: ConnectionHandler) -> Iterator[None]:
-    """Route websocket servers started in this context to the handler."""
+def served_by(handler: ConnectionHandler | None) -> Iterator[None]:
+    """Route websocket servers started in this context to the handler; None refuses every request."""
     original = ws.serve
 
     def serve(viser_handler: Any, host: Any = None, port: Any = None, **options: Any) -> Any:
         async def both(connection: Any) -> None:
-            await handler.socket(connection, viser_handler)
+            if handler is not None:
+                await handler.socket(connection, viser_handler)
 
         async def process_request(connection: Any, request: Request) -> Response | None:
+            if handler is None:
+                return connection.respond(http.HTTPStatus.FORBIDDEN, "nobody is served here\n")
             # Longer messages close the socket unread.
             connection.protocol.max_message_size = LONGEST_OF_SCENE
             if request.path.startswith("/app/"):
@@ -142,7 +132,8 @@ def served_by(handler: ConnectionHandler) -> Iterator[None]:
             return await handler.answer(connection, request)
 
         def told(record: logging.LogRecord) -> bool:
-            handler.log(f"{record.getMessage()}: {record.exc_info[1] if record.exc_info else ''}")
+            if handler is not None:
+                handler.log(f"{record.getMessage()}: {record.exc_info[1] if record.exc_info else ''}")
             return False
 
         # Short log lines: broken connections would fill the terminal.

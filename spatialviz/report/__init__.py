@@ -1,9 +1,4 @@
-"""Failure page: a self-contained page of an answer, to attach to an issue: reason, picture, scene, all numbers.
+"""Failure page: a self-contained page of an answer, to attach to an issue: reason, picture, scene, all stages.
 
-`picture` says which object plays which role and draws them over the image,
-`tables` holds the numbers, `page` puts all on one page.
+`picture` says which object plays which role and draws them over the image, `page` puts all on one page.
 """
-
-from spatialviz.report.page import Subject, failure_page, write_page
-
-__all__ = ["Subject", "failure_page", "write_page"]

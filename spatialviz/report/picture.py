@@ -1,11 +1,10 @@
-"""Picture of an answer without any screen: masks, boxes and names over the image, as pixels or as a single SVG."""
+"""Picture of an answer without any screen: masks, boxes and names over the image."""
 
 from __future__ import annotations
 
 import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import Literal
 
@@ -19,7 +18,6 @@ from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.answer import Answer
 from pipeline.geometry.boxes import EDGES, Box3D
 from pipeline.geometry.camera import Camera, project
-from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import mask_box
 from pipeline.geometry.palette import ON_DARK, RGB, Role
 from pipeline.system.encoded_pictures import jpeg, resized
@@ -164,56 +162,12 @@ def dashed(segments: np.ndarray, period: float, share: float = 0.55) -> np.ndarr
 
 WIDEST = 1280
 QUALITY = 86
-SMALLEST_PART = 6
-"""Pixels of outline below which a part of a mask is not drawn."""
-_GLYPH = 0.53
-"""Mean width of a letter over the size of the type."""
-
-
-def picture_svg(frame: Frame, cast: AnswerRoles) -> str:
-    """SVG of the answer: masks and 3D boxes, dashed outlines of the truth, and a tag on each."""
-    width, height = frame.width, frame.height
-    unit = width / 640
-    parts = [
-        f'<svg class="picture" viewBox="0 0 {width} {height}" role="img" aria-label="The answer over the image">',
-        f'<image href="{jpeg_url(frame.rgb, WIDEST, QUALITY)}" width="{width}" height="{height}"/>',
-        f'<g style="--u:{unit:.3f}">',
-    ]
-    for role, entry in cast.truth.values():
-        parts.append(f'<path class="true {role}" d="{_outline(entry.mask)}"/>')
-    for index, role in cast.roles.items():
-        parts.append(f'<path class="mask {role}" d="{_outline(cast.objects[index].mask)}"/>')
-    for index, role in cast.roles.items():
-        box = cast.objects[index].lifted.box
-        if box is not None:
-            parts.append(f'<path class="box {role}" d="{edges_path(box, frame.camera)}"/>')
-    taken: list[tuple[float, float, float, float]] = []
-    for index, role in reversed(cast.roles.items()):
-        entry = cast.objects[index]
-        parts.append(_svg_tag(f"{entry.label} {entry.score:.2f}", role, entry.bbox, frame, taken))
-    shown = {cast.labelled.get(index) for index in cast.roles}
-    for k, (role, entry) in cast.truth.items():
-        if k not in shown and entry.mask.any():
-            bbox = np.array(mask_box(entry.mask), np.float64)
-            parts.append(_svg_tag(f"true {role}: {entry.label}", "truth", bbox, frame, taken))
-    return "".join([*parts, "</g></svg>"])
 
 
 def jpeg_url(rgb: np.ndarray, widest: int | None = None, quality: int = 95) -> str:
     """JPEG of a picture ((H, W, 3) uint8) in base64, at most `widest` pixels wide."""
     rgb = rgb if widest is None or rgb.shape[1] <= widest else resized(rgb, widest)
     return "data:image/jpeg;base64," + base64.b64encode(jpeg(rgb, quality)).decode("ascii")
-
-
-def _outline(mask: np.ndarray) -> str:
-    found, _ = cv2.findContours(mask.view(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
-    paths = []
-    for contour in found:
-        if len(contour) < 3 or cv2.arcLength(contour, True) < SMALLEST_PART:
-            continue
-        points = cv2.approxPolyDP(contour, 0.7, True)[:, 0]
-        paths.append("M" + "L".join(f"{x + 0.5:g} {y + 0.5:g}" for x, y in points.tolist()) + "Z")
-    return "".join(paths)
 
 
 def edges_path(box: Box3D, camera: Camera, origin: tuple[float, float] = (0.0, 0.0)) -> str:
@@ -224,85 +178,32 @@ def edges_path(box: Box3D, camera: Camera, origin: tuple[float, float] = (0.0, 0
     return "".join(f"M{a[0]:.1f} {a[1]:.1f}L{b[0]:.1f} {b[1]:.1f}" for a, b in edges)
 
 
-def _svg_tag(
-    text: str, role: Role, bbox: np.ndarray, frame: Frame, taken: list[tuple[float, float, float, float]]
-) -> str:
-    """Name tag of an object, moved down below other tags."""
-    text = text if len(text) <= 40 else text[:39] + "…"
-    unit = frame.width / 640
-    size, high = 11.5 * unit, 18 * unit
-    wide = len(text) * size * _GLYPH + 12 * unit
-    x = float(np.clip(bbox[0], 0, max(frame.width - wide, 0)))
-    # What is true has its name below, so that neither hides the other's object.
-    above = bbox[3] + 2 * unit if role == "truth" else bbox[1] - high - 2 * unit
-    y = float(np.clip(above, 0, frame.height - high))
-    for _ in range(8):
-        if not any(x < r and x + wide > left and y < b and y + high > t for left, t, r, b in taken):
-            break
-        y = y + high + 2 * unit if y + 2 * high < frame.height else 0.0
-    taken.append((x, y, x + wide, y + high))
-    return (
-        f'<g class="tag {role}"><rect x="{x:.1f}" y="{y:.1f}" width="{wide:.1f}" height="{high:.1f}" '
-        f'rx="{3 * unit:.1f}"/>'
-        f'<text x="{x + wide / 2:.1f}" y="{y + high * 0.70:.1f}" font-size="{size:.1f}" '
-        'text-anchor="middle" '
-        f'textLength="{wide - 12 * unit:.1f}" lengthAdjust="spacingAndGlyphs">{escape(text)}</text></g>'
-    )
-
-
 @dataclass(frozen=True)
 class AnswerRoles:
-    """Roles of an answer."""
+    """Labelled objects of an answer."""
 
-    objects: tuple[SceneObject, ...]  # As detected
-    # target, reference: Indices of the answer's objects
-    target: int | None
-    reference: int | None
-    roles: dict[int, Role]  # index -> target or reference, for the answer's objects
-    right: tuple[int, int] | None  # Indices of the best right pair among the detections
-    labelled: dict[int, int]  # index -> the labelled object that it is
+    labelled: dict[int, int]  # index of a detection -> the labelled object that it is
     # dict of int to (Role, SceneObject): index of a labelled object -> its role and itself: the labelled target and
     # reference, where they are known
     truth: dict[int, tuple[Role, SceneObject]]
-    exact: bool  # The detections are the dataset's own
-    numbers: Mapping[int, int]  # as `Trace.numbers`
-
-    def name(self, index: int) -> str:
-        """Name of an object in tables."""
-        return self.objects[index].name(self.numbers.get(self.objects[index].id, index), self.exact)
 
 
 def answer_roles(answered: Answer) -> AnswerRoles:
-    """Roles of an answer."""
+    """Labelled objects of an answer."""
     trace, judged = answered.trace, answered.diagnosis
-    objects: tuple[SceneObject, ...] = () if trace is None else trace.objects
-    best = None if trace is None or trace.ranking is None else next(iter(trace.ranking.pairs), None)
-    right = None
     labelled: dict[int, int] = {}
     truth: dict[int, tuple[Role, SceneObject]] = {}
     if judged is not None:
         evidence, case = judged.evidence, judged.case
         # Another parse than the gold triple is judged by detections of its own.
-        if evidence.answers.objects is objects:
-            pair = judged.right
-            right = None if pair is None or pair.reference is None else (pair.target, pair.reference)
+        if trace is not None and evidence.answers.objects is trace.objects:
             labelled = {index: int(k) for index, k in enumerate(evidence.match) if k >= 0}
         ends: tuple[tuple[Role, int], ...] = (("target", case.target_object), ("reference", case.reference_object))
         for role, k in ends[: 2 if case.reference else 1]:
             entry = evidence.objects.get(k, points=True)
             if entry is not None:
                 truth[k] = role, entry
-    return AnswerRoles(
-        objects,
-        None if best is None else best.target,
-        None if best is None else best.reference,
-        {} if best is None else roles_of(best),
-        right,
-        labelled,
-        truth,
-        trace is not None and trace.exact,
-        {} if trace is None else trace.numbers,
-    )
+    return AnswerRoles(labelled, truth)
 
 
 MARGIN = 0.14

@@ -34,15 +34,12 @@ export function choice(className, label, options, press, hot = {}) {
   return group;
 }
 
-/* A slider with its name and what it says: `follow(value)` while it moves, `done()` when it is let go. */
-export function range(className, name, low, high, follow, done) {
+/* A slider with its name and what it says: `follow(value)` while it moves. */
+export function range(className, name, low, high, follow) {
   const label = el('label', className), field = el('input');
   Object.assign(field, {type: 'range', min: low, max: high, step: 'any'});
   field.addEventListener('input', () => follow(+field.value));
-  field.addEventListener('change', () => {
-    field.blur();
-    done();
-  });
+  field.addEventListener('change', () => field.blur());
   label.append(el('span', '', name), field, el('output'));
   return label;
 }

@@ -1,8 +1,8 @@
 /* The editor of pixels: it draws at once what a hand does, and sends each movement when it ends.
 The mask that counts is the core's: it comes back as a picture, and what was sent but is not answered yet is drawn
-on top of it. It lies over the scene; while one draws by clicks in the scene only its bar does. */
+on top of it. It lies over the scene. */
 
-import {byId, calls, el, sceneHost, sceneWindow, send} from './core.mjs';
+import {calls, el, sceneHost, send} from './core.mjs';
 import {button, choice, hotName, range} from './controls.mjs';
 import {LEAST_RADIUS, draw} from './pixels_draw.mjs';
 
@@ -21,9 +21,9 @@ const HINTS = Object.fromEntries(TOOLS.map(([tool, , , hint]) => [tool, hint]));
 /* radius and tol as fractions of the picture's width and of the depth; corners and hands as fractions of the picture;
    x, y, zoom: where the picture lies in the canvas. */
 const S = {
-  on: false, view: 'picture', tool: 'brush', radius: 0.012, tol: 0.015, surface: false, adds: true, image: null,
+  on: false, tool: 'brush', radius: 0.012, tol: 0.015, surface: false, adds: true, image: null,
   base: null, pending: [], sent: 0, corners: [], hand: null, at: null, zoom: 1, x: 0, y: 0, fit: 'object', data: {},
-  armed: false, picture: 'rgb', shift: false, space: false, told: '', said: '',
+  armed: false, picture: 'rgb', shift: false, space: false, said: '',
 };
 let box = null, canvas, room, tip, waiting = 0;
 
@@ -57,8 +57,6 @@ function build() {
   field.addEventListener('input', () => field.classList.remove('miss'));
   top.append(
     el('b', 'title'), field, names,
-    choice('views', 'where to draw', [['picture', 'picture', 'draw on the picture (O)'],
-      ['scene', '3D', 'click surfaces in the scene (O)']], view => send(`px-view:${view}`)),
     choice('pict', 'picture', [['rgb', 'colour', 'I'], ['depth', 'depth', 'I']], kind => send(`px-picture:${kind}`)),
     button('try zoom', 'fit', 'whole picture, or the object (0); wheel: zoom; right or Space drag: move', refit),
     el('span', 'grow'),
@@ -74,8 +72,8 @@ function build() {
     choice('pens', 'tools', TOOLS.map(([tool, name, key]) => [tool, name, `${name} (${key.toUpperCase()})`]), take,
       Object.fromEntries(TOOLS.map(([tool, , key]) => [tool, key]))),
     choice('adding', 'add or remove', [['add', 'add', 'M'], ['remove', 'remove', 'M']], mode => adds(mode === 'add')),
-    range('size', 'size', -7, -1.6, v => { S.radius = Math.exp(v); show(); }, tell),
-    range('tol', 'alike', Math.log(0.001), Math.log(0.05), v => { S.tol = Math.exp(v); show(); }, tell),
+    range('size', 'size', -7, -1.6, v => { S.radius = Math.exp(v); show(); }),
+    range('tol', 'alike', Math.log(0.001), Math.log(0.05), v => { S.tol = Math.exp(v); show(); }),
     surface,
     button('try apart', 'split in depth', 'into the parts that no surface joins (G)', () => send('px-apart')),
   );
@@ -109,22 +107,20 @@ function build() {
 
 function show() {
   if (!box) return;
-  const d = S.data, scene = S.view === 'scene', {tool} = S;
-  box.classList.toggle('slim', scene);
+  const d = S.data, {tool} = S;
   q('.title').textContent = d.title || '';
   q('.title').title = d.title || '';
-  press('views', S.view);
   press('pens', tool);
   press('adding', S.adds ? 'add' : 'remove');
   press('pict', S.picture);
   q('.surf button').setAttribute('aria-pressed', String(S.surface));
   const seen = {
-    '.cls': d.fresh, '.pens': !scene, '.pict': !scene, '.zoom': !scene,
-    '.size': !scene && (tool === 'brush' || tool === 'erase'),
-    '.tol': scene || tool === 'depth',
-    '.surf': !scene && tool === 'rectangle',
-    '.apart': !scene && tool === 'cut',
-    '.adding': scene || ['polygon', 'rectangle', 'depth'].includes(tool),
+    '.cls': d.fresh,
+    '.size': tool === 'brush' || tool === 'erase',
+    '.tol': tool === 'depth',
+    '.surf': tool === 'rectangle',
+    '.apart': tool === 'cut',
+    '.adding': ['polygon', 'rectangle', 'depth'].includes(tool),
   };
   for (const [selector, on] of Object.entries(seen)) q(selector).hidden = !on;
   q('.size input').value = Math.log(S.radius);
@@ -138,7 +134,7 @@ function show() {
   const note = q('.low .note');
   note.textContent = note.title = S.said || d.said || '';
   note.classList.toggle('bad', Boolean(S.said || d.bad));
-  const hint = scene ? 'Click surfaces of the object in the scene.' : HINTS[tool];
+  const hint = HINTS[tool];
   q('.low .hint').textContent = q('.low .hint').title = note.textContent ? '' : hint;
   q('.low .info').textContent = d.info || '';
   redraw();
@@ -165,7 +161,6 @@ function take(tool) {
 function adds(yes) {
   S.adds = yes;
   show();
-  tell();
 }
 
 function toggleSurface() {
@@ -173,19 +168,10 @@ function toggleSurface() {
   show();
 }
 
-/* In the scene the server has the hand: it must know what a click there does. */
-function tell() {
-  const hand = `${S.adds}:${S.tol.toFixed(5)}`;
-  if (S.view !== 'scene' || hand === S.told) return;
-  S.told = hand;
-  send(`px-hand:${hand}`);
-}
-
 function resize(by) {
-  if (S.tool === 'depth' || S.view === 'scene') S.tol = between(S.tol * 1.25 ** by, 0.001, 0.05);
+  if (S.tool === 'depth') S.tol = between(S.tol * 1.25 ** by, 0.001, 0.05);
   else S.radius = between(S.radius * 1.2 ** by, 0.0009, 0.2);
   show();
-  tell();
 }
 
 function apply(stay) {
@@ -245,14 +231,11 @@ function keydown(event) {
     if (!undoes) return;
     taken();
     send(undoes);
-  } else if (key === 'o') {
-    taken();
-    send(`px-view:${S.view === 'scene' ? 'picture' : 'scene'}`);
   } else if (key === '[' || key === ']') {
     taken();
     resize(key === ']' ? 1 : -1);
   } else if (key === 'shift') redraw(event);
-  else if (S.view !== 'scene' && !event.altKey && !['tab', 'enter'].includes(key)) {
+  else if (!event.altKey && !['tab', 'enter'].includes(key)) {
     if (key === ' ' && active?.tagName === 'BUTTON') return;
     taken();
     drawingKey(event, key);
@@ -280,14 +263,6 @@ function keyup(event) {
 
 window.addEventListener('keydown', keydown, true);
 window.addEventListener('keyup', keyup, true);
-/* The scene has the focus while one draws in it. This module is read before page.mjs, so its listener comes first. */
-byId('view')?.addEventListener('load', () => {
-  const scene = sceneWindow();
-  if (!scene?.location.pathname.startsWith('/scene/')) return;
-  scene.addEventListener('keydown', keydown, true);
-  scene.addEventListener('keyup', keyup, true);
-});
-
 /* ---- the hand on the picture */
 
 function refit() {
@@ -380,7 +355,7 @@ function redraw(event) {
   if (event?.shiftKey !== undefined) S.shift = event.shiftKey;
   waiting ||= requestAnimationFrame(() => {
     waiting = 0;
-    if (!S.on || S.view !== 'picture' || !S.image) return;
+    if (!S.on || !S.image) return;
     place();
     const over = S.at && inCanvas({clientX: S.at[0], clientY: S.at[1]});
     const named = draw(canvas, S, over);
@@ -437,7 +412,7 @@ calls.pixels = data => {
     names.dataset.known = known;
     names.replaceChildren(...data.names.map(name => Object.assign(el('option'), {value: name})));
   }
-  Object.assign(S, {data, view: data.view, tool: data.tool});
+  Object.assign(S, {data, tool: data.tool});
   S.pending = S.pending.filter(({k}) => k > data.seen);
   picture(data.mask, image => {
     if (S.data !== data) return;
@@ -445,6 +420,4 @@ calls.pixels = data => {
     redraw();
   });
   show();
-  tell();
-  if (data.fresh && data.view === 'scene' && opened) q('.cls').focus();
 };
