@@ -20,10 +20,10 @@ from pipeline.diagnosis.asking import answer, frame_truth, pathless_edits
 from pipeline.diagnosis.cases.replay import find_cases, replay_all
 from pipeline.diagnosis.opened import Opened
 from pipeline.diagnosis.whatif import Baseline
-from pipeline.evaluation.querying import RunDatabase, open_database
-from pipeline.evaluation.run_folder import Run
+from pipeline.evaluation.run_folder import Run, open_database
 from pipeline.system.errors import InputError, needed, require
-from spatialviz import cli_ask
+from pipeline.system.sql import QueryDatabase
+from spatialviz import cli_runs
 from spatialviz.options import JournalOptions, SourceOptions
 from spatialviz.report.picture import answer_picture
 from spatialviz.run_cases import replay_record, whatif_answer
@@ -57,7 +57,7 @@ class OpenRun:
         return Opened(self.run.source, self.run.labels)
 
     @cached_property
-    def database(self) -> RunDatabase:
+    def database(self) -> QueryDatabase:
         """Database as by `open_database`."""
         return self.keep.enter_context(open_database(self.run.folder))
 
@@ -270,7 +270,7 @@ class FailuresVerb(Verb):
     def reply(self, session: Session) -> Reply:
         run = chosen(session.runs, self.run, "run").run
         second = None if self.compare is None else chosen(session.runs, self.compare, "run").run.records
-        command = cli_ask.FailuresCommand(run.folder, self.search, self.limit, self.slices, json=True)
+        command = cli_runs.FailuresCommand(run.folder, self.search, self.limit, self.slices, json=True)
         record, _ = failures_of(command, run.records, second)
         record["slices"] = {name: cut(found, self.limit, "slices") for name, found in record["slices"].items()}
         for part in {"summary", "slices", "facets"} - set(self.parts):

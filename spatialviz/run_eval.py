@@ -21,11 +21,10 @@ from pipeline.evaluation.browsing import RunRows
 from pipeline.evaluation.comparing import CHANGES, Comparison, answer_differences, compare
 from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.leakage import Share, shares_of_run, with_caveats
-from pipeline.evaluation.querying import QueryRows, open_database
 from pipeline.evaluation.records import read_records
 from pipeline.evaluation.relation_cases import RelationSpec, uses_language
 from pipeline.evaluation.run_figures import doubts_of
-from pipeline.evaluation.run_folder import labels_of, manifest_of, open_run
+from pipeline.evaluation.run_folder import labels_of, manifest_of, open_database, open_run
 from pipeline.evaluation.search import among_failures, find_failures
 from pipeline.evaluation.sentence_report import SentenceReport, evaluate_sentences
 from pipeline.evaluation.slices import Slices, dimension_named, slice_by, slice_table
@@ -37,7 +36,13 @@ from pipeline.paper.systems import Referring, Vlm
 from pipeline.paper.tables import tables_of_folder, tables_of_run
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
-from spatialviz.cli_ask import EvalCommand, FailuresCommand, QueryCommand, TablesCommand
+from pipeline.system.sql import QueryRows
+from spatialviz.cli_runs import (
+    EvalCommand,
+    FailuresCommand,
+    QueryCommand,
+    TablesCommand,
+)
 from spatialviz.options import FINE, NO, print_json, warn
 from spatialviz.printing import print_rows, print_table, rate_bar, rows_record, say, table_record
 

@@ -71,7 +71,6 @@ OWN = {
     "diagnosis/whatif/changes.py": "keys that were made here",
     "evaluation/importing.py .open": "written to",
     "evaluation/importing.py json.loads": "settings that were made here",
-    "evaluation/querying.py": "what the process says that it started",
     "evaluation/job.py json.loads": "options that were made here",
     "labels/merge.py open": "a table that was just written",
     "labels/reading.py open": "a table that was just written",

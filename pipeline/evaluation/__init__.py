@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from pipeline.evaluation.job import RunReport, evaluate_dataset
     from pipeline.evaluation.judging_again import judge_again
     from pipeline.evaluation.leakage import AGREEMENT, PERFECT, scorer_share, shares_of_run, title_of
-    from pipeline.evaluation.querying import open_database
     from pipeline.evaluation.records import read_records
     from pipeline.evaluation.relation_cases import RelationSpec
     from pipeline.evaluation.robospatial import Question, published_right, read_question_answers, read_questions
@@ -32,7 +31,7 @@ if TYPE_CHECKING:
         judged_by,
         recorded_verdict,
     )
-    from pipeline.evaluation.run_folder import Run, open_run, spec_record
+    from pipeline.evaluation.run_folder import Run, open_database, open_run, spec_record
     from pipeline.evaluation.search import find_failures, find_rows, quote
     from pipeline.evaluation.sentence_files import Sentence, SentenceFile, read_sentence_file
     from pipeline.evaluation.sentence_report import SentenceReport, evaluate_sentences

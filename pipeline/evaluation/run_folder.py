@@ -7,6 +7,7 @@ import io
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -27,7 +28,8 @@ from pipeline.evaluation.leakage import Share, shares_of_run
 from pipeline.evaluation.records import read_records
 from pipeline.evaluation.search import find_failures
 from pipeline.evaluation.systems import OWN, EvalSpec
-from pipeline.labels.reading import Labels, open_labels
+from pipeline.labels.reading import Labels, open_labels, read_table
+from pipeline.labels.schema import TABLES
 from pipeline.language.counted import counted
 from pipeline.system.arrow import pa
 from pipeline.system.detector_setup import with_files
@@ -37,10 +39,14 @@ from pipeline.system.model_files import parse_hub_id
 from pipeline.system.reading import checked
 from pipeline.system.remote import is_url, local_path, named_before
 from pipeline.system.safe_files import enter, read_json, read_text
+from pipeline.system.sql import QueryDatabase
+from pipeline.system.whole_files import scratch_folder
 
 RUN_FILE = "run.json"
 """The manifest of a run; a folder that holds it may be overwritten by another run."""
 RECORDS_FILE = "records.parquet"
+RECORDS = "records"
+"""View of the records in SQL."""
 _HUB = "hub:"
 """Marks an id on the model hub among paths."""
 
@@ -369,3 +375,29 @@ def labels_of(run: Path) -> Path | None:
         return Path(open_run(run).spec.labels)
     except InputError:
         return None
+
+
+@contextmanager
+def open_database(run: Path) -> Iterator[QueryDatabase]:
+    """Open a run and its labels as views of a database without access to anything else.
+
+    The views "records", and "labels_frames", "labels_objects", "labels_relations", "labels_expressions" where the
+    labels of the run are still where they were.
+
+    Raises InputError: there is no run, or the tables of its labels are damaged.
+    """
+    run = Path(run)
+    read_records(run, [])
+    tables, root = {RECORDS: run / RECORDS_FILE}, labels_of(run)
+    if root is not None and all((root / f"{n}.parquet").is_file() for n in TABLES):
+        for name in TABLES:
+            tables[f"labels_{name}"] = root / f"{name}.parquet"
+            # Reads the footer alone, and checks it.
+            read_table(root / f"{name}.parquet", name, [])
+    moved = f", and the labels of this run are not at {root}" if len(tables) == 1 else ""
+    with scratch_folder() as spill:
+        database = QueryDatabase(tables, (RECORDS,), spill, f"there is {', '.join(tables)}{moved}")
+        try:
+            yield database
+        finally:
+            database.close()

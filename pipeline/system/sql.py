@@ -1,8 +1,8 @@
 """Databases in memory within the limit `query`, and a process for strangers' SQL.
 
-DuckDB counts most of its memory, and not all; some functions look neither at its limit nor at an interrupt. So a typed
-query runs in another process (`python -c` of `COMMAND`), bounded by the system and killed at need. The two talk in
-pickled messages: the settings, then a question for each answer.
+DuckDB counts most of its memory, and not all; some functions look neither at its limit nor at an interrupt. So a
+typed query runs in another process (`python -c` of `COMMAND`), bounded by the system and killed at need. The two talk
+in pickled messages: the views, then a question for each answer.
 """
 
 from __future__ import annotations
@@ -10,15 +10,17 @@ from __future__ import annotations
 import os
 import pickle
 import signal
+import subprocess
 import sys
 import threading
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from pipeline.system.errors import InputError, kind_and_text
+from pipeline.system.errors import InputError, kind_and_text, require
 from pipeline.system.limits import LIMITS_OPTION, current_limits, shown, shown_above
 from pipeline.system.safe_files import read_parquet
 from pipeline.system.whole_files import scratch_folder
@@ -31,6 +33,8 @@ if TYPE_CHECKING:
 
 COMMAND = "import sys; sys.path[:] = {path!r}; from pipeline.system.sql import answer_queries; answer_queries()"
 ROWS_AT_ONCE = 1000
+Question = tuple[str, tuple[Any, ...]] | None
+"""A SELECT with its parameters; None for more rows of the last."""
 LARGEST_ROWS = 64 * 10**6
 """Bytes of the rows that are handed over at a time."""
 SPILLED = 4
@@ -69,6 +73,115 @@ def bounded_database() -> Iterator[duckdb.DuckDBPyConnection]:
         yield connection
 
 
+@dataclass(frozen=True)
+class QueryRows:
+    """Answer of a query."""
+
+    columns: tuple[str, ...]
+    # rows: as they are fetched; to be used while the database is open, and before the next query
+    rows: Iterator[tuple[Any, ...]]
+
+
+class QueryDatabase:
+    """Parquet files as views for strangers' SELECTs, which a process of its own answers.
+
+    `tables`: files by the names of the views. `held`: those that are read into memory. `spill`: folder for the
+    overflow. `lacking`: cause that is said where a query names another view.
+    """
+
+    def __init__(self, tables: Mapping[str, Path], held: Collection[str], spill: Path, lacking: str) -> None:
+        self.tables, self.held, self.spill, self.lacking = dict(tables), tuple(held), spill, lacking
+        self._process: subprocess.Popen[bytes] | None = None
+        self._last = object()
+
+    def select(self, sql: str, parameters: Sequence[Any] = (), seconds: float | None = None) -> QueryRows:
+        """Run one SELECT.
+
+        `parameters`: in the places of "?". `seconds`: how long it may take, without the time in which nobody asks for
+        rows; at most the limit `query_seconds`.
+
+        Raises InputError: it is not one SELECT, DuckDB refuses it, or it takes more memory or time than it may.
+        """
+        most = current_limits().query_seconds
+        allowed = most if seconds is None else min(seconds, most)
+        self._last = query = object()
+        columns, left = self._answer((sql, tuple(parameters)), allowed, allowed)
+        return QueryRows(columns, self._rows(query, left, allowed))
+
+    def _rows(self, query: object, left: float, allowed: float) -> Iterator[tuple[Any, ...]]:
+        while True:
+            require(query is self._last, "another query was asked before all rows of this one were read")
+            rows, left = self._answer(None, left, allowed)
+            if not rows:
+                return
+            yield from rows
+
+    def _started(self) -> subprocess.Popen[bytes]:
+        if self._process is None:
+            # In a session of its own, Ctrl-C in the terminal is for the process that waits.
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", COMMAND.format(path=sys.path)],
+                start_new_session=True,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+            )
+            assert self._process.stdin is not None
+            pickle.dump((self.tables, self.held, str(self.spill)), self._process.stdin)
+        return self._process
+
+    def _answer(self, question: Question, left: float, allowed: float) -> tuple[Any, float]:
+        """Answer and seconds left; without an answer the process is gone."""
+        process, begun = self._started(), time.monotonic()
+        assert process.stdin is not None
+        assert process.stdout is not None
+        late = threading.Timer(left, process.kill)
+        late.daemon = True
+        late.start()
+        try:
+            pickle.dump(question, process.stdin)
+            process.stdin.flush()
+            kind, answer = pickle.load(process.stdout)
+        except (EOFError, OSError, pickle.UnpicklingError) as error:
+            over = time.monotonic() - begun >= left
+            self.close()
+            most = current_limits()
+            if over:
+                raise InputError(
+                    "the query takes too long",
+                    got=f"more than {allowed:g} s",
+                    expected="a narrower one",
+                    cause=None
+                    if allowed < most.query_seconds
+                    else f"or {LIMITS_OPTION} query_seconds={shown_above(2 * most.query_seconds)}",
+                ) from error
+            raise InputError(
+                "the query needs too much memory",
+                got="a process that ended without an answer",
+                expected=f"at most {shown(most.query)} bytes",
+                cause=f"a narrower one, or {LIMITS_OPTION} query={shown_above(2 * most.query)}",
+            ) from error
+        except BaseException:
+            self.close()
+            raise
+        finally:
+            late.cancel()
+        if kind == "problem":
+            raise InputError(answer, cause=self.lacking if "does not exist" in answer else None)
+        return answer, max(left - (time.monotonic() - begun), 0.1)
+
+    def close(self) -> None:
+        """End the process; the next query starts another."""
+        process, self._process = self._process, None
+        if process is not None:
+            process.kill()
+            process.wait()
+            for stream in (process.stdin, process.stdout):
+                with suppress(OSError):
+                    assert stream is not None
+                    stream.close()
+
+
 def answer_queries() -> None:
     """Answer questions of standard input on standard output, to the end of input or of the asking process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -76,31 +189,21 @@ def answer_queries() -> None:
     # Nothing else may come between the answers.
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
-    tables, held, spill = pickle.load(sys.stdin.buffer)
-    questions = _questions(sys.stdin.buffer)
-    try:
-        connection = _opened(tables, held, spill)
-    except Exception as error:
-        _send(out, ("problem", _problem(error)))
-        return
+    connection: Any = None
     found: Any = None
-    for sql, parameters in questions:
-        try:
-            if sql is None:
-                rows = found.fetchmany(ROWS_AT_ONCE)
-                _send(out, ("rows", rows))
-            else:
-                found = _selected(connection, sql, parameters)
-                _send(out, ("columns", tuple(c[0] for c in found.description or ())))
-        except Exception as error:
-            _send(out, ("problem", _problem(error)))
-
-
-def _questions(source: BinaryIO) -> Iterator[tuple[str | None, Sequence[Any]]]:
-    """Each SELECT with its parameters; None for more rows of the last."""
+    opening = pickle.load(sys.stdin.buffer)
     with suppress(EOFError):
         while True:
-            yield pickle.load(source)
+            question = pickle.load(sys.stdin.buffer)
+            try:
+                connection = connection or _opened(*opening)
+                if question is None:
+                    _send(out, ("rows", found.fetchmany(ROWS_AT_ONCE)))
+                else:
+                    found = _selected(connection, *question)
+                    _send(out, ("columns", tuple(c[0] for c in found.description or ())))
+            except Exception as error:
+                _send(out, ("problem", _problem(error)))
 
 
 def _send(out: BinaryIO, answer: tuple[str, Any]) -> None:

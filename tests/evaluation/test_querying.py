@@ -10,8 +10,8 @@ import pytest
 
 from pipeline.datasets.demo import demo_run
 from pipeline.evaluation import open_database
-from pipeline.evaluation.querying import RunDatabase
 from pipeline.system import LIMITS_VARIABLE, InputError
+from pipeline.system.sql import QueryDatabase
 from tests.slow_cases import mostly_slow
 
 HUNGRY = (
@@ -30,13 +30,13 @@ ENDLESS = (
 
 
 @pytest.fixture
-def database(monkeypatch: pytest.MonkeyPatch) -> Iterator[RunDatabase]:
+def database(monkeypatch: pytest.MonkeyPatch) -> Iterator[QueryDatabase]:
     monkeypatch.setenv(LIMITS_VARIABLE, "query=100M,query_seconds=4")
     with open_database(demo_run()) as opened:
         yield opened
 
 
-def most_held(database: RunDatabase) -> float:
+def most_held(database: QueryDatabase) -> float:
     """The most memory that the process of a database ever held, in bytes."""
     assert database._process is not None
     lines = Path(f"/proc/{database._process.pid}/status").read_text().splitlines()
@@ -44,7 +44,7 @@ def most_held(database: RunDatabase) -> float:
 
 
 @pytest.mark.parametrize("sql", mostly_slow(HUNGRY, (0, 1)))
-def test_a_hungry_query_ends_in_one_line(sql: str, database: RunDatabase) -> None:
+def test_a_hungry_query_ends_in_one_line(sql: str, database: QueryDatabase) -> None:
     with pytest.raises(InputError, match=r"(too much memory|takes too long|too large).*expected"):
         list(database.select(sql).rows)
     if database._process is not None:
@@ -53,7 +53,7 @@ def test_a_hungry_query_ends_in_one_line(sql: str, database: RunDatabase) -> Non
 
 
 @pytest.mark.parametrize("sql", mostly_slow(ENDLESS))
-def test_an_endless_query_is_killed(sql: str, database: RunDatabase) -> None:
+def test_an_endless_query_is_killed(sql: str, database: QueryDatabase) -> None:
     begun = time.monotonic()
     with pytest.raises(InputError, match=r"takes too long; got more than 1 s; expected a narrower one$"):
         list(database.select(sql, seconds=1).rows)
@@ -61,7 +61,7 @@ def test_an_endless_query_is_killed(sql: str, database: RunDatabase) -> None:
     assert list(database.select("SELECT count(*) FROM records").rows) == [(1800,)]
 
 
-def test_rows_come_in_order_and_of_the_last_query_alone(database: RunDatabase) -> None:
+def test_rows_come_in_order_and_of_the_last_query_alone(database: QueryDatabase) -> None:
     found = database.select("SELECT x, ? FROM range(2500) t(x) ORDER BY x", ["a"])
     assert found.columns[0] == "x"
     assert list(found.rows) == [(k, "a") for k in range(2500)]
@@ -72,10 +72,10 @@ def test_rows_come_in_order_and_of_the_last_query_alone(database: RunDatabase) -
         list(early)
 
 
-def test_no_process_and_no_folder_stays(database: RunDatabase) -> None:
+def test_no_process_and_no_folder_stays(database: QueryDatabase) -> None:
     list(database.select("SELECT 1").rows)
-    process, spill = database._process, Path(database._opening[2])
+    process = database._process
     assert process is not None
-    assert spill.is_dir()
+    assert database.spill.is_dir()
     database.close()
     assert process.poll() is not None

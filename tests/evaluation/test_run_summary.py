@@ -243,7 +243,7 @@ def test_sql_reads_a_run_and_nothing_else(run: Path, tmp_path: Path) -> None:
 def test_sql_finds_labels_that_moved_with_the_run(run: Path, tmp_path: Path) -> None:
     shutil.copytree(run, tmp_path / "run")
     with open_database(tmp_path / "run") as database:
-        assert database.views == ("records",)
+        assert list(database.tables) == ["records"]
         with pytest.raises(InputError, match=f"are not at {re.escape(str(tmp_path / 'labels'))}"):
             database.select("SELECT * FROM labels_objects")
     shutil.copytree(run.parent / "labels", tmp_path / "labels")
