@@ -28,26 +28,13 @@ from pipeline.system.limits import LIMITS_OPTION, LIMITS_VARIABLE, set_limits
 from pipeline.system.onnx_session import PROVIDER_VARIABLE, VERBOSE_VARIABLE
 from spatialviz.cli_ask import (
     AskCommand,
-    ContextCommand,
     DoctorCommand,
-    EvalCommand,
-    ExportRunCommand,
-    FailuresCommand,
     FramesCommand,
     GlossaryCommand,
-    ImportRunCommand,
-    JudgeAgainCommand,
-    McpCommand,
     MeasureCommand,
-    QueryCommand,
     RelationsCommand,
     RenderCommand,
-    ReplayCommand,
-    ReportCommand,
-    SaveCaseCommand,
-    TablesCommand,
     ViewCommand,
-    WhatIfCommand,
 )
 from spatialviz.cli_labels import (
     AuditCommand,
@@ -74,6 +61,20 @@ from spatialviz.cli_models import (
     RetrainCommand,
     TrainCommand,
 )
+from spatialviz.cli_runs import (
+    EvalCommand,
+    ExportRunCommand,
+    FailuresCommand,
+    ImportRunCommand,
+    JudgeAgainCommand,
+    McpCommand,
+    QueryCommand,
+    ReplayCommand,
+    ReportCommand,
+    SaveCaseCommand,
+    TablesCommand,
+    WhatIfCommand,
+)
 from spatialviz.options import BAD, FINE, INTERRUPTED, TOLD, UNREAD, error_line, one_line_warnings, warn
 from spatialviz.plain_text import plain_streams, unfiltered
 
@@ -89,7 +90,7 @@ GROUPS: dict[str, dict[str, tuple[type, str]]] = {
     "label, check, correct": {
         "label": (LabelCommand, "run_labels"),
         "check": (CheckCommand, "run_labels"),
-        "audit": (AuditCommand, "run_audit"),
+        "audit": (AuditCommand, "run_review"),
         "show": (ShowCommand, "run_corrections"),
         "review": (ReviewCommand, "run_review"),
         "correct": (CorrectCommand, "run_corrections"),
@@ -123,7 +124,6 @@ FORMS: dict[str, tuple[type, str]] = {
     "glossary": (GlossaryCommand, "run_ask"),
     "confirm": (ConfirmCommand, "run_corrections"),
     "measure": (MeasureCommand, "run_ask"),
-    "context": (ContextCommand, "run_ask"),
     "merge": (MergeCommand, "run_labels"),
     "redo": (RedoCommand, "run_corrections"),
     "effective": (EffectiveCommand, "run_corrections"),
@@ -137,7 +137,6 @@ OPTIONS = {
     ("ask", "--glossary"): "glossary",
     ("ask", "--confirm"): "confirm",
     ("relations", "--measure"): "measure",
-    ("frames", "--mesh"): "context",
     ("label", "--merge"): "merge",
     ("undo", "--redo"): "redo",
     ("export", "--effective"): "effective",
@@ -153,13 +152,16 @@ _BY_ANSWERS = (
     "two detectors are compared by their answers: `spatialviz failures A --compare B --answers`, of runs or of "
     "files that `ask --json` wrote"
 )
+NO_MESH = "posed frames are no longer fused into a mesh: `open3d.pipelines.integration` does it by the same poses"
 REMOVED = {
+    "context": NO_MESH,
     "agree": _BY_ANSWERS,
     "bench": "benches are scripts of a checkout: `cd tests; python -m benchmarks.stages`, and others beside it",
     "import-recording": "every command reads the recording where it is; `frames DATASET --remember` keeps what you say "
     "of its camera and unit in spatialviz.toml beside it",
 }
 REMOVED_OPTIONS = {
+    ("frames", "--mesh"): NO_MESH,
     ("save-case", "--copy-srm"): "a relation network that does not come with the program is always in the case",
     ("show", "--support"): "boxes are not snapped any more: drag the lower face in the page's side views",
     **dict.fromkeys((("view", "--also"), ("detect", "--agree")), _BY_ANSWERS),
@@ -176,6 +178,10 @@ REMOVED_OPTIONS = {
     **dict.fromkeys(
         (("review", "--overlap"), ("review", "--second-opinion-of")),
         "every reviewer is shown what nobody has settled (--author), the items that two have judged by --agreement",
+    ),
+    **dict.fromkeys(
+        (("journal", "--kind"), ("journal", "--key")),
+        "`show LABELS FRAME --object N` or `--pair A,B` says who set what, `journal --json` has every field",
     ),
     ("review", "--progress"): "`review LABELS --queue FILE` says how much is left, `journal LABELS` who did what",
     **dict.fromkeys(

@@ -15,16 +15,14 @@ from pipeline.answering.json_records import frame_record, relation_records
 from pipeline.answering.objects import PreparedFrame, all_objects
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.pipeline import FrameRelations, Pipeline, open_pipeline, open_sources, relate_frames
-from pipeline.answering.suggestions import SURE, MissedNames, completions, missed_names
 from pipeline.datasets import Dataset, FrameReport, SurveyCounts, survey, write_settings
 from pipeline.datasets.camera_plan import CameraPlan, camera_plan
 from pipeline.datasets.demo import DEMO_NAME, demo_run
-from pipeline.datasets.scene_mesh import export_mesh, fuse_context
 from pipeline.datasets.settings import ASSUMED, DECLARE
 from pipeline.datasets.up import told_up
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.asking import ask_and_judge, labelled_truth
-from pipeline.diagnosis.suggested_questions import suggest_questions
+from pipeline.diagnosis.suggestions import SURE, MissedNames, completions, missed_names, suggest_questions
 from pipeline.diagnosis.verdict import shown_verdict
 from pipeline.evaluation.run_folder import open_run
 from pipeline.geometry.measure import Measurement, measure
@@ -38,7 +36,6 @@ from pipeline.synthetic import render_dataset
 from pipeline.system.errors import needed, require
 from spatialviz.cli_ask import (
     AskCommand,
-    ContextCommand,
     FramesCommand,
     GlossaryCommand,
     MeasureCommand,
@@ -191,15 +188,6 @@ def print_terms(terms: Iterable[GlossaryTerm]) -> None:
     """Print words with their meaning."""
     for term in terms:
         say((term.name, "bold"), f" ({term.group}): {term.hint}")
-
-
-def run_context(command: ContextCommand) -> None:
-    dataset = open_pipeline(command.dataset, **command.camera.camera(command.frame)).dataset
-    frame = dataset.load(one_frame(dataset.frame_ids, command.frame, dataset.root))
-    mesh = fuse_context(dataset, frame)
-    export_mesh(mesh, command.out)
-    record = {"frame": frame.id, "frames": mesh.frames, "vertices": len(mesh.vertices), "faces": len(mesh.faces)}
-    command.write(record, say, f"{mesh.frames} frames around {frame.id}: {len(mesh.faces)} faces -> {command.out}")
 
 
 def run_render(command: RenderCommand) -> None:

@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 import yaml
 
-from pipeline.datasets.demo import demo_detector
+from pipeline.datasets.demo import demo_run
 from spatialviz.cli import main
 
 FOLDER = Path(__file__).resolve().parents[2] / ".github" / "actions" / "replay"
@@ -88,7 +88,7 @@ class Job:
 @pytest.fixture(scope="module")
 def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("workspace")
-    seen = ["--detector", "simulated", "--model", str(demo_detector())]
+    seen = ["--detector", "simulated", "--model", str(demo_run().with_name("simulated.toml"))]
     for name, (frame, text) in KEPT.items():
         words = ["save-case", "demo", frame, text, *seen, "--out", str(folder / "cases" / name)]
         assert main([*words, "--name", HOSTILE] if name == "teapot" else words) == 0
@@ -180,7 +180,9 @@ def test_the_last_step_fails_as_the_replay_did(regressed: Job) -> None:
 
 def test_another_detection_is_the_detectors_regression(job: Job) -> None:
     """The same network, and a detector that sees otherwise."""
-    (job.temp / "other.toml").write_text(re.sub(r"recall = [\d.]+", "recall = 0.2", demo_detector().read_text()))
+    (job.temp / "other.toml").write_text(
+        re.sub(r"recall = [\d.]+", "recall = 0.2", (demo_run().parent / "simulated.toml").read_text())
+    )
     options = f"--detector simulated --model '{job.temp / 'other.toml'}'"
     assert job.step("Replay", cases="cases/shelf cases/mug", options=options).returncode == 0
     assert job.outputs["regressed"] == "OPM"

@@ -30,8 +30,3 @@ def demo_labels() -> Path:
 def demo_run() -> Path:
     """The run folder: failures of every verdict; raises as `demo_path`."""
     return asset_path(DEMO_RUN_NAME, "run")
-
-
-def demo_detector() -> Path:
-    """The options of the simulated detector of the run; raises as `demo_path`."""
-    return asset_path(DEMO_RUN_NAME, "simulated.toml")

@@ -11,7 +11,7 @@ import pytest
 from rewording import read_sentences, reword
 
 from pipeline.datasets import demo_labels, demo_run
-from pipeline.datasets.demo import demo_detector
+from pipeline.datasets.demo import demo_run
 from pipeline.diagnosis import read_marks, shown_verdicts
 from pipeline.evaluation import open_run
 from pipeline.evaluation.records import COLUMNS
@@ -46,7 +46,7 @@ def test_the_run_is_of_the_shipped_labels(rows: list[dict[str, Any]]) -> None:
 def test_the_same_command_gives_the_same_rows(rows: list[dict[str, Any]]) -> None:
     run = open_run(demo_run())
     assert run.spec.marks == read_marks(HERE / "marks.json")
-    assert run.spec.options["model"] == demo_detector()
+    assert run.spec.options["model"] == demo_run().with_name("simulated.toml")
     evaluator = Evaluator(run.spec)
     assert run.manifest["detector"].endswith(evaluator.source.needed_detector().fingerprint())
     again = []
