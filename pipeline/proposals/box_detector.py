@@ -1,4 +1,4 @@
-"""Box detectors described by a TOML file, without code."""
+"""Box detectors described by a TOML file (input, outputs, class names), without code, and decoding of the outputs."""
 
 from __future__ import annotations
 

@@ -213,7 +213,7 @@ def _yolo_seg_masks(request: SegmenterRequest) -> Segmenter:
 def _prompted(model: str) -> Callable[[SegmenterRequest], Segmenter]:
     def make(request: SegmenterRequest) -> Segmenter:
         files = [resolve_model(path) for path in request.models]
-        return CachedSegmenter(_loaded("prompted.PromptedSegmenter")(_loaded(f"prompt_models.{model}")(files)))
+        return CachedSegmenter(_loaded("prompted.PromptedSegmenter")(_loaded(f"prompted.{model}")(files)))
 
     return make
 

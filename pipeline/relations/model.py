@@ -39,7 +39,10 @@ _NAMED = 8
 
 @dataclass(frozen=True, eq=False)
 class ClassVectors:
-    """Class names and their phrase vectors."""
+    """Class names of a language network's training and their phrase vectors, kept beside it as `NAME.vectors.npz`.
+
+    The network's metadata holds their hash, so that neither goes with another's.
+    """
 
     names: tuple[str, ...]  # As the labels spell them, each once
     vectors: np.ndarray  # (C, D) float32

@@ -16,7 +16,7 @@ from scenes import frame_of, upright
 
 from pipeline.geometry import Frame
 from pipeline.geometry.picture_input import PictureInput, place_picture
-from pipeline.proposals import detic, make_detector, make_segmenter, metadata_names, prompt_models
+from pipeline.proposals import detic, make_detector, make_segmenter, metadata_names, prompted
 from pipeline.proposals.network import shortest_edge
 from pipeline.system import InputError, metadata, model_hash, open_session
 
@@ -33,7 +33,7 @@ def frame() -> Frame:
 
 def test_the_thinnest_picture_keeps_a_pixel() -> None:
     for height, width in ((1, 3000), (3000, 1)):
-        for resized in (shortest_edge, detic.resized_shape, prompt_models.resized_shape):
+        for resized in (shortest_edge, detic.resized_shape, prompted.resized_shape):
             size = resized(height, width)
             assert min(size) == 1
             assert max(size) <= 1333

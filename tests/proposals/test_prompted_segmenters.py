@@ -19,8 +19,7 @@ from pipeline.evaluation.run_folder import _read_spec
 from pipeline.geometry import Frame
 from pipeline.proposals import CachedSegmenter, make_segmenter
 from pipeline.proposals.mismatch import SEGMENTERS
-from pipeline.proposals.prompt_models import EfficientSamModel, Sam2Model, SamModel
-from pipeline.proposals.prompted import PromptedSegmenter
+from pipeline.proposals.prompted import EfficientSamModel, PromptedSegmenter, Sam2Model, SamModel
 from pipeline.system import InputError
 
 
