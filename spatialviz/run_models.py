@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from pipeline.answering.calibrating import annotated_names, calibrate_scores
+from pipeline.answering.detector_runs import RecordingReport, annotated_names, calibrate_scores, record_detections
 from pipeline.answering.model_catalogue import (
     Adapter,
     FileReport,
@@ -18,7 +18,6 @@ from pipeline.answering.model_catalogue import (
     is_fetched,
     take_inventory,
 )
-from pipeline.answering.recording import RecordingReport, record_detections
 from pipeline.proposals.mismatch import BOXES, shapes
 from pipeline.proposals.score_calibration import ScoreCalibration, save_calibration
 from pipeline.system.model_files import KnownModel

@@ -14,10 +14,9 @@ if TYPE_CHECKING:
     )
     from pipeline.answering.ask import AskConfig, Trace
     from pipeline.answering.batch import FrameAnswers, StageClock
-    from pipeline.answering.calibrating import annotated_names, calibrate_scores
-    from pipeline.answering.coordinate_checks import check_places
-    from pipeline.answering.coordinate_conventions import box_2d
-    from pipeline.answering.fitted_ranking import FittedRanking, Scale
+    from pipeline.answering.coordinate_conventions import box_2d, check_places
+    from pipeline.answering.detector_runs import annotated_names, calibrate_scores, record_detections
+    from pipeline.answering.fitted_models import FittedRanking, Scale
     from pipeline.answering.frame_store import BackgroundPictures, FrameStore, LoadedFrame, UpHint
     from pipeline.answering.imported import ImportedPipeline
     from pipeline.answering.json_records import frame_record, relation_records, trace_record
@@ -62,8 +61,6 @@ if TYPE_CHECKING:
         write_predictions,
     )
     from pipeline.answering.ranking import Candidates, alone, rank
-    from pipeline.answering.recording import record_detections
-    from pipeline.answering.suggestions import completions, missed_names, suggest_expressions
     from pipeline.answering.tracing import trace
 
 __getattr__ = lazy_exports(__name__, __file__)

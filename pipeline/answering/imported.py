@@ -18,7 +18,7 @@ from pydantic import TypeAdapter
 
 from pipeline.answering.ask import AskConfig
 from pipeline.answering.coordinate_conventions import box_2d, box_3d
-from pipeline.answering.fitted_scorer import FittedScorer
+from pipeline.answering.fitted_models import FittedScorer
 from pipeline.answering.objects import PreparedFrame, SceneObject
 from pipeline.answering.pair_rules import (
     RuledConfig,

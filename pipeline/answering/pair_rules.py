@@ -2,7 +2,7 @@
 
 Given scores of pairs are kept. With other factors, P(target), P(reference) and P(relation), a pair scores by so much
 more or less as a model of the ranking says: the product named by the header, else the fit of the file
-(`fitted_ranking`). A ranking not explained by its factors has no model: it is not
+(`fitted_models`). A ranking not explained by its factors has no model: it is not
 separable into modules, and nothing is said of them.
 """
 
@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.answering.fitted_ranking import SCALES, FittedRanking, Scale
+from pipeline.answering.fitted_models import SCALES, FittedRanking, Scale
 from pipeline.answering.pair_table import MIN_RELATION, MIN_SCORE, RankConfig, Side
 from pipeline.answering.predictions import Header, PredictedAnswer, Prediction, Predictions
 from pipeline.language.expression import parse
@@ -151,7 +151,7 @@ class PairRule:
     # So much more score is one more of the log odds of standing higher; 0 where the model is the ranking itself, and
     # nothing that was fitted to it
     unit: float = 0.0
-    scale: Scale = "values"  # On which the model is a sum; see `fitted_ranking.SCALES`
+    scale: Scale = "values"  # On which the model is a sum; see `fitted_models.SCALES`
     own_scores: bool = True  # The scores are the system's own, and no product
     true_scores: tuple[float, float] = RankConfig().true_scores
     # Of a line that does not tell what ranked: its answer in words, which no number of ours may stand beside

@@ -1,17 +1,23 @@
-"""Schema of prediction files: a header, and a line for each expression, as plain values (`docs/predictions.md`)."""
+"""Schema of prediction files: a header, and a line for each expression, as plain values (`docs/predictions.md`).
+
+A trace writes events: parts of lines during a run, with `frame`, `text` and any further fields of a line. One that only
+says what is asked, and how its words are read, begins an expression: anew, where it was asked before. Its answer, or
+the problem why there is none, ends it.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, ConfigDict, Field, FiniteFloat, StrictBool
 
 from pipeline.geometry.masks import RunLength
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 VERSION = 1
 """Of the schema; a reader refuses files of a later one."""
@@ -185,3 +191,50 @@ def fields_beside(kind: type, place: tuple[Any, ...]) -> Iterable[str]:
     if len(place) > 1:
         kind = _INSIDE.get(place[-2], _INSIDE.get(place[0], kind))
     return kind.__dataclass_fields__
+
+
+_ASKED = {"frame", "text", "target", "relation", "reference"}
+_BY_NAME = ("proposals", "boxes_3d", "relations", "attributes")
+"""Fields whose parts, by name or by id, may come in events of their own."""
+OPEN = "no answer was recorded"
+"""The problem of an expression that a trace leaves without one."""
+Numbered = tuple[int, Any]
+"""A line's number in the file, and its JSON."""
+
+
+def joined_events(events: Iterable[Numbered], path: Path) -> Iterator[Numbered]:
+    """Join events to predictions, in the order of the file, with the numbers of their first lines.
+
+    An expression without an end keeps its proposals, and has the problem `OPEN`: the rest may be incomplete. InputError
+    for a field given twice and differently names both lines.
+    """
+    lines: dict[tuple[str, str], Numbered] = {}
+    for number, event in events:
+        key = (str(event.get("frame")), str(event.get("text"))) if isinstance(event, dict) else ("", f"{number}")
+        if key not in lines or event.keys() <= _ASKED:
+            lines.pop(key, None)
+            lines[key] = number, event
+            continue
+        first, line = lines[key]
+        for part, value in event.items():
+            known = line.get(part)
+            if part in _BY_NAME and isinstance(value, dict) and isinstance(known, dict):
+                both = {name: _both(known.get(name), own) for name, own in value.items()}
+                wrong, value = [f"{part}.{name}" for name, own in both.items() if own is Ellipsis], known | both
+            else:
+                value = _both(known, value)
+                wrong = [part] if value is Ellipsis else []
+            told = f"of the expression that line {first} begins"
+            require(not wrong, f"line {number}, {', '.join(wrong)}: told before, and otherwise, {told}", path=path)
+            line[part] = value
+    for number, line in lines.values():
+        if isinstance(line, dict) and not {"answer", "problem"} & line.keys():
+            line = {k: v for k, v in line.items() if k in _ASKED or k == "proposals"} | {"problem": OPEN}
+        yield number, line
+
+
+def _both(known: Any, more: Any) -> Any:
+    """Field of two events: lists are joined; `...` for a contradiction."""
+    if known is None or known == more:
+        return more
+    return [*known, *more] if isinstance(known, list) and isinstance(more, list) else ...

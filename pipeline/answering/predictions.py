@@ -17,7 +17,6 @@ from typing import IO, Any
 
 from pydantic import TypeAdapter
 
-from pipeline.answering.prediction_events import joined_events
 from pipeline.answering.prediction_schema import (
     VERSION,
     Header,
@@ -27,6 +26,7 @@ from pipeline.answering.prediction_schema import (
     Proposal,
     Weights,
     fields_beside,
+    joined_events,
 )
 from pipeline.language.relation_names import RELATIONS
 from pipeline.system.errors import InputError, require

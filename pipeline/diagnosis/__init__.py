@@ -28,7 +28,14 @@ if TYPE_CHECKING:
     from pipeline.diagnosis.sentence_truth import sentence_case
     from pipeline.diagnosis.stages import failed_stages, stages_of, unasked_stages
     from pipeline.diagnosis.substitution import substitute
-    from pipeline.diagnosis.suggested_questions import SuggestedQuestions, first_answered, suggest_questions
+    from pipeline.diagnosis.suggestions import (
+        SuggestedQuestions,
+        completions,
+        first_answered,
+        missed_names,
+        suggest_expressions,
+        suggest_questions,
+    )
     from pipeline.diagnosis.verdict import MODULE_OF, VERDICTS, Diagnosis, Missed, shown_verdicts
     from pipeline.diagnosis.whatif import Baseline, Edits, edits_record, load_edits, what_changed
     from pipeline.diagnosis.whatif.answer_view import AnswerView, BothAnswers, OtherAnswer, shown_objects

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -20,11 +20,16 @@ from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.system.errors import InputError
 from pipeline.system.in_notebook import InNotebook
 
-if TYPE_CHECKING:
-    from pipeline.diagnosis.opened import Opened
-
 Edited = Mapping[str, Any]
 """Edits as JSON; see `pipeline.diagnosis.whatif`."""
+
+
+class AnswerSource(Protocol):
+    """Pipeline behind an answer, able to answer under edits, with or without a screen."""
+
+    def what_if(self, answer: Answer, edits: Edited) -> Answer: ...
+
+    def view(self, what: Any, **options: Any) -> Any: ...
 
 
 @dataclass(frozen=True)
@@ -37,7 +42,7 @@ class Answer(InNotebook):
     diagnosis: Diagnosis | None = None  # None where there is no verdict
     # Why there is a truth and no verdict on this answer; None also where no truth is known at all
     unjudged: str | None = None
-    origin: Opened | None = None  # What answered it, where one is asked from Python: edits and the page need it
+    origin: AnswerSource | None = None  # What answered it, where one is asked from Python: edits and the page need it
     edits: Edited | None = None  # What it was answered under, as JSON; None for none
 
     def __repr__(self) -> str:
@@ -132,7 +137,7 @@ class Answer(InNotebook):
         """Open this answer in the page; `options` as for `spatialviz.show`."""
         return self._origin().view(self, **options)
 
-    def _origin(self) -> Opened:
+    def _origin(self) -> AnswerSource:
         if self.origin is None:
             raise InputError("this answer does not know what answered it", expected="one that `ask` of `open` gave")
         return self.origin

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.answering.batch import FrameAnswers
-from pipeline.answering.coordinate_checks import check_places
-from pipeline.answering.coordinate_conventions import box_2d
+from pipeline.answering.coordinate_conventions import box_2d, check_places
 from pipeline.answering.imported import ImportedPipeline, open_imported
 from pipeline.answering.objects import prepare_frame
 from pipeline.answering.predictions import (

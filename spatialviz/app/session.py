@@ -11,12 +11,11 @@ from pipeline.answering.ask import Trace
 from pipeline.answering.detector_prompts import unused_words
 from pipeline.answering.frame_store import LoadedFrame
 from pipeline.answering.ranking import RankConfig
-from pipeline.answering.suggestions import completions
 from pipeline.corrections.judging import Judge
 from pipeline.corrections.label_editor import ANYTHING, Target
 from pipeline.datasets.base import dataset_notes, named_frame
 from pipeline.datasets.demo import DEMO_EXPRESSION
-from pipeline.diagnosis.suggested_questions import SuggestedQuestions, first_answered, suggest_questions
+from pipeline.diagnosis.suggestions import SuggestedQuestions, completions, first_answered, suggest_questions
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif.answer_view import NOTHING, shown_objects
 from pipeline.language.counted import counted

@@ -26,11 +26,11 @@ from pipeline.answering import (
     open_sources,
     relate_frames,
     same_object,
-    suggest_expressions,
 )
 from pipeline.answering.ask import ask
 from pipeline.answering.pipeline import frame_ids
 from pipeline.datasets import DEMO_EXPRESSION, demo_path, open_dataset
+from pipeline.diagnosis import suggest_expressions
 from pipeline.geometry import Frame, depth_colors, hex_color, instance_colors
 from pipeline.language import VOCABULARIES, match
 from pipeline.proposals import AnnotationDetector, Proposals, make_detector

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from pipeline.answering import completions
-from pipeline.answering.suggestions import OFFERED
+from pipeline.diagnosis import completions
+from pipeline.diagnosis.suggestions import OFFERED
 
 LABELS = ("mug", "lamp", "trash can", "mug")
 

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from pipeline.answering import Pipeline, missed_names, open_pipeline
+from pipeline.answering import Pipeline, open_pipeline
+from pipeline.diagnosis import missed_names
 from pipeline.geometry import Frame
 from pipeline.proposals import Proposals
 

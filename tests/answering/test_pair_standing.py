@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from slow_cases import mostly_slow
 
 from pipeline.answering import FittedRanking
-from pipeline.answering.fitted_ranking import standing
+from pipeline.answering.fitted_models import standing
 
 RELATION_SHARES = 18
 """The first column of shares: of the relation, among the pairs of the same target."""

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from pipeline.answering import AskConfig, Pipeline, annotated_names, calibrate_scores, open_pipeline, trace_record
 from pipeline.answering.ask import ask
-from pipeline.answering.calibrating import collect_hits, reliability
+from pipeline.answering.detector_runs import collect_hits, reliability
 from pipeline.datasets import demo_path
 from pipeline.geometry import iou_2d
 from pipeline.language import match

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from slow_cases import mostly_slow
 
 from pipeline.answering import FittedRanking, Header, PredictedAnswer, Prediction, Proposal, RunRules, Scale, side
-from pipeline.answering.fitted_ranking import SCALES, Compared
-from pipeline.answering.fitted_scorer import described
+from pipeline.answering.fitted_models import SCALES, Compared, described
 from pipeline.answering.pair_rules import line_rule
 from pipeline.geometry import Box3D, viewer_axes
 

@@ -3,7 +3,7 @@
 Proposals are those before K and suppression, with and without the detector's minimum score. Their file is also a
 recording of one frame (`pipeline.proposals.recorded`): what a recording does not have stands beside its "frames".
 Predictions are the lines of the frame. A ranking and a scorer that cannot be asked again are known by all pairs of
-their file (`pair_rules`, `fitted_scorer`); a case has those of one frame, and so keeps what was found.
+their file (`pair_rules`, `fitted_models`); a case has those of one frame, and so keeps what was found.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from pipeline.answering.ask import AskConfig
-from pipeline.answering.fitted_scorer import FittedScorer
+from pipeline.answering.detector_runs import detection_record, mask_record
+from pipeline.answering.fitted_models import FittedScorer
 from pipeline.answering.imported import ImportedDetector, ImportedPipeline, scorer_of
 from pipeline.answering.pair_rules import RunRules
 from pipeline.answering.predictions import Predictions, as_json
-from pipeline.answering.recording import detection_record, mask_record
 from pipeline.datasets.base import Dataset
 from pipeline.diagnosis.cases.manifest import ShownRankingRecord, ShownRecord, validated
 from pipeline.geometry.frame import Frame

@@ -10,8 +10,7 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, FiniteFloat, TypeAdapter
 
 from pipeline.answering.ask import AskConfig
-from pipeline.answering.fitted_ranking import FittedRanking, Scale
-from pipeline.answering.fitted_scorer import FittedScorer
+from pipeline.answering.fitted_models import FittedRanking, FittedScorer, Scale
 from pipeline.answering.pair_rules import RunRules
 from pipeline.answering.predictions import Predictions
 from pipeline.datasets.base import Dataset

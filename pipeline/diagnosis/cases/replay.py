@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pipeline.answering.coordinate_checks import check_places
+from pipeline.answering.coordinate_conventions import check_places
 from pipeline.answering.imported import ImportedPipeline
 from pipeline.answering.objects import SAME_BOX_IOU
 from pipeline.answering.pair_rules import RunRules
