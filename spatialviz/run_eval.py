@@ -26,7 +26,7 @@ from pipeline.evaluation.relation_cases import RelationSpec, uses_language
 from pipeline.evaluation.run_figures import doubts_of
 from pipeline.evaluation.run_folder import labels_of, manifest_of, open_database, open_run
 from pipeline.evaluation.search import among_failures, find_failures
-from pipeline.evaluation.sentence_report import SentenceReport, evaluate_sentences
+from pipeline.evaluation.sentences import SentenceReport, evaluate_sentences
 from pipeline.evaluation.slices import Slices, dimension_named, slice_by, slice_table
 from pipeline.evaluation.summary import RunSummary, cost_words, need_verdicts, summarise_run, summary_tables
 from pipeline.evaluation.systems import EvalSpec

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from pipeline.evaluation.run_folder import Run, open_database, open_run, spec_record
     from pipeline.evaluation.search import find_failures, find_rows, quote
     from pipeline.evaluation.sentence_files import Sentence, SentenceFile, read_sentence_file
-    from pipeline.evaluation.sentence_report import SentenceReport, evaluate_sentences
+    from pipeline.evaluation.sentences import SentenceReport, evaluate_sentences
     from pipeline.evaluation.slices import Slices, slice_by, slice_table
     from pipeline.evaluation.summary import RunSummary, cost_words, summarise_run
     from pipeline.evaluation.systems import EvalSpec
