@@ -22,7 +22,7 @@ import numpy as np
 
 from pipeline.evaluation.records import read_records
 from pipeline.evaluation.run_folder import RECORDS_FILE
-from pipeline.evaluation.sentence_report import FILE
+from pipeline.evaluation.sentences import FILE
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT
 from pipeline.system.errors import InputError, as_input_error, first_line
