@@ -25,7 +25,12 @@ from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.counted import counted
 from pipeline.relations.relations import letter
 from pipeline.system.errors import InputError, require
-from spatialviz.cli_ask import ReplayCommand, ReportCommand, SaveCaseCommand, WhatIfCommand
+from spatialviz.cli_runs import (
+    ReplayCommand,
+    ReportCommand,
+    SaveCaseCommand,
+    WhatIfCommand,
+)
 from spatialviz.options import BAD, FINE, NO, one_frame, warn
 from spatialviz.printing import figure, print_rows, say
 

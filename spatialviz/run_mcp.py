@@ -13,7 +13,7 @@ from pipeline.evaluation.run_folder import RUN_FILE, open_run
 from pipeline.labels.reading import open_labels
 from pipeline.system.errors import InputError, UnknownFormat, extra_module, needed, require
 from spatialviz.agent_verbs import Correcting, OpenRun, Session
-from spatialviz.cli_ask import McpCommand
+from spatialviz.cli_runs import McpCommand
 from spatialviz.options import SourceOptions
 
 

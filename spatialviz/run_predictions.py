@@ -13,7 +13,7 @@ from pipeline.evaluation.run_folder import open_run
 from pipeline.evaluation.systems import PREDICTIONS_FILE
 from pipeline.language.counted import counted
 from pipeline.paper.systems import recorded_system
-from spatialviz.cli_ask import ExportRunCommand, ImportRunCommand, JudgeAgainCommand
+from spatialviz.cli_runs import ExportRunCommand, ImportRunCommand, JudgeAgainCommand
 from spatialviz.options import warn
 from spatialviz.printing import rate_bar, say
 from spatialviz.run_eval import print_run, run_record
