@@ -129,7 +129,7 @@ class AuditCommand(Output):
     """Runs of systems on the same items, of RoboSpatial-Home files of answers in its form: where they agree with each
     other against the truth counts."""
     out: Path | None = None
-    """Write every item with its evidence: CSV where the name ends so, else JSON lines."""
+    """Write every item with its evidence, as JSON lines."""
     limit: int = 20
     """Items shown; --out holds all."""
     networks: Flag = False
@@ -211,12 +211,8 @@ class JournalCommand(OnJournal):
 
     author: str | None = None
     """Only this person's."""
-    kind: Literal["object", "relation", "expression", "frame", "review"] | None = None
-    """Only of entities of this kind."""
     frame: str | None = None
     """Only of this frame: its id, or its index."""
-    key: str | None = None
-    """Only of this entity: an object's number, a pair "3,5", the id of an expression."""
     last: int | None = None
     """Only the newest so many."""
     check: Flag = False
@@ -237,8 +233,8 @@ class CorrectCommand(OnPictures):
     such as [["face", AXIS 0-2, SIDE 1 or -1, METRES]]), new, merge, split, relation, true (a sentence with its pair:
     text, target, relation, reference, a, b), text, answers, ambiguous, mark, note, and value: any one field as the
     journal keeps it (kind, key, field, to).
-    Pixels of mask and new are a run-length code, or "polygon": [[x, y], ...], "rectangle": [x0, y0, x1, y1], "strokes":
-    [{"points", "radius"}], "seeds": [[x, y], ...]; with "mode": add, remove, replace."""
+    Pixels of mask and new are a run-length code, or "polygon": [[x, y], ...], "rectangle": [x0, y0, x1, y1]; with
+    "mode": add, remove, replace."""
     author: str
     """Who says so."""
     again: str | None = None

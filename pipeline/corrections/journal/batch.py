@@ -1,6 +1,6 @@
 """Edits as a file: a JSON list of actions, checked as a whole and saved as one.
 
-Pixels are run-length codes, polygons, rectangles, strokes, or seeds of a surface.
+Pixels are run-length codes, polygons or rectangles.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from pipeline.corrections.journal.events import Conflict, Edit, Rival, Saved
 from pipeline.corrections.journal.field_refs import OF_ALL, FieldRef, Kind, box_of, judged_item
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.side_views import drag_box
-from pipeline.drawing.depth_region import TOLERANCE
 from pipeline.drawing.gestures import Canvas, drawn, gesture_of
 from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import InputError, require
@@ -29,58 +28,28 @@ from pipeline.system.reading import checked
 from pipeline.system.safe_files import read_json
 
 _STATES = {"T": T, "U": U, "F": F}
-SHAPES = ("polygon", "rectangle", "strokes", "seeds")
 Mode = Literal["add", "remove", "replace"]
 
 
-class Stroke(BaseModel):
-    """Path of a round brush, in pixels."""
-
-    model_config = ConfigDict(extra="forbid", strict=True)
-
-    points: list[list[float]]
-    radius: float
-
-
 class Shapes(BaseModel):
-    """Pixels by one of several shapes, all in pixels, x before y."""
+    """Pixels by one of two shapes, in pixels, x before y."""
 
     polygon: list[list[float]] | None = None
-    rectangle: list[float] | None = None  # x0, y0, x1, y1; of a new object the depth segmenter's surface inside
-    strokes: list[Stroke] | None = None
-    seeds: list[list[float]] | None = None  # on surfaces that are meant
-    tolerance: float = TOLERANCE  # of the seeds
+    # x0, y0, x1, y1; of a new object the depth segmenter's surface inside
+    rectangle: Annotated[list[float], Field(min_length=4, max_length=4)] | None = None
 
     @property
     def shaped(self) -> bool:
         """True with a shape."""
-        return any(getattr(self, name) is not None for name in SHAPES)
-
-    @model_validator(mode="after")
-    def _one(self) -> Shapes:
-        given = [name for name in SHAPES if getattr(self, name) is not None]
-        if len(given) > 1:
-            raise ValueError(f"only one of {', '.join(given)} can be meant")
-        if self.rectangle is not None and len(self.rectangle) != 4:
-            raise ValueError("a rectangle has four numbers")
-        if self.strokes == []:
-            raise ValueError("there are no strokes")
-        return self
+        return self.polygon is not None or self.rectangle is not None
 
     def pixels(self, height: int, width: int, canvas: Canvas | None, *, surface: bool = False) -> np.ndarray:
-        """Rasterise to (H, W) bool; InputError without pixels, or without the picture for seeds."""
-        if self.strokes is not None:
-            each = [gesture_of("stroke", s.points, height, width, radius=s.radius) for s in self.strokes]
-            return np.logical_or.reduce([drawn(g, height, width) for g in each])
-        if self.polygon is not None:
-            found = gesture_of("polygon", self.polygon, height, width)
-        elif self.rectangle is not None:
-            found = gesture_of(
-                "surface" if surface else "rectangle", [self.rectangle[:2], self.rectangle[2:]], height, width
-            )
-        else:
-            found = gesture_of("depth", self.seeds, height, width, tolerance=self.tolerance)
-        return drawn(found, height, width, canvas)
+        """Rasterise to (H, W) bool; InputError without pixels, or without the picture for a surface."""
+        require(self.polygon is None or self.rectangle is None, "a polygon and a rectangle cannot both be meant")
+        corners, kind = self.polygon, "polygon"
+        if self.rectangle is not None:
+            corners, kind = [self.rectangle[:2], self.rectangle[2:]], "surface" if surface else "rectangle"
+        return drawn(gesture_of(kind, corners, height, width), height, width, canvas)
 
 
 class Action(BaseModel):
@@ -107,7 +76,7 @@ class Mask(OfObject, Shapes):
     @model_validator(mode="after")
     def _one_way(self) -> Mask:
         if ("to" in self.model_fields_set) == self.shaped:
-            raise ValueError("pixels are either a code (to) or one of polygon, rectangle, strokes, seeds")
+            raise ValueError("pixels are either a code (to) or one of polygon and rectangle")
         if not self.shaped and self.mode != "replace":
             raise ValueError("a code replaces the mask")
         return self
@@ -145,7 +114,7 @@ class NewObject(Action, Shapes):
     @model_validator(mode="after")
     def _one_way(self) -> NewObject:
         if self.mask is not None and self.shaped:
-            raise ValueError("pixels are either a mask or one of polygon, rectangle, strokes, seeds")
+            raise ValueError("pixels are either a mask or one of polygon and rectangle")
         return self
 
 
@@ -320,5 +289,4 @@ def combined(mask: np.ndarray, pixels: np.ndarray, mode: Mode) -> np.ndarray:
 
 def needs_pictures(actions: Sequence[Any]) -> bool:
     """True where an action follows the depth of a picture."""
-    shapes = [a for a in actions if isinstance(a, Shapes)]
-    return any(a.seeds is not None or (a.rectangle is not None and not hasattr(a, "object")) for a in shapes)
+    return any(isinstance(a, NewObject) and a.rectangle is not None for a in actions)

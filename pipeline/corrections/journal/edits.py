@@ -168,18 +168,6 @@ def judge_both_ways(frame: EffectiveFrame, ref: FieldRef, status: str | None, au
     return tuple(e for c in refs for e in judge(frame, c, status, author, reason))
 
 
-def judge_missing(frame: EffectiveFrame, what: str, status: str | None, author: str, reason: str = "") -> Edits:
-    """Judge a place of a missing object: "rejected" where none is."""
-    return (
-        _edit(
-            frame,
-            judgement_ref(frame.frame, "object", -1, None, what, author),
-            None if status is None else {"status": status},
-            reason,
-        ),
-    )
-
-
 def settle(frame: EffectiveFrame, ref: FieldRef, status: str, reason: str = "", state: int | None = None) -> Edits:
     """Settle an item of differing judgements, for all reviewers.
 

@@ -13,16 +13,14 @@ import os
 import re
 import shutil
 import sqlite3
+import struct
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from functools import lru_cache
 from pathlib import Path
 from threading import Lock
 from typing import TypeVar
 from weakref import WeakKeyDictionary
-
-import numpy as np
 
 from pipeline.corrections.journal.chain import FORBIDDEN, VERSION, Run, Store, begin, fingerprint, made
 from pipeline.system.limits import shown
@@ -215,28 +213,30 @@ def _bytes(path: Path) -> bytes:
 def _lost(log: bytes, index: bytes) -> str | None:
     if len(log) <= _HEADER:
         return None
-    head = np.frombuffer(log[:_HEADER], ">u4")
-    size = int(head[2])
-    order = ">u4" if int(head[0]) & 1 else "<u4"
-    words = np.frombuffer(log[:24], order).astype(np.uint32)[None]
-    sound = int(head[0]) & ~1 == _MAGIC and 512 <= size <= 65_536 and size & (size - 1) == 0
-    if not sound or (_sums(words)[0] != head[6:]).any():
+    magic, _, size = struct.unpack(">3I", log[:12])
+    order = ">" if magic & 1 else "<"
+    sound = magic & ~1 == _MAGIC and 512 <= size <= 65_536 and size & (size - 1) == 0
+    before = _sums(log[:24], order, (0, 0))
+    if not sound or before != struct.unpack(">2I", log[24:_HEADER]):
         return "the head of the write-ahead log cannot be read"
-    count = (len(log) - _HEADER) // (_FRAME + size)
-    frames = np.frombuffer(log, np.uint8, count * (_FRAME + size), _HEADER).reshape(count, _FRAME + size)
-    heads = frames[:, :_FRAME].copy().view(">u4").reshape(count, 6)
-    # What is left from an earlier turn of the log has other salts, both of them; nothing but damage makes zeros.
-    salts = heads[:, 2:4] == head[4:6]
-    ends = np.flatnonzero((salts.any(axis=1) & (heads[:, 1] > 0)) | (heads == 0).all(axis=1))
-    content = np.concatenate([frames[:, :8], frames[:, _FRAME:]], axis=1)
-    before = np.concatenate([head[None, 6:], heads[:-1, 4:]])
-    whole = salts.all(axis=1) & (_sums(content.view(order).astype(np.uint32), before) == heads[:, 4:]).all(axis=1)
-    valid = count if whole.all() else int(np.argmin(whole))
+    valid, ends = None, []
+    starts = range(_HEADER, len(log) - _FRAME - size + 1, _FRAME + size)
+    for number, at in enumerate(starts):
+        _, pages, _, _, *sums = struct.unpack(">6I", log[at : at + _FRAME])
+        salts = [log[at + k : at + k + 4] == log[8 + k : 12 + k] for k in (8, 12)]
+        if valid is None:
+            before = _sums(log[at : at + 8] + log[at + _FRAME : at + _FRAME + size], order, before)
+            if not all(salts) or before != tuple(sums):
+                valid = number
+        # What is left from an earlier turn of the log has other salts, both of them; nothing but damage makes zeros.
+        if (any(salts) and pages > 0) or not any(log[at : at + _FRAME]):
+            ends.append(number)
+    valid = len(starts) if valid is None else valid
     saved = _frames_saved(index, log[16:24])
     if saved is None:
         # A process that is killed while it writes its last frame leaves the same as damage to that frame does.
-        return f"the write-ahead log is broken at frame {valid + 1}" if ends.size and ends[-1] >= valid else None
-    known = int(ends[ends < valid][-1]) + 1 if (ends < valid).any() else 0
+        return f"the write-ahead log is broken at frame {valid + 1}" if ends and ends[-1] >= valid else None
+    known = max((end + 1 for end in ends if end < valid), default=0)
     return f"the write-ahead log is broken at frame {valid + 1} of {saved}" if known < saved else None
 
 
@@ -244,34 +244,18 @@ def _frames_saved(index: bytes, salt: bytes) -> int | None:
     """Count of saved frames by the log's index; None for an index of another log."""
     if len(index) < 2 * _INDEX:
         return None
-    words = np.frombuffer(index[:_INDEX], np.uint32)
     sound = index[:_INDEX] == index[_INDEX : 2 * _INDEX] and index[32:40] == salt
-    return int(words[4]) if sound and (_sums(words[None, :10])[0] == words[10:]).all() else None
+    whole = _sums(index[:40], "=", (0, 0)) == struct.unpack("=2I", index[40:_INDEX])
+    return struct.unpack("=I", index[16:20])[0] if sound and whole else None
 
 
-def _sums(words: np.ndarray, before: np.ndarray | None = None) -> np.ndarray:
-    """Checksums (N, 2) of rows of 32-bit words, from the sums before.
-
-    A step is s' = M s + B w, modulo 2^32; so all of a row's are one product.
-    """
-    start, terms = _weights(words.shape[1])
-    found = np.stack([(words * terms[k]).sum(axis=1, dtype=np.uint32) for k in (0, 1)], axis=1)
-    if before is None:
-        return found
-    seeds = before.astype(np.uint32)
-    return found + np.stack([(seeds * start[k]).sum(axis=1, dtype=np.uint32) for k in (0, 1)], axis=1)
-
-
-@lru_cache
-def _weights(length: int) -> tuple[np.ndarray, np.ndarray]:
-    """Weights of the sums before (2, 2), and of each word (2, length)."""
-    terms = np.zeros((2, length), np.uint32)
-    # For each pair of words: s0 += w0 + s1, s1 += w1 + s0. `power` is what the sums after a pair count for at the end.
-    power = np.eye(2, dtype=np.uint32)
-    for k in range(length - 2, -1, -2):
-        terms[:, k : k + 2] = power @ np.array([[1, 0], [1, 1]], np.uint32)
-        power = power @ np.array([[1, 1], [1, 2]], np.uint32)
-    return power, terms
+def _sums(data: bytes, order: str, before: tuple[int, int]) -> tuple[int, int]:
+    """Checksums of pairs of 32-bit words, from the sums before."""
+    one, two = before
+    for first, second in struct.iter_unpack(f"{order}2I", data):
+        one = (one + first + two) & 0xFFFFFFFF
+        two = (two + second + one) & 0xFFFFFFFF
+    return one, two
 
 
 NETWORK_FILE_SYSTEMS = frozenset(
