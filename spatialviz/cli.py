@@ -183,6 +183,10 @@ REMOVED_OPTIONS = {
         (("journal", "--kind"), ("journal", "--key")),
         "`show LABELS FRAME --object N` or `--pair A,B` says who set what, `journal --json` has every field",
     ),
+    **dict.fromkeys(
+        (("journal", "--kind"), ("journal", "--key")),
+        "`show LABELS FRAME --object N` or `--pair A,B` says who set what, `journal --json` has every field",
+    ),
     ("review", "--progress"): "`review LABELS --queue FILE` says how much is left, `journal LABELS` who did what",
     **dict.fromkeys(
         (("review", name) for name in ("--features", "--folds", "--passes", "--seed", "--linter", "--no-linter")),

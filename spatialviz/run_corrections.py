@@ -67,7 +67,7 @@ def run_show(command: ShowCommand) -> int:
 def run_journal(command: JournalCommand) -> int:
     whole = [command.check, command.backup is not None, command.recover is not None]
     if any(whole):
-        chosen = any(v is not None for v in (command.author, command.kind, command.frame, command.key, command.last))
+        chosen = any(v is not None for v in (command.author, command.frame, command.last))
         require(
             sum(whole) <= 1 and not chosen,
             "--check, --backup and --recover are of the whole journal, and one at a time",
@@ -79,9 +79,7 @@ def run_journal(command: JournalCommand) -> int:
     if frame is not None:
         frame = one_frame(labels.frames.column("frame").to_pylist(), frame, labels.root)
     with command.journal.open(labels, must_exist=True) as journal:
-        events = journal.events(
-            author=command.author, kind=command.kind, frame=frame, key=command.key, last=command.last
-        )
+        events = journal.events(author=command.author, frame=frame, last=command.last)
     command.write(map(event_record, events), print_events, events)
     return FINE if events else NO
 

@@ -1,12 +1,14 @@
-"""The review of labels, and what a person reads of it."""
+"""Labels that are probably wrong: their review, the audit of labels and benchmarks, and what a person reads of them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
+from pipeline.audit.report import AuditReport, audit
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import setting_of
 from pipeline.corrections.journal.events import outcome_record
@@ -36,9 +38,9 @@ from pipeline.language.relation_names import PHRASE
 from pipeline.system.errors import MissingExtra, needed, require
 from pipeline.system.whole_files import scratch_folder
 from pipeline.training.train import need_torch
-from spatialviz.cli_labels import ReviewCommand
+from spatialviz.cli_labels import AuditCommand, ReviewCommand
 from spatialviz.options import FINE, NO, warn
-from spatialviz.printing import figure, print_rows, progress_bars, say
+from spatialviz.printing import figure, print_rows, print_table, progress_bars, rate_bar, say
 
 
 def run_review(command: ReviewCommand) -> int:
@@ -124,8 +126,6 @@ def print_queue(work: Worklist, first: list[dict[str, Any]], shown: int, hidden:
         told += f" ({hidden} more are settled, or others': --all)"
     if "estimated_wrong" in metadata:
         told += f"; networks take {metadata['estimated_wrong']} relation labels to be wrong"
-    if metadata.get("elsewhere", "0") != "0":
-        told += f"; {counted(int(metadata['elsewhere']), 'finding')} of no single label: see `spatialviz check`"
     say(told)
     if out is not None:
         say(f"-> {out}", style="dim")
@@ -134,8 +134,6 @@ def print_queue(work: Worklist, first: list[dict[str, Any]], shown: int, hidden:
 def _label(row: dict[str, Any]) -> str:
     if row["kind"] == "relation":
         return f"{row['a']} {PHRASE[row['relation']]} {row['b']}: {row['label']}"
-    if row["place"] is not None:
-        return f"no object at {row['place']}: {row['label']}?"
     if row["kind"] == "object":
         return f"object {row['a']}: {row['label']}"
     return f"{row['expression']}: {row['label']!r}"
@@ -160,3 +158,45 @@ def print_agreement(pairs: Sequence[PairAgreement], limit: int) -> None:
             say(f"  {key.frame}, {key.kind} {item}: {pair.first} says {one}, {pair.second} says {other}")
         if len(pair.differ) > limit:
             say(f"  and {len(pair.differ) - limit} more")
+
+
+def run_audit(command: AuditCommand) -> None:
+    require(command.limit >= 0, "--limit must not be negative", got=command.limit)
+    with rate_bar("auditing", "items") as advance:
+        report = audit(
+            command.target,
+            command.dataset,
+            command.runs,
+            options=command.source.arguments(),
+            networks=command.networks,
+            progress=advance,
+        )
+    if command.out is not None:
+        report.write(command.out)
+    command.write(chain([report.record()], islice(report.records(), command.limit)), print_audit, report, command)
+
+
+def print_audit(report: AuditReport, command: AuditCommand) -> None:
+    """Print the evidence against the items, the first items, and the path of all."""
+    if report.systems is not None:
+        print_table(report.systems)
+        say()
+    if report.kinds.rows:
+        print_table(report.kinds)
+        say()
+    shown = report.suspicious[: command.limit]
+    if shown:
+        print_rows(
+            (">wrong", "item", "frame", "sentence", "said right", "seems right", "evidence"),
+            (
+                (f"{i.score:.2f}", i.id, i.frame, i.text, i.truth, i.seems or "-", "; ".join(e.text for e in i.reasons))
+                for i in shown
+            ),
+        )
+    record = report.record()
+    say(
+        f"{counted(len(report.items), 'item')}; something speaks against {record['suspicious']}, {report.likely} are "
+        f"probably wrong; {record['unjudged']} cannot be judged by geometry"
+    )
+    if command.out is not None:
+        say(f"-> {command.out}", style="dim")

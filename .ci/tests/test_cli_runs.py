@@ -140,8 +140,8 @@ def test_a_sentence_of_which_nothing_is_right_is_refused(sentences: Path) -> Non
 def test_sentences_are_audited(sentences: Path, tmp_path: Path) -> None:
     spatialviz(0, "eval", "demo", "--sentences", sentences, "--out", tmp_path / "run")
     words = ["audit", sentences, "--dataset", "demo"]
-    spatialviz(0, *words, "--runs", tmp_path / "run", "--out", tmp_path / "audit.csv")
-    assert len((tmp_path / "audit.csv").read_text(encoding="utf-8").splitlines()) == 4
+    spatialviz(0, *words, "--runs", tmp_path / "run", "--out", tmp_path / "audit.jsonl")
+    assert len((tmp_path / "audit.jsonl").read_text(encoding="utf-8").splitlines()) == 3
     assert spatialviz(0, *words, "--json", "--limit", 1).records
     assert "--dataset" in spatialviz(2, "audit", sentences).err
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import shlex
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +25,6 @@ from pipeline.system.whole_files import write_whole
 
 LIKELY = 0.5
 """From this score on an item is more probably wrong than not."""
-COLUMNS = ("rank", "score", "id", "frame", "text", "truth", "seems", "evidence", "look")
 
 
 @dataclass(frozen=True)
@@ -83,22 +80,13 @@ class AuditReport:
         return ({"rank": n, **item.record(self.look(item))} for n, item in enumerate(self.items, start=1))
 
     def write(self, path: Path) -> None:
-        """Every item by rank: CSV where the file's name ends so, else JSON lines.
+        """Every item by rank, as JSON lines.
 
-        Raises InputError: it cannot be written.
+        Raises InputError: it cannot be written, or its name ends in .csv, as in earlier versions.
         """
-        write_whole(path, (self._csv() if path.suffix == ".csv" else self._lines()).encode(), "the audit")
-
-    def _lines(self) -> str:
-        return "".join(json.dumps(record, ensure_ascii=False) + "\n" for record in self.records())
-
-    def _csv(self) -> str:
-        out = StringIO()
-        rows: csv.DictWriter[str] = csv.DictWriter(out, COLUMNS, extrasaction="ignore", lineterminator="\n")
-        rows.writeheader()
-        for record in self.records():
-            rows.writerow({**record, "evidence": "; ".join(e["text"] for e in record["evidence"])})
-        return out.getvalue()
+        require(path.suffix != ".csv", "an audit is written as JSON lines", expected="a name such as audit.jsonl")
+        lines = (json.dumps(record, ensure_ascii=False) + "\n" for record in self.records())
+        write_whole(path, "".join(lines).encode(), "the audit")
 
 
 def audit(

@@ -232,9 +232,10 @@ def test_the_files_hold_every_item_by_rank(tmp_path: Path) -> None:
         for name, w in (("strong", 0.9), ("weak", 0.3))
     )
     report = AuditReport.ranked("D", [weak, strong])
-    report.write(tmp_path / "a.csv")
     report.write(tmp_path / "a.jsonl")
-    lines = (tmp_path / "a.csv").read_text().splitlines()
-    assert lines[1].startswith('1,0.9,strong,f,"a, ""b""",x,,because of strong,spatialviz view D --state sv1:')
-    assert [json.loads(line)["id"] for line in (tmp_path / "a.jsonl").read_text().splitlines()] == ["strong", "weak"]
+    lines = [json.loads(line) for line in (tmp_path / "a.jsonl").read_text().splitlines()]
+    assert [line["id"] for line in lines] == ["strong", "weak"]
+    assert lines[0]["look"].startswith("spatialviz view D --state sv1:")
+    with pytest.raises(InputError, match="JSON lines"):
+        report.write(tmp_path / "a.csv")
     assert report.record()["expected_wrong"] == 1.2

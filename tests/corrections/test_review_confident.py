@@ -78,9 +78,7 @@ def test_a_less_probable_label_is_never_less_probably_wrong(cells: list[tuple[fl
         assert (np.diff(wrong[says == answer][order]) <= 1e-12).all()
     # Yes and no are two names.
     np.testing.assert_allclose(
-        probability_wrong(
-            1 - p, ~says, Noise(noise.thresholds[::-1], noise.joint[::-1, ::-1], noise.no_for_yes, noise.yes_for_no)
-        ),
+        probability_wrong(1 - p, ~says, Noise(noise.joint[::-1, ::-1], noise.no_for_yes, noise.yes_for_no)),
         wrong,
         atol=1e-6,
     )

@@ -50,9 +50,6 @@ TRUSTED = 0.9
 class Noise:
     """How labels of one question came to be wrong."""
 
-    thresholds: np.ndarray
-    """(2,) float64: mean probability of "no" over labels that say no, of "yes" over those that say yes; NaN where there
-    are none."""
     joint: np.ndarray
     """(2, 2) float64: labels by what they say [0: no, 1: yes] and what they should [0, 1]; sums to their number."""
     yes_for_no: float
@@ -76,9 +73,8 @@ def estimate_noise(p: np.ndarray, says: np.ndarray) -> Noise:
     require(((p >= 0) & (p <= 1)).all(), "probabilities must lie between 0 and 1")
     counts = np.array([(~says).sum(), says.sum()], np.float64)
     if counts.min() < FEWEST:
-        thresholds = np.array([(1 - p[~says]).mean() if counts[0] else np.nan, p[says].mean() if counts[1] else np.nan])
-        return Noise(thresholds, np.diag(counts), 0.0, 0.0)
-    thresholds, table = confident_joint(p, says)
+        return Noise(np.diag(counts), 0.0, 0.0)
+    table = confident_joint(p, says)[1]
     # One more of each kind of error: where none was seen, ranks still differ.
     table += [[0, 1], [1, 0]]
     joint = table / table.sum(axis=1, keepdims=True) * counts[:, None]
@@ -86,7 +82,7 @@ def estimate_noise(p: np.ndarray, says: np.ndarray) -> Noise:
     true = np.maximum(joint.sum(axis=0), 1e-12)
     yes_for_no, no_for_yes = joint[1, 0] / true[0], joint[0, 1] / true[1]
     scale = min(1.0, MOST_NOISE / max(yes_for_no + no_for_yes, 1e-12))
-    return Noise(thresholds, joint, float(yes_for_no * scale), float(no_for_yes * scale))
+    return Noise(joint, float(yes_for_no * scale), float(no_for_yes * scale))
 
 
 def confident_joint(p: np.ndarray, says: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -11,7 +11,7 @@ true then: nothing speaks against it, no noise is estimated from it, and network
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from itertools import pairwise
@@ -87,8 +87,8 @@ def review_queue(
     name; the text), probability (float64, that the relation holds, by networks that have not learnt from it; null
     without), wrong (float64, that the label is wrong by confident learning alone; null for U, for what is settled, and
     without networks), score (float64, the same by all evidence), reasons (list of string, the strongest first).
-    Metadata: `estimated_wrong` relation labels of those that are not settled; `elsewhere`, findings that are of no
-    single label; `labels_version`, the automatic labels that it is of. Where an object may be missing (queues of
+    Metadata: `estimated_wrong` relation labels of those that are not settled; `labels_version`, the automatic labels
+    that it is of. Where an object may be missing (queues of
     earlier versions) `place` is x0,y0,x1,y1 and `a` is -1. The label of an object that was left out is null.
 
     Raises InputError: the labels are damaged, or hold nothing to learn from.
@@ -111,7 +111,7 @@ def review_queue(
         wrong[settled] = np.nan
         network_evidence(evidence, probability, wrong)
         metadata["estimated_wrong"] = f"{sum(n.wrong for n in asked.noise.values()):.0f}"
-    metadata["elsewhere"] = str(linter_evidence(evidence, check_labels(labels)))
+    evidence.of_items(blamed_by_linter(check_labels(labels), cells.relations))
     margin_evidence(evidence)
     undecided_evidence(evidence, probability)
     if judgements is not None:
@@ -192,17 +192,11 @@ def margin_evidence(evidence: Evidence) -> None:
     evidence.of_cells(item, weight[item], _joined(told, " mm from where the rule would be undecided"))
 
 
-def linter_evidence(evidence: Evidence, findings: Iterable[Finding]) -> int:
-    """Add findings of `check_labels`; returns how many are of no single label: of files, frames and missing rows."""
-    reasons: list[Reason] = []
-    elsewhere = 0
+def blamed_by_linter(findings: Iterable[Finding], relations: Collection[str]) -> Iterator[Reason]:
+    """Reasons of `check_labels`; what is of no single label (files, frames, missing rows) is left out."""
     for found in findings:
-        blamed = _blamed(found, evidence.cells.relations)
-        elsewhere += not blamed
-        reasons += [(key, weight, f"{found.rule}: {found.message}") for key, weight in blamed]
-    evidence.of_items(reasons)
-    relations = [key for key, *_ in reasons if key.kind == "relation"]
-    return elsewhere + len(relations) - len(evidence.cells.cells_of(relations)[1])
+        for key, weight in _blamed(found, relations):
+            yield key, weight, f"{found.rule}: {found.message}"
 
 
 def _blamed(found: Finding, relations: Collection[str]) -> list[tuple[ItemKey, float]]:

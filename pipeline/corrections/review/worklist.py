@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.corrections.journal.edits import Edits, judge_both_ways, judge_missing, set_status
+from pipeline.corrections.journal.edits import Edits, judge_both_ways, set_status
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Event, grouped
@@ -363,8 +363,6 @@ def say_of_item(frame: EffectiveFrame, item: ItemKey, status: str, author: str) 
         require(status != "rejected", "a relation is not rejected", expected="T, U or F")
         ref = FieldRef("relation", item.frame, f"{item.a},{item.b}", f"{item.what}.status")
         return judge_both_ways(frame, ref, status, author)
-    if item.kind == "object" and item.a < 0:
-        return judge_missing(frame, item.what, status, author)
     expression = FieldRef("expression", item.frame, item.what, "status")
     ref = object_ref(item.frame, item.a, "status") if item.kind == "object" else expression
     return set_status(frame, ref, status, author=author)
