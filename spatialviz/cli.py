@@ -161,6 +161,8 @@ REMOVED = {
     "of its camera and unit in spatialviz.toml beside it",
 }
 REMOVED_OPTIONS = {
+    ("ask", "--complete"): "the page completes while you type; a refused question names what is in the frame",
+    ("frames", "--plan"): "the plan of a scene's cameras is in the page: `spatialviz view DATASET`",
     ("frames", "--mesh"): NO_MESH,
     ("save-case", "--copy-srm"): "a relation network that does not come with the program is always in the case",
     ("show", "--support"): "boxes are not snapped any more: drag the lower face in the page's side views",
@@ -178,10 +180,6 @@ REMOVED_OPTIONS = {
     **dict.fromkeys(
         (("review", "--overlap"), ("review", "--second-opinion-of")),
         "every reviewer is shown what nobody has settled (--author), the items that two have judged by --agreement",
-    ),
-    **dict.fromkeys(
-        (("journal", "--kind"), ("journal", "--key")),
-        "`show LABELS FRAME --object N` or `--pair A,B` says who set what, `journal --json` has every field",
     ),
     **dict.fromkeys(
         (("journal", "--kind"), ("journal", "--key")),
