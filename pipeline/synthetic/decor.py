@@ -8,20 +8,29 @@ from pipeline.synthetic.model import (
     BLACK,
     BRASS,
     PAPER,
+    SIDES,
     Material,
     ModelPart,
     ObjectModel,
     Palette,
     RestSurface,
     assemble,
+    ball,
+    block,
     cloth,
+    cylinder,
+    each,
+    joined,
+    lathe,
+    leaf,
     metal,
     paint,
     pick,
     rgb,
+    ring,
+    rod,
     wood,
 )
-from pipeline.synthetic.shapes import SIDES, ball, block, cylinder, each, joined, lathe, leaf, ring, rod
 
 Rng = np.random.Generator
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from pipeline.synthetic.model import (
     BRASS,
+    SIDES,
     WHITE,
     Material,
     ModelPart,
@@ -15,14 +16,20 @@ from pipeline.synthetic.model import (
     Palette,
     RestSurface,
     assemble,
+    block,
     cloth,
+    cylinder,
+    each,
+    joined,
+    lathe,
     metal,
     paint,
     pick,
+    pillow,
     rgb,
+    rod,
     wood,
 )
-from pipeline.synthetic.shapes import SIDES, block, cylinder, each, joined, lathe, pillow, rod
 
 Rng = np.random.Generator
 

@@ -58,7 +58,7 @@ def sunlight(scene: TracedRoom, s: Surfaces) -> np.ndarray:
     facing = facing[s.flat[facing] @ sun > 0]
     if len(facing):
         start = s.position[facing] + OFFSET_M * s.flat[facing]
-        clear = ~scene.blocked(start, np.broadcast_to(sun, start.shape))
+        clear = ~scene.tracer.blocked(start, np.broadcast_to(sun, start.shape))
         lit = facing[clear]
         out[lit] = cosine[lit, None] * SUN
     return out
@@ -71,7 +71,7 @@ def _lamp_place(scene: TracedRoom) -> np.ndarray:
 
 def radiance(scene: TracedRoom, look: Looks, start: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Radiance ((N, 3)) along rays, from mean colours and unshadowed lamp light."""
-    found = resolve(scene, scene.trace(start, directions), start, directions, round_off=False)
+    found = resolve(scene, scene.tracer.first(start, directions), start, directions, round_off=False)
     to_lamp = _lamp_place(scene) - found.position
     square = np.maximum(np.einsum("ij,ij->i", to_lamp, to_lamp), 0.25)
     cosine = np.clip(np.einsum("ij,ij->i", found.normal, to_lamp) / np.sqrt(square), 0, 1)
@@ -137,7 +137,7 @@ def light_map(scene: TracedRoom, s: Surfaces, h: int, w: int) -> LightMap:
         distance = np.sqrt(square)
         cosine = np.einsum("ij,ij->i", normal, to_lamp) / distance
         facing = np.flatnonzero((cosine > 0) & (to_lamp[:, 2] > 0))
-        found = scene.trace(start[facing], to_lamp[facing])
+        found = scene.tracer.first(start[facing], to_lamp[facing])
         lit = facing[~(found.t < 0.98)]
         down = to_lamp[lit, 2] / distance[lit]
         total[lit] += (cosine[lit] * (0.25 + 0.75 * down) / np.maximum(square[lit], 0.2) / LAMPS)[:, None] * LAMP

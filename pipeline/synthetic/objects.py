@@ -8,6 +8,7 @@ from pipeline.synthetic.model import (
     BLACK,
     BRASS,
     PAPER,
+    SIDES,
     STEEL,
     WHITE,
     Material,
@@ -15,11 +16,18 @@ from pipeline.synthetic.model import (
     ObjectModel,
     Palette,
     assemble,
+    ball,
+    block,
+    cylinder,
+    joined,
+    lathe,
+    leaf,
     paint,
     pick,
     rgb,
+    ring,
+    rod,
 )
-from pipeline.synthetic.shapes import SIDES, ball, block, cylinder, joined, lathe, leaf, ring, rod
 
 Rng = np.random.Generator
 

@@ -50,14 +50,6 @@ class TracedRoom:
         Only colour needs them, and they cost as much as the rest of a scene."""
         return _normals(self.vertices, self.faces)
 
-    def trace(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
-        """First hits of rays, both (N, 3) in the world."""
-        return self.tracer.first(origins, directions)
-
-    def blocked(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """(N,) bool: whether anything lies along the ray, however far."""
-        return self.tracer.blocked(origins, directions)
-
 
 class EmbreeScene:
     """An Embree scene of a triangle mesh."""
@@ -75,6 +67,7 @@ class EmbreeScene:
         )
 
     def first(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
+        """First hits of rays, both (N, 3) in the world."""
         origins, directions = _rays(origins, directions)
         found = self._scene.run(origins, directions, output=1)
         face = found["primID"].astype(np.int32)
@@ -82,6 +75,7 @@ class EmbreeScene:
         return Hits(t, face, found["u"], found["v"])
 
     def blocked(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """(N,) bool: whether anything lies along the ray, however far."""
         origins, directions = _rays(origins, directions)
         return self._scene.run(origins, directions, query="OCCLUDED") == 0
 
@@ -254,7 +248,7 @@ def looks(scene: TracedRoom) -> Looks:
 def find_surfaces(scene: TracedRoom, camera: Camera, directions: np.ndarray) -> Surfaces:
     """First hits of rays ((N, 3) directions) from the camera's centre."""
     origin = pose_of(camera)[:3, 3].astype(np.float32)
-    return resolve(scene, scene.trace(origin, directions), origin, directions)
+    return resolve(scene, scene.tracer.first(origin, directions), origin, directions)
 
 
 def resolve(

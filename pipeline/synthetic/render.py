@@ -84,7 +84,7 @@ def exact_view(room: Room, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     origin = pose_of(camera)[:3, 3].astype(np.float32)
     scene = build_scene(room)
     shape = (camera.height, camera.width)
-    hits = scene.trace(origin, _all_rays(camera))
+    hits = scene.tracer.first(origin, _all_rays(camera))
     hit = hits.face >= 0
     exact = np.where(hit, hits.t, np.float32(0)).reshape(shape)
     owner = scene.part_instance[scene.face_part[np.where(hit, hits.face, 0)]]
@@ -210,7 +210,7 @@ def _score(scene: TracedRoom, candidate: tuple[np.ndarray, float, float, float])
     """View score: visible objects of fair size, none close to the lens."""
     camera = camera_at(*candidate, width=PROBE[0], height=PROBE[1])
     v, u = (g.ravel() for g in np.meshgrid(np.arange(PROBE[1]), np.arange(PROBE[0]), indexing="ij"))
-    hits = scene.trace(candidate[0], pixel_rays(camera, v, u))
+    hits = scene.tracer.first(candidate[0], pixel_rays(camera, v, u))
     seen = hits.face >= 0
     if (hits.t < NEAREST_M).any() or np.median(hits.t[seen]) < 1.3:
         return -1e3

@@ -10,9 +10,8 @@ import numpy as np
 from pipeline.synthetic import decor as c
 from pipeline.synthetic import furniture as f
 from pipeline.synthetic import objects as o
-from pipeline.synthetic.layout import Focus, Layout, Room
+from pipeline.synthetic.layout import Focus, Layout, Room, build_shell, window_opening
 from pipeline.synthetic.model import PALETTES, ModelPart, ObjectModel, Palette, RestSurface, assemble
-from pipeline.synthetic.shell import build_shell, window_opening
 from pipeline.system.errors import require
 
 KINDS = ("study", "dining room", "living room", "bedroom")

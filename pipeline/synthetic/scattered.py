@@ -16,10 +16,22 @@ from pipeline.synthetic import decor as c
 from pipeline.synthetic import furniture as f
 from pipeline.synthetic import objects as o
 from pipeline.synthetic.layout import Layout, Room, overlaps, part_boxes
-from pipeline.synthetic.model import PALETTES, Material, ModelPart, ObjectModel, Palette, RestSurface, assemble, rgb
+from pipeline.synthetic.model import (
+    PALETTES,
+    Material,
+    ModelPart,
+    ObjectModel,
+    Palette,
+    RestSurface,
+    assemble,
+    ball,
+    block,
+    cylinder,
+    lathe,
+    rgb,
+)
 from pipeline.synthetic.raycast import build_scene, pixel_rays
 from pipeline.synthetic.render import PROBE, camera_at
-from pipeline.synthetic.shapes import ball, block, cylinder, lathe
 
 Rng = np.random.Generator
 Make = Callable[[Palette, Rng], ObjectModel]
@@ -263,7 +275,7 @@ def roaming_cameras(room: Room, count: int, rng: np.random.Generator, width: int
             break
         place, heading, pitch, roll, focal = _candidate(room, rng)
         probe = _zoomed(camera_at(place, heading, pitch, roll, *PROBE), focal)
-        hits = scene.trace(place, pixel_rays(probe, v, u))
+        hits = scene.tracer.first(place, pixel_rays(probe, v, u))
         owner = np.where(hits.face >= 0, scene.part_instance[scene.face_part[np.maximum(hits.face, 0)]], -1)
         seen = np.bincount(owner[owner >= 0], minlength=1)
         if (hits.t < NEAREST_M).mean() <= NEAR_SHARE and (seen >= 4).sum() >= LEAST_SEEN:

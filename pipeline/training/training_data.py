@@ -285,29 +285,14 @@ def view_samples(room: Room, camera: Camera, rng: np.random.Generator, *, rough:
     numbers = np.flatnonzero(np.bincount(instances[instances >= 0], minlength=1) >= MIN_PIXELS)
     spoilt = _roughened if rough else degraded
     masks = [spoilt(instances == number, rng) for number in numbers]
-    shown = [room.instances[n] for n in numbers]
-    exact = [_exact_extents(instance, camera, viewer) for instance in shown]
-    return _seen_samples(room.seed, depth, camera, masks, exact, [instance.model.label for instance in shown])
-
-
-def _seen_samples(
-    room: int,
-    depth: np.ndarray,
-    camera: Camera,
-    masks: Sequence[np.ndarray],
-    exact: Sequence[tuple[np.ndarray, np.ndarray]],
-    labels: Sequence[str],
-) -> FrameSamples:
-    """The samples of what these masks show of things with these exact extents and class names."""
-    assert camera.up is not None
-    viewer = viewer_axes(camera.up)
     lifted = lift(depth, camera, masks, viewer, boxes=False)
     kept = [k for k, item in enumerate(lifted) if item.quality.points >= MIN_POINTS]
+    shown = [room.instances[numbers[k]] for k in kept]
     boxes = np.array([mask_box(masks[k]) for k in kept], np.float64).reshape(-1, 4)
-    seen = Appearance(boxes, tuple(labels[k] for k in kept), camera.width, camera.height)
+    seen = Appearance(boxes, tuple(instance.model.label for instance in shown), camera.width, camera.height)
     rows = {name: contract.describe([lifted[k] for k in kept], viewer, seen) for name, contract in FEATURES.items()}
-    whole = np.array([exact[k] for k in kept], np.float64).reshape(-1, 2, 3)
-    return FrameSamples(room, rows, rows["rel14"][:, :3], rows["rel14"][:, 3:], whole[:, 0], whole[:, 1])
+    whole = np.array([_exact_extents(instance, camera, viewer) for instance in shown]).reshape(-1, 2, 3)
+    return FrameSamples(room.seed, rows, rows["rel14"][:, :3], rows["rel14"][:, 3:], whole[:, 0], whole[:, 1])
 
 
 def _in_steps(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:

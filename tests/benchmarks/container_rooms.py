@@ -12,8 +12,7 @@ from pipeline.synthetic import decor as c
 from pipeline.synthetic import furniture as f
 from pipeline.synthetic import objects as o
 from pipeline.synthetic.layout import Layout
-from pipeline.synthetic.model import PALETTES, Material, ObjectModel, Palette, RestSurface, assemble, cloth, wood
-from pipeline.synthetic.shapes import block
+from pipeline.synthetic.model import PALETTES, Material, ObjectModel, Palette, RestSurface, assemble, block, cloth, wood
 
 Rng = np.random.Generator
 Maker = Callable[[Palette, Rng], ObjectModel]

@@ -13,11 +13,22 @@ import numpy as np
 from pipeline.geometry import Camera, Frame, Registration, intrinsics, registered
 from pipeline.synthetic import Room, camera_at, exact_view, make_room, render_view
 from pipeline.synthetic.layout import FLOOR, Layout
-from pipeline.synthetic.model import PALETTES, STEEL, WHITE, ObjectModel, Palette, RestSurface, assemble, paint
+from pipeline.synthetic.model import (
+    PALETTES,
+    STEEL,
+    WHITE,
+    ObjectModel,
+    Palette,
+    RestSurface,
+    assemble,
+    ball,
+    block,
+    paint,
+    rod,
+)
 from pipeline.synthetic.objects import book, bottle, bowl, mug, standing_book, vase
 from pipeline.synthetic.raycast import build_scene, pixel_rays, pose_of
 from pipeline.synthetic.rooms import furnish_bookshelf, stocked_bookshelf
-from pipeline.synthetic.shapes import ball, block, rod
 
 Rng = np.random.Generator
 THINGS = (mug, bottle, bowl, book, standing_book, vase)

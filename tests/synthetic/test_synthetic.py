@@ -267,7 +267,7 @@ def test_the_sun_shines_where_nothing_is_between_it_and_the_point(seed: int) -> 
     sun = room.sun.astype(np.float32)
     facing = seen.hit & (seen.normal @ sun > 0) & (seen.flat @ sun > 0)
     start = seen.position + OFFSET_M * seen.flat
-    expected = facing & ~scene.blocked(start, np.broadcast_to(sun, start.shape))
+    expected = facing & ~scene.tracer.blocked(start, np.broadcast_to(sun, start.shape))
     got = sunlight(scene, seen).any(axis=1)
     assert 0.003 < expected.mean() < 0.5
     assert (got != expected).mean() < 0.001
