@@ -1,4 +1,4 @@
-"""A room as its shell and placed instances of models, and the rules of placing: rest on something, touch nothing else."""
+"""A room as shell and placed instances of models, and the rules of placing: rest on something, touch nothing else."""
 
 from __future__ import annotations
 

@@ -233,7 +233,7 @@ def _sensed(room: Room, camera: Camera, base: float, rng: Rng, bad: str) -> np.n
     rays = pixel_rays(camera, rows, columns)
     points = T[:3, 3] + rays * exact.reshape(-1, 1)
     projector = (T[:3, 3] + base * T[:3, 0]).astype(np.float32)
-    shadow = (build_scene(room).trace(projector, points - projector).t < 0.985).reshape(shape)
+    shadow = (build_scene(room).tracer.first(projector, points - projector).t < 0.985).reshape(shape)
     product = camera.fx * abs(base) * 640 / camera.width
     disparity = product / np.maximum(exact, 0.05) + 0.12 * _noise(rng, shape, 1.2) + 0.05 * _noise(rng, shape, 30)
     found = product / np.maximum(np.round(8 * disparity) / 8, 1e-3)
