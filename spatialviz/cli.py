@@ -161,6 +161,8 @@ REMOVED = {
     "of its camera and unit in spatialviz.toml beside it",
 }
 REMOVED_OPTIONS = {
+    ("query", "--csv"): "`--json` prints a JSON object a row",
+    ("ablation", "--labels"): "networks learn from the rule on whole objects as they are",
     ("ask", "--complete"): "the page completes while you type; a refused question names what is in the frame",
     ("frames", "--plan"): "the plan of a scene's cameras is in the page: `spatialviz view DATASET`",
     ("frames", "--mesh"): NO_MESH,
@@ -185,6 +187,7 @@ REMOVED_OPTIONS = {
         (("journal", "--kind"), ("journal", "--key")),
         "`show LABELS FRAME --object N` or `--pair A,B` says who set what, `journal --json` has every field",
     ),
+    ("review", "--accept"): "accept what a filter finds in the page, or by `correct LABELS --edits FILE`",
     ("review", "--progress"): "`review LABELS --queue FILE` says how much is left, `journal LABELS` who did what",
     **dict.fromkeys(
         (("review", name) for name in ("--features", "--folds", "--passes", "--seed", "--linter", "--no-linter")),

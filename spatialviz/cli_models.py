@@ -144,8 +144,6 @@ class AblationCommand(Output):
     """What the networks are given of a pair."""
     networks: int = 3
     """Networks of each kind, each with its own seed and its own draw of pairs."""
-    labels: Literal["exact", "seen"] = "exact"
-    """exact: the rule on whole objects as they are | seen: on the noisy parts that are seen, as auto-labels are."""
     batch: Batch = None
     epochs: Epochs = 10
     seed: int = 0

@@ -170,8 +170,6 @@ class QueryCommand(Output):
     run_folder: RunArg
     sql: Positional[str]
     """One SELECT, such as "SELECT verdict, count(*) FROM records GROUP BY ALL". It can read nothing else."""
-    csv: Flag = False
-    """Print CSV."""
 
 
 @dataclass(frozen=True)

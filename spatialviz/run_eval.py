@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import math
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import fields
@@ -280,10 +278,9 @@ def failures_of(
 
 
 def run_query(command: QueryCommand) -> int:
-    require(not (command.json and command.csv), "--json and --csv exclude each other")
     with open_database(command.run_folder) as database:
         answer = database.select(command.sql)
-        show = print_csv if command.csv else print_json_rows if command.json else print_answer
+        show = print_json_rows if command.json else print_answer
         return FINE if show(answer) else NO
 
 
@@ -367,7 +364,7 @@ def print_answer(answer: QueryRows) -> int:
     columns = (f">{n}" if kind and kind <= {int, float} else n for n, kind in zip(answer.columns, kinds, strict=True))
     print_rows(columns, (map(_shown, row) for row in rows[:MOST_SHOWN]))
     if len(rows) > MOST_SHOWN:
-        say(f"only the first {MOST_SHOWN:,} rows are shown; --csv and --json print them all", style="dim")
+        say(f"only the first {MOST_SHOWN:,} rows are shown; --json prints them all", style="dim")
     return len(rows)
 
 
@@ -383,17 +380,6 @@ def print_json_rows(answer: QueryRows) -> int:
 def row_records(answer: QueryRows) -> Iterator[dict[str, Any]]:
     """Rows as records of `query --json`, streamed."""
     return (dict(zip(answer.columns, map(plain, row), strict=True)) for row in answer.rows)
-
-
-def print_csv(answer: QueryRows) -> int:
-    """Rows as CSV under their names; how many."""
-    writer = csv.writer(sys.stdout, lineterminator="\n")
-    writer.writerow(answer.columns)
-    count = 0
-    for row in answer.rows:
-        writer.writerow(["" if value is None else value for value in row])
-        count += 1
-    return count
 
 
 def plain(value: Any) -> Any:

@@ -219,7 +219,6 @@ def run_ablation(command: AblationCommand) -> None:
         pairs=command.pairs,
         features=tuple(CLI_FEATURES[name] for name in command.features),
         networks=command.networks,
-        labels=command.labels,
         train=TrainConfig(batch=command.batch, epochs=command.epochs, seed=command.seed),
     )
     with progress_bars() as advance:

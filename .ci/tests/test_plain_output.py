@@ -85,7 +85,6 @@ def test_commands_on_hostile_names(hostile: Path) -> None:
         spatialviz(0, "show", labels, 0, "--json"),
         spatialviz(0, "query", run, "SELECT text, target, said FROM records LIMIT 20"),
         spatialviz(0, "query", run, "SELECT text FROM records LIMIT 20", "--json"),
-        spatialviz(0, "query", run, "SELECT text FROM records LIMIT 20", "--csv"),
         spatialviz(0, "failures", run),
         spatialviz(2, "frames", hostile),
         spatialviz(2, "ask", "demo", NASTY, "mug"),

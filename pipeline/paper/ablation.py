@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -31,9 +30,6 @@ from pipeline.training.label_data import PairSet
 from pipeline.training.train import TrainConfig, require_training, train_pairs
 from pipeline.training.training_data import FIRST_ROOM, ROOMS_A_SEED, FrameSamples, view_samples
 
-Protocol = Literal["exact", "seen"]
-"""Labels by the rule on the exact extents of whole objects, or on the noisy extents of what is seen of them."""
-
 HEIGHTS_M, PITCHES_DEG, ROLLS_DEG = (0.7, 2.2), (-2.0, 35.0), (-15.0, 15.0)
 """Of the other cameras."""
 TEST_SHARE = 1 / 3
@@ -53,7 +49,6 @@ class AblationConfig:
     pairs: tuple[int, ...] = (1000, 0)  # numbers of training pairs; 0 for all
     features: tuple[str, ...] = ("geom2d8", "paper30", "rel14")  # feature contracts
     networks: int = 3  # of each variant, with seeds and pairs of their own; their answers are counted together
-    labels: Protocol = "exact"  # see `Protocol`; what is learnt and what is measured against
     train: TrainConfig = field(default_factory=TrainConfig)
 
     def check(self) -> None:
@@ -168,7 +163,7 @@ def measure_variant(views: AblationViews, features: str, pairs: int, config: Abl
     Raises MissingExtra: torch or onnx is not installed.
     """
     require_training()
-    everything = _pairs(views, features, config.labels)
+    everything = _pairs(views, features)
     require(
         pairs <= len(everything),
         "there are not so many pairs to learn from",
@@ -186,18 +181,16 @@ def measure_variant(views: AblationViews, features: str, pairs: int, config: Abl
         with scratch_folder() as folder:
             save_onnx(Path(folder) / "network.onnx", model)
             scorer = OnnxScorer(Path(folder) / "network.onnx")
-        counts += _counts(views, config.labels, lambda frame, s=scorer: s.probabilities(frame.rows[features]))
+        counts += _counts(views, lambda frame, s=scorer: s.probabilities(frame.rows[features]))
     return Variant(features, pairs, counts)
 
 
-def measure_rule(views: AblationViews, labels: Protocol) -> Variant:
+def measure_rule(views: AblationViews) -> Variant:
     """Measure the bare rule on the visible surfaces, the upper bound of a network trained on the rule."""
-    return Variant("rule", None, _counts(views, labels, lambda frame: rule_probabilities(frame.rule)))
+    return Variant("rule", None, _counts(views, lambda frame: rule_probabilities(frame.rule)))
 
 
-def ablation_table(
-    variants: Sequence[Variant], labels: Protocol, test_rooms: int, config: BootstrapConfig | None = None
-) -> Table:
+def ablation_table(variants: Sequence[Variant], test_rooms: int, config: BootstrapConfig | None = None) -> Table:
     """Every variant, and the lead of 3D features over 2D with as many pairs."""
     rows = [Row(_name(v), tuple(v.figures(config=config))) for v in variants]
     flat = {v.pairs: v for v in variants if v.features == "geom2d8"}
@@ -205,16 +198,13 @@ def ablation_table(
         other = flat.get(v.pairs)
         if other is not None and v is not other:
             rows.append(Row(f"{_name(v)}, less 2d", tuple(v.figures(other, config))))
-    source = {
-        "exact": "the rule on the exact extents of whole objects",
-        "seen": "the rule on the noisy extents that are seen, as the features are: imitation of the rule",
-    }[labels]
     return Table(
-        f"ablation-{labels}",
+        "ablation-exact",
         "Feature contracts on rendered rooms",
         COLUMNS,
         tuple(rows),
-        f"Percent. Labels: {source}. Other cameras: {HEIGHTS_M[0]} to {HEIGHTS_M[1]} m high, pitch "
+        "Percent. Labels: the rule on the exact extents of whole objects. "
+        f"Other cameras: {HEIGHTS_M[0]} to {HEIGHTS_M[1]} m high, pitch "
         f"{PITCHES_DEG[0]:.0f} to {PITCHES_DEG[1]:.0f}°, roll up to {ROLLS_DEG[1]:.0f}°. Brackets: 95 % bootstrap "
         f"intervals over {test_rooms} rooms that were not learnt from.",
     )
@@ -236,12 +226,12 @@ def compare_features(
     require_training()
     tell = progress or (lambda what, done, of: None)
     views = ablation_views(config, workers=workers, progress=lambda done, of: tell("rooms", done, of))
-    variants = [] if config.labels == "seen" else [measure_rule(views, config.labels)]
+    variants = [measure_rule(views)]
     asked = [(features, pairs) for pairs in config.pairs for features in config.features]
     for k, (features, pairs) in enumerate(asked, start=1):
         variants.append(measure_variant(views, features, pairs, config))
         tell("variants", k, len(asked))
-    return ablation_table(variants, config.labels, len(views.test))
+    return ablation_table(variants, len(views.test))
 
 
 def _name(variant: Variant) -> str:
@@ -250,28 +240,24 @@ def _name(variant: Variant) -> str:
     return f"{cli_features(variant.features)}, {f'{variant.pairs:,}' if variant.pairs else 'all'} pairs"
 
 
-def _truth(frame: FrameSamples, labels: Protocol) -> np.ndarray:
-    return frame.truth if labels == "exact" else frame.rule
-
-
-def _pairs(views: AblationViews, features: str, labels: Protocol) -> PairSet:
+def _pairs(views: AblationViews, features: str) -> PairSet:
     """Join all training pairs with a known state."""
     values, states = [], []
     for frame in (frame for room in views.train for frame in room):
         apart = ~np.eye(len(frame.seen_lo), dtype=np.bool_)
         values.append(FEATURES[features].pair(frame.rows[features])[apart])
-        states.append(_truth(frame, labels)[apart])
+        states.append(frame.truth[apart])
     found = PairSet(np.concatenate(values).astype(np.float32), np.concatenate(states))
     return found.take(found.learnable("sigmoid"))
 
 
-def _counts(views: AblationViews, labels: Protocol, scored: Callable[[FrameSamples], np.ndarray]) -> np.ndarray:
+def _counts(views: AblationViews, scored: Callable[[FrameSamples], np.ndarray]) -> np.ndarray:
     """(rooms, 2, 6, 3): see `Variant`."""
     found = np.zeros((len(views.test), 2, len(DIRECTIONAL), 3))
     for side, rooms in enumerate((views.test, views.shifted)):
         for k, room in enumerate(rooms):
             for frame in room:
                 apart = ~np.eye(len(frame.seen_lo), dtype=np.bool_)
-                cells = cell_outcomes(scored(frame)[apart], _truth(frame, labels)[apart])
+                cells = cell_outcomes(scored(frame)[apart], frame.truth[apart])
                 found[k, side] += np.stack([cells.tp, cells.fp, cells.fn], axis=-1).sum(axis=0)
     return found
