@@ -315,7 +315,5 @@ class ReviewCommand(OnPictures):
     """Only items of this kind."""
     find: str = ""
     """Only items whose label, reasons or frame hold each of these words."""
-    accept: Flag = False
-    """With --author: accept all items that are shown, as one action that one `undo` takes back."""
     networks: bool = True
     """Ask networks that have not learnt from a label (confident learning); that takes the most time."""

@@ -11,10 +11,9 @@ from typing import Any
 from pipeline.audit.report import AuditReport, audit
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import setting_of
-from pipeline.corrections.journal.events import outcome_record
 from pipeline.corrections.journal.journal import JOURNAL_FILE
 from pipeline.corrections.review.doubts import DoubtConfig
-from pipeline.corrections.review.items import ItemKey, Judgements, PairAgreement, pair_agreements
+from pipeline.corrections.review.items import Judgements, PairAgreement, pair_agreements
 from pipeline.corrections.review.queue import (
     DISAGREE,
     automatic_version,
@@ -26,7 +25,6 @@ from pipeline.corrections.review.queue import (
 from pipeline.corrections.review.worklist import (
     NOTHING,
     Worklist,
-    accept_all,
     read_queue,
     refreshed_worklist,
     worklist,
@@ -58,25 +56,12 @@ def run_review(command: ReviewCommand) -> int:
         write_queue(work.queue, command.out)
     shown = work if command.author is None else work.of_reviewer(judgements.states(command.author))
     places = shown.found(_label, command.find, command.kind, settled=command.all)
-    if command.accept:
-        return _accept(command, labels, [work.keys[place] for place in places[: command.limit]])
     rows = shown.rows(places[: command.limit])
     if command.author is not None:
         rows = [{**row, "reasons": [r for r in row["reasons"] if not r.startswith(DISAGREE)]} for row in rows]
     hidden = work.counts["items"] - len(places)
     command.write(iter(rows), print_queue, work, rows, len(places), hidden, command.out)
     return FINE if places else NO
-
-
-def _accept(command: ReviewCommand, labels: Labels, items: Sequence[ItemKey]) -> int:
-    author = needed(command.author, "--accept needs --author", cause="who accepts them?")
-    corrector = Corrector(labels, command.source.open(labels))
-    with command.journal.open(labels) as journal:
-        done = journal.append(accept_all(items, lambda frame: corrector.frame(frame, journal), author), author)
-    record = outcome_record(done)
-    told = f"accepted {counted(len(items), 'item')}; `spatialviz undo` takes all of them back"
-    command.write(record, lambda _: say(told))
-    return FINE if record["saved"] else NO
 
 
 def _is_reviewed(command: ReviewCommand, labels: Labels) -> bool:

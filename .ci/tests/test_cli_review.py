@@ -58,7 +58,7 @@ def test_a_queue_is_shown_to_a_person(work: Path, words: list[object]) -> None:
     [
         (["--queue", "LABELS/objects.parquet"], "queue"),
         (["--author", "ann", "--all"], "exclude"),
-        (["--accept"], "--author"),
+        (["--accept"], "correct LABELS --edits"),
         (["--no-networks", "--detector", "recorded"], "failures A --compare B"),
         (["--progress"], "journal LABELS"),
     ],

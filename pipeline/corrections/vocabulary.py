@@ -14,7 +14,7 @@ from pipeline.labels.reading import Labels
 from pipeline.language.naming import Synonyms, default_synonyms, normal_form
 
 MOST = 8
-_EXACT, _PREFIX, _WORD, _WITHIN, _NONE = range(5)
+_NONE = 4
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def completions(typed: str, vocabulary: Vocabulary, most: int = MOST) -> tuple[C
     wanted = " ".join(typed.lower().replace("_", " ").split())
     best: dict[str, tuple[tuple[int, ...], Completion]] = {}
     for spoken, name, via in vocabulary._spoken:
-        how = min(_how(wanted, spoken), _how(normal_form(typed), spoken)) if wanted else _PREFIX
+        how = min(_how(wanted, spoken), _how(normal_form(typed), spoken)) if wanted else 0
         known = name in vocabulary.counts
         if how == _NONE or (not wanted and (via or not known)):
             continue
@@ -114,15 +114,11 @@ def completions(typed: str, vocabulary: Vocabulary, most: int = MOST) -> tuple[C
 
 
 def _how(wanted: str, spoken: str) -> int:
-    """Rank of a name for the typed text; `trash can` equals `trashcan`."""
-    if not wanted:
-        return _NONE
-    joined, short = spoken.replace(" ", ""), wanted.replace(" ", "")
-    if joined == short:
-        return _EXACT
-    if joined.startswith(short):
-        return _PREFIX
-    words = spoken.split()
-    if any(" ".join(words[k:]).startswith(wanted) for k in range(1, len(words))):
-        return _WORD
-    return _WITHIN if short in joined else _NONE
+    """Rank of a name for the typed text: 0 the same, 1 to 3 its beginning, a word's or within; _NONE for no match.
+
+    `trash can` equals `trashcan`.
+    """
+    joined, short, words = spoken.replace(" ", ""), wanted.replace(" ", ""), spoken.split()
+    of_word = any(" ".join(words[k:]).startswith(wanted) for k in range(1, len(words)))
+    fits = (joined == short, joined.startswith(short), of_word, short in joined, True)
+    return fits.index(True) if short else _NONE
