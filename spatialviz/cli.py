@@ -188,7 +188,6 @@ REMOVED_OPTIONS = {
         "`show LABELS FRAME --object N` or `--pair A,B` says who set what, `journal --json` has every field",
     ),
     ("review", "--accept"): "accept what a filter finds in the page, or by `correct LABELS --edits FILE`",
-    ("review", "--accept"): "accept what a filter finds in the page, or by `correct LABELS --edits FILE`",
     ("review", "--progress"): "`review LABELS --queue FILE` says how much is left, `journal LABELS` who did what",
     **dict.fromkeys(
         (("review", name) for name in ("--features", "--folds", "--passes", "--seed", "--linter", "--no-linter")),
