@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +17,7 @@ from pipeline.relations.model import install_network
 from pipeline.system.errors import require
 from pipeline.training.card import RoomConfig, train_on_rooms
 from pipeline.training.label_training import LabelTraining, train_on_labels
-from pipeline.training.train import Epoch, TrainConfig
+from pipeline.training.train import TrainConfig
 from spatialviz.cli_models import AblationCommand, InstallCommand, RetrainCommand, TrainCommand
 from spatialviz.options import warn
 from spatialviz.printing import figure, print_rows, print_table, progress_bars, say, table_record
@@ -30,7 +28,6 @@ OF_ROOMS, OF_LABELS = ("rooms", "views", "width", "height", "members"), ("vector
 MEMBERS = 3
 """Networks that the one of rooms is the mean of, where nothing is said."""
 FIGURES = {"precision": "precision", "recall": "recall", "F1": "f1"}
-BARS = "▁▂▃▄▅▆▇█"
 SHOWN_CELLS = 5
 
 
@@ -55,8 +52,14 @@ def run_train(command: TrainCommand) -> None:
         job = LabelTraining(
             Path(command.labels), config, command.split, command.vectors, command.normalised, command.pairs
         )
-        with epoch_bar(command.epochs) as tell:
-            card = train_on_labels(job, command.out, tell)
+        with progress_bars() as advance:
+            card = train_on_labels(
+                job,
+                command.out,
+                lambda e: advance(
+                    "epochs", e.number, command.epochs, f"loss {e.loss:.4f}, held out {figure(e.metric)}"
+                ),
+            )
     command.write(card, print_training if on_rooms else print_label_training, card, command.out)
 
 
@@ -82,30 +85,6 @@ def run_retrain(command: RetrainCommand) -> None:
 def run_install(command: InstallCommand) -> None:
     done = install_network(command.network, command.name, overwrite=command.overwrite)
     command.write({"name": done.stem, "path": str(done)}, say, f"--srm {done.stem} is now {done}")
-
-
-@contextmanager
-def epoch_bar(total: int) -> Iterator[Callable[[Epoch], None]]:
-    """A bar of epochs with the loss and the metric so far, on a terminal; yields a function of an epoch."""
-    seen: list[Epoch] = []
-    with progress_bars() as advance:
-
-        def tell(epoch: Epoch) -> None:
-            seen.append(epoch)
-            curve = f"loss {sparkline([e.loss for e in seen])} {epoch.loss:.4f}"
-            metrics = [e.metric for e in seen if e.metric is not None]
-            if metrics:
-                curve += f"  held out {sparkline(metrics)} {metrics[-1]:.4f}"
-            advance("epochs", epoch.number, total, curve)
-
-        yield tell
-
-
-def sparkline(values: list[float]) -> str:
-    """A curve in one line of text."""
-    low, high = min(values), max(values)
-    span = high - low or 1.0
-    return "".join(BARS[round((v - low) / span * (len(BARS) - 1))] for v in values)
 
 
 def print_label_training(card: dict[str, Any], out: Path) -> None:
