@@ -94,7 +94,7 @@ def test_commands_on_hostile_names(hostile: Path) -> None:
     for each in printed:
         assert not CODES.search(each.out + each.err), each
     assert NASTY in {row["text"][-len(NASTY) :] for row in printed[3].records}
-    assert plain(NASTY) in printed[5].out
+    assert plain(NASTY) in printed[4].out
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a terminal of its own needs a pty")
