@@ -1,6 +1,6 @@
 """Claims of a file: values that are not those of the state of the labels that was exported.
 
-JSON lines are rows as `export --format jsonl` writes them, with some of their keys or all. A key that is absent says
+JSON lines are rows as `export --format jsonl` writes them, in files of its names, with some of their keys or all. A key that is absent says
 nothing; `base` is then that of the rows before. `frame` must be there, and what names the row: `object`; `a` and `b`;
 `id`. A row of objects whose `object` is absent or null is a new one: `label`, and `mask`, `bbox`, or `center`, `R` and
 `size`. COCO files are taken as such rows: see `coco_file`.
@@ -183,10 +183,7 @@ class Claims:
 
     def say_new(self, where: str, frame: str, seed: dict[str, Any], state: ExportedFrom) -> None:
         """Claim a new object; the number follows from the content, so a second import adds nothing."""
-        try:
-            seed = checked(object_ref(frame, FIRST_NEW_OBJECT, "exists"), seed)
-        except InputError as error:
-            return self.problem(where, error)
+        seed = checked(object_ref(frame, FIRST_NEW_OBJECT, "exists"), seed)
         text = json.dumps([frame, seed], sort_keys=True, ensure_ascii=True)
         digest = int(hashlib.sha256(text.encode()).hexdigest()[:15], 16)
         number = FIRST_NEW_OBJECT + digest % (2**31 - FIRST_NEW_OBJECT)
@@ -205,22 +202,20 @@ _CONTEXT = {"frame", "frame_index", "base", "made_by", "provenance"}
 
 
 def read_lines(path: Path, claims: Claims, state_of: StateOf, *, reject_deleted: bool) -> None:
-    """Read a file of rows of any tables; InputError for an unreadable file or an unknown state."""
-    table = path.stem if path.stem in TABLES else None
+    """Read the rows of a table; InputError for an unreadable file, another name or an unknown state."""
+    kind = path.stem
+    expected = " | ".join(f"{table}.jsonl" for table in TABLES)
+    require(kind in TABLES, "no table of an export by its name", got=path.name, expected=expected)
     seen: dict[str, tuple[set[int], ExportedFrom]] = {}
     twice: set[int] = set()
     stated: Any = None
     for where, row in _rows(path, claims):
         stated = row.get("base") or stated
-        try:
-            # What cannot be compared at all is not told line by line.
-            state = state_of(stated)
-        except InputError as error:
-            raise InputError(f"{where}: {error}") from error
+        # What cannot be compared at all is not told line by line.
+        state = state_of(stated)
         with claims.reading(where):
-            kind = table or _table(row)
             frame = _frame(row, claims)
-            name = hash((kind, frame, *(str(row.get(key)) for key in ("object", "a", "b", "id"))))
+            name = hash((frame, *(str(row.get(key)) for key in ("object", "a", "b", "id"))))
             new = kind == "objects" and row.get("object") is None
             require(new or name not in twice, "the second row of the same")
             twice.add(name)
@@ -235,14 +230,7 @@ def read_lines(path: Path, claims: Claims, state_of: StateOf, *, reject_deleted:
 def take_row(kind: str, where: str, row: Row, frame: str, state: ExportedFrom, claims: Claims) -> None:
     """Compare a row of a table with the exported state; InputError where impossible."""
     claims.compared += 1
-    if kind == "objects":
-        _object(where, row, frame, state, claims)
-    elif kind == "relations":
-        _relation(where, row, frame, state, claims)
-    elif kind == "expressions":
-        _expression(where, row, frame, state, claims)
-    else:
-        claims.say_fields(where, row, FieldRef("frame", frame, "", "status"), ("status", "note"), state)
+    _COMPARE[kind](where, row, frame, state, claims)
 
 
 def _rows(path: Path, claims: Claims) -> Iterator[tuple[str, Row]]:
@@ -270,12 +258,6 @@ def _rows(path: Path, claims: Claims) -> Iterator[tuple[str, Row]]:
 def no_number(word: str) -> float:
     """Refuse NaN and infinity in JSON."""
     raise ValueError(f"{word} is no number")
-
-
-def _table(row: Row) -> str:
-    if "a" in row and "b" in row:
-        return "relations"
-    return "expressions" if "id" in row else "objects" if "object" in row or "label" in row else "frames"
 
 
 def _frame(row: Row, claims: Claims) -> str:
@@ -328,40 +310,26 @@ def same_mask(code: Any, was: str | None, size: tuple[int, int]) -> bool:
     return False
 
 
-def check_pair(base: EffectiveFrame, a: int, b: int) -> None:
-    """Refuse a pair outside the export."""
-    require(a != b, "an object has no relation to itself", got=a)
-    for number in (a, b):
-        require(
-            base.pairs.index_of(number) is not None,
-            f"frame {base.frame} had no object {number} that takes part in relations",
-        )
-
-
 def _relation(where: str, row: Row, frame: str, state: ExportedFrom, claims: Claims) -> None:
     a, b = _number(row, "a"), _number(row, "b")
     base = claims.states.frame(frame, state)
-    check_pair(base, a, b)
+    require(a != b, "an object has no relation to itself", got=a)
+    for number in (a, b):
+        known = base.pairs.index_of(number) is not None
+        require(known, f"frame {frame} had no object {number} that takes part in relations")
     relations = base.setting.relations
     for relation in PAIRWISE:
-        if relation in row:
-            _state(where, base, (a, b, relation), row[relation], state, claims)
+        value = row.get(relation)
+        # Nearly all of an export's cells are as they were: only one that is not gets a reference.
+        if relation not in row or (value == base.pairs.state(a, b, relation) and type(value) in (int, type(None))):
+            continue
+        require(relation in relations, f"the labels hold no relation {relation!r}")
+        claims.say(where, relation_ref(frame, a, b, relation), value, state)
     if "statuses" in row:
         statuses = _statuses(row["statuses"], relations)
         had = any(ref.kind == "relation" and ref.key == f"{a},{b}" for ref in base.statuses)
         for relation in relations if statuses or had else ():
             claims.say(where, relation_ref(frame, a, b, f"{relation}.status"), statuses.get(relation), state)
-
-
-def _state(
-    where: str, base: EffectiveFrame, cell: tuple[int, int, str], value: Any, state: ExportedFrom, claims: Claims
-) -> None:
-    """Claim a changed state of a relation; unchanged states of unlabelled relations pass."""
-    # Nearly all of an export's cells are as they were: only one that is not gets a reference.
-    if value == base.pairs.state(*cell) and type(value) in (int, type(None)):
-        return
-    require(cell[2] in base.setting.relations, f"the labels hold no relation {cell[2]!r}")
-    claims.say(where, relation_ref(base.frame, *cell), value, state)
 
 
 def _statuses(listed: Any, relations: tuple[str, ...]) -> dict[str, Any]:
@@ -387,6 +355,13 @@ def _expression(where: str, row: Row, frame: str, state: ExportedFrom, claims: C
     )
     claims.say_fields(where, row, FieldRef("expression", frame, name, "text"), _TEXTS, state)
     _ignore(row, base.expressions.get(name, base.auto.expressions[name]), set(_TEXTS), claims)
+
+
+def _frame_row(where: str, row: Row, frame: str, state: ExportedFrom, claims: Claims) -> None:
+    claims.say_fields(where, row, FieldRef("frame", frame, "", "status"), ("status", "note"), state)
+
+
+_COMPARE = {"objects": _object, "relations": _relation, "expressions": _expression, "frames": _frame_row}
 
 
 def _ignore(row: Row, was: Row, corrected: set[str], claims: Claims) -> None:

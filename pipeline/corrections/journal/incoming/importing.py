@@ -134,15 +134,15 @@ def _read(given: Path, claims: Claims, config: ImportConfig) -> None:
     require(paths, f"no file of a {format.upper()} export here", path=given)
     state_of, reject = _state_of(claims.states, given, config.base), config.deleted == "reject"
     for path in paths:
-        if format == "jsonl":
-            read_lines(path, claims, state_of, reject_deleted=reject)
-            continue
         require(path.name not in _NOT_READ, f"of a COCO export {COCO_FILE} is read", cause=_BY_LINES, path=path)
         with in_file(path):
-            read_instances(load_coco(path), path.name, claims, state_of, reject_deleted=reject)
-        left = [n for n in _NOT_READ if given.is_dir() and (given / n).is_file()]
-        if left:
-            claims.notes[f"not read, for {_BY_LINES} ({', '.join(left)})"] += len(left)
+            if format == "jsonl":
+                read_lines(path, claims, state_of, reject_deleted=reject)
+            else:
+                read_instances(load_coco(path), path.name, claims, state_of, reject_deleted=reject)
+    left = [n for n in _NOT_READ if format == "coco" and given.is_dir() and (given / n).is_file()]
+    if left:
+        claims.notes[f"not read, for {_BY_LINES} ({', '.join(left)})"] += len(left)
 
 
 def _state_of(states: States, given: Path, base: str | None) -> Callable[[Any], ExportedFrom]:
