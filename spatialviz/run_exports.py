@@ -19,9 +19,7 @@ from pipeline.corrections.journal.materialise import materialise
 from pipeline.datasets import Dataset
 from pipeline.labels.exports import export_labels
 from pipeline.labels.exports.exporting import MARK, HubConfig
-from pipeline.labels.plan import load_plan
 from pipeline.labels.reading import Labels, open_labels
-from pipeline.labels.store import LabelStore
 from pipeline.language.counted import counted
 from pipeline.system.errors import require
 from pipeline.system.whole_files import check_target, scratch_folder
@@ -40,13 +38,14 @@ def run_export(command: ExportCommand) -> None:
         not (not command.corrected and command.journal != JournalOptions()),
         "--journal and --project go with --corrected",
     )
-    with _labels(command, automatic) as labels, rate_bar("exporting", "frames") as advance:
+    dataset = None if command.dataset is None else DatasetOptions(dataset=command.dataset).open(automatic)
+    with _labels(command, automatic, dataset) as labels, rate_bar("exporting", "frames") as advance:
         report = export_labels(
             labels,
             command.format,
             command.out,
             images=command.images,
-            dataset=_pictures(command, automatic),
+            dataset=dataset,
             overwrite=command.overwrite,
             options=options,
             progress=advance,
@@ -60,12 +59,11 @@ def run_export(command: ExportCommand) -> None:
 
 
 @contextmanager
-def _labels(command: ExportCommand, automatic: Labels) -> Iterator[Labels]:
+def _labels(command: ExportCommand, automatic: Labels, dataset: Dataset | None) -> Iterator[Labels]:
     """Labels to export: unchanged, or with the journal applied, in a temporary folder."""
     if not command.corrected:
         yield automatic
         return
-
     require(
         automatic.manifest.corrections is None,
         "these labels are corrected already",
@@ -76,23 +74,11 @@ def _labels(command: ExportCommand, automatic: Labels) -> Iterator[Labels]:
     with scratch_folder() as folder:
         where = Path(folder) / "corrected"
         with command.journal.open(automatic, must_exist=True) as journal:
-            dataset = DatasetOptions(dataset=command.dataset).open(automatic)
+            dataset = dataset or DatasetOptions().open(automatic)
             _, found = materialise(automatic, journal, where, dataset=dataset)
         if stale := found.counts["stale"]:
             warn(f"{stale} values are stale: they need the dataset (--dataset)")
         yield open_labels(where)
-
-
-def _pictures(command: ExportCommand, labels: Labels) -> Dataset | None:
-    if command.images != "copy" and not (command.format == "vqa" and command.dataset is not None):
-        return None
-
-    if labels.manifest.corrections is not None:
-        # A folder of corrected labels has no plan; its manifest names the dataset.
-        return None if command.dataset is None else DatasetOptions(dataset=command.dataset).open(labels)
-    plan = load_plan(LabelStore(command.labels))
-    spec = plan.spec if command.dataset is None else type(plan.spec)(command.dataset, plan.spec.options)
-    return spec.open(plan.config).dataset
 
 
 def run_import(command: ImportCommand) -> int:

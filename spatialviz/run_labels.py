@@ -186,32 +186,28 @@ def print_manifest(manifest: Manifest, out: str) -> None:
 
 
 def print_findings(findings: Iterable[Finding], show: int) -> int:
-    """Count findings by rule, then show up to `show` of each, errors first; returns the number of errors.
+    """Count findings by rule, errors first, then show up to `show` of each; returns the number of errors.
 
     Findings may be many: those that are not shown are counted and let go.
     """
     counts: Counter[tuple[str, str]] = Counter()
-    kept: dict[str, dict[str, list[Finding]]] = {}
+    kept: dict[tuple[str, str], list[Finding]] = {}
     for finding in findings:
-        counts[finding.rule, finding.severity] += 1
-        of_rule = kept.setdefault(finding.rule, {"error": [], "warning": []})
-        if len(of_rule[finding.severity]) < show:
-            of_rule[finding.severity].append(finding)
-    rules = sorted(kept, key=lambda r: (not counts[r, "error"], r))
-    if rules:
-        counts_of_rules = ((r, *(_number(counts[r, severity], COLORS[severity]) for severity in COLORS)) for r in rules)
-        print_rows(("rule", ">errors", ">warnings"), counts_of_rules)
-    for rule in rules if show > 0 else ():
+        kind = finding.severity, finding.rule
+        counts[kind] += 1
+        if counts[kind] <= show:
+            kept.setdefault(kind, []).append(finding)
+    rows = ((rule, Text(severity, COLORS[severity]), f"{n:,}") for (severity, rule), n in sorted(counts.items()))
+    if counts:
+        print_rows(("rule", "", ">findings"), rows)
+    for kind, shown in sorted(kept.items()):
         say()
-        shown = [*kept[rule]["error"], *kept[rule]["warning"]][:show]
         for finding in shown:
             say(_line(finding))
-        more = counts[rule, "error"] + counts[rule, "warning"] - len(shown)
-        if more:
-            say(f"and {more:,} more of {rule}", style="dim")
-    errors, warnings = (sum(n for (_, s), n in counts.items() if s == severity) for severity in ("error", "warning"))
-    if rules:
-        say()
+        if more := counts[kind] - len(shown):
+            say(f"and {more:,} more of {kind[1]}", style="dim")
+    errors, warnings = (sum(n for (s, _), n in counts.items() if s == severity) for severity in COLORS)
+    say()
     color = "red" if errors else "yellow" if warnings else "green"
     say(f"{counted(errors, 'error')}, {counted(warnings, 'warning')}", style=color)
     return errors
@@ -229,7 +225,3 @@ def _line(finding: Finding) -> Text:
         finding.message,
         (f"  ({figures})" if figures else "", "dim"),
     )
-
-
-def _number(count: int, color: str) -> Text:
-    return Text(f"{count:,}", color) if count else Text("0", "dim")

@@ -345,25 +345,11 @@ def provenance_rows(root: Path) -> list[dict[str, Any]]:
         return read_parquet(path, columns).to_pylist()
 
 
-Intrinsics = tuple[float, float, float, float]
-
-
-def labelled_dataset(
-    manifest: Manifest,
-    path: str | None = None,
-    *,
-    intrinsics: Intrinsics | None = None,
-    depth_scale: float | None = None,
-    up: str | None = None,
-    level_at: str | None = None,
-    depth_model: str | None = None,
-    poses: str | None = None,
-    registration: tuple[float, ...] | None = None,
-) -> Dataset:
+def labelled_dataset(manifest: Manifest, path: str | None = None, **options: Any) -> Dataset:
     """Open the dataset of labels, at the place then or now, with the declared camera.
 
-    `path`: where it is now. `intrinsics`: fx, fy, cx, cy in pixels, instead of what was declared then. `depth_scale`:
-    depth units in one metre, instead of what was declared then.
+    `path`: where it is now. `options`: arguments of `open_dataset` that say what the camera is, instead of what was
+    declared then: intrinsics, depth_scale, up, level_at, depth_model, poses, registration.
 
     Raises InputError: the labels do not name it, or it cannot be opened.
     """
@@ -371,23 +357,13 @@ def labelled_dataset(
     where = path or named_before(needed(record.get("path") or None, "the labels do not say which dataset they are of"))
     if where == DEMO_NAME and not Path(where).exists():
         where = demo_path()
-    options = dict(record.get("options") or {})
-    if intrinsics is None and options.get("intrinsics"):
-        fx, fy, cx, cy = _numbers(options["intrinsics"], 4, "camera")
-        intrinsics = fx, fy, cx, cy
-    if depth_scale is None and options.get("depth_scale") is not None:
-        (depth_scale,) = _numbers(options["depth_scale"], 1, "depth scale")
-    if registration is None and options.get("registration"):
-        registration = tuple(_numbers(options["registration"], 7, "registration"))
-    return open_dataset(
-        where,
-        intrinsics=intrinsics,
-        depth_scale=depth_scale,
-        depth_model=depth_model or options.get("depth_model"),
-        poses=poses or options.get("poses"),
-        registration=registration,
-        **labelled_up(manifest, {"up": up, "level_at": level_at}),
-    )
+    declared = record.get("options") or {}
+    known = {name: declared[name] for name in ("depth_model", "poses") if declared.get(name)}
+    for name, count in (("intrinsics", 4), ("registration", 7), ("depth_scale", 1)):
+        if declared.get(name) and options.get(name) is None:
+            known[name] = _numbers(declared[name], count, name)
+    given = {name: value for name, value in options.items() if value is not None}
+    return open_dataset(where, **labelled_up(manifest, {**known, **given}))
 
 
 def labelled_up(manifest: Manifest, options: Mapping[str, Any]) -> dict[str, Any]:
@@ -397,10 +373,10 @@ def labelled_up(manifest: Manifest, options: Mapping[str, Any]) -> dict[str, Any
     return dict(options) if any(options.get(n) is not None for n in ("up", "level_at")) else {**options, **known}
 
 
-def _numbers(value: Any, count: int, what: str) -> list[float]:
-    """So many numbers, of a list or of its text."""
-    with as_input_error(f"the labels name a {what} that is none", ValueError, got=Shown(value)):
-        numbers = [float(n) for n in str(value).strip("()[] ").split(",")]
+def _numbers(value: Any, count: int, name: str) -> float | tuple[float, ...]:
+    """So many numbers, of a list or of its text; of one the number itself."""
+    with as_input_error(f"the labels name no {name} of numbers", ValueError, got=Shown(value), expected=count):
+        numbers = tuple(float(n) for n in str(value).strip("()[] ").split(","))
         if len(numbers) != count:
             raise ValueError(f"{len(numbers)} numbers")
-    return numbers
+    return numbers[0] if count == 1 else numbers

@@ -319,7 +319,7 @@ EXPECTED: dict[str, Callable[[FrameView], Expected]] = {
     "semantic-abstraction-published": expected_semantic_abstraction,
     GIVEN: expected_given,
 }
-"""What geometry says under a profile. Of a profile without an entry here, `profile/changed` tells that it has none."""
+"""What geometry says under each profile."""
 
 
 def check_geometry(view: FrameView, expected: Expected) -> Iterator[Finding]:
