@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from pipeline.datasets.demo import DEMO_NAME, demo_path
-from pipeline.datasets.doctor.examine import Examination, apply, examine
-from pipeline.datasets.doctor.overlay import overlay
+from pipeline.datasets.doctor.examine import Examination, apply, examine, overlay
 from pipeline.language.counted import counted
 from spatialviz.cli_ask import DoctorCommand
 from spatialviz.options import FINE, NO

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     )
     from pipeline.datasets.demo import DEMO_EXPRESSION, demo_labels, demo_path, demo_run
     from pipeline.datasets.depth.contract import known_contract, network_names
-    from pipeline.datasets.doctor.examine import Examination, apply, examine
-    from pipeline.datasets.doctor.overlay import overlay
+    from pipeline.datasets.doctor.examine import Examination, apply, examine, overlay
     from pipeline.datasets.frame_names import FrameNames
     from pipeline.datasets.frame_reports import FrameReport, SurveyCounts, survey
     from pipeline.datasets.images import read_color

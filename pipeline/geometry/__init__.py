@@ -14,13 +14,12 @@ if TYPE_CHECKING:
     from pipeline.geometry.lifting import LiftConfig, LiftedObject, Pixel, Quality, clean, depth_edges, extents, lift
     from pipeline.geometry.masks import MaskCrop, RunLength, decode_crop, decode_run_length, encode_run_length
     from pipeline.geometry.normals import surface_normals
-    from pipeline.geometry.outlines import Outlines, agreement
+    from pipeline.geometry.outlines import Outlines, WarpEstimate, estimate_warp
     from pipeline.geometry.palette import RGB, depth_colors, hex_color, ink, instance_colors
     from pipeline.geometry.picture_input import place_picture
     from pipeline.geometry.pose_convention import CONVENTIONS, STANDARD, check_convention, standard_poses
     from pipeline.geometry.registration import Registration, registered
     from pipeline.geometry.viewer import ViewerAxes, resolve_up, viewer_axes
     from pipeline.geometry.viewpoints import viewpoint
-    from pipeline.geometry.warp_search import WarpEstimate, estimate_warp
 
 __getattr__ = lazy_exports(__name__, __file__)

@@ -17,9 +17,9 @@ from pose_files import as_convention
 
 from pipeline.datasets import InMemoryDataset, demo_path, open_dataset, overlay
 from pipeline.datasets.doctor.examine import Examination, examine_frames
-from pipeline.datasets.doctor.hypotheses import Cause, causes
+from pipeline.datasets.doctor.search import Cause, causes
 from pipeline.datasets.doctor.seen import Seen
-from pipeline.datasets.doctor.trying import Opinion, RegionAgreement, diagnosed
+from pipeline.datasets.doctor.suspicions import Opinion, RegionAgreement, Suspicion, diagnosed
 from pipeline.datasets.settings import Settings
 from pipeline.geometry import Frame, Registration, registered
 from pipeline.geometry.pose_convention import CONVENTIONS, composed, standard_poses
@@ -46,6 +46,10 @@ class Doubled:
     measure: RegionAgreement
     beyond: float = 1.0
 
+    @property
+    def suspicion(self) -> Suspicion:
+        return Suspicion(self.opinions, self.measured)
+
     def opinions(self, seen: Seen, known: Sequence[Opinion]) -> list[Opinion]:
         far = float(np.median(seen.frames[0].depth)) > self.beyond
         mend: dict[str, Any] = {"depth_scale": seen.units * 2} if far and seen.units else {}
@@ -65,7 +69,7 @@ BETTER = measured(0.1, 0.1, 0.2, 0.1)
 def test_a_mend_that_helps_is_kept_and_what_follows_sees_it(room: list[Frame]) -> None:
     seen = seen_of(room)
     once = float(np.median(seen.frames[0].depth)) * 0.6
-    (opinion,), mended = diagnosed(seen, [Doubled(BETTER, once)])
+    (opinion,), mended = diagnosed(seen, [Doubled(BETTER, once).suspicion])
     assert (opinion.state, opinion.mend) == ("wrong", {"depth_scale": 2000.0})
     np.testing.assert_allclose(mended.frames[0].depth, room[0].depth / 2)
 
@@ -84,7 +88,7 @@ def test_a_mend_that_does_not_is_withdrawn(
     room: list[Frame], measure: RegionAgreement, beyond: float, why: str
 ) -> None:
     seen = seen_of(room)
-    (opinion,), mended = diagnosed(seen, [Doubled(measure, beyond)])
+    (opinion,), mended = diagnosed(seen, [Doubled(measure, beyond).suspicion])
     assert (opinion.state, opinion.mend, opinion.option) == ("unknown", {}, None)
     assert "tried and withdrawn" in opinion.text
     assert why in opinion.text

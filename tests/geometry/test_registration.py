@@ -16,7 +16,6 @@ from pipeline.geometry import (
     Camera,
     Outlines,
     Registration,
-    agreement,
     check_convention,
     estimate_warp,
     intrinsics,
@@ -26,7 +25,13 @@ from pipeline.geometry import (
     standard_poses,
     to_world,
 )
+from pipeline.geometry.outlines import mean_known
 from pipeline.system import InputError
+
+
+def agreement(outlines: Outlines, warp: Registration) -> float:
+    """Share, 0..1, of depth outlines on edges of colour under a warp, the mean over regions."""
+    return mean_known(outlines.by_region(outlines.near(warp)))
 
 
 def rigid(rng: np.random.Generator) -> np.ndarray:

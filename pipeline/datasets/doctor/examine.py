@@ -8,17 +8,18 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from pipeline.datasets.base import Dataset, load_picture, readable_frames, scene_of
 from pipeline.datasets.doctor.landing import OfLanding
 from pipeline.datasets.doctor.search import PosedViews
 from pipeline.datasets.doctor.seen import Seen
-from pipeline.datasets.doctor.suspicions import OfLevel, OfOutlines, OfSizes
-from pipeline.datasets.doctor.trying import Opinion, Suspicion, diagnosed
+from pipeline.datasets.doctor.suspicions import SUSPICIONS, Opinion, Suspicion, diagnosed
 from pipeline.datasets.opening import open_dataset
 from pipeline.datasets.settings import FILE_NAME, GivenUp, Settings, read_settings, write_settings
 from pipeline.geometry.frame import Frame
+from pipeline.geometry.outlines import Outlines
 from pipeline.geometry.pose_convention import composed
 from pipeline.geometry.registration import Registration
 from pipeline.system.errors import InputError, require
@@ -28,11 +29,6 @@ LONGEST_GAP = 300
 """Frames of one scene that are compared are at most about so many apart."""
 TRIED_UNITS = (1000.0, 5000.0, 1.0, 10000.0, 39.3701, 100.0)
 """Where the depth as read is refused, these units are tried, so that there is something to compare."""
-
-
-SUSPICIONS: tuple[Suspicion, ...] = (OfSizes(), OfOutlines(), OfLevel())
-"""What is looked for after landing, in an order in which none explains another: what landing leaves of the unit, the
-registration of what is mended so far, and up, which mended poses carry."""
 
 
 @dataclass(frozen=True)
@@ -183,7 +179,7 @@ def examine_frames(
     size = Counter(frame.depth.shape for frame in frames).most_common(1)[0][0]
     seen = Seen(dataset, tuple(frame for frame in frames if frame.depth.shape == size), units, settings)
     landing = OfLanding()
-    opinions, mended = diagnosed(seen, (landing, *SUSPICIONS))
+    opinions, mended = diagnosed(seen, (Suspicion(landing.opinions, landing.measured), *SUSPICIONS))
     search = landing.search(seen)
     kept = tuple(_as_kept(opinion, settings) for opinion in opinions)
     ids = tuple(frame.id for frame in seen.frames)
@@ -234,3 +230,43 @@ def apply(found: Examination) -> Path | None:
     up = mends.pop("up", None)
     given = {key: mends.pop(key, None) for key in ("intrinsics", "depth_scale")}
     return write_settings(found.root, **given, up=None if up is None else GivenUp.parse(up), **mends)
+
+
+ON_EDGE, OFF_EDGE = (40, 220, 90), (255, 50, 60)
+"""RGB of outlines that lie on an edge of colour, and of those that do not."""
+MOST_SHOWN = 4
+FADED = 0.55
+
+
+def overlay(found: Examination, most: int = MOST_SHOWN) -> np.ndarray:
+    """Draw examined frames with depth outlines: left as read, right with the fixes applied.
+
+    Where nothing is mended, the right is as the left.
+
+    Returns
+    -------
+    (H, W, 3) uint8
+        RGB; outlines of depth are green where they lie on edges of colour, else red.
+
+    Examples
+    --------
+    >>> from pipeline.datasets import demo_path, examine, overlay
+    >>> picture = overlay(examine(demo_path()), most=1)  # doctest: +SKIP
+    >>> picture.shape  # doctest: +SKIP
+    (480, 1280, 3)
+    """
+    mended = {frame.id: frame for frame in found.mended}
+    shown = [frame for frame in found.as_read if frame.id in mended]
+    shown = [shown[k] for k in np.unique(np.linspace(0, len(shown) - 1, min(most, len(shown))).astype(int))]
+    return np.concatenate([np.concatenate([outlined(f), outlined(mended[f.id])], axis=1) for f in shown])
+
+
+def outlined(frame: Frame) -> np.ndarray:
+    """Faded colour (H, W, 3) uint8 of a frame with depth outlines."""
+    out = cv2.addWeighted(frame.rgb, FADED, np.full_like(frame.rgb, 255), 1 - FADED, 0)
+    found = Outlines.of([frame])
+    near = found.near(Registration.none(frame.camera))
+    size = max(1, round(frame.width / 640))
+    for u, v, on in zip(found.u, found.v, near > 0.5, strict=True):
+        cv2.circle(out, (int(u), int(v)), size, ON_EDGE if on else OFF_EDGE, -1)
+    return out

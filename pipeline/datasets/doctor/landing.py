@@ -7,11 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.datasets.doctor.hypotheses import AS_READ, MIDDLE, SWAPPED, Cause, Hypothesis, other_centers
-from pipeline.datasets.doctor.search import FINE, PosedViews, Range
+from pipeline.datasets.doctor.search import (
+    AS_READ,
+    FINE,
+    MIDDLE,
+    SWAPPED,
+    Cause,
+    Hypothesis,
+    PosedViews,
+    Range,
+    other_centers,
+)
 from pipeline.datasets.doctor.seen import Seen
-from pipeline.datasets.doctor.suspicions import UNITS, only_unit
-from pipeline.datasets.doctor.trying import SUBJECTS, Opinion, RegionAgreement
+from pipeline.datasets.doctor.suspicions import SUBJECTS, UNITS, Opinion, RegionAgreement, only_unit
 from pipeline.datasets.settings import FILE_NAME
 from pipeline.geometry.pose_convention import STANDARD
 from pipeline.language.counted import counted

@@ -3,20 +3,110 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
 import numpy as np
 
 from pipeline.datasets.base import readable_frames
 from pipeline.datasets.doctor.seen import Seen
-from pipeline.datasets.doctor.trying import MOST_LOSS, Opinion, RegionAgreement
 from pipeline.datasets.plausible import annotated_sizes
 from pipeline.datasets.up import Voter, vote
 from pipeline.geometry.level_plane import decided, up_hypotheses
-from pipeline.geometry.outlines import REGIONS, WIDE, Outlines, mean_known
+from pipeline.geometry.outlines import REGIONS, WIDE, Outlines, WarpEstimate, estimate_warp, mean_known
 from pipeline.geometry.registration import Registration
-from pipeline.geometry.warp_search import WarpEstimate, estimate_warp
+
+State = Literal["fine", "wrong", "unknown"]
+SUBJECTS = ("poses", "depth scale", "focal length", "principal point", "registration", "time", "up")
+"""In the order in which they are told."""
+GAINING = 0.7
+"""So many of the regions must gain by a mend."""
+NO_CHANGE = 0.02
+MOST_LOSS = 0.08
+"""A region that changes by less is as good, and none may lose more."""
+
+
+@dataclass(frozen=True)
+class Opinion:
+    """Opinion on a subject."""
+
+    about: str  # One of `SUBJECTS`
+    state: State
+    text: str  # One sentence with its evidence
+    mend: dict[str, Any] = field(default_factory=dict)
+    """What `write_settings` is to keep: intrinsics, depth_scale, poses, pose_shift, registration, up."""
+    option: str | None = None  # The same as a person tells it
+    evidence: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class RegionAgreement:
+    """Agreement of frames before and after a fix, region by region."""
+
+    before: np.ndarray
+    after: np.ndarray  # (R,) float64: 0..1; NaN where a region says nothing
+    least: float  # So much must be gained on average
+
+    @property
+    def refusal(self) -> str | None:
+        """Reason against the fix, or None."""
+        gains = (self.after - self.before)[np.isfinite(self.before) & np.isfinite(self.after)]
+        if not len(gains):
+            return "no region of the picture shows what it does"
+        lost = int((gains < -MOST_LOSS).sum())
+        if lost:
+            return f"{lost} of {len(gains)} regions of the picture agree less with it"
+        gaining = int((gains > NO_CHANGE).sum())
+        if gaining < GAINING * len(gains) or gains.mean() < self.least:
+            return f"{gaining} of {len(gains)} regions of the picture agree better with it"
+        return None
+
+
+def _unmeasured(seen: Seen, mended: Seen) -> tuple[RegionAgreement, ...]:
+    return ()
+
+
+@dataclass(frozen=True)
+class Suspicion:
+    """A possible fault of a recording. Each in turn says what it thinks of its subjects, on the frames as they are with
+    what was mended before. A mend is withdrawn where regions of the picture get worse, or where the mended frames ask
+    for another."""
+
+    opinions: Callable[[Seen, Sequence[Opinion]], list[Opinion]]  # With fixes; given the earlier opinions
+    measured: Callable[[Seen, Seen], tuple[RegionAgreement, ...]] = _unmeasured
+    """Agreement of the frames as they were and with a fix."""
+
+
+def diagnosed(seen: Seen, suspicions: Sequence[Suspicion]) -> tuple[list[Opinion], Seen]:
+    """Opinions on each subject in order of suspicions, and the frames with fixes."""
+    known: list[Opinion] = []
+    for suspicion in suspicions:
+        found = suspicion.opinions(seen, known)
+        if mend := mends_of(found):
+            mended = seen.mended(mend)
+            why = next((why for one in suspicion.measured(seen, mended) if (why := one.refusal)), None)
+            if why is None and mends_of(suspicion.opinions(mended, known)):
+                why = "with it, another one is asked for"
+            found = found if why is None else [withdrawn(opinion, why) for opinion in found]
+            seen = mended if why is None else seen
+        known = [o for o in known if o.about not in {one.about for one in found}] + found
+    order = [*SUBJECTS, *(opinion.about for opinion in known)]
+    return sorted(known, key=lambda opinion: order.index(opinion.about)), seen
+
+
+def mends_of(opinions: Sequence[Opinion]) -> dict[str, Any]:
+    """Fixes of all opinions."""
+    return {key: value for opinion in opinions for key, value in opinion.mend.items()}
+
+
+def withdrawn(opinion: Opinion, why: str) -> Opinion:
+    """Opinion without the fix, after a failed trial."""
+    if not opinion.mend:
+        return opinion
+    text = f"{opinion.text}; tried and withdrawn: {why}"
+    return replace(opinion, state="unknown", text=text, mend={}, option=None)
+
 
 UNITS = {
     1.0: "metres",
@@ -42,34 +132,26 @@ def only_unit(units: float, low: float, high: float) -> float | None:
     return allowed[0] if len(allowed) == 1 else None
 
 
-class OfSizes:
-    """Size test: annotated things of known classes against their class sizes."""
-
-    def opinions(self, seen: Seen, known: Sequence[Opinion]) -> list[Opinion]:
-        landed = next(opinion for opinion in known if opinion.about == "depth scale")
-        if landed.state != "unknown" or not seen.dataset.class_names or seen.units is None:
-            return []
-        wanted = [frame.id for frame in seen.frames[:LOOKED_AT]]
-        annotated = {frame.id: frame.annotations for frame in readable_frames(seen.dataset.load, wanted)}
-        frames = [frame for frame in seen.frames if frame.id in annotated]
-        factors = [annotated_sizes(replace(frame, annotations=annotated[frame.id])) for frame in frames]
-        found = [factor for factor in factors if factor is not None]
-        if 2 * len(found) <= len(frames):
-            return []
-        low, high = max(f.low for f in found), min(f.high for f in found)
-        unit = only_unit(seen.units, 1 / high, 1 / low) if low <= high else None
-        if unit is None:
-            return []
-        things, fitting = sum(f.things for f in found), sum(f.fitting for f in found)
-        text = (
-            f"{fitting} of {things} things of known classes have the size of their class, nearly all with {UNITS[unit]}"
-        )
-        evidence = {"things": float(things), "fitting": float(fitting), "low": 1 / high, "high": 1 / low}
-        return [Opinion("depth scale", "wrong", text, {"depth_scale": unit}, f"--depth-scale {unit:g}", evidence)]
-
-    def measured(self, seen: Seen, mended: Seen) -> tuple[RegionAgreement, ...]:
-        # With its mend the same sizes are looked at again: none may speak for another unit.
-        return ()
+def _sizes(seen: Seen, known: Sequence[Opinion]) -> list[Opinion]:
+    """Compare annotated things of known classes with their class sizes."""
+    landed = next(opinion for opinion in known if opinion.about == "depth scale")
+    if landed.state != "unknown" or not seen.dataset.class_names or seen.units is None:
+        return []
+    wanted = [frame.id for frame in seen.frames[:LOOKED_AT]]
+    annotated = {frame.id: frame.annotations for frame in readable_frames(seen.dataset.load, wanted)}
+    frames = [frame for frame in seen.frames if frame.id in annotated]
+    factors = [annotated_sizes(replace(frame, annotations=annotated[frame.id])) for frame in frames]
+    found = [factor for factor in factors if factor is not None]
+    if 2 * len(found) <= len(frames):
+        return []
+    low, high = max(f.low for f in found), min(f.high for f in found)
+    unit = only_unit(seen.units, 1 / high, 1 / low) if low <= high else None
+    if unit is None:
+        return []
+    things, fitting = sum(f.things for f in found), sum(f.fitting for f in found)
+    text = f"{fitting} of {things} things of known classes have the size of their class, nearly all with {UNITS[unit]}"
+    evidence = {"things": float(things), "fitting": float(fitting), "low": 1 / high, "high": 1 / low}
+    return [Opinion("depth scale", "wrong", text, {"depth_scale": unit}, f"--depth-scale {unit:g}", evidence)]
 
 
 LEAST_FRAMES = 2
@@ -88,20 +170,14 @@ WORTH_PX = 3.0
 """Where the warp moves what is seen by less, at a width of 640, it is not worth declaring."""
 
 
-class OfOutlines:
-    """Registration test by outlines."""
-
-    def opinions(self, seen: Seen, known: Sequence[Opinion]) -> list[Opinion]:
-        return [_registration(seen)]
-
-    def measured(self, seen: Seen, mended: Seen) -> tuple[RegionAgreement, ...]:
-        own, other = ((o, Registration.none(o.camera)) for o in (seen.outlines, mended.outlines))
-        plain = [o.by_region(o.near(none)) for o, none in (own, other)]
-        above = [o.by_region(o.above_chance(none)) for o, none in (own, other)]
-        peaked = np.nan_to_num(above[0]) > REGION_PEAK
-        # A region that is registered as it is may lose nothing to speak of.
-        kept = np.where(peaked & (plain[1] - plain[0] < -KEPT), plain[0] - 2 * MOST_LOSS, plain[1])
-        return RegionAgreement(plain[0], kept, LEAST_GAIN), RegionAgreement(above[0], above[1], LEAST_GAIN_ABOVE)
+def _outlines_measured(seen: Seen, mended: Seen) -> tuple[RegionAgreement, ...]:
+    own, other = ((o, Registration.none(o.camera)) for o in (seen.outlines, mended.outlines))
+    plain = [o.by_region(o.near(none)) for o, none in (own, other)]
+    above = [o.by_region(o.above_chance(none)) for o, none in (own, other)]
+    peaked = np.nan_to_num(above[0]) > REGION_PEAK
+    # A region that is registered as it is may lose nothing to speak of.
+    kept = np.where(peaked & (plain[1] - plain[0] < -KEPT), plain[0] - 2 * MOST_LOSS, plain[1])
+    return RegionAgreement(plain[0], kept, LEAST_GAIN), RegionAgreement(above[0], above[1], LEAST_GAIN_ABOVE)
 
 
 def _registration(seen: Seen) -> Opinion:
@@ -172,14 +248,8 @@ LEAST_NEARER = 0.1
 AXES = {f"{sign}{name}": np.eye(3)[k] * (1 if sign == "+" else -1) for k, name in enumerate("xyz") for sign in "+-"}
 
 
-class OfLevel:
-    """Level-plane test of the declared up."""
-
-    def opinions(self, seen: Seen, known: Sequence[Opinion]) -> list[Opinion]:
-        return [_up(seen, known)]
-
-    def measured(self, seen: Seen, mended: Seen) -> tuple[RegionAgreement, ...]:
-        return (RegionAgreement(1 - _off(seen) / 180, 1 - _off(mended) / 180, LEAST_NEARER),)
+def _level_measured(seen: Seen, mended: Seen) -> tuple[RegionAgreement, ...]:
+    return (RegionAgreement(1 - _off(seen) / 180, 1 - _off(mended) / 180, LEAST_NEARER),)
 
 
 def _up(seen: Seen, known: Sequence[Opinion]) -> Opinion:
@@ -233,3 +303,13 @@ def _agreed(seen: Seen) -> tuple[str | None, str | None]:
 
 def _degrees(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.rad2deg(np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1, 1))))
+
+
+SUSPICIONS = (
+    # With its mend the same sizes are looked at again: none may speak for another unit.
+    Suspicion(_sizes),
+    Suspicion(lambda seen, known: [_registration(seen)], _outlines_measured),
+    Suspicion(lambda seen, known: [_up(seen, known)], _level_measured),
+)
+"""What is looked for after landing, in an order in which none explains another: what landing leaves of the unit, the
+registration of what is mended so far, and up, which mended poses carry."""
