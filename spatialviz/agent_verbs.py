@@ -16,11 +16,11 @@ from pydantic import ConfigDict, Field
 from pipeline.answering.ask import Trace
 from pipeline.datasets.base import resolve_frame
 from pipeline.diagnosis.answer import Answer
-from pipeline.diagnosis.asking import answer, frame_truth, pathless_edits
+from pipeline.diagnosis.asking import pathless_edits
 from pipeline.diagnosis.cases.replay import find_cases, replay_all
 from pipeline.diagnosis.opened import Opened
 from pipeline.diagnosis.whatif import Baseline
-from pipeline.evaluation.run_folder import Run, open_database
+from pipeline.evaluation.run_folder import Run, asked_again, open_database
 from pipeline.system.errors import InputError, needed, require
 from pipeline.system.sql import QueryDatabase
 from spatialviz import cli_runs
@@ -63,23 +63,11 @@ class OpenRun:
 
     def why(self, id: str) -> Answer:
         """Expression of the run answered and judged again as in the run; InputError for an unknown id."""
-        opened, records = self.opened, self.run.records
-        rows = (row for row in records.select(["id", "frame", "text"]).to_pylist() if row["id"] == id)
+        rows = (row for row in self.run.records.select(["id", "frame"]).to_pylist() if row["id"] == id)
         found = needed(
             next(rows, None), "the run has no such expression", got=id, expected="an id of failures or query"
         )
-        frame, text = found["frame"], found["text"]
-        context = opened.pipeline.prepare(frame)
-        truth = frame_truth(opened.pipeline, context, opened.labels)
-        return answer(
-            opened.pipeline,
-            context,
-            text,
-            truth=truth,
-            case=None if truth is None else next((case for case in truth.cases if case.id == id), None),
-            mark=self.run.spec.marks.get((frame, id)),
-            confidence=self.run.spec.confidence,
-        )
+        return asked_again(self.opened, self.run.spec, found["frame"], id)
 
 
 @dataclass(frozen=True)

@@ -81,8 +81,6 @@ class AskCommand(Output):
     save: Path | None = None
     """Write the answer as a picture."""
     labels: Truth = None
-    complete: Flag = False
-    """Ask nothing: print what the words may go on with; without any, examples that fit the frame."""
 
 
 @dataclass(frozen=True)
@@ -126,8 +124,6 @@ class FramesCommand(Output):
     camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
     all: Flag = False
     """List every frame too. --json lists them without it."""
-    plan: str | None = None
-    """FRAME: print where the cameras of its scene stand, seen from above, instead."""
     summary: Flag = False
     """With --json: one JSON object of the counts, in place of a line for each frame."""
     remember: Flag = False

@@ -12,17 +12,16 @@ from pipeline.answering.answer_words import probability, reading_notes, why_no_a
 from pipeline.answering.ask import Trace
 from pipeline.answering.detector_prompts import taken_as, unused_words
 from pipeline.answering.json_records import frame_record, relation_records
-from pipeline.answering.objects import PreparedFrame, all_objects
+from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.pipeline import FrameRelations, Pipeline, open_pipeline, open_sources, relate_frames
 from pipeline.datasets import Dataset, FrameReport, SurveyCounts, survey, write_settings
-from pipeline.datasets.camera_plan import CameraPlan, camera_plan
 from pipeline.datasets.demo import DEMO_NAME, demo_run
 from pipeline.datasets.settings import ASSUMED, DECLARE
 from pipeline.datasets.up import told_up
 from pipeline.diagnosis.answer import Answer
-from pipeline.diagnosis.asking import ask_and_judge, labelled_truth
-from pipeline.diagnosis.suggestions import SURE, MissedNames, completions, missed_names, suggest_questions
+from pipeline.diagnosis.asking import ask_and_judge
+from pipeline.diagnosis.suggestions import SURE, MissedNames, missed_names
 from pipeline.diagnosis.verdict import shown_verdict
 from pipeline.evaluation.run_folder import open_run
 from pipeline.geometry.measure import Measurement, measure
@@ -33,7 +32,7 @@ from pipeline.language.glossary import GlossaryTerm, find_term, glossary, glossa
 from pipeline.language.relation_names import PHRASE, VOCABULARIES
 from pipeline.relations.relations import letter
 from pipeline.synthetic import render_dataset
-from pipeline.system.errors import needed, require
+from pipeline.system.errors import require
 from spatialviz.cli_ask import (
     AskCommand,
     FramesCommand,
@@ -50,8 +49,6 @@ SHOWN_PAIRS = 5
 
 
 def run_ask(command: AskCommand) -> int:
-    if command.complete:
-        return _complete(command)
     require(command.expressions, "an expression is missing", expected='for example "mug left of the laptop"')
     require(
         command.save is None or (command.frame != ALL_FRAMES and len(command.expressions) <= 1),
@@ -87,18 +84,6 @@ def _opened(command: AskCommand) -> tuple[Pipeline, Labels | None, dict[str, Any
         labels=None if command.labels is None else str(command.labels),
     )
     return run.source, run.labels, {"marks": run.spec.marks, "confidence": run.spec.confidence}
-
-
-def _complete(command: AskCommand) -> int:
-    """Print completions of an expression."""
-    source, labels, _ = _opened(command)
-    context = source.prepare(one_frame(source.dataset.frame_ids, command.frame, source.dataset.root))
-    objects = all_objects(context, source.needed_detector())
-    truth = None if labels is None else labelled_truth(context.frame.id, source, labels)
-    offered = suggest_questions(source, context, objects, truth)
-    found = completions(" ".join(command.expressions), offered.names, offered.questions)
-    command.write(iter(found), print_rows, ("text", "kind", "detail"), [tuple(offer.values()) for offer in found])
-    return FINE if found else NO
 
 
 def run_relations(command: RelationsCommand) -> int:
@@ -140,13 +125,6 @@ def _survey_frames(command: FramesCommand, dataset: Dataset, camera: dict[str, A
     if command.remember:
         more = {key: camera[key] for key in ("poses", "registration")}
         write_settings(dataset.root, camera["intrinsics"], camera["depth_scale"], *told_up(dataset), **more)
-    if command.plan is not None:
-        frame = one_frame(dataset.frame_ids, command.plan, dataset.root)
-        plan = needed(
-            camera_plan(dataset, frame), f"fewer than two frames of the scene of {frame} have a pose", path=dataset.root
-        )
-        command.write({**named, **plan.record()}, print_plan, plan)
-        return len(dataset.frame_ids)
     counts, notes = SurveyCounts(), Counter[str]()
     with rate_bar("looking at frames", "frames") as advance:
         if not command.json:
@@ -166,13 +144,6 @@ def _survey_frames(command: FramesCommand, dataset: Dataset, camera: dict[str, A
             say(f"note on {counted(frames, 'frame')}: {note}", style="yellow")
         print_summary(record)
     return record["frames_usable"]
-
-
-def print_plan(plan: CameraPlan) -> None:
-    """Print the cameras of a scene, from above: metres, and degrees counted to the left from the first axis."""
-    say(f"scene {plan.scene}: {counted(len(plan.frame_ids), 'camera')}; metres along the longest spread and across it")
-    for frame, (x, y), (a, b) in zip(plan.frame_ids, plan.positions, plan.headings, strict=True):
-        say(f"  {frame}  {x:7.2f} {y:7.2f}  looks {math.degrees(math.atan2(b, a)):4.0f}°")
 
 
 def run_glossary(command: GlossaryCommand) -> None:

@@ -59,11 +59,6 @@ def test_without_an_answer_or_with_words_left_out_nothing_is_called_true() -> No
     assert "not all of it was used" in spatialviz(1, "ask", "demo", 0, "the laptop to the right of the unicorn").out
 
 
-def test_words_are_completed() -> None:
-    offered = spatialviz(0, "ask", "demo", 0, "mug l", "--complete", "--json").records
-    assert ("left of", "relation") in {(offer["text"], offer["kind"]) for offer in offered}
-
-
 def test_what_does_not_hold_is_told_with_the_nearest_pair_and_by_the_status() -> None:
     assert "no such pair; nearest is" in spatialviz(1, "ask", "demo", 0, BEHIND).out
     answer = spatialviz(1, "ask", "demo", 0, BEHIND, "--json").record["answer"]

@@ -13,7 +13,7 @@ from pipeline.answering.pipeline import Pipeline
 from pipeline.corrections.object_card import FieldLine, ObjectCard
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif.changes import each_edit
-from pipeline.diagnosis.whatif.edit_words import PROFILE_SETTINGS, WEIGHTS, partners
+from pipeline.diagnosis.whatif.edit_words import PROFILE_SETTINGS, WEIGHTS
 from pipeline.diagnosis.whatif.placement import BoxNumbers, box_numbers
 from pipeline.geometry.palette import RGB, hex_color, palette
 from pipeline.language.counted import counted
@@ -120,8 +120,6 @@ def _confidences(state: State, trace: Trace, i: int) -> Iterator[Element]:
 
 
 def _mask_row(state: State, mask: np.ndarray) -> Child:
-    swaps = state.pair is not None and state.selected is not None and set(state.pair[:2]) != {state.selected}
-    other = state.shown.names[partners(state)[1]] if swaps else ""
     buttons = (
         (
             button(f"{pixels:+d} px".replace("-", "−"), f"edit:mask:grow:{pixels}", "grow or shrink its pixels")
@@ -129,9 +127,6 @@ def _mask_row(state: State, mask: np.ndarray) -> Child:
         ),
         button("labelled", "edit:mask:label", "the pixels of the label in place of its own")
         if isinstance(state.judged, Diagnosis)
-        else None,
-        button(f"⇄ {other}", "edit:mask:swap", f"it gets the pixels of {other}, and that one its own", id="edit-swap")
-        if swaps
         else None,
     )
     hint = "Shift and drag over the picture to put a rectangle in place of its pixels."

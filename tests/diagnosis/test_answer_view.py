@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from whatif_scenes import ScoringDetector, context_of, source
 
@@ -15,7 +14,6 @@ from pipeline.diagnosis import (
     BothAnswers,
     Edits,
     OtherAnswer,
-    edit_from_words,
     edits_from_words,
     shown_objects,
 )
@@ -151,6 +149,7 @@ def test_edits_are_said_in_words_one_after_the_other(baseline: Baseline) -> None
         ("dance", "no such edit"),
         ("set:scorer:magic", "no such relation scorer"),
         ("mask:label", "no labelled object"),
+        ("mask:swap", "no such mask"),
         ("relation:2", "probability"),
     ],
 )
@@ -159,14 +158,3 @@ def test_what_is_no_edit_is_refused_in_a_line(baseline: Baseline, said: str, why
         edits_from_words(baseline, Edits(), [said])
     with pytest.raises(InputError, match="no such object"):
         edits_from_words(baseline, Edits(), ["hide"], "#99")
-
-
-def test_masks_are_swapped_between_the_two_of_the_pair(baseline: Baseline) -> None:
-    view = looked_at(baseline)
-    assert view.pair is not None
-    made = edit_from_words("mask:swap", view, baseline.source, baseline.outcome.keys)
-    keys = [baseline.outcome.keys[i] for i in (view.ranked[0].target, view.ranked[0].reference or 0)]
-    assert list(made.masks) == keys
-    size = baseline.context.frame.depth.shape
-    found = made.masks[keys[0]].decoded((size[0], size[1]), "mask")
-    np.testing.assert_array_equal(found, view.shown.objects[view.pair[1]].mask)

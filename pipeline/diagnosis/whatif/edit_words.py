@@ -33,7 +33,7 @@ def edit_from_words(said: str, view: AnswerView, source: Pipeline, keys: tuple[s
     said : str
         Of the selected object "center:AXIS:METRES" (0 right, 1 forward, 2 up), "size:AXIS:METRES" (0 width, 1 height, 2
         depth), "yaw:DEGREES", "hide", "confidence:NAME:P" (NAME counted from 0), "mask:grow:PIXELS", "mask:label",
-        "mask:swap", "mask:rectangle:X0,Y0,X1,Y1" (shares of the picture); of the chosen pair "relation:P"; of the
+        "mask:rectangle:X0,Y0,X1,Y1" (shares of the picture); of the chosen pair "relation:P"; of the
         settings "set:NAME:VALUE".
     keys : tuple of str
         Of the objects of the answer that is shown.
@@ -62,10 +62,9 @@ def edit_from_words(said: str, view: AnswerView, source: Pipeline, keys: tuple[s
             return _relation(view, keys, ends, number_of([p]))
         case "mask", [way, *more]:
             # A new mask is lifted anew: a box that was placed by hand would hide what it does.
-            for key, mask in _masks(view, keys, way, more).items():
-                boxes = {k: box for k, box in edits.boxes.items() if k != key}
-                edits = replace(edits, boxes=boxes).with_mask(key, mask)
-            return edits
+            key, mask = _mask(view, keys, way, more)
+            boxes = {k: box for k, box in edits.boxes.items() if k != key}
+            return replace(edits, boxes=boxes).with_mask(key, mask)
         case "set", [name, value]:
             return _setting(edits, source, name, value)
     raise InputError("there is no such edit", got=said)
@@ -139,33 +138,21 @@ def _relation(view: AnswerView, keys: tuple[str, ...], ends: list[str], p: float
     return view.edits.with_relation(trace.relation, a, b, p)
 
 
-def _masks(view: AnswerView, keys: tuple[str, ...], way: str, more: list[str]) -> dict[str, np.ndarray]:
-    """Masks by key: "grow" PIXELS, the "label"'s, the other's by "swap", or "rectangle" x0,y0,x1,y1."""
+def _mask(view: AnswerView, keys: tuple[str, ...], way: str, more: list[str]) -> tuple[str, np.ndarray]:
+    """Mask of the selected object, after its key: "grow" PIXELS, the "label"'s, or "rectangle" x0,y0,x1,y1."""
     (key, entry), frame = _selected(view, keys), _loaded(view).context.frame
     match way:
         case "grow":
-            return {key: grown(entry.mask, int(number_of(more)))}
+            return key, grown(entry.mask, int(number_of(more)))
         case "rectangle":
             corners = [number_of([part]) for part in ":".join(more).split(",")]
             require(len(corners) == 4, "a rectangle has four numbers", got=":".join(more))
-            return {key: rectangle(frame.height, frame.width, (corners[0], corners[1], corners[2], corners[3]))}
+            return key, rectangle(frame.height, frame.width, (corners[0], corners[1], corners[2], corners[3]))
         case "label":
             truth = view.judged.truth if isinstance(view.judged, Diagnosis) else None
             found = None if truth is None else labelled_mask(truth, entry.bbox, frame.height, frame.width)
-            return {key: needed(found, "no labelled object with a mask is where the selected one is")}
-    require(way == "swap", "there is no such mask", got=way, expected="grow, rectangle, label or swap")
-    a, b = partners(view)
-    key_of = {shown: keys[t] for t, shown in view.shown.place.items()}
-    return {key_of[a]: view.shown.objects[b].mask, key_of[b]: view.shown.objects[a].mask}
-
-
-def partners(view: AnswerView) -> tuple[int, int]:
-    """Partners of a mask swap: the selected object, and the other end of the chosen pair."""
-    if view.pair is None or view.selected is None or view.selected not in view.shown.place.values():
-        raise InputError("swapping takes a selected candidate and a chosen pair")
-    other = view.pair[0] if view.selected != view.pair[0] else view.pair[1]
-    require(other != view.selected, "an object cannot swap with itself")
-    return view.selected, other
+            return key, needed(found, "no labelled object with a mask is where the selected one is")
+    raise InputError("there is no such mask", got=way, expected="grow, rectangle or label")
 
 
 def _setting(edits: Edits, source: Pipeline, name: str, value: str) -> Edits:
