@@ -11,7 +11,7 @@ from pipeline.system.lazy_exports import lazy_exports
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from pipeline.corrections.confirming import right_objects, right_pair, why_not_kept
+    from pipeline.corrections.confirming import right_pair, why_not_kept
     from pipeline.corrections.draft import (
         Draft,
         edits_of_draft,

@@ -69,12 +69,6 @@ def right_pair(editor: LabelEditor, trace: Trace, pair: ScoredPair) -> Edits:
     return new
 
 
-def right_objects(frame: EffectiveFrame, query: Query, a: int, b: int) -> Edits:
-    """The edits by which a question means two labelled objects, whatever was answered; raises as `right_pair`."""
-    words = needed(words_of(query), "only a relation between two names can mean two objects", got=query.text)
-    return add_sentence(frame, query.text, words, a, b, REASON)
-
-
 def words_of(query: Query) -> tuple[str, str, str] | None:
     """Target, relation and reference of a question; None for any other form."""
     e, top = query.expression, query.default.root.triple

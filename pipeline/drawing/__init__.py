@@ -8,6 +8,6 @@ from pipeline.system.lazy_exports import lazy_exports
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from pipeline.drawing.gestures import Canvas, Gesture, gesture_of, read_gesture
+    from pipeline.drawing.gestures import Canvas, Gesture, read_gesture
 
 __getattr__ = lazy_exports(__name__, __file__)

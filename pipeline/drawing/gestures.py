@@ -6,24 +6,32 @@ A pixel belongs to a shape where its centre does; that of pixel (u, v) is
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.answering.objects import PreparedFrame
 from pipeline.drawing.depth_region import LEAST, MOST, TOLERANCE, Surface, grown_region, surface_of
 from pipeline.proposals.depth_segmenter import DepthSegmenter
-from pipeline.system.errors import InputError, Shown, require
+from pipeline.system.errors import InputError, require
+from pipeline.system.reading import checked
 
 Kind = Literal["stroke", "polygon", "rectangle", "surface", "depth", "cut"]
-FEWEST: dict[Kind, int] = {"stroke": 1, "polygon": 3, "rectangle": 2, "surface": 2, "depth": 1, "cut": 2}
-"""Points that each kind needs. "rectangle" is all between two corners, "surface" what the depth segmenter finds there,
-"depth" the surfaces around points, "cut" a line across a mask, or around a part of it."""
 MOST_POINTS = 5000
+POINTS: dict[Kind, tuple[int, int]] = {
+    "stroke": (1, MOST_POINTS),
+    "polygon": (3, MOST_POINTS),
+    "rectangle": (2, 2),
+    "surface": (2, 2),
+    "depth": (1, MOST_POINTS),
+    "cut": (2, MOST_POINTS),
+}
+"""Points that each kind needs, at least and at most. "rectangle" is all between two corners, "surface" what the depth
+segmenter finds there, "depth" the surfaces around points, "cut" a line across a mask, or around a part of it."""
 BEYOND = 1.0
 """A hand may leave the picture by as many times its size."""
 CLOSED = 0.12
@@ -34,10 +42,7 @@ THINNEST = 0.7072
 
 @dataclass(frozen=True)
 class Gesture:
-    """One movement of a hand over a picture.
-
-    Raises InputError: an unknown kind, a wrong number of points, or a radius or tolerance out of range.
-    """
+    """One movement of a hand over a picture."""
 
     kind: Kind
     points: np.ndarray  # (N, 2) float64: x, y in pixels
@@ -45,87 +50,37 @@ class Gesture:
     radius: float = 1.0  # of a stroke, pixels
     tolerance: float = TOLERANCE
 
-    def __post_init__(self) -> None:
-        require(self.kind in FEWEST, "no such tool", got=repr(self.kind)[:40], expected=" | ".join(FEWEST))
-        require(isinstance(self.adds, bool), "a tool adds or removes: true or false", got=repr(self.adds)[:40])
-        points = self.points
-        fewest, exact = FEWEST[self.kind], self.kind in ("rectangle", "surface")
-        if len(points) < fewest or (exact and len(points) != fewest):
-            expected = "two corners" if exact else f"at least {fewest}"
-            raise InputError(f"not the points of a {self.kind}", got=len(points), expected=expected)
-        require(
-            len(points) <= MOST_POINTS,
-            f"a {self.kind} has too many points",
-            got=len(points),
-            expected=f"at most {MOST_POINTS}",
-        )
-        require(
-            math.isfinite(self.radius) and self.radius >= 0,
-            "the radius of a brush must be a positive number",
-            got=self.radius,
-        )
-        require(
-            LEAST <= self.tolerance <= MOST,
-            "the tolerance is out of range",
-            got=self.tolerance,
-            expected=f"{LEAST} to {MOST}",
-        )
+
+class _Message(BaseModel):
+    """A gesture as it is written in JSON."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+    do: Kind
+    at: Annotated[list[Annotated[list[float], Field(min_length=2, max_length=2)]], Field(max_length=MOST_POINTS)]
+    add: bool = True
+    radius: Annotated[float, Field(ge=0)] | None = None
+    tolerance: Annotated[float, Field(ge=LEAST, le=MOST)] = TOLERANCE
 
 
-def gesture_of(kind: Any, points: Any, height: int, width: int, *, fractions: bool = False, **more: Any) -> Gesture:
-    """A gesture from numbers that nobody has checked.
+def read_gesture(message: Any, height: int, width: int, *, fractions: bool = True) -> Gesture:
+    """A gesture from JSON: {"do", "at": [[x, y], ...], "add", "radius", "tolerance"}.
 
-    `points`: pixels, or with `fractions` shares of width and height; a radius is then a share of the width. `more`:
-    `adds`, `radius`, `tolerance` of the gesture.
+    `fractions`: points are shares of width and height, a radius is one of the width; otherwise both are pixels.
 
-    Raises InputError: points outside of the picture, or no such gesture.
+    Raises InputError: no such message, points outside of the picture, or no such gesture.
     """
-    require(
-        not isinstance(points, (list, tuple)) or len(points) <= MOST_POINTS,
-        "too many points",
-        got=lambda: len(points),
-        expected=f"at most {MOST_POINTS}",
-    )
-    try:
-        found = np.array(points, np.float64)
-    except (TypeError, ValueError, OverflowError):
-        found = np.zeros(0)
-    require(found.ndim == 2 and found.shape[1:] == (2,), "points must be a list of [x, y]", got=Shown(points))
-    require(np.isfinite(found).all(), "points must be finite numbers")
-    scale = np.array([width, height], np.float64)
-    if fractions:
-        found = found * scale
-    require(
-        not (found < -BEYOND * scale).any() and not (found > (1 + BEYOND) * scale).any(),
-        "points are outside of the picture",
-        expected=f"{width}x{height} pixels",
-    )
-    for name in ("radius", "tolerance"):
-        require(
-            name not in more or (not isinstance(more[name], bool) and isinstance(more[name], (int, float))),
-            f"the {name} must be a number",
-            got=repr(more.get(name))[:40],
-        )
-    if "radius" in more:
-        more["radius"] = float(more["radius"]) * (width if fractions else 1)
-        require(not more["radius"] > max(height, width), "the brush is larger than the picture", got=more["radius"])
-    return Gesture(kind if isinstance(kind, str) else repr(kind), found, **more)  # pyright: ignore[reportArgumentType]
-
-
-def read_gesture(message: Any, height: int, width: int) -> Gesture:
-    """A gesture as the page sends it: {"do", "at": [[x, y], ...], "add", "radius", "tolerance"}, in fractions.
-
-    Raises InputError: no such message, or no such gesture.
-    """
-    require(
-        isinstance(message, Mapping) and not set(message) - {"do", "at", "add", "radius", "tolerance"},
-        "not a movement of a tool",
-        got=Shown(message),
-    )
-    more = {name: message[name] for name in ("radius", "tolerance") if name in message}
-    return gesture_of(
-        message.get("do"), message.get("at"), height, width, fractions=True, adds=message.get("add", True), **more
-    )
+    told = checked(_Message.model_validate, message, "not a movement of a tool: {}")
+    fewest, most = POINTS[told.do]
+    wrong, expected = f"not the points of a {told.do}", "two corners" if most == 2 else f"at least {fewest}"
+    require(fewest <= len(told.at) <= most, wrong, got=len(told.at), expected=expected)
+    size = np.array([width, height], np.float64)
+    points = np.array(told.at, np.float64) * (size if fractions else 1.0)
+    inside = ((points >= -BEYOND * size) & (points <= (1 + BEYOND) * size)).all()
+    require(inside, "points are outside of the picture", expected=f"{width}x{height} pixels")
+    radius = 1.0 if told.radius is None else told.radius * (width if fractions else 1.0)
+    require(radius <= max(height, width), "the brush is larger than the picture", got=radius)
+    return Gesture(told.do, points, told.add, radius, told.tolerance)
 
 
 @dataclass

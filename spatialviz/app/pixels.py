@@ -22,7 +22,7 @@ from pipeline.corrections.journal.events import Conflict, Event
 from pipeline.corrections.journal.field_refs import same_value
 from pipeline.corrections.label_view import LabelView, paired
 from pipeline.corrections.vocabulary import vocabulary_of
-from pipeline.drawing.gestures import Canvas, Gesture, gesture_of, read_gesture
+from pipeline.drawing.gestures import Canvas, Gesture, read_gesture
 from pipeline.geometry.palette import depth_colors, hex_color
 from pipeline.system.errors import InputError, as_input_error, needed, require
 from spatialviz.app.channel import Command
@@ -317,4 +317,4 @@ class Pixels(LabelPart):
 def _rectangle(corners: list[str], draft: Draft) -> Gesture:
     with as_input_error("not a rectangle", ValueError, got=",".join(corners)[:60]):
         x0, y0, x1, y1 = map(float, corners)
-    return gesture_of("surface", [[x0, y0], [x1, y1]], draft.height, draft.width, fractions=True)
+    return read_gesture({"do": "surface", "at": [[x0, y0], [x1, y1]]}, draft.height, draft.width)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from pipeline.answering import PreparedFrame
 from pipeline.corrections.draft import split_by_depth, split_by_line, split_by_polygon
-from pipeline.drawing import Canvas, Gesture, gesture_of, read_gesture
+from pipeline.drawing import Canvas, Gesture, read_gesture
 from pipeline.drawing.depth_region import Surface, grown_region, surface_of
 from pipeline.drawing.gestures import (
     THINNEST,
@@ -280,18 +280,18 @@ HOSTILE: list[tuple[Any, str]] = [
     (None, "movement"),
     ([], "movement"),
     ({"do": "stroke", "at": [[0.5, 0.5]], "evil": 1}, "movement"),
-    ({"do": "rm -rf", "at": [[0.5, 0.5]]}, "no such tool"),
-    ({"do": ["stroke"], "at": [[0.5, 0.5]]}, "no such tool"),
-    ({"do": "stroke", "at": []}, "list of"),
-    ({"do": "stroke", "at": [[0.5]]}, "list of"),
-    ({"do": "stroke", "at": [[0.5, 0.5, 0.5]]}, "list of"),
-    ({"do": "stroke", "at": "0.5,0.5"}, "list of"),
-    ({"do": "stroke", "at": [[0.5, "x"]]}, "list of"),
-    ({"do": "stroke", "at": [[0.5, 0.5], [0.1]]}, "list of"),
+    ({"do": "rm -rf", "at": [[0.5, 0.5]]}, "expected 'stroke'"),
+    ({"do": ["stroke"], "at": [[0.5, 0.5]]}, "expected 'stroke'"),
+    ({"do": "stroke", "at": []}, "points of a stroke"),
+    ({"do": "stroke", "at": [[0.5]]}, "at least 2"),
+    ({"do": "stroke", "at": [[0.5, 0.5, 0.5]]}, "at most 2"),
+    ({"do": "stroke", "at": "0.5,0.5"}, "a list"),
+    ({"do": "stroke", "at": [[0.5, "x"]]}, "a number"),
+    ({"do": "stroke", "at": [[0.5, 0.5], [0.1]]}, "at least 2"),
     ({"do": "stroke", "at": [[float("nan"), 0.5]]}, "finite"),
     ({"do": "stroke", "at": [[float("inf"), 0.5]]}, "finite"),
     ({"do": "stroke", "at": [[1e300, 0.5]]}, "outside"),
-    ({"do": "stroke", "at": [[10**400, 0.5]]}, "list of"),
+    ({"do": "stroke", "at": [[10**400, 0.5]]}, "a number"),
     ({"do": "stroke", "at": [[1.5, 1.5]], "radius": 0.01}, "no pixel"),
     ({"do": "stroke", "at": [[0.5, 0.5]], "radius": float("nan")}, "radius"),
     ({"do": "stroke", "at": [[0.5, 0.5]], "radius": -1}, "radius"),
@@ -299,7 +299,7 @@ HOSTILE: list[tuple[Any, str]] = [
     ({"do": "stroke", "at": [[0.5, 0.5]], "radius": "2"}, "number"),
     ({"do": "stroke", "at": [[0.5, 0.5]], "radius": True}, "number"),
     ({"do": "stroke", "at": [[0.5, 0.5]], "add": "yes"}, "true or false"),
-    ({"do": "stroke", "at": [[0.5, 0.5]] * 100_000}, "too many"),
+    ({"do": "stroke", "at": [[0.5, 0.5]] * 100_000}, "at most 5000"),
     ({"do": "polygon", "at": [[0.1, 0.1], [0.2, 0.2]]}, "points of a polygon"),
     ({"do": "polygon", "at": [[0.1, 0.1], [0.2, 0.2], [0.3, 0.3]]}, "no pixel"),
     ({"do": "rectangle", "at": [[0.1, 0.1]]}, "two corners"),
@@ -327,7 +327,7 @@ def test_fractions_are_of_the_picture() -> None:
 
 
 def test_what_follows_the_depth_needs_the_picture() -> None:
-    seed = gesture_of("depth", [[40, 30]], HEIGHT, WIDTH)
+    seed = read_gesture({"do": "depth", "at": [[40, 30]]}, HEIGHT, WIDTH, fractions=False)
     with pytest.raises(InputError, match="pictures"):
         drawn(seed, HEIGHT, WIDTH)
     depth = np.full((HEIGHT, WIDTH), 3.0)
@@ -335,9 +335,11 @@ def test_what_follows_the_depth_needs_the_picture() -> None:
     canvas = Canvas(PreparedFrame(frame_of(depth), LiftConfig()))
     region = drawn(seed, HEIGHT, WIDTH, canvas)
     np.testing.assert_array_equal(region, depth == 1.5)
-    found = drawn(gesture_of("surface", [[27, 17], [63, 48]], HEIGHT, WIDTH), HEIGHT, WIDTH, canvas)
+    corners = [[27, 17], [63, 48]]
+    surface = read_gesture({"do": "surface", "at": corners}, HEIGHT, WIDTH, fractions=False)
+    found = drawn(surface, HEIGHT, WIDTH, canvas)
     assert (found & region).sum() / (found | region).sum() > 0.85
-    bare = drawn(gesture_of("rectangle", [[27, 17], [63, 48]], HEIGHT, WIDTH), HEIGHT, WIDTH)
+    bare = drawn(Gesture("rectangle", np.array(corners, float)), HEIGHT, WIDTH)
     assert bare.sum() == 36 * 31
 
 

@@ -21,7 +21,7 @@ from pipeline.corrections.journal.events import Conflict, Edit, Rival, Saved
 from pipeline.corrections.journal.field_refs import OF_ALL, FieldRef, Kind, box_of, judged_item
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.side_views import drag_box
-from pipeline.drawing.gestures import Canvas, drawn, gesture_of
+from pipeline.drawing.gestures import Canvas, drawn, read_gesture
 from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import InputError, require
 from pipeline.system.reading import checked
@@ -49,7 +49,8 @@ class Shapes(BaseModel):
         corners, kind = self.polygon, "polygon"
         if self.rectangle is not None:
             corners, kind = [self.rectangle[:2], self.rectangle[2:]], "surface" if surface else "rectangle"
-        return drawn(gesture_of(kind, corners, height, width), height, width, canvas)
+        gesture = read_gesture({"do": kind, "at": corners}, height, width, fractions=False)
+        return drawn(gesture, height, width, canvas)
 
 
 class Action(BaseModel):
