@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from pipeline.corrections.journal.connection import is_url
 from pipeline.corrections.journal.field_refs import shown_value
 from pipeline.corrections.journal.incoming.importing import (
     ImportConfig,
@@ -22,6 +21,7 @@ from pipeline.labels.exports.exporting import MARK, HubConfig
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.counted import counted
 from pipeline.system.errors import require
+from pipeline.system.remote import is_url
 from pipeline.system.whole_files import check_target, scratch_folder
 from spatialviz.cli_labels import ExportCommand, ImportCommand
 from spatialviz.options import BAD, FINE, NO, DatasetOptions, JournalOptions, warn

@@ -16,15 +16,15 @@ from datetime import datetime
 from pathlib import Path
 from threading import Lock
 
-from pipeline.corrections.journal.connection import is_url
+from pipeline.corrections.journal.connection import without_password
 from pipeline.corrections.journal.events import new_ulid
 from pipeline.corrections.journal.examining import DamagedJournal
 from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, journal_of
-from pipeline.corrections.journal.postgres import without_password
 from pipeline.corrections.review.label_jobs import LabelJobs
 from pipeline.corrections.unsaved import Unsaved, unsaved_actions
 from pipeline.labels.reading import Labels
 from pipeline.system.errors import InputError
+from pipeline.system.remote import is_url
 from pipeline.system.whole_files import write_synced
 
 

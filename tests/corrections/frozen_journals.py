@@ -14,7 +14,7 @@ from typing import Any
 
 from pipeline.corrections import Event, open_journal
 from pipeline.corrections.journal import sqlite_file
-from pipeline.corrections.journal.postgres import PostgresStore
+from pipeline.corrections.journal.connection import PostgresStore
 
 _STEPS = ("sqlite3.connect", "os.rename", "os.remove", "os.link")
 """Audit events that are steps of opening a journal, beside its statements."""

@@ -17,9 +17,8 @@ from postgres_cluster import Cluster, missing, started_cluster
 from waiting import LONG_S, wait_until
 
 from pipeline.corrections import Edit, Journal, NotSaved, Saved, object_ref, open_journal, redo, undo
-from pipeline.corrections.journal import postgres
-from pipeline.corrections.journal.connection import likely_cause, reason_of
-from pipeline.corrections.journal.postgres import PostgresStore, without_password
+from pipeline.corrections.journal import connection
+from pipeline.corrections.journal.connection import PostgresStore, likely_cause, reason_of, without_password
 from pipeline.system import InputError
 
 NAME = object_ref("f", 1, "label")
@@ -180,7 +179,7 @@ def test_a_server_that_never_answers_is_waited_for_once(monkeypatch: pytest.Monk
         with pytest.raises(InputError, match=r"the server does not answer.*cannot be reached"):
             open_journal(where)
         assert time.monotonic() - began < 1.0
-        monkeypatch.setattr(postgres, "_away", {})
+        monkeypatch.setattr(connection, "_away", {})
         with pytest.raises(InputError, match=r"connection timeout expired"):
             open_journal(where)
 
@@ -189,8 +188,8 @@ def test_a_server_that_falls_silent_is_left_alone_until_it_answers(
     locked: Cluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PGPASSWORD", SECRET)
-    monkeypatch.setattr(postgres, "PING_S", LONG_S)
-    monkeypatch.setattr(postgres, "AGAIN_S", 1.0)
+    monkeypatch.setattr(connection, "PING_S", LONG_S)
+    monkeypatch.setattr(connection, "AGAIN_S", 1.0)
     with open_journal(locked.url, project="silence") as journal:
         assert isinstance(journal.append([Edit(NAME, None, "cup")], "ann"), Saved)
         master = int((locked.folder / "data/postmaster.pid").read_text().split()[0])
@@ -200,7 +199,7 @@ def test_a_server_that_falls_silent_is_left_alone_until_it_answers(
         of_it = [master, *map(int, children.read_text().split())]
         for process in of_it:
             os.kill(process, signal.SIGSTOP)
-        monkeypatch.setattr(postgres, "PING_S", 0.1)
+        monkeypatch.setattr(connection, "PING_S", 0.1)
         try:
             with pytest.raises(InputError, match="cannot be read"):
                 journal.events()
@@ -209,7 +208,7 @@ def test_a_server_that_falls_silent_is_left_alone_until_it_answers(
         finally:
             for process in of_it:
                 os.kill(process, signal.SIGCONT)
-        monkeypatch.setattr(postgres, "PING_S", LONG_S)
+        monkeypatch.setattr(connection, "PING_S", LONG_S)
         done: list[object] = []
 
         def saved() -> bool:

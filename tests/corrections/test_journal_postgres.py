@@ -29,8 +29,8 @@ from pipeline.corrections import (
     relation_ref,
     undo,
 )
-from pipeline.corrections.journal import postgres
-from pipeline.corrections.journal.postgres import ServerError
+from pipeline.corrections.journal import connection
+from pipeline.corrections.journal.connection import ServerError
 from pipeline.system import InputError
 
 LEFT = relation_ref("scene/0", 1, 2, "left")
@@ -135,20 +135,20 @@ def test_a_writer_waits_for_its_turn_and_not_for_ever(database: str, monkeypatch
                     done.result(0.1)
             assert isinstance(done.result(60), Saved)
         with ann.store.writing():
-            monkeypatch.setattr(postgres, "BUSY_S", 0.02)
+            monkeypatch.setattr(connection, "BUSY_S", 0.02)
             with pytest.raises(NotSaved, match="another program holds the journal"):
                 bob.append([Edit(LEFT, 1, 0, 1)], "bob")
 
 
 @pytest.mark.slow
 def test_a_writer_that_says_nothing_loses_its_turn(database: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    usual = postgres.IDLE_S
+    usual = connection.IDLE_S
     with open_journal(database, project="idle") as ann, open_journal(database, project="idle") as bob:
 
         def lost() -> None:
-            monkeypatch.setattr(postgres, "IDLE_S", 0.3)
+            monkeypatch.setattr(connection, "IDLE_S", 0.3)
             with ann.store.writing():
-                monkeypatch.setattr(postgres, "IDLE_S", usual)
+                monkeypatch.setattr(connection, "IDLE_S", usual)
                 assert isinstance(bob.append([Edit(LEFT, -1, 1)], "bob"), Saved)
 
         with pytest.raises(ServerError):

@@ -10,33 +10,168 @@ is intact of it is written into a new one.
 from __future__ import annotations
 
 import os
+import re
+import socket
 import sqlite3
+import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from itertools import count
 from pathlib import Path
+from threading import Timer
 from typing import Any
 
 from pipeline.corrections.journal.chain import (
     BEFORE,
     CONTENT,
     FIRST,
+    FORBIDDEN,
     STORED,
     VERSION,
     Head,
     Run,
     Store,
+    begin,
     head_of,
     judged,
     judged_alone,
+    made,
     rows,
     version_of,
     write_rows,
 )
-from pipeline.corrections.journal.examining import Examined, empty_file, examine, is_empty, known_version, read_only
-from pipeline.corrections.journal.postgres import PostgresStore
+from pipeline.corrections.journal.examining import Examined, examine, known_version, read_only, require_content
 from pipeline.corrections.journal.sqlite_file import SqliteStore, plain_reason
-from pipeline.system.errors import InputError, as_input_error, require
+from pipeline.system.errors import InputError, as_input_error, extra_module, require
+from pipeline.system.remote import is_url
+
+CONNECT_S = 3
+PING_S = 2.0
+"""A connection that says nothing for so long when it is taken up again is broken."""
+BUSY_S = 60.0
+"""How long a writer waits for its turn."""
+IDLE_S = 20.0
+"""A writer that says nothing for so long loses its turn: nobody waits for one that the network has lost."""
+AGAIN_S = 10.0
+"""How long a server that did not answer is not asked again."""
+KEPT = "events_before_chain"
+_ADVISORY = 0x5350_4A4C
+"""Key of the lock by which writers take turns: events are numbered in the order of their saving."""
+_DEFAULTS = {
+    "connect_timeout": CONNECT_S,
+    "fallback_application_name": "spatialviz",
+    # A peer that the network has lost is noticed (postgresql.org/docs/current/libpq-connect.html).
+    "keepalives_idle": 10,
+    "keepalives_interval": 5,
+    "keepalives_count": 3,
+    "tcp_user_timeout": 10_000,
+}
+_PASSWORD = re.compile(r"(?<=://)([^:/@]*):.*@")
+_SECRETS = re.compile(r"(?<=[?&])[^&=]*password[^&]*&?", re.IGNORECASE)
+_away: dict[str, float] = {}
+"""Servers that did not answer, by location, until when they are not asked."""
+
+
+class ServerError(OSError):
+    """Error of a server or on the way to it, with its SQLSTATE where it has one."""
+
+    def __init__(self, error: Exception) -> None:
+        super().__init__(str(error).rpartition("FATAL:  ")[2])
+        self.state: str = getattr(error, "sqlstate", None) or ""
+
+
+class PostgresStore(Store):
+    """`Store` at a URL "postgresql://..."; InputError for an unusable URL, MissingExtra without the driver."""
+
+    server, selected, zone = True, "{}::text", "+00"
+    table_names = "SELECT tablename FROM pg_tables WHERE schemaname = current_schema()"
+
+    def __init__(self, where: str) -> None:
+        scheme = where.partition("://")[0]
+        known = scheme in ("postgresql", "postgres")
+        require(known, "no such kind of journal", got=scheme, expected="a path, or postgresql://...")
+        self._driver = extra_module("psycopg", "a journal in PostgreSQL", "postgres")
+        super().__init__(without_password(where))
+        try:
+            self._login = {**_DEFAULTS, **self._driver.conninfo.conninfo_to_dict(where)}
+        except self._driver.Error:
+            # The driver's message may hold the password.
+            raise InputError("the journal's URL cannot be read", expected="postgresql://user@host/database") from None
+
+    def _taken(self) -> Any:
+        """Take an answering connection."""
+        with suppress(IndexError):
+            while True:
+                link = self._idle.pop()
+                silent = Timer(PING_S, _cut, [link])
+                silent.start()
+                try:
+                    self._run(link, "SELECT 1")
+                    return link
+                except self._driver.Error:
+                    link.close()
+                finally:
+                    silent.cancel()
+        if time.monotonic() < _away.get(self.location, 0.0):
+            raise TimeoutError("cannot connect: the server does not answer")
+        try:
+            return self._driver.connect(**self._login, autocommit=True, prepare_threshold=None)
+        except self._driver.errors.ConnectionTimeout:
+            _away[self.location] = time.monotonic() + AGAIN_S
+            raise
+
+    @contextmanager
+    def _transaction(self, write: bool, fresh: bool = False) -> Iterator[Run]:
+        try:
+            with super()._transaction(write, fresh) as run:
+                yield run
+        except self._driver.Error as error:
+            raise ServerError(error) from error
+
+    def _begin(self, link: Any, write: bool, fresh: bool) -> None:
+        if not write:
+            self._run(link, "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY")
+            return
+        # The settings are the transaction's (postgresql.org/docs/current/runtime-config-client.html).
+        self._run(link, "BEGIN")
+        self._run(link, f"SET LOCAL lock_timeout = {int(1000 * BUSY_S)}")
+        self._run(link, f"SET LOCAL idle_in_transaction_session_timeout = {int(1000 * IDLE_S)}")
+        self._run(link, f"SELECT pg_advisory_xact_lock({_ADVISORY})")
+
+    def _run(self, link: Any, statement: str, *values: Any) -> list[Any]:
+        return super()._run(link, statement.replace("?", "%s"), *values)
+
+    def _usable(self, link: Any) -> bool:
+        return not link.closed
+
+    def create(self, run: Run, first: str) -> None:
+        for statement in made("BIGINT", "TIMESTAMP WITH TIME ZONE"):
+            run(statement)
+        refused = f"$$ BEGIN RAISE EXCEPTION '{FORBIDDEN}'; END $$"
+        run(f"CREATE OR REPLACE FUNCTION refuse_change() RETURNS trigger LANGUAGE plpgsql AS {refused}")
+        run(
+            "CREATE TRIGGER events_only_grow BEFORE UPDATE OR DELETE OR TRUNCATE ON events "
+            "FOR EACH STATEMENT EXECUTE FUNCTION refuse_change()"
+        )
+        begin(run, first)
+
+    def keep(self, run: Run) -> str:
+        run(f"CREATE TABLE IF NOT EXISTS {KEPT} AS TABLE events")
+        return KEPT
+
+
+def _cut(link: Any) -> None:
+    """End a connection under a thread that waits for it."""
+    with suppress(OSError, ValueError), socket.socket(fileno=link.fileno()) as shared:
+        shared.shutdown(socket.SHUT_RDWR)
+        shared.detach()
+
+
+def without_password(where: str | Path) -> str:
+    """Address of a journal without secrets."""
+    text = str(where)
+    return _SECRETS.sub("", _PASSWORD.sub(r"\1@", text)).rstrip("?&") if "://" in text else text
+
 
 DATABASE_ERRORS = (sqlite3.Error, OSError)
 """What goes wrong in a database; the second in a server, or on the way to it."""
@@ -68,11 +203,6 @@ _HELP = (
 """Words of a reason, and what helps."""
 ORIGINAL = "before-chain"
 """What the name of the copy ends with."""
-
-
-def is_url(where: str | Path) -> bool:
-    """True for a URL, False for a path."""
-    return "://" in str(where)
 
 
 def store_at(where: str | Path) -> Store:
@@ -170,15 +300,11 @@ def examined_server(store: Store, run: Run, *, chain: bool) -> Examined:
 
 
 def _copied_beside(path: Path) -> str:
-    kept = _free(path)
+    """Copy a journal under an unused name beside it; return the name."""
+    names = (Path(f"{path}.{ORIGINAL}{'' if number == 1 else f'-{number}'}") for number in count(1))
+    kept = next(name for name in names if not name.exists())
     copy_whole(path, kept)
     return str(kept)
-
-
-def _free(path: Path) -> Path:
-    """Unused name beside the journal."""
-    names = (Path(f"{path}.{ORIGINAL}{'' if number == 1 else f'-{number}'}") for number in count(1))
-    return next(name for name in names if not name.exists())
 
 
 def copy_whole(path: Path, to: Path) -> None:
@@ -208,8 +334,7 @@ def check_journal(where: str | Path) -> Examined:
         return Examined(store.location, version, None, (), ()).believe()
     path = Path(where).expanduser()
     require(path.is_file(), "no journal here", path=path)
-    if is_empty(path):
-        raise empty_file(path)
+    require_content(path)
     return examine(path)
 
 

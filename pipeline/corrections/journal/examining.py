@@ -132,9 +132,11 @@ def is_empty(path: Path) -> bool:
     return path.exists() and not any(f.exists() and f.stat().st_size for f in (path, Path(f"{path}-wal")))
 
 
-def empty_file(path: Path) -> InputError:
-    """Make the error of an empty file."""
-    return InputError("the journal is an empty file", cause="put a copy in its place, or remove it", path=path)
+def require_content(path: Path) -> None:
+    """Raise InputError for an empty file."""
+    require(
+        not is_empty(path), "the journal is an empty file", cause="put a copy in its place, or remove it", path=path
+    )
 
 
 def examine(path: Path) -> Examined:

@@ -15,7 +15,7 @@ from typing import Any
 from pipeline.corrections.journal.chain import STORED, Head, Run, Store, head_of, link, rows, write_rows
 from pipeline.corrections.journal.connection import (
     DATABASE_ERRORS,
-    is_url,
+    ServerError,
     likely_cause,
     prepare,
     reading,
@@ -23,13 +23,13 @@ from pipeline.corrections.journal.connection import (
     store_at,
 )
 from pipeline.corrections.journal.events import Action, Conflict, Edit, Event, NotSaved, Rival, Saved, new_ulid
-from pipeline.corrections.journal.examining import DamagedJournal, empty_file, examine, is_empty
+from pipeline.corrections.journal.examining import DamagedJournal, examine, is_empty, require_content
 from pipeline.corrections.journal.field_refs import LONGEST_NAME, FieldRef, Kind, plain_text
-from pipeline.corrections.journal.postgres import ServerError
 from pipeline.corrections.journal.sqlite_file import network_file_system
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import labels_version
 from pipeline.system.errors import InputError, require
+from pipeline.system.remote import is_url
 
 JOURNAL_FILE = "journal.sqlite"
 _TAKEN = "23"
@@ -264,9 +264,9 @@ def open_journal(where: str | Path, *, project: str = "", labels: str = "", must
                 f"{path} is on a network file system ({kind}): only one machine may write to it; "
                 "for a team use --journal postgresql://..."
             )
+        if must_exist:
+            require_content(path)
         if is_empty(path):
-            if must_exist:
-                raise empty_file(path)
             warnings.append(
                 f"{path} was an empty file, and a new journal begins in it: if edits were there, "
                 "put a copy in its place"
