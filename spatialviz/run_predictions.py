@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from pipeline.evaluation.adapters import import_published
-from pipeline.evaluation.importing import export_run
+from pipeline.evaluation.importing import export_run, judge_again
 from pipeline.evaluation.job import RunReport
-from pipeline.evaluation.judging_again import judge_again
 from pipeline.evaluation.run_folder import open_run
 from pipeline.evaluation.systems import PREDICTIONS_FILE
 from pipeline.language.counted import counted
@@ -60,12 +59,7 @@ def run_judge_again(command: JudgeAgainCommand) -> None:
         record = judge_again(
             command.folder, command.out, workers=command.workers, progress=advance, system=recorded_system
         )
-    counted_ = (
-        "; ".join(record["changes"]) or "the same answer"
-        if record["kind"] == "case"
-        else ", ".join(f"{record[what]:,} {what}" for what in ("expressions", "frames") if what in record)
-    )
-    command.write(record, say, f"{record['kind']}: {counted_} -> {command.out}")
+    command.write(record, say, f"{counted(record['expressions'], 'expression')} -> {command.out}")
 
 
 def run_export_run(command: ExportRunCommand) -> None:

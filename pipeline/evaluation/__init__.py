@@ -13,9 +13,8 @@ if TYPE_CHECKING:
     from pipeline.evaluation.browsing import RunRows, complete, with_value
     from pipeline.evaluation.comparing import CHANGES, answer_differences, compare
     from pipeline.evaluation.costs import oracle_deltas
-    from pipeline.evaluation.importing import export_run, import_run
+    from pipeline.evaluation.importing import export_run, import_run, judge_again
     from pipeline.evaluation.job import RunReport, evaluate_dataset
-    from pipeline.evaluation.judging_again import judge_again
     from pipeline.evaluation.leakage import AGREEMENT, PERFECT, scorer_share, shares_of_run, title_of
     from pipeline.evaluation.records import read_records
     from pipeline.evaluation.relation_cases import RelationSpec

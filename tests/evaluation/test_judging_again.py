@@ -1,4 +1,4 @@
-"""What an earlier version judged is marked, and judged again beside it: the old run, labels or case stays as it is."""
+"""What an earlier version judged is marked, and judged again beside it: the old run stays as it is."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 from label_sets import label_demo
 
-from pipeline.diagnosis import open_case
 from pipeline.evaluation import (
     EvalSpec,
     doubts_of,
@@ -22,7 +21,7 @@ from pipeline.evaluation import (
     open_run,
     recorded_verdict,
 )
-from pipeline.labels import open_labels
+from pipeline.paper import recorded_system
 from pipeline.system import InputError
 
 OLD = Path(__file__).parents[1] / "fixtures" / "2026-11-21"
@@ -59,7 +58,7 @@ def test_a_run_is_judged_again_into_a_new_folder(folder: Path, kind: str, tmp_pa
     run = open_run(old)
     assert "0.0.9 with rules 1" in judged_by(run.manifest)
     assert "judge-again" in doubts_of(run)[0]
-    told = judge_again(old, tmp_path / "new", plots=False)
+    told = judge_again(old, tmp_path / "new", plots=False, system=recorded_system)
     assert told == {"kind": "run", "out": str(tmp_path / "new"), "expressions": 20}
     assert files(old) == before
     again = open_run(tmp_path / "new")
@@ -67,7 +66,7 @@ def test_a_run_is_judged_again_into_a_new_folder(folder: Path, kind: str, tmp_pa
     assert again.name == run.name
     assert again.records.to_pylist() == run.records.to_pylist()
     with pytest.raises(InputError, match="not empty"):
-        judge_again(old, tmp_path / "new", plots=False)
+        judge_again(old, tmp_path / "new", plots=False, system=recorded_system)
 
 
 def test_a_line_with_an_id_that_stands_twice_is_told_of_an_old_run(folder: Path, tmp_path: Path) -> None:
@@ -81,16 +80,11 @@ def test_a_line_with_an_id_that_stands_twice_is_told_of_an_old_run(folder: Path,
     assert any(f"In {twice} of its {len(ids)} lines" in doubt for doubt in doubts_of(open_run(old)))
 
 
-def test_labels_and_cases_are_judged_again_too(folder: Path, tmp_path: Path) -> None:
-    before = files(folder / "labels")
-    assert judge_again(folder / "labels", tmp_path / "labels")["kind"] == "labels"
-    assert files(folder / "labels") == before
-    assert open_labels(tmp_path / "labels").expressions.equals(open_labels(folder / "labels").expressions)
-    told = judge_again(OLD / "case", tmp_path / "case")
-    assert (told["kind"], told["changes"]) == ("case", [])
-    assert open_case(tmp_path / "case").answer().text == open_case(OLD / "case").answer().text
-    with pytest.raises(InputError, match="how it was made"):
-        judge_again(folder, tmp_path / "nothing")
+def test_labels_and_cases_say_what_makes_them_again(folder: Path, tmp_path: Path) -> None:
+    for other in (folder / "labels", OLD / "case", folder):
+        with pytest.raises(InputError, match=r"only a run .*`label` with the same options.*`replay CASE --update`"):
+            judge_again(other, tmp_path / "new", system=recorded_system)
+    assert not (tmp_path / "new").exists()
 
 
 def test_a_recorded_verdict_is_compared_with_that_of_now(folder: Path) -> None:
