@@ -187,6 +187,7 @@ REMOVED_OPTIONS = {
         (("journal", "--kind"), ("journal", "--key")),
         "`show LABELS FRAME --object N` or `--pair A,B` says who set what, `journal --json` has every field",
     ),
+    ("audit", "--networks"): "labels are reviewed: `review LABELS` asks networks",
     ("review", "--accept"): "accept what a filter finds in the page, or by `correct LABELS --edits FILE`",
     ("review", "--progress"): "`review LABELS --queue FILE` says how much is left, `journal LABELS` who did what",
     **dict.fromkeys(

@@ -110,16 +110,13 @@ class CheckCommand(OnLabels):
     """Findings shown of each rule."""
 
 
-OF_AUDIT = (
-    "Labels folder; sentences as `eval --sentences` takes them (SUN-Refer, SUN-Spot too); or the folder of "
-    "RoboSpatial-Home."
-)
+OF_AUDIT = "Sentences as `eval --sentences` takes them (SUN-Refer, SUN-Spot too), or the folder of RoboSpatial-Home."
 
 
 @dataclass(frozen=True)
 class AuditCommand(Output):
-    """Rank the items of a benchmark, or the expressions of labels, by the probability of a wrong truth, with the
-    evidence: contrary geometry, several right answers, another frame of reference, systems agreeing on another answer.
+    """Rank the items of a benchmark by the probability of a wrong truth, with the evidence: contrary geometry, several
+    right answers, another frame of reference, systems agreeing on another answer.
     """
 
     target: Annotated[Positional[Path], arg(help=OF_AUDIT)]
@@ -132,8 +129,6 @@ class AuditCommand(Output):
     """Write every item with its evidence, as JSON lines."""
     limit: int = 20
     """Items shown; --out holds all."""
-    networks: Flag = False
-    """Of labels, also ask networks that have not learnt from them, as `review` does."""
     source: OmitArgPrefixes[SourceOptions] = SourceOptions()
 
 

@@ -153,7 +153,6 @@ def run_audit(command: AuditCommand) -> None:
             command.dataset,
             command.runs,
             options=command.source.arguments(),
-            networks=command.networks,
             progress=advance,
         )
     if command.out is not None:

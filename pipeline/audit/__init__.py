@@ -1,9 +1,8 @@
-"""Auditing benchmarks and labels: which items' truth is probably wrong, with the evidence in words and figures.
+"""Auditing benchmarks: which items' truth is probably wrong, with the evidence in words and figures.
 
 `suspicion` holds an item, its evidence, how pieces of evidence are joined to one probability, and where runs agree with
-each other against the truth; `geometry` and `sentences` compare what a sentence says with the annotated frame, and what
-the review queue holds against labels; `questions` audits RoboSpatial-Home; `report` does it for whatever it is given,
-ranks and writes.
+each other against the truth; `geometry` and `sentences` compare what a sentence says with the annotated frame;
+`questions` audits RoboSpatial-Home; `report` does it for whatever it is given, ranks and writes.
 """
 
 from pipeline.system.lazy_exports import lazy_exports

@@ -1,4 +1,4 @@
-"""Audits of labels, sentences or questions: the ranked list, its counts, and the files for a maintainer."""
+"""Audits of sentences or questions: the ranked list, its counts, and the files for a maintainer."""
 
 from __future__ import annotations
 
@@ -12,13 +12,12 @@ from typing import Any
 
 from pipeline.answering.pipeline import open_pipeline
 from pipeline.audit.questions import audit_questions
-from pipeline.audit.sentences import audit_labels, audit_sentences
+from pipeline.audit.sentences import audit_sentences
 from pipeline.audit.suspicion import KINDS, PRIOR, AuditItem, read_answers
-from pipeline.corrections.review.doubts import DoubtConfig
 from pipeline.diagnosis.whatif.state import ViewState, encode
 from pipeline.evaluation.robospatial import is_robospatial, read_question_answers, read_questions, score_table
 from pipeline.evaluation.sentence_files import read_sentence_file
-from pipeline.labels.reading import MANIFEST_FILE, open_labels
+from pipeline.labels.reading import MANIFEST_FILE
 from pipeline.metrics.tables import Row, Table
 from pipeline.system.errors import needed, require
 from pipeline.system.whole_files import write_whole
@@ -95,25 +94,22 @@ def audit(
     runs: Sequence[Path] = (),
     *,
     options: dict[str, Any] | None = None,
-    networks: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> AuditReport:
-    """The items of labels or of a benchmark, ranked by how probably their truth is wrong.
+    """The items of a benchmark, ranked by how probably their truth is wrong.
 
-    `target`: a labels folder; RoboSpatial-Home's; or, about the frames of `dataset`, a file of sentences as `eval
+    `target`: the folder of RoboSpatial-Home; or, about the frames of `dataset`, a file of sentences as `eval
     --sentences` takes it. `runs`: run folders of systems that answered the same items; of RoboSpatial-Home files of
-    answers in its form. `options`: arguments of `open_pipeline`. `networks`: the review queue of labels asks networks.
+    answers in its form. `options`: arguments of `open_pipeline`.
 
     Raises InputError: something cannot be read, or --dataset is missing.
     """
     if is_robospatial(target):
         return _of_questions(target, dataset, runs, options or {}, progress)
     systems = [read_answers(run) for run in runs]
-    if (target / MANIFEST_FILE).is_file():
-        labels = open_labels(target)
-        where = dataset or str(labels.manifest.dataset.get("path") or "DATASET")
-        return AuditReport.ranked(where, audit_labels(labels, systems, DoubtConfig() if networks else None))
-    require(target.exists(), "there is nothing to audit", expected="labels, or a benchmark's file", path=target)
+    require(target.exists(), "there is nothing to audit", expected="a benchmark's file", path=target)
+    labels = (target / MANIFEST_FILE).is_file()
+    require(not labels, "labels are reviewed, not audited", expected=f"spatialviz review {target}", path=target)
     where = needed(dataset, "sentences are audited on their dataset", expected="--dataset DATASET", path=target)
     source = open_pipeline(where, **(options or {}))
     asked = read_sentence_file(target, source, where if where == "demo" else None)

@@ -28,14 +28,13 @@ from pipeline.labels.cases import HIT
 from pipeline.system.errors import InputError, as_input_error, first_line
 from pipeline.system.safe_files import parse_json, read_text
 
-Kind = Literal["geometry", "several", "frame", "class", "systems", "review", "region", "contradiction"]
+Kind = Literal["geometry", "several", "frame", "class", "systems", "region", "contradiction"]
 KINDS: dict[Kind, str] = {
     "geometry": "the relation's rule says otherwise",
     "several": "several things are right, and the sentence says “the”",
     "frame": "right by the object's own left, right, front and back, and not by the viewer's",
     "class": "what is right has another name than the sentence asks for",
     "systems": "systems agree with each other against it",
-    "review": "the labels themselves are in doubt (`spatialviz review`)",
     "region": "the points of the answer do not lie in its mask",
     "contradiction": "another item of the same picture says the opposite",
 }
@@ -133,7 +132,7 @@ def agreement_weight(against: int, agreeing: int) -> float:
 
 
 Key = tuple[str, str]
-"""The frame, and of labels the expression's id, of sentences the text."""
+"""The frame and the text."""
 
 
 @dataclass(frozen=True)
@@ -150,10 +149,8 @@ def read_answers(folder: Path) -> SystemAnswers:
     Raises InputError: it is no run folder, or damaged.
     """
     if (folder / RECORDS_FILE).is_file():
-        rows = read_records(folder).select(["frame", "id", "text", "box"]).to_pylist()
-        found = {
-            (r["frame"], r[name]): tuple(r["box"]) for r in rows if r["box"] is not None for name in ("id", "text")
-        }
+        rows = read_records(folder).select(["frame", "text", "box"]).to_pylist()
+        found = {(r["frame"], r["text"]): tuple(r["box"]) for r in rows if r["box"] is not None}
         return SystemAnswers(folder.name, found)
     if not (folder / FILE).is_file():
         raise InputError("no run here", expected=f"a folder with {RECORDS_FILE} or {FILE}", path=folder)

@@ -1,23 +1,20 @@
-"""The audit: each kind of evidence on a frame whose truth is known, how pieces are joined, and labels."""
+"""The audit: each kind of evidence on a frame whose truth is known, and how pieces are joined."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from review_labels import with_relations
 from scenes import frame_of, upright
 
 from pipeline.answering import Pipeline, open_pipeline
 from pipeline.audit import AuditReport
 from pipeline.audit.geometry import FACING, has_front
 from pipeline.audit.report import audit
-from pipeline.audit.sentences import audit_labels, audit_sentences
+from pipeline.audit.sentences import audit_sentences
 from pipeline.audit.suspicion import (
     PRIOR,
     AuditItem,
@@ -161,49 +158,14 @@ def test_what_systems_say_is_symmetric() -> None:
     assert agreement_weight(3, 0) > agreement_weight(1, 0) > PRIOR > agreement_weight(0, 1) > agreement_weight(0, 3)
 
 
-@pytest.fixture(scope="module")
-def turned(label_sets: dict[str, Labels], tmp_path_factory: pytest.TempPathFactory) -> tuple[Labels, str]:
-    """The demo's labels with the state turned that one expression rests on."""
-    labels = label_sets["demo"]
-    told = max((r for r in labels.expressions.to_pylist() if r["relation"] == "above"), key=lambda row: row["margin"])
-    frame, a, b = (labels.relations.column(n).to_numpy() for n in ("frame", "a", "b"))
-    above = labels.relations.column("above").to_numpy().copy()
-    above[(frame == told["frame"]) & (a == told["target_object"]) & (b == told["reference_object"])] = -1
-    return with_relations(labels, tmp_path_factory.mktemp("audited") / "labels", {"above": above}), told["id"]
-
-
-@pytest.mark.slow
-def test_labels_join_the_review_queue(turned: tuple[Labels, str], tmp_path: Path) -> None:
-    labels, wrong = turned
-    report = audit(labels.root)
-    assert wrong in [one.id for one in report.items[:3]]
-    found = next(one for one in report.items if one.id == wrong)
-    assert found.reasons[0].kind == "review"
-    assert found.score > 0.9
-    assert len(report.items) == labels.expressions.num_rows
-    assert report.kinds.rows
-    record = report.record()
-    assert record["items"] == len(report.items)
-    assert record["likely_wrong"] == report.likely >= 1
-    # What the review queue has nothing against is no more suspicious than any.
-    assert np.median([one.score for one in report.items]) < 0.15
-
-
-def test_runs_on_labels_and_on_sentences_are_read(tmp_path: Path, label_sets: dict[str, Labels]) -> None:
-    labels = label_sets["demo"]
-    rows = labels.expressions.to_pylist()[:2]
-    other = {"frame": rows[0]["frame"], "sentence": rows[0]["text"], "answer": {"bbox": [0, 0, 9, 9]}}
+def test_runs_on_sentences_are_read(tmp_path: Path) -> None:
+    other = {"frame": "000001/000000", "sentence": "the mug", "answer": {"bbox": [0, 0, 9, 9]}}
     for name in ("first", "second", "third"):
         (tmp_path / name).mkdir()
         lines = [other, {**other, "sentence": "none", "answer": None}]
         (tmp_path / name / "sentences.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
     systems = [read_answers(tmp_path / name) for name in ("first", "second", "third")]
     assert all(len(s.boxes) == 1 for s in systems)
-    # Labels are asked by id, sentences by their words.
-    told = [replace(s, boxes={(rows[0]["frame"], rows[0]["id"]): (0.0, 0.0, 9.0, 9.0)}) for s in systems]
-    by_id = {one.id: one for one in audit_labels(labels, told)}
-    assert "systems" in [e.kind for e in by_id[rows[0]["id"]].reasons]
-    assert "systems" not in [e.kind for e in by_id[rows[1]["id"]].evidence]
     with pytest.raises(InputError, match="no run here"):
         read_answers(tmp_path)
     (tmp_path / "first" / "sentences.jsonl").write_text('{"frame": 1}\n')
@@ -224,6 +186,11 @@ def test_sentences_need_their_dataset(tmp_path: Path) -> None:
     assert (opened.dataset, opened.frame, opened.expression) == ("demo", "000001/000000", "the mug left of the laptop")
     with pytest.raises(InputError, match="nothing to audit"):
         audit(tmp_path / "absent", "demo")
+
+
+def test_labels_are_reviewed(label_sets: dict[str, Labels]) -> None:
+    with pytest.raises(InputError, match="spatialviz review"):
+        audit(label_sets["demo"].root)
 
 
 def test_the_files_hold_every_item_by_rank(tmp_path: Path) -> None:
