@@ -43,7 +43,9 @@ def test_labels_without_corrections_are_themselves(
     assert found.provenance.num_rows == 0
     frame = full_corrector.frame(FRAME, journal)
     for name, table in frame.tables().items():
-        first, stop = full_corrector.index.span(name, frame.auto.index)
+        first, stop = np.searchsorted(
+            full_corrector.index.tables[name].column("frame_index"), [frame.auto.index + k for k in (0, 1)]
+        )
         schema = full_corrector.index.tables[name].schema
         assert table.cast(schema).equals(getattr(demo_labels, name).slice(first, stop - first)), name
     assert frame.origin(relation_ref(FRAME, 0, 1, "left")).source == "auto"

@@ -183,7 +183,7 @@ def test_a_file_of_edits_is_saved_as_one_or_not_at_all(full_corrector: Corrector
         ([{**entries[1], "colour": 1}], r"edit 0\.colour cannot be this; got a field of another name"),
         ([{**entries[0], "to": "X"}], r"edit 0\.to cannot be this; got \"X\"; expected 'T', 'U' or 'F'"),
         ([{"edit": "class", "frame": FRAME}], r"edit 0\.object cannot be this; got nothing; expected a value"),
-        ([{"edit": "mask", "frame": FRAME, "object": a, "rectangle": [1]}], "edit 0 cannot be this: a rectangle has"),
+        ([{"edit": "mask", "frame": FRAME, "object": a, "rectangle": [1]}], r"edit 0\.rectangle cannot be this"),
     ):
         with pytest.raises(InputError, match=words):
             actions_of(wrong)

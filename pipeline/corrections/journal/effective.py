@@ -49,7 +49,7 @@ from pipeline.labels.reading import Labels
 from pipeline.labels.schema import TABLES
 from pipeline.proposals.annotations import box_mask
 from pipeline.relations.model import OnnxScorer
-from pipeline.system.arrow import pa
+from pipeline.system.arrow import pa, pc
 from pipeline.system.errors import require
 
 Relift = Callable[[FrameRows, Mapping[int, Row], Mapping[int, Any], Iterable[int]], tuple[dict[int, Row], Pairs]]
@@ -266,34 +266,29 @@ def effective_tables(
     """
     events = journal.events() if isinstance(journal, Journal) else tuple(journal)
     corrector = Corrector(labels, dataset)
-    by_frame = grouped(events, lambda e: e.ref.frame)
-    known = [name for name in by_frame if name in corrector.index.of_frame]
+    by_frame, index = grouped(events, lambda e: e.ref.frame), corrector.index
+    known = sorted(by_frame.keys() & index.of_frame.keys(), key=index.of_frame.__getitem__)
     pieces: dict[str, list[pa.Table]] = {name: [] for name in TABLES}
-    at = dict.fromkeys(TABLES, 0)
     provenance: list[dict] = []
     unapplied: list[Unapplied] = []
     withdrawn: list[Withdrawn] = []
     marks: dict[tuple[str, str], str] = {}
     statuses: dict[FieldRef, Any] = {}
-    for name in sorted(known, key=corrector.index.of_frame.__getitem__):
+    for name in known:
         found = corrector.frame(name, by_frame[name])
-        changed = found.tables()
-        for table in TABLES:
-            whole = corrector.index.tables[table]
-            first, stop = corrector.index.span(table, found.auto.index)
-            pieces[table].append(whole.slice(at[table], first - at[table]))
-            if found.stands:
-                pieces[table].append(changed[table].cast(whole.schema))
-            at[table] = stop
+        for table, changed in found.tables().items() if found.stands else ():
+            pieces[table].append(changed.cast(index.tables[table].schema))
         provenance += found.provenance()
         unapplied += found.unapplied
         withdrawn += found.withdrawn
         statuses |= {ref: value for ref, value in found.statuses.items() if ref.field != "exists"}
         marks |= {(name, key): mark for key, mark in found.marks.items()}
-    tables = {
-        name: pa.concat_tables([*pieces[name], whole.slice(at[name])]).combine_chunks()
-        for name, whole in corrector.index.tables.items()
-    }
+    made_anew = [index.of_frame[name] for name in known]
+    tables = {}
+    for name, whole in index.tables.items():
+        others = whole.filter(~pc.field("frame_index").isin(made_anew))
+        # The sort is stable: within a frame the order is canonical already.
+        tables[name] = pa.concat_tables([others, *pieces[name]]).sort_by("frame_index").combine_chunks()
     for name in by_frame.keys() - set(known):
         for members in by_ref(by_frame[name]).values():
             unapplied += all_gone(None, members, "the labels have no such frame any more").unapplied

@@ -77,7 +77,9 @@ def _correct_object(frame: EffectiveFrame, number: int, fields: Mapping[str, Seq
         if not created and another_thing(events, {number: auto.objects[number]["bbox"]}) is not None:
             frame.note(events, all_gone(was, events, f"object {number} is another thing now"))
             continue
-        trusted = created or (name in ("bbox", "box") and refitted) or (name == "mask" and _from_bbox(row, fields))
+        # Automatic pixels that were only the 2D box follow from it.
+        boxed = any(e.after is None for e in events) or (row["mask_source"] == "box" and "bbox" in fields)
+        trusted = created or (name in ("bbox", "box") and refitted) or (name == "mask" and boxed)
         after = frame.note(events, replay(was, events, trusted=trusted, released_by_none=name == "box"))
         if after.event is None:
             continue
@@ -94,12 +96,6 @@ def _correct_object(frame: EffectiveFrame, number: int, fields: Mapping[str, Seq
             frame.put("objects", str(number), column, Origin.of("human", after.event), automatic)
     rejected = frame.statuses.get(object_ref(auto.frame, number, "status")) == "rejected"
     (frame.left_out if rejected else frame.objects)[number] = row
-
-
-def _from_bbox(row: Row, fields: Mapping[str, Sequence[Event]]) -> bool:
-    """True where an object's automatic pixels were only the 2D box."""
-    released = any(e.after is None for e in fields["mask"])
-    return released or (row["mask_source"] == "box" and "bbox" in fields)
 
 
 def _set_field(frame: EffectiveFrame, row: Row, number: int, name: str, value: Any, event: Event) -> None:
@@ -137,7 +133,13 @@ def new_row(number: int, seed: Mapping[str, Any], auto: FrameRows, setting: Sett
         around, pixels = mask_facts(mask, auto)
         bbox = around if bbox is None else bbox
     if bbox is None:
-        bbox = projected_box(box_of(box).corners, auto.row)
+        # The rectangle around the box in the picture; the whole picture without intrinsics.
+        height, width, K = (auto.row[name] for name in ("height", "width", "K"))
+        bbox = [0.0, 0.0, float(width), float(height)]
+        if K is not None:
+            corners = box_of(box).corners
+            (seen,) = clipped(projected(corners[None], np.array(K).reshape(3, 3)), (height, width))
+            bbox = seen.tolist() if seen[2] > seen[0] and seen[3] > seen[1] else bbox
     values = {column: None if box is None else box[column] for column in BOX_COLUMNS}
     return {
         "frame": auto.frame,
@@ -173,15 +175,6 @@ def new_row(number: int, seed: Mapping[str, Any], auto: FrameRows, setting: Sett
         "usable": False,
         "reason": "not lifted yet",
     }
-
-
-def projected_box(corners: Any, frame: Row) -> list[float]:
-    """Rectangle in the picture around the corners (8, 3) of a 3D box; the whole picture without intrinsics."""
-    size = frame["height"], frame["width"]
-    box = np.array([0.0, 0.0, 0.0, 0.0])
-    if frame["K"] is not None:
-        (box,) = clipped(projected(corners[None], np.array(frame["K"]).reshape(3, 3)), size)
-    return box.tolist() if box[2] > box[0] and box[3] > box[1] else [0.0, 0.0, float(size[1]), float(size[0])]
 
 
 def relate_objects(frame: EffectiveFrame, relifted: Pairs | None) -> None:

@@ -150,15 +150,12 @@ class FrameIndex:
         self.of_frame = dict(zip(names, self._index["frames"].tolist(), strict=True))
         self.name_of = {index: name for name, index in self.of_frame.items()}
 
-    def span(self, table: str, index: int) -> tuple[int, int]:
-        """First row of a frame, and the end."""
-        first, stop = np.searchsorted(self._index[table], [index, index + 1])
-        return int(first), int(stop)
-
     def rows(self, frame: str) -> FrameRows:
         """Labels of a frame."""
-        spans = {name: self.span(name, self.of_frame[frame]) for name in self.tables}
-        tables = {n: t.slice(spans[n][0], spans[n][1] - spans[n][0]) for n, t in self.tables.items()}
+        tables = {}
+        for name, table in self.tables.items():
+            first, stop = np.searchsorted(self._index[name], [self.of_frame[frame], self.of_frame[frame] + 1])
+            tables[name] = table.slice(first, stop - first)
         (row,) = tables["frames"].to_pylist()
         objects = {r["object"]: r for r in tables["objects"].to_pylist()}
         expressions = {r["id"]: r for r in tables["expressions"].to_pylist()}
@@ -170,10 +167,7 @@ class FrameIndex:
         return FrameRows(row, objects, expressions, Pairs.of_columns(objects, columns))
 
 
-@lru_cache(maxsize=64)
-def kinds_of(labels: tuple[str, ...]) -> np.ndarray:
-    """Matrix (N, N) bool of `same_names`, cached."""
-    return same_names(labels)
+_kinds_of = lru_cache(maxsize=64)(same_names)
 
 
 class Asked:
@@ -211,7 +205,7 @@ class Answered:
         if n and e:
             at = np.minimum(np.searchsorted(numbers, asked.ends), n - 1)
             related = (numbers[at] == asked.ends).all(axis=1)
-            (i, j), k, same = at[related].T, asked.relations[related], kinds_of(labels)
+            (i, j), k, same = at[related].T, asked.relations[related], _kinds_of(labels)
             states = np.where(pairs.present[..., None], pairs.states, -1).transpose(2, 0, 1)
             for level, least in enumerate((T, U)):
                 # By relation, object, and any object of the kind of the reference.

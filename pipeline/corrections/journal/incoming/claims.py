@@ -2,8 +2,8 @@
 
 JSON lines are rows as `export --format jsonl` writes them, in files of its names, with some of their keys or all. A key
 that is absent says nothing; `base` is then that of the rows before. `frame` must be there, and what names the row:
-`object`; `a` and `b`; `id`. A row of objects whose `object` is absent or null is a new one: `label`, and `mask`, `bbox`,
-or `center`, `R` and `size`. COCO files are taken as such rows: see `coco_file`.
+`object`; `a` and `b`; `id`. A row of objects whose `object` is absent or null is a new one: `label`, and `mask`,
+`bbox`, or `center`, `R` and `size`. COCO files are taken as such rows: see `coco_file`.
 """
 
 from __future__ import annotations

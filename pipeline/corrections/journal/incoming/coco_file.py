@@ -179,7 +179,9 @@ class _Reader:
         require(type(category) is int and category in self.categories, "no such category", got=Shown(category, 40))
         label = self.categories[category]
         pixels = mask_of(row.get("segmentation"), self.base.size)
-        box = _box3d(row["box3d"]) if "box3d" in row else {}
+        box: Row = dict.fromkeys(BOX_COLUMNS) if "box3d" in row else {}
+        if row.get("box3d") is not None:
+            box |= box_value(box_of(row["box3d"]))
         if number is None:
             return {"label": label, **self._place(row, pixels, boxed=any(box.values())), **box}
         was = needed(
@@ -224,13 +226,6 @@ class _Reader:
         if outline and isinstance(outline, list) and was["mask"] is not None:
             around += [before, bounds_of(np.concatenate(polygons_of(outline)))]
         return {} if any(near(box, other, slack) for other in around) else {"bbox": box}
-
-
-def _box3d(value: Any) -> Row:
-    """Columns of a 3D box; null for none."""
-    if value is None:
-        return dict.fromkeys(BOX_COLUMNS)
-    return dict(box_value(box_of(value)))
 
 
 LONGEST_OUTLINE = 2e6
