@@ -9,15 +9,15 @@ or beside the box. Which picture and class the numbers mean stands in the annota
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, Field, FiniteFloat
 
 from pipeline.datasets.frame_names import Picture
-from pipeline.geometry.masks import RunLength, decode_crop, fill_polygons
+from pipeline.geometry.masks import RunLength, decode_crop
 from pipeline.system.errors import needed, require
 from pipeline.system.reading import Content, checked, read_content
 
@@ -81,6 +81,17 @@ def is_coco(content: Content) -> bool:
     return {"image_id", "category_id", "score"} <= _results(content).first.keys()
 
 
+def scored(content: Content) -> Content:
+    """Annotations without scores as results with score 1; those without a class are things."""
+    value = content.value
+    if not isinstance(value, dict) or not isinstance(value.get("annotations"), list):
+        return content
+    whole = {"score": 1.0, "category_id": -1}
+    rows = [whole | row if isinstance(row, dict) else row for row in value["annotations"]]
+    classes = [*(value.get("categories") or ()), {"id": -1, "name": "thing"}]
+    return replace(content, value=value | {"annotations": rows, "categories": classes})
+
+
 def _results(content: Content) -> Content:
     """List of results, also inside an object."""
     inside = isinstance(content.value, dict) and "annotations" in content.value
@@ -126,22 +137,20 @@ def _corners(row: CocoResult, mask: RunLength | None, where: str, path: Path) ->
 def _code(content: RunLength | Polygons | None, image: CocoImage | None, where: str, path: Path) -> RunLength | None:
     if not content:  # Files of boxes have an empty list.
         return None
+    from pycocotools import mask as coco
+
     told = None if image is None or image.height is None or image.width is None else (image.height, image.width)
     size = content.size if isinstance(content, RunLength) else told
     shape = needed(size, f"{where}: a polygon, and the picture's height and width are not told", path=path)
     possible = min(shape) > 0 and shape[0] * shape[1] <= MOST_PIXELS
     require(possible, f"{where}: a picture of impossible size", got=shape, path=path)
-    return content if isinstance(content, RunLength) else RunLength.of(filled(content, shape, where, path))
-
-
-def filled(polygons: Sequence[Sequence[float]], shape: tuple[int, int], where: str, path: Path) -> np.ndarray:
-    """(H, W) bool: the pixels inside COCO polygons (x, y, x, y, ...), their coordinates clipped to the picture."""
+    if isinstance(content, RunLength):
+        return content
     require(
-        not any(len(p) < 6 or len(p) % 2 for p in polygons),
+        not any(len(p) < 6 or len(p) % 2 for p in content),
         f"{where}: a polygon needs x, y of three corners or more",
         path=path,
     )
-    if not polygons:
-        return np.zeros(shape, np.bool_)
-    limit = np.array(shape[::-1], np.float64)
-    return fill_polygons(shape, [np.clip(np.reshape(p, (-1, 2)), 0, limit) for p in polygons])
+    clipped = [np.clip(np.reshape(p, (-1, 2)), 0, shape[::-1]).ravel().tolist() for p in content]
+    encoded: Any = coco.merge(coco.frPyObjects(clipped, *shape))
+    return RunLength(shape, encoded["counts"].decode("ascii"))

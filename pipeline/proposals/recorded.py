@@ -27,14 +27,14 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
-from pipeline.datasets.frame_names import FrameNames, Picture
+from pipeline.datasets.frame_names import FrameNames, Picture, fit
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import MaskCrop, RunLength
 from pipeline.language.naming import Synonyms
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Proposals, no_proposals
 from pipeline.proposals.class_names import meant_names
-from pipeline.proposals.coco_files import Detections, MaskCode, RecordedDetection
+from pipeline.proposals.coco_files import Detections, MaskCode, RecordedDetection, scored
 from pipeline.proposals.concept_graphs import Corners, SceneMap
 from pipeline.proposals.detection_files import DETECTION_FORMATS, detection_files, format_of, read_detections
 from pipeline.system.errors import FrameUnusable, InputError, as_input_error, first_line, needed, require
@@ -135,6 +135,8 @@ class RecordedDetector:
         What the numbers of a published file mean: COCO's annotation file, a list of class names.
     frame_ids : sequence of str
         All frames that a published file's pictures may be of; without them each frame is looked for by itself.
+    unscored : bool
+        COCO annotations without scores are read as detections of score 1.
 
     Attributes
     ----------
@@ -162,6 +164,7 @@ class RecordedDetector:
         frame_ids: Sequence[str] = (),
         synonyms: Synonyms | None = None,
         min_score: float = 0.0,
+        unscored: bool = False,
     ) -> None:
         self.path = Path(path)
         self.synonyms = synonyms
@@ -175,7 +178,9 @@ class RecordedDetector:
                 self.made_by = _maker(_object(read_content(self.path / MADE_BY_FILE, _WHAT)))
             files = [] if any(self.path.glob("*.npz")) else detection_files(self.path, _WHAT)
         else:
-            (content,) = files = detection_files(self.path, _WHAT)
+            (content,) = detection_files(self.path, _WHAT)
+            content = scored(content) if unscored else content
+            files = [content]
             if not format_of(content):
                 files = []
                 self.made_by, self._recording = _maker(_object(content)), _read_frames(_object(content), self.path)
@@ -249,7 +254,11 @@ class RecordedDetector:
         if self._last is None or not self._last.shows(frame):
             recording = self._recording
             if recording is None and self._published is not None:
-                recording, _ = _of_frames(self._published, (frame.id,), self.path)
+                # Of pictures that may be of this frame, the one that fits best.
+                fits = {picture: fit(frame.id, picture) for picture in self._published}
+                best = [picture for picture, how in fits.items() if how and how == max(fits.values())]
+                near = {picture: self._published[picture] for picture in best}
+                recording, _ = _of_frames(near, (frame.id,), self.path)
             found = needed(
                 self._read_arrays(frame) if recording is None else recording.get(frame.id),
                 f"the recording has no detections for frame {frame.id}",

@@ -18,7 +18,7 @@ from pipeline.proposals.cache import CachedDetector, CachedSegmenter
 from pipeline.proposals.depth_segmenter import DepthSegmenter
 from pipeline.proposals.ensemble import EnsembleDetector
 from pipeline.proposals.recorded import RecordedDetector
-from pipeline.proposals.segmenter import DetectorSegmenter, Segmenter
+from pipeline.proposals.segmenter import DetectorSegmenter, PngMasks, Segmenter
 from pipeline.system.detector_setup import DetectorSetup, named_model
 from pipeline.system.errors import InputError, needed, require
 from pipeline.system.model_files import resolve_model
@@ -200,7 +200,10 @@ def _depth(request: SegmenterRequest) -> Segmenter:
 def _recorded_masks(request: SegmenterRequest) -> Segmenter:
     what = "a COCO file, a recording of detections, or a folder of PNG masks"
     path = needed(request.model, "--segmenter recorded needs --segmenter-model", expected=what)
-    return _loaded("recorded_masks.open_recorded_masks")(path, request.synonyms)
+    require(path.exists(), "there are no recorded masks", path=path)
+    if path.is_dir() and not any(path.glob("*.npz")) and next(path.rglob("*.png"), None) is not None:
+        return PngMasks(path)
+    return DetectorSegmenter(RecordedDetector(path, unscored=True), request.synonyms)
 
 
 def _yolo_seg_masks(request: SegmenterRequest) -> Segmenter:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from time import perf_counter
 from typing import Protocol, runtime_checkable
 
@@ -11,10 +12,12 @@ import numpy as np
 
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Frame
+from pipeline.geometry.masks import mask_box
 from pipeline.language.naming import Synonyms, match
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Detector, Proposals, detect_expression
-from pipeline.system.errors import require
+from pipeline.system.errors import FrameUnusable, InputError, needed, require
+from pipeline.system.safe_files import read_picture
 
 BEST = 50
 """Of a detector that is not exact, at most so many boxes of a run get a mask, the best first."""
@@ -239,3 +242,68 @@ def _same_name(labels: Sequence[str], names: Sequence[str | None], synonyms: Syn
     return np.array([[name in meant[label] for name in names] for label in labels], np.bool_).reshape(
         len(labels), len(names)
     )
+
+
+class PngMasks:
+    """Segments of PNG files: `<frame id>.png`, 8 or 16 bit, where each value above 0 is one segment, or
+    `<frame id>/*.png`, one segment each, where pixels above 0 are its."""
+
+    name = "recorded"
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def fingerprint(self) -> str:
+        return f"recorded-masks:png:{self.path.resolve()}:{self.path.stat().st_mtime_ns}"
+
+    def segment(self, frame: Frame, boxes: np.ndarray, labels: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+        """Masks (N, H, W) bool of best box overlap (at least 0.5), and found (N,) bool."""
+        segments = self._of_frame(frame)
+        return segment_from(segments, boxes, labels, (frame.height, frame.width), None)
+
+    def _of_frame(self, frame: Frame) -> Segments:
+        file, folder = self.path / f"{frame.id}.png", self.path / frame.id
+        require(
+            file.resolve().is_relative_to(self.path.resolve()),
+            f"frame {frame.id}: its masks would lie outside the folder",
+            path=self.path,
+            error=FrameUnusable,
+        )
+        if file.is_file():
+            from scipy.ndimage import find_objects
+
+            values = _read_png(file, frame)
+            found = [(v, window) for v, window in enumerate(find_objects(values.astype(np.int32)), start=1) if window]
+            rectangles = [(x.start, y.start, x.stop, y.stop) for _, (y, x) in found]
+            numbers = [v for v, _ in found]
+            return Segments(
+                np.array(rectangles, np.float64).reshape(-1, 4), (None,) * len(found), lambda i: values == numbers[i]
+            )
+        files = sorted(folder.glob("*.png")) if folder.is_dir() else []
+        require(files, f"there are no recorded masks for frame {frame.id}", path=file, error=FrameUnusable)
+        masks = [_read_png(f, frame) > 0 for f in files]
+        return Segments(np.stack([mask_box(m) for m in masks]), (None,) * len(masks), lambda i: masks[i])
+
+
+def _read_png(file: Path, frame: Frame) -> np.ndarray:
+    unreadable = f"frame {frame.id}: the mask file cannot be read"
+    try:
+        image = needed(read_picture(file), unreadable, path=file, error=FrameUnusable)
+    except (OSError, InputError) as error:
+        raise FrameUnusable(str(error)) from error
+    require(
+        image.ndim == 2 and image.dtype in (np.uint8, np.uint16),
+        f"frame {frame.id}: a mask file must have one channel of 8 or 16 bits",
+        got=f"{image.dtype} {image.shape}",
+        path=file,
+        error=FrameUnusable,
+    )
+    require(
+        image.shape == (frame.height, frame.width),
+        f"frame {frame.id}: the mask has another size",
+        got=image.shape,
+        expected=(frame.height, frame.width),
+        path=file,
+        error=FrameUnusable,
+    )
+    return image
