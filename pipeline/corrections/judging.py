@@ -127,5 +127,8 @@ class Judge:
                 context = PreparedFrame(context.frame, run.source.config.lift)
             trace = run.source.ask(context, text)
         except InputError as error:
-            return OtherAnswer(run.name, None, error=str(error))
-        return OtherAnswer(run.name, trace, self.judge(name, run.source, context, trace, expression))
+            return OtherAnswer(text, problem=str(error), name=run.name)
+        found = self.judge(name, run.source, context, trace, expression)
+        if isinstance(found, str):
+            return OtherAnswer(text, trace, unjudged=found, name=run.name)
+        return OtherAnswer(text, trace, diagnosis=found, name=run.name)

@@ -40,6 +40,7 @@ from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.imported_answers import (
     blamed_alone,
     blamed_together,
+    decided_by_label,
     judge_foreign_ranking,
     judge_without_ranking,
     unavailable_oracles,
@@ -128,16 +129,10 @@ def _decided(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | No
     )
     if len(diagnosis.untold) == len(ORACLES):
         diagnosis = replace(diagnosis, right_with=None)
-    if overlap >= HIT:
-        return replace(diagnosis, verdict="CORRECT", lucky=pair is None or not found.covered[pair], repair=())
-    if not parse_ok:
-        return replace(diagnosis, verdict="PARSE", repair=())
-    if target is not None and found.right[target]:
-        return replace(diagnosis, verdict="LABEL", detail="AMBIGUOUS", repair=())
-    if mark is not None:
-        return replace(diagnosis, verdict="LABEL", detail=mark, repair=())
-    if pair is not None and found.covered[pair]:
-        return replace(diagnosis, verdict="LABEL", detail="SUSPECT", repair=())
+    fits = pair is not None and bool(found.covered[pair])
+    right = target is not None and bool(found.right[target])
+    if (known := decided_by_label(diagnosis, overlap >= HIT, mark, right, fits, lucky=not fits)) is not None:
+        return known
     unproposed = not_proposed(evidence, case, found, diagnosis)
     if unproposed is not None:
         return unproposed

@@ -116,16 +116,10 @@ def judge_without_ranking(evidence: FrameEvidence, case: Case, parse_ok: bool, m
         case=case,
         evidence=evidence,
     )
-    if hits[case.target_object] or (line.answer is not None and line.answer.yes):
-        return replace(diagnosis, verdict="CORRECT", lucky=reference is not None and not fits)
-    if not parse_ok:
-        return replace(diagnosis, verdict="PARSE")
-    if hits[case.acceptable].any():
-        return replace(diagnosis, verdict="LABEL", detail="AMBIGUOUS")
-    if mark is not None:
-        return replace(diagnosis, verdict="LABEL", detail=mark)
-    if fits:
-        return replace(diagnosis, verdict="LABEL", detail="SUSPECT")
+    correct = bool(hits[case.target_object]) or bool(line.answer is not None and line.answer.yes)
+    right, lucky = bool(hits[case.acceptable].any()), reference is not None and not fits
+    if (known := decided_by_label(diagnosis, correct, mark, right, fits, lucky)) is not None:
+        return known
     if line.level == 0:
         return replace(diagnosis, verdict="UNEXPLAINED", detail="ANSWER")
     found = substitute(evidence, case)
@@ -143,6 +137,22 @@ def judge_without_ranking(evidence: FrameEvidence, case: Case, parse_ok: bool, m
     if _misplaced(evidence, found, line):
         return replace(diagnosis, verdict="LIFT", repair=("LIFT",), mends=("LIFT",))
     return replace(diagnosis, verdict="UNEXPLAINED", detail="BOXES")
+
+
+def decided_by_label(
+    diagnosis: Diagnosis, correct: bool, mark: str | None, right: bool, fits: bool, lucky: bool
+) -> Diagnosis | None:
+    """CORRECT, PARSE or LABEL; None for a wrong answer, of which a later module is to blame.
+
+    `right`: the answer is another acceptable target; `fits`: the labels' relations hold of the answered pair.
+    """
+    plain = replace(diagnosis, repair=())
+    if correct:
+        return replace(plain, verdict="CORRECT", lucky=lucky)
+    if not diagnosis.gold:
+        return replace(plain, verdict="PARSE")
+    detail = "AMBIGUOUS" if right else mark or ("SUSPECT" if fits else None)
+    return None if detail is None else replace(plain, verdict="LABEL", detail=detail)
 
 
 def _one_for_both(evidence: FrameEvidence, case: Case, found: OracleScores, diagnosis: Diagnosis) -> Diagnosis | None:

@@ -222,7 +222,7 @@ def _oracle(d: Diagnosis, name: str, right: bool, margin: float) -> Element:
 
 def _second(other: OtherAnswer, moved: str) -> Element:
     """Verdict of the second run in a line with the difference; opens both answers."""
-    chip = verdict_chip_of(other.judged) if isinstance(other.judged, Diagnosis) else None
+    chip = None if other.diagnosis is None else verdict_chip_of(other.diagnosis)
     what = (h.span("second run ", cls="dim"), chip, f" {moved or 'no answer'}")
     return h.button(what, cls="plain", do="stage:LABEL", title=f"{other.name}: both answers")
 
@@ -230,10 +230,10 @@ def _second(other: OtherAnswer, moved: str) -> Element:
 def _other(state: State, trace: Trace, other: OtherAnswer) -> list[Child]:
     """Answer of the other run beside this answer, with the difference."""
     mine = state.ranked[0] if state.ranked else None
-    if other.error:
-        return [h.h3("The second run", h.span(other.name)), note(other.error)]
+    if other.problem:
+        return [h.h3("The second run", h.span(other.name)), note(other.problem)]
     rows = []
-    for name, pair, asked in (("first", mine, trace), ("second", other.best, other.trace)):
+    for name, pair, asked in (("first", mine, trace), ("second", next(iter(other.pairs), None), other.trace)):
         cells: Child = h.td("no answer", colspan=4)
         if pair is not None and asked is not None and pair.reference is not None:
             names = " · ".join(_named_here(state, asked.objects[i]) for i in (pair.target, pair.reference))
@@ -245,7 +245,7 @@ def _other(state: State, trace: Trace, other: OtherAnswer) -> list[Child]:
     )
     return [
         h.h3("The second run", h.span(f"{other.name}: {state.other_pair}" if state.other_pair else other.name)),
-        verdict_chip_of(other.judged) if isinstance(other.judged, Diagnosis) else None,
+        None if other.diagnosis is None else verdict_chip_of(other.diagnosis),
         h.table(h.thead(head), h.tbody(rows), cls="other"),
     ]
 

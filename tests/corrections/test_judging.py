@@ -65,9 +65,9 @@ def test_a_second_run_answers_too_and_is_judged_by_the_same_truth(source: Pipeli
     assert other is not None
     assert other.trace is not None
     trace = run.source.ask(context, text)
-    assert other.best == next(iter(trace.ranking.pairs if trace.ranking else ()), None)
+    assert other.pairs == (trace.ranking.pairs if trace.ranking else ())
     assert judge.other("nothing", context, text) is None
     refused = judge.other("demo", context, "no such thing as this")
     assert refused is not None
-    assert refused.error
-    assert (refused.trace, refused.best) == (None, None)
+    assert refused.problem
+    assert (refused.trace, refused.pairs) == (None, ())

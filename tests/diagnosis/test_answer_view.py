@@ -112,13 +112,13 @@ def test_the_other_runs_answer_is_told_by_what_of_it_is_another_thing(baseline: 
     view = looked_at(baseline)
     assert view.other_pair == ""
     assert view.ghosts == []
-    same = replace(view, other=OtherAnswer("second", baseline.outcome.trace))
+    same = replace(view, other=OtherAnswer("", baseline.outcome.trace, name="second"))
     assert (same.other_pair, same.ghosts) == ("the same pair", [])
     hidden = rerun(baseline, Edits().with_hidden(baseline.outcome.keys[view.ranked[0].target]))
-    another = replace(view, other=OtherAnswer("second", hidden.trace))
+    another = replace(view, other=OtherAnswer("", hidden.trace, name="second"))
     assert another.other_pair == "another target"
     assert [(g.key, g.role) for g in another.ghosts] == [("other-target", "edited")]
-    assert replace(view, other=OtherAnswer("second", None, error="no")).other_pair == ""
+    assert replace(view, other=OtherAnswer("", problem="no", name="second")).other_pair == ""
 
 
 def test_edits_are_said_in_words_one_after_the_other(baseline: Baseline) -> None:

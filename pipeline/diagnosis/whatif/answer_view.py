@@ -13,6 +13,7 @@ from pipeline.answering.ask import Trace
 from pipeline.answering.frame_store import LoadedFrame
 from pipeline.answering.objects import PreparedFrame, SceneObject
 from pipeline.answering.pair_table import ScoredPair
+from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif.changes import PairKeys, pair_keys, ranked_pairs
 from pipeline.diagnosis.whatif.edits import Edits
@@ -87,20 +88,10 @@ View = TypeVar("View", bound="AnswerView")
 
 
 @dataclass(frozen=True)
-class OtherAnswer:
+class OtherAnswer(Answer):
     """Answer of another run to the same question about the same frame."""
 
-    name: str  # Of its system
-    trace: Trace | None
-    judged: Diagnosis | str | None = None
-    error: str = ""  # Why it cannot be asked
-
-    @property
-    def best(self) -> ScoredPair | None:
-        """Best pair."""
-        if self.trace is None or self.trace.ranking is None or self.trace.ranking.degenerate:
-            return None
-        return self.trace.ranking.pairs[0]
+    name: str = field(kw_only=True)  # Of its system
 
 
 @dataclass(frozen=True)
@@ -237,14 +228,15 @@ class AnswerView:
         boxes = self.judged.labelled_boxes() if isinstance(self.judged, Diagnosis) else {}
         found = [ExtraBox(name, f"labelled {name}", box, "truth") for name, box in boxes.items()]
         other, mine = self.other, self.ranked[0] if self.ranked else None
-        if other is None or other.trace is None or other.best is None:
+        if other is None or not other.pairs:
             return found
+        best = other.pairs[0]
         ends = (
-            ("target", other.best.target, None if mine is None else mine.target),
-            ("reference", other.best.reference, None if mine is None else mine.reference),
+            ("target", best.target, None if mine is None else mine.target),
+            ("reference", best.reference, None if mine is None else mine.reference),
         )
         for name, place, own in ends:
-            entry = None if place is None else other.trace.objects[place]
+            entry = None if place is None else other.objects[place]
             if entry is not None and entry.lifted.box is not None and not same_thing(self.trace, own, entry):
                 found.append(ExtraBox(f"other-{name}", f"{other.name}: {entry.label}", entry.lifted.box, "edited"))
         return found
@@ -253,10 +245,10 @@ class AnswerView:
     def other_pair(self) -> str:
         """Difference of the other run's answer from the pair; empty where either is missing."""
         mine, other = self.ranked[0] if self.ranked else None, self.other
-        if mine is None or other is None or other.best is None or other.trace is None:
+        if mine is None or other is None or not other.pairs:
             return ""
-        ends = ((mine.target, other.best.target), (mine.reference, other.best.reference))
-        same = [a is not None and b is not None and same_thing(self.trace, a, other.trace.objects[b]) for a, b in ends]
+        ends = ((mine.target, other.pairs[0].target), (mine.reference, other.pairs[0].reference))
+        same = [a is not None and b is not None and same_thing(self.trace, a, other.objects[b]) for a, b in ends]
         found = {(True, True): "the same pair", (True, False): "the same target, another reference"}
         return found.get((same[0], same[1]), "another target")
 

@@ -292,17 +292,6 @@ class Edits:
         """Set the relation scorer: "rule", "trained", or the path of a network."""
         return replace(self, scorer=scorer)
 
-    def without(self, key: str) -> Edits:
-        """Take back all edits of an object."""
-        return replace(
-            self,
-            boxes={k: v for k, v in self.boxes.items() if k != key},
-            masks={k: v for k, v in self.masks.items() if k != key},
-            hidden=self.hidden - {key},
-            confidences={k: v for k, v in self.confidences.items() if k[1] != key},
-            relations={k: v for k, v in self.relations.items() if key not in k[1:]},
-        )
-
 
 def probability(p: float) -> float:
     """Check a probability; InputError outside 0..1."""

@@ -209,16 +209,15 @@ def _edited(baseline: Baseline, context: PreparedFrame, edits: Edits, name: str,
     def lifted() -> SceneObject:
         return context.lift(baseline.found[name].take(np.array([at])), baseline.detector)[0]
 
-    slot = (config, name, at)
-    entry = baseline.kept("lifted", slot, lifted)
+    entry = baseline.kept("lifted", (config, name, at), lifted)
     if mask is not None:
-        entry = _last_made(baseline, "masked", slot, (mask,), lambda: _repainted(baseline, context, entry, key, mask))
+        entry = _repainted(baseline, context, entry, key, mask)
     if box is None:
         return entry
     moved = _last_made(
         baseline, "moved", (config, key), (entry.lifted, box), lambda: entry.lifted.moved_to(box.box(), context.viewer)
     )
-    return _last_made(baseline, "placed", slot, (entry, moved), lambda: replace(entry, lifted=moved))
+    return replace(entry, lifted=moved)
 
 
 def _last_made(baseline: Baseline, kind: str, slot: Hashable, inputs: tuple[Any, ...], make: Callable[[], _T]) -> _T:
