@@ -353,6 +353,6 @@ def diagnose_run(
     """
     confusions = [] if labels is None else [answer_confusion(next(iter(systems.values())), labels)]
     summaries = {name: summarise_run(r, config) for name, r in systems.items() if has_verdicts(r)}
-    cuts = [d for d in DIMENSIONS.values() if all(not d.column or d.column in r.column_names for r in systems.values())]
+    cuts = [d for d in DIMENSIONS.values() if all(d.column in r.column_names for r in systems.values())]
     slices = tuple(slice_by(systems, d, config, most=MOST) for d in cuts)
     return RunDiagnosis(summaries, slices, tuple(confusions), {name: shares.get(name, ()) for name in summaries})

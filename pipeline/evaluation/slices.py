@@ -28,7 +28,7 @@ class Dimension:
 
     name: str  # also the field of a search
     title: str
-    column: str  # of the records; "" for the system
+    column: str  # of the records
     edges: tuple[float, ...] = ()  # where the bins of a number begin; the last has no end. Empty for a text.
     unit: str = ""
     # order: texts by "count", by "name", or relations in their own order
@@ -49,7 +49,6 @@ DIMENSIONS: dict[str, Dimension] = {
         Dimension("label_margin", "margin of the label", "label_margin", (0, 0.05, 0.1, 0.2, 0.4), "m"),
         Dimension("scene", "scene", "scene", order="name"),
         Dimension("frame", "frame", "frame", order="name"),
-        Dimension("system", "system", ""),
     )
 }
 """All dimensions by name."""
@@ -135,7 +134,7 @@ def slice_by(
     found: list[Slice] = []
     unit = "scene"
     for system, records in systems.items():
-        if cut.column and cut.column not in records.column_names:
+        if cut.column not in records.column_names:
             cause = "it was made by an older release; run `eval` again"
             raise InputError(f"the run {system} cannot be cut by {cut.name}", cause=cause)
         clusters, unit = clusters_of(records)
@@ -154,7 +153,7 @@ def _sliced(
     if not records.num_rows:
         return []
     judged = has_verdicts(records)
-    found = coded(records, cut, system)
+    found = coded(records, cut)
     _, index = np.unique(clusters, return_inverse=True)
     flags: list[np.ndarray | None] = [None]
     flags += [_is_true(records.column(m)) if judged or m != "lucky" else np.zeros(len(index)) for m in MEASURES]
@@ -204,11 +203,9 @@ class Coded:
 YES_NO = ("yes", "no")
 
 
-def coded(records: pa.Table, cut: Dimension, system: str = "", known: Sequence[str] = ()) -> Coded:
+def coded(records: pa.Table, cut: Dimension, known: Sequence[str] = ()) -> Coded:
     """Code the values of a column; `known` values come first, an expression has several codes in a list column."""
     row = np.arange(records.num_rows)
-    if not cut.column:
-        return Coded(cut, [""], ((system, ""),), row, np.zeros(len(row), np.int64))
     column = records.column(cut.column).combine_chunks()
     if cut.edges:
         numbers = column.cast("float64").to_numpy(zero_copy_only=False)
@@ -216,7 +213,7 @@ def coded(records: pa.Table, cut: Dimension, system: str = "", known: Sequence[s
         code = np.searchsorted(np.array(cut.edges, np.float32).astype(np.float64), numbers, side="right")
         keys: list[Any] = [*range(len(cut.edges) + 1), -1]
         code = np.where(np.isnan(numbers), len(keys) - 1, code)
-        return Coded(cut, keys, tuple(part_of(cut, k, system) for k in keys), row, code)
+        return Coded(cut, keys, tuple(part_of(cut, k) for k in keys), row, code)
     several = "list" in str(column.type)
     if several:
         row = np.repeat(row, np.diff(column.offsets.to_numpy()))
@@ -229,14 +226,12 @@ def coded(records: pa.Table, cut: Dimension, system: str = "", known: Sequence[s
     order = sorted(range(len(keys)), key=lambda k: (keys[k] is None, rank.get(keys[k], len(rank)), str(keys[k])))
     place = np.argsort(order)[encoded.indices.to_numpy(zero_copy_only=False)]
     operator = ":" if several or known else "="
-    parts = tuple(part_of(cut, keys[k], system, operator) for k in order)
+    parts = tuple(part_of(cut, keys[k], operator) for k in order)
     return Coded(cut, [keys[k] for k in order], parts, row, place)
 
 
-def part_of(cut: Dimension, key: Any, system: str, operator: str = "=") -> tuple[str, str]:
+def part_of(cut: Dimension, key: Any, operator: str = "=") -> tuple[str, str]:
     """Name of a value, and the search for the value's expressions."""
-    if not cut.column:
-        return system, ""
     if key is None or (cut.edges and key < 0):
         return UNKNOWN, f"{cut.name}:none"
     if cut.order == "relation":
@@ -284,7 +279,7 @@ def _slice(
 def slice_table(found: Slices, intervals: bool = True) -> Table:
     """Format slices as a table of accuracies and verdict shares, bare without `intervals`."""
     shown = [v for v in VERDICTS if any(s.counts.get(v) for s in found.slices)]
-    several = len({s.system for s in found.slices}) > 1 and found.dimension.column
+    several = len({s.system for s in found.slices}) > 1
     rows = []
     for s in found.slices:
         cells: list[Cell] = [s.n, s.set_correct, s.correct]

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, Field
 
 from pipeline.datasets.semantic_abstraction_splits import SUBSETS, subsets_of
 from pipeline.datasets.settings import read_settings
@@ -26,9 +25,8 @@ from pipeline.metrics.relation_metrics import cell_outcomes, relation_estimates
 from pipeline.metrics.tables import NOTHING_SHARED, Cell, Row, Table, in_blocks
 from pipeline.relations.relations import T
 from pipeline.system.arrow import pa
-from pipeline.system.errors import InputError, require
-from pipeline.system.reading import checked
-from pipeline.system.safe_files import read_bytes
+from pipeline.system.errors import require
+from pipeline.system.safe_files import read_json
 
 FIGURES = Path(__file__).with_name("reported.json")
 SA, AVD = "semantic-abstraction", "avd"
@@ -112,31 +110,19 @@ def paper_tables(
     return found
 
 
-class Reported(BaseModel, extra="forbid"):
+@dataclass(frozen=True)
+class Reported:
     """One published line: figures by the measure's name, as shares, and where they stand."""
 
     table: str
     name: str
-    source: str = Field(min_length=1)
+    source: str
     figures: dict[str, float]
 
 
-class Publications(BaseModel, extra="forbid"):
-    """The file."""
-
-    rows: list[Reported]
-
-
-def read_reported(path: Path = FIGURES) -> tuple[Reported, ...]:
-    """All published lines of a file.
-
-    Raises InputError: it is missing or of another shape.
-    """
-    try:
-        text = read_bytes(path, "text")
-    except FileNotFoundError as error:
-        raise InputError("there is no such file of published figures", path=path) from error
-    return tuple(checked(Publications.model_validate_json, text, "published figures: {} is wrong", path).rows)
+def read_reported() -> tuple[Reported, ...]:
+    """All published lines."""
+    return tuple(Reported(**row) for row in read_json(FIGURES)["rows"])
 
 
 def published(key: str, columns: Sequence[str]) -> list[Row]:
