@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.datasets.settings import ASSUMED, DECLARE
+from pipeline.labels.frame_stream import frame_spans
 from pipeline.labels.labelling import row_hash
 from pipeline.labels.plan import PLAN_FILE, Plan, Shard, TextStyle, load_plan
 from pipeline.labels.provenance import makers_of
@@ -235,16 +236,12 @@ def _worded(
 
 
 def _single(objects: pa.Table) -> set[tuple[int, int]]:
-    frames: dict[int, list[tuple[int, str]]] = {}
-    columns = (objects.column(n).to_pylist() for n in ("frame_index", "object", "label"))
-    for k, number, label in zip(*columns, strict=True):
-        frames.setdefault(k, []).append((number, label))
-    return {
-        (k, number)
-        for k, named in frames.items()
-        for (number, _), one in zip(named, alone([label for _, label in named]).tolist(), strict=True)
-        if one
-    }
+    """(frame_index, object) of the objects whose name means no other of their frame."""
+    found = set()
+    numbers, labels = (objects.column(name).to_pylist() for name in ("object", "label"))
+    for frame, start, stop in frame_spans(objects.column("frame_index").to_numpy()):
+        found |= {(frame, numbers[start + k]) for k in np.flatnonzero(alone(labels[start:stop])).tolist()}
+    return found
 
 
 def write_merged(out: Path, name: str, parts: Iterator[pa.Table]) -> TableFile:

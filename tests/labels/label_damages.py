@@ -62,12 +62,6 @@ def a_cell_is_edited(t: Tables) -> set[Where]:
     return {(None, ())}
 
 
-@damages("file/changed", "warning")
-def a_count_of_the_manifest_is_edited(t: Tables) -> set[Where]:
-    t["manifest"][0]["counts"]["objects"] += 1
-    return {(None, ())}
-
-
 @damages("profile/changed", "warning")
 def rules_had_other_thresholds(t: Tables) -> set[Where]:
     t["manifest"][0]["profile_hash"] = "0" * 64

@@ -109,7 +109,6 @@ def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]
             yield _finding("file/unreadable", str(error), {"table": name})
         else:
             yield from _changed(labels, name, digest)
-    yield from _counts(manifest)
     yield from check_profile(manifest)
     # What rests on a table that cannot be read would be one error a row.
     if lost & {"frames", "objects"}:
@@ -193,19 +192,6 @@ def _changed(labels: Labels, name: str, found: RowHash) -> Iterator[Finding]:
         yield _finding("file/changed", f"{name}.parquet {what}", figures)
     elif not same:
         yield _finding("file/changed", f"the manifest's rows or hash of {name}.parquet were changed", figures)
-
-
-def _counts(manifest: Manifest) -> Iterator[Finding]:
-    """The manifest against itself."""
-    pairs = {"frames": "frames", "objects": "objects", "pairs": "relations", "expressions": "expressions"}
-    for count, table in pairs.items():
-        record = manifest.tables.get(table)
-        if record is not None and count in manifest.counts and manifest.counts[count] != record.rows:
-            yield _finding(
-                "file/changed",
-                f"the manifest counts {manifest.counts[count]} {count} and lists {record.rows} rows",
-                {"table": table, "count": manifest.counts[count], "rows": record.rows},
-            )
 
 
 def profile_problem(manifest: Manifest) -> str | None:

@@ -352,8 +352,7 @@ def chosen_rules(names: Sequence[str] | None) -> frozenset[str]:
         return frozenset(RULES)
     found: set[str] = set()
     for name in names:
-        group = name.removesuffix("/*").removesuffix("/")
-        members = {r for r in RULES if r == name or r.split("/")[0] == group}
+        members = {rule for rule in RULES if name in (rule, rule.split("/")[0])}
         if not members:
             known = (*(r.split("/")[0] for r in RULES), *RULES)
             raise InputError("no such rule", got=repr(name), expected=" | ".join(dict.fromkeys(known)))

@@ -331,13 +331,6 @@ class Written:
 
 
 @dataclass(frozen=True)
-class ExportReport(Written):
-    """A finished export: what was written, and where."""
-
-    folder: Path = Path()
-
-
-@dataclass(frozen=True)
 class ExportFormat:
     """One export format.
 

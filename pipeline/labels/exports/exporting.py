@@ -27,7 +27,6 @@ from pipeline.datasets import Dataset
 from pipeline.labels.exports import coco, kitti, vqa_questions
 from pipeline.labels.exports.base import (
     ExportFormat,
-    ExportReport,
     Job,
     Progress,
     Written,
@@ -70,7 +69,7 @@ def export_labels(
     overwrite: bool = False,
     options: Any = None,
     progress: Progress | None = None,
-) -> ExportReport:
+) -> Written:
     """Write labels in another tool's format. Either the whole folder appears, or nothing does.
 
     Every format says of its rows where their values come from: see
@@ -123,7 +122,7 @@ def export_labels(
             "options": None if options is None else dataclasses.asdict(options),
         }
         write_json(folder / MARK, record)
-    return ExportReport((*written.files, MANIFEST_FILE, MARK), written.rows, written.notes, out)
+    return dataclasses.replace(written, files=(*written.files, MANIFEST_FILE, MARK))
 
 
 def _format(name: str) -> ExportFormat:
