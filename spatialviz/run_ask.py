@@ -24,8 +24,7 @@ from pipeline.diagnosis.asking import ask_and_judge
 from pipeline.diagnosis.suggestions import SURE, MissedNames, missed_names
 from pipeline.diagnosis.verdict import shown_verdict
 from pipeline.evaluation.run_folder import open_run
-from pipeline.geometry.measure import Measurement, measure
-from pipeline.geometry.viewer import ViewerAxes
+from pipeline.geometry.viewer import Measurement, ViewerAxes, measure
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.counted import counted
 from pipeline.language.glossary import GlossaryTerm, find_term, glossary, glossary_markdown

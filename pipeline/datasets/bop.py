@@ -175,18 +175,13 @@ def _scene_folders(root: Path) -> dict[str, Path]:
     scenes = {name: root / name for name in folders if _is_scene(root / name)}
     if scenes:
         return scenes
-    splits: dict[str, dict[str, Path]] = {}
-    for split in folders:
-        names = readable(root / split)[0]
-        if any(name.startswith("models") for name in names):
-            # It names its own objects, so it is a dataset beside others and no split of this one.
-            continue
-        inside = {name: root / split / name for name in names if _is_scene(root / split / name)}
-        if inside:
-            splits[split] = inside
-    if len(splits) == 1:
-        return next(iter(splits.values()))
-    return {f"{split}/{name}": path for split, inside in splits.items() for name, path in inside.items()}
+    # A folder with models names its own objects: it is a dataset beside others, and no split of this one.
+    names = {split: readable(root / split)[0] for split in folders}
+    splits = [split for split in folders if not any(name.startswith("models") for name in names[split])]
+    inside = {(split, name): root / split / name for split in splits for name in names[split]}
+    found = {key: path for key, path in inside.items() if _is_scene(path)}
+    several = len({split for split, _ in found}) > 1
+    return {f"{split}/{name}" if several else name: path for (split, name), path in found.items()}
 
 
 def _is_scene(folder: Path) -> bool:

@@ -10,7 +10,6 @@ from typing import Any, TypeVar
 import numpy as np
 
 from pipeline.datasets.base import ChangedFrames, Dataset, load_picture, load_pose, scene_of
-from pipeline.datasets.files import read_matrix
 from pipeline.geometry.frame import Frame
 from pipeline.system.errors import InputError, require
 
@@ -76,6 +75,12 @@ def pose_from_quaternion(values: np.ndarray) -> np.ndarray:
     return rigid(R, values[:3])
 
 
+def nearest(times: np.ndarray, time: float, within: float) -> int | None:
+    """Index of the nearest of many times, seconds; None where none is near enough."""
+    found = int(np.abs(times - time).argmin()) if len(times) else -1
+    return found if found >= 0 and abs(float(times[found]) - time) <= within else None
+
+
 def one_file(candidates: list[Path], what: str, where: Path) -> Path:
     """Single file among several candidates."""
     require(candidates, f"the {what} file is missing", path=where)
@@ -126,8 +131,3 @@ class ShiftedPoses(ChangedFrames):
         if "declared" not in (own.up_source, source):
             up, source = own.up, own.up_source
         return replace(frame, camera=replace(own, T_world_camera=pose, up=up, up_source=source), notes=notes)
-
-
-def read_pose(path: Path, notes: list[str]) -> np.ndarray | None:
-    """Pose T_world_camera (4, 4) from a file of 4x4 numbers; None and a note where unusable."""
-    return or_note(notes, f"no camera pose, {path.name}: ", lambda: pose_from_matrix(read_matrix(path, 4, 4)))

@@ -79,18 +79,14 @@ MOST_CAMERA_FILES = 20
 """So many files that may speak of the camera are read."""
 
 
-@dataclass(frozen=True)
-class _PoseText:
-    """Text of a pose: a file, or a line of `pose.txt`."""
+PoseText = tuple[Path, str | None]
+"""A file with a 4x4 matrix; or `pose.txt`, and a line of it."""
 
-    path: Path
-    line: str | None = None
 
-    def read(self) -> np.ndarray:
-        if self.line is None:
-            return pose_from_matrix(read_matrix(self.path, 4, 4))
-        values = as_floats(self.line.replace(",", " ").split(), 7, self.path, "tx ty tz qx qy qz qw")
-        return pose_from_quaternion(values)
+def _read_pose(path: Path, line: str | None) -> np.ndarray:
+    if line is None:
+        return pose_from_matrix(read_matrix(path, 4, 4))
+    return pose_from_quaternion(as_floats(line.replace(",", " ").split(), 7, path, "tx ty tz qx qy qz qw"))
 
 
 @dataclass(frozen=True)
@@ -102,7 +98,7 @@ class SceneFolder:
     stated: Stated = NOTHING  # What a file for all frames says of the camera
     cameras: Mapping[Key, str] = field(default_factory=dict)
     labels: Mapping[Key, str] = field(default_factory=dict)  # Files of single frames, relative to the folder
-    poses: Mapping[Key, _PoseText] = field(default_factory=dict)
+    poses: Mapping[Key, PoseText] = field(default_factory=dict)
     pose_problem: str | None = None  # Why there are none although there is a file
 
     @classmethod
@@ -189,7 +185,7 @@ class FolderDataset(Recording):
         if text is None:
             notes += ["no camera pose: its file is missing"] if scene.poses else []
             return None
-        return or_note(notes, f"no camera pose, {text.path.name}: ", text.read)
+        return or_note(notes, f"no camera pose, {text[0].name}: ", _read_pose, *text)
 
     def _up(self, pose: np.ndarray | None) -> np.ndarray | None:
         """Up vector, camera frame, of the layout's world; None for plain layouts."""
@@ -238,14 +234,14 @@ def _seen(scene: SceneFolder) -> str:
     return f"{counted(len(scene.pairs), 'pair')} such as {first.color_name} and {first.depth_name}"
 
 
-def _poses(files: Files, naming: Naming, keys: list[Key]) -> tuple[dict[Key, _PoseText], str | None]:
+def _poses(files: Files, naming: Naming, keys: list[Key]) -> tuple[dict[Key, PoseText], str | None]:
     """Pose text by frame key, and the reason for missing poses."""
     known = set(keys)
     names = [name for name in files.of("pose") if "/" in name or naming(name) in known]
     if names:
         if same := twice(naming, names):
             return {}, f"pose/ has {same} for one frame"
-        return {naming(name): _PoseText(files.root / name) for name in names}, None
+        return {naming(name): (files.root / name, None) for name in names}, None
     path = files.root / "pose.txt"
     if not path.is_file():
         return {}, None
@@ -254,9 +250,9 @@ def _poses(files: Files, naming: Naming, keys: list[Key]) -> tuple[dict[Key, _Po
     except InputError as error:
         return {}, f"pose.txt: {error.what}"
     if len(lines) == len(keys):
-        return {key: _PoseText(path, line) for key, line in zip(keys, lines, strict=True)}, None
+        return {key: (path, line) for key, line in zip(keys, lines, strict=True)}, None
     if all(len(key) == 1 and key[0].isdecimal() and 1 <= int(key[0]) <= len(lines) for key in keys):
-        return {key: _PoseText(path, lines[int(key[0]) - 1]) for key in keys}, None
+        return {key: (path, lines[int(key[0]) - 1]) for key in keys}, None
     return {}, f"pose.txt has {len(lines)} lines for {len(keys)} frames"
 
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 from zipfile import BadZipFile, ZipFile
 
 import cv2
@@ -17,10 +17,10 @@ import numpy as np
 
 from pipeline.datasets.base import DatasetFormat
 from pipeline.datasets.camera_files import Stated, flat_numbers, stated_in
-from pipeline.datasets.cameras import inverse, or_note, pose_from_quaternion, rigid
+from pipeline.datasets.cameras import inverse, nearest, or_note, pose_from_quaternion, rigid
 from pipeline.datasets.files import Blob, Part, as_floats, natural, numbered_lines, read_json, readable
 from pipeline.datasets.folder import FolderDataset, SceneFolder
-from pipeline.datasets.pairing import Files, Pair, numbers, stem_of
+from pipeline.datasets.pairing import Pair, numbers, stem_of
 from pipeline.datasets.reconstructions import OPENCV_OF_OPENGL
 from pipeline.datasets.recording import DepthRule, Listed, Recording
 from pipeline.datasets.settings import Settings
@@ -38,6 +38,7 @@ class ArkitScenesDataset(FolderDataset):
     trajectory is world-to-camera, and z is up in its world."""
 
     format = "arkitscenes"
+    parts: ClassVar = {"color": COLOR, "depth": DEPTH, "camera": CAMERA}
     rule = DepthRule(1000.0, "ARKitScenes'")
 
     def __init__(self, root: Path, settings: Settings) -> None:
@@ -49,10 +50,6 @@ class ArkitScenesDataset(FolderDataset):
     def _folders(self, root: Path) -> dict[str, Path]:
         return {"": _scan(root)[1]}
 
-    def _files(self, folder: Path) -> Files:
-        found = {role: [f"{n}/{f}" for f in readable(folder / n)[1]] for role, n in _PARTS.items()}
-        return Files(folder, False, found)
-
     def _camera(self, scene: SceneFolder, pair: Pair) -> Stated:
         # Names of cameras may be a millisecond off.
         time = _time(pair)
@@ -61,15 +58,14 @@ class ArkitScenesDataset(FolderDataset):
 
     def _pose(self, scene: SceneFolder, pair: Pair, notes: list[str]) -> np.ndarray | None:
         notes += self._notes
-        path, time = self._path, _time(pair)
-        if path is None or not len(path):
+        if self._path is None or not len(self._path):
             return None
-        nearest = path[np.abs(path[:, 0] - time).argmin()]
-        if abs(nearest[0] - time) > WITHIN_S:
+        at = nearest(self._path[:, 0], _time(pair), WITHIN_S)
+        if at is None:
             notes.append(f"no camera pose: {TRAJECTORY} has none within {1000 * WITHIN_S:g} ms")
             return None
-        R = cv2.Rodrigues(nearest[1:4])[0]
-        return or_note(notes, "no camera pose: ", lambda: inverse(rigid(R, nearest[4:7])))
+        _, turn, t = np.split(self._path[at], (1, 4))
+        return or_note(notes, "no camera pose: ", lambda: inverse(rigid(cv2.Rodrigues(turn)[0], t)))
 
     def _up(self, pose: np.ndarray | None) -> np.ndarray | None:
         return None if pose is None else pose[2, :3]
@@ -80,9 +76,6 @@ def _time(pair: Pair) -> float:
     times = numbers(name)
     require(times, "the name of a frame has no time", got=name, expected="such as 40958756_77.234.png", path=pair.root)
     return float(times[-1])
-
-
-_PARTS = {"color": COLOR, "depth": DEPTH, "camera": CAMERA}
 
 
 def _trajectory(path: Path) -> np.ndarray:

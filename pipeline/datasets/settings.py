@@ -76,12 +76,11 @@ class Settings:
     registration: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
-        if self.intrinsics is not None:
-            fx, fy, cx, cy = _numbers("intrinsics", self.intrinsics, 4)
-            require(
-                fx > 0 and fy > 0, "focal lengths must be positive", got=f"fx={fx:g}, fy={fy:g}", expected="fx,fy,cx,cy"
-            )
-            object.__setattr__(self, "intrinsics", (fx, fy, cx, cy))
+        for key, count in (("intrinsics", 4), ("registration", 7)):
+            if (values := getattr(self, key)) is not None:
+                values = _numbers(key, values, count)
+                Registration(*values)  # Says what is wrong with the focal lengths.
+                object.__setattr__(self, key, values)
         if self.depth_scale is not None:
             (scale,) = _numbers("depth_scale", [self.depth_scale], 1)
             require(
@@ -92,10 +91,6 @@ class Settings:
             check_convention(self.poses)
         whole = self.pose_shift is None or (isinstance(self.pose_shift, int) and not isinstance(self.pose_shift, bool))
         require(whole, "pose_shift must be a whole number of frames", got=str(self.pose_shift)[:40])
-        if self.registration is not None:
-            numbers = _numbers("registration", self.registration, 7)
-            Registration(*numbers)
-            object.__setattr__(self, "registration", numbers)
         if self.world_up is not None:
             object.__setattr__(self, "world_up", _direction("world_up", self.world_up))
         if isinstance(self.up, str):

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 import os
 import re
-from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.datasets.base import DatasetFormat
-from pipeline.datasets.cameras import or_note, pose_from_quaternion
+from pipeline.datasets.cameras import nearest, or_note, pose_from_quaternion
 from pipeline.datasets.files import as_floats, name_inside, numbered_lines
 from pipeline.datasets.recording import DepthRule, Listed, Recording
 from pipeline.datasets.settings import Settings, camera_notes
@@ -34,19 +33,6 @@ _TIME = re.compile(r"[0-9]+(\.[0-9]+)?")
 """Seconds with as many digits as a script prints."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Entry:
-    """A line of rgb.txt or depth.txt."""
-
-    stamp: str
-    name: str
-
-    @property
-    def time(self) -> float:
-        """Seconds."""
-        return float(self.stamp)
-
-
 class TumDataset(Recording):
     """Frames of the lines of rgb.txt in order of time; the id is the time stamp as written.
 
@@ -63,16 +49,16 @@ class TumDataset(Recording):
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
         colors, depths = _entries(root, "rgb.txt"), _entries(root, "depth.txt")
-        times = np.array([entry.time for entry in colors]), np.array([entry.time for entry in depths])
-        matched = match_times(*times)
+        matched = match_times(*(np.array([float(stamp) for stamp in entries]) for entries in (colors, depths)))
         require(
             matched,
             "no colour image has a depth image within 20 ms",
-            got=f"times from {colors[0].stamp} in rgb.txt and from {depths[0].stamp} in depth.txt",
+            got=f"times from {next(iter(colors))} in rgb.txt and from {next(iter(depths))} in depth.txt",
             path=root / "depth.txt",
         )
-        self._colors = {entry.stamp: entry for entry in colors}
-        self._depths = {colors[i].stamp: depths[j] for i, j in matched.items()}
+        self._colors = colors
+        stamps, names = tuple(colors), tuple(depths.values())
+        self._depths = {stamps[i]: names[j] for i, j in matched.items()}
         self.frame_ids = tuple(self._colors)
         self._pose_notes: list[str] = []
         self._path = or_note(
@@ -87,28 +73,21 @@ class TumDataset(Recording):
         color = self._found(self._colors, frame_id)
         require(frame_id in self._depths, f"no depth image within 20 ms of {frame_id}", path=self.root / "depth.txt")
         notes += self._pose_notes
-        pose = self._pose(color.time, notes)
-        depth = self.root / self._depths[frame_id].name
-        return Listed(self.root / color.name, depth, pose=pose)
-
-    def _pose(self, time: float, notes: list[str]) -> np.ndarray | None:
-        path = self._path
-        if path is None or not len(path):
-            return None
-        after = int(np.searchsorted(path[:, 0], time))
-        near = [k for k in (after - 1, after) if 0 <= k < len(path)]
-        k = min(near, key=lambda k: abs(float(path[k, 0]) - time))
-        if abs(float(path[k, 0]) - time) > WITHIN + _ROUNDING:
-            notes.append("no camera pose: groundtruth.txt has none within 20 ms")
-            return None
-        return or_note(notes, "no camera pose, groundtruth.txt: ", pose_from_quaternion, path[k, 1:])
+        pose, path = None, self._path
+        if path is not None and len(path):
+            at = nearest(path[:, 0], float(frame_id), WITHIN + _ROUNDING)
+            if at is None:
+                notes.append("no camera pose: groundtruth.txt has none within 20 ms")
+            else:
+                pose = or_note(notes, "no camera pose, groundtruth.txt: ", pose_from_quaternion, path[at, 1:])
+        return Listed(self.root / color, self.root / self._depths[frame_id], pose=pose)
 
 
-def _entries(root: Path, name: str) -> list[_Entry]:
-    """The lines of a list of images, in order of time."""
+def _entries(root: Path, name: str) -> dict[str, str]:
+    """Names of a list of images by time stamp as written, in order of time."""
     source = root / name
     # As decimals, since two stamps may differ only in digits that a float does not hold.
-    found: dict[Decimal, _Entry] = {}
+    found: dict[Decimal, tuple[str, str]] = {}
     for number, line in numbered_lines(source):
         stamp, *rest = line.split(maxsplit=1)
         require(
@@ -118,12 +97,10 @@ def _entries(root: Path, name: str) -> list[_Entry]:
             expected="timestamp path",
             path=source,
         )
-        entry = _Entry(stamp, name_inside(rest[0], source, number))
-        time = Decimal(stamp)
-        require(time not in found, f"line {number} repeats a time stamp", got=stamp[:60], path=source)
-        found[time] = entry
+        require(Decimal(stamp) not in found, f"line {number} repeats a time stamp", got=stamp[:60], path=source)
+        found[Decimal(stamp)] = stamp, name_inside(rest[0], source, number)
     require(found, "a list without a line", expected="timestamp path", path=source)
-    return [found[time] for time in sorted(found)]
+    return dict(found[time] for time in sorted(found))
 
 
 def match_times(a: np.ndarray, b: np.ndarray) -> dict[int, int]:

@@ -8,7 +8,6 @@ if TYPE_CHECKING:
     from pipeline.geometry.camera import IMAGE_UP, Camera, backproject, intrinsics, lift_pixels, project, to_world
     from pipeline.geometry.cloud import Cloud, cloud_of, drawn_pixels
     from pipeline.geometry.fitting import canonicalised, extents_of, pca_box
-    from pipeline.geometry.floor_grid import metre_grid, over_floor
     from pipeline.geometry.frame import Annotation, Frame
     from pipeline.geometry.level_plane import MIN_SCORE, decided, far_from_level, level_normal_at, up_hypotheses
     from pipeline.geometry.lifting import LiftConfig, LiftedObject, Pixel, Quality, clean, depth_edges, extents, lift
@@ -20,6 +19,6 @@ if TYPE_CHECKING:
     from pipeline.geometry.pose_convention import CONVENTIONS, STANDARD, check_convention, standard_poses
     from pipeline.geometry.registration import Registration, registered
     from pipeline.geometry.viewer import ViewerAxes, resolve_up, viewer_axes
-    from pipeline.geometry.viewpoints import viewpoint
+    from pipeline.geometry.viewpoints import metre_grid, over_floor, viewpoint
 
 __getattr__ = lazy_exports(__name__, __file__)

@@ -7,12 +7,12 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
+from pipeline.diagnosis.suggested_questions import SuggestedQuestions
 
 from pipeline.corrections.label_view import LabelView
-from pipeline.diagnosis.suggested_questions import SuggestedQuestions
 from pipeline.diagnosis.whatif.answer_view import AnswerView
 from pipeline.evaluation.run_figures import Listing, Recorded, recorded_verdict
-from pipeline.geometry.measure import Measurement, measure
+from pipeline.geometry.viewer import Measurement, measure
 from spatialviz.app.url_state import CameraMode, Place, Task
 
 ColorMode = Literal["rgb", "objects", "depth", "evidence"]

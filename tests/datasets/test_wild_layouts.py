@@ -16,7 +16,7 @@ from scipy.io import savemat
 from pipeline.datasets import open_dataset, survey
 from pipeline.datasets.pairing import role_of
 from pipeline.geometry import viewer_axes
-from pipeline.geometry.measure import measure
+from pipeline.geometry.viewer import measure
 
 BARE = [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
 

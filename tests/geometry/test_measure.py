@@ -10,7 +10,7 @@ from scenes import camera_of, up_of
 
 from pipeline.answering import open_pipeline
 from pipeline.geometry import Box3D, viewer_axes
-from pipeline.geometry.measure import measure
+from pipeline.geometry.viewer import measure
 from pipeline.system import InputError
 
 CAMERA = camera_of()
