@@ -16,7 +16,7 @@ bbox, segmentation, score; box_format), and `mask.json` or `label.json` of IDEA-
 (value, label, logit, box), which name no picture: the file's name, or its folder's, is taken for it. A folder of such
 files is read whole.
 
-ConceptGraphs: see `pipeline.proposals.concept_graphs`.
+ConceptGraphs: see `pipeline.proposals.coco_files`.
 """
 
 from __future__ import annotations
@@ -31,8 +31,16 @@ from pydantic import AliasChoices, AliasGenerator, BaseModel, BeforeValidator, C
 from pipeline.datasets.frame_names import Picture
 from pipeline.geometry.masks import RunLength
 from pipeline.proposals.class_names import read_class_names
-from pipeline.proposals.coco_files import Detections, RecordedDetection, coco_detections, is_coco
-from pipeline.proposals.concept_graphs import ENDINGS, SceneMap, map_detections, read_map
+from pipeline.proposals.coco_files import (
+    ENDINGS,
+    Detections,
+    RecordedDetection,
+    SceneMap,
+    coco_detections,
+    is_coco,
+    map_detections,
+    read_map,
+)
 from pipeline.system.errors import needed, require
 from pipeline.system.reading import Content, checked, read_content
 

@@ -34,8 +34,7 @@ from pipeline.language.naming import Synonyms
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Proposals, no_proposals
 from pipeline.proposals.class_names import meant_names
-from pipeline.proposals.coco_files import Detections, MaskCode, RecordedDetection, scored
-from pipeline.proposals.concept_graphs import Corners, SceneMap
+from pipeline.proposals.coco_files import Corners, Detections, MaskCode, RecordedDetection, SceneMap, scored
 from pipeline.proposals.detection_files import DETECTION_FORMATS, detection_files, format_of, read_detections
 from pipeline.system.errors import FrameUnusable, InputError, as_input_error, first_line, needed, require
 from pipeline.system.reading import Content, checked, read_content

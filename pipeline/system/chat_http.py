@@ -15,12 +15,11 @@ from urllib.parse import urlsplit
 import httpx2
 import openai
 
-from pipeline.system.errors import ServerError, listed
+from pipeline.system.errors import ServerError
 from pipeline.system.safe_files import parse_json
 
 MAX_BYTES = 16 << 20
 """No answer to a question is longer."""
-_MODELS_TIMEOUT_S = 10.0
 _ENDING = "does the base address end in /v1?"
 
 
@@ -41,8 +40,7 @@ class _Transport(httpx2.HTTPTransport):
         self._timeout_s, self._begin = timeout_s, begin
 
     def handle_request(self, request: httpx2.Request) -> httpx2.Response:
-        if request.method == "POST":
-            self._begin()
+        self._begin()
         deadline = monotonic() + self._timeout_s
         body = bytearray()
         with closing(super().handle_request(request)) as reply:
@@ -56,7 +54,7 @@ class _Transport(httpx2.HTTPTransport):
         if b"insufficient_quota" in body:
             # A used-up quota has the status of haste, and no waiting mends it.
             whole.headers["x-should-retry"] = "false"
-        if whole.status_code == 200 and request.method == "POST":
+        if whole.status_code == 200:
             _check_answer(whole)
         return whole
 
@@ -88,7 +86,7 @@ def _check_answer(reply: httpx2.Response) -> None:
 
 
 class Endpoint:
-    """Chat server: POST of a question, GET of its models."""
+    """Chat server."""
 
     def __init__(
         self, base_url: str, key: str, key_variable: str, timeout_s: float, retries: int, begin: Callable[[], None]
@@ -114,18 +112,7 @@ class Endpoint:
             reply = self._client.post("/chat/completions", cast_to=httpx2.Response, body=body, options=self._options)
             return reply.json()
         except openai.OpenAIError as error:
-            raise self._server_error(error, "chat/completions", self._cause(error, model)) from None
-
-    def models(self) -> tuple[str, ...]:
-        """Names of the server's models; ServerError on a refusal."""
-        once = self._client.with_options(max_retries=0, timeout=min(self._timeout_s, _MODELS_TIMEOUT_S))
-        try:
-            table = once.get("/models", cast_to=httpx2.Response, options=self._options).json()
-            return tuple(row["id"] for row in table["data"])
-        except openai.OpenAIError as error:
-            raise self._server_error(error, "models", None) from None
-        except (ValueError, LookupError, TypeError):
-            return ()
+            raise self._server_error(error, self._cause(error, model)) from None
 
     def _cause(self, error: openai.OpenAIError, model: str) -> str | None:
         """Likely cause of a status."""
@@ -138,16 +125,9 @@ class Endpoint:
             return f"it redirects to {headers.get('location', '')[:200]}; give that address"
         if "retry-after" in headers:
             return f"it asks to wait {headers['retry-after'][:40]} s"
-        if status in (400, 404, 422):
-            try:
-                names = self.models()
-            except ServerError as problem:
-                return _ENDING if problem.status == 404 else None
-            if names and model not in names:
-                return f"the server has no model {model!r}, only: {listed(names)}"
-        return None
+        return _ENDING if status == 404 and model not in error.response.text else None
 
-    def _server_error(self, error: openai.OpenAIError, path: str, cause: str | None) -> ServerError:
+    def _server_error(self, error: openai.OpenAIError, cause: str | None) -> ServerError:
         status, everywhere, detail = None, False, ""
         if isinstance(error, _Useless):
             what, detail, cause, everywhere = error.what, error.detail, error.cause, True
@@ -174,7 +154,7 @@ class Endpoint:
         line = next((found for found in detail.splitlines() if found.strip()), "").strip()
         line = "".join(c if c.isprintable() else " " for c in line)
         return ServerError(
-            f"{self._base}/{path}: {what}" + (f", {tries} times" if tries > 1 else ""),
+            f"{self._base}/chat/completions: {what}" + (f", {tries} times" if tries > 1 else ""),
             status=status,
             everywhere=everywhere,
             got=repr(line[:200] + "..." * (len(line) > 200)) if line else None,

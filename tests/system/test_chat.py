@@ -156,7 +156,7 @@ def test_a_wrong_key_a_wrong_model_and_a_wrong_address(
     monkeypatch.setenv(KEY_VARIABLE, "right")
     assert client_of().ask("q", flat()).text == "Yes"
     assert len(server.requests) == 3
-    with pytest.raises(ServerError, match=r"404 Not Found.*has no model 'lava', only: llava-1\.5-7b, qwen-vl"):
+    with pytest.raises(ServerError, match=r"404 Not Found; got '.*lava.*'$"):
         client_of(model="lava").ask("q", flat())
     with pytest.raises(ServerError, match=r"404 Not Found.*does the base address end in /v1"):
         client_of(base_url=server.url.removesuffix("/v1")).ask("another", flat())
