@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from pipeline.evaluation.adapters import import_published
     from pipeline.evaluation.browsing import RunRows, complete, with_value
     from pipeline.evaluation.comparing import CHANGES, answer_differences, compare
-    from pipeline.evaluation.costs import oracle_deltas
     from pipeline.evaluation.importing import export_run, import_run, judge_again
     from pipeline.evaluation.job import RunReport, evaluate_dataset
     from pipeline.evaluation.leakage import AGREEMENT, PERFECT, scorer_share, shares_of_run, title_of
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
     from pipeline.evaluation.sentence_files import Sentence, SentenceFile, read_sentence_file
     from pipeline.evaluation.sentences import SentenceReport, evaluate_sentences
     from pipeline.evaluation.slices import Slices, slice_by, slice_table
-    from pipeline.evaluation.summary import RunSummary, cost_words, summarise_run
+    from pipeline.evaluation.summary import RunSummary, cost_words, oracle_deltas, summarise_run
     from pipeline.evaluation.systems import EvalSpec
 
 __getattr__ = lazy_exports(__name__, __file__)

@@ -14,10 +14,9 @@ import numpy as np
 
 from pipeline.diagnosis.oracles import shown_oracle
 from pipeline.diagnosis.verdict import shown_verdicts
-from pipeline.evaluation.costs import Deltas
 from pipeline.evaluation.grounding_tables import OPM_ONLY
 from pipeline.evaluation.relation_report import SystemFigures
-from pipeline.evaluation.summary import RunSummary, Share, residual_words, untold_words
+from pipeline.evaluation.summary import Deltas, RunSummary, Share, residual_words, untold_words
 from pipeline.geometry.palette import VERDICTS, hex_color
 from pipeline.language.counted import short
 from pipeline.language.relation_names import PAIRWISE, PHRASE

@@ -22,8 +22,8 @@ from pipeline.diagnosis.answer import diagnosis_record
 from pipeline.diagnosis.asking import judge_sentence, truth_or_reason
 from pipeline.diagnosis.oracles import shown_oracle
 from pipeline.diagnosis.verdict import VERDICTS, Diagnosis
-from pipeline.evaluation.costs import Deltas, oracle_deltas
 from pipeline.evaluation.sentence_files import ACC_AT, Sentence, SentenceFile, of_line, read_sentence_file
+from pipeline.evaluation.summary import Deltas, oracle_deltas
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.cases import FrameCases

@@ -1,25 +1,146 @@
-"""A run in figures: how often each verdict, what each module costs, what is left over; and two runs compared."""
+"""A run in figures: how often each verdict, what each module costs (the accuracy that its truth would gain), what is left
+over; where that cannot be worked out, why."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
+from math import factorial
 from typing import Any
 
 import numpy as np
 
-from pipeline.diagnosis.oracles import NAMED_BY, ORACLES, shown_oracle
+from pipeline.diagnosis.oracles import NAMED_BY, ORACLES, SUBSETS, names_of, shown_oracle
 from pipeline.diagnosis.verdict import VERDICTS, shown_detail, shown_verdicts
-from pipeline.evaluation.costs import EVERY, Deltas, KnownOracles, oracle_deltas, shapley_weights
 from pipeline.evaluation.grounding_tables import clusters_of, column
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, mean_estimate, ratio
 from pipeline.metrics.tables import Cell, Row, Table
 from pipeline.system.arrow import pa, pc
 from pipeline.system.errors import require
 
+EVERY = SUBSETS - 1
+"""The bits of all ORACLES."""
+UNTOLD = "no relation probabilities are given"
+"""Why costs cannot be worked out in records of before, which do not say it."""
+
+
+@dataclass(frozen=True)
+class Deltas:
+    """Set-valued accuracy on the gold parse with parts of the pipeline replaced by the truth."""
+
+    expressions: int
+    value: np.ndarray  # (2^K,) float64: v(S) for each subset of the K oracles, without what is not known
+    # v({m}) - v(none), not clipped: below 0 the module made up for an error of another. These do not add up.
+    single: dict[str, Estimate]
+    shapley: dict[str, Estimate]  # as by `shapley_weights`: these add up to v(all) - v(none)
+    untold: dict[str, str]  # the oracles that the two do not hold, and why
+
+    def record(self) -> dict[str, Any]:
+        """Convert to JSON; null for costs without a basis."""
+        nothing = dict.fromkeys(self.untold)
+        value = {"+".join(names_of(s)) or "none": float(v) for s, v in enumerate(self.value)}
+        told = {name: v if self.untold.keys().isdisjoint(name.split("+")) else None for name, v in value.items()}
+        explained = float(sum(e.value for e in self.shapley.values()))
+        return {
+            "expressions": self.expressions,
+            "value": told,
+            "single": {m: e.record() for m, e in self.single.items()} | nothing,
+            "shapley": {m: e.record() for m, e in self.shapley.items()} | nothing,
+            "shapley_sum": explained,
+            "loss_explained": explained if self.untold else float(self.value[-1] - self.value[0]),
+            # What no oracle mends: bad labels, pairs excluded as one thing, ties.
+            "residual": None if self.untold else float(1 - self.value[-1]),
+            "untold": self.untold,
+        }
+
+
+def shapley_weights(n: int) -> np.ndarray:
+    """(n, 2^n) float64: phi_m = sum over S without m of |S|! (n - 1 - |S|)! / n! (v(S + m) - v(S)) = weights @ v."""
+    weights = np.zeros((n, 1 << n))
+    for m, subset in product(range(n), range(1 << n)):
+        others = (subset & ~(1 << m)).bit_count()
+        share = factorial(others) * factorial(n - 1 - others) / factorial(n)
+        weights[m, subset] = share if subset >> m & 1 else -share
+    return weights
+
+
+def oracle_deltas(
+    right_with: np.ndarray,
+    clusters: np.ndarray,
+    config: BootstrapConfig | None = None,
+    oracles: Sequence[str] = ORACLES,
+    untold: Mapping[str, str] | None = None,
+) -> Deltas:
+    """The deltas of a run.
+
+    `right_with` (E,) int, or (E, 2^K) float64: of each expression, bit s set where the answer is right with subset s;
+    or 1 for it in column s. `clusters` (E,): what resembles each other, for the intervals: scenes, or frames.
+    `oracles`: those that the subsets are of, in the order of their bits. `untold`: those whose costs are left out, and
+    why.
+    """
+    right, subsets = np.asarray(right_with), 1 << len(oracles)
+    if right.ndim < 2:
+        right = ((right.astype(np.int64)[:, None] >> np.arange(subsets)) & 1).astype(np.float64)
+    told = [(m, name) for m, name in enumerate(oracles) if name not in (untold or {})]
+    single = {name: mean_estimate(right[:, 1 << m], clusters, other=right[:, 0], config=config) for m, name in told}
+    weights = shapley_weights(len(oracles))
+    shapley = {name: mean_estimate(right @ weights[m], clusters, config=config) for m, name in told}
+    value = right.mean(axis=0) if len(right) else np.full(subsets, np.nan)
+    return Deltas(len(right), value, single, shapley, dict(untold or {}))
+
+
+@dataclass(frozen=True, eq=False)
+class KnownOracles:
+    """What is known of the expressions of a run."""
+
+    right: np.ndarray  # (E, S) float64: 1 where right under a subset of the oracles that can be put in place
+    known: np.ndarray  # (E,) int64: the bits of the oracles that can
+    why: dict[str, list[str | None]]  # of each expression, by oracle and PARSE: why it cannot
+
+    @staticmethod
+    def of(records: pa.Table) -> KnownOracles:
+        """Read `right_with` and `untold` of records; earlier records have no `untold`."""
+        answered, right_with = column(records, "set_correct") > 0, column(records, "right_with")
+        none = np.isnan(right_with)
+        said = records.column("untold").to_pylist() if "untold" in records.column_names else [None] * len(none)
+        parts = [dict(part.split(": ", 1) for part in told or ()) for told in said]
+        why = {
+            m: [row.get(m, UNTOLD if n else None) for row, n in zip(parts, none.tolist(), strict=True)] for m in ORACLES
+        }
+        known = sum((np.array([w is None for w in why[m]], np.int64) << k for k, m in enumerate(ORACLES)), 0 * none)
+        parsed = column(records, "parse_ok") != 0
+        why["PARSE"] = [w if n and not p else None for w, n, p in zip(why[ORACLES[0]], none, parsed, strict=True)]
+        bits = np.where(none, answered * ((1 << SUBSETS) - 1), right_with).astype(np.int64)
+        right = (bits[:, None] >> (np.arange(SUBSETS) & known[:, None])) & 1
+        return KnownOracles(right.astype(np.float64), known, why)
+
+    @property
+    def unmended(self) -> np.ndarray:
+        """(E,) bool: wrong with all oracles in place."""
+        return self.right[:, -1] == 0
+
+    def untold(self, costs: Mapping[str, np.ndarray]) -> dict[str, str]:
+        """Costs ((E,) float64 by oracle and PARSE) without a basis, with the reasons.
+
+        A cost is told where more is known of it than is not: 0 is never told for what nobody knows.
+        """
+        found = {}
+        for name, cost in costs.items():
+            reasons = self.why[name]
+            missing = np.array([w is not None for w in reasons])
+            open_ = missing & self.unmended
+            if len(missing) and (missing.all() or open_.sum() > max(float(cost.sum()), 0.0)):
+                counted = open_ if open_.any() else missing
+                (why, n), *_ = Counter(w for w, one in zip(reasons, counted, strict=True) if one).most_common(1)
+                wrong = int(self.unmended.sum())
+                found[name] = str(why) if n == wrong or not open_.any() else f"{why} ({n} of {wrong} wrong answers)"
+        return found
+
+
 EXACT = 1e-9
-"""Sums that must agree agree to this."""
+"""A share that is more than this is not 0."""
 SHORT = {
     "PARSE": "reading the sentence",
     "RECALL": "finding the things",
@@ -56,18 +177,13 @@ class RunSummary:
     expressions: int
     unit: str  # what intervals are drawn over: "scene" or "frame"
     verdicts: dict[str, Share]  # each of VERDICTS, ATTRIBUTE where it occurs; the shares sum to one
-    # details dict of (str, str) to Share: (verdict, detail) that occur, in the order of VERDICTS, the most frequent
-    # first
-    details: dict[tuple[str, str], Share]
+    details: dict[tuple[str, str], Share]  # (verdict, detail) that occur, by VERDICTS, the most frequent first
     lucky: Share  # CORRECT with a pair that is not acceptable
     accuracy: Estimate  # set-valued, as answered
     parse: Estimate  # v(none) - accuracy: what the gold parse would gain
-    # deltas: None where no expression tells what the truth in place of a module would do: imported predictions without
-    # relation probabilities
-    deltas: Deltas | None
+    deltas: Deltas | None  # None where no expression tells what the truth in place of a module would do
     residual: Estimate  # what stays wrong with all oracles together
-    # residual_causes dict of (str, str or None) to int: verdicts and details of these expressions
-    residual_causes: dict[tuple[str, str | None], int]
+    residual_causes: dict[tuple[str, str | None], int]  # verdicts and details of these expressions
     unknown: Estimate  # what is lost to nobody knows which module: it is in none of the costs, and not in the residual
     untold: dict[str, str]  # the oracles, and PARSE, whose costs cannot be worked out, and why
 
@@ -160,16 +276,11 @@ def summarise_run(records: pa.Table, config: BootstrapConfig | None = None) -> R
     )
     shares = _shares(member, clusters, config)
     verdicts: dict[str, Share] = dict(zip(kinds, shares, strict=False))
-    total = sum(s.estimate.value for s in verdicts.values())
-    if sum(s.count for s in verdicts.values()) != len(verdict) or abs(total - 1) > EXACT:
-        raise AssertionError(f"shares of verdicts sum to {total}, not to one")
     details = dict(zip(pairs, shares[len(kinds) :], strict=False))
     ordered = sorted(details, key=lambda p: (VERDICTS.index(p[0]), -details[p].count, p[1]))
     answered, oracles = column(records, "set_correct"), KnownOracles.of(records)
     right, unmended, whole = oracles.right, oracles.unmended, oracles.known == EVERY
     costs: dict[str, np.ndarray] = dict(zip(ORACLES, (right @ shapley_weights(len(ORACLES)).T).T, strict=True))
-    if abs(sum(c.mean() for c in costs.values()) - (right[:, -1] - right[:, 0]).mean()) > EXACT:
-        raise AssertionError("Shapley values do not sum to v(all) - v(none)")
     costs["PARSE"] = right[:, 0] - answered
     untold = oracles.untold(costs)
     deltas = None
@@ -292,7 +403,8 @@ def cost_words(summary: RunSummary) -> str:
         text += f" What {100 * unknown:.1f} of them cost by module cannot be worked out."
     worst = sorted(parts, key=lambda name: -parts[name])[:2]
     if worst:
-        said = [f"{SHORT[name]}{_codes(name)} {100 * parts[name]:.1f}" for name in worst]
+        codes = {name: f" ({shown_oracle(name)})" if name in NAMED_BY else "" for name in worst}
+        said = [f"{SHORT[name]}{codes[name]} {100 * parts[name]:.1f}" for name in worst]
         most = "Most of them by" if sum(parts[name] for name in worst) > (1 - right) / 2 else "The largest parts:"
         text += f" {most} {' and '.join(said)}."
     named = summary.failing.most_common(1)
@@ -307,10 +419,6 @@ def cost_words(summary: RunSummary) -> str:
         text += f" Verdicts name {of}; {why}."
     rest = untold_words(summary, summary.untold.get(named[0][0]) if named else None)
     return f"{text} {rest}" if rest else text
-
-
-def _codes(name: str) -> str:
-    return f" ({shown_oracle(name)})" if name in NAMED_BY else ""
 
 
 def residual_words(summary: RunSummary) -> str:
