@@ -1,5 +1,5 @@
-"""A run in figures: how often each verdict, what each module costs (the accuracy that its truth would gain), what is left
-over; where that cannot be worked out, why."""
+"""A run in figures: how often each verdict, what each module costs (the accuracy that its truth would gain), what is
+left over; where that cannot be worked out, why."""
 
 from __future__ import annotations
 
