@@ -23,7 +23,7 @@ from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.side_views import drag_box
 from pipeline.drawing.gestures import Canvas, drawn, read_gesture
 from pipeline.relations.relations import F, T, U
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, as_input_error, require
 from pipeline.system.reading import checked
 from pipeline.system.safe_files import read_json
 
@@ -122,7 +122,8 @@ class NewObject(Action, Shapes):
 def _mask(a: Mask, frame: EffectiveFrame, author: str, canvas: Canvas | None) -> Edits:
     mask = a.to
     if a.shaped:
-        mask = combined(actions.pixels_of(frame, a.object), a.pixels(*frame.size, canvas), a.mode)
+        was, pixels = actions.pixels_of(frame, a.object), a.pixels(*frame.size, canvas)
+        mask = {"add": was | pixels, "remove": was & ~pixels, "replace": pixels}[a.mode]
     return actions.set_mask(frame, a.object, mask, a.reason)
 
 
@@ -233,13 +234,11 @@ _LIST: TypeAdapter[list[Any]] = TypeAdapter(
 
 def read_actions(path: Path) -> list[Any]:
     """Read actions from a JSON file; InputError names the wrong entry."""
-    try:
+    errors, what = (OSError, ValueError, RecursionError), "the edits cannot be read"
+    with as_input_error(
+        what, *errors, got=lambda e: getattr(e, "strerror", None) or e, expected="a JSON list", path=path
+    ):
         return actions_of(read_json(Path(path)), path)
-    except InputError:
-        raise
-    except (OSError, ValueError, RecursionError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise InputError("the edits cannot be read", got=reason, expected="a JSON list", path=path) from error
 
 
 def actions_of(entries: Any, path: Path | None = None) -> list[Any]:
@@ -281,11 +280,6 @@ def apply_actions(
             rivals += [Rival(e, heads[e.ref]) for e in made if e.ref in heads and heads[e.ref].author != author]
         edits += made
     return Conflict(tuple(rivals), tuple(edits)) if rivals else journal.append(edits, author, group=again)
-
-
-def combined(mask: np.ndarray, pixels: np.ndarray, mode: Mode) -> np.ndarray:
-    """Mask (H, W) with pixels added, taken away, or in its place."""
-    return mask | pixels if mode == "add" else mask & ~pixels if mode == "remove" else pixels
 
 
 def needs_pictures(actions: Sequence[Any]) -> bool:

@@ -169,8 +169,8 @@ def _wrong(row: Row, versions: dict[tuple[str, FieldRef], int], known: set[str])
 VERSION = 2
 """Of this release. 1 had no chain, and kept its version in a table of Alembic's."""
 TABLES = ("events", "journal_head")
-BEFORE, REVISION = "alembic_version", "0001"
-"""That table, and all that it ever held."""
+BEFORE = "alembic_version"
+"""That table."""
 FORBIDDEN = "the journal can only grow"
 JSON = ("before", "after", "anchor")
 STORED = (*CONTENT, "hash")

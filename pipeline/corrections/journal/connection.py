@@ -221,16 +221,15 @@ def _come_instead(path: Path) -> None:
 @contextmanager
 def reading(store: Store, fresh: bool = False) -> Iterator[Run]:
     """Read with `Store.reading`; InputError where the journal cannot be read."""
-    try:
-        with store.reading(fresh) as run:
-            yield run
-    except InputError:
-        raise
-    except (*DATABASE_ERRORS, ValueError, TypeError) as error:
+    what, cause = "the journal cannot be read", "spatialviz journal LABELS --check says what is wrong"
+    words = {"got": lambda error: reason_of(error, store.location), "path": store.location}
+    with (
+        as_input_error(what, *DATABASE_ERRORS, **words),
         # Of a file that was whole when it was opened.
-        cause = None if isinstance(error, DATABASE_ERRORS) else "spatialviz journal LABELS --check says what is wrong"
-        reason = reason_of(error, store.location)
-        raise InputError("the journal cannot be read", got=reason, cause=cause, path=store.location) from error
+        as_input_error(what, ValueError, TypeError, cause=cause, **words),
+        store.reading(fresh) as run,
+    ):
+        yield run
 
 
 def prepare(store: Store) -> tuple[str, ...]:

@@ -32,7 +32,7 @@ from pipeline.language.noun_phrase import same_names
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.proposals.annotations import box_mask
 from pipeline.relations.pair_measures import NOT_JUDGED, T, U
-from pipeline.system.errors import InputError, needed, require
+from pipeline.system.errors import InputError, listed, needed, require
 
 Edits = tuple[Edit, ...]
 Rectangle = Sequence[float] | np.ndarray
@@ -114,7 +114,9 @@ def merge_objects(frame: EffectiveFrame, numbers: Iterable[int], reason: str = "
     require(len(ids) >= 2, "a merge needs two objects", got=ids)
     mask = np.logical_or.reduce([pixels_of(frame, n) for n in ids])
     note = reason or f"merged into object {ids[0]}"
-    first = _object_edit(frame, ids[0], "mask", _code(frame, mask), reason or f"merged with {_listed(ids[1:])}")
+    first = _object_edit(
+        frame, ids[0], "mask", _code(frame, mask), reason or f"merged with {', '.join(map(str, ids[1:]))}"
+    )
     return (first, *(_object_edit(frame, n, "status", "rejected", note) for n in ids[1:]))
 
 
@@ -322,7 +324,8 @@ def _expression_edit(frame: EffectiveFrame, expression: str, field: str, after: 
 
 
 def _row(frame: EffectiveFrame, number: int) -> dict[str, Any]:
-    return needed(frame.object(number), f"frame {frame.frame} has no object {number}", expected=_listed(frame.objects))
+    expected = ", ".join(map(str, sorted(frame.objects)[:20]))
+    return needed(frame.object(number), f"frame {frame.frame} has no object {number}", expected=expected)
 
 
 def _check(frame: EffectiveFrame, ref: FieldRef) -> None:
@@ -338,7 +341,7 @@ def _check(frame: EffectiveFrame, ref: FieldRef) -> None:
         return
     relation = ref.field.removesuffix(".status")
     if relation not in frame.setting.relations:
-        expected = _listed(frame.setting.relations)
+        expected = listed(frame.setting.relations)
         raise InputError("the labels hold no such relation", got=repr(relation), expected=expected)
     a, b = ref.numbers
     require(a != b, "an object has no relation to itself", got=a)
@@ -384,8 +387,3 @@ def _within(frame: EffectiveFrame, bbox: Rectangle) -> list[float]:
         expected=f"{width:g}x{height:g}",
     )
     return inside
-
-
-def _listed(names: Iterable[Any], most: int = 12) -> str:
-    found = [str(n) for n in names]
-    return ", ".join(found[:most]) + (" ..." if len(found) > most else "")

@@ -45,7 +45,7 @@ from pipeline.geometry.lifting import LiftedObject, lift
 from pipeline.geometry.masks import decode_run_length, mask_box
 from pipeline.labels.labelling import label_objects, unusable
 from pipeline.labels.profiles import NONE, open_second_opinion
-from pipeline.labels.reading import Labels
+from pipeline.labels.reading import Labels, build_table
 from pipeline.labels.schema import TABLES
 from pipeline.proposals.annotations import box_mask
 from pipeline.relations.model import OnnxScorer
@@ -116,7 +116,7 @@ class Relifter:
         )
         columns = labels.objects
         found = {n: {name: values[k] for name, values in columns.items()} for k, n in enumerate(numbers)}
-        return found, Pairs.of_columns(numbers, labels.relations)
+        return found, Pairs.of_table(numbers, build_table("relations", labels.relations))
 
     def _object(self, context: PreparedFrame, row: Row, box: Any, human_bbox: bool) -> SceneObject:
         """Object from a mask, else the pixels in the 3D box, else the 2D box."""

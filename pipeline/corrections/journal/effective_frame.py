@@ -19,11 +19,12 @@ from pipeline.corrections.journal.frame_rows import AT, BOX_COLUMNS, Asked, Fram
 from pipeline.corrections.journal.replay import ORIGIN_FIELDS, Origin, Replayed, Unapplied
 from pipeline.geometry.lifting import LiftConfig
 from pipeline.labels.check.relations import MIRRORED_PROFILES
+from pipeline.labels.exports.base import made_by
 from pipeline.labels.plan import LabelConfig
 from pipeline.labels.reading import Labels, table_of_rows
 from pipeline.language.relation_names import MIRRORED
 from pipeline.system.arrow import pa
-from pipeline.system.errors import InputError
+from pipeline.system.errors import as_input_error
 
 _TABLES = ("objects", "relations", "expressions", "frames")
 
@@ -248,27 +249,14 @@ class Setting:
 
 def setting_of(labels: Labels) -> Setting:
     """Read the settings from the manifest; InputError for labels beyond this release."""
-    manifest = labels.manifest
-    detector = str(manifest.models.get("detector", ""))
+    manifest, record = labels.manifest, labels.manifest.config
     names = labels.objects.column("label").unique().to_pylist()
-    return Setting(
-        _config(manifest.config, labels),
-        labels.relation_names,
-        tuple(sorted(names)),
-        ", ".join(part for part in (detector, str(manifest.profile.get("name", ""))) if part),
-        detector.startswith("annotations"),
+    what, made = (
+        "the labels' settings are not those of this release",
+        {"lift": lambda kept: LiftConfig(**kept), "background": tuple},
     )
-
-
-def _config(record: dict[str, Any], labels: Labels) -> LabelConfig:
-    known = {f.name for f in fields(LabelConfig)}
-    values = {name: value for name, value in record.items() if name in known}
-    try:
-        if "lift" in values:
-            values["lift"] = LiftConfig(**values["lift"])
-        if "background" in values:
-            values["background"] = tuple(values["background"])
-        return LabelConfig(**values)
-    except (TypeError, AttributeError) as error:
-        what = "the labels' settings are not those of this release"
-        raise InputError(what, got=str(error), path=labels.root) from error
+    with as_input_error(what, TypeError, AttributeError, got=str, path=labels.root):
+        known = [f.name for f in fields(LabelConfig) if f.name in record]
+        config = LabelConfig(**{name: made[name](record[name]) if name in made else record[name] for name in known})
+    exact = str(manifest.models.get("detector", "")).startswith("annotations")
+    return Setting(config, labels.relation_names, tuple(sorted(names)), made_by(manifest), exact)

@@ -17,7 +17,6 @@ from typing import Any
 from pipeline.corrections.journal.chain import (
     BEFORE,
     CONTENT,
-    REVISION,
     STORED,
     TABLES,
     VERSION,
@@ -244,9 +243,6 @@ def _contents(path: Path, connection: sqlite3.Connection, lost: Sequence[str]) -
         return Examined(str(path), 0, None, (), ())
     if TABLES[1] in tables:
         return _with_head(path, connection, kept, damage)
-    message = _one(connection, f"SELECT version_num FROM {BEFORE}", damage)
-    if message is not None and message != (REVISION,):
-        damage.append(f"its revision is {message[0]!r}, and only {REVISION!r} was ever written")
     rows = _rows(connection, CONTENT, damage)
     last = _one(connection, "SELECT seq FROM sqlite_sequence WHERE name = 'events'", []) or ((None,) if rows else (0,))
     found = judged_alone(rows)

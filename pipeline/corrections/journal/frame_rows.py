@@ -20,6 +20,9 @@ BOX_COLUMNS = ("center", "R", "size")
 
 AT = {relation: k for k, relation in enumerate(PAIRWISE)}
 """Place of a relation in the matrices."""
+_NAMES = ("frame", "frame_index")
+_EMPTY = {**dict.fromkeys(PAIRWISE, NOT_JUDGED), "a": 0, "b": 0, "doubted": 0}
+"""What stands for a null; NaN in the other columns of the table `relations`."""
 MATRICES = ("present", "states", "margins", "distance", "doubted")
 
 
@@ -49,18 +52,19 @@ class Pairs:
         )
 
     @classmethod
-    def of_columns(cls, numbers: Iterable[int], columns: Mapping[str, Any]) -> Pairs:
-        """Pairs from columns of the table `relations`; rows of other objects are left out."""
-        found = cls.empty(numbers)
-        a, b = (np.asarray(columns[end], np.int64) for end in ("a", "b"))
+    def of_table(cls, numbers: Iterable[int], table: pa.Table) -> Pairs:
+        """Pairs from rows of the table `relations`; rows of other objects are left out."""
+        found, names = cls.empty(numbers), table.column_names
+        values = {n: table.column(n).fill_null(_EMPTY.get(n, np.nan)).to_numpy() for n in names if n not in _NAMES}
+        a, b = (values[end].astype(np.int64) for end in ("a", "b"))
         known = np.isin(a, found.numbers) & np.isin(b, found.numbers)
         i, j = np.searchsorted(found.numbers, a[known]), np.searchsorted(found.numbers, b[known])
         found.present[i, j] = True
         for k, relation in enumerate(PAIRWISE):
-            found.states[i, j, k] = filled(columns.get(relation), len(a), NOT_JUDGED)[known]
-            found.margins[i, j, k] = filled(columns.get(f"{relation}_margin"), len(a), np.nan)[known]
-        found.distance[i, j] = filled(columns["distance"], len(a), np.nan)[known]
-        found.doubted[i, j] = filled(columns["doubted"], len(a), 0)[known]
+            if relation in names:
+                found.states[i, j, k] = values[relation][known]
+                found.margins[i, j, k] = values[f"{relation}_margin"][known]
+        found.distance[i, j], found.doubted[i, j] = values["distance"][known], values["doubted"][known]
         return found
 
     def of_objects(self, numbers: Iterable[int]) -> Pairs:
@@ -111,17 +115,6 @@ class Pairs:
         return build_table("relations", columns)
 
 
-def filled(values: Any, length: int, empty: float) -> np.ndarray:
-    """Column as an array, nulls replaced by `empty`."""
-    if values is None:
-        return np.full(length, empty)
-    return (
-        values
-        if isinstance(values, np.ndarray) and values.dtype != object
-        else np.array([empty if v is None else v for v in values], np.float64)
-    )
-
-
 @dataclass(frozen=True)
 class FrameRows:
     """Automatic labels of a frame, rows by number and by id in canonical order."""
@@ -159,12 +152,7 @@ class FrameIndex:
         (row,) = tables["frames"].to_pylist()
         objects = {r["object"]: r for r in tables["objects"].to_pylist()}
         expressions = {r["id"]: r for r in tables["expressions"].to_pylist()}
-        relations = tables["relations"].drop_columns(["frame", "frame_index"])
-        columns = {
-            name: column.to_pylist() if column.null_count else column.to_numpy()
-            for name, column in zip(relations.column_names, relations.columns, strict=True)
-        }
-        return FrameRows(row, objects, expressions, Pairs.of_columns(objects, columns))
+        return FrameRows(row, objects, expressions, Pairs.of_table(objects, tables["relations"]))
 
 
 _kinds_of = lru_cache(maxsize=64)(same_names)

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from pipeline.corrections.journal.chain import STORED, Head, Run, Store, head_of, link, rows, write_rows
+from pipeline.corrections.journal.chain import STORED, Head, Run, Store, chained, head_of, rows, write_rows
 from pipeline.corrections.journal.connection import (
     DATABASE_ERRORS,
     ServerError,
@@ -136,14 +136,10 @@ class Journal:
         with reading(self.store, fresh=True) as run:
             where = 'WHERE project = ? AND "group" = ? ORDER BY id'
             found = rows(self.store, run, where, self.project, group, names=STORED)
-        for row, made in zip(found, hashes, strict=False):
-            previous = link(previous, row)
-            if not previous == made == row["hash"]:
-                break
-        else:
-            if len(found) == len(hashes):
-                return tuple([_event(row) for row in found])
-        raise InputError("what was written cannot be read back: the disk, or the journal, is damaged")
+        written = [row["hash"] for row in found]
+        same = written == list(hashes) == [row["hash"] for row in chained(previous, found)]
+        require(same, "what was written cannot be read back: the disk, or the journal, is damaged")
+        return tuple([_event(row) for row in found])
 
     def _row(self, edit: Edit, author: str, action: Action, group: str, undo_of: str | None) -> dict[str, Any]:
         return {
