@@ -68,18 +68,17 @@ def summary_tables(statistics: dict[str, Any]) -> tuple[Table, ...]:
         for name, e in statistics["relations"].items()
     ]
     of_class = "objects", "usable", "as_target", "as_reference"
-    classes, rest = (
-        list(statistics["classes"].items())[cut] for cut in (slice(CLASSES_SHOWN), slice(CLASSES_SHOWN, None))
-    )
-    rows = [Row(short(name), tuple(e[key] for key in of_class)) for name, e in classes]
-    if rest:
-        rows.append(Row(f"{len(rest):,} others", tuple(sum(e[key] for _, e in rest) for key in of_class)))
+    classes = statistics["classes"]
+    rows = [Row(short(name), tuple(classes[name][key] for key in of_class)) for name in list(classes)[:CLASSES_SHOWN]]
+    if rest := list(classes.values())[CLASSES_SHOWN:]:
+        rows.append(Row(f"{len(rest):,} others", tuple(sum(e[key] for e in rest) for key in of_class)))
     distances = [
         Row(name if name == "unknown" else f"{name} m", (e["objects"], e["expressions"], e["u_share"]))
         for name, e in statistics["distance"].items()
     ]
     total, sizes = statistics["ambiguity"]["expressions"], statistics["ambiguity"]["set_sizes"]
     answers = [Row(size, (n, n / total)) for size, n in sizes.items()]
+    # A table shows what lies between 0 and 1 in hundredths: shares in percent, metres in centimetres.
     heads = "T", "U", "F", "U %", "T %", "expressions", "ambiguous %", "5 % margin, cm", "median, cm"
     return (
         Table("relations", "Relations", heads, tuple(relations)),
