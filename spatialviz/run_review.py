@@ -59,7 +59,7 @@ def run_review(command: ReviewCommand) -> int:
     rows = shown.rows(places[: command.limit])
     if command.author is not None:
         rows = [{**row, "reasons": [r for r in row["reasons"] if not r.startswith(DISAGREE)]} for row in rows]
-    hidden = work.counts["items"] - len(places)
+    hidden = 0 if command.all else work.counts["items"] - len(shown.left())
     command.write(iter(rows), print_queue, work, rows, len(places), hidden, command.out)
     return FINE if places else NO
 
