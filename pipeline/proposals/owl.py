@@ -103,7 +103,6 @@ class OwlDetector(TextDetector):
         width, height = (longer, longer) if self.name == "owlv2" else (frame.width, frame.height)
         boxes = to_pixels(relative[patches], width, height, frame)
         # A box in the padding is no rival of one in the picture.
-        # A box in the padding is no rival of one in the picture.
         seen = inside(boxes)
         patches = patches[seen]
         return self._chosen(boxes[seen], scores[patches], names[patches], labels, patches)

@@ -122,11 +122,6 @@ class PromptedSegmenter:
         return self._features.get(frame.content_hash, run)
 
 
-def resampled(rgb: np.ndarray, height: int, width: int) -> np.ndarray:
-    """Picture (height, width, 3) uint8 scaled by Pillow, as in training."""
-    return rgb if rgb.shape[:2] == (height, width) else pillow_resized(rgb, height, width)
-
-
 def stretched(logits: np.ndarray, height: int, width: int) -> np.ndarray:
     """Bilinear resize (height, width) float32 between pixel centres, as `torch.nn.functional.interpolate`."""
     return cv2.resize(np.ascontiguousarray(logits, np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
@@ -277,7 +272,7 @@ class SamModel(PairModel):
 
     def encode(self, rgb: np.ndarray) -> dict[str, np.ndarray]:
         height, width = resized_shape(*rgb.shape[:2])
-        image = resampled(rgb, height, width).astype(np.float32)
+        image = pillow_resized(rgb, height, width).astype(np.float32)
         if len(self.encoder_input.shape) == 3:
             return self._encoded(self._fitted(image))
         square = np.zeros((1, 3, SAM_SIDE, SAM_SIDE), np.float32)
@@ -365,7 +360,7 @@ class Sam2Model(PairModel):
         self._free = all(isinstance(self.decoder_inputs[name].shape[axis], str) for name, axis in many.items())
 
     def encode(self, rgb: np.ndarray) -> dict[str, np.ndarray]:
-        image = resampled(rgb, self._side, self._side).astype(np.float32) / np.float32(255)
+        image = pillow_resized(rgb, self._side, self._side).astype(np.float32) / np.float32(255)
         return self._encoded(np.ascontiguousarray(((image - IMAGENET_MEAN) / IMAGENET_STD).transpose(2, 0, 1)[None]))
 
     def boxes_at_once(self, height: int, width: int) -> int:
@@ -420,7 +415,7 @@ class EfficientSamModel(PairModel):
     def encode(self, rgb: np.ndarray) -> dict[str, np.ndarray]:
         # The points are scaled by orig_im_size and so remain right, whatever size the picture goes in with.
         height, width = _declared_or(self.encoder_input.shape[2:], rgb.shape[:2])
-        image = resampled(rgb, height, width).astype(np.float32) / np.float32(255)
+        image = pillow_resized(rgb, height, width).astype(np.float32) / np.float32(255)
         return self._encoded(np.ascontiguousarray(image.transpose(2, 0, 1)[None]))
 
     def boxes_at_once(self, height: int, width: int) -> int:

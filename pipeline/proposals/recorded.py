@@ -382,14 +382,16 @@ def _read_labels(file: Path) -> list[str]:
 _ARRAYS = "arrays boxes, scores, labels and, optionally, masks or mask_counts with mask_size, and ids"
 
 
-def _first_words(error: Exception) -> str:
-    return first_line(error) or type(error).__name__
-
-
 def _read_npz(file: Path) -> FrameDetections:
     # Damaged bytes fail in zipfile, zlib or NumPy, each with its own class.
     with (
-        as_input_error("not a recording of detections", Exception, got=_first_words, expected=_ARRAYS, path=file),
+        as_input_error(
+            "not a recording of detections",
+            Exception,
+            got=lambda e: first_line(e) or type(e).__name__,
+            expected=_ARRAYS,
+            path=file,
+        ),
         opened_arrays(file) as data,
     ):
         boxes = np.asarray(data["boxes"], np.float32)

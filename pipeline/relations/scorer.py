@@ -122,10 +122,12 @@ def probabilities_beyond(
     ids: Sequence[int] = (),
 ) -> np.ndarray:
     """closest and farthest (C, R), or between (C, A, B): `given` for these `ids`, else by rule."""
+    lo, hi = stacked_extents(objects)
     if relation == "between":
-        found = between_probabilities(objects, heads, ends[0], ends[1])
+        states = between_states(lo, hi, heads, ends[0], ends[1])
     else:
-        found = superlative_probabilities(objects, relation, heads, ends[0], same)
+        states = superlative_states(lo, hi, heads, ends[0], farthest=relation == "farthest", same=same)
+    found = rule_probabilities(states)
     if given:
         places = [{ids[k]: at for at, k in enumerate(side)} for side in (heads, *ends)]
         for row, p in given.items():
@@ -133,28 +135,6 @@ def probabilities_beyond(
             if None not in at and len(at) == found.ndim:
                 found[at] = p
     return found
-
-
-def superlative_probabilities(
-    objects: Sequence[LiftedObject],
-    relation: str,
-    candidates: Indices,
-    references: Indices,
-    same: np.ndarray | None = None,
-) -> np.ndarray:
-    """(C, R) probabilities of "candidate closest to / farthest from reference"; always by rule."""
-    lo, hi = stacked_extents(objects)
-    return rule_probabilities(
-        superlative_states(lo, hi, candidates, references, farthest=relation == "farthest", same=same)
-    )
-
-
-def between_probabilities(
-    objects: Sequence[LiftedObject], candidates: Indices, first: Indices, second: Indices
-) -> np.ndarray:
-    """(C, A, B) probabilities of "candidate between a and b"; always by rule."""
-    lo, hi = stacked_extents(objects)
-    return rule_probabilities(between_states(lo, hi, candidates, first, second))
 
 
 def distances(lo: np.ndarray, hi: np.ndarray) -> np.ndarray:

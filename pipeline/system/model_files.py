@@ -25,9 +25,9 @@ _ID = re.compile(
     r"(?P<repo>[A-Za-z0-9][\w.-]{0,95}/[\w.-]{1,96})(?::(?P<file>[^@:\\]+))?(?:@(?P<revision>[\w.][\w./-]*))?"
 )
 _ON_HUB = re.compile(
-    r"(?:www\.)?(?:huggingface\.co|hf\.co)/(?P<repo>[\w.-]+/[\w.-]+)/(?:resolve|blob|raw)/(?P<revision>[^/]+)/(?P<file>[^?#]+).*"
+    r"https?:/+(?:www\.)?(?:huggingface\.co|hf\.co)/([\w.-]+/[\w.-]+)/(?:resolve|blob|raw)/([^/]+)/([^?#]+).*"
 )
-"""The address of a file on the hub, without its scheme."""
+"""The address of a file on the hub; a path has lost the second slash."""
 _FILE_ENDINGS = (".onnx", ".ort", ".json", ".toml", ".npz", ".txt")
 _COMMIT = re.compile(r"[0-9a-f]{40}")
 COMPANIONS = ("tokenizer.json", "vocab.txt")
@@ -50,8 +50,8 @@ class HubId:
 
 
 def parse_hub_id(given: str | Path) -> HubId | None:
-    """Id on the hub; None for a path, existing or by the look."""
-    text = given.as_posix() if isinstance(given, Path) else given
+    """Id on the hub, also of a file's address there; None for a path, existing or by the look."""
+    text = _ON_HUB.sub(r"\1:\3@\2", given.as_posix() if isinstance(given, Path) else given)
     found = _ID.fullmatch(text)
     if found is None or Path(given).exists():
         return None
@@ -81,18 +81,13 @@ def resolve_model(given: str | Path) -> Path:
 
 
 def refuse_address(given: str | Path) -> None:
-    """Raise InputError for a web address, with the file's id if on the hub."""
-    # A path has lost the second slash.
-    address = re.fullmatch(r"(?P<scheme>https?):/+(?P<rest>.+)", given.as_posix() if isinstance(given, Path) else given)
-    if address is None:
-        return
-    on_hub = _ON_HUB.fullmatch(address["rest"])
-    known = "" if on_hub is None else f", here {on_hub['repo']}:{on_hub['file']}@{on_hub['revision']}"
-    raise InputError(
+    """Raise InputError for a web address."""
+    require(
+        re.match("https?:/", str(given)) is None,
         "a model is not given by its address",
-        got=f"{address['scheme']}://{address['rest']}",
-        expected=f"a path, or an id of the hub{known}",
-        cause=None if known else "download it first",
+        got=given,
+        expected="a path, or an id of the hub",
+        cause="download it first",
     )
 
 

@@ -25,7 +25,7 @@ from pipeline.relations.contract import NetworkContract, Output
 from pipeline.relations.features import LANGUAGE, feature_set
 from pipeline.relations.model import ClassVectors
 from pipeline.relations.relations import T
-from pipeline.system.errors import MissingExtra, extra_module, require
+from pipeline.system.errors import extra_module, require
 from pipeline.training.label_data import PairSet, class_shares
 from pipeline.training.training_data import FrameSamples, iterate_pairs
 
@@ -364,11 +364,7 @@ def _forward(torch: Any, x: Any, weights: Sequence[Any], biases: Sequence[Any]) 
 
 def need_torch() -> Any:
     """Import torch; MissingExtra if not installed."""
-    try:
-        import torch
-    except ImportError as error:
-        raise MissingExtra("training", "train") from error
-    return torch
+    return extra_module("torch", "training", "train")
 
 
 def require_training() -> None:

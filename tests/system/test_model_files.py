@@ -234,19 +234,14 @@ def test_the_hash_is_that_of_the_standard_library(tmp_path: Path) -> None:
     assert sha256_of(tmp_path / "x") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
 
 
-@pytest.mark.parametrize(
-    ("address", "said"),
-    [
-        ("https://huggingface.co/o/r/resolve/main/onnx/model.onnx?download=true", "o/r:onnx/model.onnx@main"),
-        ("https://example.org/a.onnx", "download it first"),
-    ],
-)
-def test_an_address_is_answered_by_what_is_meant(address: str, said: str) -> None:
-    for given in (address, Path(address)):
-        with pytest.raises(InputError, match="not given by its address") as error:
-            resolve_model(given)
-        assert said in str(error.value)
-    assert said in str(describe_file(Path(address)).problem)
+def test_an_address_on_the_hub_is_an_id_and_any_other_is_refused() -> None:
+    address = "https://huggingface.co/o/r/resolve/main/onnx/model.onnx?download=true"
+    other = "https://example.org/a.onnx"
+    for made in (str, Path):
+        assert parse_hub_id(made(address)) == HubId("o/r", "onnx/model.onnx", "main")
+        with pytest.raises(InputError, match=r"not given by its address.*download it first"):
+            resolve_model(made(other))
+    assert "download it first" in str(describe_file(Path(other)).problem)
 
 
 def test_an_id_is_described_where_it_was_fetched(hub: Hub) -> None:
