@@ -28,6 +28,7 @@ from pipeline.system.limits import LIMITS_OPTION, LIMITS_VARIABLE, set_limits
 from pipeline.system.onnx_session import PROVIDER_VARIABLE, VERBOSE_VARIABLE
 from spatialviz.cli_ask import (
     AskCommand,
+    ContextCommand,
     DoctorCommand,
     FramesCommand,
     GlossaryCommand,
@@ -131,6 +132,7 @@ FORMS: dict[str, tuple[type, str]] = {
     "tables": (TablesCommand, "run_eval"),
     "install": (InstallCommand, "run_training"),
     "judge-again": (JudgeAgainCommand, "run_predictions"),
+    "context": (ContextCommand, "run_ask"),
 }
 """Commands of earlier names, each now an option of another."""
 OPTIONS = {
@@ -144,6 +146,7 @@ OPTIONS = {
     ("report", "--tables"): "tables",
     ("models", "--install"): "install",
     ("eval", "--judge-again"): "judge-again",
+    ("frames", "--mesh"): "context",
 }
 """The option that stands for each of these."""
 RENAMED = {"bench srm": "ablation", "bench-srm": "ablation"}
@@ -152,9 +155,7 @@ _BY_ANSWERS = (
     "two detectors are compared by their answers: `spatialviz failures A --compare B --answers`, of runs or of "
     "files that `ask --json` wrote"
 )
-NO_MESH = "posed frames are no longer fused into a mesh: `open3d.pipelines.integration` does it by the same poses"
 REMOVED = {
-    "context": NO_MESH,
     "agree": _BY_ANSWERS,
     "bench": "benches are scripts of a checkout: `cd tests; python -m benchmarks.stages`, and others beside it",
     "import-recording": "every command reads the recording where it is; `frames DATASET --remember` keeps what you say "
@@ -165,7 +166,6 @@ REMOVED_OPTIONS = {
     ("ablation", "--labels"): "networks learn from the rule on whole objects as they are",
     ("ask", "--complete"): "the page completes while you type; a refused question names what is in the frame",
     ("frames", "--plan"): "the plan of a scene's cameras is in the page: `spatialviz view DATASET`",
-    ("frames", "--mesh"): NO_MESH,
     ("save-case", "--copy-srm"): "a relation network that does not come with the program is always in the case",
     ("show", "--support"): "boxes are not snapped any more: drag the lower face in the page's side views",
     **dict.fromkeys((("view", "--also"), ("detect", "--agree")), _BY_ANSWERS),

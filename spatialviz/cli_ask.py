@@ -147,6 +147,17 @@ class DoctorCommand(Output):
 
 
 @dataclass(frozen=True)
+class ContextCommand(Output):
+    """Fuse the posed frames around a frame into a mesh, in the frame's camera coordinates (extra: open3d)."""
+
+    dataset: DatasetArg
+    frame: OneFrameArg
+    out: Positional[Path]
+    """Mesh file to write: .ply, .obj or .glb."""
+    camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
+
+
+@dataclass(frozen=True)
 class RenderCommand:
     """Render synthetic annotated RGB-D rooms in BOP format."""
 

@@ -17,6 +17,7 @@ from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.pipeline import FrameRelations, Pipeline, open_pipeline, open_sources, relate_frames
 from pipeline.datasets import Dataset, FrameReport, SurveyCounts, survey, write_settings
 from pipeline.datasets.demo import DEMO_NAME, demo_run
+from pipeline.datasets.scene_mesh import export_mesh, fuse_context
 from pipeline.datasets.settings import ASSUMED, DECLARE
 from pipeline.datasets.up import told_up
 from pipeline.diagnosis.answer import Answer
@@ -34,6 +35,7 @@ from pipeline.synthetic import render_dataset
 from pipeline.system.errors import require
 from spatialviz.cli_ask import (
     AskCommand,
+    ContextCommand,
     FramesCommand,
     GlossaryCommand,
     MeasureCommand,
@@ -158,6 +160,15 @@ def print_terms(terms: Iterable[GlossaryTerm]) -> None:
     """Print words with their meaning."""
     for term in terms:
         say((term.name, "bold"), f" ({term.group}): {term.hint}")
+
+
+def run_context(command: ContextCommand) -> None:
+    dataset = open_pipeline(command.dataset, **command.camera.camera(command.frame)).dataset
+    frame = dataset.load(one_frame(dataset.frame_ids, command.frame, dataset.root))
+    mesh = fuse_context(dataset, frame)
+    export_mesh(mesh, command.out)
+    record = {"frame": frame.id, "frames": mesh.frames, "vertices": len(mesh.vertices), "faces": len(mesh.faces)}
+    command.write(record, say, f"{mesh.frames} frames around {frame.id}: {len(mesh.faces)} faces -> {command.out}")
 
 
 def run_render(command: RenderCommand) -> None:

@@ -67,6 +67,7 @@ OWN = {
     "corrections/journal/": "the journal, which has checks of its own",
     "corrections/review/": "keys of items that were made here",
     "datasets/depth/estimator.py np.load": "the cache",
+    "datasets/scene_mesh.py": "the cache",
     "diagnosis/whatif/changes.py": "keys that were made here",
     "evaluation/importing.py .open": "written to",
     "evaluation/importing.py json.loads": "settings that were made here",

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from pipeline.datasets.images import read_color
     from pipeline.datasets.opening import open_dataset
     from pipeline.datasets.saved_case import MANIFEST
+    from pipeline.datasets.scene_mesh import export_mesh, fuse_context
     from pipeline.datasets.semantic_abstraction_splits import SUBSETS, subsets_of
     from pipeline.datasets.settings import SOURCES, Settings, parse_level_at, read_settings, write_settings
     from pipeline.datasets.up import OFF_SCENE, resolved_camera, told_doubts, told_up, with_frame_up
