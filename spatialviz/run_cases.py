@@ -122,8 +122,7 @@ def run_replay(command: ReplayCommand) -> int:
 
 def run_report(command: ReportCommand) -> None:
     # Bring viser in.
-    from spatialviz.report.page import Subject, failure_page, write_page
-    from spatialviz.report.scene import scene_html
+    from spatialviz.report.page import Subject, failure_page, scene_html, write_page
 
     require(
         not (command.out.is_dir() or (command.out.exists() and not command.overwrite)),

@@ -12,8 +12,7 @@ import pytest
 from command_line import spatialviz
 
 from pipeline.diagnosis.whatif.state import decode
-from spatialviz.app.state import ColorMode, State
-from spatialviz.app.url_state import CameraMode, Place
+from spatialviz.app.state import CameraMode, ColorMode, Place, State
 from spatialviz.app.view_strings import CAMERA, with_settings
 
 FIXTURE = Path(__file__).parents[2] / "tests" / "fixtures" / "2026-11-26"

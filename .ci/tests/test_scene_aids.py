@@ -21,7 +21,7 @@ from spatialviz.app.frame_cloud import SceneAids
 from spatialviz.app.layout import BrowserPage
 from spatialviz.app.picture import depth_bar
 from spatialviz.app.scene import Tag
-from spatialviz.app.selection import Pointing
+from spatialviz.app.selection import Selection
 from spatialviz.app.state import State
 
 
@@ -48,10 +48,13 @@ class Desk(Context):
         super().__init__("0" * 32, Shared(FrameStore({"demo": source}), {}, {}, {}, {}), **NOTHING_DONE)
         self.state = state
         self.calls: list[Call] = []
-        self.level: list[tuple[int, int]] = []
+        self.reopened = 0
         self.page = BrowserPage(lambda message: self.calls.append(message) if isinstance(message, Call) else None)
         self.aids = SceneAids(self)
-        self.pointing = Pointing(self, {"level": lambda _, u, v: self.level.append((u, v))})
+        self.pointing = Selection(self, self.reopen)
+
+    def reopen(self) -> None:
+        self.reopened += 1
 
     def aided(self, state: State) -> list[Tag]:
         """The tags of a state."""
@@ -95,10 +98,9 @@ def test_one_tool_is_on_at_a_time() -> None:
     desk = Desk()
     desk.pointing.turn_to("measure")
     desk.pointing.turn_to("level")
-    assert desk.pointing.on_pixel(3, 4)
-    assert desk.level == [(3, 4)]
-    desk.pointing.turn_to("level")
-    assert not desk.pointing.on_pixel(3, 4)
+    assert desk.pointing.on_pixel(320, 400)
+    assert (desk.reopened, desk.state.picking) == (1, "")
+    assert not desk.pointing.on_pixel(320, 400)
 
 
 def test_the_grid_is_drawn_while_it_is_wanted_and_lies_on_the_floor() -> None:

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.diagnosis.whatif.state import CameraView
-from spatialviz.app.url_state import Place
+from spatialviz.app.state import Place
 
 NUMBER = st.integers(-9000, 9000).map(lambda n: n / 1000)
 VECTOR = st.tuples(NUMBER, NUMBER, NUMBER)

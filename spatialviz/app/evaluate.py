@@ -24,9 +24,9 @@ from spatialviz.app.evaluate_html import (
     search_html,
 )
 from spatialviz.app.figures_html import CUTS, comparison_html, confusion_html, slices_html, summary_html
+from spatialviz.app.frames import pictures_of
 from spatialviz.app.markup import Element
-from spatialviz.app.run_pictures import pictures_of
-from spatialviz.app.url_state import Place
+from spatialviz.app.state import Place
 
 FIRST = (FAILURES, "")
 """Default searches, in order; the first with results is listed."""

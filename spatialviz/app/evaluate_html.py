@@ -13,8 +13,8 @@ from pipeline.geometry.palette import VERDICTS as COLORS
 from pipeline.geometry.palette import hex_color
 from pipeline.language.glossary import glossary
 from spatialviz.app.answer import verdict_chip
+from spatialviz.app.frames import STROKES
 from spatialviz.app.markup import BAD, Child, Element, button, h, joined, note, panel, segments
-from spatialviz.app.run_pictures import STROKES
 
 SHOWN_VALUES, FEW_VALUES = 7, 11
 """Values of a folded facet; up to so many are never folded."""

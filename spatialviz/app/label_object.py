@@ -29,9 +29,9 @@ from pipeline.system.errors import InputError, needed, require
 from spatialviz.app.context import Context, command
 from spatialviz.app.edit_panel import box_command, object_html, rejected_html
 from spatialviz.app.frames import jpeg_url
-from spatialviz.app.label_item import UNNAMED, digits_row
 from spatialviz.app.label_part import LabelPart
 from spatialviz.app.markup import Element, h, panel
+from spatialviz.app.review_html import UNNAMED, digits_row
 from spatialviz.report.picture import edges_path
 
 FARTHEST = 1000.0

@@ -27,7 +27,6 @@ from spatialviz.app.retrain_panel import RetrainPanel
 from spatialviz.app.review_html import pair_html, review_head_html
 from spatialviz.app.review_queue import ReviewQueue
 from spatialviz.app.sentences import Conflicts, Sentences
-from spatialviz.app.url_state import Place
 
 
 class Labelling(LabelPart):
@@ -36,7 +35,6 @@ class Labelling(LabelPart):
     def __init__(
         self,
         ctx: Context,
-        go: Callable[[Place], None],
         ask: Callable[[str], None],
         reopen: Callable[[], None],
     ) -> None:
@@ -45,7 +43,7 @@ class Labelling(LabelPart):
         self._following = (
             LabelObject(ctx),
             ReviewQueue(ctx),
-            RetrainPanel(ctx, go),
+            RetrainPanel(ctx),
             Pixels(ctx),
             SidePanel(ctx),
             RightPair(ctx, ask),

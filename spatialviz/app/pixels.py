@@ -28,9 +28,9 @@ from pipeline.system.errors import InputError, as_input_error, needed, require
 from spatialviz.app.channel import Command
 from spatialviz.app.context import Context, command, there
 from spatialviz.app.frames import jpeg_url
-from spatialviz.app.label_item import UNNAMED
 from spatialviz.app.label_part import LabelPart
 from spatialviz.app.picture import PART_COLORS, around, mask_url, outlined, told_of
+from spatialviz.app.review_html import UNNAMED
 from spatialviz.app.state import State
 from spatialviz.report.picture import box_edges_2d
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
@@ -19,15 +19,13 @@ from spatialviz.app.channel import Command
 from spatialviz.app.context import Context, command, there
 from spatialviz.app.label_part import LabelPart
 from spatialviz.app.markup import BAD, DOUBT, GOOD, Child, Element, h, heading, note, panel, progress
-from spatialviz.app.url_state import Place
 
 
 class RetrainPanel(LabelPart):
     """Trains, compares, remakes the run, and installs on request."""
 
-    def __init__(self, ctx: Context, go: Callable[[Place], None]) -> None:
+    def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
-        self._go = go
         journals = ctx.shared.journals
         self._last = {name: place.jobs.training.seen for name, place in journals.items()}
         ctx.leave += [
@@ -88,12 +86,6 @@ class RetrainPanel(LabelPart):
             # While labels are shown there is no question for the network.
             self.ctx.handle(Command("edit", (f"set:scorer:{done.stem}",)))
 
-    @command("replayed")
-    def open_expression(self, said: str) -> None:
-        """Ask an expression of the comparison: "frame|text"."""
-        frame, _, text = said.partition("|")
-        self._go(Place(self.state.source, frame, text))
-
     def follow(self) -> None:
         """Draw the section."""
         place = self.ctx.shared.journals.get(self.state.source)
@@ -114,7 +106,6 @@ STEPS = {
     "after": "learning the labels after",
     "replay": "making the run again",
 }
-LISTED = 6
 
 
 def _state(training: TrainingProgress, corrections: int | None, with_run: bool) -> Child:
@@ -175,30 +166,12 @@ def _figures(record: Mapping[str, Any], seconds: float) -> Child:
         h.div(f"{counts} · {seconds:.0f} s", cls="dim"),
         h.table(head, rows, cls="slices"),
         h.div(f"{right} held-out cells became right, {wrong} wrong; gain {interval}", cls="dim"),
-        _cells("became right", trained["became_right"]["listed"]),
-        _cells("became wrong", trained["became_wrong"]["listed"]),
     )
 
 
 def _f1(figures: Mapping[str, Any], name: str) -> float | None:
     found = figures["micro_f1"] if name == "all" else figures["f1"].get(name)
     return None if found is None else found["value"]
-
-
-def _cells(title: str, cells: Sequence[Mapping[str, Any]]) -> Element | None:
-    """Most changed cells; a click shows the pair."""
-    rows = [
-        h.div(
-            h.span(f"{c['a']} {PHRASE[c['relation']]} {c['b']} is {c['label']}"),
-            h.span(c["frame"], cls="dim"),
-            h.span(f"{c['before']:.2f} → {c['after']:.2f}", cls="n"),
-            cls="cellrow",
-            title=c["frame"],
-            do=f"labels-at:{c['a']},{c['b']},{c['relation']},{c['frame']}",
-        )
-        for c in cells[:LISTED]
-    ]
-    return h.details(h.summary(f"{title}, the largest changes"), rows) if rows else None
 
 
 def _replayed(record: Mapping[str, Any]) -> Child:
@@ -210,27 +183,16 @@ def _replayed(record: Mapping[str, Any]) -> Child:
         gain = found["differences"][found["measure"]]
         fixed, broken = found["fixed"], found["broken"]
         interval = f"{gain['value'] * 100:+.1f} [{gain['low'] * 100:+.1f}, {gain['high'] * 100:+.1f}]"
-        parts += [
+        parts.append(
             h.div(
                 h.b(title),
                 h.span(f"{len(fixed)} became right", cls="good"),
                 h.span(f"{len(broken)} became wrong", cls="bad"),
                 h.span(interval, cls="dim"),
                 cls="vrow2",
-            ),
-            _expressions("became right", fixed),
-            _expressions("became wrong", broken),
-        ]
+            )
+        )
     return (heading("The run again"), parts) if parts else None
-
-
-def _expressions(title: str, rows: Sequence[Mapping[str, Any]]) -> Element | None:
-    listed = [
-        h.div(h.span(r["text"]), h.span(r["frame"], cls="dim"), cls="cellrow", do=f"replayed:{r['frame']}|{r['text']}")
-        for r in rows[:LISTED]
-    ]
-    more = h.div(f"and {len(rows) - LISTED} more", cls="dim") if len(rows) > LISTED else None
-    return h.details(h.summary(title), listed, more) if rows else None
 
 
 def _install(record: Mapping[str, Any], installed: str) -> Child:

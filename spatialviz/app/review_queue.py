@@ -33,16 +33,18 @@ from pipeline.system.errors import InputError, needed
 from spatialviz.app.channel import Command
 from spatialviz.app.context import Context, command, there
 from spatialviz.app.keys import KEYS_OF_ONE
-from spatialviz.app.label_item import (
+from spatialviz.app.label_part import NO_LABELS, LabelPart
+from spatialviz.app.markup import Element, h, panel
+from spatialviz.app.review_html import (
     begin_card,
     bulk_html,
+    doubt_html,
     idle_card,
     item_card,
     pace_html,
+    queue_html,
+    said,
 )
-from spatialviz.app.label_part import NO_LABELS, LabelPart
-from spatialviz.app.markup import Element, h, panel
-from spatialviz.app.review_html import doubt_html, queue_html, said
 
 LETTERS = {"T": T, "U": U, "F": F}
 DOUBT_TITLE = "Against geometry"

@@ -2,34 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from typing import get_args
 
 import numpy as np
 from pydantic import FiniteFloat
 
-from pipeline.answering.frame_store import LoadedFrame, UpHint
+from pipeline.answering.frame_store import UpHint
 from pipeline.corrections.label_view import paired
 from pipeline.datasets import write_settings
 from pipeline.datasets.demo import demo_path
 from pipeline.geometry.camera import depth_at
+from pipeline.geometry.frame import Frame
 from pipeline.geometry.level_plane import level_normal_at
 from pipeline.system.errors import InputError, require
 from spatialviz.app.context import Context, Part, choice, command, there
 from spatialviz.app.picture import smallest_at
 from spatialviz.app.scene import FLIGHT
-from spatialviz.app.state import ColorMode, Tool
+from spatialviz.app.state import CameraMode, ColorMode, Tool
 from spatialviz.app.toolbar import FLAGS
-from spatialviz.app.url_state import CameraMode
 
 
-class ObjectSelection(Part):
-    """Selects objects of a client."""
+class Selection(Part):
+    """Selects objects of a client, gives clicks to tools, and changes the display."""
 
-    def __init__(self, ctx: Context, taken: Callable[[int, int], bool]) -> None:
+    def __init__(self, ctx: Context, reopen: Callable[[], None]) -> None:
         super().__init__(ctx)
-        self._taken = taken
+        self._reopen = reopen
 
     @command("object")
     def select(self, i: int) -> None:
@@ -43,7 +43,7 @@ class ObjectSelection(Part):
     def click(self, pixel: tuple[int, int] | None, boxes: list[int]) -> None:
         """Select by a click in the scene or the picture: the object at the pixel, else the smallest box on the ray."""
         state = self.state
-        if state.loaded is None or (pixel is not None and self._taken(*pixel)):
+        if state.loaded is None or (pixel is not None and self.on_pixel(*pixel)):
             return
         own = smallest_at(state.shown.objects, pixel)
         found = next((i for i in (own, *boxes) if i is not None), None)
@@ -82,13 +82,7 @@ class ObjectSelection(Part):
         chosen = self.state.shown.objects[there(self.state.selected)]
         self.ctx.scene.viewpoint.focus(there(chosen.lifted.box))
 
-
-class Pointing(Part):
-    """Passes a client's clicks on pixels, in the picture or the scene, to the active tool."""
-
-    def __init__(self, ctx: Context, tools: Mapping[Tool, Callable[[LoadedFrame, int, int], None]]) -> None:
-        super().__init__(ctx)
-        self._tools = {**tools, "measure": self._mark}
+    # ---- tools: a click on a pixel, in the picture or the scene, is theirs ------------
 
     @command("pick")
     def turn_to(self, name: str) -> None:
@@ -105,37 +99,21 @@ class Pointing(Part):
         state = self.state
         if not state.picking or state.loaded is None or (state.picking == "level" and state.labels is not None):
             return False
-        self._tools[state.picking](state.loaded, u, v)
+        try:
+            (self._level if state.picking == "level" else self._mark)(state.loaded.context.frame, u, v)
+        except InputError as error:
+            self.ctx.toast(f"No {state.picking} here", str(error), bad=True)
         return True
 
-    def _mark(self, loaded: LoadedFrame, u: int, v: int) -> None:
+    def _mark(self, frame: Frame, u: int, v: int) -> None:
         """Mark an end of a length; a third click begins anew."""
         marks = self.state.marks
-        try:
-            depth_at(loaded.context.frame.depth, u, v)
-        except InputError as error:
-            self.ctx.toast("Not measured", str(error), bad=True)
-        else:
-            self.ctx.show(marks=(*(marks if len(marks) < 2 else ()), (u, v)))
+        depth_at(frame.depth, u, v)
+        self.ctx.show(marks=(*(marks if len(marks) < 2 else ()), (u, v)))
 
-
-class LevelSurface(Part):
-    """Takes a client's click as a pixel of a level surface."""
-
-    # Up is a fact of the data: set by a client, valid for all, until saved or the end of the program.
-
-    def __init__(self, ctx: Context, reopen: Callable[[], None]) -> None:
-        super().__init__(ctx)
-        self._reopen = reopen
-
-    def on_pixel(self, loaded: LoadedFrame, u: int, v: int) -> None:
-        """Set up from a pixel of a level surface."""
-        frame = loaded.context.frame
-        try:
-            x, y, z = level_normal_at(frame.depth, frame.camera, u, v).tolist()
-        except InputError as error:
-            self.ctx.toast("Not a level surface", str(error), bad=True)
-            return
+    def _level(self, frame: Frame, u: int, v: int) -> None:
+        """Set up from a pixel of a level surface: for all clients, until saved or the end of the program."""
+        x, y, z = level_normal_at(frame.depth, frame.camera, u, v).tolist()
         self.ctx.shared.store.set_up_hint(self.state.source, UpHint(frame.id, (u, v), (x, y, z)))
         self.ctx.note(f"frame {frame.id}: the surface at {u},{v} is level, up {x:.3f}, {y:.3f}, {z:.3f} in the camera")
         self.state = replace(self.state, picking="")
@@ -145,11 +123,8 @@ class LevelSurface(Part):
     def keep(self) -> None:
         """Save up into the settings beside the data."""
         told, root = there(self.ctx.shared.store.up_hints.get(self.state.source)), self.ctx.source.dataset.root
-        try:
-            require(root.resolve() != demo_path().resolve(), "the built-in demo stays as it is", path=root)
-            self.ctx.toast("Up is kept", str(write_settings(root, None, None, frame_up={told.frame_id: told.up})))
-        except InputError as error:
-            self.ctx.toast("Up is not kept", str(error), bad=True)
+        require(root.resolve() != demo_path().resolve(), "the built-in demo stays as it is", path=root)
+        self.ctx.toast("Up is kept", str(write_settings(root, None, None, frame_up={told.frame_id: told.up})))
 
     @command("level-back")
     def take_back(self) -> None:
@@ -158,9 +133,7 @@ class LevelSurface(Part):
             self.ctx.shared.store.set_up_hint(self.state.source, None)
             self._reopen()
 
-
-class ViewSettings(Part):
-    """Changes a client's display."""
+    # ---- display ----------------------------------------------------------------------
 
     @command("color", "next-color=next")
     def paint(self, mode: str) -> None:

@@ -26,7 +26,6 @@ from spatialviz.app import (
     filling,
     frame_cloud,
     keys,
-    selection,
     view_strings,
     what_if,
 )
@@ -36,8 +35,9 @@ from spatialviz.app.channel import Command, Go, Hello, Incoming, Scene
 from spatialviz.app.context import Context, Idle, Part, Shared, command, commands_of, there
 from spatialviz.app.labelling import Labelling
 from spatialviz.app.picture import overlay_marks
+from spatialviz.app.selection import Selection
 from spatialviz.app.stages import opened
-from spatialviz.app.url_state import Place
+from spatialviz.app.state import Place
 
 RECENT = 12
 """Recent questions offered by Ask."""
@@ -70,14 +70,12 @@ class PageSession(Part):
         self._turning: asyncio.TimerHandle | None = None
         self._judge = Judge(shared.runs, shared.labels, shared.others, ctx.editors.corrected)
         ctx.client.camera.on_update(self._turned)
-        level = selection.LevelSurface(ctx, self.reopen)
-        pointing = selection.Pointing(ctx, {"level": level.on_pixel})
-        self._selection = selection.ObjectSelection(ctx, pointing.on_pixel)
+        self._selection = Selection(ctx, self.reopen)
         self._aids, self._cloud = frame_cloud.SceneAids(ctx), frame_cloud.FrameCloud(ctx)
         self._runs = evaluate.Evaluate(ctx, self.go, self.say_address)
         self._what_if, self._browse = what_if.WhatIf(ctx, self._judged), Browse(ctx)
         self._labels, self._strings = (
-            Labelling(ctx, self.go, self.ask, self.reopen),
+            Labelling(ctx, self.ask, self.reopen),
             view_strings.ViewStrings(ctx, self._runs.reveal, self.go, self.ask),
         )
         parts = (
@@ -87,9 +85,6 @@ class PageSession(Part):
             self._what_if,
             self._strings,
             self._browse,
-            level,
-            pointing,
-            selection.ViewSettings(ctx),
             keys.Keys(ctx),
             view_strings.Keeping(ctx, self._judge, self._strings.now, self._runs.selected),
             *self._labels.parts,

@@ -18,7 +18,6 @@ from pipeline.geometry.palette import DROPPED, RGB, hex_color, palette
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import letter
 from pipeline.relations.scorer import RelationScores
-from spatialviz.app.edit_scene import REGION_COLORS
 from spatialviz.app.markup import (
     Child,
     Element,
@@ -37,6 +36,7 @@ from spatialviz.app.markup import (
 )
 from spatialviz.app.picture import thumb
 from spatialviz.app.state import State
+from spatialviz.app.what_if import REGION_COLORS
 
 KEPT: RGB = (53, 169, 107)
 

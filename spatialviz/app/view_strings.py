@@ -24,9 +24,8 @@ from pipeline.relations.model import is_named
 from pipeline.system.errors import InputError, require
 from spatialviz.app.context import Context, Part, command
 from spatialviz.app.markup import BAD, h, note
-from spatialviz.app.state import ColorMode, State
-from spatialviz.app.url_state import Place
-from spatialviz.report.page import Subject, failure_page
+from spatialviz.app.state import ColorMode, Place, State
+from spatialviz.report.page import Subject, failure_page, scene_html
 
 
 class ViewStrings(Part):
@@ -235,8 +234,6 @@ class Keeping(Part):
     @command("report")
     def report(self) -> None:
         """Send the answer as a self-contained page."""
-        from spatialviz.report.scene import scene_html
-
         self.ctx.toast("Report", "The page is being made.")
         source, context, state = self._answered()
         answered = answer(source, context, state.text, **self._given(source, context))
@@ -275,35 +272,21 @@ class Keeping(Part):
     @command("row-cases")
     def save_rows(self) -> None:
         """Save each selected row as a case; existing cases stay."""
-        rows, count = self._selected(), len(self._selected())
+        rows = self._selected()
+        count = len(rows)
         require(count <= MOST, "so many cases are not made at once", got=count, expected=f"up to {MOST}")
-        saved, refused, there = list[str](), list[str](), list[Path]()
-
-        def make() -> None:
-            if not rows:
-                self.ctx.page.call("working", "")
-                self._tell(saved, refused, len(there))
-                return
-            row = rows.pop(0)
-            self.ctx.page.call("working", f"case {count - len(rows)} of {count}")
+        saved, refused, there = list[str](), list[str](), 0
+        for number, row in enumerate(rows, 1):
+            self.ctx.page.call("working", f"case {number} of {count}")
             folder = case_folder(row["text"], row["frame"])
-            if folder.exists():
-                there.append(folder)
-            else:
-                try:
+            there += folder.exists()
+            try:
+                if not folder.exists():
                     self._save_row(folder, row)
                     saved.append(str(folder))
-                except InputError as error:
-                    refused.append(f"{row['text']}: {error}")
-            self.ctx.post(make)
-
-        self.ctx.post(make)
-
-    def _save_row(self, folder: Path, row: dict[str, Any]) -> None:
-        context = self.ctx.shared.store.load(self.state.source, row["frame"]).context
-        self._save(folder, context, row["text"], row["id"], self._known(self.ctx.source, context, row["id"]))
-
-    def _tell(self, saved: list[str], refused: list[str], there: int) -> None:
+            except InputError as error:
+                refused.append(f"{row['text']}: {error}")
+        self.ctx.page.call("working", "")
         self.ctx.dialog.show(
             "Cases of the selected",
             (
@@ -312,3 +295,7 @@ class Keeping(Part):
                 [note(reason, BAD) for reason in refused[:TOLD]],
             ),
         )
+
+    def _save_row(self, folder: Path, row: dict[str, Any]) -> None:
+        context = self.ctx.shared.store.load(self.state.source, row["frame"]).context
+        self._save(folder, context, row["text"], row["id"], self._known(self.ctx.source, context, row["id"]))

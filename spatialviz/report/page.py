@@ -5,10 +5,15 @@ from __future__ import annotations
 import base64
 import shlex
 from collections.abc import Mapping, Sequence
+from contextlib import redirect_stdout
 from dataclasses import dataclass, replace
 from importlib import resources
+from io import StringIO
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+import viser
 
 from pipeline import __version__
 from pipeline.answering.answer_words import why_no_answer
@@ -22,6 +27,8 @@ from pipeline.diagnosis.whatif.answer_view import NOTHING, ShownObjects
 from pipeline.diagnosis.whatif.edits import Edits, read_edits
 from pipeline.diagnosis.whatif.state import ViewState, encode
 from pipeline.evaluation.leakage import Share, shares_of_answer, title_of
+from pipeline.geometry.cloud import cloud_of, drawn_pixels
+from pipeline.geometry.viewpoints import viewpoint
 from pipeline.labels.reading import Labels
 from pipeline.language.lexicon import wording
 from pipeline.system.errors import InputError
@@ -29,8 +36,11 @@ from pipeline.system.whole_files import write_whole
 from spatialviz.app.answer import verdict_chip_of
 from spatialviz.app.frames import IMAGES
 from spatialviz.app.markup import Element, h, note
+from spatialviz.app.scene import SceneView
+from spatialviz.app.scene_client import SceneClient, triple
 from spatialviz.app.stages import all_stages_html
 from spatialviz.app.state import State
+from spatialviz.app.viser_socket import served_by
 from spatialviz.report.picture import QUALITY, WIDEST, answer_picture, answer_roles, jpeg_url
 
 POLICY = (
@@ -225,3 +235,51 @@ def view_state(dataset: str, frame: str, text: str, edits: Mapping[str, Any] | N
         return encode(ViewState(dataset, frame, text, edits=read_edits(dict(edits)) if edits else Edits()))
     except InputError:
         return None
+
+
+MOST_POINTS = 40_000
+ASPECT = 1.6
+"""Width over height of the part of the page that shows the scene."""
+
+
+def scene_html(answered: Answer, context: PreparedFrame) -> str:
+    """HTML page of the scene, about 1.5 MB, drawn in the viewer's level frame, dark."""
+    state = shown_state(answered, context)
+    # The server says where it listens; nobody is to go there.
+    with served_by(None), redirect_stdout(StringIO()):
+        server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+        try:
+            return _drawn(server, replace(state, dark=True, flags=replace(state.flags, boxes=True)), context)
+        finally:
+            server.stop()
+
+
+def _drawn(server: viser.ViserServer, state: State, context: PreparedFrame) -> str:
+    client, scene, frame = SceneClient(), server.scene, context.frame
+    view = SceneView(client, lambda pixel, boxes: None)
+    view.to_show = np.stack([context.viewer.right, context.viewer.forward, context.viewer.up])
+    tags = view.draw(state)
+    scene.set_up_direction("+z")
+    scene.world_axes.visible = False
+    scene.configure_environment_map(hdri=None)
+    scene.configure_default_lights(cast_shadow=False)
+    usable = drawn_pixels(frame)
+    stride = max(1, int(np.ceil(np.sqrt(usable.sum() / MOST_POINTS))))
+    while usable[::stride, ::stride].sum() > MOST_POINTS:
+        stride += 1
+    cloud = cloud_of(frame, context.viewer, stride)
+    colors = cloud.painted(frame.rgb)
+    for part in cloud.parts:
+        look = {"point_size": part.size, "point_shading": "flat", "point_shape": "square"}
+        client.put("point_cloud", f"/cloud/{part.name}", points=cloud.points[part.at], colors=colors[part.at], **look)
+    for tag in tags:
+        # Labelled ones have their name below, so that neither hides the other's.
+        above, anchor = (1, "bottom-center") if tag.strong else (-1, "top-center")
+        at = np.array(client.nodes[tag.node].position) + np.array([0.0, 0.0, above * (tag.extent[2] + 0.05)])
+        look = {"font_size_mode": "screen", "font_screen_scale": 0.9, "anchor": anchor, "depth_test": False}
+        client.put("label", f"/names{tag.node}", text=tag.text[:60], position=triple(at), **look)
+    client.copy_to(scene)
+    eye, look, fov = viewpoint("orbit", cloud.points, view.to_show, frame.camera, ASPECT)
+    camera = server.initial_camera
+    camera.up, camera.position, camera.look_at, camera.fov = (0.0, 0.0, 1.0), triple(eye), triple(look), float(fov)
+    return scene.as_html(dark_mode=True)
