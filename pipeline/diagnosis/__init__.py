@@ -10,7 +10,14 @@ from pipeline.system.lazy_exports import lazy_exports
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from pipeline.diagnosis.answer import Answer, answer_record, diagnosis_record
+    from pipeline.diagnosis.answer import (
+        Answer,
+        answer_record,
+        diagnosis_record,
+        failed_stages,
+        stages_of,
+        unasked_stages,
+    )
     from pipeline.diagnosis.asking import (
         annotated_truth,
         ask_and_judge,
@@ -26,7 +33,6 @@ if TYPE_CHECKING:
     from pipeline.diagnosis.marks import MARKS, read_marks
     from pipeline.diagnosis.oracles import ALL_ORACLES, CONF, LIFT, ORACLES, SRM, SUBSETS, names_of
     from pipeline.diagnosis.sentence_truth import sentence_case
-    from pipeline.diagnosis.stages import failed_stages, stages_of, unasked_stages
     from pipeline.diagnosis.substitution import substitute
     from pipeline.diagnosis.suggestions import (
         SuggestedQuestions,

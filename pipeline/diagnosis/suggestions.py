@@ -34,28 +34,20 @@ def suggest_expressions(
     Those whose target's class stands in the frame several times come first:
     there the relation decides. No class and no relation is repeated while there are others.
     """
-    if viewer.up_source == "assumed":
+    if not objects or viewer.up_source == "assumed":
         return ()
     labels = [o.label for o in objects]
-    number = Counter(labels)
-    single = {name for name, one in zip(labels, alone(labels).tolist(), strict=True) if one}
+    number, single = Counter(labels), alone(labels)
+    like = np.array([[a == b for b in labels] for a in labels], np.int64)
+    pixels = [o.lifted.quality.mask_pixels for o in objects]
     found: list[tuple[float, str, str, str]] = []
-    columns = [scores.relations.index(r) for r in DIRECTIONAL if r in scores.relations]
-    for n in columns:
-        relation = scores.relations[n]
-        for target in sorted(number):
-            rows = [i for i, name in enumerate(labels) if name == target]
-            for reference in sorted(number):
-                ends = [j for j, name in enumerate(labels) if name == reference]
-                if target == reference or reference not in single:
-                    continue
-                column = scores.states[np.ix_(rows, ends)][..., n]
-                likely = scores.probabilities[np.ix_(rows, ends)][..., n] >= 0.5
-                # The rule and the scorer must agree on the one that is right.
-                if (column == 1).sum() == 1 and (column == 0).sum() == 0 and (likely == (column == 1)).all():
-                    pixels = min(objects[i].lifted.quality.mask_pixels for i in (*rows, *ends))
-                    score = min(number[target], 3) + min(pixels, 3000) / 3000
-                    found.append((score, target, relation, reference))
+    for n, relation in enumerate(scores.relations):
+        states, likely = scores.states[..., n], scores.probabilities[..., n] >= 0.5
+        # The rule and the scorer must agree on the one that is right, and on all of its like that are not.
+        sure = (states == 1) & likely & (like @ ((states >= 0) | likely) == 1) & single
+        for i, j in np.argwhere(sure).tolist() if relation in DIRECTIONAL else ():
+            least = min(p for p, label in zip(pixels, labels, strict=True) if label in (labels[i], labels[j]))
+            found.append((min(number[labels[i]], 3) + min(least, 3000) / 3000, labels[i], relation, labels[j]))
     chosen: list[str] = []
     used: Counter[str] = Counter()
     while found and len(chosen) < count:

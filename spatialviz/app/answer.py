@@ -9,7 +9,7 @@ from pipeline.answering.ask import Trace
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.ranking import alone
-from pipeline.diagnosis.stages import failed_stages
+from pipeline.diagnosis.answer import failed_stages
 from pipeline.diagnosis.verdict import MODULE_OF, ORACLE_WORDS, Diagnosis, shown_detail
 from pipeline.diagnosis.whatif.answer_view import BothAnswers, OtherAnswer
 from pipeline.diagnosis.whatif.changes import each_edit

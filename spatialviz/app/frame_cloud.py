@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.answering.frame_colors import frame_colors
-from pipeline.answering.frame_store import LoadedFrame
+from pipeline.answering.frame_store import LoadedFrame, frame_colors
 from pipeline.geometry.cloud import CloudPart
 from pipeline.geometry.palette import hex_color
 from pipeline.geometry.viewer import surface_point

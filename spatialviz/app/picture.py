@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.answering.frame_colors import frame_colors
-from pipeline.answering.frame_store import LoadedFrame
+from pipeline.answering.frame_store import LoadedFrame, frame_colors
 from pipeline.answering.objects import SceneObject
 from pipeline.corrections.draft import Draft
 from pipeline.geometry.frame import Frame

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from pipeline.answering.answer_words import why_no_answer
 from pipeline.answering.ask import Trace
 from pipeline.answering.pair_table import ScoredPair
+from pipeline.diagnosis.answer import Stage, failed_stages, parse_notes, stages_of, unasked_stages
 from pipeline.diagnosis.minimal_repair import threshold
-from pipeline.diagnosis.stages import Stage, failed_stages, parse_notes, stages_of, unasked_stages
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.geometry.palette import VERDICTS, hex_color, palette
 from pipeline.language.lexicon import wording

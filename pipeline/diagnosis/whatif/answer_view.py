@@ -15,7 +15,6 @@ from pipeline.answering.objects import PreparedFrame, SceneObject
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.verdict import Diagnosis
-from pipeline.diagnosis.whatif.changes import PairKeys, pair_keys, ranked_pairs
 from pipeline.diagnosis.whatif.edits import Edits
 from pipeline.diagnosis.whatif.pair_tables import detection_keys
 from pipeline.diagnosis.whatif.rerun import Outcome
@@ -122,7 +121,7 @@ class BothAnswers:
 
     def pair_before(self, pair: ScoredPair) -> tuple[int | None, ScoredPair | None]:
         """Pair of the unedited answer, after its former rank from 1; None for no candidate."""
-        return self._ranked.get(pair_keys(self.after, pair), (None, None))
+        return self.before.ranked.get(self.after.pair_keys(pair), (None, None))
 
     def relation_before(self, a: int, b: int, relation: str) -> float | None:
         """P("a RELATION b") before the edits, for places in the objects of the answer."""
@@ -130,10 +129,6 @@ class BothAnswers:
         if relation not in scores.relations or not set(keys) <= set(self.before.keys):
             return None
         return float(scores.of(relation)[tuple(map(self.before.keys.index, keys))])
-
-    @cached_property
-    def _ranked(self) -> dict[PairKeys, tuple[int, ScoredPair]]:
-        return ranked_pairs(self.before)
 
 
 @dataclass(frozen=True, kw_only=True)

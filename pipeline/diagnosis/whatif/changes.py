@@ -11,9 +11,8 @@ import numpy as np
 
 from pipeline.answering.answer_words import stands, why_no_answer
 from pipeline.answering.json_records import present
-from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.whatif.edits import CHECKS, Edits
-from pipeline.diagnosis.whatif.rerun import Outcome
+from pipeline.diagnosis.whatif.rerun import Outcome, PairKeys
 from pipeline.language.relation_names import PHRASE
 from pipeline.system.errors import require
 
@@ -31,7 +30,6 @@ _WORDS = {
 }
 
 Record = dict[str, Any]
-PairKeys = tuple[str, str | None, str | None]
 
 
 def what_changed(
@@ -87,19 +85,9 @@ def what_changed(
     }
 
 
-def pair_keys(outcome: Outcome, pair: ScoredPair) -> PairKeys:
-    """Keys of a pair's objects: target, reference, the other end of "between"."""
-    keys = outcome.keys
-    return (
-        keys[pair.target],
-        None if pair.reference is None else keys[pair.reference],
-        None if pair.second_reference is None else keys[pair.second_reference],
-    )
-
-
 def _winner(outcome: Outcome) -> PairKeys | None:
     ranking = outcome.trace.ranking
-    return None if ranking is None else pair_keys(outcome, ranking.pairs[0])
+    return None if ranking is None else outcome.pair_keys(ranking.pairs[0])
 
 
 def _answer(outcome: Outcome, verdict: str | None) -> Record:
@@ -132,23 +120,17 @@ def _object(outcome: Outcome, index: int) -> Record:
     return {"key": outcome.keys[index], "label": outcome.trace.objects[index].label}
 
 
-def ranked_pairs(outcome: Outcome) -> dict[PairKeys, tuple[int, ScoredPair]]:
-    """Ranked pairs by the keys of their objects, each after its rank, from 1."""
-    pairs = () if outcome.trace.ranking is None else outcome.trace.ranking.pairs
-    return {pair_keys(outcome, pair): (at, pair) for at, pair in enumerate(pairs, start=1)}
-
-
 def _factors(before: Outcome, after: Outcome, names: PairKeys) -> Record:
     """Log factors of a pair in both answers; null for no candidate pair."""
     record: Record = {"target": names[0], "reference": names[1]}
     for when, outcome in (("before", before), ("after", after)):
-        at, pair = ranked_pairs(outcome).get(names, (None, None))
+        at, pair = outcome.ranked.get(names, (None, None))
         record[when] = None if pair is None else {"rank": at, "log_score": pair.log_score, **pair.log_factors}
     return record
 
 
 def _moved(before: Outcome, after: Outcome, most: int) -> list[Record]:
-    old, new = ranked_pairs(before), ranked_pairs(after)
+    old, new = before.ranked, after.ranked
     gone = [names for names in old if names not in new]
     ranks = {names: [side[names][0] if names in side else None for side in (old, new)] for names in (*new, *gone)}
     found = [

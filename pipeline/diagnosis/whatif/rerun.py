@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import OrderedDict, defaultdict
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from threading import RLock
 from time import perf_counter
@@ -20,6 +21,7 @@ import numpy as np
 from pipeline.answering.ask import Trace, joined, ranked, timed
 from pipeline.answering.detector_prompts import detections
 from pipeline.answering.objects import PreparedFrame, SceneObject, same_object
+from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.pipeline import Pipeline
 from pipeline.answering.ranking import Candidates, RelationLookup
 from pipeline.diagnosis.whatif.edits import Edits, PlacedBox
@@ -35,6 +37,7 @@ from pipeline.relations.scorer import RelationScorer, RelationScores
 from pipeline.system.errors import require
 
 _T = TypeVar("_T")
+PairKeys = tuple[str, str | None, str | None]
 _MOST_KEPT = {"context": 3, "scorer": 3, "tables": 6, "selected": 64, "same": 4}
 """What a dragged slider would make without end; of objects so many contexts full are kept."""
 
@@ -46,6 +49,17 @@ class Outcome:
     trace: Trace
     keys: tuple[str, ...]  # Of `trace.objects`, in their order
     pairs_scored: int  # Unordered pairs whose relations were computed for this answer
+
+    def pair_keys(self, pair: ScoredPair) -> PairKeys:
+        """Keys of a pair's objects: target, reference, the other end of "between"."""
+        reference, second = (None if i is None else self.keys[i] for i in (pair.reference, pair.second_reference))
+        return self.keys[pair.target], reference, second
+
+    @cached_property
+    def ranked(self) -> dict[PairKeys, tuple[int, ScoredPair]]:
+        """Ranked pairs by the keys of their objects, each after its rank, from 1."""
+        pairs = () if self.trace.ranking is None else self.trace.ranking.pairs
+        return {self.pair_keys(pair): (at, pair) for at, pair in enumerate(pairs, start=1)}
 
 
 class Baseline:
