@@ -53,8 +53,8 @@ Batch = Annotated[
 ]
 Epochs = Annotated[int, arg(help="The learning rate, 1e-3, is halved every 3.")]
 Split = Annotated[
-    Literal["scene", "blocks", "random"] | None,
-    arg(help="Default: scene where there are at least three, else blocks of camera positions. random leaks."),
+    Literal["scene", "blocks"] | None,
+    arg(help="Default: scene where there are at least three, else blocks of camera positions."),
 ]
 PairFeatures = Annotated[Features, arg(help="What the networks are given of a pair.")]
 Workers = Annotated[int, arg(help="Processes at once. What comes out does not depend on it.")]

@@ -16,7 +16,7 @@ import xxhash
 
 from pipeline.system.errors import require
 
-SplitKind = Literal["scene", "blocks", "random"]
+SplitKind = Literal["scene", "blocks"]
 TRAIN, VALIDATION, TEST, DROPPED = 0, 1, 2, -1
 PARTS = ("train", "validation", "test")
 SHARES = (0.7, 0.1, 0.2)
@@ -24,11 +24,6 @@ FEWEST_SCENES = 3
 GAP_M = 1.0
 FRAME_GAP = 0.02
 """Where there are no poses: the share of a scene's frames that is dropped at either cut."""
-
-RANDOM_WARNING = (
-    "random frames leak: neighbouring frames show the same objects from almost the same place, so the network is "
-    "measured on what it has learnt by heart; use --split scene, or --split blocks on one scene"
-)
 
 
 @dataclass(frozen=True)
@@ -45,7 +40,7 @@ class FrameKey:
 class SplitPlan:
     """Each frame's part."""
 
-    kind: SplitKind  # "scene", "blocks" or "random"
+    kind: SplitKind
     seed: int
     frames: tuple[FrameKey, ...]
     part: np.ndarray  # (F,) int8, TRAIN, VALIDATION, TEST, or DROPPED (in a gap)
@@ -91,8 +86,7 @@ def split_frames(frames: Sequence[FrameKey], kind: SplitKind | None = None, seed
         "scene": whole scenes, in the order of a seeded hash of their names.
         "blocks": in each scene one block of camera positions for each part, at
         least 1 m apart (less, with a warning, where the scene is smaller).
-        "random": frames drawn at random, which leaks. By default scenes where
-        there are at least three, else blocks.
+        By default scenes where there are at least three, else blocks.
 
     Raises
     ------
@@ -115,12 +109,7 @@ def split_frames(frames: Sequence[FrameKey], kind: SplitKind | None = None, seed
         "training needs at least three frames: to learn, to calibrate, to measure",
         got=len(frames),
     )
-    if kind == "random":
-        order = np.random.default_rng([seed, 31]).permutation(len(frames))
-        part = np.empty(len(frames), np.int8)
-        part[order] = _cut(len(frames))
-        return SplitPlan("random", seed, frames, part, {}, RANDOM_WARNING)
-    require(kind == "blocks", "no such split", got=repr(kind), expected="scene | blocks | random")
+    require(kind == "blocks", "no such split", got=repr(kind), expected="scene | blocks")
     return _blocks(frames, scenes, seed)
 
 

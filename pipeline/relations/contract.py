@@ -237,7 +237,7 @@ class TrainedOn:
     dataset: str  # Name of its folder
     input_hash: str  # Of the dataset's files, as the labels' manifest has it
     content_hash: str  # Of the labels' table of frames
-    split: str  # "scene": `train` and `validation` name scenes. "blocks", "random": frames.
+    split: str  # "scene": `train` and `validation` name scenes. "blocks", and "random" of before: frames.
     train: tuple[str, ...]
     validation: tuple[str, ...]
     scenes: tuple[str, ...]  # Of all frames in either

@@ -36,7 +36,7 @@ class LabelTraining:
     labels: Path
     config: TrainConfig
     split: SplitKind | None = None
-    """ "scene", "blocks", "random", or the default of `split_frames`."""
+    """ "scene", "blocks", or the default of `split_frames`."""
     vectors: Path | None = None
     """File of text vectors, for "+lang" contracts."""
     normalised: bool = False

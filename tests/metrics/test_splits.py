@@ -88,11 +88,8 @@ def test_without_poses_neighbouring_frames_are_kept_apart() -> None:
     }
 
 
-def test_random_frames_leak_and_that_is_said() -> None:
+def test_too_few_scenes_or_frames_are_refused() -> None:
     frames = [FrameKey(f"f{k}", f"s{k % 5}", k) for k in range(50)]
-    plan = split_frames(frames, "random", 3)
-    assert "leak" in str(plan.warning)
-    assert np.bincount(plan.part).tolist() == [35, 5, 10]
     with pytest.raises(InputError, match="three scenes"):
         split_frames(frames[:1] * 5, "scene")
     for few in ([], frames[:2]):
