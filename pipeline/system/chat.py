@@ -7,15 +7,15 @@ import hashlib
 import json
 import math
 import os
-import queue
 import re
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from multiprocessing.pool import ThreadPool
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 from urllib.parse import urlsplit
 
 import cv2
@@ -148,19 +148,32 @@ class ChatClient:
         """Ask many questions, `workers` at a time; answers in order, known ones from the cache.
 
         A question that fails for itself (a timeout, a refusal of its content) leaves only its own answer empty, with
-        `failure` set; a ServerError of all questions is raised. Ctrl-C ends it at once. `questions` may make its
-        pictures as it goes.
+        `failure` set; a ServerError of all questions is raised. Ctrl-C ends it at once.
         """
+        stop = threading.Event()
 
         def answer(question: ChatQuestion) -> ChatAnswer:
+            if stop.is_set():
+                return ChatAnswer("")
             try:
                 return self._answer(question)
-            except ServerError as error:
-                if error.everywhere:
-                    raise
-                return ChatAnswer("", failure=str(error))
+            except Exception as error:
+                if isinstance(error, ServerError) and not error.everywhere:
+                    return ChatAnswer("", failure=str(error))
+                stop.set()
+                raise
 
-        return _in_order(answer, questions, workers)
+        # Its threads keep nobody waiting who wants to leave.
+        pool = ThreadPool(workers)
+        try:
+            answers = pool.map_async(answer, questions, chunksize=1)
+            while not answers.ready():
+                # A wait without an end cannot be interrupted everywhere.
+                answers.wait(0.5)
+            return answers.get()
+        finally:
+            stop.set()
+            pool.terminate()
 
     def _answer(self, question: ChatQuestion) -> ChatAnswer:
         tokens = self._max_tokens if question.max_tokens is None else question.max_tokens
@@ -225,48 +238,3 @@ def checked_base(url: str) -> str:
     require("@" not in parts.netloc, "a key does not belong into the address of the server", expected=expected)
     require(sound, "the address of the server cannot be used", got=repr(url)[:120], expected=expected)
     return f"{parts.scheme}://{parts.netloc}" + parts.path.rstrip("/").removesuffix("/chat/completions").rstrip("/")
-
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
-
-
-def _in_order(function: Callable[[Item], Result], items: Iterable[Item], workers: int) -> list[Result]:
-    """Results in the order of the items, taken singly by free workers; the first error is raised.
-
-    The threads are daemons: those of `concurrent.futures` would hold Ctrl-C up until the last answer comes.
-    """
-    source, lock, stop = enumerate(items), threading.Lock(), threading.Event()
-    results: queue.SimpleQueue[tuple[int, Result] | BaseException | None] = queue.SimpleQueue()
-
-    def work() -> None:
-        try:
-            while not stop.is_set():
-                with lock:
-                    index, item = next(source)
-                results.put((index, function(item)))
-        except StopIteration:
-            results.put(None)
-        except BaseException as error:
-            results.put(error)
-
-    found: dict[int, Result] = {}
-    running = workers
-    try:
-        for _ in range(workers):
-            threading.Thread(target=work, daemon=True).start()
-        while running:
-            try:
-                # A wait without an end cannot be interrupted everywhere.
-                result = results.get(timeout=0.5)
-            except queue.Empty:
-                continue
-            if result is None:
-                running -= 1
-            elif isinstance(result, BaseException):
-                raise result
-            else:
-                found[result[0]] = result[1]
-    finally:
-        stop.set()
-    return [found[index] for index in range(len(found))]
