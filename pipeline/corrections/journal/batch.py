@@ -23,7 +23,7 @@ from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.side_views import drag_box
 from pipeline.drawing.gestures import Canvas, drawn, read_gesture
 from pipeline.relations.relations import F, T, U
-from pipeline.system.errors import InputError, as_input_error, require
+from pipeline.system.errors import InputError, as_input_error, kind_and_text, require
 from pipeline.system.reading import checked
 from pipeline.system.safe_files import read_json
 
@@ -234,10 +234,7 @@ _LIST: TypeAdapter[list[Any]] = TypeAdapter(
 
 def read_actions(path: Path) -> list[Any]:
     """Read actions from a JSON file; InputError names the wrong entry."""
-    errors, what = (OSError, ValueError, RecursionError), "the edits cannot be read"
-    with as_input_error(
-        what, *errors, got=lambda e: getattr(e, "strerror", None) or e, expected="a JSON list", path=path
-    ):
+    with as_input_error("the edits cannot be read", OSError, ValueError, RecursionError, got=kind_and_text, path=path):
         return actions_of(read_json(Path(path)), path)
 
 
