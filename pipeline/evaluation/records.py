@@ -17,7 +17,7 @@ from pipeline.labels.cases import HIT, Case, FrameCases, is_gold
 from pipeline.language.expression import sentence_kind
 from pipeline.language.tree import Query
 from pipeline.system.arrow import pa, typed
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, as_input_error, first_line, require
 from pipeline.system.safe_files import read_parquet
 
 DIAGNOSIS_COLUMNS: dict[str, str] = {
@@ -346,17 +346,12 @@ def read_records(run: Path, columns: list[str] | None = None) -> pa.Table:
     Raises InputError: there is no run, or it measured relations alone.
     """
     path = Path(run) / "records.parquet"
-    try:
+    with as_input_error("the records of the run cannot be read", ValueError, OSError, got=first_line, path=path):
+        alone = not path.is_file() and path.with_name("relation_records.parquet").is_file()
+        require(not alone, "this run has no expressions", cause="made with --tables relations", path=run)
+        require(path.is_file(), "no evaluation run here", expected="a folder that `eval` wrote", path=run)
         rows = typed(read_parquet(path, columns), records_schema(), "the records", path)
-        needed = () if columns is not None else ASKED + JUDGED if "verdict" in rows.column_names else ASKED
-        lost = next((name for name in needed if name not in rows.column_names), None)
-        require(lost is None, f"the records lack the column {lost!r}", cause="is this a run of `eval`?", path=path)
-        return rows
-    except FileNotFoundError as error:
-        if (Path(run) / "relation_records.parquet").is_file():
-            raise InputError("this run has no expressions", cause="made with --tables relations", path=run) from error
-        raise InputError("no evaluation run here", expected="a folder that `eval` wrote", path=run) from error
-    except InputError:
-        raise
-    except (ValueError, OSError) as error:
-        raise InputError("the records of the run cannot be read", got=str(error).split("\n")[0], path=path) from error
+    needed = () if columns is not None else ASKED + JUDGED if "verdict" in rows.column_names else ASKED
+    lost = next((name for name in needed if name not in rows.column_names), None)
+    require(lost is None, f"the records lack the column {lost!r}", cause="is this a run of `eval`?", path=path)
+    return rows

@@ -27,7 +27,7 @@ from pipeline.language.relation_names import PAIRWISE
 from pipeline.metrics.splits import DROPPED, PARTS
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.arrow import pa, pc
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import as_input_error, first_line, require
 from pipeline.system.safe_files import parse_json, read_parquet
 from pipeline.training.label_data import parts_seen
 
@@ -175,16 +175,11 @@ def read_relation_records(path: Path) -> RelationRecords:
 
     Raises InputError: the file is missing, or is something else.
     """
-    try:
+    wrong = "not a file of relation records"
+    with as_input_error(wrong, OSError, KeyError, TypeError, ValueError, got=first_line, path=path):
+        require(path.is_file(), "no relation records here", cause="was eval run with --tables grounding?", path=path)
         rows = read_parquet(path, ["frame_index", "scene", "state", "p", "learnt_from"])
         about = parse_json(rows.schema.metadata[SYSTEMS_KEY], path)
-    except FileNotFoundError as error:
-        cause = "was eval run with --tables grounding?"
-        raise InputError("no relation records here", cause=cause, path=path) from error
-    except InputError:
-        raise
-    except (OSError, KeyError, TypeError, ValueError) as error:
-        raise InputError("not a file of relation records", got=str(error).split("\n")[0], path=path) from error
     frames, scenes, states, p, learnt = (column.combine_chunks() for column in rows.columns)
     relations = tuple(field.name for field in states.type)
     coded = scenes.dictionary_encode()

@@ -293,17 +293,12 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
     Raises InputError: no run there, or a manifest that cannot be read.
     """
-    path = folder / RUN_FILE
-    try:
-        manifest = read_json(enter(folder) / RUN_FILE)
+    path, wrong = enter(folder) / RUN_FILE, "the run's manifest cannot be read"
+    with as_input_error(wrong, OSError, ValueError, KeyError, TypeError, got=str, path=path):
+        require(path.is_file(), "no evaluation run here", expected="a folder that `eval` wrote", path=folder)
+        manifest = read_json(path)
         if not isinstance(manifest["name"], str) or not isinstance(manifest.get("labels", {}), dict):
             raise ValueError("no name of a system, or no labels")
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise InputError("no evaluation run here", expected="a folder that `eval` wrote", path=folder) from error
-    except InputError:
-        raise
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError("the run's manifest cannot be read", got=str(error), path=path) from error
     return manifest
 
 
