@@ -72,10 +72,10 @@ def render_dataset(
     width, height : int
         Pixels.
     progress : callable, optional
-        Called with (frames done, frames in all).
+        Called with (frames done, frames in all) after each room.
     workers : int
-        Processes; with more than one, each renders whole rooms, `progress` is called once a room, and the calling
-        script must be importable (`if __name__ == "__main__"`): they are spawned. Hence one by default.
+        Processes, each of which renders whole rooms; with more than one the calling script must be importable (`if
+        __name__ == "__main__"`): they are spawned. Hence one by default.
 
     Raises
     ------
@@ -89,7 +89,11 @@ def render_dataset(
     started = time.perf_counter()
     with temporary_folder(out) as partial:
         jobs = [(partial / f"{k + 1:06d}", seed * ROOMS_A_SEED + k, views, width, height) for k in range(rooms)]
-        records = _run(jobs, views, workers, progress)
+        records: list[SceneRecord] = []
+        for record in results_of(_render_room, jobs, workers):
+            records.append(record)
+            if progress is not None:
+                progress(views * len(records), views * rooms)
         models = {key: info for record in records for key, info in record.models.items()}
         numbers = {key: k + 1 for k, key in enumerate(models)}
         for job, record in zip(jobs, records, strict=True):
@@ -135,20 +139,8 @@ def _check(out: Path, rooms: int, views: int, seed: int, width: int, height: int
 Job = tuple[Path, int, int, int, int]
 
 
-def _run(jobs: list[Job], views: int, workers: int, progress: Callable[[int, int], None] | None) -> list[SceneRecord]:
-    total = views * len(jobs)
-    tell = progress or (lambda done, of: None)
-    if min(workers, len(jobs)) == 1:
-        return [_render_room(job, lambda view, k=k: tell(k * views + view, total)) for k, job in enumerate(jobs)]
-    records: list[SceneRecord] = []
-    for record in results_of(_render_room, jobs, workers):
-        records.append(record)
-        tell(views * len(records), total)
-    return records
-
-
-def _render_room(job: Job, tell: Callable[[int], None] = lambda view: None) -> SceneRecord:
-    """Render the views of a room; `tell` gets the count after each view."""
+def _render_room(job: Job) -> SceneRecord:
+    """Render the views of a room."""
     folder, room_seed, views, width, height = job
     record = SceneRecord()
     room = make_room(room_seed)
@@ -156,7 +148,6 @@ def _render_room(job: Job, tell: Callable[[int], None] = lambda view: None) -> S
     for k, camera in enumerate(cameras):
         frame = render_view(room, camera, np.random.default_rng([room_seed, 13, k]))
         write_frame(folder, k, room, frame, record)
-        tell(k + 1)
     return record
 
 

@@ -93,8 +93,14 @@ class Array:
         return self
 
 
-class _Let:
-    """Placeholder of an array's freed bytes."""
+class _Memo(dict[int, Any]):
+    """Memory of an unpickler without bytes of arrays, every one of which would be kept to the end."""
+
+    def __setitem__(self, index: int, value: Any) -> None:
+        # An array's state is a tuple of its bytes.
+        inside = value if isinstance(value, tuple) else (value,)
+        long = any(isinstance(part, bytes | bytearray | str) and len(part) >= LONG for part in inside)
+        super().__setitem__(index, None if long else value)
 
 
 def _scalar(kind: _Type, data: bytes = b"") -> Any:
@@ -142,7 +148,7 @@ class _PlainUnpickler(pickle._Unpickler):
 
     def __init__(self, file: Any, keep: Callable[[np.ndarray], Any]) -> None:
         super().__init__(file)
-        self._keep = keep
+        self._keep, self.memo = keep, _Memo()
 
     def find_class(self, module: str, name: str) -> Any:
         parts = module.split(".")
@@ -166,26 +172,7 @@ class _PlainUnpickler(pickle._Unpickler):
         require(isinstance(self.stack[-1], Passed | _Type | Array), "the pickle changes what it did not make")
         self.stack[-1].build(state)
 
-    def load_memoize(self) -> None:
-        self._remember(len(self.memo))
-
-    def load_binput(self) -> None:
-        self._remember(self.read(1)[0])
-
-    def load_long_binput(self) -> None:
-        self._remember(int.from_bytes(self.read(4), "little"))
-
-    def _remember(self, index: int) -> None:
-        value = self.stack[-1]
-        # An array's state is a tuple of its bytes; without this every one of them would be kept to the end.
-        inside = value if isinstance(value, tuple) else (value,)
-        long = any(isinstance(part, bytes | bytearray | str) and len(part) >= LONG for part in inside)
-        self.memo[index] = _Let() if long else value
-
     dispatch[pickle.BUILD[0]] = load_build
-    dispatch[pickle.MEMOIZE[0]] = load_memoize
-    dispatch[pickle.BINPUT[0]] = load_binput
-    dispatch[pickle.LONG_BINPUT[0]] = load_long_binput
 
 
 class _Bounded:
