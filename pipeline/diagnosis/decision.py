@@ -54,7 +54,6 @@ from pipeline.diagnosis.oracles import (
     ORACLES,
     RECALL,
     SRM,
-    CandidateSet,
     OracleScores,
     names_of,
 )
@@ -121,7 +120,6 @@ def _decided(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | No
         false_target=target is not None and bool(found.target.object[target] < 0),
         false_reference=bool(case.reference) and pair is not None and bool(found.reference.object[pair[1]] < 0),
         needed=_needed(found, case, right) if lost and right is not None else (),
-        pseudo=_pseudo(evidence, found, [p for p in (pair, index) if p is not None]),
         gold=parse_ok,
         untold=unavailable_oracles(evidence, case, parse_ok),
         case=case,
@@ -193,10 +191,3 @@ def _smallest(found: OracleScores, subsets: range | list[int]) -> int | None:
     """Smallest of these subsets with an acceptable winner; of equal ones the largest margin."""
     able = [s for s in subsets if found.accepted[s]]
     return min(able, key=lambda s: (s.bit_count(), -found.margins[s], s)) if able else None
-
-
-def _pseudo(evidence: FrameEvidence, found: OracleScores, pairs: list[tuple[int, int]]) -> bool:
-    def boxed(role: CandidateSet, k: int) -> bool:
-        return role.shape_of[k] >= 0 and bool(evidence.objects.pseudo[role.shape_of[k]])
-
-    return any(boxed(found.target, i) or boxed(found.reference, j) for i, j in pairs)

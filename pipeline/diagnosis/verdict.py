@@ -116,8 +116,6 @@ class Diagnosis:
     false_reference: bool = False
     missed: Missed | None = None  # With OPM-TARGET and OPM-REF
     missed_name: str | None = None  # The class name of which the right object is missing
-    # LIFT's truth was the box of the label for an object of either pair: the dataset has no pixels of it
-    pseudo: bool = False
     # Where an acceptable pair stood among the candidates and lost: every oracle that alone makes one win
     mends: tuple[str, ...] = ()
     # What one factor alone would have to be for the best acceptable pair to win; empty where one wins
@@ -296,12 +294,11 @@ def _flipped(d: Diagnosis, case: Case) -> str:
     if len(d.repair) > 1 and d.verdict in ("OPM-CONF", "PRM"):
         return f"{text[0].upper()}{text[1:]}: it spoke for the right pair. {_repaired(d)} Verdict: {d.verdict}."
     if d.verdict == "LIFT":
-        boxed = " (of some objects the label's box)" if d.pseudo else ""
         by = ", by estimated depth" if d.evidence.answers.context.frame.depth_source else ""
         if "LIFT" not in d.repair:
             how = "True geometry takes the relation half the way to the right pair or farther."
             return f"A 3D box is off{by}: {text}. {how} {_repaired(d)} Verdict: LIFT."
-        return f"A 3D box is off{by}: {text}. With true geometry{boxed} the right pair wins. Verdict: LIFT."
+        return f"A 3D box is off{by}: {text}. With true geometry the right pair wins. Verdict: LIFT."
     if d.verdict == "ATTRIBUTE":
         return f"{text[0].upper()}{text[1:]}. With true attributes the right pair wins. Verdict: ATTRIBUTE."
     if d.detail == "CHOICE":

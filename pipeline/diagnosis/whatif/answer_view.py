@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TypeVar
-
-import numpy as np
 
 from pipeline.answering.ask import Trace
 from pipeline.answering.frame_store import LoadedFrame
@@ -16,11 +14,9 @@ from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif.edits import Edits
-from pipeline.diagnosis.whatif.pair_tables import detection_keys
 from pipeline.diagnosis.whatif.rerun import Outcome
 from pipeline.geometry.boxes import Box3D, iou_2d
 from pipeline.geometry.palette import Role
-from pipeline.proposals.base import Detector
 from pipeline.system.errors import require
 
 
@@ -278,41 +274,15 @@ class AnswerView:
         pair = next((pair for pair in pairs if pair == kept), pairs[0] if pairs else None)
         return replace(changed, pair=pair, selected=None if selected is None else at.get(selected))
 
-    def key_of(self, place: int, detector: Detector | None) -> str | None:
-        """Key of the object at a place; None for an object not found so by the detector."""
-        entry = self.shown.objects[place]
-        key = self.key_at(place, () if self.edited is None else self.edited.after.keys)
-        if key is not None:
-            return key
-        keys, alike = self._detections(detector, entry.label)
-        return next((key for key, same in zip(keys, alike(entry), strict=True) if same), None)
+    def key_of(self, place: int) -> str | None:
+        """Key of the object at a place; None for one without a key: of no candidate, by a detector without ids."""
+        return self.key_at(place, () if self.edited is None else self.edited.after.keys)
 
-    def place_of(self, key: str, detector: Detector | None) -> int | None:
+    def place_of(self, key: str) -> int | None:
         """Place of the object of a key; None for an unknown key."""
-        objects = self.shown.objects
-        if key.startswith("#") and "/" not in key:
-            return next((i for i, o in enumerate(objects) if key == f"#{o.id}"), None)
         if self.edited is not None and key in self.edited.after.keys:
             return self.shown.place.get(self.edited.after.keys.index(key))
-        name = key.rpartition("/")[0]
-        named = [i for i, o in enumerate(objects) if o.label == name]
-        if all(objects[i].id >= 0 for i in named):
-            return None
-        keys, alike = self._detections(detector, name)
-        return next((i for i in named if key in keys and alike(objects[i])[keys.index(key)]), None)
-
-    def _detections(
-        self, detector: Detector | None, name: str
-    ) -> tuple[tuple[str, ...], Callable[[SceneObject], np.ndarray]]:
-        """Keys of all detections of a name, and a matcher of objects to detections."""
-        if self.loaded is None or detector is None:
-            return (), lambda _: np.zeros(0, np.bool_)
-        found = detector.detect(self.loaded.context.frame, [name])
-
-        def alike(entry: SceneObject) -> np.ndarray:
-            return (found.boxes == entry.bbox).all(axis=1)
-
-        return detection_keys(name, found), alike
+        return next((i for i, o in enumerate(self.shown.objects) if key == f"#{o.id}"), None)
 
 
 def answer_view(context: PreparedFrame, outcome: Outcome, edits: Edits, key: str | None = None) -> AnswerView:

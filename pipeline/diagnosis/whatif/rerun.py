@@ -38,8 +38,12 @@ from pipeline.system.errors import require
 
 _T = TypeVar("_T")
 PairKeys = tuple[str, str | None, str | None]
-_MOST_KEPT = {"context": 3, "scorer": 3, "tables": 6, "selected": 64, "same": 4}
+_MOST_KEPT, _MOST_TABLES = {"context": 3, "scorer": 3, "selected": 64, "same": 4}, 6
 """What a dragged slider would make without end; of objects so many contexts full are kept."""
+
+
+_BY_VALUE = (PlacedBox, RunLength, tuple)
+"""Inputs that are compared by value; all others by identity."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +85,7 @@ class Baseline:
         self.keys = {name: detection_keys(name, found) for name, found in self.found.items()}
         self._lock = RLock()
         self._shelves: defaultdict[str, OrderedDict[Hashable, Any]] = defaultdict(OrderedDict)
+        self.tables: dict[Hashable, PairTables] = {}
         self._most_objects = _MOST_KEPT["context"] * max(1, sum(len(keys) for keys in self.keys.values()))
         self.outcome = rerun(self, Edits())
 
@@ -89,40 +94,32 @@ class Baseline:
         """Keys of all detections open to edits of this question."""
         return frozenset(key for keys in self.keys.values() for key in keys)
 
-    def kept(self, kind: str, key: Hashable, make: Callable[[], _T]) -> _T:
-        """Value kept under a key, made on first use."""
+    def made(self, kind: str, slot: Hashable, make: Callable[[], _T], *inputs: Any) -> _T:
+        """Value last made in a slot, if of equal inputs; else made anew. Of each kind the oldest is dropped."""
         shelf = self._shelves[kind]
-        return shelf[key] if key in shelf else self.keep(kind, key, make())
-
-    def last(self, kind: str, key: Hashable) -> Any:
-        """Value kept under a key; None for nothing."""
-        return self._shelves[kind].get(key)
-
-    def keep(self, kind: str, key: Hashable, value: _T) -> _T:
-        """Replace the value under a key; of each kind the oldest is dropped."""
-        shelf = self._shelves[kind]
-        shelf[key] = value
-        shelf.move_to_end(key)
+        before = shelf.get(slot)
+        if before is None or not all(
+            a is b or (isinstance(a, _BY_VALUE) and a == b) for a, b in zip(before[0], inputs)
+        ):
+            shelf[slot] = inputs, make()
+        shelf.move_to_end(slot)
         while len(shelf) > _MOST_KEPT.get(kind, self._most_objects):
             shelf.popitem(last=False)
-        return value
+        return shelf[slot][1]
 
     def scorer(self, spec: str | None) -> RelationScorer:
         """Relation scorer of an edit; InputError for an unusable scorer."""
         if spec is None:
             return self.source.scorer
         name: str | Path = spec if spec in ("rule", "trained") else Path(spec)
-        return self.kept("scorer", spec, lambda: make_scorer(name))
+        return self.made("scorer", spec, lambda: make_scorer(name))
 
     def same(self, objects: tuple[SceneObject, ...]) -> np.ndarray:
         """Pairs of identical objects, by ids, 2D boxes and masks, independent of dragged boxes."""
         marks = tuple((o.id, o.bbox.tobytes(), id(o.mask), o.lifted.quality.mask_source) for o in objects)
-        before = self.last("same", len(objects))
-        if before is not None and before[0] == marks:
-            return before[2]
-        # The masks are kept too, so that their numbers stay their own.
-        kept = marks, tuple(o.mask for o in objects), same_object(objects, told_by_ids(self.detector))
-        return self.keep("same", len(objects), kept)[2]
+        # The objects are kept too, so that the numbers of their masks stay their own.
+        exact = told_by_ids(self.detector)
+        return self.made("same", len(objects), lambda: (objects, same_object(objects, exact)), marks)[1]
 
 
 def foreign_keys(baseline: Baseline, edits: Edits) -> tuple[str, ...]:
@@ -194,7 +191,7 @@ def _context(baseline: Baseline, edits: Edits) -> PreparedFrame:
     config = replace(baseline.context.config, **edits.lift)
     if config == baseline.context.config:
         return baseline.context
-    return baseline.kept("context", config, lambda: PreparedFrame(baseline.context.frame, config))
+    return baseline.made("context", config, lambda: PreparedFrame(baseline.context.frame, config))
 
 
 def _selected(baseline: Baseline, edits: Edits, name: str) -> np.ndarray:
@@ -211,7 +208,7 @@ def _selected(baseline: Baseline, edits: Edits, name: str) -> np.ndarray:
         bare = replace(found, masks=None, has_mask=None, segmented=None)
         return shown[top_k_indices(bare.take(shown), k, min_score=least)]
 
-    return baseline.kept("selected", (name, hidden, k, least), select)
+    return baseline.made("selected", (name, hidden, k, least), select)
 
 
 def _edited(baseline: Baseline, context: PreparedFrame, edits: Edits, name: str, at: int) -> SceneObject:
@@ -223,27 +220,14 @@ def _edited(baseline: Baseline, context: PreparedFrame, edits: Edits, name: str,
     def lifted() -> SceneObject:
         return context.lift(baseline.found[name].take(np.array([at])), baseline.detector)[0]
 
-    entry = baseline.kept("lifted", (config, name, at), lifted)
+    entry = baseline.made("lifted", (config, name, at), lifted)
     if mask is not None:
         entry = _repainted(baseline, context, entry, key, mask)
     if box is None:
         return entry
-    moved = _last_made(
-        baseline, "moved", (config, key), (entry.lifted, box), lambda: entry.lifted.moved_to(box.box(), context.viewer)
-    )
+    thing = entry.lifted
+    moved = baseline.made("moved", (config, key), lambda: thing.moved_to(box.box(), context.viewer), thing, box)
     return replace(entry, lifted=moved)
-
-
-def _last_made(baseline: Baseline, kind: str, slot: Hashable, inputs: tuple[Any, ...], make: Callable[[], _T]) -> _T:
-    """Value last made in a slot from equal inputs; else made anew."""
-    before = baseline.last(kind, slot)
-    if before is not None and all(_alike(a, b) for a, b in zip(before[0], inputs, strict=True)):
-        return before[1]
-    return baseline.keep(kind, slot, (inputs, make()))[1]
-
-
-def _alike(a: Any, b: Any) -> bool:
-    return a is b or (isinstance(a, PlacedBox | RunLength) and a == b)
 
 
 def _repainted(
@@ -261,7 +245,7 @@ def _repainted(
         found = lift(frame.depth, frame.camera, [mask], context.viewer, config=context.config, edges=context.edges)
         return mask, found[0]
 
-    mask, lifted = _last_made(baseline, "relifted", (context.config, key), (code,), relift)
+    mask, lifted = baseline.made("relifted", (context.config, key), relift, code)
     bbox = np.array(mask_box(mask), np.float32) if mask.any() else entry.bbox
     return replace(entry, mask=mask, bbox=bbox, lifted=lifted)
 
@@ -287,14 +271,17 @@ def _tables(
     profile = replace(Profile(), **edits.profile)
     plain = not edits.boxes and not edits.masks
     kind = (context.config, edits.scorer, profile)
-    known = [t for t in (baseline.last("tables", (kind, p)) for p in (False, True)) if t is not None]
+    known = [t for t in (baseline.tables.get((kind, p)) for p in (False, True)) if t is not None]
     indices = {identity(o) for o in objects}
     before = max(known, key=lambda t: len(indices & t.index.keys()), default=None)
     tables = score_pairs(objects, context.viewer, context.frame, scorer, profile, before)
-    widest = baseline.last("tables", (kind, True))
+    widest = baseline.tables.get((kind, True))
     # What was scored for a larger K serves a smaller one again.
     if not plain or widest is None or len(tables.objects) >= len(widest.objects):
-        baseline.keep("tables", (kind, plain), tables)
+        baseline.tables.pop((kind, plain), None)
+        baseline.tables[kind, plain] = tables
+        while len(baseline.tables) > _MOST_TABLES:
+            del baseline.tables[next(iter(baseline.tables))]
     return tables
 
 
