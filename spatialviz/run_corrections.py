@@ -42,17 +42,13 @@ FrameOf = Callable[[str], EffectiveFrame | None]
 
 
 def run_show(command: ShowCommand) -> int:
-    from pipeline.corrections.journal_location import JournalLocation  # Brings the review of labels in.
-
     require(command.object is None or command.pair is None, "--object and --pair exclude each other")
     labels = open_labels(command.labels)
-    if command.journal.journal is not None:
-        journal = command.journal.open(labels, must_exist=True)
-    else:
-        journal = JournalLocation(labels, project=command.journal.project).to_read()
+    corrected = command.journal.journal is not None or (labels.root / JOURNAL_FILE).exists()
+    journal = command.journal.open(labels, must_exist=True) if corrected else ()
     corrector = Corrector(labels, command.source.open(labels))
     name = one_frame(tuple(corrector.index.of_frame), command.frame, labels.root)
-    frame = corrector.frame(name, () if journal is None else journal)
+    frame = corrector.frame(name, journal)
     if command.pair is not None:
         a, b = numbers(command.pair, "A,B", int, "a pair is two numbers of objects", ", such as --pair 3,5")
         card = pair_card(frame, a, b)

@@ -89,11 +89,6 @@ class Canvas:
 
     context: PreparedFrame
 
-    @property
-    def size(self) -> tuple[int, int]:
-        """Height and width."""
-        return self.context.frame.height, self.context.frame.width
-
     @cached_property
     def surface(self) -> Surface:
         return surface_of(self.context.frame)
