@@ -42,10 +42,6 @@ _MOST_KEPT, _MOST_TABLES = {"context": 3, "scorer": 3, "selected": 64, "same": 4
 """What a dragged slider would make without end; of objects so many contexts full are kept."""
 
 
-_BY_VALUE = (PlacedBox, RunLength, tuple)
-"""Inputs that are compared by value; all others by identity."""
-
-
 @dataclass(frozen=True)
 class Outcome:
     """Answer under edits."""
@@ -98,9 +94,7 @@ class Baseline:
         """Value last made in a slot, if of equal inputs; else made anew. Of each kind the oldest is dropped."""
         shelf = self._shelves[kind]
         before = shelf.get(slot)
-        if before is None or not all(
-            a is b or (isinstance(a, _BY_VALUE) and a == b) for a, b in zip(before[0], inputs)
-        ):
+        if before is None or not all(map(_alike, before[0], inputs)):
             shelf[slot] = inputs, make()
         shelf.move_to_end(slot)
         while len(shelf) > _MOST_KEPT.get(kind, self._most_objects):
@@ -120,6 +114,11 @@ class Baseline:
         # The objects are kept too, so that the numbers of their masks stay their own.
         exact = told_by_ids(self.detector)
         return self.made("same", len(objects), lambda: (objects, same_object(objects, exact)), marks)[1]
+
+
+def _alike(a: Any, b: Any) -> bool:
+    """True for one input, or equal ones of plain values."""
+    return a is b or (isinstance(a, PlacedBox | RunLength | tuple) and a == b)
 
 
 def foreign_keys(baseline: Baseline, edits: Edits) -> tuple[str, ...]:
