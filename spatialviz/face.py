@@ -102,18 +102,11 @@ def show(
         sources = {name: opened.pipeline}
         view["labels"] = {} if opened.labels is None else {name: opened.labels}
 
-    from spatialviz.app.access import Access
-    from spatialviz.app.server import announce, serve, start
+    from spatialviz.app.server import serve
 
     if block is None:
         block = not (hasattr(sys, "ps1") or sys.flags.interactive)
-    if block:
-        serve(sources, host=host, port=port, dark=dark, open_browser=open_browser, **view)
-        return None
-    access = Access.of(host)
-    server = start(sources, host=host, port=port, dark=dark, access=access, **view)
-    announce(server, access, sources, host, port, open_browser, "stop()")
-    return server
+    return serve(sources, host=host, port=port, dark=dark, open_browser=open_browser, block=block, **view)
 
 
 def _name(pipeline: Pipeline) -> str:

@@ -17,7 +17,6 @@ def fill_page(ctx: Context) -> None:
         "where": toolbar.where_html(state, tuple(shared.store.sources), dataset.frame_ids),
         "suggestions": None if asked else toolbar.suggestions_html(state, state.offers.questions),
         "tasks": toolbar.tasks_html(state, bool(shared.runs), bool(shared.journals)),
-        "problem": toolbar.problem_html(state),
         "ask-problem": toolbar.refusal_html(state),
         "scene-tools": toolbar.scene_tools_html(state),
         "depth-legend": picture.depth_bar(state),

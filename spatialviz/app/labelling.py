@@ -39,14 +39,14 @@ class Labelling(LabelPart):
         reopen: Callable[[], None],
     ) -> None:
         super().__init__(ctx)
-        self._reopen = reopen
+        self._reopen, self._ask = reopen, ask
+        self._kept = ("", "")  # Frame and question whose pair was confirmed
         self._following = (
             LabelObject(ctx),
             ReviewQueue(ctx),
             RetrainPanel(ctx),
             Pixels(ctx),
             SidePanel(ctx),
-            RightPair(ctx, ask),
         )
         # All parts with commands
         self.parts = self, *self._following, Sentences(ctx), Conflicts(ctx)
@@ -81,6 +81,7 @@ class Labelling(LabelPart):
         if journals:
             head = review_head_html(state, state.source in journals, self.ctx.editors.opened(state.source))
             self.ctx.page.fill({"review-head": head, "review-pair": pair_html(state)})
+        self.ctx.page.show("right-pair", self._offer())
         for part in self._following:
             part.follow()
 
@@ -148,6 +149,46 @@ class Labelling(LabelPart):
         if names:
             self.focus_relation(names[((names.index(now) if now in names else 0) + step) % len(names)])
 
+    # ---- the truth of a question --------------------------------------------------------
+
+    @command("right-pair")
+    def confirm(self) -> None:
+        """Confirm the chosen pair, or the first, as right."""
+        state, editor = self.state, self.editor
+        pair = state.chosen or next(iter(state.ranked), None)
+        if state.labels is None:
+            outcome = editor.save(right_pair(editor, there(state.trace), there(pair)))
+            said, bad = outcome_text(outcome, "kept as true", editor.frame(state.frame_id))
+            self._kept = (state.frame_id, state.text) if isinstance(outcome, Saved) else ("", "")
+            self.ctx.toast("Not saved" if bad else "This pair is right", said, bad)
+            self._ask(state.text)
+
+    @command("right-undo")
+    def take_back(self) -> None:
+        """Undo the confirmation."""
+        if self._kept == (self.state.frame_id, self.state.text):
+            outcome, self._kept = self.editor.undo(), ("", "")
+            self.ctx.toast("Taken back", outcome_text(outcome, "taken back", None)[0])
+            self._ask(self.state.text)
+
+    def _offer(self) -> Element | None:
+        state = self.state
+        pair = state.chosen or next(iter(state.ranked), None)
+        if state.trace is None or pair is None:
+            return None
+        if state.source not in self.ctx.shared.journals:
+            return None
+        if self._kept == (state.frame_id, state.text):
+            back = button("Undo", "right-undo", "this pair is not right after all")
+            return h.div(h.span("This pair is kept as true.", cls="dim"), back, cls="rightpair panel")
+        known, why = state.judged is not None, why_not_kept(state.trace.root)
+        if why or pair.reference is None:
+            told = f"No truth is known here yet, and none is kept of this answer: {why}. Outline things under Label."
+            return None if known or not why else h.div(told, cls="rightpair panel dim")
+        hint = "it is kept as true, with its objects, and the answer is judged by it at once"
+        made = button("This pair is right", "right-pair", hint, cls="try" if known else "try go")
+        return h.div(made, None if known else h.span("No truth is known here yet.", cls="dim"), cls="rightpair panel")
+
 
 PERIOD_SECONDS = 2.0
 
@@ -174,54 +215,3 @@ def _watch(ctx: Context, labels: Labelling) -> None:
             found = editor.news(frame) if state.labels is not None else ()
             if found or (state.labels is not None and editor.replaced(frame)):
                 ctx.post(lambda frame=frame, found=found: labels.took(frame, found))
-
-
-class RightPair(LabelPart):
-    """Sets the truth of a client's question."""
-
-    def __init__(self, ctx: Context, ask: Callable[[str], None]) -> None:
-        super().__init__(ctx)
-        self._ask = ask
-        self._kept = ("", "")
-
-    @command("right-pair")
-    def confirm(self) -> None:
-        """Confirm the chosen pair, or the first, as right."""
-        state, editor = self.state, self.editor
-        pair = state.chosen or next(iter(state.ranked), None)
-        if state.labels is None:
-            outcome = editor.save(right_pair(editor, there(state.trace), there(pair)))
-            said, bad = outcome_text(outcome, "kept as true", editor.frame(state.frame_id))
-            self._kept = (state.frame_id, state.text) if isinstance(outcome, Saved) else ("", "")
-            self.ctx.toast("Not saved" if bad else "This pair is right", said, bad)
-            self._ask(state.text)
-
-    @command("right-undo")
-    def take_back(self) -> None:
-        """Undo the confirmation."""
-        if self._kept == (self.state.frame_id, self.state.text):
-            outcome, self._kept = self.editor.undo(), ("", "")
-            self.ctx.toast("Taken back", outcome_text(outcome, "taken back", None)[0])
-            self._ask(self.state.text)
-
-    def follow(self) -> None:
-        """Offer the confirmation under an answer with a pair."""
-        self.ctx.page.show("right-pair", self._offer())
-
-    def _offer(self) -> Element | None:
-        state = self.state
-        pair = state.chosen or next(iter(state.ranked), None)
-        if state.trace is None or pair is None:
-            return None
-        if state.source not in self.ctx.shared.journals:
-            return None
-        if self._kept == (state.frame_id, state.text):
-            back = button("Undo", "right-undo", "this pair is not right after all")
-            return h.div(h.span("This pair is kept as true.", cls="dim"), back, cls="rightpair panel")
-        known, why = state.judged is not None, why_not_kept(state.trace.root)
-        if why or pair.reference is None:
-            told = f"No truth is known here yet, and none is kept of this answer: {why}. Outline things under Label."
-            return None if known or not why else h.div(told, cls="rightpair panel dim")
-        hint = "it is kept as true, with its objects, and the answer is judged by it at once"
-        made = button("This pair is right", "right-pair", hint, cls="try" if known else "try go")
-        return h.div(made, None if known else h.span("No truth is known here yet.", cls="dim"), cls="rightpair panel")

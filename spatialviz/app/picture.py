@@ -177,23 +177,15 @@ def depth_bar(state: State) -> Element | None:
 
 
 def objects_html(state: State, loaded: LoadedFrame) -> Element:
-    """Objects by number, the chosen pair repeated at the top; a click selects."""
+    """Objects by number; a click selects."""
     if not state.shown.objects:
         reason = loaded.problem or "Nothing is annotated or detected in this frame."
         return panel(heading("Objects"), note(reason), cls="objects")
-    count = len(state.shown.objects)
-    # Moved rows would all be sent again.
-    pair = [_row(state, i, "of-pair") for i in dict.fromkeys(state.pair or ())]
-    head = [h.tr(h.th(words, colspan=4)) for words in ("of the pair", "all")] if pair else [None, None]
-    every = (_row(state, i, "object") for i in range(count))
-    table = h.table(h.tbody(head[0], pair, id="of-pair"), h.tbody(head[1], every), cls="objects")
-    return panel(heading(f"Objects ({count})"), table)
+    rows = (_row(state, i) for i in range(len(state.shown.objects)))
+    return panel(heading(f"Objects ({len(state.shown.objects)})"), h.table(h.tbody(rows), cls="objects"))
 
 
-def _row(state: State, i: int, kind: str) -> Element:
-    marks = chosen(i == state.selected, "r")
-    # The page scrolls to the first of an object's two rows.
-    marks |= {"data_shown": None} if kind == "object" and i in (state.pair or ()) else {}
+def _row(state: State, i: int) -> Element:
     entry, color = state.shown.objects[i], palette(state.dark)[state.roles.get(i, "other")]
     box, quality = entry.lifted.box, entry.lifted.quality
     size = "no depth" if box is None else " × ".join(f"{s * 100:.0f}" for s in box.size) + " cm"
@@ -207,10 +199,10 @@ def _row(state: State, i: int, kind: str) -> Element:
             h.span("!", cls="low", title=doubts, aria_label=doubts) if doubts else "",
             cls="n",
         ),
-        id=f"{kind}-{i}",
+        id=f"object-{i}",
         do=f"object:{i}",
         hover=f"hover:{i}",
-        **marks,
+        **chosen(i == state.selected, "r"),
     )
 
 

@@ -125,8 +125,9 @@ def serve(
     open_browser: bool = True,
     access: Access | None = None,
     max_clients: int = MAX_CLIENTS,
-) -> None:
-    """Start the server, print the address, and wait for the end."""
+    block: bool = True,
+) -> viser.ViserServer | None:
+    """Start the server, print the address, and wait for the end; without `block`, return the server instead."""
     access = access or Access.of(host)
     server = start(
         sources,
@@ -143,7 +144,9 @@ def serve(
         access=access,
         max_clients=max_clients,
     )
-    announce(server, access, sources, host, port, open_browser)
+    announce(server, access, sources, host, port, open_browser, "Ctrl-C" if block else "stop()")
+    if not block:
+        return server
     _end_in_order()
     # Present objects stay: excluded from cyclic garbage collection.
     gc.freeze()
@@ -172,7 +175,7 @@ def announce(
     host: str,
     port: int,
     open_browser: bool,
-    stop: str = "Ctrl-C",
+    stop: str,
 ) -> None:
     """Print a server's address, asked for at `host` and `port`, and the way to stop; open a browser if wanted."""
     shown = "127.0.0.1" if host in ("", "0.0.0.0", "::") else f"[{host}]" if ":" in host else host

@@ -74,19 +74,18 @@ class PageSession(Part):
         self._aids, self._cloud = frame_cloud.SceneAids(ctx), frame_cloud.FrameCloud(ctx)
         self._runs = evaluate.Evaluate(ctx, self.go, self.say_address)
         self._what_if, self._browse = what_if.WhatIf(ctx, self._judged), Browse(ctx)
-        self._labels, self._strings = (
-            Labelling(ctx, self.ask, self.reopen),
-            view_strings.ViewStrings(ctx, self._runs.reveal, self.go, self.ask),
+        self._labels = Labelling(ctx, self.ask, self.reopen)
+        self._exports = view_strings.Exports(
+            ctx, self._judge, self._runs.reveal, self._runs.selected, self.go, self.ask
         )
         parts = (
             self,
             self._selection,
             self._runs,
             self._what_if,
-            self._strings,
+            self._exports,
             self._browse,
             keys.Keys(ctx),
-            view_strings.Keeping(ctx, self._judge, self._strings.now, self._runs.selected),
             *self._labels.parts,
         )
         self._commands = {name: run for part in parts for name, run in commands_of(part).items()}
@@ -171,7 +170,7 @@ class PageSession(Part):
             self.go(place, restoring=True)
         elif self.ctx.shared.first_view is not None:
             try:
-                self._strings.open(self.ctx.shared.first_view)
+                self._exports.open(self.ctx.shared.first_view)
             except InputError as error:
                 self.ctx.fail(error)
         elif self.state.source in self.ctx.shared.labels:
@@ -341,7 +340,7 @@ class PageSession(Part):
     def ask(self, text: str, draw: bool = True) -> None:
         if view_strings.BEGINS.match(text):
             self.ctx.page.call("question", self.state.text)
-            self._strings.restore(text)
+            self._exports.restore(text)
             return
         loaded = self.state.loaded
         if loaded is None:

@@ -122,11 +122,6 @@ def tasks_html(state: State, with_run: bool, with_labels: bool) -> Element | Non
     return segments("task", tasks, state.task, "What the page is for", TASK_HINTS) if len(tasks) > 1 else None
 
 
-def problem_html(state: State) -> Element | None:
-    """Reason of a frame's failure to load."""
-    return note(f"This frame is broken: {state.problem}", BAD) if state.problem else None
-
-
 def refusal_html(state: State) -> Element | None:
     """Reason of a refused question, and the objects of this frame, beside the field."""
     if not state.error:

@@ -28,18 +28,20 @@ from spatialviz.app.state import ColorMode, Place, State
 from spatialviz.report.page import Subject, failure_page, scene_html
 
 
-class ViewStrings(Part):
-    """Writes the view of a client as a string, and reads a string."""
+class Exports(Part):
+    """Opens views by strings; saves the answer as a case or a report, and the `selected` rows of a run as cases."""
 
     def __init__(
         self,
         ctx: Context,
+        judge: Judge,
         reveal: Callable[[str, str], None],
+        selected: Callable[[], list[dict[str, Any]]],
         go: Callable[[Place], None],
         ask: Callable[[str], None],
     ) -> None:
         super().__init__(ctx)
-        self._reveal, self._go, self._ask = reveal, go, ask
+        self._judge, self._reveal, self._selected, self._go, self._ask = judge, reveal, selected, go, ask
         self._waiting: ViewState | None = None
 
     def now(self) -> ViewState:
@@ -52,7 +54,6 @@ class ViewStrings(Part):
             state.expression_id(state.text),
         )
 
-    @command("restore")
     def restore(self, string: str) -> None:
         """Show the view of a string."""
         self.open(decode(string))
@@ -118,6 +119,93 @@ class ViewStrings(Part):
             self.state = replace(self.state, edits=Edits(), edited=None)
             self._ask(view.expression)
             raise
+
+    # ---- what is kept ------------------------------------------------------------------
+
+    @command("keep-case")
+    def save(self) -> None:
+        """Save the answer as a case in a new folder, named after question and frame."""
+        source, context, state = self._answered()
+        folder = case_folder(state.text, state.frame_id)
+        require(not folder.exists(), "this answer is a case already", path=folder)
+        self._save(folder, context, state.text, self.now().expression_id, self._given(source, context))
+        self.ctx.toast("Case saved", f"{folder.resolve()}; `spatialviz replay` runs it again")
+
+    def _save(
+        self, folder: Path, context: PreparedFrame, text: str, expression: str | None, given: Mapping[str, Any]
+    ) -> None:
+        run = self.ctx.run
+        origin = {} if run is None else {"run": str(run.folder), "expression": expression}
+        save_case(folder, self.ctx.source, context, text, run=origin, **given)
+
+    @command("report")
+    def report(self) -> None:
+        """Send the answer as a self-contained page."""
+        self.ctx.toast("Report", "The page is being made.")
+        source, context, state = self._answered()
+        answered = answer(source, context, state.text, **self._given(source, context))
+        report = failure_page(answered, source, context, self._subject(answered), scene_html(answered, context))
+        name = f"{case_folder(state.text, state.frame_id).name}.html"
+        self.ctx.page.download(name, report.encode("utf-8", "replace"))
+
+    def _answered(self) -> tuple[Pipeline, PreparedFrame, State]:
+        """Current pipeline, frame and state; InputError without a question."""
+        state = self.state
+        if state.trace is None or state.loaded is None:
+            raise InputError("there is no answer to keep", cause="ask something first")
+        return self.ctx.source, state.loaded.context, state
+
+    def _given(self, source: Pipeline, context: PreparedFrame) -> dict[str, Any]:
+        """Known truth, and the edits."""
+        edits = self.state.edits
+        edited = {"edits": edits_record(edits)} if edits else {}
+        return {**self._known(source, context, self.now().expression_id), **edited}
+
+    def _known(self, source: Pipeline, context: PreparedFrame, expression: str | None) -> dict[str, Any]:
+        name = self.state.source
+        truth = self._judge.truth(name, source, context)
+        return {"truth": truth, **self._judge.known(name, context.frame.id, truth, expression)}
+
+    def _subject(self, answered: Answer) -> Subject:
+        view, run, string = self.now(), self.ctx.run, None
+        with suppress(InputError):
+            string = encode(view)
+        opened = ["spatialviz", *self.ctx.shared.opened_by, "--state"]
+        commands = () if string is None else (shlex.join([*opened, string]),)
+        facts = () if view.run is None else (("run", view.run), ("expression", view.expression_id or answered.text))
+        shares = shares_of_answer(self.ctx.source, self._judge.labels(self.state.source)) if run is None else run.shares
+        return Subject(view.dataset, view.frame, commands, string, facts, shares)
+
+    @command("row-cases")
+    def save_rows(self) -> None:
+        """Save each selected row as a case; existing cases stay."""
+        rows = self._selected()
+        count = len(rows)
+        require(count <= MOST, "so many cases are not made at once", got=count, expected=f"up to {MOST}")
+        saved, refused, there = list[str](), list[str](), 0
+        for number, row in enumerate(rows, 1):
+            self.ctx.page.call("working", f"case {number} of {count}")
+            folder = case_folder(row["text"], row["frame"])
+            there += folder.exists()
+            try:
+                if not folder.exists():
+                    self._save_row(folder, row)
+                    saved.append(str(folder))
+            except InputError as error:
+                refused.append(f"{row['text']}: {error}")
+        self.ctx.page.call("working", "")
+        self.ctx.dialog.show(
+            "Cases of the selected",
+            (
+                h.p(f"{counted(len(saved), 'case')} saved{f', {there} were there already' if there else ''}."),
+                h.pre("\n".join(saved), cls="file") if saved else None,
+                [note(reason, BAD) for reason in refused[:TOLD]],
+            ),
+        )
+
+    def _save_row(self, folder: Path, row: dict[str, Any]) -> None:
+        context = self.ctx.shared.store.load(self.state.source, row["frame"]).context
+        self._save(folder, context, row["text"], row["id"], self._known(self.ctx.source, context, row["id"]))
 
 
 BEGINS = re.compile(r"\s*sv[0-9]{1,6}:")
@@ -200,102 +288,3 @@ def case_folder(text: str, frame: str) -> Path:
     """Folder of an answer's case: letters, digits, ".", "_" and "-" of the question and the frame."""
     name = re.sub(r"(?:[^A-Za-z0-9._-]|-)+", "-", f"{text}-{frame}").strip("-._")[:LONGEST_NAME].rstrip("-._")
     return Path(CASES) / (name or "answer")
-
-
-class Keeping(Part):
-    """Saves a client's view, and cases of the `selected` rows of a run."""
-
-    def __init__(
-        self,
-        ctx: Context,
-        judge: Judge,
-        view: Callable[[], ViewState],
-        selected: Callable[[], list[dict[str, Any]]],
-    ) -> None:
-        super().__init__(ctx)
-        self._judge, self._view, self._selected = judge, view, selected
-
-    @command("keep-case")
-    def save(self) -> None:
-        """Save the answer as a case in a new folder, named after question and frame."""
-        source, context, state = self._answered()
-        folder = case_folder(state.text, state.frame_id)
-        require(not folder.exists(), "this answer is a case already", path=folder)
-        self._save(folder, context, state.text, self._view().expression_id, self._given(source, context))
-        self.ctx.toast("Case saved", f"{folder.resolve()}; `spatialviz replay` runs it again")
-
-    def _save(
-        self, folder: Path, context: PreparedFrame, text: str, expression: str | None, given: Mapping[str, Any]
-    ) -> None:
-        run = self.ctx.run
-        origin = {} if run is None else {"run": str(run.folder), "expression": expression}
-        save_case(folder, self.ctx.source, context, text, run=origin, **given)
-
-    @command("report")
-    def report(self) -> None:
-        """Send the answer as a self-contained page."""
-        self.ctx.toast("Report", "The page is being made.")
-        source, context, state = self._answered()
-        answered = answer(source, context, state.text, **self._given(source, context))
-        report = failure_page(answered, source, context, self._subject(answered), scene_html(answered, context))
-        name = f"{case_folder(state.text, state.frame_id).name}.html"
-        self.ctx.page.download(name, report.encode("utf-8", "replace"))
-
-    def _answered(self) -> tuple[Pipeline, PreparedFrame, State]:
-        """Current pipeline, frame and state; InputError without a question."""
-        state = self.state
-        if state.trace is None or state.loaded is None:
-            raise InputError("there is no answer to keep", cause="ask something first")
-        return self.ctx.source, state.loaded.context, state
-
-    def _given(self, source: Pipeline, context: PreparedFrame) -> dict[str, Any]:
-        """Known truth, and the edits."""
-        edits = self.state.edits
-        edited = {"edits": edits_record(edits)} if edits else {}
-        return {**self._known(source, context, self._view().expression_id), **edited}
-
-    def _known(self, source: Pipeline, context: PreparedFrame, expression: str | None) -> dict[str, Any]:
-        name = self.state.source
-        truth = self._judge.truth(name, source, context)
-        return {"truth": truth, **self._judge.known(name, context.frame.id, truth, expression)}
-
-    def _subject(self, answered: Answer) -> Subject:
-        view, run, string = self._view(), self.ctx.run, None
-        with suppress(InputError):
-            string = encode(view)
-        opened = ["spatialviz", *self.ctx.shared.opened_by, "--state"]
-        commands = () if string is None else (shlex.join([*opened, string]),)
-        facts = () if view.run is None else (("run", view.run), ("expression", view.expression_id or answered.text))
-        shares = shares_of_answer(self.ctx.source, self._judge.labels(self.state.source)) if run is None else run.shares
-        return Subject(view.dataset, view.frame, commands, string, facts, shares)
-
-    @command("row-cases")
-    def save_rows(self) -> None:
-        """Save each selected row as a case; existing cases stay."""
-        rows = self._selected()
-        count = len(rows)
-        require(count <= MOST, "so many cases are not made at once", got=count, expected=f"up to {MOST}")
-        saved, refused, there = list[str](), list[str](), 0
-        for number, row in enumerate(rows, 1):
-            self.ctx.page.call("working", f"case {number} of {count}")
-            folder = case_folder(row["text"], row["frame"])
-            there += folder.exists()
-            try:
-                if not folder.exists():
-                    self._save_row(folder, row)
-                    saved.append(str(folder))
-            except InputError as error:
-                refused.append(f"{row['text']}: {error}")
-        self.ctx.page.call("working", "")
-        self.ctx.dialog.show(
-            "Cases of the selected",
-            (
-                h.p(f"{counted(len(saved), 'case')} saved{f', {there} were there already' if there else ''}."),
-                h.pre("\n".join(saved), cls="file") if saved else None,
-                [note(reason, BAD) for reason in refused[:TOLD]],
-            ),
-        )
-
-    def _save_row(self, folder: Path, row: dict[str, Any]) -> None:
-        context = self.ctx.shared.store.load(self.state.source, row["frame"]).context
-        self._save(folder, context, row["text"], row["id"], self._known(self.ctx.source, context, row["id"]))
