@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.answering.answer_words import best_pair
 from pipeline.answering.pipeline import Pipeline
-from pipeline.audit.geometry import HOLDS, OWN_SIDES, has_front
+from pipeline.audit.sentences import HOLDS, OWN_SIDES, has_front
 from pipeline.audit.suspicion import AuditItem, Evidence, agreement_weight
 from pipeline.datasets.files import read_bytes
 from pipeline.evaluation.robospatial import Question, QuestionAnswers, drawn, points_of, published_right

@@ -12,9 +12,8 @@ from scenes import frame_of, upright
 
 from pipeline.answering import Pipeline, open_pipeline
 from pipeline.audit import AuditReport
-from pipeline.audit.geometry import FACING, has_front
 from pipeline.audit.report import audit
-from pipeline.audit.sentences import audit_sentences
+from pipeline.audit.sentences import FACING, audit_sentences, has_front
 from pipeline.audit.suspicion import (
     PRIOR,
     AuditItem,
