@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.geometry.pose_convention import _AXES, _WAYS, _inverse, _reordered
+from pipeline.geometry.camera import _AXES, _WAYS, _inverse, _reordered
 
 
 def as_convention(T: np.ndarray, convention: str) -> np.ndarray:

@@ -13,8 +13,8 @@ from pipeline.answering.frame_store import FrameStore
 from pipeline.answering.pipeline import Pipeline, open_pipeline
 from pipeline.datasets.demo import DEMO_EXPRESSION
 from pipeline.diagnosis.whatif.answer_view import shown_objects
+from pipeline.geometry.cloud import floor_height
 from pipeline.geometry.palette import depth_ends
-from pipeline.geometry.viewpoints import floor_height
 from spatialviz.app.channel import Call
 from spatialviz.app.context import Context, Shared
 from spatialviz.app.frame_cloud import SceneAids

@@ -21,7 +21,7 @@ from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects, 
 from pipeline.answering.pipeline import Pipeline
 from pipeline.datasets import Dataset
 from pipeline.datasets.base import load_picture, scene_of
-from pipeline.datasets.camera_plan import CameraPlan, camera_plan
+from pipeline.datasets.frame_reports import CameraPlan, camera_plan
 from pipeline.datasets.plausible import depth_doubt
 from pipeline.datasets.settings import Vector
 from pipeline.datasets.up import with_frame_up

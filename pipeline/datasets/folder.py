@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -38,29 +39,22 @@ from pipeline.system.errors import InputError, needed, require
 NAME_FILES = ("labels.txt", "classes.txt", "image_sets/classes.txt", "label_names.txt")
 
 
-@dataclass(frozen=True)
-class LabelPicture:
-    """Label picture of a frame."""
-
-    path: Path
-    names: Mapping[int, str]  # Of the numbers; one without a name is "object"
-
-    def annotations(self, size: tuple[int, int], notes: list[str]) -> tuple[Annotation, ...]:
-        """A mask for each number of a frame of (height, width) pixels; a note where the picture is broken."""
-        try:
-            numbers = read_numbers(self.path)
-        except InputError as error:
-            notes.append(f"no labels, {self.path.name}: {error.what}")
-            return ()
-        if numbers.shape != size:
-            notes.append(f"no labels, {self.path.name}: not a picture of {size[1]}x{size[0]} with one channel")
-            return ()
-        found = []
-        for index, number in enumerate(np.unique(numbers[numbers > 0]).tolist()):
-            mask = numbers == number
-            name = self.names.get(number, "object")
-            found.append(Annotation(index, name, np.array(mask_box(mask)), mask, instance=number))
-        return tuple(found)
+def label_annotations(
+    path: Path, names: Mapping[int, str], size: tuple[int, int], notes: list[str]
+) -> tuple[Annotation, ...]:
+    """A mask for each number of a label picture of (height, width) pixels; a note where it is broken. A number without
+    a name is "object"."""
+    numbers = or_note(notes, f"no labels, {path.name}: ", read_numbers, path)
+    if numbers is None:
+        return ()
+    if numbers.shape != size:
+        notes.append(f"no labels, {path.name}: not a picture of {size[1]}x{size[0]} with one channel")
+        return ()
+    found = []
+    for index, number in enumerate(np.unique(numbers[numbers > 0]).tolist()):
+        mask = numbers == number
+        found.append(Annotation(index, names.get(number, "object"), np.array(mask_box(mask)), mask, instance=number))
+    return tuple(found)
 
 
 def read_label_names(root: Path) -> dict[int, str]:
@@ -218,7 +212,7 @@ class FolderDataset(Recording):
         pose = self._pose(scene, pair, notes)
         stated = NOTHING if self._known else self._camera(scene, pair)
         label = scene.labels.get(pair.key)
-        annotate = None if label is None else LabelPicture(scene.files.root / label, self._names).annotations
+        annotate = None if label is None else partial(label_annotations, scene.files.root / label, self._names)
         return Listed(color, depth, stated, pose, annotate, self._up(pose))
 
     @property

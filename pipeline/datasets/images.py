@@ -157,10 +157,9 @@ def _checked(data: bytes, path: Blob, expected: str) -> str:
         cause="is it a text file, a Git LFS pointer or a saved web page?",
         path=path,
     )
-    if kind == "png":
-        _check_png(data, path)
-    elif kind == "jpeg":
-        _check_jpeg(data, path)
+    whole = {"png": _check_png, "jpeg": _check_jpeg, "pnm": _check_pnm}
+    if kind in whole:
+        whole[kind](data, path)
     if kind not in _ARRAYS:
         safe_files.check_pixels(data, path)
     return kind
@@ -210,41 +209,30 @@ def _check_jpeg(data: bytes, path: Blob) -> None:
     raise InputError("a JPEG that is cut off", got=f"{len(data)} bytes", cause=CUT_OFF, path=path)
 
 
+def _check_pnm(data: bytes, path: Blob) -> None:
+    """Check the header and the length of a binary PGM (P5) or PPM (P6)."""
+    gap, number = rb"(?:\s|#[^\n]*\n)+", rb"([0-9]{1,9})"
+    found = re.match(rb"P([56])" + gap + number + gap + number + gap + number + rb"\s", data)
+    header = needed(found, "a PGM or PPM with a malformed header", got=repr(data[:20]), path=path)
+    width, height, largest = (int(header[k]) for k in (2, 3, 4))
+    sound = width * height > 0 and 0 < largest < 65536
+    require(sound, "a PGM or PPM with a malformed header", got=repr(header[0]), path=path)
+    wanted = width * height * (3 if header[1] == b"6" else 1) * (2 if largest > 255 else 1)
+    require(
+        len(data) - header.end() >= wanted,
+        "a PGM or PPM that is cut off",
+        got=f"{len(data) - header.end()} bytes of pixels",
+        expected=wanted,
+        cause=CUT_OFF,
+        path=path,
+    )
+
+
 def _decode(data: bytes, kind: str, path: Blob, flags: int) -> np.ndarray:
-    if kind == "pnm":
-        return _decode_pnm(data, path, flags)
     broken = f"a {kind} that cannot be decoded"
     with as_input_error(broken, cv2.error, got=lambda error: str(error)[-120:], path=path):
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     return needed(pixels, broken, cause="is the file cut off or corrupt?", path=path)
-
-
-def _decode_pnm(data: bytes, path: Blob, flags: int) -> np.ndarray:
-    """Binary PGM (P5) or PPM (P6); 16-bit samples are big-endian. Colour comes back BGR, like OpenCV's."""
-    gap = rb"(?:\s|#[^\n]*\n)+"
-    number = rb"([0-9]{1,9})"
-    found = re.match(rb"P([56])" + gap + number + gap + number + gap + number + rb"\s", data)
-    header = needed(found, "a PGM or PPM with a malformed header", got=repr(data[:20]), path=path)
-    channels = 3 if header[1] == b"6" else 1
-    width, height, largest = (int(header[k]) for k in (2, 3, 4))
-    dtype = np.dtype(">u2" if largest > 255 else "u1")
-    count = width * height * channels
-    require(count != 0 and 0 < largest < 65536, "a PGM or PPM with a malformed header", got=repr(header[0]), path=path)
-    require(
-        len(data) - header.end() >= count * dtype.itemsize,
-        "a PGM or PPM that is cut off",
-        got=f"{len(data) - header.end()} bytes of pixels",
-        expected=count * dtype.itemsize,
-        cause=CUT_OFF,
-        path=path,
-    )
-    pixels = np.frombuffer(data, dtype, count, header.end()).reshape(height, width, channels)
-    pixels = pixels.astype(dtype.newbyteorder("="))
-    if flags == cv2.IMREAD_UNCHANGED:
-        return pixels[..., 0] if channels == 1 else pixels[..., ::-1]
-    if dtype.itemsize == 2:
-        pixels = (pixels >> 8).astype(np.uint8)
-    return np.repeat(pixels, 3, axis=2) if channels == 1 else pixels[..., ::-1]
 
 
 def _decode_numpy(data: bytes, path: Blob) -> np.ndarray:

@@ -15,9 +15,8 @@ from pipeline.datasets.camera_files import NOTHING, Stated
 from pipeline.datasets.files import Blob
 from pipeline.datasets.images import exif_focal, read_color, read_depth, read_stored
 from pipeline.datasets.settings import DEPTH_SCALE, FILE_NAME, INTRINSICS, Settings, unit_notes
-from pipeline.geometry.camera import Camera, intrinsics
+from pipeline.geometry.camera import Camera, intrinsics, standard_poses
 from pipeline.geometry.frame import Annotation, Frame
-from pipeline.geometry.pose_convention import standard_poses
 from pipeline.geometry.registration import Registration, registered
 from pipeline.system.errors import InputError, in_file, needed, require
 
@@ -96,6 +95,11 @@ class Recording:
             # A warp moves the pose.
             return self.load_picture(frame_id).camera.T_world_camera
         return self._standard(self._listed(frame_id, []).pose)
+
+    def depth_units(self, frame_id: str) -> float:
+        """Depth units in a metre by which a frame is read."""
+        stated = self._listed(frame_id, []).stated.units_per_metre
+        return self._settings.depth_scale or stated or self.rule.units_per_metre or 1.0
 
     def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         """Files and facts of a frame (subclasses); remarks are appended to `notes`."""

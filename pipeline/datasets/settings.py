@@ -9,8 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from pipeline.geometry.camera import UpSource
-from pipeline.geometry.pose_convention import check_convention
+from pipeline.geometry.camera import UpSource, check_convention
 from pipeline.geometry.registration import Registration
 from pipeline.system.errors import InputError, as_input_error, in_file, require
 from pipeline.system.reading import parse_toml

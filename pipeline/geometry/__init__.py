@@ -5,20 +5,30 @@ from pipeline.system.lazy_exports import lazy_exports
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from pipeline.geometry.boxes import CORNER_SIGNS, EDGES, Box3D, iou_2d, iou_3d, paired_iou_2d
-    from pipeline.geometry.camera import IMAGE_UP, Camera, backproject, intrinsics, lift_pixels, project, to_world
-    from pipeline.geometry.cloud import Cloud, cloud_of, drawn_pixels
+    from pipeline.geometry.camera import (
+        CONVENTIONS,
+        IMAGE_UP,
+        STANDARD,
+        Camera,
+        backproject,
+        check_convention,
+        intrinsics,
+        lift_pixels,
+        project,
+        standard_poses,
+        to_world,
+    )
+    from pipeline.geometry.cloud import Cloud, cloud_of, drawn_pixels, metre_grid, over_floor, viewpoint
     from pipeline.geometry.fitting import canonicalised, extents_of, pca_box
     from pipeline.geometry.frame import Annotation, Frame
     from pipeline.geometry.level_plane import MIN_SCORE, decided, far_from_level, level_normal_at, up_hypotheses
     from pipeline.geometry.lifting import LiftConfig, LiftedObject, Pixel, Quality, clean, depth_edges, extents, lift
     from pipeline.geometry.masks import MaskCrop, RunLength, decode_crop, decode_run_length, encode_run_length
-    from pipeline.geometry.normals import surface_normals
     from pipeline.geometry.outlines import Outlines, WarpEstimate, estimate_warp
     from pipeline.geometry.palette import RGB, depth_colors, hex_color, ink, instance_colors
     from pipeline.geometry.picture_input import place_picture
-    from pipeline.geometry.pose_convention import CONVENTIONS, STANDARD, check_convention, standard_poses
     from pipeline.geometry.registration import Registration, registered
+    from pipeline.geometry.surface import surface_normals
     from pipeline.geometry.viewer import ViewerAxes, resolve_up, viewer_axes
-    from pipeline.geometry.viewpoints import metre_grid, over_floor, viewpoint
 
 __getattr__ = lazy_exports(__name__, __file__)

@@ -10,17 +10,18 @@ import cv2
 import numpy as np
 
 from pipeline.geometry.camera import IMAGE_UP, Camera, depth_at, lift_pixels
-from pipeline.geometry.floor_or_wall import (
+from pipeline.geometry.surface import (
     PARALLEL_DEG,
     UPRIGHT,
     SurfaceBlocks,
     block_noise,
+    depth_noise,
     is_floor,
     may_be_wall,
     plane_tolerance,
     surface_blocks,
+    surface_normals,
 )
-from pipeline.geometry.normals import depth_noise, surface_normals
 from pipeline.system.errors import InputError
 
 SAME_SURFACE_DEG = 15.0

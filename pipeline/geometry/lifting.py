@@ -17,7 +17,7 @@ import numpy as np
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera, lift_pixels
 from pipeline.geometry.fitting import extents_of, gravity_box, pca_box
-from pipeline.geometry.normals import surface_step
+from pipeline.geometry.surface import surface_step
 from pipeline.geometry.viewer import ViewerAxes
 
 BoxMode = Literal["gravity", "pca", "pca-raw"]

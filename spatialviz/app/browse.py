@@ -10,7 +10,7 @@ from typing import Literal
 
 from pydantic import NonNegativeInt
 
-from pipeline.datasets.camera_plan import CameraPlan
+from pipeline.datasets.frame_reports import CameraPlan
 from spatialviz.app.context import Context, Part, command
 
 Which = Literal["all", "failed", "right", "open", "settled"]

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from pipeline.answering.frame_store import LoadedFrame, frame_colors
-from pipeline.geometry.cloud import CloudPart
+from pipeline.geometry.cloud import CloudPart, metre_grid
 from pipeline.geometry.palette import hex_color
 from pipeline.geometry.viewer import surface_point
-from pipeline.geometry.viewpoints import metre_grid
 from spatialviz.app.context import Context, Part
 from spatialviz.app.scene import Tag, plain_color
 from spatialviz.app.scene_client import triple

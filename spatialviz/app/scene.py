@@ -19,9 +19,8 @@ from pipeline.diagnosis.whatif.answer_view import ExtraBox, ShownObjects
 from pipeline.diagnosis.whatif.state import CameraView
 from pipeline.geometry.boxes import CUBE, CUBE_FACES, Box3D, boxes_on_ray, edge_lines
 from pipeline.geometry.camera import Camera
-from pipeline.geometry.cloud import Cloud
+from pipeline.geometry.cloud import Cloud, viewpoint
 from pipeline.geometry.palette import FACE_OPACITY, LINE_WIDTH, RGB, Role, hex_color, palette
-from pipeline.geometry.viewpoints import viewpoint
 from pipeline.system.errors import needed
 from spatialviz.app.markup import detector_score
 from spatialviz.app.scene_client import SceneClient, triple

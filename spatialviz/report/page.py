@@ -27,8 +27,7 @@ from pipeline.diagnosis.whatif.answer_view import NOTHING, ShownObjects
 from pipeline.diagnosis.whatif.edits import Edits, read_edits
 from pipeline.diagnosis.whatif.state import ViewState, encode
 from pipeline.evaluation.leakage import Share, shares_of_answer, title_of
-from pipeline.geometry.cloud import cloud_of, drawn_pixels
-from pipeline.geometry.viewpoints import viewpoint
+from pipeline.geometry.cloud import cloud_of, drawn_pixels, viewpoint
 from pipeline.labels.reading import Labels
 from pipeline.language.lexicon import wording
 from pipeline.system.errors import InputError

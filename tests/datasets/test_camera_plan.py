@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.datasets import InMemoryDataset
-from pipeline.datasets.camera_plan import camera_plan
+from pipeline.datasets.frame_reports import camera_plan
 from pipeline.geometry import Camera, Frame
 
 K = np.array([[100.0, 0, 32], [0, 100.0, 24], [0, 0, 1]])

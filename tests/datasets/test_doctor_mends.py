@@ -22,7 +22,7 @@ from pipeline.datasets.doctor.seen import Seen
 from pipeline.datasets.doctor.suspicions import Opinion, RegionAgreement, Suspicion, diagnosed
 from pipeline.datasets.settings import Settings
 from pipeline.geometry import Frame, Registration, registered
-from pipeline.geometry.pose_convention import CONVENTIONS, composed, standard_poses
+from pipeline.geometry.camera import CONVENTIONS, composed, standard_poses
 
 
 @pytest.fixture(scope="module")

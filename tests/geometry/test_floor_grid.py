@@ -7,7 +7,7 @@ import pytest
 from scenes import frame_of, up_of, upright
 
 from pipeline.geometry import cloud_of, metre_grid, over_floor, viewer_axes
-from pipeline.geometry.viewpoints import GRID_LIFT, floor_height, grid_lines
+from pipeline.geometry.cloud import GRID_LIFT, floor_height, grid_lines
 
 
 def test_the_grid_has_metre_cells_and_finer_lines_between() -> None:

@@ -7,7 +7,7 @@ import pytest
 from scenes import camera_of
 
 from pipeline.geometry import viewpoint
-from pipeline.geometry.viewpoints import NEAREST, fitting_viewpoint
+from pipeline.geometry.cloud import NEAREST, fitting_viewpoint
 
 POINTS = np.random.default_rng(1).uniform([-1, 1, -0.6], [1, 3, 0.4], (3000, 3))
 CAMERA, LEVEL = camera_of(), np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])

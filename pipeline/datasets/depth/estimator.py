@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -28,14 +28,9 @@ SAMPLES = 64
 """So many rows and columns of points tell the focal length and the shift."""
 
 
-@dataclass(frozen=True)
-class DepthEstimate:
-    """Depth estimate of a picture."""
-
-    depth: np.ndarray  # (H, W) float32: Metres along the camera's z axis; 0 where the network sees nothing
-    K: np.ndarray | None
-    """(3, 3) float64 or None: The network's own camera, pixels of the picture, where it was not told one and gives
-    one."""
+DepthEstimate = tuple[np.ndarray, np.ndarray | None]
+"""Depth, (H, W) float32 metres along the camera's z axis, 0 where the network sees nothing; and the network's own
+camera, (3, 3) float64 in pixels of the picture, where it was not given one and estimates one."""
 
 
 class DepthModel:
@@ -94,7 +89,7 @@ class DepthModel:
             focal = self._number(found["focal"]) / placement.scale_x
             own = _centred(focal, height, width) if K is None else None
             metres = metres if K is None else metres * (K[0, 0] / focal)
-        return DepthEstimate(_resized(metres, seen, height, width), own)
+        return _resized(metres, seen, height, width), own
 
     def _of_points(
         self, points: np.ndarray, seen: np.ndarray, scale: float, size: tuple[int, int], K: np.ndarray | None
@@ -111,7 +106,7 @@ class DepthModel:
         usable = np.isfinite(focal) and focal > 0
         require(usable, "the network's points are of no camera", got=f"focal length {focal:.3g}", path=self.path)
         depth = _resized((points[..., 2] + shift) * scale, seen, height, width)
-        return DepthEstimate(depth, _centred(focal, height, width) if K is None else None)
+        return depth, _centred(focal, height, width) if K is None else None
 
     def _size(self, height: int, width: int) -> tuple[int, int]:
         """Height and width of the input for a picture."""
@@ -211,6 +206,8 @@ def open_depth_model(given: str) -> DepthModel:
 class EstimatedDepth(ChangedFrames):
     """A dataset with estimated depth, kept on disk by the picture, the network and the camera."""
 
+    depth_units = None
+
     def __init__(self, inner: Dataset, model: DepthModel, browse: bool) -> None:
         super().__init__(inner)
         self.model, self.browse = model, browse
@@ -224,19 +221,19 @@ class EstimatedDepth(ChangedFrames):
         """Frame with estimated depth."""
         camera, K = frame.camera, self._known(frame)
         made_up = K is None and not self.model.contract.gives_focal
-        found = self._estimate(frame, camera.K if made_up else K)
+        depth, own = self._estimate(frame, camera.K if made_up else K)
         untold, notes = (INTRINSICS,) if made_up else (), frame.notes
         if made_up:
             notes = (*notes, f"nothing can be measured, sizes are made up: {INTRINSICS}")
         focal = "is made up" if made_up else "by the network" if K is None else "of the camera"
         name, file = self.model.name, self.model.path.name
-        camera = replace(camera, K=camera.K if found.K is None else found.K, untold=untold)
+        camera = replace(camera, K=camera.K if own is None else own, untold=untold)
         by_focal = self.model.contract.output.canonical_focal is not None
         metres = "metres by the focal length" if by_focal else "metres as it learnt them"
         source = f"estimated by {name} ({file}): {metres}, focal length {focal}"
         notes = (*notes, f"depth is {source}")
         with in_file(self.model.path):
-            return replace(frame, depth=found.depth, camera=camera, depth_source=source, notes=notes)
+            return replace(frame, depth=depth, camera=camera, depth_source=source, notes=notes)
 
     def _known(self, frame: Frame) -> np.ndarray | None:
         """Camera known without the network; InputError where unknown."""
@@ -257,19 +254,20 @@ class EstimatedDepth(ChangedFrames):
         key = xxhash.xxh3_128_hexdigest("\x1f".join(parts).encode())
         path = cache_folder() / "depth" / key[:2] / f"{key}.npz"
         found = _load(path)
-        if found is None or found.depth.shape != frame.depth.shape:
+        if found is None or found[0].shape != frame.depth.shape:
             found = self.model.estimate(frame.rgb, K)
             keep_whole(path, partial(_store, found=found))
         return found
 
 
 def _store(file: Any, found: DepthEstimate) -> None:
-    np.savez_compressed(file, depth=found.depth, K=np.zeros(0) if found.K is None else found.K)
+    depth, K = found
+    np.savez_compressed(file, depth=depth, K=np.zeros(0) if K is None else K)
 
 
 def _load(path: Path) -> DepthEstimate | None:
     try:
         with np.load(path, allow_pickle=False) as data:
-            return DepthEstimate(data["depth"], data["K"] if data["K"].size else None)
+            return data["depth"], data["K"] if data["K"].size else None
     except Exception:  # A file may be missing; damaged ones fail in zipfile, zlib, tokenize or NumPy, each in its way.
         return None

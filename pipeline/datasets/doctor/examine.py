@@ -18,11 +18,11 @@ from pipeline.datasets.doctor.seen import Seen
 from pipeline.datasets.doctor.suspicions import SUSPICIONS, Opinion, Suspicion, diagnosed
 from pipeline.datasets.opening import open_dataset
 from pipeline.datasets.settings import FILE_NAME, GivenUp, Settings, read_settings, write_settings
+from pipeline.geometry.camera import composed
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.outlines import Outlines
-from pipeline.geometry.pose_convention import composed
 from pipeline.geometry.registration import Registration
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import require
 
 MOST_FRAMES, MOST_SCENES = 12, 4
 LONGEST_GAP = 300
@@ -121,26 +121,14 @@ def examine(path: str | Path, **camera: Any) -> Examination:
         open_dataset(path, **camera).load(dataset.frame_ids[0])  # Says what is wrong with it.
     require(frames, "none of the frames that were looked at can be read", path=dataset.root)
     settings = read_settings(dataset.root).overridden(**{k: camera.get(k) for k in ("registration", "poses")})
-    found = examine_frames(dataset, frames, _units(path, told, frames[0]), settings)
+    units = getattr(dataset, "depth_units", None)
+    found = examine_frames(dataset, frames, units and units(frames[0].id), settings)
     if told.get("depth_scale") != camera.get("depth_scale") and found.of("depth scale").state != "wrong":
         unit = told["depth_scale"]
         text = f"as read, no depth is that of a room; with {unit:g} units in a metre it is"
         mended = Opinion("depth scale", "wrong", text, {"depth_scale": unit}, f"--depth-scale {unit:g}")
         notes = tuple(mended if o.about == mended.about else o for o in found.opinions)
     return replace(found, opinions=notes or found.opinions)
-
-
-def _units(path: str | Path, told: dict[str, Any], frame: Frame) -> float | None:
-    """Depth units per metre of the reader, found by trial settings; None where the reader ignores them."""
-    for unit in TRIED_UNITS:
-        try:
-            other = open_dataset(path, **{**told, "depth_scale": unit}).load(frame.id).depth
-        except InputError:
-            continue
-        both = (other > 0) & (frame.depth > 0)
-        ratio = float(np.median(other[both] / frame.depth[both])) if other.shape == frame.depth.shape else 1.0
-        return None if told.get("depth_scale") != unit and abs(ratio - 1) < 1e-6 and unit != 1000.0 else unit * ratio
-    return None
 
 
 def chosen_frames(dataset: Dataset) -> list[Frame]:

@@ -21,7 +21,7 @@ from pipeline.datasets.doctor.search import (
 from pipeline.datasets.doctor.seen import Seen
 from pipeline.datasets.doctor.suspicions import SUBJECTS, UNITS, Opinion, RegionAgreement, only_unit
 from pipeline.datasets.settings import FILE_NAME
-from pipeline.geometry.pose_convention import STANDARD
+from pipeline.geometry.camera import STANDARD
 from pipeline.language.counted import counted
 
 LEAST_PAIRS = 2

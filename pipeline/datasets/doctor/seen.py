@@ -12,10 +12,9 @@ import numpy as np
 from pipeline.datasets.base import Dataset, load_pose, scene_of
 from pipeline.datasets.cameras import or_note
 from pipeline.datasets.settings import Settings
-from pipeline.geometry.camera import Camera, intrinsics
+from pipeline.geometry.camera import STANDARD, Camera, intrinsics, standard_poses
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.outlines import Outlines
-from pipeline.geometry.pose_convention import STANDARD, standard_poses
 from pipeline.geometry.registration import Registration, registered
 from pipeline.system.errors import InputError
 
