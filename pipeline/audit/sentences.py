@@ -54,7 +54,7 @@ FACING: dict[str, dict[str, str]] = {
 }
 """Which of the viewer's relations is which of the object's own, by where the object faces."""
 FRONTED = frozenset(
-    [
+    {
         "chair",
         "armchair",
         "sofa",
@@ -118,7 +118,7 @@ FRONTED = frozenset(
         "horse",
         "robot",
         "doll",
-    ]
+    }
 )
 """Heads of names of things with a front of their own, so that people may mean their sides."""
 
