@@ -156,11 +156,6 @@ def print_training(card: dict[str, Any], out: Path) -> None:
     ]
     columns = ("micro-F1", "macro-F1", "element accuracy", "Brier", "ECE", "clear-cut", "opposite")
     print_rows(("", *(f">{name}" for name in columns)), measured)
-    d = network["differing"]
-    say(
-        f"where the rule on the noisy view and exact geometry differ ({d['cells']} cells): "
-        f"network wrong {d['errors']}, rule wrong {d['rule_errors']}"
-    )
     say(f"-> {out}, card {out.with_suffix('.json')}")
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -41,12 +40,8 @@ CLI_FEATURES = {
 _AXES = ("right", "up", "forward")
 
 
-class Describe(Protocol):
-    """A row of numbers for each object."""
-
-    def __call__(
-        self, objects: Sequence[LiftedObject], viewer: ViewerAxes, appearance: Appearance | None = None
-    ) -> np.ndarray: ...
+Describe = Callable[..., np.ndarray]
+"""(objects, viewer, appearance) -> a row of numbers for each object."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +50,7 @@ class FeatureSet:
 
     name: str
     columns: tuple[str, ...]  # Name of each feature; their number is the network's input dimension
-    # (objects, viewer, appearance) -> (N, K) float64, one row an object; NaN for an object without points and box. With
+    # (N, K) float64, one row an object; NaN for an object without points and box. With
     # language, its geometry alone.
     describe: Describe
     # (N, K + language) -> (N, N, D) float64: the features of "a to b" at [a, b]. Leading dimensions are a batch.
