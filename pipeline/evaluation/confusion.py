@@ -74,7 +74,13 @@ class Standings:
 
 
 def answer_standings(records: pa.Table, labels: Labels, content_hash: str | None = None) -> Standings:
-    """Relation between the two objects of each answer by their labels; see `answer_confusion`."""
+    """Relation between the two objects of each answer by their labels; see `count_standings`.
+
+    `labels`: the labels that the run was made with. `content_hash`: of their expressions when the run was made; other
+    labels are refused.
+
+    Raises InputError: the labels are damaged, or not those of the run.
+    """
     require(
         content_hash is None or labels.manifest.tables["expressions"].content_hash == content_hash,
         "these are not the labels that the run was made with",
@@ -96,17 +102,6 @@ def answer_standings(records: pa.Table, labels: Labels, content_hash: str | None
     cell[answered & matched] = other[UNJUDGED]
     cell[index] = stands_in(states, margins, meant[index], other[UNDECIDED], other[NOTHING])
     return Standings(names, meant, cell)
-
-
-def answer_confusion(records: pa.Table, labels: Labels, content_hash: str | None = None) -> Confusion:
-    """Count the asked relation against the labelled relation of the answer's two objects.
-
-    `labels`: the labels that the run was made with. `content_hash`: of their expressions when the run was made; other
-    labels are refused.
-
-    Raises InputError: the labels are damaged, or not those of the run.
-    """
-    return count_standings(answer_standings(records, labels, content_hash))
 
 
 def count_standings(found: Standings) -> Confusion:

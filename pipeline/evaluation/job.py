@@ -12,7 +12,7 @@ from typing import Any
 
 from pipeline.diagnosis.verdict import RULES_VERSION
 from pipeline.evaluation.comparing import Comparison, compare
-from pipeline.evaluation.confusion import Confusion, answer_confusion
+from pipeline.evaluation.confusion import Confusion, answer_standings, count_standings
 from pipeline.evaluation.grounding_tables import (
     calibration_warnings,
     clusters_of,
@@ -351,7 +351,7 @@ def diagnose_run(
 
     `systems`: records by system. `labels`: of the first run: needed for the confusion of its answers.
     """
-    confusions = [] if labels is None else [answer_confusion(next(iter(systems.values())), labels)]
+    confusions = [] if labels is None else [count_standings(answer_standings(next(iter(systems.values())), labels))]
     summaries = {name: summarise_run(r, config) for name, r in systems.items() if has_verdicts(r)}
     cuts = [d for d in DIMENSIONS.values() if all(d.column in r.column_names for r in systems.values())]
     slices = tuple(slice_by(systems, d, config, most=MOST) for d in cuts)

@@ -9,8 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from pipeline.system.errors import require
-
 _YES = frozenset({"yes", "yeah", "yep", "yup"})
 _NO = frozenset({"nope", "nah"})
 _AGREES = {"true": True, "correct": True, "affirmative": True, "false": False, "incorrect": False, "untrue": False}
@@ -28,9 +26,6 @@ _FINAL = re.compile(
 )
 _WORD = re.compile(r"[^\W\d_]+(?:'[^\W\d_]+)*|\d+|[^\w\s]|_|\n")
 _WORD_LIKE = re.compile(r"[^\W_]")
-
-BoxScale = float | Literal["auto", "pixels"]
-"""What the far edge of the picture is in an answer: 1, 100, 1000, its pixels, or to be told from the numbers."""
 
 Corners = tuple[float, float, float, float]
 
@@ -83,7 +78,7 @@ class _BoxNumbers:
     boxes: int = 1
 
 
-def parse_box(text: str, size: tuple[int, int] | None = None, scale: BoxScale = "auto") -> BoxAnswer:
+def parse_box(text: str, size: tuple[int, int] | None = None, scale: float | None = None) -> BoxAnswer:
     """Read a box of two corners.
 
     Brackets of four numbers, or two brackets of two; named corners (`x1=0.1`, JSON keys, `left: ...`); four numbers in
@@ -91,20 +86,11 @@ def parse_box(text: str, size: tuple[int, int] | None = None, scale: BoxScale = 
     Corners in the wrong order are put right and what lies outside is cut off, both with a note. A corner with width
     and height is refused.
 
-    `size`: of the picture as it was sent, pixels. `scale`: what the far edge is. "auto": numbers up to 1 are shares.
-    Larger ones are pixels where they lie within the picture, else thousandths where they are whole and at most 1000;
-    some models that count in thousandths can so be misread, and need to be told. Signs (%, px, location tokens) and
-    shares with a decimal point count before it.
-
-    Raises InputError: the scale cannot be used; never for what the model wrote.
+    `size`: of the picture as it was sent, pixels. `scale`: what the far edge is, such as 1000. Without it numbers up to
+    1 are shares, larger ones pixels where they lie within the picture, else thousandths where they are whole and at
+    most 1000; some models that count in thousandths can so be misread. Signs (%, px, location tokens) and shares with a
+    decimal point count before it.
     """
-    require(
-        scale in ("auto", "pixels") or (isinstance(scale, int | float) and 0 < scale < math.inf),
-        "the scale of boxes",
-        got=repr(scale),
-        expected="auto, pixels, or a number above 0",
-    )
-    require(scale != "pixels" or size is not None, "boxes in pixels need the picture's size")
     text, reason = spoken_part(text)
     if reason:
         return BoxAnswer(None, reason=reason)
@@ -134,7 +120,7 @@ def parse_box(text: str, size: tuple[int, int] | None = None, scale: BoxScale = 
 
 
 def _edges(
-    found: _BoxNumbers, size: tuple[int, int] | None, told: BoxScale, notes: list[str]
+    found: _BoxNumbers, size: tuple[int, int] | None, told: float | None, notes: list[str]
 ) -> tuple[str, float, float] | str:
     """Name of the scale, with the right and lower edges of the picture in the scale's units; or a reason for none."""
     values, most = found.values, max(found.values)
@@ -142,9 +128,9 @@ def _edges(
         return f"{found.scale:g}", found.scale, found.scale
     if found.unit == "%":
         return "100", 100, 100
-    if found.unit == "px" or told == "pixels":
+    if found.unit == "px":
         return ("pixels", *size) if size else "pixels of a picture of unknown size"
-    if isinstance(told, int | float):
+    if told is not None:
         if not (told > 2 and found.decimal and most <= 1):
             return f"{told:g}", told, told
         notes.append(f"shares, not numbers up to {told:g}")

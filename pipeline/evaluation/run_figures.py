@@ -9,7 +9,6 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from pipeline.answering.imported import file_of
 from pipeline.datasets.base import load_picture
 from pipeline.diagnosis.verdict import RULES_VERSION, Diagnosis
 from pipeline.evaluation.browsing import RunRows, completions, labelled_boxes
@@ -19,7 +18,6 @@ from pipeline.evaluation.run_folder import Run
 from pipeline.evaluation.search import Field
 from pipeline.evaluation.slices import Slices, slice_by
 from pipeline.evaluation.summary import RunSummary, summarise_run
-from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, require
 from pipeline.system.recent import Recent
 from pipeline.system.version import __version__
@@ -192,32 +190,6 @@ def judged_by(manifest: Mapping[str, Any]) -> str:
 
 
 def doubts_of(run: Run) -> tuple[str, ...]:
-    """Doubts about judgements of an earlier version, a sentence each; none of a run of this version."""
+    """Doubts about judgements of an earlier version, in a sentence; none of a run of this version."""
     by = judged_by(run.manifest)
-    if not by:
-        return ()
-    found = [f"The run was {by}: {AGAIN} judges it again."]
-    names = set(run.records.column_names)
-    if {"verdict", "box"} <= names:
-        right = np.array(run.records.column("verdict").to_pylist(), object) == "CORRECT"
-        none = int((right & run.records.column("box").is_null().to_numpy(zero_copy_only=False)).sum())
-        found += [f"{counted(none, 'expression')} of it are called CORRECT without an answer."] if none else []
-    if run.spec.options.get("predictions") is not None:
-        found += [words] if (words := _repeated(run)) else []
-    return tuple(found)
-
-
-def _repeated(run: Run) -> str:
-    """Count lines of imported predictions with an id under several names, or several times under a name."""
-    try:
-        file = file_of(run.source)
-    except InputError:
-        return "Its predictions cannot be read any more, and may have been replaced where an id stands several times."
-    lines = file.lines.values()
-    ids = [[p.id for found in (line.proposals or {}).values() for p in found] for line in lines]
-    count = sum(len(set(of_line)) < len(of_line) for of_line in ids)
-    return (
-        f"In {count} of its {len(ids)} lines an id stands several times: not all of their numbers were used."
-        if count
-        else ""
-    )
+    return (f"The run was {by}: {AGAIN} judges it again.",) if by else ()

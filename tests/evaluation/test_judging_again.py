@@ -69,17 +69,6 @@ def test_a_run_is_judged_again_into_a_new_folder(folder: Path, kind: str, tmp_pa
         judge_again(old, tmp_path / "new", plots=False, system=recorded_system)
 
 
-def test_a_line_with_an_id_that_stands_twice_is_told_of_an_old_run(folder: Path, tmp_path: Path) -> None:
-    old = Path(shutil.copytree(folder, tmp_path / "all")) / "imported"
-    lines = [json.loads(line) for line in (old / "predictions.jsonl").read_text().splitlines()]
-    ids = [[p["id"] for found in line["proposals"].values() for p in found] for line in lines[1:]]
-    twice = sum(len(set(of_line)) < len(of_line) for of_line in ids)
-    assert 0 < twice < len(ids)
-    assert doubts_of(open_run(old)) == ()
-    aged(old)
-    assert any(f"In {twice} of its {len(ids)} lines" in doubt for doubt in doubts_of(open_run(old)))
-
-
 def test_labels_and_cases_say_what_makes_them_again(folder: Path, tmp_path: Path) -> None:
     for other in (folder / "labels", OLD / "case", folder):
         with pytest.raises(InputError, match=r"only a run .*`label` with the same options.*`replay CASE --update`"):

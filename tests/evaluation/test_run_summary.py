@@ -29,7 +29,7 @@ from pipeline.evaluation import (
     slice_table,
     summarise_run,
 )
-from pipeline.evaluation.confusion import answer_confusion, answer_standings, stands_in
+from pipeline.evaluation.confusion import answer_standings, count_standings, stands_in
 from pipeline.evaluation.grounding_tables import clusters_of, column
 from pipeline.evaluation.job import diagnose_run
 from pipeline.evaluation.slices import DIMENSIONS
@@ -187,8 +187,8 @@ def test_a_run_leaves_its_diagnosis(run: Path) -> None:
 def test_every_cell_of_the_confusion_is_a_search(run: Path) -> None:
     records = pq.read_table(run / "records.parquet")
     labels = open_labels(run.parent / "labels")
-    confusion = answer_confusion(records, labels)
-    stands = answer_standings(records, labels).column()
+    standings = answer_standings(records, labels)
+    confusion, stands = count_standings(standings), standings.column()
     records = records.append_column("stands_in", pa.array(stands))
     for row, line in zip(confusion.rows, confusion.counts.tolist(), strict=True):
         for outcome, count in zip(confusion.columns, line, strict=True):
@@ -198,7 +198,7 @@ def test_every_cell_of_the_confusion_is_a_search(run: Path) -> None:
 def test_other_labels_are_refused(run: Path) -> None:
     records = pq.read_table(run / "records.parquet")
     with pytest.raises(InputError, match="not the labels"):
-        answer_confusion(records, open_labels(run.parent / "labels"), "0" * 64)
+        answer_standings(records, open_labels(run.parent / "labels"), "0" * 64)
 
 
 def test_sql_reads_a_run_and_nothing_else(run: Path, tmp_path: Path) -> None:

@@ -332,7 +332,7 @@ def answer_of(
             shares = "." in "".join(places[0]) and not in_pixels
             width, height = (told, told) if told else (1.0, 1.0) if shares else size()
             return PredictedAnswer(point=(x / width, y / height)), None, len(places) > 1
-    if len(re.findall(r"\d+", spoken)) >= 4 and (box := parse_box(spoken, size(), scale or "auto")).box is not None:
+    if len(re.findall(r"\d+", spoken)) >= 4 and (box := parse_box(spoken, size(), scale)).box is not None:
         return PredictedAnswer(box=box.box), None, any("boxes" in note for note in box.notes)
     verdict = parse_yes_no(spoken)
     if verdict.value is not None:
