@@ -351,9 +351,10 @@ def read_relation_labels(labels: Labels) -> RelationLabels:
     frame_index, a, b = (table.column(name).to_numpy().astype(np.int64) for name in ("frame_index", "a", "b"))
     margin_columns = [table.column(m).to_numpy().astype(np.float64) for m in margins]
     frame = table.column("frame").to_numpy().astype(object)
-    return RelationLabels(
-        relations, frame, frame_index, a, b, np.stack(states, axis=1), np.stack(margin_columns, axis=1)
-    )
+    # A damaged manifest may name no relation.
+    none = np.zeros((table.num_rows, 0))
+    found = (np.stack(columns, axis=1) if columns else none for columns in (states, margin_columns))
+    return RelationLabels(relations, frame, frame_index, a, b, *found)
 
 
 def letters(states: np.ndarray) -> np.ndarray:
