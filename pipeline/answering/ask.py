@@ -187,7 +187,7 @@ def ask(
     if masks:
         timings |= {"opm": timings["opm"] - masks, "masks": masks}
     with timed(timings, "lift"):
-        objects, candidates = merged(context, detector, found, calibration)
+        objects, candidates = joined({n: (p, context.lift(p, detector)) for n, p in found.items()}, calibration)
     with timed(timings, "srm"):
         scores = scorer.score([o.lifted for o in objects], context.viewer, appearance_of(objects, context.frame))
     trace = Trace(
@@ -228,13 +228,9 @@ def ranked(
         lookup = edited(relation_lookup(trace.scores, trace.objects, alike))
         sizes = np.array([o.lifted.quality.mask_pixels for o in trace.objects])
         config = config.of([o.id for o in trace.objects], alike)
-        ranking = rank(trace.query.readings, trace.candidates, lookup, alike, sizes, config, scene_evidence(trace))
+        evidence = SceneEvidence(trace.objects, trace.frame, trace.viewer)
+        ranking = rank(trace.query.readings, trace.candidates, lookup, alike, sizes, config, evidence)
     return replace(trace, ranking=ranking)
-
-
-def scene_evidence(trace: Trace) -> SceneEvidence:
-    """Evidence on noun phrases of a question."""
-    return SceneEvidence(trace.objects, trace.frame, trace.viewer)
 
 
 @contextmanager
@@ -255,17 +251,10 @@ def of_run(proposals: Proposals, detector: Detector, k: int) -> Proposals:
     return proposals if is_final(detector) else top_k(proposals, k)
 
 
-def merged(
-    context: PreparedFrame, detector: Detector, found: dict[str, Proposals], calibration: ScoreCalibration | None
-) -> tuple[tuple[SceneObject, ...], dict[str, Candidates]]:
-    """Merge proposals into a list with each detection once for each of its labels."""
-    return joined({name: (p, context.lift(p, detector)) for name, p in found.items()}, calibration)
-
-
 def joined(
     found: Mapping[str, tuple[Proposals, Sequence[SceneObject]]], calibration: ScoreCalibration | None
 ) -> tuple[tuple[SceneObject, ...], dict[str, Candidates]]:
-    """Join lifted proposals as `merged` does, each name's in the order of its proposals."""
+    """Join lifted proposals, each name's in their order: each detection once for each of its labels."""
     objects: list[SceneObject] = []
     # By label too: a network that knows names must score a thing as the question calls it, whatever else is asked.
     known: dict[tuple[int, str], int] = {}

@@ -12,7 +12,7 @@ from time import process_time
 
 import numpy as np
 
-from pipeline.answering.ask import Trace, merged, propose
+from pipeline.answering.ask import Trace, joined, propose
 from pipeline.answering.objects import PreparedFrame, SceneObject, same_object
 from pipeline.answering.pair_table import PairTable, one_object_twice, pair_table, side
 from pipeline.answering.pipeline import Pipeline
@@ -51,7 +51,7 @@ class FrameAnswers:
                     unknown[name] = str(error)
         calibration = None if is_final(detector) else source.config.score_calibration
         with self.clock.stage("lift"):
-            objects, candidates = merged(context, detector, found, calibration)
+            objects, candidates = joined({n: (p, context.lift(p, detector)) for n, p in found.items()}, calibration)
         with self.clock.stage("srm"):
             scores = source.score(context, objects, relations) if objects else None
         nothing = Candidates(np.zeros(0, np.int64), np.zeros(0))

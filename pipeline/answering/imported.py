@@ -180,6 +180,12 @@ class ImportedPipeline(Pipeline):
         """Ranking rules shown by the file."""
         return self.shown or RunRules.of(self.predictions)
 
+    @property
+    def stand_in(self) -> RelationScorer:
+        """Scorer of pairs missing in the file."""
+        assert isinstance(self.scorer, SuppliedRelations)
+        return self.scorer.stand_in
+
     def asked(self, frame_id: str, text: str) -> Pipeline:
         """Pipeline of a single expression; InputError for an expression without a line."""
         file = self.predictions
@@ -196,8 +202,7 @@ class ImportedPipeline(Pipeline):
         if line is self.line:
             return self
         detector = ImportedDetector(file, line)
-        assert isinstance(self.scorer, SuppliedRelations)
-        scorer = scorer_of(file, line, self.scorer.stand_in)
+        scorer = scorer_of(file, line, self.stand_in)
         rule = line_rule(self.rules, file.header, line)
         config = self.config
         if rule is not None:

@@ -295,26 +295,21 @@ def open_sources(path: str | Path, **options: Any) -> tuple[dict[str, Pipeline],
         return sources, left_out
 
 
-def frame_ids(dataset: Dataset, key: str | int | None) -> tuple[str, ...]:
-    """Frames of a FRAME argument: an id, an index, "all" (or None)."""
-    if key is None or key == ALL_FRAMES:
-        return dataset.frame_ids
-    return (resolve_frame(dataset, key),)
-
-
-def frame_range(dataset: Dataset, text: str) -> tuple[str, ...]:
-    """Frames of a --frames option: "all", FROM:TO by index with FROM in and TO out, an id, an index.
+def frame_range(dataset: Dataset, key: str | int | None) -> tuple[str, ...]:
+    """Frames of a FRAME or --frames argument: "all" (or None), FROM:TO by index (TO is out), an id, an index.
 
     Raises
     ------
     InputError
         No such frame, or an empty range.
     """
-    bounds = re.fullmatch(r"([0-9]{0,9}):([0-9]{0,9})", text.strip())
-    if bounds is None or text in dataset.frame_ids:
-        return frame_ids(dataset, text)
+    if key is None or key == ALL_FRAMES:
+        return dataset.frame_ids
+    bounds = re.fullmatch(r"([0-9]{0,9}):([0-9]{0,9})", str(key).strip())
+    if bounds is None or key in dataset.frame_ids:
+        return (resolve_frame(dataset, key),)
     found = dataset.frame_ids[int(bounds[1] or 0) : int(bounds[2]) if bounds[2] else None]
-    require(found, "the range holds no frame", got=text, expected=f"within 0:{len(dataset.frame_ids)}")
+    require(found, "the range holds no frame", got=key, expected=f"within 0:{len(dataset.frame_ids)}")
     return found
 
 
@@ -323,7 +318,7 @@ def contexts(source: Pipeline, key: str | int | None, skipped: Skipped | None = 
 
     A broken frame that was asked for by name is an error; among all frames it is skipped with its reason.
     """
-    for frame_id in frame_ids(source.dataset, key):
+    for frame_id in frame_range(source.dataset, key):
         try:
             context = prepare_frame(source.dataset, source.dataset.load(frame_id), source.config.lift)
         except InputError as error:

@@ -54,11 +54,6 @@ class Opened:
     def _with_truth(self, context: PreparedFrame) -> tuple[PreparedFrame, FrameCases | str | None]:
         return context, truth_or_reason(self.pipeline, context, self.labels)
 
-    def _frame(self, frame: int | str | Frame) -> tuple[PreparedFrame, FrameCases | str | None]:
-        if isinstance(frame, Frame):
-            return self._with_truth(self.pipeline.prepare(frame))
-        return self._prepared(resolve_frame(self.pipeline.dataset, frame))
-
     def ask(self, frame: int | str | Frame, text: str) -> Answer:
         """Answer an expression such as "mug left of the laptop".
 
@@ -73,7 +68,10 @@ class Opened:
             No such frame, a broken one, an expression that cannot be read, a name that the detector cannot know.
         """
         self.pipeline.needed_detector()
-        context, truth = self._frame(frame)
+        if isinstance(frame, Frame):
+            context, truth = self._with_truth(self.pipeline.prepare(frame))
+        else:
+            context, truth = self._prepared(resolve_frame(self.pipeline.dataset, frame))
         return replace(judged(self.pipeline.ask(context, text), self.pipeline, context, truth), origin=self)
 
     def what_if(self, answer: Answer, edits: Mapping[str, Any]) -> Answer:

@@ -22,13 +22,13 @@ from pipeline.answering import (
     SceneObject,
     all_objects,
     contexts,
+    frame_range,
     open_pipeline,
     open_sources,
     relate_frames,
     same_object,
 )
 from pipeline.answering.ask import ask
-from pipeline.answering.pipeline import frame_ids
 from pipeline.datasets import DEMO_EXPRESSION, demo_path, open_dataset
 from pipeline.diagnosis import suggest_expressions
 from pipeline.geometry import Frame, depth_colors, hex_color, instance_colors
@@ -378,11 +378,11 @@ def test_a_broken_frame_is_skipped_among_all_and_an_error_by_name(broken: Pipeli
 
 def test_a_frame_is_named_by_id_index_or_all(broken: Pipeline) -> None:
     every = ("000001/000000", "000001/000001")
-    assert frame_ids(broken.dataset, "all") == frame_ids(broken.dataset, None) == every
-    assert frame_ids(broken.dataset, 1) == frame_ids(broken.dataset, "1") == every[1:]
-    assert frame_ids(broken.dataset, every[0]) == every[:1]
+    assert frame_range(broken.dataset, "all") == frame_range(broken.dataset, None) == every
+    assert frame_range(broken.dataset, 1) == frame_range(broken.dataset, "1") == every[1:]
+    assert frame_range(broken.dataset, every[0]) == every[:1]
     with pytest.raises(InputError):
-        frame_ids(broken.dataset, "000009/000000")
+        frame_range(broken.dataset, "000009/000000")
 
 
 def test_a_dataset_without_annotations_needs_a_detector(shared_data: Path) -> None:

@@ -32,7 +32,6 @@ from pipeline.language.naming import Synonyms
 from pipeline.proposals.base import Detector, Proposals
 from pipeline.proposals.recorded import Playback, RecordedDetection, as_arrays
 from pipeline.relations import RelationScorer
-from pipeline.relations.scorer import SuppliedRelations
 from pipeline.system.errors import InputError, UnknownClass, as_input_error, require
 from pipeline.system.safe_files import parse_json, read_bytes
 
@@ -154,7 +153,7 @@ def read_proposals(path: Path) -> tuple[KeptProposals, str]:
 
 def keep_predictions(source: ImportedPipeline, frame: str) -> tuple[bytes, ShownRecord]:
     """Lines of a frame as a file of predictions, with the findings from the whole file."""
-    file, rules, stand_in = source.predictions, source.rules, named_scorer(source)
+    file, rules, stand_in = source.predictions, source.rules, source.stand_in
     lines = (as_json(thing) for thing in (replace(file.header, events=False), *file.of_frame(frame)))
     ranking = rules.shown and ShownRankingRecord(
         weights=tuple(rules.shown.weights.tolist()), unit=rules.shown.unit, scale=rules.shown.scale
@@ -164,12 +163,6 @@ def keep_predictions(source: ImportedPipeline, frame: str) -> tuple[bytes, Shown
         relations = {k: None if w is None else tuple(w.tolist()) for k, w in stand_in.weights.items()}
     shown = ShownRecord(level=file.level, true_scores=rules.true_scores, ranking=ranking, relations=relations)
     return "".join(f"{line}\n" for line in lines).encode(), shown
-
-
-def named_scorer(source: ImportedPipeline) -> RelationScorer:
-    """Scorer of pairs missing in the file."""
-    assert isinstance(source.scorer, SuppliedRelations)
-    return source.scorer.stand_in
 
 
 def imported_source(

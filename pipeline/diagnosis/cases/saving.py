@@ -36,7 +36,6 @@ from pipeline.diagnosis.cases.kept import (
     imported_source,
     keep_predictions,
     keep_proposals,
-    named_scorer,
     read_proposals,
 )
 from pipeline.diagnosis.cases.manifest import (
@@ -127,7 +126,7 @@ def save_case(
     shown, made_relations = None, source.scorer
     if isinstance(source, ImportedPipeline):
         files[PREDICTIONS], shown = keep_predictions(source, context.frame.id)
-        made_relations = source.scorer if shown.relations is not None else named_scorer(source)
+        made_relations = source.scorer if shown.relations is not None else source.stand_in
     else:
         files[PROPOSALS] = _json(_proposals(source, context, now, case)).encode()
     scorer, network = _scorer_record(made_relations)

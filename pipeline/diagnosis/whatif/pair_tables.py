@@ -14,7 +14,6 @@ import numpy as np
 
 from pipeline.answering.objects import SceneObject, appearance_of
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.proposals.base import Proposals
@@ -101,19 +100,14 @@ def _described(
 ) -> np.ndarray:
     if not isinstance(scorer, OnnxScorer):
         return np.zeros((len(objects), 0))
-    new = describe([objects[k] for k in fresh], viewer, frame, scorer)
+    appearance = appearance_of([objects[k] for k in fresh], frame)
+    seen = scorer.features.describe([objects[k].lifted for k in fresh], viewer, appearance)
+    new = scorer.with_words(seen, appearance.labels)
     rows = np.empty((len(objects), new.shape[1]))
     rows[fresh] = new
     if before is not None:
         rows[old >= 0] = before.rows[old[old >= 0]]
     return rows
-
-
-def describe(objects: Sequence[SceneObject], viewer: ViewerAxes, frame: Frame, scorer: OnnxScorer) -> np.ndarray:
-    """(N, K) float64: network's input of each object."""
-    appearance = appearance_of(objects, frame)
-    lifted: list[LiftedObject] = [o.lifted for o in objects]
-    return scorer.with_words(scorer.features.describe(lifted, viewer, appearance), appearance.labels)
 
 
 def _renewed(
@@ -135,7 +129,7 @@ def _renewed(
         block = np.ix_(old[kept], old[kept])
         states[np.ix_(kept, kept)] = before.scores.states[block]
         probabilities[np.ix_(kept, kept)] = before.scores.probabilities[block]
-    found = of_pairs(np.stack([first, second], axis=1), extents, clouds, rows, scorer, profile)
+    found = _of_pairs(np.stack([first, second], axis=1), extents, clouds, rows, scorer, profile)
     states[first, second], states[second, first] = found.states[:, 0, 1], found.states[:, 1, 0]
     probabilities[first, second] = found.probabilities[:, 0, 1]
     probabilities[second, first] = found.probabilities[:, 1, 0]
@@ -146,7 +140,7 @@ def _renewed(
     return RelationScores(PAIRWISE, states, probabilities, found.scored_by)
 
 
-def of_pairs(
+def _of_pairs(
     pair: np.ndarray,
     extents: tuple[np.ndarray, np.ndarray],
     clouds: Sequence[np.ndarray],
