@@ -47,7 +47,6 @@ class PromptedSegmenter:
 
     def __init__(self, model: PairModel) -> None:
         self.model, self.name = model, model.name
-        self.encoder_runs = 0
         self._features: Recent[str, dict[str, np.ndarray]] = Recent(_KEPT)
         self._batches: bool | None = None
 
@@ -113,13 +112,7 @@ class PromptedSegmenter:
 
     def _encoded(self, frame: Frame) -> dict[str, np.ndarray]:
         """The features of the picture; the encoder, the slow part, is run once for each."""
-
-        def run() -> dict[str, np.ndarray]:
-            found = self.model.encode(frame.rgb)
-            self.encoder_runs += 1
-            return found
-
-        return self._features.get(frame.content_hash, run)
+        return self._features.get(frame.content_hash, lambda: self.model.encode(frame.rgb))
 
 
 def stretched(logits: np.ndarray, height: int, width: int) -> np.ndarray:

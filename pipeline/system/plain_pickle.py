@@ -189,11 +189,6 @@ class _Bounded:
     def readline(self) -> bytes:
         return self._counted(self._file.readline(MOST_OF_REST))
 
-    def readinto(self, buffer: Any) -> int:
-        data = self.read(len(buffer))
-        buffer[: len(data)] = data
-        return len(data)
-
     def _counted(self, data: bytes) -> bytes:
         self._all += len(data)
         # A pickle's frame is longer than LONG only by its last object.
