@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import threading
 from collections import Counter, OrderedDict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from operator import attrgetter
@@ -52,28 +52,24 @@ from pipeline.relations.model import OnnxScorer
 from pipeline.system.arrow import pa, pc
 from pipeline.system.errors import require
 
-Relift = Callable[[FrameRows, Mapping[int, Row], Mapping[int, Any], Iterable[int]], tuple[dict[int, Row], Pairs]]
-"""Lifts and judges the objects of a frame anew, from the dataset: of its automatic rows, all standing objects, the 3D
-boxes (JSON values) that people set, and the objects whose 2D box is not to follow from their mask."""
-LabelledUp = tuple[tuple[float, ...], UpSource]
 FRAMES_LOADED = 4
 """Frames that stay loaded: who corrects one goes on correcting it."""
 
 
-def labelled_ups(frames: pa.Table) -> dict[str, LabelledUp]:
-    """Up vectors of the table `frames`, by frame."""
-    columns = (frames.column(name).to_pylist() for name in ("frame", "up", "up_source"))
-    return {name: (tuple(up), source or "assumed") for name, up, source in zip(*columns, strict=True) if up and any(up)}
-
-
 class Relifter:
-    """Lifting of objects of one dataset's frames; see `Relift`.
+    """Lifting of objects of one dataset's frames.
 
-    `ups` are the up vectors (camera frame) at labelling: corrections are judged in the same level frame.
+    Corrections are judged in the level frame of the labels' up vectors.
     """
 
-    def __init__(self, dataset: Dataset, setting: Setting, ups: Mapping[str, LabelledUp]) -> None:
-        self.dataset, self.setting, self.ups = dataset, setting, ups
+    def __init__(self, dataset: Dataset, setting: Setting, frames: pa.Table) -> None:
+        self.dataset, self.setting = dataset, setting
+        columns = (frames.column(name).to_pylist() for name in ("frame", "up", "up_source"))
+        self.ups: dict[str, tuple[np.ndarray, UpSource]] = {
+            name: (np.array(up), source or "assumed")
+            for name, up, source in zip(*columns, strict=True)
+            if any(up or ())
+        }
         # The lifted objects of a frame go with it.
         self._loaded = lru_cache(maxsize=FRAMES_LOADED)(lambda frame: (self._load(frame), dict[Any, LiftedObject]()))
 
@@ -84,8 +80,7 @@ class Relifter:
     def _load(self, frame: str) -> PreparedFrame:
         loaded = self.dataset.load(frame)
         if frame in self.ups:
-            up, source = self.ups[frame]
-            loaded = replace(loaded, camera=loaded.camera.with_up(np.array(up), source))
+            loaded = replace(loaded, camera=loaded.camera.with_up(*self.ups[frame]))
         return prepare_frame(self.dataset, loaded, self.setting.config.lift)
 
     @cached_property
@@ -101,6 +96,11 @@ class Relifter:
     def __call__(
         self, auto: FrameRows, rows: Mapping[int, Row], boxes: Mapping[int, Any], human_bbox: Iterable[int]
     ) -> tuple[dict[int, Row], Pairs]:
+        """Lift and judge the objects of a frame anew.
+
+        `rows` are all standing objects, `boxes` the 3D boxes (JSON values) that people set, `human_bbox` the objects
+        whose 2D box is not to follow from their mask.
+        """
         context = self.context(auto.frame)
         numbers, kept = sorted(rows), set(human_bbox)
         objects = [self._object(context, rows[n], boxes.get(n), n in kept) for n in numbers]
@@ -172,7 +172,7 @@ class Corrector:
         self.labels, self.dataset = labels, dataset
         self.setting: Setting = setting_of(labels)
         self.index = FrameIndex({name: getattr(labels, name) for name in TABLES})
-        self.relifter = None if dataset is None else Relifter(dataset, self.setting, labelled_ups(labels.frames))
+        self.relifter = None if dataset is None else Relifter(dataset, self.setting, labels.frames)
         self._kept: OrderedDict[tuple[str, tuple[str, ...]], EffectiveFrame] = OrderedDict()
         self._lock = threading.RLock()
 
@@ -311,7 +311,7 @@ def effective_frame(
     auto: FrameRows,
     events: Sequence[Event],
     setting: Setting,
-    relift: Relift | None = None,
+    relift: Relifter | None = None,
     known: EffectiveFrame | None = None,
 ) -> EffectiveFrame:
     """Apply the events of a frame, in the order of saving, to the automatic labels.
@@ -352,7 +352,7 @@ def effective_frame(
     return frame
 
 
-def _lift(frame: EffectiveFrame, relift: Relift | None) -> Pairs | None:
+def _lift(frame: EffectiveFrame, relift: Relifter | None) -> Pairs | None:
     """Update, or mark stale, all consequences of pixels and boxes; return the relations judged anew."""
     auto, background = frame.auto, frame.setting.config.is_background
     newly_related = any(

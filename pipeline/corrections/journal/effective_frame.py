@@ -50,7 +50,6 @@ class EffectiveFrame:
     auto: FrameRows
     setting: Setting
     pairs: Pairs  # standing objects that take part in relations
-    labelled: Pairs  # the same by the automatic labels
     related: Pairs  # with what follows from `moved`, before corrections of relations
     asked: Asked  # automatic expressions
     row: Row = field(default_factory=dict)  # of the table `frames`
@@ -82,7 +81,7 @@ class EffectiveFrame:
         background = setting.config.is_background
         pairs = auto.pairs.of_objects(n for n, row in auto.objects.items() if not background(row["label"]))
         asked = Asked(auto, pairs.numbers)
-        found = cls(auto, setting, pairs, pairs, pairs, asked, objects=dict(sorted(auto.objects.items())))
+        found = cls(auto, setting, pairs, pairs, asked, objects=dict(sorted(auto.objects.items())))
         found.stale = np.zeros(len(pairs.numbers), np.bool_)
         return found
 
@@ -120,7 +119,8 @@ class EffectiveFrame:
         """Origins of the relations that follow from other pixels or boxes, by pair."""
         found: dict[str, Origin] = {}
         source = "stale" if self.stale.any() else "recomputed"
-        for i, j in zip(*np.nonzero(self.related.present | self.labelled.present), strict=True):
+        labelled = self.auto.pairs.of_objects(self.pairs.numbers)
+        for i, j in zip(*np.nonzero(self.related.present | labelled.present), strict=True):
             a, b = int(self.pairs.numbers[i]), int(self.pairs.numbers[j])
             causes = [self.moved[n] for n in (a, b) if n in self.moved]
             if causes:
@@ -130,7 +130,7 @@ class EffectiveFrame:
     def all_origins(self) -> dict[tuple[str, str, str], tuple[Origin, Any]]:
         """Origins of all values that are not the labeller's, with the automatic value."""
         found = {
-            ("relations", key, relation): (origin, self.labelled.state(*map(int, key.split(",")), relation))  # pyright: ignore
+            ("relations", key, relation): (origin, self.auto.pairs.state(*map(int, key.split(",")), relation))  # pyright: ignore
             for key, origin in self.followed.items()
             for relation in self.setting.relations
         }

@@ -187,7 +187,7 @@ def relate_objects(frame: EffectiveFrame, relifted: Pairs | None) -> None:
     newly = {n: e for n, e in frame.renamed.items() if n in auto.objects and background(auto.objects[n]["label"])}
     frame.moved = {**newly, **frame.geometry}
     moved = np.isin(pairs.numbers, list(frame.moved))
-    frame.labelled = frame.related = pairs
+    frame.related = pairs
     frame.stale = moved & (relifted is None)
     if not moved.any() or relifted is None:
         return

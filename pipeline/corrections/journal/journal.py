@@ -91,8 +91,24 @@ class Journal:
         """Save edits as `append`, `undo` and `redo` do; raises as `append`."""
         author = plain_text(author, "an author", LONGEST_NAME).strip()
         again, group = group is not None, group or new_ulid()
-        wanted = [
-            self._row(edit, author, action, group, taken_back)
+        wanted: list[dict[str, Any]] = [
+            {
+                "ulid": new_ulid(),
+                "project": self.project,
+                "author": author,
+                "time": datetime.now(timezone.utc),
+                **vars(edit.ref),
+                "before": edit.before,
+                "after": edit.after,
+                "base": edit.base,
+                "version": edit.base + 1,
+                "labels": self.labels,
+                "reason": edit.reason,
+                "group": group,
+                "action": action,
+                "undo_of": taken_back,
+                "anchor": edit.anchor,
+            }
             for edit, taken_back in zip(edits, undo_of or [None] * len(edits), strict=True)
         ]
         try:
@@ -140,28 +156,6 @@ class Journal:
         same = written == list(hashes) == [row["hash"] for row in chained(previous, found)]
         require(same, "what was written cannot be read back: the disk, or the journal, is damaged")
         return tuple([_event(row) for row in found])
-
-    def _row(self, edit: Edit, author: str, action: Action, group: str, undo_of: str | None) -> dict[str, Any]:
-        return {
-            "ulid": new_ulid(),
-            "project": self.project,
-            "author": author,
-            "time": datetime.now(timezone.utc),
-            "kind": edit.ref.kind,
-            "frame": edit.ref.frame,
-            "key": edit.ref.key,
-            "field": edit.ref.field,
-            "before": edit.before,
-            "after": edit.after,
-            "base": edit.base,
-            "version": edit.base + 1,
-            "labels": self.labels,
-            "reason": edit.reason,
-            "group": group,
-            "action": action,
-            "undo_of": undo_of,
-            "anchor": edit.anchor,
-        }
 
     def events(
         self,

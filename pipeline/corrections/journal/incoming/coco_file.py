@@ -214,18 +214,16 @@ class _Reader:
         if "bbox" not in row:
             return {}
         box, before = rectangle_of(row["bbox"]), list(was["bbox"])
-        slack, outline = max(OUTLINE, 1), row.get("segmentation")
+        outline = row.get("segmentation")
         if near(box, before, ROUNDED) and was["mask"] is None and is_rectangle(outline):
             box = bounds_of(polygons_of(outline)[0])
         if near(box, before, ROUNDED):
-            box = row.get("bbox_xyxy")
-            if box is None or box == before:
-                return {}
+            return {}
         # The box around the pixels that the file has follows from them, and was not moved.
         around: list[Sequence[float]] = [] if drawn is None else [list(mask_box(drawn))]
         if outline and isinstance(outline, list) and was["mask"] is not None:
             around += [before, bounds_of(np.concatenate(polygons_of(outline)))]
-        return {} if any(near(box, other, slack) for other in around) else {"bbox": box}
+        return {} if any(near(box, other, OUTLINE) for other in around) else {"bbox": box}
 
 
 LONGEST_OUTLINE = 2e6
