@@ -39,8 +39,8 @@ import cv2
 import numpy as np
 
 from pipeline.geometry.camera import lift_pixels
-from pipeline.geometry.surface import depth_noise, surface_normals
 from pipeline.geometry.frame import Frame
+from pipeline.geometry.surface import depth_noise, surface_normals
 
 VERSION = "1"
 """Part of the fingerprint: a change of what comes out must change it."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -141,10 +141,11 @@ class NetworkContract:
             path=path,
         )
         expected = self.feature_set.columns
+        others = [ours for ours, theirs in zip(self.columns, expected, strict=False) if ours != theirs]
         require(
             self.columns == expected,
             f"the relation network's {self.features} is another one than this program's",
-            got=lambda: _differing(self.columns, expected),
+            got=f"{len(self.columns)} features{f', {others[0]!r} out of place' if others else ''}",
             expected=f"{len(expected)} features, {expected[0]} to {expected[-1]}",
             path=path,
         )
@@ -221,13 +222,6 @@ class NetworkContract:
             got=self.calibration,
             path=path,
         )
-
-
-def _differing(got: Sequence[str], expected: Sequence[str]) -> str:
-    if len(got) != len(expected):
-        return f"{len(got)} features"
-    k = next(k for k, (a, b) in enumerate(zip(got, expected, strict=True)) if a != b)
-    return f"{got[k]!r} in place {k}"
 
 
 @dataclass(frozen=True)

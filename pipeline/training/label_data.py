@@ -378,26 +378,3 @@ class PairSet:
             digest.update(np.ascontiguousarray(self.classes).data)
             digest.update(self.vectors.hash.encode())
         return digest.hexdigest()
-
-
-def class_shares(states: np.ndarray, inverse: dict[int, int]) -> np.ndarray:
-    """Share of each class among pairs with exactly a single T, the same for inverse classes.
-
-    Parameters
-    ----------
-    states : (P, R) int8
-    inverse
-        Class -> its inverse, for those that have one.
-
-    Returns
-    -------
-    (R,) float64
-        Summing to 1.
-
-    Raises InputError: a class without an example.
-    """
-    count = (states == T).sum(axis=0).astype(np.float64)
-    mirrored = np.array([inverse.get(k, k) for k in range(len(count))])
-    share = (count + count[mirrored]) / 2
-    require(not (share <= 0).any(), "a class has no training example", got=int((share <= 0).argmax()))
-    return share / share.sum()

@@ -26,7 +26,7 @@ from pipeline.relations.features import LANGUAGE, feature_set
 from pipeline.relations.model import ClassVectors
 from pipeline.relations.relations import T
 from pipeline.system.errors import extra_module, require
-from pipeline.training.label_data import PairSet, class_shares
+from pipeline.training.label_data import PairSet
 from pipeline.training.training_data import FrameSamples, iterate_pairs
 
 OUTPUTS: dict[str, Output] = {name: "softmax" if name == "semantic-abstraction" else "sigmoid" for name in VOCABULARIES}
@@ -296,14 +296,17 @@ def _only(pairs: PairSet, kept: Sequence[int]) -> PairSet:
 
 
 def _prior(states: np.ndarray, vocabulary: Sequence[str]) -> tuple[float, ...]:
+    """Share of each class, the same for inverse classes."""
     require(
         len(vocabulary) >= 2,
         "there are too few relations to tell apart",
         got=", ".join(vocabulary) or "none",
         expected=f"at least two with {FEWEST_EXAMPLES} pairs of which only they hold",
     )
-    inverse = {k: vocabulary.index(INVERSE[r]) for k, r in enumerate(vocabulary) if r in INVERSE}
-    return tuple(class_shares(states, inverse).tolist())
+    count = (states == T).sum(axis=0)
+    share = (count + count[[vocabulary.index(INVERSE.get(r, r)) for r in vocabulary]]) / 2
+    require(not (share <= 0).any(), "a class has no training example", got=int((share <= 0).argmax()))
+    return tuple((share / share.sum()).tolist())
 
 
 def _inputs(torch: Any, pairs: PairSet, mean: np.ndarray, std: np.ndarray) -> Callable[[Any], Any]:

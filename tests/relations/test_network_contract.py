@@ -103,7 +103,10 @@ BENT = {r: [1.0, 0.0] for r in DIRECTIONAL}
         ({"contract": "spatialviz-srm-9"}, "not a relation network.*spatialviz-srm-9"),
         ({"features": "rel15"}, "features that are not known.*'rel15'"),
         ({"features": "paper30"}, "paper30 is another one.*14 features"),
-        ({"columns": json.dumps([*FEATURES["rel14"].columns[:-2], "forward_b", "a"])}, "'forward_b' in place 12"),
+        (
+            {"columns": json.dumps([*FEATURES["rel14"].columns[:-2], "forward_b", "a"])},
+            "14 features, 'forward_b' out of place",
+        ),
         ({"mean": json.dumps([0.0] * 13)}, "mean and deviation"),
         ({"std": json.dumps([1.0] * 13 + [0.0])}, "mean and deviation"),
         ({"mean": json.dumps([0.0] * 13)[:-1]}, "cannot be read"),
