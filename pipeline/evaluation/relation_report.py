@@ -100,8 +100,11 @@ def system_figures(
     """
     p, truth, names = system.p[counted].astype(np.float64), states[counted], system.relations
     own = clusters[counted]
-    metrics = multi_label_metrics(p, truth, relations=names)
-    top1, top2 = _top(system, p, truth, own, config)
+    metrics, top1, top2 = multi_label_metrics(p, truth, relations=names), None, None
+    if system.prior:
+        ranks = relation_ranks(p, system.prior, truth)
+        one = ranks >= 0
+        top1, top2 = (mean_estimate(ranks[one] < k, own[one], config=config) for k in (1, 2))
     return SystemFigures(
         system.title,
         metrics,
@@ -111,18 +114,6 @@ def system_figures(
         top2,
         _tuned(system, states, counted),
     )
-
-
-def _top(
-    system: SystemRecords, p: np.ndarray, truth: np.ndarray, clusters: np.ndarray, config: BootstrapConfig | None
-) -> tuple[Estimate | None, Estimate | None]:
-    """Share of pairs with the right relation as the most probable, and among the two most probable."""
-    if not system.prior:
-        return None, None
-    ranks = relation_ranks(p, system.prior, truth)
-    one = ranks >= 0
-    first, second = (mean_estimate((ranks[one] < k).astype(np.float64), clusters[one], config=config) for k in (1, 2))
-    return first, second
 
 
 def relation_ranks(p: np.ndarray, prior: Sequence[float] | np.ndarray, truth: np.ndarray) -> np.ndarray:
@@ -298,7 +289,6 @@ class RelationRun:
     figures: tuple[SystemFigures, ...]  # a scorer each, then the vision-language model
     tables: tuple[Table, ...]
     warnings: tuple[str, ...]
-    records: RelationRecords
     record: dict[str, Any]
     pairs: int
     shares: dict[str, Share]  # what scorers have in common with what made the labels, by their titles
@@ -367,7 +357,7 @@ def measure_relations(
         "warnings": warnings,
         "shares": {title: share.record() for title, share in shares.items()},
     }
-    return RelationRun(tuple(figures), tuple(tables), tuple(warnings), records, record, int(counted.sum()), shares)
+    return RelationRun(tuple(figures), tuple(tables), tuple(warnings), record, int(counted.sum()), shares)
 
 
 def _about(records: RelationRecords, measured: np.ndarray, geometry: str, held_out: bool) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -259,10 +259,23 @@ class SentenceReport:
 
     asked: SentenceFile
     judged: tuple[Judged, ...]
-    overall: Shares
-    kinds: dict[str, Shares]  # in the order in which the kinds first stand in the file
-    # failures dict of (outcome, detail) to int: in the order of Outcome, the most frequent first
-    failures: dict[tuple[str, str | None], int]
+
+    @cached_property
+    def overall(self) -> Shares:
+        """Shares of all sentences."""
+        return _shares(self.judged)
+
+    @cached_property
+    def kinds(self) -> dict[str, Shares]:
+        """Shares by kind, in the order in which the kinds first stand in the file."""
+        kinds = dict.fromkeys(j.sentence.kind for j in self.judged)
+        return {kind: _shares([j for j in self.judged if j.sentence.kind == kind]) for kind in kinds}
+
+    @cached_property
+    def failures(self) -> dict[tuple[str, str | None], int]:
+        """Count failures by (outcome, detail), in the order of Outcome, the most frequent first."""
+        found = Counter((j.outcome, j.detail) for j in self.judged if not j.right)
+        return dict(sorted(found.items(), key=lambda f: (get_args(Outcome).index(f[0][0]), -f[1], str(f[0][1]))))
 
     @property
     def verdicts(self) -> dict[str, int]:
@@ -305,19 +318,15 @@ class SentenceReport:
             "and its fair share over all orders of replacing. The second column adds up to 100."
         )
         modules = () if costs is None else _costs(costs)
+        metric = tuple(Row(name, cells) for name, cells in self.published.items())
+        columns = ("sentences", *(f"Acc@{at:g}" for at in ACC_AT))
         return (
             Table("sentences", "Sentences", ("sentences", *SHARES.values()), tuple(rows), note),
             Table("failures", "Failures", ("sentences", "share"), tuple(failed)),
             Table("verdicts", "Verdicts", ("sentences", "share"), tuple(verdicts), unjudged),
             Table("oracles", "What each module costs", ("alone", "Shapley"), modules, shapley),
-            *self._published_table(),
+            *([Table("published", "As the benchmark publishes it", columns, metric, ACC_NOTE)] if metric else []),
         )
-
-    def _published_table(self) -> Iterator[Table]:
-        if self.published:
-            rows = tuple(Row(name, cells) for name, cells in self.published.items())
-            columns = ("sentences", *(f"Acc@{at:g}" for at in ACC_AT))
-            yield Table("published", "As the benchmark publishes it", columns, rows, ACC_NOTE)
 
     @cached_property
     def published(self) -> dict[str, tuple[Any, ...]]:
@@ -360,17 +369,6 @@ def _record(shares: Shares) -> dict[str, Any]:
     return {name: value if isinstance(value, int) else value.record() for name, value in shares.items()}
 
 
-def report_sentences(asked: SentenceFile, judged: Sequence[Judged]) -> SentenceReport:
-    """Count shares by kind and over all, and failures."""
-    kinds: dict[str, list[Judged]] = {}
-    for one in judged:
-        kinds.setdefault(one.sentence.kind, []).append(one)
-    failures = Counter((j.outcome, j.detail) for j in judged if not j.right)
-    order = sorted(failures, key=lambda f: (get_args(Outcome).index(f[0]), -failures[f], str(f[1])))
-    shares = {kind: _shares(own) for kind, own in kinds.items()}
-    return SentenceReport(asked, tuple(judged), _shares(judged), shares, {f: failures[f] for f in order})
-
-
 def _shares(judged: Sequence[Judged]) -> Shares:
     def share(holds: Callable[[Judged], bool], of: Callable[[Judged], bool] = lambda j: True) -> Estimate:
         counted = [j for j in judged if of(j)]
@@ -403,7 +401,7 @@ def evaluate_sentences(
     if out is not None:
         check_target(out, overwrite=overwrite, mark=FILE)
     asked = read_sentence_file(path, source, name)
-    report = report_sentences(asked, judge_sentences(source, asked, progress))
+    report = SentenceReport(asked, judge_sentences(source, asked, progress))
     if out is not None:
         with staged_folder(out, overwrite=overwrite, mark=FILE) as folder, text_file(folder / FILE) as file:
             file.writelines(json.dumps(j.record(), ensure_ascii=False, allow_nan=False) + "\n" for j in report.judged)

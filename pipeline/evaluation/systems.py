@@ -139,15 +139,11 @@ def context_of(
         return given
     with clock.stage("read"):
         # Where nobody looks at the annotations, their masks are the most of what there would be to decode.
-        load = source.dataset.load if reads_annotations(source.needed_detector()) else _picture_of(source.dataset)
-        frame = load(truth.frame)
+        whole = reads_annotations(source.needed_detector())
+        frame = source.dataset.load(truth.frame) if whole else load_picture(source.dataset, truth.frame)
     truth.check_picture(frame)
     with clock.stage("lift"):
         return prepare_frame(source.dataset, frame, source.config.lift, boxes=boxes)
-
-
-def _picture_of(dataset: Dataset) -> Callable[[str], Any]:
-    return lambda frame: load_picture(dataset, frame)
 
 
 def class_names_of(labels: Labels) -> tuple[str, ...]:
