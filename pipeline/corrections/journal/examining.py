@@ -254,20 +254,18 @@ def _contents(path: Path, connection: sqlite3.Connection, lost: Sequence[str]) -
 
 def _with_head(path: Path, connection: sqlite3.Connection, kept: int, damage: list[str]) -> Examined:
     row = _one(connection, "SELECT version, events, last, hash, tables FROM journal_head WHERE one = 1", damage)
-    if row is not None and isinstance(row[0], int) and row[0] > VERSION and row[0] == kept:
-        return Examined(str(path), row[0], None, (), tuple(damage))
-    version = row[0] if row is not None and isinstance(row[0], int) else VERSION
-    if row is not None and not (row[0] == kept == VERSION):
+    typed = row is not None and [type(value) for value in row[:4]] == [int, int, int, str]
+    if row is not None and typed and row[0] == kept > VERSION:
+        return Examined(str(path), kept, None, (), tuple(damage))
+    if row is not None and not row[0] == kept == VERSION:
         damage.append(f"its version is {row[0]!r} in one place and {kept!r} in another")
-    made = fingerprint(str(text) for (text,) in connection.execute(STATEMENTS))
-    if row is not None and row[4] != made:
+    if row is not None and row[4] != fingerprint(str(text) for (text,) in connection.execute(STATEMENTS)):
         damage.append("its tables are not those that were made")
     rows = _rows(connection, STORED, damage)
-    sound = row is not None and isinstance(row[1], int) and isinstance(row[2], int) and isinstance(row[3], str)
-    head = Head(*row[1:4]) if sound and row is not None else None
+    head = Head(*row[1:4]) if row is not None and typed else None
     found = judged(rows, head)
     events = head.events if head is not None and not found.damage else _saved(rows, head and head.events)
-    return Examined(str(path), version, events, found.intact, (*damage, *found.damage))
+    return Examined(str(path), VERSION, events, found.intact, (*damage, *found.damage))
 
 
 def _saved(rows: Sequence[tuple[int, Row | None]], message: Any) -> int | None:
@@ -293,12 +291,6 @@ def _rows(connection: sqlite3.Connection, names: Sequence[str], damage: list[str
     columns = ", ".join(f'"{name}"' for name in names)
     found: list[tuple[int, Row | None]] = []
     query = f"SELECT {columns} FROM events NOT INDEXED ORDER BY id"
-    try:
-        connection.text_factory = str
-        return [(values[0], _row(names, values)) for values in connection.execute(query)]
-    except _ERRORS:
-        # What is no UTF-8 comes with what is.
-        connection.text_factory = _any_text
     try:
         for values in connection.execute(query):
             found.append((values[0], _row(names, values)))
