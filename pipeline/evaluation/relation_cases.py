@@ -235,7 +235,10 @@ def open_systems(options: Mapping[str, Any], spec: RelationSpec, labels: Labels)
     distinct: dict[str, str] = {}
     for which in (str(options.get("srm", TRAINED)), *spec.others):
         distinct.setdefault(which if which in (RULE, TRAINED) else str(Path(which).resolve()), which)
-    wanted = False
+    worded = {which for which in distinct.values() if vectors is not None and uses_language(which)}
+    require(
+        vectors is None or worded, "none of the relation scorers uses class names: leave out --vectors", path=vectors
+    )
     for which in distinct.values():
         name = which if which in (RULE, TRAINED) else Path(which).stem
         # Networks of one name in several folders are told apart by these.
@@ -243,13 +246,8 @@ def open_systems(options: Mapping[str, Any], spec: RelationSpec, labels: Labels)
             name = "/".join(Path(which).resolve().with_suffix("").parts[-2:])
         while name in found:
             name += "'"
-        uses = vectors is not None and uses_language(which)
-        wanted = wanted or uses
-        system = _system(name, which, make_scorer(which, Path(str(vectors)) if uses else None), labels)
-        found[system.name] = system
-    require(
-        vectors is None or wanted, "none of the relation scorers uses class names: leave out --vectors", path=vectors
-    )
+        scorer = make_scorer(which, Path(str(vectors)) if which in worded else None)
+        found[name] = _system(name, which, scorer, labels)
     return tuple(found.values())
 
 

@@ -95,7 +95,22 @@ class RelationPass:
             found = score_lifted(source, self.systems, pairs, context)
         else:
             found = score_stored(self.systems, pairs)
-        return _rows(self._schema, self.systems, pairs, found, self.labels)
+        names, called = np.array(pairs.labels, object), [s.name for s in self.systems]
+        seen = [_part_of(s, pairs, self.labels) for s in self.systems]
+        columns = {
+            "frame": [pairs.key.frame] * len(pairs.a),
+            "frame_index": [pairs.key.index] * len(pairs.a),
+            "scene": [pairs.key.scene] * len(pairs.a),
+            "a": pairs.numbers[pairs.a],
+            "b": pairs.numbers[pairs.b],
+            "label_a": names[pairs.a],
+            "label_b": names[pairs.b],
+            "state": struct_of(pairs.relations, pairs.states.T),
+            "p": struct_of(called, [struct_of(s.relations, p.T) for s, p in zip(self.systems, found, strict=True)]),
+            "learnt_from": struct_of(called, [[part] * len(pairs.a) for part in seen]),
+        }
+        schema = self._schema
+        return pa.Table.from_arrays([pa.array(c, schema.field(n).type) for n, c in columns.items()], schema=schema)
 
 
 def relation_schema(systems: Sequence[RelationSystem], labels: Labels) -> pa.Schema:
@@ -127,29 +142,6 @@ def _prior_of(system: RelationSystem) -> list[float]:
         return []
     shares = dict(zip(system.scorer.contract.vocabulary, system.prior, strict=True))
     return [shares[r] for r in system.relations]
-
-
-def _rows(
-    schema: pa.Schema,
-    systems: Sequence[RelationSystem],
-    pairs: FramePairs,
-    found: Sequence[np.ndarray],
-    labels: Labels,
-) -> pa.Table:
-    names, called = np.array(pairs.labels, object), [s.name for s in systems]
-    columns = {
-        "frame": [pairs.key.frame] * len(pairs.a),
-        "frame_index": [pairs.key.index] * len(pairs.a),
-        "scene": [pairs.key.scene] * len(pairs.a),
-        "a": pairs.numbers[pairs.a],
-        "b": pairs.numbers[pairs.b],
-        "label_a": names[pairs.a],
-        "label_b": names[pairs.b],
-        "state": struct_of(pairs.relations, pairs.states.T),
-        "p": struct_of(called, [struct_of(s.relations, p.T) for s, p in zip(systems, found, strict=True)]),
-        "learnt_from": struct_of(called, [[_part_of(s, pairs, labels)] * len(pairs.a) for s in systems]),
-    }
-    return pa.Table.from_arrays([pa.array(c, schema.field(n).type) for n, c in columns.items()], schema=schema)
 
 
 def struct_of(names: Sequence[str], columns: Iterable[Any]) -> pa.StructArray:
