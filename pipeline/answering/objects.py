@@ -75,9 +75,6 @@ class PreparedFrame:
         self._lifted: dict[tuple[str, int], tuple[LiftedObject, np.ndarray]] = {}
         self.seconds = perf_counter() - start
 
-    def __repr__(self) -> str:
-        return f"<PreparedFrame {self.frame.id!r}, up {self.viewer.up_source}>"
-
     def lift(self, proposals: Proposals, detector: Detector) -> tuple[SceneObject, ...]:
         """Lift proposals to 3D, each once."""
         found = []

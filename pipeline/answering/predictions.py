@@ -29,7 +29,7 @@ from pipeline.answering.prediction_schema import (
     joined_events,
 )
 from pipeline.language.relation_names import RELATIONS
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, as_input_error, require
 from pipeline.system.reading import checked
 from pipeline.system.safe_files import opened, parse_json, read_bytes
 from pipeline.system.whole_files import sha256_of, whole_file
@@ -188,29 +188,27 @@ def read_lines(path: Path, cut: list[int] | None = None) -> Iterator[tuple[int, 
 
 def read_contents(path: Path, cut: list[int] | None = None) -> Iterator[tuple[int, Any]]:
     """JSON of each line that is not empty, with its number from 1; `cut` as in `read_lines`."""
-    try:
-        with opened(path, "unpacked") as file:
-            number = 0
-            for number, line in enumerate(file, 1):
-                if not line.strip() and number > 1:
-                    continue
-                try:
-                    text = line.decode("utf-8-sig" if number == 1 else "utf-8")
-                    content = parse_json(text, path, object_pairs_hook=partial(_each_once, number, path))
-                except InputError:
-                    raise
-                except ValueError as error:
-                    if number > 1 and not line.endswith(b"\n"):
-                        if cut is not None:
-                            cut.append(number)
-                        return
-                    other = isinstance(error, UnicodeDecodeError)
-                    kind, expected = ("UTF-8", "the file saved as UTF-8") if other else ("JSON", None)
-                    raise InputError(f"line {number}: not {kind}", got=error, expected=expected, path=path) from error
-                yield number, content
-            require(number, "the file is empty", expected="a header and a line for each expression", path=path)
-    except OSError as error:
-        raise InputError("the predictions cannot be read", got=str(error), path=path) from error
+    unreadable = "the predictions cannot be read"
+    with as_input_error(unreadable, OSError, got=str, path=path), opened(path, "unpacked") as file:
+        number = 0
+        for number, line in enumerate(file, 1):
+            if not line.strip() and number > 1:
+                continue
+            try:
+                text = line.decode("utf-8-sig" if number == 1 else "utf-8")
+                content = parse_json(text, path, object_pairs_hook=partial(_each_once, number, path))
+            except InputError:
+                raise
+            except ValueError as error:
+                if number > 1 and not line.endswith(b"\n"):
+                    if cut is not None:
+                        cut.append(number)
+                    return
+                other = isinstance(error, UnicodeDecodeError)
+                kind, expected = ("UTF-8", "the file saved as UTF-8") if other else ("JSON", None)
+                raise InputError(f"line {number}: not {kind}", got=error, expected=expected, path=path) from error
+            yield number, content
+        require(number, "the file is empty", expected="a header and a line for each expression", path=path)
 
 
 def _each_once(number: int, path: Path, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -368,13 +366,12 @@ class PredictionWriter:
         if there:
             known = next(read_lines(self.path))[1]
             require(known == header, "the file was begun with another header", path=self.path)
-        try:
+        unwritable = "the predictions cannot be written"
+        with as_input_error(unwritable, OSError, got=lambda error: error.strerror, path=self.path):
             self._file: IO[bytes] = open(self.path, "ab")  # noqa: SIM115
             if there:
                 # What a killed writer left of a line must not become the beginning of the next one.
                 self._file.truncate(read_bytes(self.path, "unpacked").rfind(b"\n") + 1)
-        except OSError as error:
-            raise InputError("the predictions cannot be written", got=error.strerror, path=self.path) from error
         if not there:
             self._write(as_json(header))
 

@@ -48,9 +48,6 @@ class Candidates:
         """(K,) float64: detector's own scores."""
         return self.scores if self.raw_scores is None else self.raw_scores
 
-    def __repr__(self) -> str:
-        return f"<Candidates {len(self.index)}: objects {' '.join(map(str, self.index.tolist()))}>"
-
 
 @dataclass(frozen=True)
 class Ranking:
@@ -63,9 +60,6 @@ class Ranking:
     entropy: float  # Of the posterior, nats
     degenerate: bool  # No pair was allowed; the detector's best target stands alone
     reading_scores: tuple[float, ...]  # The best S of each reading, in their order; -inf where it has no pair
-
-    def __repr__(self) -> str:
-        return f"<Ranking of {len(self.pairs)} pairs, margin {self.margin:.3f}>"
 
 
 def rank(

@@ -20,7 +20,7 @@ from pipeline.language.naming import Synonyms
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import Query
 from pipeline.relations.relations import F, T, U
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, as_input_error, require
 from pipeline.system.reading import checked
 
 _LETTERS = {int(T): "T", int(U): "U", int(F): "F"}
@@ -191,11 +191,9 @@ def checked_expected(record: Any, path: Path) -> ExpectedRecord:
 
 def validated(model: type[_Model], record: Any, path: Path, *inside: str) -> _Model:
     """Validate a part of a case's file; InputError names a damaged field."""
-    try:
+    deep = f"the case is damaged at {'.'.join(inside) or 'the top'}"
+    with as_input_error(deep, RecursionError, got="too deep", path=path):
         return checked(model.model_validate, record, DAMAGED, path, inside=inside)
-    except RecursionError as error:
-        where = ".".join(inside) or "the top"
-        raise InputError(f"the case is damaged at {where}", got="too deep", path=path) from error
 
 
 class TrueObject(_Strict):

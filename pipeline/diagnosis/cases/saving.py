@@ -59,7 +59,7 @@ from pipeline.proposals.registry import open_detector
 from pipeline.relations import RelationScorer, RuleScorer, make_scorer, shipped_network
 from pipeline.relations.scorer import SuppliedRelations
 from pipeline.system.detector_setup import DetectorSetup
-from pipeline.system.errors import InputError, needed, require
+from pipeline.system.errors import InputError, as_input_error, needed, require
 from pipeline.system.safe_files import read_bytes
 from pipeline.system.version import __version__
 from pipeline.system.whole_files import sha256_of, temporary_sibling, write_synced, write_whole
@@ -167,10 +167,8 @@ def save_case(
         "expected": record if expected is None else dict(expected),
     }
     checked_expected(manifest["expected"], folder / MANIFEST)
-    try:
+    with as_input_error("the case cannot be written as JSON", TypeError, ValueError, got=str):
         files[MANIFEST] = _json(manifest).encode()
-    except (TypeError, ValueError) as error:
-        raise InputError("the case cannot be written as JSON", got=str(error)) from error
     _write_whole(folder, files, source, record)
     return now
 

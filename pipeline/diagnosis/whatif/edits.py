@@ -29,7 +29,7 @@ from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.lifting import LiftConfig
 from pipeline.geometry.masks import RunLength
 from pipeline.relations.relations import Profile
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, as_input_error, in_file, require
 from pipeline.system.reading import checked
 from pipeline.system.safe_files import parse_json, read_bytes
 
@@ -115,10 +115,8 @@ def _checked(
     known = [f.name for f in fields(kind)]
     for name in values:
         require(name in known, f"{where} has no setting {name!r}", expected=", ".join(known))
-    try:
+    with as_input_error(f"{where}: a value is no finite number", TypeError, ValueError, got=str):
         text = json.dumps(dict(values), allow_nan=False)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{where}: a value is no finite number", got=str(error)) from error
     whole = checked(partial(adapter(kind).validate_json, strict=True), text, f"{where}: {{}} cannot be this")
     found = {name: getattr(whole, name) for name in values}
     for name, value in found.items():
@@ -333,15 +331,9 @@ def read_edits(record: Record | str | bytes) -> Edits:
 
 def load_edits(path: str | Path) -> Edits:
     """Read edits from a file; InputError for an unreadable file, or one without edits."""
-    path = Path(path)
-    try:
-        text = read_bytes(path, "text")
-    except OSError as error:
-        raise InputError("the edits cannot be read", got=error.strerror, path=path) from error
-    try:
-        return read_edits(text)
-    except InputError as error:
-        raise InputError(str(error), path=path) from error
+    path, unreadable = Path(path), "the edits cannot be read"
+    with in_file(path), as_input_error(unreadable, OSError, got=lambda error: error.strerror):
+        return read_edits(read_bytes(path, "text"))
 
 
 def validated(kind: type[_T], record: Record | str | bytes, what: str) -> _T:

@@ -8,7 +8,6 @@ checked by a model, and how much of it there may be is bounded before it is read
 from __future__ import annotations
 
 import base64
-import binascii
 import json
 import re
 import zlib
@@ -19,7 +18,7 @@ from typing import Annotated, Any
 from pydantic import ConfigDict, Field
 
 from pipeline.diagnosis.whatif.edits import Edits, edits_record, validated
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, as_input_error, require
 
 VERSION = 1
 LONGEST_STRING = 2 * 2**20
@@ -129,12 +128,11 @@ def decode(text: str) -> ViewState:
         cause = "it was made by a newer spatialviz" if int(head[1]) > VERSION else None
         raise InputError("the state string is of another version", got=f"sv{head[1]}", expected="sv1", cause=cause)
     body = text[head.end() :]
-    try:
+    damaged = "the state string is damaged"
+    with as_input_error(damaged, ValueError, zlib.error, got=str, cause="was all of it copied?"):
         packed = base64.b64decode(body + "=" * (-len(body) % 4), altchars=b"-_", validate=True)
         unpacker = zlib.decompressobj()
         content = unpacker.decompress(packed, LARGEST_CONTENT + 1)
-    except (binascii.Error, ValueError, zlib.error) as error:
-        raise InputError("the state string is damaged", got=str(error), cause="was all of it copied?") from error
     require(
         len(content) <= LARGEST_CONTENT,
         "the state string unpacks to too much",
@@ -142,7 +140,7 @@ def decode(text: str) -> ViewState:
     )
     require(
         unpacker.eof and not unpacker.unused_data,
-        "the state string is damaged",
+        damaged,
         cause="was all of it copied, and nothing more?",
     )
     return read_state(content)
