@@ -222,6 +222,8 @@ class Store(ABC):
     selected = "{}"  # select expression of a JSON column, as text
     zone = ""  # end of a written time
     table_names: str  # query for the names of all tables
+    types: tuple[str, str]  # of ids and times
+    guards: tuple[str, ...]  # statements that make triggers against changes
     writable = True  # False for a folder or file without write permission
 
     def __init__(self, location: str) -> None:
@@ -272,9 +274,15 @@ class Store(ABC):
     def _usable(self, link: Any) -> bool:
         """True for a connection without a fault or an open transaction."""
 
-    @abstractmethod
-    def create(self, run: Run, first: str) -> None:
-        """Make the tables, and the triggers against changes; `first` is the hash before the first event."""
+    def create(self, run: Run) -> None:
+        """Make the tables, and the triggers against changes."""
+        for statement in (*made(*self.types), *self.guards):
+            run(statement)
+        run("INSERT INTO journal_head VALUES (1, ?, 0, 0, ?, ?)", VERSION, FIRST, self._made(run))
+
+    def _made(self, run: Run) -> str:
+        """Fingerprint of the tables, where the database keeps their statements."""
+        return ""
 
     @abstractmethod
     def keep(self, run: Run) -> str:
@@ -356,8 +364,3 @@ def head_of(run: Run) -> Head | None:
     """Last event by the head; None for no single head."""
     found = run("SELECT events, last, hash FROM journal_head")
     return Head(*found[0]) if len(found) == 1 else None
-
-
-def begin(run: Run, first: str, tables: str = "") -> None:
-    """Insert the head of a new journal; `tables` is the fingerprint."""
-    run("INSERT INTO journal_head VALUES (1, ?, 0, 0, ?, ?)", VERSION, first, tables)

@@ -24,18 +24,15 @@ from typing import Any
 from pipeline.corrections.journal.chain import (
     BEFORE,
     CONTENT,
-    FIRST,
     FORBIDDEN,
     STORED,
     VERSION,
     Head,
     Run,
     Store,
-    begin,
     head_of,
     judged,
     judged_alone,
-    made,
     rows,
     version_of,
     write_rows,
@@ -85,6 +82,13 @@ class PostgresStore(Store):
 
     server, selected, zone = True, "{}::text", "+00"
     table_names = "SELECT tablename FROM pg_tables WHERE schemaname = current_schema()"
+    types = ("BIGINT", "TIMESTAMP WITH TIME ZONE")
+    guards = (
+        "CREATE OR REPLACE FUNCTION refuse_change() RETURNS trigger LANGUAGE plpgsql AS "
+        f"$$ BEGIN RAISE EXCEPTION '{FORBIDDEN}'; END $$",
+        "CREATE TRIGGER events_only_grow BEFORE UPDATE OR DELETE OR TRUNCATE ON events "
+        "FOR EACH STATEMENT EXECUTE FUNCTION refuse_change()",
+    )
 
     def __init__(self, where: str) -> None:
         scheme = where.partition("://")[0]
@@ -143,17 +147,6 @@ class PostgresStore(Store):
 
     def _usable(self, link: Any) -> bool:
         return not link.closed
-
-    def create(self, run: Run, first: str) -> None:
-        for statement in made("BIGINT", "TIMESTAMP WITH TIME ZONE"):
-            run(statement)
-        refused = f"$$ BEGIN RAISE EXCEPTION '{FORBIDDEN}'; END $$"
-        run(f"CREATE OR REPLACE FUNCTION refuse_change() RETURNS trigger LANGUAGE plpgsql AS {refused}")
-        run(
-            "CREATE TRIGGER events_only_grow BEFORE UPDATE OR DELETE OR TRUNCATE ON events "
-            "FOR EACH STATEMENT EXECUTE FUNCTION refuse_change()"
-        )
-        begin(run, first)
 
     def keep(self, run: Run) -> str:
         run(f"CREATE TABLE IF NOT EXISTS {KEPT} AS TABLE events")
@@ -253,7 +246,7 @@ def prepare(store: Store) -> tuple[str, ...]:
             found = version_of(store, run)
             known_version(found, location)
             if found is None:
-                store.create(run, FIRST)
+                store.create(run)
             elif found < VERSION:
                 kept = take_over(store, run)
                 return (f"{location} is chained now: as the release before left it, it stands in {kept}",)
@@ -285,7 +278,7 @@ def take_over(store: Store, run: Run) -> str:
     events, kept = found.believe().intact, store.keep(run)
     for table in (BEFORE, "events"):
         run(f"DROP TABLE {table}")
-    store.create(run, FIRST)
+    store.create(run)
     write_rows(store, run, events)
     return kept
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Collection
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal
@@ -78,10 +77,9 @@ class FieldRef:
     def entity(self) -> str:
         """Entity in words: "object 3", "relation 2,5 left"."""
         if self.kind == "review":
-            with suppress(InputError):
-                _, kind, a, b, what = judged_item(self.key)
-                ends = "" if kind == "expression" else f"{a}" if b is None else f"{a},{b}"
-                return " ".join(filter(None, (kind, ends, what)))
+            _, kind, a, b, what = judged_item(self.key)
+            ends = "" if kind == "expression" else f"{a}" if b is None else f"{a},{b}"
+            return " ".join(filter(None, (kind, ends, what)))
         return f"{self.kind} {self.key}".rstrip()
 
     def __str__(self) -> str:
@@ -108,18 +106,12 @@ def relation_ref(frame: str, a: int, b: int, relation: str) -> FieldRef:
 
 def judged_item(key: str) -> tuple[str, str, int, int | None, str]:
     """Parse the key of a judgement to author, kind, a, b and what; InputError for any other text."""
-    try:
+    with as_input_error("not the key of a review", ValueError, TypeError, RecursionError, got=Shown(key)):
         author, kind, a, b, what = found = json.loads(key)
         written = judged_key(*found)
-    except (ValueError, TypeError, RecursionError) as error:
-        raise InputError("not the key of a review", got=repr(key)[:60]) from error
-    numbers = type(a) is int and (b is None or type(b) is int)
-    sound = kind in ("object", "relation", "expression") and isinstance(author, str) and isinstance(what, str)
-    require(
-        numbers and sound and -1 <= a < 2**31 and -1 <= (b or 0) < 2**31 and written == key,
-        "not the key of a review",
-        got=Shown(key),
-    )
+    texts = kind in ("object", "relation", "expression") and isinstance(author, str) and isinstance(what, str)
+    numbers = type(a) is int and (b is None or type(b) is int) and -1 <= a < 2**31 and -1 <= (b or 0) < 2**31
+    require(texts and numbers and written == key, "not the key of a review", got=Shown(key))
     if author != OF_ALL:
         plain_text(author, "an author", LONGEST_NAME)
     require(

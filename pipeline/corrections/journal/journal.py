@@ -167,18 +167,15 @@ class Journal:
         field: str | None = None,
         group: str | None = None,
         after: int = 0,
-        before: int | None = None,
         last: int | None = None,
     ) -> tuple[Event, ...]:
         """Select events in the order of their saving; InputError where the journal cannot be read.
 
-        `after` and `before` bound the `id`, exclusive; `last` takes only the newest so many.
+        `after` bounds the `id`, exclusive; `last` takes only the newest so many.
         """
         named = {"author": author, "kind": kind, "frame": frame, "key": key, "field": field, "group": group}
         wanted: dict[str, Any] = {f'AND "{name}" = ?': value for name, value in named.items() if value is not None}
         wanted["AND id > ?"] = after
-        if before is not None:
-            wanted["AND id < ?"] = before
         wanted["ORDER BY id" if last is None else "ORDER BY id DESC LIMIT ?"] = last
         values = [value for value in wanted.values() if value is not None]
         with reading(self.store) as run:

@@ -22,7 +22,7 @@ from threading import Lock
 from typing import TypeVar
 from weakref import WeakKeyDictionary
 
-from pipeline.corrections.journal.chain import FORBIDDEN, VERSION, Run, Store, begin, fingerprint, made
+from pipeline.corrections.journal.chain import FORBIDDEN, VERSION, Run, Store, fingerprint
 from pipeline.system.limits import shown
 
 BUSY_S = 60.0
@@ -74,6 +74,9 @@ def read_plainly(file: Path, read: Callable[[], _Found]) -> _Found | None:
         return None if _identity(file) in list(_HELD.values()) else read()
 
 
+_REFUSED = f"CREATE TRIGGER events_no_{{}} BEFORE {{}} ON events BEGIN SELECT RAISE(ABORT, '{FORBIDDEN}'); END"
+
+
 class SqliteStore(Store):
     """`Store` in one file, made by the first connection and never again.
 
@@ -82,6 +85,8 @@ class SqliteStore(Store):
     """
 
     table_names = "SELECT name FROM sqlite_master WHERE type = 'table'"
+    types = ("INTEGER", "DATETIME")
+    guards = (*map(_REFUSED.format, ("update", "delete"), ("UPDATE", "DELETE")), f"PRAGMA user_version = {VERSION}")
 
     def __init__(self, path: str | Path, believe: Callable[[Path], object], copy: Callable[[Path], str]) -> None:
         self.file = Path(path).expanduser().absolute()
@@ -135,14 +140,8 @@ class SqliteStore(Store):
     def _usable(self, link: sqlite3.Connection) -> bool:
         return not link.in_transaction
 
-    def create(self, run: Run, first: str) -> None:
-        for statement in made("INTEGER", "DATETIME"):
-            run(statement)
-        for what in ("UPDATE", "DELETE"):
-            refused = f"BEGIN SELECT RAISE(ABORT, '{FORBIDDEN}'); END"
-            run(f"CREATE TRIGGER events_no_{what.lower()} BEFORE {what} ON events {refused}")
-        run(f"PRAGMA user_version = {VERSION}")
-        begin(run, first, fingerprint(text for (text,) in run(STATEMENTS)))
+    def _made(self, run: Run) -> str:
+        return fingerprint(text for (text,) in run(STATEMENTS))
 
     def keep(self, run: Run) -> str:
         # Nobody else writes now, so this is what the transaction sees.
