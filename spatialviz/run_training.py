@@ -88,18 +88,13 @@ def run_install(command: InstallCommand) -> None:
 
 
 def print_label_training(card: dict[str, Any], out: Path) -> None:
-    """Print the training curve on labels, and figures on held-out frames."""
+    """Print figures on held-out frames."""
     training, split, report = card["training"], card["split"], card["held_out"]
     frames = split["frames"]
     say(
         f"{card['name']}, {' '.join(training['relations'])}: {training['pairs']} pairs of {frames['train']} frames, "
         f"{training['epochs']} epochs; split by {split['kind']}, held out: {report['pairs']} pairs of "
         f"{frames['test']} frames"
-    )
-    metric = next(key for key in training["curve"][0] if key.startswith("validation_"))
-    print_rows(
-        (">epoch", ">loss", ">" + metric.replace("validation_", "validation ").replace("_", "-")),
-        ((str(epoch["epoch"]), f"{epoch['loss']:.4f}", figure(epoch[metric])) for epoch in training["curve"]),
     )
     print_rows(
         ("relation", *(f">{name}" for name in FIGURES), ">positives"),

@@ -44,7 +44,7 @@ class NetworkContract:
     # Share of each class in the training pairs of a softmax network, in the order of the vocabulary; else empty
     prior: tuple[float, ...] = ()
     language: LanguageContract | None = None  # The text vectors behind a "+lang" contract
-    classes: str = ""  # Hash of the class vectors beside the file, see `class_vectors`; "" without language
+    classes: str = ""  # Hash of the class vectors beside the file, see `ClassVectors`; "" without language
     trained_on: TrainedOn | None = None  # The scenes or frames of labels that it learnt from; None for rendered rooms
 
     @property
