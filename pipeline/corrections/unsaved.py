@@ -199,24 +199,11 @@ def _merged(edits: Iterable[Edit]) -> tuple[Edit, ...]:
     return tuple(found.values())
 
 
-@dataclass(frozen=True)
-class Dispute:
-    """Field that somebody else changed first, with the edits that depend on it."""
-
-    edits: tuple[Edit, ...]
-    rivals: tuple[Rival, ...]  # at least one
-
-    @property
-    def ref(self) -> FieldRef:
-        """Field to name the dispute by."""
-        return self.rivals[0].edit.ref
-
-
-def disputes(conflict: Conflict, setting: Setting) -> tuple[Dispute, ...]:
+def disputes(conflict: Conflict, setting: Setting) -> tuple[Conflict, ...]:
     """Disputed fields of an action: a relation goes with the inverse, and all answers of an expression together."""
     groups = grouped(conflict.edits or tuple(r.edit for r in conflict.rivals), lambda e: _together(e.ref, setting))
     rivals = grouped(conflict.rivals, lambda r: _together(r.edit.ref, setting))
-    return tuple(Dispute(tuple(members), tuple(rivals[key])) for key, members in groups.items() if key in rivals)
+    return tuple(Conflict(tuple(rivals[key]), tuple(members)) for key, members in groups.items() if key in rivals)
 
 
 def decided(conflict: Conflict, frame: EffectiveFrame, mine: Collection[int]) -> tuple[Edit, ...]:

@@ -10,11 +10,12 @@ from typing import Literal
 
 from pipeline.corrections.journal.edits import Edits, set_ambiguous, set_mark, set_status, set_text
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.events import Conflict
 from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.corrections.label_editor import EventLine
 from pipeline.corrections.label_view import LabelView, paired
 from pipeline.corrections.object_card import ExpressionCard, set_answer
-from pipeline.corrections.unsaved import Dispute, disputes
+from pipeline.corrections.unsaved import disputes
 from pipeline.corrections.wording import ref_text, value_text
 from pipeline.diagnosis.marks import MARKS
 from pipeline.diagnosis.verdict import Diagnosis
@@ -164,7 +165,7 @@ class Conflicts(LabelPart):
         self.show_first()
 
 
-def conflict_html(found: tuple[Dispute, ...], frame: EffectiveFrame | None) -> Element:
+def conflict_html(found: tuple[Conflict, ...], frame: EffectiveFrame | None) -> Element:
     """Disputed fields: author, change and time, beside this person's version."""
     rows = []
     for k, dispute in enumerate(found):
