@@ -65,7 +65,6 @@ HANDED = {
 OWN = {
     "answering/predictions.py open": "written to",
     "corrections/journal/": "the journal, which has checks of its own",
-    "corrections/review/": "keys of items that were made here",
     "datasets/depth/estimator.py np.load": "the cache",
     "datasets/scene_mesh.py": "the cache",
     "diagnosis/whatif/changes.py": "keys that were made here",
