@@ -66,7 +66,6 @@ OWN = {
     "answering/predictions.py open": "written to",
     "corrections/journal/": "the journal, which has checks of its own",
     "datasets/depth/estimator.py np.load": "the cache",
-    "datasets/scene_mesh.py": "the cache",
     "diagnosis/whatif/changes.py": "keys that were made here",
     "evaluation/importing.py .open": "written to",
     "evaluation/importing.py json.loads": "settings that were made here",

@@ -131,26 +131,21 @@ def named_frame(ids: Sequence[str], key: str | int, root: Path) -> str:
             found = ids[int(text)]
             # Nobody writes an index with leading zeros; a scene may be named without.
             others = [i for i in ids if f"/{text}/" in f"/{i}" or (text != f"{int(text)}" and i.endswith(f"/{text}"))]
-            if isinstance(key, str) and set(others) - {found}:
-                raise _ambiguous(text, found, others, root)
+            scene = sorted(others, key=lambda i: not i.startswith(f"{text}/"))
+            listed = ", ".join(scene[:3]) + (f" and {len(scene) - 3} more" if len(scene) > 3 else "")
+            require(
+                not isinstance(key, str) or not set(others) - {found},
+                f"{text!r} names more than one frame",
+                got=f"the index {int(text)}, which is {found}, and a part of {listed}",
+                expected="a whole id" + (f", or {int(text)} for the index" if text != f"{int(text)}" else ""),
+                path=root,
+            )
             return found
     elif "/" in text:
         same = [frame_id for frame_id in ids if _loose(frame_id) == _loose(text)]
         if len(same) == 1:
             return same[0]
     raise unknown_id(ids, text, root)
-
-
-def _ambiguous(text: str, found: str, others: list[str], root: Path) -> InputError:
-    """Error for a number both an index and a part of other ids."""
-    scene = sorted(others, key=lambda i: not i.startswith(f"{text}/"))
-    listed = ", ".join(scene[:3]) + (f" and {len(scene) - 3} more" if len(scene) > 3 else "")
-    return InputError(
-        f"{text!r} names more than one frame",
-        got=f"the index {int(text)}, which is {found}, and a part of {listed}",
-        expected="a whole id" + (f", or {int(text)} for the index" if text != f"{int(text)}" else ""),
-        path=root,
-    )
 
 
 def scene_of(dataset: Dataset, frame_id: str) -> str:
@@ -166,11 +161,6 @@ def frames_of_scene(dataset: Dataset, frame_id: str) -> tuple[str, ...]:
     """Frame ids of the same scene, in the dataset's order."""
     folder = PurePosixPath(frame_id).parent
     return tuple(other for other in dataset.frame_ids if PurePosixPath(other).parent == folder)
-
-
-def unknown_frame(dataset: Dataset, key: str) -> InputError:
-    """Error for an unknown frame id, with the nearest ids and the count."""
-    return unknown_id(dataset.frame_ids, key, dataset.root)
 
 
 def unknown_id(ids: Sequence[str], key: str, root: Path) -> InputError:
@@ -373,5 +363,5 @@ class InMemoryDataset:
     def load(self, frame_id: str) -> Frame:
         """The frame; see `Dataset.load`."""
         if frame_id not in self._frames:
-            raise unknown_frame(self, frame_id)
+            raise unknown_id(self.frame_ids, frame_id, self.root)
         return self._frames[frame_id]

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from pipeline.datasets.base import ChangedFrames, Dataset, load_picture, load_pose, scene_of
+from pipeline.geometry.camera import rotations
 from pipeline.geometry.frame import Frame
 from pipeline.system.errors import InputError, require
 
@@ -59,20 +60,11 @@ def pose_from_matrix(T: np.ndarray) -> np.ndarray:
 
 
 def pose_from_quaternion(values: np.ndarray) -> np.ndarray:
-    """T_world_camera (4, 4) from tx ty tz qx qy qz qw (7,), metres. The quaternion may be rounded; the formula is the
-    usual one for a unit quaternion (Shoemake 1985)."""
+    """T_world_camera (4, 4) from tx ty tz qx qy qz qw (7,), metres. The quaternion may be rounded."""
     require(np.isfinite(values).all(), "inf or NaN, the tracker was lost")
     length = float(np.linalg.norm(values[3:]))
     require(abs(length - 1) <= ROUNDING, "the quaternion does not have length 1", got=f"{length:.3g}")
-    x, y, z, w = values[3:] / length
-    R = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    return rigid(R, values[:3])
+    return rigid(rotations(values[3:] / length), values[:3])
 
 
 def nearest(times: np.ndarray, time: float, within: float) -> int | None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from pipeline.datasets.base import Dataset, dataset_notes, has_moves, load_picture, moves, readable_frames, scene_of
+from pipeline.datasets.base import Dataset, dataset_notes, has_moves, load_picture, load_pose, moves, scene_of
+from pipeline.datasets.cameras import or_note
 from pipeline.datasets.settings import ASSUMED, DECLARE, DEPTH_SCALE
 from pipeline.datasets.up import resolved_camera, scene_doubt, scene_vote
 from pipeline.geometry.camera import Camera, UpSource
@@ -118,29 +119,29 @@ class SurveyCounts:
     """Running counts of a survey; memory grows with the classes only."""
 
     def __init__(self) -> None:
-        self._frames = self._usable = self._objects = 0
-        self._missing: Counter[str] = Counter()
+        self._counts: Counter[str] = Counter()
         self._named: defaultdict[str, Counter[str]] = defaultdict(Counter)
         self._notes: tuple[str, ...] = ()
         self._depth = 0.0
 
     def add(self, report: FrameReport) -> None:
         """Count a frame."""
-        self._frames += 1
         self._notes = report.dataset_notes
+        self._counts.update(frames=1, frames_usable=report.ok, frames_broken=not report.ok)
         if not report.ok:
             self._named["problems"][_reason(report)] += 1
             return
-        self._usable += 1
-        self._objects += report.annotations
+        self._depth += report.depth_valid
+        self._counts.update(
+            objects=report.annotations,
+            frames_with_little_depth=report.depth_valid < LITTLE_DEPTH,
+            frames_without_pose=not report.has_pose,
+            frames_without_objects=not report.annotations,
+            frames_with_notes=bool(report.notes),
+        )
         self._named["classes"].update(report.labels)
         self._named["sizes"][f"{report.width}x{report.height}"] += 1
         self._named["up_source"][report.up_source or "unknown"] += 1
-        self._depth += report.depth_valid
-        self._missing["with_little_depth"] += report.depth_valid < LITTLE_DEPTH
-        self._missing["without_pose"] += not report.has_pose
-        self._missing["without_objects"] += not report.annotations
-        self._missing["with_notes"] += bool(report.notes)
 
     def watch(self, reports: Iterable[FrameReport]) -> Iterator[FrameReport]:
         """Yield frames unchanged while counting."""
@@ -161,19 +162,18 @@ class SurveyCounts:
             objects_per_frame (mean or None), and classes ({name: objects}). What is counted by name runs from the
             most frequent on.
         """
+        counts, usable = self._counts, self._counts["frames_usable"]
         missing = ("with_little_depth", "without_pose", "without_objects", "with_notes")
         return {
-            "frames": self._frames,
-            "frames_usable": self._usable,
-            "frames_broken": self._frames - self._usable,
+            **{name: counts[name] for name in ("frames", "frames_usable", "frames_broken")},
             "notes": list(self._notes),
             "problems": _sorted(self._named["problems"]),
-            **{f"frames_{name}": self._missing[name] for name in missing},
+            **{f"frames_{name}": counts[f"frames_{name}"] for name in missing},
             "sizes": _sorted(self._named["sizes"]),
             "up_source": _sorted(self._named["up_source"]),
-            "depth_valid": round(self._depth / self._usable, 6) if self._usable else None,
-            "objects": self._objects,
-            "objects_per_frame": round(self._objects / self._usable, 6) if self._usable else None,
+            "depth_valid": round(self._depth / usable, 6) if usable else None,
+            "objects": counts["objects"],
+            "objects_per_frame": round(counts["objects"] / usable, 6) if usable else None,
             "classes": _sorted(self._named["classes"]),
         }
 
@@ -203,44 +203,28 @@ class CameraPlan:
     positions: np.ndarray  # (N, 2) float: Metres; the first axis is that in which the cameras are spread most
     headings: np.ndarray  # (N, 2) float: Where they look, of length one; 0, 0 for one that looks straight up or down
 
-    def record(self) -> dict[str, object]:
-        """Plan as JSON."""
-        return {
-            "scene": self.scene,
-            "frames": list(self.frame_ids),
-            "positions": np.round(self.positions, 3).tolist(),
-            "headings": np.round(self.headings, 3).tolist(),
-        }
 
-
-def camera_plan(
-    dataset: Dataset, frame_id: str, most: int = MOST_CAMERAS, load: Callable[[str], Frame] | None = None
-) -> CameraPlan | None:
+def camera_plan(dataset: Dataset, frame_id: str, most: int = MOST_CAMERAS) -> CameraPlan | None:
     """Plan of the cameras in a frame's scene; None with fewer than two poses.
 
-    Up is what the frames declare, else what they vote for, else what the cameras hold upwards. At most `most` frames
-    are read for their poses; a scene whose first frame has none is taken for one without.
+    Up is what the frame declares, else what the scene's frames vote for, else what the cameras hold upwards. At most
+    `most` frames are asked for their poses.
     """
     at, scene = dataset.frame_ids.index(frame_id), scene_of(dataset, frame_id)
     start = max(0, at - NEIGHBOURS)
     ids = [i for i in dataset.frame_ids[start : at + NEIGHBOURS] if scene_of(dataset, i) == scene]
     chosen = {ids[k] for k in np.linspace(0, len(ids) - 1, min(most, len(ids))).astype(int)} | {frame_id}
-    poses: dict[str, np.ndarray] = {}
-    ups: list[np.ndarray] = []
-    for frame in readable_frames(load or (lambda i: load_picture(dataset, i)), (i for i in ids if i in chosen)):
-        pose, up = frame.camera.T_world_camera, frame.camera.up
-        if pose is None:
-            if not poses:
-                return None
-            continue
-        poses[frame.id] = pose
-        ups += [] if up is None else [pose[:3, :3] @ up]
+    found = {i: or_note([], "", load_pose, dataset, i) for i in ids if i in chosen}
+    poses = {i: pose for i, pose in found.items() if pose is not None}
     if len(poses) < 2:
         return None
     matrices = np.stack(list(poses.values()))
-    if not ups and (voted := scene_vote(dataset, frame_id).up) is not None:
-        ups = [voted]
-    up = np.mean(ups or -matrices[:, :3, 1], axis=0)
+    camera = getattr(or_note([], "", load_picture, dataset, frame_id), "camera", None)
+    if camera is not None and camera.up is not None and frame_id in poses:
+        up = poses[frame_id][:3, :3] @ camera.up
+    else:
+        up = scene_vote(dataset, frame_id).up
+    up = -matrices[:, :3, 1].mean(axis=0) if up is None else up
     return CameraPlan(scene, tuple(poses), *_from_above(matrices, up / max(float(np.linalg.norm(up)), 1e-9)))
 
 

@@ -43,12 +43,12 @@ class ArkitScenesDataset(FolderDataset):
 
     def __init__(self, root: Path, settings: Settings) -> None:
         self._notes: list[str] = []
-        path = _scan(root)[1] / TRAJECTORY
-        self._path = or_note(self._notes, f"no camera pose, {TRAJECTORY}: ", _trajectory, path)
+        self._folder = _scan(root) or root
+        self._path = or_note(self._notes, f"no camera pose, {TRAJECTORY}: ", _trajectory, self._folder / TRAJECTORY)
         super().__init__(root, settings)
 
     def _folders(self, root: Path) -> dict[str, Path]:
-        return {"": _scan(root)[1]}
+        return {"": self._folder}
 
     def _camera(self, scene: SceneFolder, pair: Pair) -> Stated:
         # Names of cameras may be a millisecond off.
@@ -83,16 +83,17 @@ def _trajectory(path: Path) -> np.ndarray:
     return np.array(rows).reshape(-1, 7)
 
 
-def _scan(root: Path) -> tuple[bool, Path]:
-    """Presence of a scan, and the folder: the root, or `<video>_frames` inside."""
-    for folder in (root, root / f"{root.resolve().name}_frames"):
-        if {COLOR, DEPTH} <= set(readable(folder)[0]):
-            return True, folder
-    return False, root
+def _scan(root: Path) -> Path | None:
+    """Folder of a scan: the root, or `<video>_frames` inside."""
+    folders = (root, root / f"{root.resolve().name}_frames")
+    return next((folder for folder in folders if {COLOR, DEPTH} <= set(readable(folder)[0])), None)
 
 
 ARKITSCENES = DatasetFormat(
-    "arkitscenes", f"arkitscenes: {COLOR}/, {DEPTH}/ and {TRAJECTORY}", lambda root: _scan(root)[0], ArkitScenesDataset
+    "arkitscenes",
+    f"arkitscenes: {COLOR}/, {DEPTH}/ and {TRAJECTORY}",
+    lambda root: _scan(root) is not None,
+    ArkitScenesDataset,
 )
 
 

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -33,14 +33,13 @@ FOCALS = {"SIMPLE_PINHOLE": 1, "SIMPLE_RADIAL": 1, "RADIAL": 1, "SIMPLE_RADIAL_F
 """How many focal lengths a camera model of COLMAP has, where it is not two; then cx cy and the lens follow."""
 
 
-@dataclass(frozen=True)
-class PosedPicture:
-    """An entry of a picture list: files relative to the dataset, with camera and pose."""
+class PosedPicture(NamedTuple):
+    """An entry of a picture list: files relative to the dataset, with what reads its camera and its pose."""
 
     color: str
     depth: str | None
-    camera: Any
-    pose: Any
+    camera: Callable[[Path], Stated]  # Of the colour file
+    pose: Callable[[], np.ndarray] | None  # T_world_camera (4, 4)
 
 
 class PosedPictures(Recording):
@@ -74,21 +73,13 @@ class PosedPictures(Recording):
         """Pictures by frame id (subclasses)."""
         raise NotImplementedError
 
-    def _read_camera(self, camera: Any, picture: Path) -> Stated:
-        """Camera facts of a picture (subclasses)."""
-        raise NotImplementedError
-
-    def _read_pose(self, pose: Any) -> np.ndarray:
-        """Each format's own: a pose as (4, 4), T_world_camera."""
-        raise NotImplementedError
-
     def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         entry = self._found(self._entries, frame_id)
         color, depth = self.root / entry.color, None if entry.depth is None else self.root / entry.depth
         if not self._settings.estimated:
             depth = needed(depth, "the depth file is missing", path=color)
-        stated = NOTHING if self._settings.intrinsics is not None else self._read_camera(entry.camera, color)
-        pose = None if entry.pose is None else or_note(notes, "no camera pose: ", self._read_pose, entry.pose)
+        stated = NOTHING if self._settings.intrinsics is not None else entry.camera(color)
+        pose = None if entry.pose is None else or_note(notes, "no camera pose: ", entry.pose)
         return Listed(color, depth, stated, pose)
 
     def _with_depths(self, entries: dict[str, PosedPicture]) -> dict[str, PosedPicture]:
@@ -96,13 +87,9 @@ class PosedPictures(Recording):
         depths = files_in_roles(self.root, "depth")
         if not depths:
             return entries
-        colors = [entry.color for entry in entries.values()]
-        naming = choose_naming(colors, depths)
+        naming = choose_naming([entry.color for entry in entries.values()], depths)
         known = {naming(name): name for name in depths}
-        return {
-            frame_id: PosedPicture(entry.color, known.get(naming(color)), entry.camera, entry.pose)
-            for (frame_id, entry), color in zip(entries.items(), colors, strict=True)
-        }
+        return {frame_id: entry._replace(depth=known.get(naming(entry.color))) for frame_id, entry in entries.items()}
 
 
 class NerfstudioDataset(PosedPictures):
@@ -118,7 +105,7 @@ class NerfstudioDataset(PosedPictures):
         frames = table.get("frames")
         if not isinstance(frames, list):
             raise InputError("a list of frames is missing", path=self.source)
-        self._shared = {key: value for key, value in table.items() if key != "frames"}
+        shared = {key: value for key, value in table.items() if key != "frames"}
         found: dict[str, PosedPicture] = {}
         for number, frame in enumerate(frames):
             path = frame.get("file_path") if isinstance(frame, Mapping) else None
@@ -130,26 +117,28 @@ class NerfstudioDataset(PosedPictures):
             depth = None if depth is None else name_inside(str(depth), self.source, number)
             own = {k: v for k, v in frame.items() if k not in ("transform_matrix", "file_path", "depth_file_path")}
             frame_id = stem if stem not in found else f"{os.path.basename(os.path.dirname(color))}/{stem}"
-            found[frame_id] = PosedPicture(color, depth, own, frame.get("transform_matrix"))
-        cameras = [self._shared, *(entry.camera for entry in found.values())]
-        self.lens = any(camera.get(key) for camera in cameras for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
+            table = {**shared, **own}
+            self.lens |= any(table.get(key) for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
+            T = frame.get("transform_matrix")
+            pose = None if T is None else partial(_opengl_pose, T, self.source)
+            found[frame_id] = PosedPicture(color, depth, partial(_nerfstudio_camera, table, self.source), pose)
         return found if any(entry.depth for entry in found.values()) else self._with_depths(found)
 
-    def _read_camera(self, camera: Mapping[str, Any], picture: Path) -> Stated:
-        table = {**self._shared, **camera}
-        stated = stated_in(dict(flat_numbers(table)), self.source)
-        size = stated.size or picture_size(picture)
-        if stated.K is not None:
-            return half_pixel(stated.K, size, self.source)
-        angle = table.get("camera_angle_x")
-        if size is None or not isinstance(angle, int | float) or not 0 < angle < math.pi:
-            return Stated(path=self.source)
-        focal = size[0] / 2 / math.tan(angle / 2)
-        return half_pixel(intrinsics(focal, focal, size[0] / 2, size[1] / 2), size, self.source)
 
-    def _read_pose(self, pose: Any) -> np.ndarray:
-        T = as_floats(pose, 16, self.source, "transform_matrix").reshape(4, 4)
-        return pose_from_matrix(T @ OPENCV_OF_OPENGL)
+def _nerfstudio_camera(table: Mapping[str, Any], source: Path, picture: Path) -> Stated:
+    stated = stated_in(dict(flat_numbers(table)), source)
+    size = stated.size or picture_size(picture)
+    if stated.K is not None:
+        return half_pixel(stated.K, size, source)
+    angle = table.get("camera_angle_x")
+    if size is None or not isinstance(angle, int | float) or not 0 < angle < math.pi:
+        return Stated(path=source)
+    focal = size[0] / 2 / math.tan(angle / 2)
+    return half_pixel(intrinsics(focal, focal, size[0] / 2, size[1] / 2), size, source)
+
+
+def _opengl_pose(pose: Any, source: Path) -> np.ndarray:
+    return pose_from_matrix(as_floats(pose, 16, source, "transform_matrix").reshape(4, 4) @ OPENCV_OF_OPENGL)
 
 
 class ColmapDataset(PosedPictures):
@@ -176,7 +165,8 @@ class ColmapDataset(PosedPictures):
             color = os.path.join(self._folder(name), name_inside(name, self.source, 0))
             stem = os.path.splitext(os.path.basename(color))[0]
             frame_id = stem if stem not in found else name
-            found[frame_id] = PosedPicture(color, None, cameras.get(words[8]), words[1:8])
+            camera = partial(_colmap_camera, cameras.get(words[8]), self.source)
+            found[frame_id] = PosedPicture(color, None, camera, partial(_colmap_pose, words[1:8], self.source))
         self.lens = any(len(words) > 3 and not words[0].endswith("PINHOLE") for words in cameras.values())
         self.notes += ("the poses' scale is the reconstruction's own, which need not be metres",)
         return self._with_depths(dict(sorted(found.items())))
@@ -186,21 +176,21 @@ class ColmapDataset(PosedPictures):
         folders = ("images", "color", "rgb", "")
         return next((folder for folder in folders if os.path.isfile(self.root / folder / name)), "images")
 
-    def _read_camera(self, camera: Sequence[str] | None, picture: Path) -> Stated:
-        words = needed(camera, "a picture of an unknown camera", path=self.source)
-        require(len(words) >= 5, "a camera without intrinsics", got=" ".join(words)[:60], path=self.source)
-        model, *text = words
-        values = as_floats(text, len(text), self.source, "a camera")
-        width, height, *rest = values.tolist()
-        focals = FOCALS.get(model, 2)
-        require(len(rest) >= focals + 2, "a camera without intrinsics", got=" ".join(words)[:60], path=self.source)
-        K = intrinsics(rest[0], rest[focals - 1], rest[focals], rest[focals + 1])
-        size = stated_in({"w": np.array([width]), "h": np.array([height])}).size
-        return half_pixel(K, size, self.source)
 
-    def _read_pose(self, pose: Sequence[str]) -> np.ndarray:
-        qw, qx, qy, qz, *t = as_floats(pose, 7, self.source, "a pose").tolist()
-        return inverse(pose_from_quaternion(np.array([*t, qx, qy, qz, qw])))
+def _colmap_camera(camera: Sequence[str] | None, source: Path, picture: Path) -> Stated:
+    words = needed(camera, "a picture of an unknown camera", path=source)
+    model, *text = words
+    values = as_floats(text, len(text), source, "a camera")
+    focals = FOCALS.get(model, 2)
+    require(len(values) >= focals + 4, "a camera without intrinsics", got=" ".join(words)[:60], path=source)
+    width, height, *rest = values.tolist()
+    K = intrinsics(rest[0], rest[focals - 1], rest[focals], rest[focals + 1])
+    return half_pixel(K, stated_in({"w": np.array([width]), "h": np.array([height])}).size, source)
+
+
+def _colmap_pose(words: Sequence[str], source: Path) -> np.ndarray:
+    qw, qx, qy, qz, *t = as_floats(words, 7, source, "a pose").tolist()
+    return inverse(pose_from_quaternion(np.array([*t, qx, qy, qz, qw])))
 
 
 def half_pixel(K: np.ndarray, size: tuple[int, int] | None, path: Path) -> Stated:

@@ -14,7 +14,7 @@ from typing import Any
 from pipeline.datasets.base import DatasetFormat
 from pipeline.datasets.recording import Listed, Recording
 from pipeline.datasets.settings import Settings
-from pipeline.system.errors import as_input_error, first_line, needed, require
+from pipeline.system.errors import as_input_error, first_line, require
 from pipeline.system.safe_files import read_json
 
 FILE = "annotations.json"
@@ -55,14 +55,10 @@ def robospatial_entries(path: Path) -> list[dict[str, Any]]:
         lacks = next((k for k in KEYS if not isinstance(entry, dict) or not isinstance(entry.get(k), str)), None)
         require(lacks is None, f"item {number} lacks its {lacks}", expected=", ".join(KEYS), path=path)
         for name in ("img", "depth_image", "mask"):
-            told = PurePosixPath(str(entry.get(name) or ""))
             # A list of items from elsewhere must not read other files.
-            needed(
-                None if told.is_absolute() or ".." in told.parts else told,
-                f"item {number}: no path in the folder",
-                got=str(told),
-                path=path,
-            )
+            inside = PurePosixPath(str(entry.get(name) or ""))
+            leaves = inside.is_absolute() or ".." in inside.parts
+            require(not leaves, f"item {number}: no path in the folder", got=str(inside), path=path)
     return entries
 
 

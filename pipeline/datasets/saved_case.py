@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
-from pipeline.datasets.base import DatasetFormat, unknown_frame
+from pipeline.datasets.base import DatasetFormat, unknown_id
 from pipeline.datasets.files import read_json
 from pipeline.datasets.images import read_color, read_depth
 from pipeline.datasets.settings import Settings
@@ -246,7 +246,7 @@ class SavedCaseDataset:
     def load(self, frame_id: str) -> Frame:
         """Decode the frame; see `Dataset.load`."""
         if frame_id not in self.frame_ids:
-            raise unknown_frame(self, frame_id)
+            raise unknown_id(self.frame_ids, frame_id, self.root)
         return read_saved_frame(self.root, self._manifest)
 
 

@@ -1,41 +1,34 @@
 """Context mesh: posed frames around a frame, fused.
 
-Fusion is Open3D's truncated signed distance volume (extra `open3d`); the mesh is kept on disk by content. What the
-frame itself shows is left out of the mesh: there its own cloud stands.
+Fusion is Open3D's truncated signed distance volume (extra `open3d`). What the frame itself shows is left out of the
+mesh: there its own cloud stands.
 """
 
 from __future__ import annotations
 
 import importlib
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
-import xxhash
 
-from pipeline.datasets.base import Dataset, readable_frames
+from pipeline.datasets.base import Dataset, load_picture, readable_frames
 from pipeline.geometry.camera import project
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import depth_edges, flying_pixels
 from pipeline.system.errors import FrameUnusable, MissingExtra, needed, require
-from pipeline.system.paths import cache_folder
-from pipeline.system.whole_files import keep_whole, write_whole
+from pipeline.system.whole_files import write_whole
 
-_VERSION = "1"
-
-
-@dataclass(frozen=True)
-class ContextConfig:
-    """Fusion settings."""
-
-    frames: int = 12  # Neighbouring frames at most, nearest in the sequence first
-    voxel: float = 0.025  # Edge of a voxel, metres
-    far: float = 6.0  # Depths beyond are left out, metres
-    hidden: float = 0.08
-    """Mesh in front of what the frame itself shows, or less than this behind it, is left out, metres."""
-    smallest_part: int = 400  # Parts of the mesh with fewer faces are left out
+MOST_FRAMES = 12
+"""Neighbouring frames at most, nearest in the sequence first."""
+VOXEL_M, FAR_M = 0.025, 6.0
+"""Edge of a voxel; depths beyond are left out."""
+HIDDEN_M = 0.08
+"""Mesh in front of what the frame itself shows, or less than this behind it, is left out."""
+SMALLEST_PART = 400
+"""Parts of the mesh with fewer faces are left out."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +41,7 @@ class ContextMesh:
     frames: int  # How many frames were fused
 
 
-def neighbours(dataset: Dataset, frame_id: str, count: int) -> tuple[str, ...]:
+def neighbours(dataset: Dataset, frame_id: str, count: int = MOST_FRAMES) -> tuple[str, ...]:
     """The frames of the same sequence nearest to a frame in the dataset's order, itself left out."""
     sequence = frame_id.rpartition("/")[0]
     ids = [i for i in dataset.frame_ids if i.rpartition("/")[0] == sequence]
@@ -56,17 +49,8 @@ def neighbours(dataset: Dataset, frame_id: str, count: int) -> tuple[str, ...]:
     return tuple(sorted((i for i in ids if i != frame_id), key=lambda i: abs(ids.index(i) - at))[:count])
 
 
-def fuse_context(
-    dataset: Dataset, frame: Frame, config: ContextConfig | None = None, folder: Path | None = None
-) -> ContextMesh:
-    """Fuse the posed frames around a frame.
-
-    Parameters
-    ----------
-    frame : Frame
-        One of its frames, with a pose.
-    folder : Path, optional
-        Cache folder; the user's own by default.
+def fuse_context(dataset: Dataset, frame: Frame) -> ContextMesh:
+    """Fuse the posed frames around a frame, which has a pose.
 
     Raises
     ------
@@ -75,22 +59,16 @@ def fuse_context(
     MissingExtra
         Where Open3D is not installed.
     """
-    config = config or ContextConfig()
     frame.camera.check_metric()
     no_pose = f"frame {frame.id} has no pose, so that no other frame can be placed around it"
     pose = needed(frame.camera.T_world_camera, no_pose, error=FrameUnusable)
-    others = readable_frames(dataset.load, neighbours(dataset, frame.id, config.frames))
-    posed = [replace(other, annotations=()) for other in others if other.camera.T_world_camera is not None]
+    others = readable_frames(partial(load_picture, dataset), neighbours(dataset, frame.id))
+    posed = [other for other in others if other.camera.T_world_camera is not None]
     require(posed, f"no other frame of the sequence of frame {frame.id} has a pose", error=FrameUnusable)
-    path = (folder or cache_folder()) / "context" / f"{_key(frame, posed, config)}.npz"
-    mesh = _load(path)
-    if mesh is None:
-        mesh = _without_the_seen(_fused(posed, np.linalg.inv(pose), config), frame, config)
-        keep_whole(path, lambda file: np.savez(file, **vars(mesh)))
-    return mesh
+    return _without_the_seen(_fused(posed, np.linalg.inv(pose)), frame)
 
 
-def _fused(frames: list[Frame], T_camera_world: np.ndarray, config: ContextConfig) -> ContextMesh:
+def _fused(frames: list[Frame], T_camera_world: np.ndarray) -> ContextMesh:
     try:
         o3d: Any = importlib.import_module("open3d")
     except (ImportError, OSError) as error:  # OSError: the wheel is there, the system's GL libraries are not.
@@ -101,7 +79,7 @@ def _fused(frames: list[Frame], T_camera_world: np.ndarray, config: ContextConfi
         attr_names=("tsdf", "weight", "color"),
         attr_dtypes=(float32, float32, float32),
         attr_channels=((1), (1), (3)),
-        voxel_size=config.voxel,
+        voxel_size=VOXEL_M,
         block_resolution=16,
         block_count=5000,
         device=o3d.core.Device("CPU:0"),
@@ -113,8 +91,8 @@ def _fused(frames: list[Frame], T_camera_world: np.ndarray, config: ContextConfi
         color = o3d.t.geometry.Image(o3d.core.Tensor(frame.rgb.astype(np.float32) / 255))
         K = o3d.core.Tensor(frame.camera.K)
         extrinsic = o3d.core.Tensor(np.linalg.inv(frame.camera.T_world_camera))
-        blocks = grid.compute_unique_block_coordinates(depth, K, extrinsic, 1.0, config.far)
-        grid.integrate(blocks, depth, color, K, K, extrinsic, 1.0, config.far)
+        blocks = grid.compute_unique_block_coordinates(depth, K, extrinsic, 1.0, FAR_M)
+        grid.integrate(blocks, depth, color, K, K, extrinsic, 1.0, FAR_M)
     # One look at a place is enough; by default three are asked for.
     mesh = grid.extract_triangle_mesh(weight_threshold=0.5)
     if mesh.is_empty():
@@ -125,7 +103,7 @@ def _fused(frames: list[Frame], T_camera_world: np.ndarray, config: ContextConfi
     return ContextMesh(vertices.astype(np.float32), faces, colors, len(frames))
 
 
-def _without_the_seen(mesh: ContextMesh, frame: Frame, config: ContextConfig) -> ContextMesh:
+def _without_the_seen(mesh: ContextMesh, frame: Frame) -> ContextMesh:
     """Mesh without the surface visible in the frame's own depth."""
     if not len(mesh.vertices):
         return mesh
@@ -135,9 +113,9 @@ def _without_the_seen(mesh: ContextMesh, frame: Frame, config: ContextConfig) ->
     depth = np.zeros(len(mesh.vertices), np.float32)
     depth[inside] = frame.depth[v[inside].astype(int), u[inside].astype(int)]
     # What lies in front of the frame's own surface, seen from its camera, is noise or hides it.
-    seen = (depth > 0) & (mesh.vertices[:, 2] < depth + config.hidden)
+    seen = (depth > 0) & (mesh.vertices[:, 2] < depth + HIDDEN_M)
     faces = mesh.faces[~seen[mesh.faces].any(axis=1)]
-    faces = faces[_part_sizes(faces, len(mesh.vertices)) >= config.smallest_part]
+    faces = faces[_part_sizes(faces, len(mesh.vertices)) >= SMALLEST_PART]
     used, compact = np.unique(faces, return_inverse=True)
     return replace(
         mesh,
@@ -156,24 +134,6 @@ def _part_sizes(faces: np.ndarray, vertices: int) -> np.ndarray:
     graph = coo_matrix((np.ones(len(edges), np.int8), (edges[:, 0], edges[:, 1])), shape=(vertices, vertices))
     part = connected_components(graph, directed=False)[1][faces[:, 0]]
     return np.bincount(part, minlength=1)[part]
-
-
-def _key(frame: Frame, others: list[Frame], config: ContextConfig) -> str:
-    digest = xxhash.xxh3_128(f"{_VERSION}{config}".encode())
-    for one in (frame, *others):
-        digest.update(one.content_hash.encode())
-        digest.update(np.ascontiguousarray(one.depth).data)
-        assert one.camera.T_world_camera is not None
-        digest.update(np.ascontiguousarray(np.concatenate([one.camera.T_world_camera[:3], one.camera.K], axis=1)).data)
-    return digest.hexdigest()
-
-
-def _load(path: Path) -> ContextMesh | None:
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            return ContextMesh(data["vertices"], data["faces"], data["colors"], int(data["frames"]))
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile):  # A missing or damaged file is a miss.
-        return None
 
 
 def export_mesh(mesh: ContextMesh, path: Path) -> None:

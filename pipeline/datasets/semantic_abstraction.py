@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.datasets.base import DatasetFormat, GivenExpression, unknown_frame
+from pipeline.datasets.base import DatasetFormat, GivenExpression, unknown_id
 from pipeline.datasets.camera_files import Stated
 from pipeline.datasets.cameras import or_note
 from pipeline.datasets.files import CUT_OFF, Part, natural, readable
@@ -42,7 +42,7 @@ from pipeline.datasets.semantic_abstraction_splits import (
 from pipeline.datasets.settings import Settings
 from pipeline.geometry.camera import Camera, intrinsics, lift_pixels
 from pipeline.language.relation import SEMANTIC_ABSTRACTION
-from pipeline.system.errors import InputError, as_input_error, in_file, require
+from pipeline.system.errors import InputError, as_input_error, in_file, needed, require
 from pipeline.system.safe_files import checked_path
 
 SUFFIX = ".hdf5"
@@ -178,18 +178,18 @@ class SemanticAbstractionDataset(Recording):
     def _view(self, frame_id: str) -> tuple[Path, int]:
         known = self._index.get(frame_id.removesuffix(RANDOMIZED).removesuffix(RENAMED))
         if known is None:
-            raise unknown_frame(self, frame_id)
+            raise unknown_id(self.frame_ids, frame_id, self.root)
         return self.root / (known[0] + SUFFIX), known[1]
 
 
 def _picture(file: Any, item: int, randomized: bool) -> np.ndarray:
     """Colour (H, W, 3) uint8; the randomised picture is an empty array outside test rooms."""
+    shape = None, None, 3
     if not randomized:
-        return read_item(file, "rgb", item, "u", None, None, 3).astype(np.uint8, copy=False)
-    try:
-        return read_item(file, "data/domain_randomized_rgb", item, "u", None, None, 3).astype(np.uint8, copy=False)
-    except InputError as error:
-        raise InputError("this view has no picture with randomised materials", got=error.what) from error
+        return read_item(file, "rgb", item, "u", *shape).astype(np.uint8, copy=False)
+    why: list[str] = []
+    found = or_note(why, "", read_item, file, "data/domain_randomized_rgb", item, "u", *shape)
+    return needed(found, "this view has no picture with randomised materials", got=why).astype(np.uint8, copy=False)
 
 
 def _scene(file: Any, item: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -267,18 +267,14 @@ def _check_own(group: Any) -> None:
 
 
 def _own(node: Any, name: Any) -> Any:
-    import h5py
-
-    outside = isinstance(node, h5py.Dataset) and (node.is_virtual or node.external)
+    outside = getattr(node, "is_virtual", False) or getattr(node, "external", None)
     require(not outside, f"{name} keeps its data in another file")
     return node
 
 
 def _dataset(file: Any, name: str) -> Any:
-    import h5py
-
     found = file.get(name)
-    require(isinstance(found, h5py.Dataset), f"{name} is missing")
+    require(hasattr(found, "shape"), f"{name} is missing")
     return found
 
 

@@ -18,11 +18,13 @@ from pipeline.datasets.base import (
     Dataset,
     frames_of_scene,
     load_picture,
+    load_pose,
     readable_frames,
     resolve_frame,
     scene_of,
-    unknown_frame,
+    unknown_id,
 )
+from pipeline.datasets.cameras import or_note
 from pipeline.datasets.settings import SOURCES, GivenUp, Settings, Vector, parse_level_at
 from pipeline.geometry.camera import IMAGE_UP, Camera
 from pipeline.geometry.frame import Frame
@@ -56,7 +58,7 @@ class UpGiven(ChangedFrames):
         self.frame_up = dict(frame_up)
         for frame_id in self.frame_up:
             if frame_id not in inner.frame_ids:
-                raise unknown_frame(inner, frame_id)
+                raise unknown_id(inner.frame_ids, frame_id, inner.root)
 
     @cached_property
     def up(self) -> GivenUp | None:
@@ -80,12 +82,9 @@ class UpGiven(ChangedFrames):
     @cached_property
     def _scene_up(self) -> dict[str, np.ndarray]:
         """World up by scene from user-set posed frames; the last setting counts."""
-        found = {}
-        for frame in readable_frames(self.inner.load, self.frame_up):
-            pose = frame.camera.T_world_camera
-            if pose is not None:
-                found[scene_of(self.inner, frame.id)] = pose[:3, :3] @ np.asarray(self.frame_up[frame.id])
-        return found
+        poses = {frame_id: or_note([], "", load_pose, self.inner, frame_id) for frame_id in self.frame_up}
+        posed = [(frame_id, pose) for frame_id, pose in poses.items() if pose is not None]
+        return {scene_of(self.inner, i): pose[:3, :3] @ np.asarray(self.frame_up[i]) for i, pose in posed}
 
     def changed(self, frame: Frame) -> Frame:
         """Frame with the user-set up vector."""

@@ -263,7 +263,12 @@ def _reordered(R: np.ndarray, by: int) -> np.ndarray:
     best = np.diagonal(q, axis1=-2, axis2=-1).argmax(axis=-1)
     xyzw = np.take_along_axis(q, best[..., None, None], axis=-1)[..., 0]
     # Read as x y z w, the numbers w x y z stand one place too early.
-    x, y, z, w = np.moveaxis(np.roll(xyzw, -by, axis=-1) / np.linalg.norm(xyzw, axis=-1, keepdims=True), -1, 0)
+    return rotations(np.roll(xyzw, -by, axis=-1) / np.linalg.norm(xyzw, axis=-1, keepdims=True))
+
+
+def rotations(xyzw: np.ndarray) -> np.ndarray:
+    """Rotations, (..., 3, 3), of unit quaternions, (..., 4), x y z w (Shoemake 1985)."""
+    x, y, z, w = np.moveaxis(xyzw, -1, 0)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
         (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),

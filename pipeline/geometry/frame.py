@@ -117,12 +117,13 @@ class Frame:
             rgb.dtype == np.uint8 and rgb.ndim == 3 and rgb.shape[2] == 3,
             f"frame {self.id}: colour must be uint8 (H, W, 3)",
             got=f"{rgb.dtype} {rgb.shape}",
+            cause=_color_advice(rgb),
         )
         require(
             depth.dtype == np.float32 and depth.shape == rgb.shape[:2],
             f"frame {self.id}: depth must be float32 metres of shape {rgb.shape[:2]}",
             got=f"{depth.dtype} {depth.shape}",
-            cause="is this the raw depth and not the one registered to the colour image?",
+            cause="is this the raw depth and not the one registered to the picture?",
         )
         require(
             (camera.height, camera.width) == depth.shape,
@@ -146,7 +147,7 @@ class Frame:
             f"frame {self.id}: depth of the wrong unit",
             got=f"a median depth of {median:.3g} m",
             expected=f"{NEAREST_MEDIAN_M:g} to {FARTHEST_MEDIAN_M:g} m",
-            cause="is the depth scale the number of depth units in one metre, 1000 for millimetres and 1 for metres?",
+            cause="is it in millimetres? the depth scale is the depth units in one metre, 1000 for millimetres",
         )
         for annotation in self.annotations:
             if annotation.mask is not None and annotation.mask.shape != depth.shape:
@@ -197,11 +198,18 @@ class Frame:
             or boxes than of masks.
         """
         rgb, depth = _array(rgb, "rgb", id), _array(depth, "depth", id)
-        _check_units(rgb, depth, id)
+        require(
+            depth.dtype.kind == "f",
+            f"frame {id}: depth must be float metres",
+            got=f"{depth.dtype} {depth.shape}",
+            cause="is it in millimetres? depth / 1000.0",
+        )
         # NaN and infinity are how others write that nothing was measured.
         depth = np.where(np.isfinite(depth), depth, 0).astype(np.float32)
         known = None if up is None else np.asarray(up, np.float64)
-        camera = Camera(K, rgb.shape[1], rgb.shape[0], T_world_camera, known, None if up is None else "given")
+        # Colour of another shape is refused by the frame.
+        height, width = (*rgb.shape, 0, 0)[:2]
+        camera = Camera(K, width, height, T_world_camera, known, None if up is None else "given")
         whole = cls(id, rgb, depth, camera)
         return replace(whole, annotations=_annotations(whole, masks, names, boxes))
 
@@ -236,36 +244,12 @@ def _array(values: object, what: str, frame: str) -> np.ndarray:
         return np.asarray(values)
 
 
-def _check_units(rgb: np.ndarray, depth: np.ndarray, frame: str) -> None:
-    """Raise InputError for a picture or a depth map of another type, order of axes or unit, with advice."""
-    turned = rgb.ndim == 3 and rgb.shape[0] == 3 and rgb.shape[2] != 3
-    advice = "are channels first? rgb.transpose(1, 2, 0)" if turned else None
+def _color_advice(rgb: np.ndarray) -> str | None:
+    """Likely way from a picture of another type or order of axes to (H, W, 3) uint8."""
     if rgb.dtype.kind == "f":
-        advice = "is it 0 to 1? (255 * rgb).astype(np.uint8)"
-    require(
-        rgb.dtype == np.uint8 and rgb.ndim == 3 and rgb.shape[2] == 3,
-        f"frame {frame}: colour must be uint8 (H, W, 3)",
-        got=f"{rgb.dtype} {rgb.shape}",
-        cause=advice,
-    )
-    millimetres = "is it in millimetres? depth / 1000.0"
-    require(
-        depth.dtype.kind == "f" and depth.shape == rgb.shape[:2],
-        f"frame {frame}: depth must be float metres of shape {rgb.shape[:2]}",
-        got=f"{depth.dtype} {depth.shape}",
-        cause="is it in millimetres? depth / 1000.0"
-        if depth.dtype.kind in "ui"
-        else "is it registered to the picture?",
-    )
-    valid = depth[np.isfinite(depth) & (depth > 0)]
-    median = float(np.median(valid)) if len(valid) else 1.0
-    require(
-        median <= FARTHEST_MEDIAN_M,
-        f"frame {frame}: depth of the wrong unit",
-        got=f"a median of {median:.4g}",
-        expected=f"metres, {NEAREST_MEDIAN_M:g} to {FARTHEST_MEDIAN_M:g}",
-        cause=millimetres,
-    )
+        return "is it 0 to 1? (255 * rgb).astype(np.uint8)"
+    turned = rgb.ndim == 3 and rgb.shape[0] == 3 and rgb.shape[2] != 3
+    return "are channels first? rgb.transpose(1, 2, 0)" if turned else None
 
 
 def _annotations(

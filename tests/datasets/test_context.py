@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pipeline.datasets import Dataset, demo_path, export_mesh, fuse_context, open_dataset
-from pipeline.datasets.scene_mesh import ContextConfig, ContextMesh, neighbours
+from pipeline.datasets.scene_mesh import HIDDEN_M, ContextMesh, neighbours
 from pipeline.geometry import project, to_world
 from pipeline.system import FrameUnusable, InputError, MissingExtra
 
@@ -36,8 +36,8 @@ def demo() -> Dataset:
 
 
 @pytest.fixture(scope="module")
-def fused(demo: Dataset, tmp_path_factory: pytest.TempPathFactory, open3d_installed: None) -> ContextMesh:
-    return fuse_context(demo, demo.load("000002/000000"), folder=tmp_path_factory.mktemp("cache"))
+def fused(demo: Dataset, open3d_installed: None) -> ContextMesh:
+    return fuse_context(demo, demo.load("000002/000000"))
 
 
 def test_neighbours_are_of_the_same_sequence_and_nearest_first(demo: Dataset) -> None:
@@ -72,45 +72,26 @@ def test_the_mesh_leaves_out_what_the_frame_itself_shows(demo: Dataset, fused: C
     inside = ((pixel >= 0) & (pixel < [frame.width, frame.height])).all(axis=1)
     depth = frame.depth[pixel[inside, 1], pixel[inside, 0]]
     z = fused.vertices[inside, 2]
-    assert not ((depth > 0) & (z < depth + ContextConfig().hidden)).any()
+    assert not ((depth > 0) & (z < depth + HIDDEN_M)).any()
     assert fused.faces.min() == 0
     assert fused.faces.max() == len(fused.vertices) - 1
-
-
-@needs_open3d
-def test_a_mesh_that_was_kept_needs_no_open3d(demo: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    frame = demo.load("000001/000001")
-    first = fuse_context(demo, frame, folder=tmp_path)
-    with monkeypatch.context() as patch:
-        patch.setattr(importlib, "import_module", _no_open3d)
-        again = fuse_context(demo, frame, folder=tmp_path)
-    np.testing.assert_array_equal(first.vertices, again.vertices)
-    np.testing.assert_array_equal(first.faces, again.faces)
-    (kept,) = (tmp_path / "context").iterdir()
-    kept.write_bytes(kept.read_bytes()[:1000])
-    # Open3D fuses on several threads, so that the order of vertices is its own.
-    anew = fuse_context(demo, frame, folder=tmp_path)
-    assert len(anew.faces) == pytest.approx(len(first.faces), rel=0.01)
-    np.testing.assert_allclose(anew.vertices.mean(axis=0), first.vertices.mean(axis=0), atol=0.01)
 
 
 def _no_open3d(name: str) -> object:
     raise ImportError(f"no module named {name}")
 
 
-def test_without_open3d_the_error_says_how_to_get_it(
-    demo: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_open3d_the_error_says_how_to_get_it(demo: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib, "import_module", _no_open3d)
     with pytest.raises(MissingExtra, match=r"spatialviz\[open3d\]"):
-        fuse_context(demo, demo.load("000001/000000"), folder=tmp_path)
+        fuse_context(demo, demo.load("000001/000000"))
 
 
-def test_a_frame_without_a_pose_has_no_context(demo: Dataset, tmp_path: Path) -> None:
+def test_a_frame_without_a_pose_has_no_context(demo: Dataset) -> None:
     frame = demo.load("000001/000000")
     lost = replace(frame, camera=replace(frame.camera, T_world_camera=None))
     with pytest.raises(FrameUnusable, match="no pose"):
-        fuse_context(demo, lost, folder=tmp_path)
+        fuse_context(demo, lost)
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".obj", ".glb"])

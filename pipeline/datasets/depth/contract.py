@@ -131,7 +131,16 @@ def find_network(given: str) -> NamedContract:
     if own.is_file():
         return NamedContract(path.stem, path, read_contract(own), own)
     repo = None if hub_id is None else hub_id.repo
-    name = next((n for n in network_names() if repo is not None and _public(n).repo == repo), "") or _recognised(path)
+    public = next((n for n in network_names() if repo is not None and _public(n).repo == repo), None)
+    session = open_session(path)
+    name = needed(
+        public or recognised(session),
+        "nothing says how this depth model's output becomes metres",
+        got=signature(session)[:240],
+        expected=f"{OPTION} NAME=FILE.onnx of {', '.join(network_names())}, or {path.stem}.toml beside it",
+        cause=f"networks of relative depth have the same tensors; examples are in {CONTRACTS}",
+        path=path,
+    )
     return NamedContract(name, path, known_contract(name), CONTRACTS / f"{name}.toml")
 
 
@@ -158,16 +167,3 @@ def recognised(session: Any) -> str | None:
     outputs = {o.name for o in session.get_outputs()}
     found = (n for n in network_names() if (by := known_contract(n).recognised_by) and outputs.issuperset(by))
     return next(found, None)
-
-
-def _recognised(path: Path) -> str:
-    """Known network by unique outputs; InputError without a match."""
-    session = open_session(path)
-    return needed(
-        recognised(session),
-        "nothing says how this depth model's output becomes metres",
-        got=signature(session)[:240],
-        expected=f"{OPTION} NAME=FILE.onnx of {', '.join(network_names())}, or {path.stem}.toml beside it",
-        cause=f"networks of relative depth have the same tensors; examples are in {CONTRACTS}",
-        path=path,
-    )
