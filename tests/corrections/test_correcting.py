@@ -66,7 +66,7 @@ def test_the_second_is_told_and_may_take_theirs(desk: Open) -> None:
     (dispute,) = disputes(conflict, bob.corrector.setting)
     edit, event = dispute.rivals[0].edit, dispute.rivals[0].event
     assert event is not None
-    theirs, mine = (shown_value(dispute.ref, value) for value in (event.after, edit.after))
+    theirs, mine = (shown_value(dispute.rivals[0].edit.ref, value) for value in (event.after, edit.after))
     assert (event.author, theirs, mine, event.reason) == ("ann", "T", "U", "seen so")
     assert len(dispute.edits) == 2, "the inverse stands and falls with its relation"
     assert bob.disputed == (conflict,)
@@ -107,7 +107,7 @@ def test_what_nobody_disputes_is_saved_with_either_choice(desk: Open) -> None:
     ann.save(edits.set_class(ann.frame(FRAME), second, "cup"))
     conflict = bob.save(both)
     assert isinstance(conflict, Conflict)
-    assert [d.ref.numbers for d in disputes(conflict, bob.corrector.setting)] == [(second,)]
+    assert [d.rivals[0].edit.ref.numbers for d in disputes(conflict, bob.corrector.setting)] == [(second,)]
     kept = decided(conflict, bob.frame(FRAME), ())
     assert [e.ref for e in kept] == [object_ref(FRAME, first, "label")]
     assert isinstance(bob.decide(conflict, ()), Saved)

@@ -112,11 +112,6 @@ class Conflict:
     rivals: tuple[Rival, ...]  # at least one
     edits: tuple[Edit, ...] = ()  # all of the action
 
-    @property
-    def ref(self) -> FieldRef:
-        """Cell to name the conflict by."""
-        return self.rivals[0].edit.ref
-
 
 class NotSaved(InputError):
     """Error of a journal that cannot be written; hands the edits back.
