@@ -75,9 +75,9 @@ class JournalLocation:
         """Open an existing journal; the reason where out of reach now, else ""; DamagedJournal for damage."""
         try:
             self.to_read()
+        except DamagedJournal:
+            raise
         except InputError as error:
-            if isinstance(error, DamagedJournal):
-                raise
             return str(error)
         return ""
 

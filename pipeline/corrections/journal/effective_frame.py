@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.corrections.journal.events import Event
-from pipeline.corrections.journal.field_refs import FIELDS, FieldRef
+from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.corrections.journal.frame_rows import AT, BOX_COLUMNS, Asked, FrameRows, Pairs, Row
 from pipeline.corrections.journal.replay import ORIGIN_FIELDS, Origin, Replayed, Unapplied
 from pipeline.geometry.lifting import LiftConfig
@@ -173,22 +173,14 @@ class EffectiveFrame:
 
     def value(self, ref: FieldRef) -> Any:
         """Value of a cell now; None for no such entity."""
-        if ref.field not in FIELDS[ref.kind]:
-            return None
-        sentence = (ref.kind, ref.field) == ("expression", "exists")
-        if sentence or ref.kind in ("frame", "review") or ref.field.endswith("status"):
+        if ref.kind in ("frame", "review") or ref.field == "exists" or ref.field.endswith("status"):
             return self.statuses.get(ref)
-        if ref.kind == "object":
-            row = self.object(ref.numbers[0])
-            if ref.field == "exists":
-                return None if row is None or ref.numbers[0] in self.auto.objects else self.statuses.get(ref)
-            return None if row is None else object_value(row, ref.field)
         if ref.kind == "relation":
             return self.pairs.state(*ref.numbers, ref.field)  # pyright: ignore[reportCallIssue]
         if ref.field == "mark":
             return self.marks.get(ref.key)
-        row = self.expression(ref.key)
-        return None if row is None else row[ref.field]
+        row = self.object(ref.numbers[0]) if ref.kind == "object" else self.expression(ref.key)
+        return None if row is None else object_value(row, ref.field)
 
     def object(self, number: int) -> Row | None:
         """Row of a standing or rejected object; None for no such object."""
