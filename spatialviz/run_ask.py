@@ -57,13 +57,13 @@ def run_ask(command: AskCommand) -> int:
         path=command.save,
     )
     answered = 0
-    source, labels, known = _opened(command)
-    for answer in ask_and_judge(source, command.frame, command.expressions, labels, warn_skipped, **known):
+    pipeline, labels, known = _opened(command)
+    for answer in ask_and_judge(pipeline, command.frame, command.expressions, labels, warn_skipped, **known):
         trace = answer.needed_trace()
         answered += answer.holds is True
         command.write(answer.record(), print_answer, answer, trace)
         if trace.missing and command.frame != ALL_FRAMES and not command.json:
-            print_overlooked(missed_names(source, trace))
+            print_overlooked(missed_names(pipeline, trace))
         if command.save is not None:
             save_picture(trace, command.save)
     return FINE if answered else NO
@@ -97,27 +97,27 @@ def run_relations(command: RelationsCommand) -> int:
 
 
 def run_measure(command: MeasureCommand) -> None:
-    source = open_pipeline(command.dataset, **command.camera.camera(command.frame))
-    context = source.prepare(one_frame(source.dataset.frame_ids, command.frame, source.dataset.root))
+    pipeline = open_pipeline(command.dataset, **command.camera.camera(command.frame))
+    context = pipeline.prepare(one_frame(pipeline.dataset.frame_ids, command.frame, pipeline.dataset.root))
     (u0, v0), (u1, v1) = (
         numbers(text, "U,V", int, "a pixel is two numbers") for text in (command.first, command.second)
     )
     found = measure(context.frame.depth, context.frame.camera, context.viewer, (u0, v0), (u1, v1))
-    source = {"depth_source": context.frame.depth_source} if context.frame.depth_source else {}
-    record = {"frame": context.frame.id, **found.record(), "up_source": context.viewer.up_source, **source}
+    estimated = {"depth_source": context.frame.depth_source} if context.frame.depth_source else {}
+    record = {"frame": context.frame.id, **found.record(), "up_source": context.viewer.up_source, **estimated}
     command.write(record, print_measurement, found, context)
 
 
 def run_frames(command: FramesCommand) -> int:
     camera = command.camera.camera()
-    sources, left_out = open_sources(command.dataset, **camera, srm="rule", browse=True)
+    pipelines, left_out = open_sources(command.dataset, **camera, srm="rule", browse=True)
     for name, reason in left_out.items():
         warn(f"left out {name}: {reason}")
     usable = 0
-    for name, source in sources.items():
+    for name, pipeline in pipelines.items():
         # One dataset alone needs no name in its records.
-        named = {"dataset": name} if len(sources) > 1 else {}
-        usable += _survey_frames(command, source.dataset, camera, named)
+        named = {"dataset": name} if len(pipelines) > 1 else {}
+        usable += _survey_frames(command, pipeline.dataset, camera, named)
     return FINE if usable else NO
 
 

@@ -39,10 +39,10 @@ _STYLE = {"same": "green", "updated": "yellow", "changed": "red", "damaged": "re
 
 def run_whatif(command: WhatIfCommand) -> int:
     edits = Edits() if command.edits is None else load_edits(command.edits)
-    source = command.source.open(command.dataset, command.frame)
-    context = _one_context(source, command.frame)
+    pipeline = command.source.open(command.dataset, command.frame)
+    context = _one_context(pipeline, command.frame)
     labels = None if command.labels is None else open_labels(command.labels)
-    baseline = Baseline(source, context, command.expression)
+    baseline = Baseline(pipeline, context, command.expression)
     edits = edits_from_words(baseline, edits, command.do, command.on)
     record, after = whatif_answer(baseline, edits, labels)
     command.write(record, print_change)
@@ -51,33 +51,33 @@ def run_whatif(command: WhatIfCommand) -> int:
 
 def whatif_answer(baseline: Baseline, edits: Edits, labels: Labels | None) -> tuple[dict[str, Any], Outcome]:
     """Record of `whatif --json`, and the answer under edits."""
-    source, context = baseline.source, baseline.context
+    pipeline, context = baseline.source, baseline.context
     if unknown := foreign_keys(baseline, edits):
         known = ", ".join(sorted(baseline.all_keys)[:30])
         raise InputError("edits of objects that are not there", got=", ".join(unknown), expected=known)
     after = rerun(baseline, edits)
-    weights = replace(source.config.rank, **edits.rank)
-    truth = truth_or_reason(source, context, labels)
-    first = judged(baseline.outcome.trace, source, context, truth).verdict
-    verdicts = first, judged(after.trace, source, context, truth, weights).verdict
+    weights = replace(pipeline.config.rank, **edits.rank)
+    truth = truth_or_reason(pipeline, context, labels)
+    first = judged(baseline.outcome.trace, pipeline, context, truth).verdict
+    verdicts = first, judged(after.trace, pipeline, context, truth, weights).verdict
     return whatif_record(baseline, after, edits, verdicts), after
 
 
 def run_save_case(command: SaveCaseCommand) -> None:
     run = open_run(command.dataset) if (Path(command.dataset) / RUN_FILE).is_file() else None
-    source = command.source.open(command.dataset, command.frame) if run is None else run.source
+    pipeline = command.source.open(command.dataset, command.frame) if run is None else run.source
     labels = None if command.labels is None else open_labels(command.labels)
     if run is not None:
         require(not command.source.words(), "a run has its own options", got=" ".join(command.source.words()))
         labels = labels or run.labels
-    context = _one_context(source, command.frame)
+    context = _one_context(pipeline, command.frame)
     edits = None if command.edits is None else edits_record(load_edits(command.edits))
     now = save_case(
         command.out,
-        source,
+        pipeline,
         context,
         command.expression,
-        truth=frame_truth(source, context, labels),
+        truth=frame_truth(pipeline, context, labels),
         confidence=None if run is None else run.spec.confidence,
         edits=edits,
         run=None if run is None else {"run": str(run.folder)},
@@ -138,19 +138,19 @@ def run_report(command: ReportCommand) -> None:
     if command.frame is None:
         srm = None if command.source.srm == "trained" else command.source.srm
         opened = open_case(command.dataset, srm=srm, vectors=command.source.vectors)
-        source, context, answered = opened.source, opened.context, opened.answer()
+        pipeline, context, answered = opened.source, opened.context, opened.answer()
         subject = Subject.of_case(opened)
     else:
         if command.expression is None:
             raise InputError("EXPRESSION is missing", expected='for example "mug left of the laptop"')
-        source = command.source.open(command.dataset, command.frame)
-        context = _one_context(source, command.frame)
+        pipeline = command.source.open(command.dataset, command.frame)
+        context = _one_context(pipeline, command.frame)
         labels = None if command.labels is None else open_labels(command.labels)
-        answered = answer(source, context, command.expression, truth=frame_truth(source, context, labels))
+        answered = answer(pipeline, context, command.expression, truth=frame_truth(pipeline, context, labels))
         subject = Subject.of_dataset(
-            command.dataset, source, context, command.expression, command.source.words(), labels
+            command.dataset, pipeline, context, command.expression, command.source.words(), labels
         )
-    page = failure_page(answered, source, context, subject, scene_html(answered, context) if command.scene else None)
+    page = failure_page(answered, pipeline, context, subject, scene_html(answered, context) if command.scene else None)
     write_page(page, command.out)
     verdict = answered.verdict
     command.write(
@@ -189,10 +189,10 @@ def whatif_record(
     return record
 
 
-def _one_context(source: Pipeline, text: str) -> PreparedFrame:
-    dataset = source.dataset
+def _one_context(pipeline: Pipeline, text: str) -> PreparedFrame:
+    dataset = pipeline.dataset
     frame = dataset.load(one_frame(dataset.frame_ids, text, dataset.root))
-    return prepare_frame(dataset, frame, source.config.lift)
+    return prepare_frame(dataset, frame, pipeline.config.lift)
 
 
 _FACTORS = {

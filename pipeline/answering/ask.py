@@ -161,8 +161,8 @@ def ask(
     grammar where none is given.
 
     >>> from pipeline.answering import open_pipeline
-    >>> source = open_pipeline("demo")
-    >>> trace = ask(source.frames[0], "mug left of the laptop", source.needed_detector())
+    >>> pipeline = open_pipeline("demo")
+    >>> trace = ask(pipeline.frames[0], "mug left of the laptop", pipeline.needed_detector())
     >>> [trace.name(k) for k in (trace.ranking.pairs[0].target, trace.ranking.pairs[0].reference)]
     ['mug·3', 'laptop·2']
     """

@@ -33,34 +33,34 @@ class FrameAnswers:
 
     def __init__(
         self,
-        source: Pipeline,
+        pipeline: Pipeline,
         context: PreparedFrame,
         names: Sequence[str],
         relations: Collection[str] = PAIRWISE,
         clock: StageClock | None = None,
     ) -> None:
-        detector = source.needed_detector()
+        detector = pipeline.needed_detector()
         unknown: dict[str, str] = {}
         found: dict[str, Proposals] = {}
         self.clock = clock or StageClock()
         with self.clock.stage("opm"):
             for name in names:
                 try:
-                    found[name] = propose(context, detector, name, source.config.k)
+                    found[name] = propose(context, detector, name, pipeline.config.k)
                 except InputError as error:
                     unknown[name] = str(error)
-        calibration = None if is_final(detector) else source.config.score_calibration
+        calibration = None if is_final(detector) else pipeline.config.score_calibration
         with self.clock.stage("lift"):
             objects, candidates = joined({n: (p, context.lift(p, detector)) for n, p in found.items()}, calibration)
         with self.clock.stage("srm"):
-            scores = source.score(context, objects, relations) if objects else None
+            scores = pipeline.score(context, objects, relations) if objects else None
         nothing = Candidates(np.zeros(0, np.int64), np.zeros(0))
         named = {name: candidates.get(name, nothing) for name in names}
-        self._set(source, context, objects, named, scores, unknown)
+        self._set(pipeline, context, objects, named, scores, unknown)
 
     def _set(
         self,
-        source: Pipeline,
+        pipeline: Pipeline,
         context: PreparedFrame,
         objects: tuple[SceneObject, ...],
         candidates: dict[str, Candidates],
@@ -68,22 +68,22 @@ class FrameAnswers:
         unknown: dict[str, str],
     ) -> None:
         with self.clock.stage("rank"):
-            self.same = same_object(objects, told_by_ids(source.needed_detector()))
-        rank = source.config.rank.of([o.id for o in objects], self.same)
-        if rank is not source.config.rank:
-            source = replace(source, config=replace(source.config, rank=rank))
-        self.source, self.context, self.objects, self.candidates = source, context, objects, candidates
+            self.same = same_object(objects, told_by_ids(pipeline.needed_detector()))
+        rank = pipeline.config.rank.of([o.id for o in objects], self.same)
+        if rank is not pipeline.config.rank:
+            pipeline = replace(pipeline, config=replace(pipeline.config, rank=rank))
+        self.source, self.context, self.objects, self.candidates = pipeline, context, objects, candidates
         self.unknown = unknown
         self.boxes = np.array([o.bbox for o in objects], np.float64).reshape(-1, 4)
         self.mask_sizes = np.array([o.lifted.quality.mask_pixels for o in objects], np.int64)
         self._scores = scores
 
     @classmethod
-    def of_trace(cls, source: Pipeline, context: PreparedFrame, trace: Trace) -> FrameAnswers:
+    def of_trace(cls, pipeline: Pipeline, context: PreparedFrame, trace: Trace) -> FrameAnswers:
         """Answers of a trace: its own objects, candidates and relations, edited or not."""
         found = cls.__new__(cls)
         found.clock = StageClock()
-        found._set(source, context, trace.objects, dict(trace.candidates), trace.scores, {})
+        found._set(pipeline, context, trace.objects, dict(trace.candidates), trace.scores, {})
         return found
 
     def probabilities(self, relation: str) -> np.ndarray | None:

@@ -204,9 +204,9 @@ def check_places(frames: Sequence[tuple[Pipeline, str]]) -> None:
     placed: list[tuple[Prediction, bool]] = []
     sizes: list[tuple[float, str]] = []
     chosen = np.unique(np.linspace(0, len(frames) - 1, min(LOOKED_AT, len(frames))).astype(int))
-    for source, frame_id in (frames[int(k)] for k in chosen):
-        detector, frame = source.needed_detector(), source.dataset.load(frame_id)
-        context = prepare_frame(source.dataset, frame, source.config.lift)
+    for pipeline, frame_id in (frames[int(k)] for k in chosen):
+        detector, frame = pipeline.needed_detector(), pipeline.dataset.load(frame_id)
+        context = prepare_frame(pipeline.dataset, frame, pipeline.config.lift)
         camera = context.frame.camera
         for line in predictions.of_frame(frame_id):
             spot = _answered_spot(line, header, frame.width, frame.height)

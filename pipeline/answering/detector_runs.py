@@ -59,7 +59,7 @@ class RecordingReport:
 
 
 def record_detections(
-    source: Pipeline,
+    pipeline: Pipeline,
     out: str | Path,
     class_names: Sequence[str] | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -70,7 +70,7 @@ def record_detections(
 
     Parameters
     ----------
-    source : Pipeline
+    pipeline : Pipeline
         Its `config.k` proposals of each name are kept, as `ask` would; those of an exact detector all.
     out : str or Path
         A JSON file where the name ends in ".json", else a folder with an NPZ file for each frame: it must not exist, or
@@ -89,8 +89,8 @@ def record_detections(
         No detector, a name that is nowhere known, no usable frame, or a place that cannot be written.
     """
     start = perf_counter()
-    detector, out = source.needed_detector(), Path(out)
-    chosen = source.dataset.frame_ids if frame_ids is None else tuple(frame_ids)
+    detector, out = pipeline.needed_detector(), Path(out)
+    chosen = pipeline.dataset.frame_ids if frame_ids is None else tuple(frame_ids)
     skipped: dict[str, str] = {}
     unknown: dict[str, int] = {}
     classes: Counter[str] = Counter()
@@ -99,8 +99,8 @@ def record_detections(
     with writer(out, f"{detector.name}: {detector.fingerprint()}") as write:
         for done, frame_id in enumerate(chosen, start=1):
             try:
-                frame = source.dataset.load(frame_id)
-                found = findings(frame, detector, class_names, source.config.k, unknown)
+                frame = pipeline.dataset.load(frame_id)
+                found = findings(frame, detector, class_names, pipeline.config.k, unknown)
             except InputError as error:
                 skipped[frame_id] = str(error)
             else:
@@ -111,7 +111,7 @@ def record_detections(
                 progress(done, len(chosen))
         if not frames:
             reason = next(iter(skipped.values()), None)
-            raise InputError("there is no usable frame to record", cause=reason, path=source.dataset.root)
+            raise InputError("there is no usable frame to record", cause=reason, path=pipeline.dataset.root)
         never = tuple(name for name, times in unknown.items() if times == frames)
         if class_names and len(never) == len(set(class_names)):
             raise InputError(f"the detector {detector.name} knows none of the names", got=", ".join(never[:8]))
@@ -223,7 +223,7 @@ def annotated_names(frame: Frame) -> tuple[str, ...]:
 
 
 def collect_hits(
-    source: Pipeline,
+    pipeline: Pipeline,
     frame_ids: Sequence[str],
     class_names: ClassNames = annotated_names,
     *,
@@ -233,20 +233,20 @@ def collect_hits(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Collect detections as `ask` gets them, with their hits.
 
-    `source`: A dataset with annotations, and a detector; `frame_ids`: broken frames are left out, with their reason to
+    `pipeline`: of a dataset with annotations, with a detector; `frame_ids`: broken ones are left out, their reason to
     `skipped`; `class_names`: the names to be asked for in a frame, each by itself; names that the detector does not
     know are left out; `progress`: called with (frames done, frames in all); `used`: called with each frame that was not
     left out. Returns `scores` (N,) float64; `hits` (N,) bool; `frames` (N,) int64: which of `frame_ids` each is of.
     """
-    detector = source.needed_detector()
+    detector = pipeline.needed_detector()
     require(not detector.exact, f"the detections of {detector.name!r} are the truth: there is nothing to calibrate")
-    require(source.dataset.class_names, "a calibration needs a dataset with annotations", path=source.dataset.root)
-    truth = AnnotationDetector(source.dataset.class_names, source.synonyms)
+    require(pipeline.dataset.class_names, "a calibration needs a dataset with annotations", path=pipeline.dataset.root)
+    truth = AnnotationDetector(pipeline.dataset.class_names, pipeline.synonyms)
     parts: list[tuple[np.ndarray, np.ndarray, int]] = []
     for n, frame_id in enumerate(frame_ids):
         try:
-            frame = source.dataset.load(frame_id)
-            parts += [(*pair, n) for pair in _of_frame(frame, detector, truth, class_names(frame), source.config.k)]
+            frame = pipeline.dataset.load(frame_id)
+            parts += [(*pair, n) for pair in _of_frame(frame, detector, truth, class_names(frame), pipeline.config.k)]
             if used is not None:
                 used(frame)
         except InputError as error:
@@ -276,7 +276,7 @@ def _of_frame(
 
 
 def calibrate_scores(
-    source: Pipeline,
+    pipeline: Pipeline,
     frame_ids: Sequence[str],
     class_names: ClassNames = annotated_names,
     *,
@@ -295,22 +295,22 @@ def calibrate_scores(
         `ece` (15 bins), `log_loss` and `reliability`, a list of {low, high, count, score, hits} by bin of score.
     """
     fitted_on: list[FittedFrame] = []
-    dataset = source.dataset
+    dataset = pipeline.dataset
 
     def note(frame: Frame) -> None:
         fitted_on.append(FittedFrame(frame.id, scene_of(dataset, frame.id), frame.content_hash))
 
-    scores, hits, frames = collect_hits(source, frame_ids, class_names, progress=progress, skipped=skipped, used=note)
+    scores, hits, frames = collect_hits(pipeline, frame_ids, class_names, progress=progress, skipped=skipped, used=note)
     require(len(scores), "the detector found nothing in these frames", cause="are they the right ones?")
     a, b = fit_scores(scores, hits)
-    fingerprint = source.needed_detector().fingerprint()
+    fingerprint = pipeline.needed_detector().fingerprint()
     calibration = ScoreCalibration(
         fingerprint,
         a,
         b,
         int(hits.sum()),
         int((~hits).sum()),
-        source.config.k,
+        pipeline.config.k,
         dataset.root.resolve().name,
         tuple(fitted_on),
     )

@@ -156,16 +156,16 @@ def scorer_of(predictions: Predictions, line: Prediction | None, stand_in: Relat
     return SuppliedRelations(relations, stand_in, name, predictions.header.scorer is not None)
 
 
-def file_of(source: Pipeline) -> Predictions:
+def file_of(pipeline: Pipeline) -> Predictions:
     """Predictions read by a pipeline."""
-    assert source.predictions is not None
-    return source.predictions
+    assert pipeline.predictions is not None
+    return pipeline.predictions
 
 
-def line_of(source: Pipeline) -> Prediction:
+def line_of(pipeline: Pipeline) -> Prediction:
     """Prediction behind a pipeline of a single expression."""
-    assert source.line is not None
-    return source.line
+    assert pipeline.line is not None
+    return pipeline.line
 
 
 @dataclass(frozen=True)
@@ -247,12 +247,12 @@ def open_imported(predictions: Path, dataset: Any, **options: Any) -> ImportedPi
         path=predictions,
     )
     options.pop("srm", None)
-    source = open_pipeline(dataset, srm="rule", **options)
+    pipeline = open_pipeline(dataset, srm="rule", **options)
     read = read_predictions(predictions)
-    known = set(source.dataset.frame_ids)
+    known = set(pipeline.dataset.frame_ids)
     for line in read.lines.values():
         if line.frame not in known:
-            close = suggest(line.frame, source.dataset.frame_ids, 1)
+            close = suggest(line.frame, pipeline.dataset.frame_ids, 1)
             cause = f"did you mean {close[0]!r}?" if close else "is it another dataset?"
             raise InputError(
                 f"{read.where(line, 'frame')}: the dataset has no such frame",
@@ -261,13 +261,13 @@ def open_imported(predictions: Path, dataset: Any, **options: Any) -> ImportedPi
                 path=read.path,
             )
     named = read.header.scorer
-    scorer = FittedScorer(read, source.dataset) if named is None else make_scorer(named, options.get("vectors"))
+    scorer = FittedScorer(read, pipeline.dataset) if named is None else make_scorer(named, options.get("vectors"))
     return ImportedPipeline(
-        source.dataset,
+        pipeline.dataset,
         ImportedDetector(read),
         scorer_of(read, None, scorer),
         config_of(read),
-        source.synonyms,
+        pipeline.synonyms,
         predictions=read,
     )
 

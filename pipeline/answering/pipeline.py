@@ -267,7 +267,7 @@ def open_sources(path: str | Path, **options: Any) -> tuple[dict[str, Pipeline],
 
     Returns
     -------
-    sources : dict of str to Source
+    pipelines : dict of str to Pipeline
         By folder name, at least one.
     left_out : dict of str to str
         Folders that could not be opened, and why.
@@ -283,16 +283,16 @@ def open_sources(path: str | Path, **options: Any) -> tuple[dict[str, Pipeline],
         folder = local_path(path)
         if not folder.is_dir():
             raise
-        sources: dict[str, Pipeline] = {}
+        pipelines: dict[str, Pipeline] = {}
         left_out: dict[str, str] = {}
         for inside in sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith(".")):
             try:
-                sources[inside.name] = open_pipeline(inside, **options)
+                pipelines[inside.name] = open_pipeline(inside, **options)
             except InputError as error:
                 left_out[inside.name] = str(error)
-        if not sources:
+        if not pipelines:
             raise
-        return sources, left_out
+        return pipelines, left_out
 
 
 def frame_range(dataset: Dataset, key: str | int | None) -> tuple[str, ...]:
@@ -313,14 +313,14 @@ def frame_range(dataset: Dataset, key: str | int | None) -> tuple[str, ...]:
     return found
 
 
-def contexts(source: Pipeline, key: str | int | None, skipped: Skipped | None = None) -> Iterator[PreparedFrame]:
+def contexts(pipeline: Pipeline, key: str | int | None, skipped: Skipped | None = None) -> Iterator[PreparedFrame]:
     """Prepared frames, lazily.
 
     A broken frame that was asked for by name is an error; among all frames it is skipped with its reason.
     """
-    for frame_id in frame_range(source.dataset, key):
+    for frame_id in frame_range(pipeline.dataset, key):
         try:
-            context = prepare_frame(source.dataset, source.dataset.load(frame_id), source.config.lift)
+            context = prepare_frame(pipeline.dataset, pipeline.dataset.load(frame_id), pipeline.config.lift)
         except InputError as error:
             skip_or_raise(error, key, frame_id, skipped)
             continue
@@ -348,15 +348,17 @@ class FrameRelations:
     depth_source: str = ""
 
 
-def relate_frames(source: Pipeline, key: str | int | None, skipped: Skipped | None = None) -> Iterator[FrameRelations]:
+def relate_frames(
+    pipeline: Pipeline, key: str | int | None, skipped: Skipped | None = None
+) -> Iterator[FrameRelations]:
     """Score every pair of objects of every frame of `key`."""
-    detector = source.needed_detector()
-    for context in contexts(source, key, skipped):
+    detector = pipeline.needed_detector()
+    for context in contexts(pipeline, key, skipped):
         try:
             objects = all_objects(context, detector)
         except FrameUnusable as error:
             skip_or_raise(error, key, context.frame.id, skipped)
             continue
-        scores = source.score(context, objects)
+        scores = pipeline.score(context, objects)
         frame = context.frame
         yield FrameRelations(frame.id, objects, scores, detector.exact, context.viewer, frame.depth_source)

@@ -37,7 +37,7 @@ from pipeline.relations.relations import T, U
 from pipeline.system.errors import InputError, ServerError, require
 
 
-def frame_truth(source: Pipeline, context: PreparedFrame, labels: Labels | None = None) -> FrameCases | None:
+def frame_truth(pipeline: Pipeline, context: PreparedFrame, labels: Labels | None = None) -> FrameCases | None:
     """Truth of a frame: by labels where given, else by its annotations; None without annotations.
 
     Raises
@@ -46,8 +46,8 @@ def frame_truth(source: Pipeline, context: PreparedFrame, labels: Labels | None 
         The labels say nothing of the frame or are of another picture, or its annotations cannot be labelled.
     """
     if labels is None:
-        return annotated_truth(context, source)
-    truth = labelled_truth(context.frame.id, source, labels)
+        return annotated_truth(context, pipeline)
+    truth = labelled_truth(context.frame.id, pipeline, labels)
     if truth is None:
         raise InputError(f"the labels say nothing of frame {context.frame.id}", path=labels.root)
     truth.check_picture(context.frame)
@@ -55,7 +55,7 @@ def frame_truth(source: Pipeline, context: PreparedFrame, labels: Labels | None 
 
 
 def ask_and_judge(
-    source: Pipeline,
+    pipeline: Pipeline,
     key: str | int,
     expressions: Sequence[str],
     labels: Labels | None = None,
@@ -76,32 +76,32 @@ def ask_and_judge(
     marks, confidence
         As for `judge_trace`, the marks by frame and id of the expression: those of a run judge as the run did.
     """
-    source.needed_detector()
-    for context in contexts(source, key, skipped):
+    pipeline.needed_detector()
+    for context in contexts(pipeline, key, skipped):
         truth: FrameCases | str | None = None
         try:
             for n, text in enumerate(expressions):
-                trace = source.ask(context, text)
+                trace = pipeline.ask(context, text)
                 if n == 0:
-                    truth = truth_or_reason(source, context, labels)
+                    truth = truth_or_reason(pipeline, context, labels)
                 case = labelled_case(truth, trace.query.text) if isinstance(truth, FrameCases) else None
                 mark = None if case is None else marks.get((context.frame.id, case.id))
-                yield judged(trace, source, context, truth, case=case, mark=mark, confidence=confidence)
+                yield judged(trace, pipeline, context, truth, case=case, mark=mark, confidence=confidence)
         except FrameUnusable as error:
             skip_or_raise(error, key, context.frame.id, skipped)
 
 
-def truth_or_reason(source: Pipeline, context: PreparedFrame, labels: Labels | None) -> FrameCases | str | None:
+def truth_or_reason(pipeline: Pipeline, context: PreparedFrame, labels: Labels | None) -> FrameCases | str | None:
     """Truth of a frame by `frame_truth`, or the reason for none."""
     try:
-        return frame_truth(source, context, labels)
+        return frame_truth(pipeline, context, labels)
     except InputError as error:
         return str(error)
 
 
 def judged(
     trace: Trace,
-    source: Pipeline,
+    pipeline: Pipeline,
     context: PreparedFrame,
     truth: FrameCases | str | None,
     rank: RankConfig | None = None,
@@ -114,7 +114,7 @@ def judged(
     found: Diagnosis | str | None = truth if isinstance(truth, str) else None
     if isinstance(truth, FrameCases):
         try:
-            found = judge_trace(trace, source, context, truth, case=case, mark=mark, confidence=confidence, rank=rank)
+            found = judge_trace(trace, pipeline, context, truth, case=case, mark=mark, confidence=confidence, rank=rank)
         except InputError as error:
             found = str(error)
     if isinstance(found, str):
@@ -123,7 +123,7 @@ def judged(
 
 
 def answer(
-    source: Pipeline,
+    pipeline: Pipeline,
     context: PreparedFrame,
     text: str,
     *,
@@ -137,24 +137,24 @@ def answer(
 
     `case`, `mark`, `confidence`: as for `pipeline.diagnosis.asking.judge_trace`; `edits`: edits as JSON.
     """
-    source.needed_detector()
+    pipeline.needed_detector()
     rank: RankConfig | None = None
     try:
-        trace = source.ask(context, text)
+        trace = pipeline.ask(context, text)
     except ServerError:
         raise  # Nothing is told about the expression.
     except InputError as error:
         found = None
         if truth is not None and case is not None:
-            found = judge_refused(source, context, truth, case, error, mark=mark, confidence=confidence)
+            found = judge_refused(pipeline, context, truth, case, error, mark=mark, confidence=confidence)
         return Answer(text, problem=str(error), diagnosis=found)
     if edits:
-        trace, rank = edited_trace(source, context, text, edits)
-    return judged(trace, source, context, truth, rank, case=case, mark=mark, confidence=confidence)
+        trace, rank = edited_trace(pipeline, context, text, edits)
+    return judged(trace, pipeline, context, truth, rank, case=case, mark=mark, confidence=confidence)
 
 
 def judge_refused(
-    source: Pipeline,
+    pipeline: Pipeline,
     context: PreparedFrame,
     truth: FrameCases,
     case: Case,
@@ -168,16 +168,16 @@ def judge_refused(
     Parameters as for `judge_trace`; `problem` is the reason.
     """
     with suppress(InputError):  # A file without a line for it.
-        source = source.asked(context.frame.id, case.text)
-    query, unread = read_query(case, source.dataset.class_names, source.reader)
-    answers = FrameAnswers(source, context, (case.target, case.reference), (case.relation,))
+        pipeline = pipeline.asked(context.frame.id, case.text)
+    query, unread = read_query(case, pipeline.dataset.class_names, pipeline.reader)
+    answers = FrameAnswers(pipeline, context, (case.target, case.reference), (case.relation,))
     return judge_answers(answers, truth, case, query, mark=mark, confidence=confidence, problem=unread or problem)
 
 
-def edited_trace(source: Pipeline, context: PreparedFrame, text: str, edits: Edited) -> tuple[Trace, RankConfig]:
+def edited_trace(pipeline: Pipeline, context: PreparedFrame, text: str, edits: Edited) -> tuple[Trace, RankConfig]:
     """Answer under edits, with the weights of its ranking."""
     read = pathless_edits(edits)
-    return rerun(Baseline(source, context, text), read).trace, replace(source.config.rank, **read.rank)
+    return rerun(Baseline(pipeline, context, text), read).trace, replace(pipeline.config.rank, **read.rank)
 
 
 def pathless_edits(edits: Edited) -> Edits:
@@ -197,20 +197,20 @@ def _second_opinion() -> OnnxScorer | None:
     return open_second_opinion(LabelConfig().second_opinion)
 
 
-def annotated_truth(context: PreparedFrame, source: Pipeline) -> FrameCases | None:
+def annotated_truth(context: PreparedFrame, pipeline: Pipeline) -> FrameCases | None:
     """Truth of an annotated frame, labelled now by the default profile; None without annotations."""
     if not context.frame.annotations:
         return None
     config = LabelConfig(vocabulary="all", lift=context.config)
     objects = all_objects(context, AnnotationDetector())
     frame_id = context.frame.id
-    ids = source.dataset.frame_ids
+    ids = pipeline.dataset.frame_ids
     rows = label_objects(
         context,
         objects,
         config,
         frame_index=ids.index(frame_id) if frame_id in ids else 0,
-        scene=scene_of(source.dataset, frame_id),
+        scene=scene_of(pipeline.dataset, frame_id),
         exact=True,
         network=_second_opinion(),
     )
@@ -218,11 +218,11 @@ def annotated_truth(context: PreparedFrame, source: Pipeline) -> FrameCases | No
     return frame_cases(frame_id, index, scene, rows.objects, rows.relations, {}, config.relations)
 
 
-def labelled_truth(frame_id: str, source: Pipeline, labels: Labels) -> FrameCases | None:
+def labelled_truth(frame_id: str, pipeline: Pipeline, labels: Labels) -> FrameCases | None:
     """Truth of a frame by labels, with their expressions; None for a frame outside the labels."""
-    if frame_id not in source.dataset.frame_ids:
+    if frame_id not in pipeline.dataset.frame_ids:
         return None
-    index = source.dataset.frame_ids.index(frame_id)
+    index = pipeline.dataset.frame_ids.index(frame_id)
     return next((truth for truth in read_cases(labels, index, index + 1) if truth.frame == frame_id), None)
 
 
@@ -232,7 +232,9 @@ def labelled_case(truth: FrameCases, text: str) -> Case | None:
     return next((c for c in truth.cases if " ".join(c.text.casefold().split()) == wanted), None)
 
 
-def case_of(truth: FrameCases, trace: Trace, source: Pipeline, context: PreparedFrame) -> tuple[FrameCases, Case] | str:
+def case_of(
+    truth: FrameCases, trace: Trace, pipeline: Pipeline, context: PreparedFrame
+) -> tuple[FrameCases, Case] | str:
     """Truth of a typed expression by the frame's relations, or the reason for none.
 
     Expressions of more than a relation between two names become a `sentence_case`.
@@ -247,11 +249,11 @@ def case_of(truth: FrameCases, trace: Trace, source: Pipeline, context: Prepared
     e = query.expression
     plain = len(query.readings) == 1 and query.default.root.triple is not None
     if e is None or not plain or e.second_reference or e.inverse or e.relation not in truth.states:
-        made = sentence_case(truth, trace, source, context)
+        made = sentence_case(truth, trace, pipeline, context)
         return made if isinstance(made, str) else (truth, made)
-    known = tuple(dict.fromkeys([*truth.labels, *source.dataset.class_names]))
+    known = tuple(dict.fromkeys([*truth.labels, *pipeline.dataset.class_names]))
     # By other letters or another word it is the same pair, and has the same verdict.
-    meant = [match(spelt(name, known, source.synonyms), known, source.synonyms) for name in (e.target, e.reference)]
+    meant = [match(spelt(name, known, pipeline.synonyms), known, pipeline.synonyms) for name in (e.target, e.reference)]
     ends = [np.array([label in names for label in truth.labels], np.bool_) for names in meant]
     states = np.where(ends[0][:, None] & ends[1][None, :] & truth.judged, truth.states[e.relation], -1)
     np.fill_diagonal(states, -1)
@@ -281,7 +283,7 @@ def case_of(truth: FrameCases, trace: Trace, source: Pipeline, context: Prepared
 
 def judge_trace(
     trace: Trace,
-    source: Pipeline,
+    pipeline: Pipeline,
     context: PreparedFrame,
     truth: FrameCases,
     *,
@@ -305,35 +307,35 @@ def judge_trace(
     confidence : float, optional
         Score of an object that RECALL adds.
     rank : RankConfig, optional
-        The weights the trace was ranked with, where they are not the source's.
+        The weights the trace was ranked with, where they are not the pipeline's.
     """
-    source = source.asked(context.frame.id, trace.query.text)
+    pipeline = pipeline.asked(context.frame.id, trace.query.text)
     case = case or labelled_case(truth, trace.query.text)
     if best_pair(trace) is None and not trace.missing and trace.answered is None:
         return "there is no answer to judge"
     if case is None:
-        made = case_of(truth, trace, source, context)
+        made = case_of(truth, trace, pipeline, context)
         if isinstance(made, str):
             return made
         truth, case = made
     if rank is not None:
-        source = replace(source, config=replace(source.config, rank=rank))
+        pipeline = replace(pipeline, config=replace(pipeline.config, rank=rank))
     names = [name for name, _ in truth.roles(case)]
     if is_gold(trace.query, case) and all(name in trace.candidates for name in names):
-        answers = FrameAnswers.of_trace(source, context, trace)
+        answers = FrameAnswers.of_trace(pipeline, context, trace)
     else:
-        answers = FrameAnswers(source, context, names, case.relations)
+        answers = FrameAnswers(pipeline, context, names, case.relations)
     return judge_answers(answers, truth, case, trace.query, mark=mark, confidence=confidence)
 
 
 def judge_sentence(
-    trace: Trace, source: Pipeline, context: PreparedFrame, truth: FrameCases, right: np.ndarray
+    trace: Trace, pipeline: Pipeline, context: PreparedFrame, truth: FrameCases, right: np.ndarray
 ) -> Diagnosis | str:
     """Verdict on a trace with given right answers, (K,) int64 labelled objects; or the reason for none."""
-    case = sentence_case(truth, trace, source, context, right)
+    case = sentence_case(truth, trace, pipeline, context, right)
     if isinstance(case, str):
         return case
-    return judge_answers(FrameAnswers.of_trace(source, context, trace), truth, case, trace.query)
+    return judge_answers(FrameAnswers.of_trace(pipeline, context, trace), truth, case, trace.query)
 
 
 def judge_answers(

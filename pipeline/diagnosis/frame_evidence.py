@@ -198,16 +198,18 @@ class FrameEvidence:
         return self._stand_ins.get(relation)
 
     def _score(self, relations: Sequence[str]) -> None:
-        source, d = self.answers.source, self.detections
-        points = any(needs_points(source.scorer, relation) for relation in relations)
+        pipeline, d = self.answers.source, self.detections
+        points = any(needs_points(pipeline.scorer, relation) for relation in relations)
         indices = self._involved(relations)
         true = {k: self.objects.get(k, points) for k in (indices[indices >= d] - d).tolist()}
         indices = np.array([p for p in indices.tolist() if p < d or true[p - d] is not None], np.int64)
         objects = [self.answers.objects[p] if p < d else true[p - d] for p in indices.tolist()]
         present = [o for o in objects if o is not None]
-        kept = [(source, self._probabilities)]
+        kept = [(pipeline, self._probabilities)]
         if not self.asked_again:
-            kept.append((replace(source, scorer=getattr(source.scorer, "stand_in", source.scorer)), self._stand_ins))
+            kept.append(
+                (replace(pipeline, scorer=getattr(pipeline.scorer, "stand_in", pipeline.scorer)), self._stand_ins)
+            )
         for own, tables in kept:
             scores = own.score(self.answers.context, present, relations) if present else None
             for relation in relations:

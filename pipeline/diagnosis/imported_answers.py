@@ -30,12 +30,12 @@ FEWEST_ALIKE, ALIKE = 3, 0.05
 
 def unavailable_oracles(evidence: FrameEvidence, case: Case, gold: bool) -> dict[str, str]:
     """Oracles without a basis in a line of predictions, with the reasons; none for our own answers."""
-    source = evidence.answers.source
-    line = source.line
+    pipeline = evidence.answers.source
+    line = pipeline.line
     if line is None:
         return {}
     nothing = answers_nothing(line)
-    rule = source.config.rank.rule
+    rule = pipeline.config.rank.rule
     why = ""
     if line.relations is None:
         why = "no relation probabilities are given"
@@ -47,7 +47,7 @@ def unavailable_oracles(evidence: FrameEvidence, case: Case, gold: bool) -> dict
         why = "what the ranking goes by is not given, and does not show"
     if why:
         return dict.fromkeys(ORACLES, why)
-    predictions = file_of(source)
+    predictions = file_of(pipeline)
     boxed = [predictions.box_of(line.frame, i) is not None for i in line.objects]
     if line.boxes_3d is None if not boxed else not any(boxed):
         return dict.fromkeys(("RECALL", "LIFT"), "no 3D boxes are given")
@@ -94,8 +94,8 @@ def answered_overlap(line: Prediction, predictions: Predictions, truth: FrameCas
 
 def judge_without_ranking(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | None) -> Diagnosis:
     """Verdict on an answer without a ranking: levels 0 to 2, and lines without an answer."""
-    source = evidence.answers.source
-    line, predictions = line_of(source), file_of(source)
+    pipeline = evidence.answers.source
+    line, predictions = line_of(pipeline), file_of(pipeline)
     truth, frame = evidence.truth, evidence.answers.context.frame
     overlap = answered_overlap(line, predictions, truth, frame)
     hits, pairs = overlap >= HIT, truth.acceptable_pairs(case)

@@ -32,9 +32,9 @@ def not_proposed(evidence: FrameEvidence, case: Case, found: OracleScores, diagn
 
 
 def missed_of(evidence: FrameEvidence, name: str, objects: np.ndarray) -> Missed:
-    source, frame = evidence.answers.source, evidence.answers.context.frame
+    pipeline, frame = evidence.answers.source, evidence.answers.context.frame
     right = evidence.truth.boxes[objects]
-    return why_missed(frame, name, right, source.config.k, source.needed_detector(), source.unfiltered_detector)
+    return why_missed(frame, name, right, pipeline.config.k, pipeline.needed_detector(), pipeline.unfiltered_detector)
 
 
 NEAR_MISS = 0.1

@@ -43,7 +43,7 @@ _TRUE, _FALSE = STATE_PROBABILITY[1], STATE_PROBABILITY[-1]
 
 
 def sentence_case(
-    truth: FrameCases, trace: Trace, source: Pipeline, context: PreparedFrame, right: np.ndarray | None = None
+    truth: FrameCases, trace: Trace, pipeline: Pipeline, context: PreparedFrame, right: np.ndarray | None = None
 ) -> Case | str:
     """Case of a sentence with its truth, or the reason for none.
 
@@ -64,8 +64,8 @@ def sentence_case(
     absent = [name for name in trace.missing if name not in (root.label, reference)]
     if absent:
         return f"no {absent[0]} was found, and without it nothing is ranked"
-    names = tuple(dict.fromkeys([*truth.labels, *source.dataset.class_names]))
-    classes = {n.label: _of_class(n, truth, names, source) for n in nodes}
+    names = tuple(dict.fromkeys([*truth.labels, *pipeline.dataset.class_names]))
+    classes = {n.label: _of_class(n, truth, names, pipeline) for n in nodes}
     if right is not None:
         classes[root.label] = classes[root.label] | np.isin(np.arange(len(truth.labels)), right)
     nothing = np.zeros(0, np.int64)
@@ -86,7 +86,7 @@ def sentence_case(
     unknown = sorted(case.relations - truth.states.keys() - _BY_GEOMETRY)
     if unknown:
         return f"the truth of {unknown[0]!r} is not known"
-    world = _LabelledWorld(truth, trace, source, context, case)
+    world = _LabelledWorld(truth, trace, pipeline, context, case)
     if right is None:
         attributes = _seen(world, nodes)
         if isinstance(attributes, str):
@@ -110,18 +110,18 @@ def sentence_case(
     return replace(case, target_object=a, reference_object=b)
 
 
-def _of_class(node: Node, truth: FrameCases, names: tuple[str, ...], source: Pipeline) -> np.ndarray:
+def _of_class(node: Node, truth: FrameCases, names: tuple[str, ...], pipeline: Pipeline) -> np.ndarray:
     """(N,) bool: labelled objects meant by the name of a noun phrase."""
-    name = spelt(node.name, names, source.synonyms)
-    meant = truth.labels if node.anything else match(name, names, source.synonyms)
+    name = spelt(node.name, names, pipeline.synonyms)
+    meant = truth.labels if node.anything else match(name, names, pipeline.synonyms)
     return np.array([label in meant for label in truth.labels], np.bool_)
 
 
 class _LabelledWorld:
     """Labelled objects alone, as the candidates of a sentence."""
 
-    def __init__(self, truth: FrameCases, trace: Trace, source: Pipeline, context: PreparedFrame, case: Case) -> None:
-        answers = FrameAnswers.of_trace(source, context, trace)
+    def __init__(self, truth: FrameCases, trace: Trace, pipeline: Pipeline, context: PreparedFrame, case: Case) -> None:
+        answers = FrameAnswers.of_trace(pipeline, context, trace)
         answers.candidates = {name: Candidates(np.zeros(0, np.int64), np.zeros(0)) for name, _ in truth.roles(case)}
         self.truth, self.case, self._evidence = truth, case, FrameEvidence(truth, answers, cases=(case,))
 

@@ -135,7 +135,7 @@ class MissedNames:
     seen: dict[str, int]
 
 
-def missed_names(source: Pipeline, trace: Trace) -> MissedNames:
+def missed_names(pipeline: Pipeline, trace: Trace) -> MissedNames:
     """Find missed names below the detector's minimum score, and other seen objects.
 
     The detector runs again on the frame, once for each missing name and once for everything.
@@ -145,14 +145,14 @@ def missed_names(source: Pipeline, trace: Trace) -> MissedNames:
     InputError
         The detector cannot be asked again.
     """
-    detector, below = source.needed_detector(), {}
+    detector, below = pipeline.needed_detector(), {}
     if isinstance(detector, Segmented):
         # Counting needs no masks.
         detector = detector.detector
     missing = {n.label: n for n in trace.query.nodes if n.label in trace.missing}
     for label, node in missing.items() if not detector.exact else ():
-        name = name_for(node, detector, source.synonyms)
-        scores = source.unfiltered_detector().detect(trace.frame, None if name is None else [name]).scores
+        name = name_for(node, detector, pipeline.synonyms)
+        scores = pipeline.unfiltered_detector().detect(trace.frame, None if name is None else [name]).scores
         if len(scores):
             below[label] = float(scores.max())
     try:
@@ -182,7 +182,7 @@ class SuggestedQuestions:
 
 
 def suggest_questions(
-    source: Pipeline,
+    pipeline: Pipeline,
     context: PreparedFrame,
     objects: Sequence[SceneObject],
     truth: FrameCases | None = None,
@@ -192,7 +192,7 @@ def suggest_questions(
 
     Parameters
     ----------
-    source : Pipeline
+    pipeline : Pipeline
         What will answer.
     objects : sequence of SceneObject
         All that its detector finds in the frame.
@@ -201,28 +201,32 @@ def suggest_questions(
     count : int
         Questions, at most.
     """
-    if source.predictions is not None:
-        lines = source.predictions.of_frame(context.frame.id)
+    if pipeline.predictions is not None:
+        lines = pipeline.predictions.of_frame(context.frame.id)
         names = {name for line in lines for name in line.proposals or {}}
         return SuggestedQuestions(
             tuple(sorted(names)), tuple(line.text for line in lines[:count]), "the file of predictions"
         )
     if truth is not None and truth.cases:
-        return SuggestedQuestions(tuple(sorted(set(truth.labels))), _labelled(source, truth.cases, count), "the labels")
+        return SuggestedQuestions(
+            tuple(sorted(set(truth.labels))), _labelled(pipeline, truth.cases, count), "the labels"
+        )
     by = "the annotations"
     if context.frame.annotations:
         objects = all_objects(context, AnnotationDetector())
     else:
         objects, by = [o for o in objects if o.score >= SURE], f"detections of at least {SURE:.2f}"
-    scores = source.score(context, objects) if objects else None
+    scores = pipeline.score(context, objects) if objects else None
     questions = () if scores is None else suggest_expressions(objects, scores, context.viewer, count)
     return SuggestedQuestions(tuple(sorted({o.label for o in objects})), questions, by)
 
 
-def _labelled(source: Pipeline, cases: Sequence[Case], count: int) -> tuple[str, ...]:
+def _labelled(pipeline: Pipeline, cases: Sequence[Case], count: int) -> tuple[str, ...]:
     """Clear-cut expressions of the labels about different objects, of names known to the detector."""
-    known = None if source.detector is None else source.detector.vocabulary
-    fit = [c for c in cases if known is None or all(match(n, known, source.synonyms) for n in (c.target, c.reference))]
+    known = None if pipeline.detector is None else pipeline.detector.vocabulary
+    fit = [
+        c for c in cases if known is None or all(match(n, known, pipeline.synonyms) for n in (c.target, c.reference))
+    ]
     chosen: list[Case] = []
     used: Counter[str] = Counter()
     while fit and len(chosen) < count:
@@ -234,11 +238,11 @@ def _labelled(source: Pipeline, cases: Sequence[Case], count: int) -> tuple[str,
     return tuple(c.text for c in chosen)
 
 
-def first_answered(source: Pipeline, context: PreparedFrame, questions: Sequence[str]) -> str:
+def first_answered(pipeline: Pipeline, context: PreparedFrame, questions: Sequence[str]) -> str:
     """First question with an answer; empty for none."""
     for text in questions:
         try:
-            trace = source.ask(context, text)
+            trace = pipeline.ask(context, text)
         except InputError:
             continue
         if best_pair(trace) is not None or trace.answered is not None:

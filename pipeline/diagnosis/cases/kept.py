@@ -151,9 +151,9 @@ def read_proposals(path: Path) -> tuple[KeptProposals, str]:
     return kept, hashlib.sha256(data).hexdigest()
 
 
-def keep_predictions(source: ImportedPipeline, frame: str) -> tuple[bytes, ShownRecord]:
+def keep_predictions(pipeline: ImportedPipeline, frame: str) -> tuple[bytes, ShownRecord]:
     """Lines of a frame as a file of predictions, with the findings from the whole file."""
-    file, rules, stand_in = source.predictions, source.rules, source.stand_in
+    file, rules, stand_in = pipeline.predictions, pipeline.rules, pipeline.stand_in
     lines = (as_json(thing) for thing in (replace(file.header, events=False), *file.of_frame(frame)))
     ranking = rules.shown and ShownRankingRecord(
         weights=tuple(rules.shown.weights.tolist()), unit=rules.shown.unit, scale=rules.shown.scale

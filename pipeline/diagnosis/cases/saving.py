@@ -67,7 +67,7 @@ from pipeline.system.whole_files import sha256_of, temporary_sibling, write_sync
 
 def save_case(
     folder: str | Path,
-    source: Pipeline,
+    pipeline: Pipeline,
     context: PreparedFrame,
     text: str,
     *,
@@ -86,7 +86,7 @@ def save_case(
     ----------
     folder : str or Path
         Must not exist, or be empty.
-    source : Pipeline
+    pipeline : Pipeline
         What answers; its detector is asked once more, without its minimum score too.
     text : str
         The expression.
@@ -111,8 +111,8 @@ def save_case(
     Raises
     ------
     InputError
-        No detector, a folder that is in use, edits that cannot be applied, or a source whose answer does not come back
-        from what it gave; nothing is written then.
+        No detector, a folder that is in use, edits that cannot be applied, or a pipeline whose answer does not come
+        back from what it gave; nothing is written then.
     """
     folder = Path(folder)
     require(
@@ -121,22 +121,22 @@ def save_case(
         expected="a new one",
         path=folder,
     )
-    now = answer(source, context, text, truth=truth, case=case, mark=mark, confidence=confidence, edits=edits)
+    now = answer(pipeline, context, text, truth=truth, case=case, mark=mark, confidence=confidence, edits=edits)
     frame, files = saved_frame(context.frame)
-    shown, made_relations = None, source.scorer
-    if isinstance(source, ImportedPipeline):
-        files[PREDICTIONS], shown = keep_predictions(source, context.frame.id)
-        made_relations = source.scorer if shown.relations is not None else source.stand_in
+    shown, made_relations = None, pipeline.scorer
+    if isinstance(pipeline, ImportedPipeline):
+        files[PREDICTIONS], shown = keep_predictions(pipeline, context.frame.id)
+        made_relations = pipeline.scorer if shown.relations is not None else pipeline.stand_in
     else:
-        files[PROPOSALS] = _json(_proposals(source, context, now, case)).encode()
+        files[PROPOSALS] = _json(_proposals(pipeline, context, now, case)).encode()
     scorer, network = _scorer_record(made_relations)
     if network is not None:
         files[NETWORK] = network
     judged = now.diagnosis
     known = None if judged is None else truth_record(judged.truth, judged.case, mark, confidence)
     record = answer_record(now)
-    detector = source.needed_detector()
-    reading = None if source.reader is parse else TypeAdapter(Query).dump_python(source.read(text), mode="json")
+    detector = pipeline.needed_detector()
+    reading = None if pipeline.reader is parse else TypeAdapter(Query).dump_python(pipeline.read(text), mode="json")
     manifest = {
         "format": CASE_FORMAT,
         "name": name or f"{text} in {context.frame.id}",
@@ -147,20 +147,20 @@ def save_case(
         "text": text,
         **({} if reading is None else {"reading": reading}),
         "frame": frame.model_dump(mode="json", exclude=set() if frame.depth_source else {"depth_source"}),
-        "dataset": {"format": source.dataset.format, "name": source.dataset.root.resolve().name},
-        "class_names": list(source.dataset.class_names),
+        "dataset": {"format": pipeline.dataset.format, "name": pipeline.dataset.root.resolve().name},
+        "class_names": list(pipeline.dataset.class_names),
         "synonyms": None
-        if source.synonyms is None or source.synonyms == default_synonyms()
-        else source.synonyms.record(),
+        if pipeline.synonyms is None or pipeline.synonyms == default_synonyms()
+        else pipeline.synonyms.record(),
         "detector": {
             "name": detector.name,
             "exact": detector.exact,
-            "vocabulary": None if source.dataset.class_names or shown is not None else detector.vocabulary,
+            "vocabulary": None if pipeline.dataset.class_names or shown is not None else detector.vocabulary,
             "fingerprint_sha256": hashlib.sha256(detector.fingerprint().encode()).hexdigest(),
         },
         "scorer": scorer.model_dump(mode="json"),
         **({} if shown is None else {"shown": shown.model_dump(mode="json")}),
-        "config": config_record(source.config),
+        "config": config_record(pipeline.config),
         "truth": known,
         "edits": dict(edits) if edits else None,
         "run": dict(run or {}),
@@ -169,11 +169,11 @@ def save_case(
     checked_expected(manifest["expected"], folder / MANIFEST)
     with as_input_error("the case cannot be written as JSON", TypeError, ValueError, got=str):
         files[MANIFEST] = _json(manifest).encode()
-    _write_whole(folder, files, source, record)
+    _write_whole(folder, files, pipeline, record)
     return now
 
 
-def _write_whole(folder: Path, files: dict[str, bytes], source: Pipeline, record: dict[str, Any]) -> None:
+def _write_whole(folder: Path, files: dict[str, bytes], pipeline: Pipeline, record: dict[str, Any]) -> None:
     """Write beside the folder, replay, and rename."""
     partial = temporary_sibling(folder)
     try:
@@ -181,7 +181,7 @@ def _write_whole(folder: Path, files: dict[str, bytes], source: Pipeline, record
         partial.mkdir()
         for file, data in files.items():
             write_synced(partial / file, data)
-        opened = open_case(partial, scorer=None if source.predictions is not None else source.scorer)
+        opened = open_case(partial, scorer=None if pipeline.predictions is not None else pipeline.scorer)
         again = answer_record(opened.answer())
         if again != record:
             require(
@@ -203,12 +203,12 @@ def _write_whole(folder: Path, files: dict[str, bytes], source: Pipeline, record
         shutil.rmtree(partial, ignore_errors=True)
 
 
-def _proposals(source: Pipeline, context: PreparedFrame, now: Answer, case: Case | None) -> dict[str, Any]:
+def _proposals(pipeline: Pipeline, context: PreparedFrame, now: Answer, case: Case | None) -> dict[str, Any]:
     names: list[str] = [] if now.trace is None else list(now.trace.query.labels)
     case = now.diagnosis.case if now.diagnosis is not None else case
     if case is not None:
         names += filter(None, (case.target, case.reference))
-    return keep_proposals(context.frame, source.needed_detector(), source.unfiltered_detector(), names)
+    return keep_proposals(context.frame, pipeline.needed_detector(), pipeline.unfiltered_detector(), names)
 
 
 def _json(record: dict[str, Any]) -> str:
@@ -292,15 +292,15 @@ class OpenedCase:
         }
         same = hashlib.sha256(made[min_score].fingerprint().encode()).hexdigest()
         note = () if same == self.manifest.detector.fingerprint_sha256 else (f"{name} is not set as it was",)
-        source = replace(self.source, detector=made[min_score], open_unfiltered=lambda: made[0.0])
-        return replace(self, source=source, notes=(*self.notes, *note))
+        pipeline = replace(self.source, detector=made[min_score], open_unfiltered=lambda: made[0.0])
+        return replace(self, source=pipeline, notes=(*self.notes, *note))
 
     def with_predictions(self, predictions: Predictions, rules: RunRules | None = None) -> OpenedCase:
         """Case answered by another pipeline, possibly a later version of its own."""
         own, shown = self.source, self.manifest.shown
         scorer = RuleScorer() if shown is None else shown.scorer(predictions, own.dataset)
-        source = imported_source(predictions, own.dataset, scorer, config_of(predictions), own.synonyms, rules)
-        return replace(self, source=source, notes=())
+        pipeline = imported_source(predictions, own.dataset, scorer, config_of(predictions), own.synonyms, rules)
+        return replace(self, source=pipeline, notes=())
 
 
 def open_case(
@@ -339,8 +339,8 @@ def open_case(
     if manifest.truth is not None:
         truth, case, mark, confidence = read_truth(manifest.truth, manifest.frame.id, root / MANIFEST)
     make = _own_source if manifest.shown is None else _imported_source
-    source = make(root, table, manifest, scorer)
-    return OpenedCase(root, manifest, table, expected, source, truth, case, mark, confidence, notes)
+    pipeline = make(root, table, manifest, scorer)
+    return OpenedCase(root, manifest, table, expected, pipeline, truth, case, mark, confidence, notes)
 
 
 def _imported_source(

@@ -61,8 +61,8 @@ def what_changed(
     >>> from pipeline.answering import open_pipeline
     >>> from pipeline.diagnosis.whatif.edits import Edits
     >>> from pipeline.diagnosis.whatif.rerun import Baseline, rerun
-    >>> source = open_pipeline("demo")
-    >>> baseline = Baseline(source, source.prepare(0), "mug left of the laptop")
+    >>> pipeline = open_pipeline("demo")
+    >>> baseline = Baseline(pipeline, pipeline.prepare(0), "mug left of the laptop")
     >>> after = rerun(baseline, Edits().with_hidden(baseline.outcome.keys[0]))
     >>> what_changed(baseline.outcome, after)["changed"]
     True

@@ -25,7 +25,7 @@ PROFILE_SETTINGS = ("cone", "doubtful_cone", "dead_zone", "dead_zone_depth")
 WEIGHTS = ("target_weight", "reference_weight", "relation_weight")
 
 
-def edit_from_words(said: str, view: AnswerView, source: Pipeline, keys: tuple[str, ...]) -> Edits:
+def edit_from_words(said: str, view: AnswerView, pipeline: Pipeline, keys: tuple[str, ...]) -> Edits:
     """Add an edit in words to the edits of a view.
 
     Parameters
@@ -66,7 +66,7 @@ def edit_from_words(said: str, view: AnswerView, source: Pipeline, keys: tuple[s
             boxes = {k: box for k, box in edits.boxes.items() if k != key}
             return replace(edits, boxes=boxes).with_mask(key, mask)
         case "set", [name, value]:
-            return _setting(edits, source, name, value)
+            return _setting(edits, pipeline, name, value)
     raise InputError("there is no such edit", got=said)
 
 
@@ -155,7 +155,7 @@ def _mask(view: AnswerView, keys: tuple[str, ...], way: str, more: list[str]) ->
     raise InputError("there is no such mask", got=way, expected="grow, rectangle or label")
 
 
-def _setting(edits: Edits, source: Pipeline, name: str, value: str) -> Edits:
+def _setting(edits: Edits, pipeline: Pipeline, name: str, value: str) -> Edits:
     """Set a value; the pipeline's own value is no edit."""
     match name:
         case "scorer":
@@ -164,7 +164,7 @@ def _setting(edits: Edits, source: Pipeline, name: str, value: str) -> Edits:
             return edits.with_scorer(None if value == "own" else value)
         case "k":
             k = int(number_of([value]))
-            return edits.with_k(None if k == source.config.k else k)
+            return edits.with_k(None if k == pipeline.config.k else k)
         case "min_score":
             return edits.with_min_score(number_of([value]) or None)
     require(name in WEIGHTS or name in PROFILE_SETTINGS, "there is no such setting", got=name)

@@ -69,14 +69,14 @@ class Baseline:
     `found`; `outcome`: the answer without edits.
     """
 
-    def __init__(self, source: Pipeline, context: PreparedFrame, text: str) -> None:
-        source = source.asked(context.frame.id, text)
-        self.source, self.context, self.text = source, context, text
-        self.detector = source.needed_detector()
+    def __init__(self, pipeline: Pipeline, context: PreparedFrame, text: str) -> None:
+        pipeline = pipeline.asked(context.frame.id, text)
+        self.source, self.context, self.text = pipeline, context, text
+        self.detector = pipeline.needed_detector()
         start = perf_counter()
-        self.query = source.read(text)
+        self.query = pipeline.read(text)
         read = perf_counter()
-        self.found, self.query = detections(context.frame, self.detector, self.query, source.synonyms)
+        self.found, self.query = detections(context.frame, self.detector, self.query, pipeline.synonyms)
         self.seconds = {"parse": read - start, "opm": perf_counter() - read}
         self.keys = {name: detection_keys(name, found) for name, found in self.found.items()}
         self._lock = RLock()
