@@ -23,7 +23,7 @@ from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.asking import answer, labelled_truth
 from pipeline.diagnosis.opened import Opened
 from pipeline.diagnosis.verdict import VERDICTS, shown_verdict
-from pipeline.evaluation.browsing import SHOWN, RunRows
+from pipeline.evaluation.browsing import RunRows
 from pipeline.evaluation.leakage import Share, shares_of_run
 from pipeline.evaluation.records import read_records
 from pipeline.evaluation.search import find_failures
@@ -110,19 +110,9 @@ class Failures(InNotebook):
     def __arrow_c_stream__(self, requested_schema: object = None) -> object:
         return self.table.__arrow_c_stream__(requested_schema)
 
-    @property
-    def shown(self) -> pa.Table:
-        """Columns of `failures --json`."""
-        return self.table.select([name for name in SHOWN if name in self.table.column_names])
-
     def to_pandas(self) -> Any:
         """All columns as a pandas.DataFrame; ImportError without pandas."""
         return self.table.to_pandas()
-
-
-def found_failures(rows: RunRows, search: str, again: Answered) -> Failures:
-    """Find expressions of a run as `find_failures` does, by marks too."""
-    return Failures(search, find_failures(rows.records, search), again)
 
 
 def asked_again(opened: Opened, spec: EvalSpec, frame: str, expression: str) -> Answer:
@@ -214,7 +204,7 @@ class Run(InNotebook):
         InputError
             The search cannot be read, or the run has no verdicts.
         """
-        return found_failures(RunRows(self.records, self.folder), search, self.answer)
+        return Failures(search, find_failures(RunRows(self.records, self.folder).records, search), self.answer)
 
     def answer(self, frame: str, expression: str) -> Answer:
         """Answer an expression of the labels by id, with the run's models now, judged as in the run.

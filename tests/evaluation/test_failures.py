@@ -22,7 +22,6 @@ def test_failures_are_those_of_the_search_as_an_arrow_table(run: pipeline.Run) -
     assert {f.row["verdict"] for f in found} == {"SRM", "LIFT"}
     assert pa.table(found).equals(found.table)  # pyright: ignore[reportArgumentType]
     assert found.table.shape == (len(found), run.records.num_columns + 1)  # And the marks.
-    assert found.shown.column_names[:2] == ["id", "frame"]
     assert repr(found) == f"<Failures 'verdict:SRM,LIFT sort:margin': {len(found)} expressions>"
     # What was not answered rightly: what the page lists, too, and one less the accuracy.
     wrong = [not right for right in run.records.column("set_correct").to_pylist()]
