@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.datasets.base import MOVES, DatasetFormat
-from pipeline.datasets.camera_files import Stated
-from pipeline.datasets.cameras import inverse, one_file, or_note, rigid
+from pipeline.datasets.cameras import Stated, inverse, one_file, or_note, rigid
 from pipeline.datasets.files import as_floats, listing, numbered_lines, read_json, read_mat, readable
 from pipeline.datasets.recording import DepthRule, Listed, Recording
 from pipeline.datasets.settings import Settings

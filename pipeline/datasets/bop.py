@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.datasets.base import DatasetFormat
-from pipeline.datasets.camera_files import Stated
-from pipeline.datasets.cameras import inverse, one_file, or_note, rigid
+from pipeline.datasets.cameras import Stated, inverse, one_file, or_note, rigid
 from pipeline.datasets.files import as_floats, listing, read_bytes, read_json, readable
 from pipeline.datasets.images import read_mask
 from pipeline.datasets.pairing import COLOR_SUFFIXES

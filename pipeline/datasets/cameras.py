@@ -1,18 +1,241 @@
-"""Poses from files, checked, and a dataset with its poses shifted."""
+"""Cameras and poses from files, checked; and a dataset with its poses shifted.
+
+Makers write the same few numbers into JSON, YAML, INI, MATLAB, NPZ and plain text under a dozen names. Every file is
+read into one flat table of names and numbers, and the names that are known are looked up in it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-from pathlib import Path
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePath
 from typing import Any, TypeVar
 
 import numpy as np
 
 from pipeline.datasets.base import ChangedFrames, Dataset, load_picture, load_pose, scene_of
-from pipeline.geometry.camera import rotations
+from pipeline.datasets.files import read_bytes, read_mat, shortened
+from pipeline.datasets.images import Blob
+from pipeline.geometry.camera import intrinsics, rotations
 from pipeline.geometry.frame import Frame
-from pipeline.system.errors import InputError, require
+from pipeline.system import safe_files
+from pipeline.system.errors import InputError, as_input_error, require
+
+CAMERA_SUFFIXES = (".json", ".yml", ".yaml", ".txt", ".toml", ".ini", ".cfg", ".mat", ".npy", ".npz", ".pincam")
+LARGEST_BYTES = 64 * 1024
+"""A camera file has some hundred bytes; a larger text is not searched to find out. MATLAB files carry more beside."""
+CENTRED = 0.15
+"""A principal point this share of the picture's size off its middle belongs to a picture of another size."""
+
+_MATRICES = re.compile(r"(cam(era)?_?)?k|(.*_)?intrinsics?(_?mat(rix)?|_?params?)?|camera_?mat(rix)?|cam_?mat", re.I)
+_NUMBERS = (
+    ("fx", "fl_x", "focal_x", "focal_length_x", "fu"),
+    ("fy", "fl_y", "focal_y", "focal_length_y", "fv"),
+    ("cx", "ppx", "c_x", "principal_x", "x0", "u0"),
+    ("cy", "ppy", "c_y", "principal_y", "y0", "v0"),
+)
+_MAT_NAMES = ("intrinsic_matrix", "intrinsics", "K", "cam_K", "camera_matrix", "factor_depth", "depth_scale")
+"""Variables of a MATLAB file that are read; others may be large."""
+_SIZES = (("width", "w", "image_width", "cols"), ("height", "h", "image_height", "rows"))
+_UNITS = ("factor_depth", "depth_scale", "depth_factor", "depthmapfactor", "depth_map_factor", "png_depth_scale")
+
+
+@dataclass(frozen=True)
+class Stated:
+    """Camera facts from files; None where missing."""
+
+    K: np.ndarray | None = None  # (3, 3) float64 or None
+    size: tuple[int, int] | None = None  # (width, height) or None: Of the pictures that K is for, pixels
+    units_per_metre: float | None = None
+    path: Blob | None = None  # The file that says it
+
+    def scaled(self, size: tuple[int, int], other: tuple[int, int]) -> np.ndarray | None:
+        """Intrinsics K for a picture of `size` (width, height), with colour of size `other` before resizing. A file
+        that names no size is taken to speak of whichever of both has its middle at the principal point."""
+        if self.K is None:
+            return None
+        known = self.size
+        if known is None:
+            cx, cy = self.K[:2, 2]
+            middle = {s: max(abs(cx / s[0] - 0.5), abs(cy / s[1] - 0.5)) for s in (size, other)}
+            fit = [s for s, off in middle.items() if off < CENTRED]
+            # Where neither has it, the camera's own check tells.
+            known = fit[0] if fit else size
+        sx, sy = size[0] / known[0], size[1] / known[1]
+        require(
+            abs(sx / sy - 1) < 0.02,
+            "the camera file is for another image size",
+            got=f"{known[0]}x{known[1]}",
+            expected=f"{size[0]}x{size[1]} as the images",
+            path=self.path,
+        )
+        if sx == sy == 1:
+            return self.K
+        # Pixels count from their centres, so that a picture's corner is at -0.5.
+        K = self.K.copy()
+        K[:2, 2] += 0.5
+        K[0] *= sx
+        K[1] *= sy
+        K[:2, 2] -= 0.5
+        return K
+
+
+NOTHING = Stated()
+
+
+def read_stated(path: Blob) -> Stated:
+    """Read the camera facts of a file."""
+    return stated_in(dict(_named_numbers(path)), path)
+
+
+def stated_in(table: Mapping[str, np.ndarray], path: Blob | None = None) -> Stated:
+    """Camera facts in a flat table of numbers by dotted name."""
+    last = {}
+    for name, numbers in table.items():
+        parts = name.lower().split(".")
+        # "camera_matrix.data" is the matrix, "camera_matrix.rows" is no picture's height.
+        key = parts[-2] if parts[-1] == "data" and len(parts) > 1 else parts[-1]
+        if not (key in ("rows", "cols") and len(parts) > 1):
+            last.setdefault(key, numbers)
+    four = [_first(last, names) for names in _NUMBERS]
+    width, height = (_first(last, names) for names in _SIZES)
+    size = _size(width, height)
+    numbers = [f for f in four if f is not None]
+    K = intrinsics(*numbers) if len(numbers) == 4 else None
+    for key, found in last.items():
+        if K is None and _MATRICES.fullmatch(key):
+            K = _matrix(found)
+    if K is None and "" in table:
+        # A file of bare numbers: a matrix, fx fy cx cy, or with the picture's size before them.
+        bare = table[""]
+        K = _matrix(bare[2:] if bare.size == 6 else bare)
+        if K is not None and bare.size == 6:
+            size = _size(float(bare[0]), float(bare[1]))
+    return Stated(K, size, _units(_first(last, _UNITS)), path)
+
+
+def stated_beside(paths: Iterable[Path], told: bool = False) -> Stated:
+    """First value of each camera fact over several files; files without any are skipped."""
+    found: list[Stated] = []
+    units: float | None = None
+    for path in paths:
+        try:
+            stated = read_stated(path)
+        except InputError:
+            continue
+        units = units or stated.units_per_metre
+        if stated.K is not None:
+            found.append(stated)
+    if not found:
+        return Stated(units_per_metre=units)
+    for other in () if told else found[1:]:
+        matrices = [np.asarray(stated.K) for stated in (other, found[0])]
+        same = other.size != found[0].size or np.allclose(*matrices, atol=0.01)
+        require(
+            same,
+            "two camera files disagree",
+            got=f"{PurePath(found[0].path or '').name} and {PurePath(other.path or '').name}",
+            expected="--intrinsics fx,fy,cx,cy",
+            path=other.path,
+        )
+    return Stated(found[0].K, found[0].size, units, found[0].path)
+
+
+def _units(value: float | None) -> float | None:
+    """Units per metre of a depth scale, written either way; None where ambiguous."""
+    if value is None or not np.isfinite(value):
+        return None
+    return value if value >= 100 else 1 / value if 0 < value <= 0.01 else None
+
+
+def _size(width: float | None, height: float | None) -> tuple[int, int] | None:
+    """A picture's size in whole pixels; None where the numbers are none."""
+    if width is None or height is None or not (0.5 < width < 1e6 and 0.5 < height < 1e6):
+        return None
+    return round(width), round(height)
+
+
+def _first(table: Mapping[str, np.ndarray], names: Iterable[str]) -> float | None:
+    found = (table[name] for name in names if name in table)
+    return next((float(numbers[0]) for numbers in found if numbers.size == 1), None)
+
+
+def _matrix(numbers: np.ndarray) -> np.ndarray | None:
+    """Intrinsics (3, 3) of 4, 9, 12 or 16 numbers, row- or column-major; else None."""
+    if numbers.size == 4:
+        fx, fy, cx, cy = numbers.tolist()
+        return intrinsics(fx, fy, cx, cy) if min(fx, fy) > 1 else None
+    if numbers.size not in (9, 12, 16):
+        return None
+    M = numbers.reshape({9: (3, 3), 12: (3, 4), 16: (4, 4)}[numbers.size])[:3, :3]
+    # The principal point is never 0, so that the last row tells how the matrix was written.
+    for K in (M, M.T):
+        if np.isfinite(K).all() and K[2].tolist() == [0, 0, 1] and min(K[0, 0], K[1, 1]) > 1 and K[1, 0] == 0:
+            return K.astype(np.float64)
+    return None
+
+
+def _named_numbers(path: Blob) -> Iterator[tuple[str, np.ndarray]]:
+    suffix = PurePath(path.name).suffix.lower()
+    if suffix == ".mat":
+        tables = read_mat(path, *_MAT_NAMES)
+        for name, value in tables.items():
+            if isinstance(value, np.ndarray) and value.dtype.kind in "uif":
+                yield name, value.astype(np.float64).ravel()
+        return
+    data = read_bytes(path)
+    require(len(data) <= LARGEST_BYTES, "too large for a camera file", got=f"{len(data)} bytes", path=path)
+    if suffix in (".npy", ".npz"):
+        # Damaged archives raise a dozen kinds of error.
+        with as_input_error("an array that cannot be read", Exception, got=shortened, path=path):
+            loaded: Any = safe_files.load_arrays(data, path)
+            arrays = {"": loaded} if isinstance(loaded, np.ndarray) else dict(loaded)
+        yield from ((k, v.astype(np.float64).ravel()) for k, v in arrays.items() if v.dtype.kind in "uif")
+        return
+    with as_input_error("malformed", ValueError, got=lambda error: str(error)[:80], path=path):
+        text = data.decode("utf-8-sig")
+        yield from flat_numbers(safe_files.parse_json(text, path)) if suffix == ".json" else _text_numbers(text)
+
+
+def flat_numbers(value: Any, name: str = "") -> Iterator[tuple[str, np.ndarray]]:
+    """Numbers and lists of numbers in a JSON value, by dotted name."""
+    if isinstance(value, Mapping):
+        for key, inside in value.items():
+            yield from flat_numbers(inside, f"{name}.{key}" if name else str(key))
+    elif not isinstance(value, str | bool | None):
+        try:
+            numbers = np.asarray(value, dtype=np.float64).ravel()
+        except (TypeError, ValueError, OverflowError):
+            # A list of objects, such as one a frame.
+            return
+        if 0 < numbers.size <= 16:
+            yield name, numbers
+
+
+_NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+_LINE = re.compile(
+    rf"^[ \t-]*[\"']?(?P<name>[A-Za-z][\w.]*)[\"']?[ \t]*[:=][ \t]*(?:!!\S+[ \t]*)?"
+    rf"(?P<value>\[[^\]A-Za-df-z]*\]|{_NUMBER}(?=\s|,|$))?",
+    re.MULTILINE,
+)
+"""A line `name: number`, `name = [numbers, ...]`, or `name:` above indented ones: YAML, TOML, INI and OpenCV's own."""
+
+
+def _text_numbers(text: str) -> Iterator[tuple[str, np.ndarray]]:
+    words = " ".join(line.split("#")[0] for line in text.splitlines()).replace(",", " ").split()
+    if words and all(re.fullmatch(_NUMBER, word) for word in words):
+        yield "", np.array(words, np.float64)
+        return
+    above = ""
+    for match in _LINE.finditer(text):
+        if match["value"] is None:
+            above = above if match[0][:1] in " \t-" else match["name"]
+            continue
+        numbers = np.array(re.findall(_NUMBER, match["value"]), np.float64)
+        if 0 < numbers.size <= 16:
+            yield f"{above}.{match['name']}" if match[0][:1] in " \t" and above else match["name"], numbers
+
 
 Value = TypeVar("Value")
 ROUNDING = 1e-2

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -12,8 +11,15 @@ from typing import ClassVar
 import numpy as np
 
 from pipeline.datasets.base import DatasetFormat
-from pipeline.datasets.camera_files import NOTHING, Stated, read_stated, stated_beside
-from pipeline.datasets.cameras import or_note, pose_from_matrix, pose_from_quaternion
+from pipeline.datasets.cameras import (
+    NOTHING,
+    Stated,
+    or_note,
+    pose_from_matrix,
+    pose_from_quaternion,
+    read_stated,
+    stated_beside,
+)
 from pipeline.datasets.files import as_floats, numbered_lines, read_matrix
 from pipeline.datasets.images import INTEGER_DEPTH_SUFFIXES, read_numbers
 from pipeline.datasets.pairing import (
@@ -30,7 +36,7 @@ from pipeline.datasets.pairing import (
     twice,
 )
 from pipeline.datasets.recording import Listed, Recording
-from pipeline.datasets.settings import DEPTH_SCALE, Settings
+from pipeline.datasets.settings import Settings
 from pipeline.geometry.frame import Annotation
 from pipeline.geometry.masks import mask_box
 from pipeline.language.counted import counted
@@ -186,22 +192,13 @@ class FolderDataset(Recording):
         return None
 
     def _check(self) -> None:
-        """Missing camera or unit, by the first frame of each scene and file endings."""
-        told, camera, unit, floats = self._settings, False, False, False
-        scene = next(iter(self._scenes.values()))
+        """Ask for a camera or a unit that nothing tells, by the first frame of each scene and file endings."""
         for scene in self._scenes.values():
             stated = or_note([], "", self._camera, scene, scene.pairs[0])
             if stated is None:
                 continue  # What is wrong with its file is told when a frame is loaded.
-            depths = {os.path.splitext(name)[1].lower() for name in scene.files.of("depth")}
-            integer = bool(depths & set(INTEGER_DEPTH_SUFFIXES))
-            no_unit = told.depth_scale is stated.units_per_metre is self.rule.units_per_metre is None
-            camera |= told.intrinsics is self.documented is stated.K is None
-            unit |= no_unit and integer
-            floats |= no_unit and not integer
-        self._ask_for(_seen(scene), camera, unit)
-        if floats:
-            self.notes += (f"floating-point depth is taken for metres: {DEPTH_SCALE} tells another unit",)
+            integer = any(name.lower().endswith(INTEGER_DEPTH_SUFFIXES) for name in scene.files.of("depth"))
+            self._ask_for(_seen(scene), stated, floats=not integer)
 
     def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         prefix, pair = self._found(self._index, frame_id)

@@ -11,8 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from pipeline.datasets.base import DatasetFormat
-from pipeline.datasets.camera_files import NOTHING, Stated
-from pipeline.datasets.cameras import inverse, or_note, pose_from_matrix, rigid
+from pipeline.datasets.cameras import NOTHING, Stated, inverse, or_note, pose_from_matrix, rigid
 from pipeline.datasets.files import (
     as_floats,
     listing,

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 
-from pipeline.datasets.camera_files import CAMERA_SUFFIXES
+from pipeline.datasets.cameras import CAMERA_SUFFIXES
 from pipeline.datasets.files import natural, readable
 from pipeline.datasets.images import DEPTH_SUFFIXES
 from pipeline.system.errors import InputError, require

@@ -14,12 +14,11 @@ from typing import Any
 import numpy as np
 
 from pipeline.datasets.base import DatasetFormat
-from pipeline.datasets.camera_files import NOTHING, Stated, flat_numbers, stated_in
-from pipeline.datasets.cameras import or_note
+from pipeline.datasets.cameras import Stated, flat_numbers, or_note, stated_in
 from pipeline.datasets.files import Part, read_json, readable
 from pipeline.datasets.pairing import role_of
 from pipeline.datasets.recording import Listed, Recording
-from pipeline.datasets.settings import DEPTH_SCALE, Settings
+from pipeline.datasets.settings import Settings
 from pipeline.system.errors import as_input_error, needed, require
 from pipeline.system.safe_files import open_parquet
 
@@ -106,23 +105,20 @@ class ParquetDataset(Recording):
         require(self.frame_ids, "a table without a row", path=root)
         unit = str(_info(features, str(self._columns["depth"])).get("depth_unit"))
         self._units = LEROBOT_UNITS.get(unit)
-        first = self._stated(next(iter(self._rows.values())))
         arrays = _is_array(columns.field(str(self._columns["depth"])))
-        told = settings.depth_scale or first.units_per_metre or self._units
         seen = f"{len(self._rows)} rows with {self._columns['color']} and {self._columns['depth']}"
-        self._ask_for(seen, settings.intrinsics is None and first.K is None, told is None and not arrays)
-        if told is None and arrays:
-            self.notes += (f"floating-point depth is taken for metres: {DEPTH_SCALE} tells another unit",)
+        self._ask_for(seen, self._stated(next(iter(self._rows.values()))), arrays)
 
     def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         table, row = self._found(self._rows, frame_id)
         color, depth = (cell(table, row, str(name)) for name in self._columns.values())
-        stated = NOTHING if self._settings.intrinsics is not None else self._stated((table, row))
-        return Listed(color, depth, replace(stated, units_per_metre=stated.units_per_metre or self._units))
+        stated = self._stated((table, row))
+        return Listed(color, depth, stated)
 
     def _stated(self, at: tuple[Path, int]) -> Stated:
         row = _row(*at)
-        return stated_in(dict(flat_numbers({name: row[name] for name in self._numbers})), at[0])
+        stated = stated_in(dict(flat_numbers({name: row[name] for name in self._numbers})), at[0])
+        return replace(stated, units_per_metre=stated.units_per_metre or self._units)
 
 
 def lerobot_features(root: Path) -> dict[str, Any]:

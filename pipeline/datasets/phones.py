@@ -16,8 +16,16 @@ import cv2
 import numpy as np
 
 from pipeline.datasets.base import DatasetFormat
-from pipeline.datasets.camera_files import Stated, flat_numbers, stated_in
-from pipeline.datasets.cameras import inverse, nearest, or_note, pose_from_quaternion, rigid
+from pipeline.datasets.cameras import (
+    Stated,
+    flat_numbers,
+    inverse,
+    nearest,
+    or_note,
+    pose_from_quaternion,
+    rigid,
+    stated_in,
+)
 from pipeline.datasets.files import Blob, Part, as_floats, natural, numbered_lines, read_json, readable
 from pipeline.datasets.folder import FolderDataset, SceneFolder
 from pipeline.datasets.pairing import Pair, numbers, stem_of

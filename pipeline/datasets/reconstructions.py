@@ -15,13 +15,21 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pipeline.datasets.base import DatasetFormat
-from pipeline.datasets.camera_files import NOTHING, Stated, flat_numbers, stated_in
-from pipeline.datasets.cameras import inverse, or_note, pose_from_matrix, pose_from_quaternion
+from pipeline.datasets.cameras import (
+    NOTHING,
+    Stated,
+    flat_numbers,
+    inverse,
+    or_note,
+    pose_from_matrix,
+    pose_from_quaternion,
+    stated_in,
+)
 from pipeline.datasets.files import as_floats, name_inside, numbered_lines, read_json, readable
 from pipeline.datasets.images import INTEGER_DEPTH_SUFFIXES, picture_size
 from pipeline.datasets.pairing import choose_naming, files_in_roles
 from pipeline.datasets.recording import DepthRule, Listed, Recording
-from pipeline.datasets.settings import DEPTH_SCALE, OR_ESTIMATED, Settings
+from pipeline.datasets.settings import OR_ESTIMATED, Settings
 from pipeline.geometry.camera import intrinsics
 from pipeline.system.errors import InputError, needed, require
 
@@ -62,10 +70,8 @@ class PosedPictures(Recording):
             path=self.source,
         )
         integer = any(e.depth is not None and e.depth.lower().endswith(INTEGER_DEPTH_SUFFIXES) for e in entries)
-        unknown = self.rule.units_per_metre is None and settings.depth_scale is None
-        self._ask_for(f"{len(self._entries)} posed pictures with depth", False, unknown and integer)
-        if unknown and not integer:
-            self.notes += (f"floating-point depth is taken for metres: {DEPTH_SCALE} tells another unit",)
+        # Cameras are read one by one, when their pictures are.
+        self._ask_for(f"{len(self._entries)} posed pictures with depth", Stated(np.eye(3)), not integer)
         if self.lens:
             self.notes += ("lens distortion is left out: each camera is taken for a plain pinhole",)
 

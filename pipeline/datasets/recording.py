@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from pipeline.datasets.base import unknown_id
-from pipeline.datasets.camera_files import NOTHING, Stated
+from pipeline.datasets.cameras import NOTHING, Stated
 from pipeline.datasets.files import Blob
 from pipeline.datasets.images import exif_focal, read_color, read_depth, read_stored
 from pipeline.datasets.settings import DEPTH_SCALE, FILE_NAME, INTRINSICS, Settings, unit_notes
@@ -26,6 +26,7 @@ SAME_SHAPE = 0.02
 ScanNet's own, 1296x968 and 640x480, differ by 0.4 %."""
 LONGEST_ALONE = 1600
 """A picture without depth is made so long at most: networks look at less, and points cost time."""
+FLOATS = f"floating-point depth is taken for metres: {DEPTH_SCALE} tells another unit"
 BROWSED_MEDIAN_M = 2.0
 """The median depth that is shown where nothing tells the unit."""
 
@@ -72,8 +73,6 @@ class Recording:
     frame_ids: tuple[str, ...] = ()
     class_names: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
-    untold: tuple[str, ...] = ()
-    """Options that would tell what nothing tells; frames can then only be looked at."""
 
     def __init__(self, root: Path, settings: Settings) -> None:
         self.root = root
@@ -211,20 +210,24 @@ class Recording:
         # OpenCV's average over areas becomes nearest-neighbour where the image grows.
         return cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA if whole[0] > height else cv2.INTER_LINEAR)
 
-    def _ask_for(self, seen: str, camera: bool, unit: bool) -> None:
-        """Raise InputError for a missing camera or unit; while browsing, record the options instead."""
-        missing = [option for option, lacks in ((INTRINSICS, camera), (DEPTH_SCALE, unit)) if lacks]
-        if not missing:
+    def _ask_for(self, seen: str, stated: Stated, floats: bool = False) -> None:
+        """Raise InputError for a camera or a unit that nothing tells, unless frames are only browsed. `floats`: The depth
+        is stored as floats, which are taken for metres."""
+        given = self._settings
+        camera = all(known is None for known in (given.intrinsics, self.documented, stated.K))
+        unit = all(k is None for k in (given.depth_scale, self.rule.units_per_metre, stated.units_per_metre))
+        if unit and floats and FLOATS not in self.notes:
+            self.notes += (FLOATS,)
+        named = ((INTRINSICS, "a camera", camera), (DEPTH_SCALE, "the depth's unit", unit and not floats))
+        missing = [(option, name) for option, name, lacks in named if lacks]
+        if not missing or given.browse:
             return
-        are = "is" if len(missing) == 1 else "are"
-        what = " and ".join(name for name, lacks in (("a camera", camera), ("the depth's unit", unit)) if lacks)
-        if self._settings.browse:
-            self.untold = tuple(missing)
-            return
+        options, names = zip(*missing, strict=True)
+        several = len(missing) > 1
         raise InputError(
-            f"{seen}; {what} {are} missing",
-            expected=" and ".join(missing) + (f", in one {INTRINSICS},UNITS_PER_METRE" if len(missing) > 1 else ""),
-            cause=f"{'1000 for millimetres; ' if unit else ''}or kept in {FILE_NAME} beside the data",
+            f"{seen}; {' and '.join(names)} {'are' if several else 'is'} missing",
+            expected=" and ".join(options) + (f", in one {INTRINSICS},UNITS_PER_METRE" if several else ""),
+            cause=f"{'1000 for millimetres; ' if DEPTH_SCALE in options else ''}or kept in {FILE_NAME} beside the data",
             path=self.root,
         )
 

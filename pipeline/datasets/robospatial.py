@@ -12,6 +12,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from pipeline.datasets.base import DatasetFormat
+from pipeline.datasets.cameras import NOTHING
 from pipeline.datasets.recording import Listed, Recording
 from pipeline.datasets.settings import Settings
 from pipeline.system.errors import as_input_error, first_line, require
@@ -34,7 +35,7 @@ class RoboSpatialDataset(Recording):
         self.frame_ids = tuple(self._files)
         require(self.frame_ids, "no item has a depth image", path=root / FILE)
         seen = f"{len(self._files)} items with depth"
-        self._ask_for(seen, settings.intrinsics is None, settings.depth_scale is None)
+        self._ask_for(seen, NOTHING)
 
     def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         color, depth = self._found(self._files, frame_id)

@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.datasets.base import DatasetFormat, GivenExpression, unknown_id
-from pipeline.datasets.camera_files import Stated
-from pipeline.datasets.cameras import or_note
+from pipeline.datasets.cameras import Stated, or_note
 from pipeline.datasets.files import CUT_OFF, Part, natural, readable
 from pipeline.datasets.images import read_depth
 from pipeline.datasets.recording import Listed, Recording

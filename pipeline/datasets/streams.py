@@ -20,8 +20,7 @@ import cv2
 import numpy as np
 
 from pipeline.datasets.base import DatasetFormat
-from pipeline.datasets.camera_files import NOTHING, Stated
-from pipeline.datasets.cameras import or_note, pose_from_quaternion
+from pipeline.datasets.cameras import NOTHING, Stated, or_note, pose_from_quaternion
 from pipeline.datasets.files import Part, readable
 from pipeline.datasets.pairing import role_of
 from pipeline.datasets.recording import Listed, Recording
@@ -165,12 +164,9 @@ class StreamDataset(Recording):
         self._at = {f"{stamps[i]:.6f}": (colors[i], depths[j], stamps[i]) for i, j in sorted(pairs.items())}
         self.frame_ids = tuple(self._at)
         self.notes = (f"colour is {self._color}, depth {self._depth}, the camera {info or 'in no topic'}",)
-        self._stated = NOTHING if info is None else _camera_info(stream.message(info), root)
-        self._ask_for(
-            f"{len(self._at)} pairs of {self._color} and {self._depth}, no CameraInfo",
-            settings.intrinsics is None and self._stated.K is None,
-            False,
-        )
+        stated = NOTHING if info is None else _camera_info(stream.message(info), root)
+        self._stated = replace(stated, units_per_metre=1000.0)
+        self._ask_for(f"{len(self._at)} pairs of {self._color} and {self._depth}, no CameraInfo", self._stated)
         self._transforms: Transforms | None = None
 
     def _listed(self, frame_id: str, notes: list[str]) -> Listed:
@@ -182,7 +178,7 @@ class StreamDataset(Recording):
         if self._transforms is None:
             self._transforms = Transforms(stream)
         pose = or_note(notes, "no camera pose, tf: ", self._transforms.pose, message.header.frame_id, stamp)
-        stated = replace(self._stated, units_per_metre=1.0 if depth.dtype.kind == "f" else 1000.0)
+        stated = replace(self._stated, units_per_metre=1.0) if depth.dtype.kind == "f" else self._stated
         color = Part(self.root, self._color, lambda: rgb)
         return Listed(color, Part(self.root, self._depth, lambda: depth), stated, pose)
 

@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.datasets.base import DatasetFormat
-from pipeline.datasets.camera_files import Stated
-from pipeline.datasets.cameras import nearest_rotation, one_file, or_note
+from pipeline.datasets.cameras import Stated, nearest_rotation, one_file, or_note
 from pipeline.datasets.files import (
     Part,
     as_floats,

@@ -24,10 +24,9 @@ if TYPE_CHECKING:
     from pipeline.geometry.level_plane import MIN_SCORE, decided, far_from_level, level_normal_at, up_hypotheses
     from pipeline.geometry.lifting import LiftConfig, LiftedObject, Pixel, Quality, clean, depth_edges, extents, lift
     from pipeline.geometry.masks import MaskCrop, RunLength, decode_crop, decode_run_length, encode_run_length
-    from pipeline.geometry.outlines import Outlines, WarpEstimate, estimate_warp
     from pipeline.geometry.palette import RGB, depth_colors, hex_color, ink, instance_colors
     from pipeline.geometry.picture_input import place_picture
-    from pipeline.geometry.registration import Registration, registered
+    from pipeline.geometry.registration import Outlines, Registration, WarpEstimate, estimate_warp, registered
     from pipeline.geometry.surface import surface_normals
     from pipeline.geometry.viewer import ViewerAxes, resolve_up, viewer_axes
 

@@ -25,7 +25,7 @@ from pipeline.geometry import (
     standard_poses,
     to_world,
 )
-from pipeline.geometry.outlines import mean_known
+from pipeline.geometry.registration import mean_known
 from pipeline.system import InputError
 
 

@@ -20,8 +20,7 @@ from pipeline.datasets.opening import open_dataset
 from pipeline.datasets.settings import FILE_NAME, GivenUp, Settings, read_settings, write_settings
 from pipeline.geometry.camera import composed
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.outlines import Outlines
-from pipeline.geometry.registration import Registration
+from pipeline.geometry.registration import Outlines, Registration
 from pipeline.system.errors import require
 
 MOST_FRAMES, MOST_SCENES = 12, 4

@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.datasets.doctor.seen import Seen
+from pipeline.datasets.doctor.seen import Landing, Seen, Views, detail_of, land
 from pipeline.geometry.camera import CONVENTIONS, STANDARD
-from pipeline.geometry.landing import Landing, Views, detail_of, land
 from pipeline.language.counted import counted
 
 RESIZED = (0.5, 2.0, 1 / 3, 3.0, 0.25, 4.0, 2 / 3, 1.5)

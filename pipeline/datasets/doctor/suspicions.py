@@ -14,8 +14,15 @@ from pipeline.datasets.doctor.seen import Seen
 from pipeline.datasets.plausible import annotated_sizes
 from pipeline.datasets.up import Voter, vote
 from pipeline.geometry.level_plane import decided, up_hypotheses
-from pipeline.geometry.outlines import REGIONS, WIDE, Outlines, WarpEstimate, estimate_warp, mean_known
-from pipeline.geometry.registration import Registration
+from pipeline.geometry.registration import (
+    REGIONS,
+    WIDE,
+    Outlines,
+    Registration,
+    WarpEstimate,
+    estimate_warp,
+    mean_known,
+)
 
 State = Literal["fine", "wrong", "unknown"]
 SUBJECTS = ("poses", "depth scale", "focal length", "principal point", "registration", "time", "up")
