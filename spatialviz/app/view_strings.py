@@ -235,8 +235,8 @@ def view_of(
 ) -> ViewState:
     """View of a client."""
     # `camera` holds the turned view and field of view; `run` is a folder, `expression` the id of its asked expression.
-    selected = None if state.selected is None else state.key_of(state.selected, source.detector)
-    ends = None if state.pair is None else [state.key_of(at, source.detector) for at in state.pair[:2]]
+    selected = None if state.selected is None else state.key_of(state.selected)
+    ends = None if state.pair is None else [state.key_of(at) for at in state.pair[:2]]
     toggles: dict[str, Toggle] = {**asdict(state.flags), CAMERA: state.camera}
     if camera is not None:
         toggles[FOV] = round(camera[1], 4)
@@ -269,10 +269,10 @@ def with_settings(state: State, view: ViewState) -> State:
 
 def with_objects(state: State, source: Pipeline, view: ViewState) -> State:
     """State with a view's selection and chosen pair, if among its objects."""
-    selected = next((state.place_of(key, source.detector) for key in view.selection), None)
+    selected = next((state.place_of(key) for key in view.selection), None)
     pair = state.pair
     if view.pair is not None:
-        ends = tuple(state.place_of(key, source.detector) for key in view.pair)
+        ends = tuple(state.place_of(key) for key in view.pair)
         pair = next((at for p in state.ranked if (at := state.at(p))[:2] == ends), pair)
     return replace(state, selected=selected, pair=pair)
 

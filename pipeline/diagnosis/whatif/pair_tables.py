@@ -8,7 +8,7 @@ numbers that scoring the whole list gives.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -79,7 +79,8 @@ def score_pairs(
     new = np.triu((old < 0)[:, None] | (old < 0)[None, :], 1)
     first, second = np.nonzero(new)
     if not isinstance(scorer, RuleScorer | OnnxScorer):
-        scores = _by_any(objects, viewer, frame, scorer, lo, hi, clouds, profile)
+        # The thresholds of the rule are none of a scorer of one's own.
+        scores = scorer.score([o.lifted for o in objects], viewer, appearance_of(objects, frame))
     elif before is None or len(first) > _WHOLE * n * (n - 1) / 2:
         states = pairwise_states(lo, hi, clouds, profile)
         scores = combined(states, scorer.probabilities(rows) if isinstance(scorer, OnnxScorer) else None, scorer)
@@ -180,26 +181,6 @@ def _grouped(indices: np.ndarray, wanted: np.ndarray) -> list[tuple[int, np.ndar
         return []
     cuts = np.flatnonzero(np.diff(indices[order])) + 1
     return [(int(indices[group[0]]), group) for group in np.split(order, cuts)]
-
-
-def _by_any(
-    objects: tuple[SceneObject, ...],
-    viewer: ViewerAxes,
-    frame: Frame,
-    scorer: RelationScorer,
-    lo: np.ndarray,
-    hi: np.ndarray,
-    clouds: tuple[np.ndarray, ...],
-    profile: Profile,
-) -> RelationScores:
-    """Score the whole list by an unknown scorer, with the profile where the rule scored."""
-    found = scorer.score([o.lifted for o in objects], viewer, appearance_of(objects, frame))
-    if profile == Profile() or tuple(found.relations) != PAIRWISE:
-        return found
-    states = pairwise_states(lo, hi, clouds, profile)
-    ruled = np.array([found.scored_by.get(r) == RuleScorer.name for r in PAIRWISE])
-    probabilities = np.where(ruled, rule_probabilities(states), found.probabilities)
-    return replace(found, states=states, probabilities=probabilities)
 
 
 def detection_keys(name: str, found: Proposals) -> tuple[str, ...]:
