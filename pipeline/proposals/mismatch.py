@@ -114,8 +114,10 @@ def explain_mismatch(session: Any, option: str) -> str:
     """Explanation of a mismatch with an option, as a clause for a message."""
     face = option.split()[0]
     kind = recognise(session)
-    if kind is None or option in kind.options:
+    if kind is None:
         return f"is it a file for another {face}?"
+    if option in kind.options:
+        return f"this is {kind.what}"
     # A segmenter's user is told of segmenters, where there is one.
     own = tuple(o for o in kind.options if o.startswith(face))
     if own or not kind.options or face == "--detector":

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from time import perf_counter
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -82,6 +83,8 @@ class Segmented:
     def __init__(self, detector: Detector, segmenter: Segmenter) -> None:
         self.detector, self.segmenter = detector, segmenter
         self.name, self.exact = f"{detector.name}+{segmenter.name}", detector.exact
+        self.seconds = 0.0
+        """What the segmenter has taken so far."""
         self._last: tuple[Frame, dict[int, np.ndarray]] | None = None
 
     @property
@@ -131,7 +134,9 @@ class Segmented:
     def _segment(self, frame: Frame, found: Proposals, which: np.ndarray) -> dict[int, np.ndarray]:
         """Masks by index in `found`; boxes without a mask are left out."""
         labels = [found.label(int(i)) for i in which]
+        start = perf_counter()
         masks, has_mask = self.segmenter.segment(frame, found.boxes[which], labels)
+        self.seconds += perf_counter() - start
         expected = (len(which), frame.height, frame.width)
         require(
             masks.shape == expected and masks.dtype == np.bool_ and has_mask.shape == expected[:1],

@@ -302,7 +302,7 @@ def test_files_that_do_not_fit_are_explained(sam: Export, sam2: Export, tmp_path
     assert_refused("sam", [decoder, encoder], "the wrong way round", "expected --segmenter-model x.onnx four.onnx")
     assert_refused("sam", [encoder], "two model files")
     assert_refused("sam", [], "--segmenter-model ENCODER.onnx DECODER.onnx")
-    assert_refused("sam", [encoder, encoder], "not the decoder", "this is an encoder: the other file is missing")
+    assert_refused("sam", [encoder, encoder], "not the decoder", "this is the SAM or MobileSAM encoder")
     assert_refused("sam", [sam2.encoders["samexporter"], decoder], "SAM 2 encoder (samexporter)", "--segmenter sam2")
     assert_refused("sam2", [encoder, decoder], "use --segmenter sam")
     assert_refused("efficientsam", [encoder, decoder], "use --segmenter sam")
@@ -377,7 +377,7 @@ def test_embeddings_of_another_size_are_refused(sam: Export, tmp_path: Path) -> 
     small = declare(tmp_path / "small.onnx", square, {"image_embeddings": ("FLOAT", [1, 256, 32, 32])})
     assert_refused("sam", [small, sam.decoders["four"]], "do not belong together", "[1, 256, 32, 32]")
     model = SamModel([sam.encoders["x"], sam.decoders["four"]])
-    with pytest.raises(InputError, match=r"cannot be run; got .*image_embeddings \[1, 256, 32, 32\]"):
+    with pytest.raises(InputError, match=r"cannot be run; got .*image_embeddings"):
         model.decode({"image_embeddings": np.zeros((1, 256, 32, 32))}, boxes_in(30, 40)[:1], 30, 40)
     points = {"batched_point_coords": ("FLOAT", [1, 5, 1, 2]), "batched_point_labels": ("FLOAT", [1, 5, 1])}
     one_point = declare(
