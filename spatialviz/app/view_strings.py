@@ -48,7 +48,6 @@ class Exports(Part):
         state, run = self.state, self.ctx.run
         return view_of(
             state,
-            self.ctx.source,
             self.ctx.scene.viewpoint.turned_to(),
             None if run is None else str(run.folder.resolve()),
             state.expression_id(state.text),
@@ -101,7 +100,7 @@ class Exports(Part):
         self._go(Place(view.dataset, view.frame, view.expression))
         if view.edits != self.state.edits:
             self._edit(view)
-        self.state = with_objects(self.state, self.ctx.source, view)
+        self.state = with_objects(self.state, view)
         self.ctx.draw()
         if self.state.loaded is not None:
             if view.camera is None:
@@ -231,7 +230,7 @@ def needs_file(scorer: str | None, first: str | None, alone: bool) -> bool:
 
 
 def view_of(
-    state: State, source: Pipeline, camera: tuple[CameraView, float] | None, run: str | None, expression: str | None
+    state: State, camera: tuple[CameraView, float] | None, run: str | None, expression: str | None
 ) -> ViewState:
     """View of a client."""
     # `camera` holds the turned view and field of view; `run` is a folder, `expression` the id of its asked expression.
@@ -267,7 +266,7 @@ def with_settings(state: State, view: ViewState) -> State:
     )
 
 
-def with_objects(state: State, source: Pipeline, view: ViewState) -> State:
+def with_objects(state: State, view: ViewState) -> State:
     """State with a view's selection and chosen pair, if among its objects."""
     selected = next((state.place_of(key) for key in view.selection), None)
     pair = state.pair
