@@ -70,11 +70,7 @@ _away: dict[str, float] = {}
 
 
 class ServerError(OSError):
-    """Error of a server or on the way to it, with its SQLSTATE where it has one."""
-
-    def __init__(self, error: Exception) -> None:
-        super().__init__(str(error).rpartition("FATAL:  ")[2])
-        self.state: str = getattr(error, "sqlstate", None) or ""
+    """Error of a server or on the way to it."""
 
 
 class PostgresStore(Store):
@@ -130,7 +126,7 @@ class PostgresStore(Store):
             with super()._transaction(write, fresh) as run:
                 yield run
         except self._driver.Error as error:
-            raise ServerError(error) from error
+            raise ServerError(str(error).rpartition("FATAL:  ")[2]) from error
 
     def _begin(self, link: Any, write: bool, fresh: bool) -> None:
         if not write:

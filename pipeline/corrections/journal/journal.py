@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sqlite3
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
@@ -15,7 +14,6 @@ from typing import Any
 from pipeline.corrections.journal.chain import STORED, Head, Run, Store, chained, head_of, rows, write_rows
 from pipeline.corrections.journal.connection import (
     DATABASE_ERRORS,
-    ServerError,
     likely_cause,
     prepare,
     reading,
@@ -32,8 +30,6 @@ from pipeline.system.errors import InputError, require
 from pipeline.system.remote import is_url
 
 JOURNAL_FILE = "journal.sqlite"
-_TAKEN = "23"
-"""SQLSTATE class of what a constraint refuses."""
 _AT_ONCE = 500
 """Cells asked for in one query: databases bound the number of a query's values."""
 _PLAIN = [f.name for f in fields(Event) if f.name != "ref"]
@@ -130,11 +126,6 @@ class Journal:
                 )
             return Saved(self._read_back(group, last.hash, [row["hash"] for row in made]))
         except (*DATABASE_ERRORS, InputError) as error:
-            server = isinstance(error, ServerError) and error.state.startswith(_TAKEN)
-            if server or isinstance(error, sqlite3.IntegrityError):
-                # Writers take turns; a writer that does not, for it is of another program, is caught here.
-                heads = self.heads([e.ref for e in edits])
-                return Conflict(tuple(Rival(e, heads.get(e.ref)) for e in edits), tuple(edits))
             reason = error.what if isinstance(error, InputError) else reason_of(error, self.location)
             cause = error.examined.help if isinstance(error, DamagedJournal) else likely_cause(reason)
             raise NotSaved(
