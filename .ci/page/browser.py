@@ -30,7 +30,7 @@ SLOW = float(os.environ.get("SPATIALVIZ_CHECK_PATIENCE", "60"))
 SORTER = "Evaluating a string as JavaScript violates the following Content Security Policy directive"
 DRAWN = """(() => {
   const nodes = document.getElementById('view').contentWindow?.__viserMutable?.nodeRefFromName;
-  return !!nodes && Object.values(nodes).filter(Boolean).length > 5;
+  return !!nodes && Object.keys(nodes).some(name => name.startsWith('/cloud/') && nodes[name]);
 })()"""
 Scene = Literal["painted", "unpainted", "absent"]
 """Whether a scene is rendered; has its nodes, its camera and its names, but nothing is painted; or is not loaded.

@@ -111,7 +111,7 @@ def test_refusals_are_plain_words(demo: Server, open_tab: OpenTab) -> None:
     tab.see(".toast.bad", "no frame 'kitchen'")
     tab.poll("before => document.querySelector('#where .frame-id').value === before", before)
     tab.ask("sv1:noview")
-    tab.see(".toast.bad", "view")
+    tab.see(".toast.bad", "state string is damaged")
     tab.ask("laptop right of the mug")
     tab.see("#answer .names", "right of")
     raw = tab.page.locator(".toast, #log").all_inner_texts()

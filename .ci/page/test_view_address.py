@@ -95,6 +95,7 @@ def test_the_labelled_pair_comes_back(demo: Server, open_tab: OpenTab) -> None:
 def test_what_a_view_string_names_is_opened_after_a_yes_alone(demo: Server, open_tab: OpenTab) -> None:
     """No other dataset, no run, no network file."""
     tab = open_tab(demo.address, "absent")
+    tab.poll("location.search.includes('ask=')")
     view, before = ViewState("demo", tab.frame, tab.question), tab.page.url
     tab.ask(encode(replace(view, dataset="/etc")))
     tab.see(".toast.bad", "a dataset that is not open here")

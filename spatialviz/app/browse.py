@@ -121,8 +121,14 @@ class Browse(Part):
         def found(plan: CameraPlan | None) -> None:
             def show() -> None:
                 if (self.state.source, self.state.frame_id) == (state.source, state.frame_id):
-                    self.ctx.page.call("plan", None if plan is None else {"at": state.frame_id, **plan.record()})
+                    self.ctx.page.call("plan", None if plan is None else _plan_data(plan, state.frame_id))
 
             self.ctx.post(show)
 
         self.ctx.shared.pictures.plan(state.source, state.frame_id, found)
+
+
+def _plan_data(plan: CameraPlan, at: str) -> dict[str, object]:
+    """Cameras from above for the page, with the current frame; metres to the millimetre."""
+    positions, headings = plan.positions.round(3).tolist(), plan.headings.round(3).tolist()
+    return {"at": at, "scene": plan.scene, "frames": plan.frame_ids, "positions": positions, "headings": headings}

@@ -204,7 +204,7 @@ def keys_html(groups: Mapping[str, Rows]) -> Element:
         h.section(h.h3(group), h.dl(((h.dt(_pressed(key)), h.dd(label)) for key, label, _ in rows), cls="keys"))
         for group, rows in MOUSE.items()
     )
-    listed = h.div(commands, cls="commands", role="listbox", aria_label="Commands")
+    listed = h.div(commands, cls="commands", role="listbox", aria_label="Commands", tabindex=0)
     return h.div(field, listed, h.div(gestures, cls="gestures"), cls="keylists")
 
 

@@ -168,7 +168,7 @@ def queue_html(
     make = button(again, "make-queue", "ranks the labels by what is switched on here")
     head = heading("Queue", stop if making.running else make).with_(id="queue-head")
     hint = "beside the rules and the linter, networks that have not learnt from a label"
-    switch = button("networks", "queue-networks", hint, role="switch", aria_checked=str(networks).lower())
+    switch = button("with networks", "queue-networks", hint, role="switch", aria_checked=str(networks).lower())
     parts = [head, h.div(switch, id="queue-asks", cls="asks"), h.div(_busy(making), id="queue-busy")]
     if work is None:
         return panel(parts, None if making.running else h.div("No queue yet.", cls="dim"))
