@@ -143,10 +143,9 @@ def _extent(
         x, y, w, h = as_floats(info["bbox_visib"], 4, info_path, "bbox_visib")
         require((np.isfinite([x, y, w, h]).all() and w > 0 and h > 0), "an empty bbox_visib")
         return np.array([x, y, x + w, y + h]), None
-    try:
-        mask = read_mask(mask_path)
-    except InputError as error:
-        raise InputError(f"a broken mask, {error.what}, {mask_path.name}") from error
+    why: list[str] = []
+    mask = or_note(why, "a broken mask, ", read_mask, mask_path)
+    mask = needed(mask, f"{''.join(why)}, {mask_path.name}")
     require(
         mask.shape == size, f"the mask {mask_path.name} is {mask.shape[1]}x{mask.shape[0]}, not {size[1]}x{size[0]}"
     )

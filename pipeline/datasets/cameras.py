@@ -120,13 +120,9 @@ def stated_beside(paths: Iterable[Path], told: bool = False) -> Stated:
     found: list[Stated] = []
     units: float | None = None
     for path in paths:
-        try:
-            stated = read_stated(path)
-        except InputError:
-            continue
+        stated = or_note([], "", read_stated, path) or NOTHING
         units = units or stated.units_per_metre
-        if stated.K is not None:
-            found.append(stated)
+        found += [stated] if stated.K is not None else []
     if not found:
         return Stated(units_per_metre=units)
     for other in () if told else found[1:]:

@@ -40,7 +40,7 @@ from pipeline.datasets.settings import Settings
 from pipeline.geometry.frame import Annotation
 from pipeline.geometry.masks import mask_box
 from pipeline.language.counted import counted
-from pipeline.system.errors import InputError, needed, require
+from pipeline.system.errors import needed, require
 
 NAME_FILES = ("labels.txt", "classes.txt", "image_sets/classes.txt", "label_names.txt")
 
@@ -236,10 +236,10 @@ def _poses(files: Files, naming: Naming, keys: list[Key]) -> tuple[dict[Key, Pos
     path = files.root / "pose.txt"
     if not path.is_file():
         return {}, None
-    try:
-        lines = [line for _, line in numbered_lines(path)]
-    except InputError as error:
-        return {}, f"pose.txt: {error.what}"
+    problems: list[str] = []
+    lines = [line for _, line in or_note(problems, "pose.txt: ", numbered_lines, path) or ()]
+    if problems:
+        return {}, problems[0]
     if len(lines) == len(keys):
         return {key: (path, line) for key, line in zip(keys, lines, strict=True)}, None
     if all(len(key) == 1 and key[0].isdecimal() and 1 <= int(key[0]) <= len(lines) for key in keys):

@@ -190,13 +190,10 @@ def kind_of(name: str) -> str:
 def unknown(path: Path, recognised: Callable[[Path], bool]) -> UnknownFormat:
     """Error for an unrecognised path: contents and advice in a line. `recognised` says whether a reader would open
     another one."""
-    what, expected = _file(path) if path.is_file() else _folder(path, recognised)
-    return UnknownFormat(f"no dataset is recognised here: {what}", expected=expected, path=path)
-
-
-def _file(path: Path) -> tuple[str, str]:
     fallback = "a file is no dataset", "its folder, or a capture: " + ", ".join(CAPTURE_SUFFIXES)
-    return OF_FILE.get(kind_of(path.name), fallback)
+    of_file = OF_FILE.get(kind_of(path.name), fallback)
+    what, expected = of_file if path.is_file() else _folder(path, recognised)
+    return UnknownFormat(f"no dataset is recognised here: {what}", expected=expected, path=path)
 
 
 def _folder(root: Path, recognised: Callable[[Path], bool]) -> tuple[str, str]:
@@ -226,9 +223,11 @@ def _folder(root: Path, recognised: Callable[[Path], bool]) -> tuple[str, str]:
         return f"a folder of {counted(len(inside), 'dataset')}", f"one of them, such as {root / inside[0]}"
     if pictures and not depths:
         where = f" in {beside[0]}/" if within else ""
+        name = next((name for name in files if kind_of(name) == "picture"), "")
+        depth = f"{Path(name).stem}_depth.png" if name else "depth/0001.png beside color/0001.png"
         return (
             f"{counted(pictures, 'picture')}{where} and no depth",
-            f"a depth file for each, such as {_depth_name(files)}, {OR_ESTIMATED}",
+            f"a depth file for each, such as {depth}, {OR_ESTIMATED}",
         )
     if depths and not pictures:
         return f"depth ({depths[0]}) without colour", LAYOUT
@@ -239,9 +238,3 @@ def _folder(root: Path, recognised: Callable[[Path], bool]) -> tuple[str, str]:
     if folders:
         return f"folders {', '.join(folders[:4])}{' ...' if len(folders) > 4 else ''}", LAYOUT
     return f"{len(files)} files without pictures, {files[0]} for one", LAYOUT
-
-
-def _depth_name(files: list[str]) -> str:
-    """Possible name of a depth file for the first picture."""
-    name = next((name for name in files if kind_of(name) == "picture"), "")
-    return f"{Path(name).stem}_depth.png" if name else "depth/0001.png beside color/0001.png"

@@ -211,7 +211,7 @@ class Recording:
         return cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA if whole[0] > height else cv2.INTER_LINEAR)
 
     def _ask_for(self, seen: str, stated: Stated, floats: bool = False) -> None:
-        """Raise InputError for a camera or a unit that nothing tells, unless frames are only browsed. `floats`: The depth
+        """Raise InputError for a camera or a unit that nothing tells, unless frames are only browsed. `floats`: Depth
         is stored as floats, which are taken for metres."""
         given = self._settings
         camera = all(known is None for known in (given.intrinsics, self.documented, stated.K))

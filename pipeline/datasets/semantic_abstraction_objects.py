@@ -159,12 +159,13 @@ def fit_pose(
     The scene's lowest and highest corner.
     """
     owners = int(max(sample_owner.max(initial=-1), point_owner.max(initial=-1))) + 1
-    grid = _Grid.of(points, point_owner, owners, bounds)
+    taken = _taken(points, point_owner, owners, bounds)
     best, best_hits, best_inside, best_name = None, -1, 0, ""
     for name, A in _conventions(np.asarray(cam_pose, np.float64)):
-        inside, hits = grid.hits(samples @ A[:3, :3].T + A[:3, 3], sample_owner)
+        at, inside, _ = _cells(samples @ A[:3, :3].T + A[:3, 3], bounds)
+        hits = int(taken[(sample_owner[inside], *at[inside].T)].sum())
         if hits > best_hits:
-            best, best_hits, best_inside, best_name = A, hits, inside, name
+            best, best_hits, best_inside, best_name = A, hits, int(inside.sum()), name
     share = best_hits / max(best_inside, 1)
     if best is None or best_inside < LEAST_INSIDE or share < LEAST_SHARE:
         raise InputError(f"depth and points do not fit under any convention, at best {share:.0%} of them")
@@ -214,37 +215,25 @@ def _conventions(cam_pose: np.ndarray) -> list[tuple[str, np.ndarray]]:
     return sorted(found, key=lambda entry: bool(entry[0]) + entry[0].count(","))
 
 
-@dataclass(frozen=True)
-class _Grid:
-    """Occupied cells of each object, dilated by a cell."""
+def _cells(points: np.ndarray, bounds: np.ndarray) -> tuple[np.ndarray, np.ndarray, tuple[int, ...]]:
+    """Cells (N, 3) int64 of points, (N,) bool of points inside, and the shape of the scene with a rim of one cell."""
+    size = bounds[1] - bounds[0]
+    edge = float(size.max()) / CELLS
+    shape = np.ceil(size / edge - 1e-6).astype(int) + 2
+    with np.errstate(invalid="ignore", over="ignore"):
+        cell = np.floor((points - (bounds[0] - edge)) / edge)
+    inside: np.ndarray = np.all((cell >= 0) & (cell < shape), axis=1)
+    return np.where(inside[:, np.newaxis], cell, 0).astype(np.int64), inside, tuple(shape.tolist())
 
-    taken: np.ndarray
-    low: np.ndarray
-    cell: float
 
-    @classmethod
-    def of(cls, points: np.ndarray, owner: np.ndarray, owners: int, bounds: np.ndarray) -> _Grid:
-        cell = float((bounds[1] - bounds[0]).max()) / CELLS
-        shape = np.ceil((bounds[1] - bounds[0]) / cell - 1e-6).astype(int) + 2
-        grid = cls(np.zeros((owners, *shape), bool), bounds[0] - cell, cell)
-        at, inside = grid._cells(points)
-        grid.taken[(owner[inside], *at[inside].T)] = True
-        for axis in (1, 2, 3):
-            taken = np.moveaxis(grid.taken, axis, 0)
-            before = taken.copy()
-            taken[1:] |= before[:-1]
-            taken[:-1] |= before[1:]
-        return grid
-
-    def hits(self, points: np.ndarray, owner: np.ndarray) -> tuple[int, int]:
-        """Number of points inside the scene, and on their own object."""
-        at, inside = self._cells(points)
-        return int(inside.sum()), int(self.taken[(owner[inside], *at[inside].T)].sum())
-
-    def _cells(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Cells (N, 3) int64 of points, and validity (N,) bool."""
-        with np.errstate(invalid="ignore", over="ignore"):
-            cell = np.floor((points - self.low) / self.cell)
-        size = np.array(self.taken.shape[1:])
-        inside: np.ndarray = np.all((cell >= 0) & (cell < size), axis=1)
-        return np.where(inside[:, np.newaxis], cell, 0).astype(np.int64), inside
+def _taken(points: np.ndarray, owner: np.ndarray, owners: int, bounds: np.ndarray) -> np.ndarray:
+    """Occupied cells of each object, (owners, X, Y, Z) bool, dilated by a cell."""
+    at, inside, shape = _cells(points, bounds)
+    grid = np.zeros((owners, *shape), bool)
+    grid[(owner[inside], *at[inside].T)] = True
+    for axis in (1, 2, 3):
+        taken = np.moveaxis(grid, axis, 0)
+        before = taken.copy()
+        taken[1:] |= before[:-1]
+        taken[:-1] |= before[1:]
+    return grid

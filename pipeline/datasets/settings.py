@@ -191,19 +191,12 @@ def write_settings(
     root = Path(root)
     settings = read_settings(root).overridden(intrinsics, depth_scale, up, **more)
     told = {**settings.frame_up, **(frame_up or {})}
-    lines: list[str] = []
-    for key in KEYS:
-        value = getattr(settings, key)
-        if isinstance(value, str | GivenUp):
-            lines.append(f"{key} = {_quoted(str(value))}")
-        elif isinstance(value, tuple):
-            lines.append(f"{key} = [{', '.join(repr(float(v)) for v in value)}]")
-        elif isinstance(value, float | int):
-            lines.append(f"{key} = {value!r}")
+    values = {key: getattr(settings, key) for key in KEYS if key != TABLE}
+    lines = [f"{key} = {_toml(value)}" for key, value in values.items() if value is not None]
     path = settings_file(root)
     lines += _tables(path)
     if told:
-        lines += ["", f"[{TABLE}]", *(f"{_quoted(frame)} = {list(v)!r}" for frame, v in told.items())]
+        lines += ["", f"[{TABLE}]", *(f"{_toml(frame)} = {_toml(v)}" for frame, v in told.items())]
     write_whole(path, ("\n".join(lines) + "\n").encode(), "the settings", make_folder=False)
     return path
 
@@ -229,9 +222,10 @@ def _tables(path: Path) -> list[str]:
     return ["", *kept] if kept else []
 
 
-def _quoted(text: str) -> str:
-    """Quote text as a TOML basic string (JSON, with DEL escaped)."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007F")
+def _toml(value: Any) -> str:
+    """Value as TOML: text, numbers and lists of them are written as in JSON, with DEL escaped."""
+    plain = str(value) if isinstance(value, GivenUp) else value
+    return json.dumps(plain, ensure_ascii=False).replace("\x7f", "\\u007F")
 
 
 def _direction(key: str, values: Any) -> Vector:

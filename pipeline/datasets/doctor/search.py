@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -168,18 +168,14 @@ class PosedViews:
         self.coarse, self._fine = (views_of(seen, array, grid) for grid in (COARSE_GRID, FINE_GRID))
         self._fine = replace(self._fine, detail=np.stack([detail_of(f.rgb) for f in frames]))
         self.causes = causes(seen)
-        self._blocks: dict[tuple[Hypothesis, float], np.ndarray] = {}
-        self._scores: dict[tuple[Hypothesis, float], float] = {}
-        self._refined: dict[tuple[Hypothesis, tuple[str, ...]], Hypothesis] = {}
-        self._views: dict[tuple[Cause, bool], Views] = {}
+        self.views = cache(self._views)
+        self.refined = cache(self._climbed)
+        self._landed = cache(self._land)
 
-    def views(self, cause: Cause, coarse: bool = False) -> Views:
+    def _views(self, cause: Cause, coarse: bool = False) -> Views:
         """Views of the frames under a cause."""
-        key = cause, coarse
-        if key not in self._views:
-            like = self.coarse if coarse else self.fine
-            self._views[key] = like if cause == AS_READ else views_like(like, self.seen, self.seen.mended(cause.mend))
-        return self._views[key]
+        like = self.coarse if coarse else self.fine
+        return like if cause == AS_READ else views_like(like, self.seen, self.seen.mended(cause.mend))
 
     # What explains the views
 
@@ -256,13 +252,8 @@ class PosedViews:
         timed = sorted(self.late.values(), key=self.at)[-1:]
         return tuple(dict.fromkeys((plain, *by_number, *of_causes, *timed, *mixed, *refined)))
 
-    def refined(self, start: Hypothesis, names: tuple[str, ...] = ("scale", "focal")) -> Hypothesis:
+    def _climbed(self, start: Hypothesis, names: tuple[str, ...] = ("scale", "focal")) -> Hypothesis:
         """Local optimum of a hypothesis over the given numbers."""
-        if (start, names) not in self._refined:
-            self._refined[start, names] = self._climbed(start, names)
-        return self._refined[start, names]
-
-    def _climbed(self, start: Hypothesis, names: tuple[str, ...]) -> Hypothesis:
         best = start
         for tolerance, steps in ((MEDIUM, (0.2, 0.1, 0.05)), (FINE, (0.04, 0.02, 0.01, 0.005))):
             value = self.at(best, tolerance)
@@ -284,23 +275,21 @@ class PosedViews:
     def at(self, hypothesis: Hypothesis, tolerance: float = FINE) -> float:
         """Score of a hypothesis, by default at the deciding tolerance. Where some poses are missing, what it has before
         the views as read on the other pairs counts."""
-        lead = self._of_blocks(hypothesis, tolerance)
+        lead, found = self._landed(hypothesis, tolerance)
         if np.isfinite(lead).all():
-            return self._scores[hypothesis, tolerance]
-        lead = lead - self._of_blocks(Hypothesis(), tolerance)
+            return found
+        lead = lead - self._landed(Hypothesis(), tolerance)[0]
         return self.at(Hypothesis(), tolerance) + (float(np.nanmean(lead)) if np.isfinite(lead).any() else -1.0)
 
     def beats(self, one: Hypothesis, other: Hypothesis, sure: float = SURE) -> bool:
         """Test whether the first hypothesis surely beats the other, block by block."""
-        return surely_positive(self._of_blocks(one) - self._of_blocks(other), sure)
+        return surely_positive(self._landed(one, FINE)[0] - self._landed(other, FINE)[0], sure)
 
-    def _of_blocks(self, hypothesis: Hypothesis, tolerance: float = FINE) -> np.ndarray:
-        key = hypothesis, tolerance
-        if key not in self._blocks:
-            views = self.views(hypothesis.cause)
-            landing = hypothesis.landing(views, tolerance, colour=tolerance == FINE)
-            self._blocks[key], self._scores[key] = by_block(landing, views), score(landing)
-        return self._blocks[key]
+    def _land(self, hypothesis: Hypothesis, tolerance: float) -> tuple[np.ndarray, float]:
+        """Score of each block, and of all."""
+        views = self.views(hypothesis.cause)
+        landing = hypothesis.landing(views, tolerance, colour=tolerance == FINE)
+        return by_block(landing, views), score(landing)
 
     def range_of(self, name: str, other: str) -> Range:
         """Range of a number of the best hypothesis, with another number free."""

@@ -7,9 +7,9 @@ says anything.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property, partial
 from typing import Any
 
 import cv2
@@ -195,7 +195,7 @@ class Seen:
         for k, frame in enumerate(self.frames):
             ids, index = self._order[self.scenes[k]]
             place = index[frame.id] + shift + self.mends.get("pose_shift", 0)
-            pose = self._pose(ids[place]) if 0 <= place < len(ids) else None
+            pose = self._poses(ids[place]) if 0 <= place < len(ids) else None
             if pose is not None:
                 out[k] = standard_poses(pose, self.mends.get("poses", STANDARD))
         return out
@@ -209,12 +209,10 @@ class Seen:
                 found[scene].append(frame_id)
         return {scene: (ids, {frame_id: k for k, frame_id in enumerate(ids)}) for scene, ids in found.items()}
 
-    def _pose(self, frame_id: str) -> np.ndarray | None:
-        if frame_id not in self._poses:
-            self._poses[frame_id] = or_note([], "", load_pose, self.dataset, frame_id)
-        return self._poses[frame_id]
-
-    _poses: dict[str, np.ndarray | None] = field(default_factory=dict, repr=False)
+    @cached_property
+    def _poses(self) -> Callable[[str], np.ndarray | None]:
+        """Pose of any frame of the dataset, read once."""
+        return cache(partial(or_note, [], "", load_pose, self.dataset))
 
     @cached_property
     def world_up(self) -> dict[str, np.ndarray]:
