@@ -29,7 +29,7 @@ from spatialviz.options import (
 @dataclass(frozen=True)
 class EvalCommand(Output):
     """Answer every expression of labels, and write tables with intervals, plots and records; --sentences: sentences
-    written by people, judged without labels; --judge-again: a run of an earlier version."""
+    written by people, judged without labels; --judge-again: results of an earlier version."""
 
     dataset: DatasetArg
     labels: Path | None = None
@@ -119,13 +119,14 @@ class ImportRunCommand(Output):
 
 @dataclass(frozen=True)
 class JudgeAgainCommand(Output):
-    """Judge a run of an earlier version again, into a new folder.
+    """Judge the results of an earlier version again: a run, labels or a case, into a new folder.
 
-    It is answered again by its own models, or by the predictions that it keeps; relations alone are not measured.
+    A run is answered again by its own models, or by the predictions that it keeps; relations alone are not measured.
+    Labels are made again of their dataset with the same settings; corrections stay with the old ones.
     """
 
     folder: Positional[Path]
-    """Of `eval` or `import-run`; it stays as it is."""
+    """Of `eval`, `import-run`, `label` or `save-case`; it stays as it is."""
     out: NewFolder
     workers: Workers = CPUS
 

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from pipeline.evaluation.adapters import import_published
-from pipeline.evaluation.importing import export_run, judge_again
+from pipeline.evaluation.importing import export_run
 from pipeline.evaluation.job import RunReport
+from pipeline.evaluation.judging_again import judge_again
 from pipeline.evaluation.run_folder import open_run
 from pipeline.evaluation.systems import PREDICTIONS_FILE
 from pipeline.language.counted import counted
@@ -59,7 +60,9 @@ def run_judge_again(command: JudgeAgainCommand) -> None:
         record = judge_again(
             command.folder, command.out, workers=command.workers, progress=advance, system=recorded_system
         )
-    command.write(record, say, f"{counted(record['expressions'], 'expression')} -> {command.out}")
+    what = next(what for what in ("expressions", "frames", "changes") if what in record)
+    counts = "; ".join(record[what]) or "the same answer" if what == "changes" else f"{record[what]:,} {what}"
+    command.write(record, say, f"{record['kind']}: {counts} -> {command.out}")
 
 
 def run_export_run(command: ExportRunCommand) -> None:

@@ -1,5 +1,4 @@
-"""Runs of other pipelines: predictions, of a file or at hand, become a run; a run becomes predictions, or is judged
-again."""
+"""Runs of other pipelines: predictions, of a file or at hand, become a run; a run becomes predictions."""
 
 from __future__ import annotations
 
@@ -7,7 +6,7 @@ import json
 import re
 import tempfile
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, replace
 from itertools import chain
 from pathlib import Path
@@ -34,8 +33,8 @@ from pipeline.answering.ranking import alone
 from pipeline.answering.tracing import plain
 from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.run import Progress
-from pipeline.evaluation.run_folder import RUN_FILE, Run, open_run
-from pipeline.evaluation.systems import OWN, EvalSpec, System
+from pipeline.evaluation.run_folder import Run, open_run
+from pipeline.evaluation.systems import OWN, EvalSpec
 from pipeline.geometry.boxes import Box3D, iou_2d
 from pipeline.geometry.masks import RunLength
 from pipeline.labels.cases import HIT, FrameCases, read_cases
@@ -324,44 +323,3 @@ def _dropped(answers: FrameAnswers, name: str, number: int) -> Iterator[Proposal
             if box.tobytes() not in seen:
                 seen.add(box.tobytes())
                 yield Proposal(number + len(seen) if i < 0 else i, score, tuple(map(float, box)), dropped=reason)  # type: ignore[arg-type]
-
-
-def judge_again(
-    path: str | Path,
-    out: str | Path,
-    *,
-    workers: int = 1,
-    plots: bool = True,
-    progress: Progress | None = None,
-    system: Callable[[Mapping[str, Any]], System | None],
-) -> dict[str, Any]:
-    """Judge a run of `eval` or `import-run` again, by this version, into a new folder; the old one stays unchanged.
-
-    `out`: must not exist, or be empty. `system`: gives the system of a `run.json` that is not the pipeline's:
-    `pipeline.paper.recorded_system`.
-
-    Returns "kind" ("run"), "out", and "expressions".
-
-    Raises InputError: it is no run, its data or models are gone, or `out` is in use.
-    """
-    path, out = Path(path), Path(out)
-    require(
-        (path / RUN_FILE).is_file(),
-        "only a run is judged again",
-        expected="labels: `label` with the same options; a case: `replay CASE --update`",
-        path=path,
-    )
-    run = open_run(path)
-    options: dict[str, Any] = {**run.spec.options, "name": run.name, "workers": workers, "plots": plots}
-    if (predictions := options.pop("predictions", None)) is None:
-        spec = replace(run.spec, system=system(run.manifest))
-        report = evaluate_dataset(spec, out, name=run.name, workers=workers, plots=plots, progress=progress)
-    else:
-        require(
-            not options.pop("rescored", False),
-            "the run was ranked again by a function, which no folder holds",
-            expected="import-run FILE, judged by the scores of its pairs",
-            path=path,
-        )
-        report = import_run(predictions, run.spec.dataset, run.spec.labels, out, progress=progress, **options)
-    return {"kind": "run", "out": str(out), "expressions": report.expressions}

@@ -1,4 +1,4 @@
-"""What an earlier version judged is marked, and judged again beside it: the old run stays as it is."""
+"""What an earlier version judged is marked, and judged again beside it: the old run, labels or case stays as it is."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from label_sets import label_demo
 
+from pipeline.diagnosis import open_case
 from pipeline.evaluation import (
     EvalSpec,
     doubts_of,
@@ -21,6 +22,7 @@ from pipeline.evaluation import (
     open_run,
     recorded_verdict,
 )
+from pipeline.labels import open_labels
 from pipeline.paper import recorded_system
 from pipeline.system import InputError
 
@@ -69,11 +71,16 @@ def test_a_run_is_judged_again_into_a_new_folder(folder: Path, kind: str, tmp_pa
         judge_again(old, tmp_path / "new", plots=False, system=recorded_system)
 
 
-def test_labels_and_cases_say_what_makes_them_again(folder: Path, tmp_path: Path) -> None:
-    for other in (folder / "labels", OLD / "case", folder):
-        with pytest.raises(InputError, match=r"only a run .*`label` with the same options.*`replay CASE --update`"):
-            judge_again(other, tmp_path / "new", system=recorded_system)
-    assert not (tmp_path / "new").exists()
+def test_labels_and_cases_are_judged_again_too(folder: Path, tmp_path: Path) -> None:
+    before = files(folder / "labels")
+    assert judge_again(folder / "labels", tmp_path / "labels", system=recorded_system)["kind"] == "labels"
+    assert files(folder / "labels") == before
+    assert open_labels(tmp_path / "labels").expressions.equals(open_labels(folder / "labels").expressions)
+    told = judge_again(OLD / "case", tmp_path / "case", system=recorded_system)
+    assert (told["kind"], told["changes"]) == ("case", [])
+    assert open_case(tmp_path / "case").answer().text == open_case(OLD / "case").answer().text
+    with pytest.raises(InputError, match="how it was made"):
+        judge_again(folder, tmp_path / "nothing", system=recorded_system)
 
 
 def test_a_recorded_verdict_is_compared_with_that_of_now(folder: Path) -> None:
