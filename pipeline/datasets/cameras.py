@@ -115,7 +115,7 @@ def stated_in(table: Mapping[str, np.ndarray], path: Blob | None = None) -> Stat
     return Stated(K, size, _units(_first(last, _UNITS)), path)
 
 
-def stated_beside(paths: Iterable[Path], told: bool = False) -> Stated:
+def stated_in_files(paths: Iterable[Path], known: bool = False) -> Stated:
     """First value of each camera fact over several files; files without any are skipped."""
     found: list[Stated] = []
     units: float | None = None
@@ -125,7 +125,7 @@ def stated_beside(paths: Iterable[Path], told: bool = False) -> Stated:
         found += [stated] if stated.K is not None else []
     if not found:
         return Stated(units_per_metre=units)
-    for other in () if told else found[1:]:
+    for other in () if known else found[1:]:
         matrices = [np.asarray(stated.K) for stated in (other, found[0])]
         same = other.size != found[0].size or np.allclose(*matrices, atol=0.01)
         require(

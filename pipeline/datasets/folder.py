@@ -18,7 +18,7 @@ from pipeline.datasets.cameras import (
     pose_from_matrix,
     pose_from_quaternion,
     read_stated,
-    stated_beside,
+    stated_in_files,
 )
 from pipeline.datasets.files import as_floats, numbered_lines, read_matrix
 from pipeline.datasets.images import INTEGER_DEPTH_SUFFIXES, read_numbers
@@ -102,7 +102,7 @@ class SceneFolder:
     pose_problem: str | None = None  # Why there are none although there is a file
 
     @classmethod
-    def of(cls, files: Files, told: bool) -> SceneFolder:
+    def of(cls, files: Files, known: bool) -> SceneFolder:
         """List the frames of a folder; InputError where colour and depth do not pair or camera files differ. `told`
         says that the intrinsics are known already."""
         root = files.root
@@ -114,7 +114,7 @@ class SceneFolder:
         each = {role: {naming(name): name for name in files.of(role)} for role in ("camera", "label")}
         stated = NOTHING
         if not keys & each["camera"].keys():
-            stated = stated_beside((root / name for name in files.of("camera")[:MOST_CAMERA_FILES]), told)
+            stated = stated_in_files((root / name for name in files.of("camera")[:MOST_CAMERA_FILES]), known)
         poses, problem = _poses(files, naming, [pair.key for pair in pairs])
         return cls(files, pairs, stated, each["camera"], each["label"], poses, problem)
 
@@ -153,9 +153,9 @@ class FolderDataset(Recording):
 
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
-        told = settings.intrinsics is not None
+        known = settings.intrinsics is not None
         self._scenes = {
-            prefix: SceneFolder.of(self._files(folder), told) for prefix, folder in self._folders(root).items()
+            prefix: SceneFolder.of(self._files(folder), known) for prefix, folder in self._folders(root).items()
         }
         self._index = {
             frame_id: (prefix, pair)

@@ -127,12 +127,12 @@ def open_dataset(
     root = local_path(path)
     require(root.exists(), "there is no such dataset", expected="a folder", path=root)
     require(up is None or level_at is None, "--up and --level-at say the same", expected="one of them")
-    told = None if up is None else GivenUp.parse(up)
+    up_vector = None if up is None else GivenUp.parse(up)
     known = read_settings(enter(root))
     enter(root, known.limits)
     model = None if depth_model is None else open_depth_model(str(depth_model))
     settings = replace(
-        known.overridden(intrinsics, depth_scale, told, poses=poses, registration=registration),
+        known.overridden(intrinsics, depth_scale, up_vector, poses=poses, registration=registration),
         # What is missing of measured depth does not matter where none is used.
         browse=browse or model is not None,
         estimated=model is not None,
@@ -202,8 +202,8 @@ def _folder(root: Path, recognised: Callable[[Path], bool]) -> tuple[str, str]:
     kinds = Counter(kind_of(name) for name in files)
     half = next((text for name, text in HALVES.items() if name in files), None)
     depths = [name for name in (*files, *folders) if role_of(Path(name).stem)[0] == "depth"]
-    beside = [folder for folder in folders if role_of(folder)[0] == "color"]
-    within = sum(kind_of(name) == "picture" for folder in beside for name in readable(root / folder)[1])
+    colors = [folder for folder in folders if role_of(folder)[0] == "color"]
+    within = sum(kind_of(name) == "picture" for folder in colors for name in readable(root / folder)[1])
     pictures = within + sum(kind_of(name) == "picture" and name not in depths for name in files)
     if not folders and not files:
         return "the folder is empty", LAYOUT
@@ -222,7 +222,7 @@ def _folder(root: Path, recognised: Callable[[Path], bool]) -> tuple[str, str]:
     if inside:
         return f"a folder of {counted(len(inside), 'dataset')}", f"one of them, such as {root / inside[0]}"
     if pictures and not depths:
-        where = f" in {beside[0]}/" if within else ""
+        where = f" in {colors[0]}/" if within else ""
         name = next((name for name in files if kind_of(name) == "picture"), "")
         depth = f"{Path(name).stem}_depth.png" if name else "depth/0001.png beside color/0001.png"
         return (

@@ -76,9 +76,9 @@ def files_by_role(root: Path, depth: bool = True) -> Files | None:
     """Files of a recording by role; None without colour and depth by name. Without `depth` colour alone will do."""
     folders, names = readable(root)
     own = _by_name(names)
-    beside = sum(len(files_in(root, folder, "depth")) for folder in folders if role_of(folder)[0] == "depth")
+    in_folders = sum(len(files_in(root, folder, "depth")) for folder in folders if role_of(folder)[0] == "depth")
     # A picture or two beside the folders are no recording of their own.
-    if own.get("color") and len(own.get("depth", ())) > beside:
+    if own.get("color") and len(own.get("depth", ())) > in_folders:
         return Files(root, True, own | {"camera": [*own.get("camera", ()), *_inside(root, folders, "camera")]})
     roles = {role_of(folder)[0] for folder in folders}
     if not depth and "color" not in roles and own.get("color"):

@@ -101,8 +101,8 @@ class Settings:
             expected='such as "world:0,0,1"',
         )
         require(isinstance(self.frame_up, Mapping), "frame_up must be a table of frames", got=str(self.frame_up)[:80])
-        told = {frame: _direction(f"frame_up of {frame!r}", up) for frame, up in self.frame_up.items()}
-        object.__setattr__(self, "frame_up", told)
+        ups = {frame: _direction(f"frame_up of {frame!r}", up) for frame, up in self.frame_up.items()}
+        object.__setattr__(self, "frame_up", ups)
         require(self.name is None or isinstance(self.name, str), "name must be a string", got=repr(self.name))
 
     def overridden(
@@ -190,13 +190,13 @@ def write_settings(
     """
     root = Path(root)
     settings = read_settings(root).overridden(intrinsics, depth_scale, up, **more)
-    told = {**settings.frame_up, **(frame_up or {})}
+    ups = {**settings.frame_up, **(frame_up or {})}
     values = {key: getattr(settings, key) for key in KEYS if key != TABLE}
     lines = [f"{key} = {_toml(value)}" for key, value in values.items() if value is not None]
     path = settings_file(root)
     lines += _tables(path)
-    if told:
-        lines += ["", f"[{TABLE}]", *(f"{_toml(frame)} = {_toml(v)}" for frame, v in told.items())]
+    if ups:
+        lines += ["", f"[{TABLE}]", *(f"{_toml(frame)} = {_toml(v)}" for frame, v in ups.items())]
     write_whole(path, ("\n".join(lines) + "\n").encode(), "the settings", make_folder=False)
     return path
 

@@ -63,10 +63,10 @@ class UpGiven(ChangedFrames):
     @cached_property
     def up(self) -> GivenUp | None:
         """Up of the whole dataset, with the frame resolved."""
-        told = self.settings.up
-        if told is None or told.frame is not None:
-            return told
-        return replace(told, frame="world" if self.posed else "camera")
+        given = self.settings.up
+        if given is None or given.frame is not None:
+            return given
+        return replace(given, frame="world" if self.posed else "camera")
 
     @cached_property
     def posed(self) -> bool | None:
@@ -91,8 +91,8 @@ class UpGiven(ChangedFrames):
         camera, settings, notes = self._camera(frame), self.settings, frame.notes
         if camera is frame.camera:
             if camera.up is None and (self.up is not None or settings.world_up is not None):
-                told = f"up {self.up}" if self.up is not None else "world_up"
-                notes = (*notes, f"{told} is of the world, and this frame has no pose: it is not used")
+                which = f"up {self.up}" if self.up is not None else "world_up"
+                notes = (*notes, f"{which} is of the world, and this frame has no pose: it is not used")
         elif settings.up is not None and settings.up.frame is None:
             notes = (*notes, f"up {settings.up} is taken as {self.up}")
         return replace(frame, camera=camera, notes=(*notes, *self.doubts(frame)))
@@ -120,17 +120,17 @@ class UpGiven(ChangedFrames):
 
     def doubts(self, frame: Frame) -> tuple[str, ...]:
         """Evidence in a frame against the user-set up."""
-        told, own = self._camera(frame), self._own(frame.camera)
-        if told.up is None or told.up_source != "given":
+        given, own = self._camera(frame), self._own(frame.camera)
+        if given.up is None or given.up_source != "given":
             return ()
         found = []
-        off = far_from_level(frame.depth, frame.camera, told.up) if frame.id in self.frame_up else None
+        off = far_from_level(frame.depth, frame.camera, given.up) if frame.id in self.frame_up else None
         if off is not None:
-            found.append(f"the up that was told is {off:.0f} degrees off the level planes of the frame")
-        off = 0.0 if own.up is None else float(np.rad2deg(np.arccos(np.clip(told.up @ own.up, -1, 1))))
+            found.append(f"the up that was set is {off:.0f} degrees off the level planes of the frame")
+        off = 0.0 if own.up is None else float(np.rad2deg(np.arccos(np.clip(given.up @ own.up, -1, 1))))
         if off > FAR_FROM_DECLARED_DEG:
             how = SOURCES[own.up_source or "declared"]
-            found.append(f"the up that was told is {off:.0f} degrees off the dataset's own: {how}")
+            found.append(f"the up that was set is {off:.0f} degrees off the dataset's own: {how}")
         return tuple(found)
 
 
@@ -146,15 +146,15 @@ def with_given_up(dataset: Dataset, settings: Settings, level_at: str | None = N
         frame_up[frame.id] = (x, y, z)
     if settings.up is None and settings.world_up is None and not frame_up:
         return dataset
-    told = UpGiven(dataset, settings, frame_up)
+    given = UpGiven(dataset, settings, frame_up)
     require(
-        settings.up is None or settings.up.frame != "world" or told.posed is not False,
-        "up is told of the world, and no frame has a pose in it",
+        settings.up is None or settings.up.frame != "world" or given.posed is not False,
+        "up is set in the world, and no frame has a pose in it",
         got=settings.up,
         expected="camera:X,Y,Z, or --level-at U,V",
         path=dataset.root,
     )
-    return told
+    return given
 
 
 def with_frame_up(dataset: Dataset, frame_id: str, up: Vector) -> UpGiven:
@@ -204,9 +204,9 @@ Voter = tuple[str, np.ndarray, tuple[UpHypothesis, ...]]
 
 def vote(scene: str, voters: Sequence[Voter]) -> SceneVote:
     """World direction with the most support by the frames' hypotheses, a vote per frame."""
-    told = [[h for h in found if h.certain] for _, _, found in voters]
-    ups = [np.array([R @ h.up for h in found]).reshape(-1, 3) for (_, R, _), found in zip(voters, told, strict=True)]
-    scores = [np.array([h.score for h in found]) for found in told]
+    certain = [[h for h in found if h.certain] for _, _, found in voters]
+    ups = [np.array([R @ h.up for h in found]).reshape(-1, 3) for (_, R, _), found in zip(voters, certain, strict=True)]
+    scores = [np.array([h.score for h in found]) for found in certain]
     voting = sum(bool((s >= MIN_SCORE).any()) for s in scores)
     if voting < MIN_AGREEING:
         return SceneVote(scene, None, 0, voting)
@@ -217,7 +217,7 @@ def vote(scene: str, voters: Sequence[Voter]) -> SceneVote:
         if len(own):
             totals += np.where(candidates @ own.T > alike, score, 0.0).max(axis=1)
     winner = candidates[int(totals.argmax())]
-    rivals = totals[candidates @ winner <= np.cos(np.deg2rad(2 * AGREE_DEG))]
+    opposed = totals[candidates @ winner <= np.cos(np.deg2rad(2 * AGREE_DEG))]
     supporting = [np.where(own @ winner > alike, score, 0.0) for own, score in zip(ups, scores, strict=True)]
     up = sum((weight @ own for own, weight in zip(ups, supporting, strict=True)), np.zeros(3))
     up /= np.linalg.norm(up)
@@ -228,7 +228,7 @@ def vote(scene: str, voters: Sequence[Voter]) -> SceneVote:
         bool((weight >= MIN_SCORE).any()) and name not in others
         for (name, _, _), weight in zip(voters, supporting, strict=True)
     )
-    sure = agreeing >= max(MIN_AGREEING, len(disagreeing) + 1) and totals.max() >= VOTE_LEAD * rivals.max(initial=0.0)
+    sure = agreeing >= max(MIN_AGREEING, len(disagreeing) + 1) and totals.max() >= VOTE_LEAD * opposed.max(initial=0.0)
     return SceneVote(scene, up, agreeing, voting, disagreeing) if sure else SceneVote(scene, None, agreeing, voting)
 
 

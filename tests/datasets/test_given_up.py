@@ -200,7 +200,7 @@ def test_an_up_that_contradicts_the_declared_one_is_noted(tmp_path: Path, degree
     told = open_dataset(tmp_path, up=f"world:{np.sin(a)},0,{np.cos(a)}")
     notes = [note for note in told.load("frame-000000").notes if "off the dataset's own" in note]
     if doubted:
-        assert notes == [f"the up that was told is {degrees_off} degrees off the dataset's own: {SOURCES['declared']}"]
+        assert notes == [f"the up that was set is {degrees_off} degrees off the dataset's own: {SOURCES['declared']}"]
         assert list(told_doubts(told).values()) == [tuple(notes)]
     else:
         assert notes == []

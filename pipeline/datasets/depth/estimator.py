@@ -101,8 +101,8 @@ class DepthModel:
         # Pixels of the picture from its centre, where such networks take the principal point to be.
         away = np.stack([(x - (columns - 1) / 2) * width / columns, (y - (rows - 1) / 2) * height / rows], axis=2)
         some = np.ix_(*(np.unique(np.linspace(0, n - 1, SAMPLES).astype(int)) for n in (rows, columns)))
-        told = None if K is None else float(K[0, 0] + K[1, 1]) / 2
-        focal, shift = focal_and_shift(points[some][seen[some]], away[some][seen[some]], told)
+        known = None if K is None else float(K[0, 0] + K[1, 1]) / 2
+        focal, shift = focal_and_shift(points[some][seen[some]], away[some][seen[some]], known)
         usable = np.isfinite(focal) and focal > 0
         require(usable, "the network's points are of no camera", got=f"focal length {focal:.3g}", path=self.path)
         depth = _resized((points[..., 2] + shift) * scale, seen, height, width)

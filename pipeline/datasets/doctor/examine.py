@@ -108,12 +108,12 @@ def examine(path: str | Path, **camera: Any) -> Examination:
     InputError
         It cannot be opened, or none of the frames that were looked at can be read.
     """
-    dataset, told = open_dataset(path, **camera), dict(camera)
+    dataset, options = open_dataset(path, **camera), dict(camera)
     frames = chosen_frames(dataset)
     notes: tuple[Opinion, ...] = ()
     for unit in TRIED_UNITS if not frames else ():
-        told["depth_scale"] = unit
-        dataset = open_dataset(path, **told)
+        options["depth_scale"] = unit
+        dataset = open_dataset(path, **options)
         if frames := chosen_frames(dataset):
             break
     if not frames:
@@ -122,8 +122,8 @@ def examine(path: str | Path, **camera: Any) -> Examination:
     settings = read_settings(dataset.root).overridden(**{k: camera.get(k) for k in ("registration", "poses")})
     units = getattr(dataset, "depth_units", None)
     found = examine_frames(dataset, frames, units and units(frames[0].id), settings)
-    if told.get("depth_scale") != camera.get("depth_scale") and found.of("depth scale").state != "wrong":
-        unit = told["depth_scale"]
+    if options.get("depth_scale") != camera.get("depth_scale") and found.of("depth scale").state != "wrong":
+        unit = options["depth_scale"]
         text = f"as read, no depth is that of a room; with {unit:g} units in a metre it is"
         mended = Opinion("depth scale", "wrong", text, {"depth_scale": unit}, f"--depth-scale {unit:g}")
         notes = tuple(mended if o.about == mended.about else o for o in found.opinions)

@@ -90,8 +90,8 @@ def _against(
     """Comparison of the best explanation with the best alternative leaving the subject unchanged."""
     others = [h for h in search.explanations if left(h) and h != search.best] or [otherwise]
     best, second = search.at(search.best), max(map(search.at, others))
-    told = {"lands": round(best, 4), "otherwise": round(second, 4), "pairs": float(len(search.fine.pairs))}
-    return f"{best:.0%} of the points land on the depth (within {FINE:.1%}) and colour of another frame", told
+    evidence = {"lands": round(best, 4), "otherwise": round(second, 4), "pairs": float(len(search.fine.pairs))}
+    return f"{best:.0%} of the points land on the depth (within {FINE:.1%}) and colour of another frame", evidence
 
 
 def _either(about: str, search: PosedViews, others: Sequence[Hypothesis]) -> Opinion:
@@ -109,11 +109,11 @@ def _poses(search: PosedViews) -> Opinion:
 
     lands, evidence = _against(search, differ, Hypothesis())
     text = f"{lands} with {best}, {evidence['otherwise']:.0%} with any other convention"
-    rivals = search.as_good(differ)
-    if rivals and cause.about == "poses":
-        return _either("poses", search, rivals)
-    if rivals:
-        names = ", ".join(dict.fromkeys((best, *(h.cause.mend["poses"] for h in rivals))))
+    equals = search.as_good(differ)
+    if equals and cause.about == "poses":
+        return _either("poses", search, equals)
+    if equals:
+        names = ", ".join(dict.fromkeys((best, *(h.cause.mend["poses"] for h in equals))))
         return Opinion("poses", "unknown", f"too little motion between the frames to tell {names} apart")
     if cause.about != "poses":
         return Opinion("poses", "fine", text, evidence=evidence)
@@ -127,10 +127,10 @@ def _caused(about: str, search: PosedViews) -> Opinion:
     def own(h: Hypothesis) -> bool:
         return h.cause.about == about
 
-    rivals = search.as_good(lambda h: own(h) != own(best))
+    equals = search.as_good(lambda h: own(h) != own(best))
     lands, evidence = _against(search, lambda h: own(h) != own(best), Hypothesis())
-    if rivals:
-        return _either(about, search, rivals)
+    if equals:
+        return _either(about, search, equals)
     if not own(best):
         return Opinion(about, "fine", lands, evidence=evidence)
     text = f"{lands} where {best.cause.words}, else {evidence['otherwise']:.0%}"
@@ -151,8 +151,8 @@ def _time(search: PosedViews) -> Opinion:
             return Opinion("time", "unknown", why)
         text = f"the poses of frames {counted(min(worse), 'place')} earlier or later land worse"
         return Opinion("time", "fine", text, evidence={"told_from": float(min(worse))})
-    if rivals := search.as_good(lambda h: h.cause.about != "time"):
-        return _either("time", search, rivals)
+    if equals := search.as_good(lambda h: h.cause.about != "time"):
+        return _either("time", search, equals)
     (shift,) = (shift for shift, h in late.items() if h.cause == best.cause)
     near = [s for s, h in late.items() if not search.beats(best, replace(best, cause=h.cause), NEAR_SURE)]
     gain = search.at(best) - search.at(Hypothesis())
@@ -183,8 +183,8 @@ def _scale(search: PosedViews, units: float | None) -> Opinion:
             return Opinion("depth scale", "fine", f"{lands}; {_between(found)} it would do", evidence=evidence)
         text = f"the frames are too close together: {_between(found)} the depth as read lands as well"
         return Opinion("depth scale", "unknown", text, evidence=evidence)
-    if rivals := search.as_good(left):
-        return _either("depth scale", search, rivals)
+    if equals := search.as_good(left):
+        return _either("depth scale", search, equals)
     unit = None if units is None else _known_unit(units, found)
     if units is None or (unit is None and found.sharp > SHARP):
         text = f"the depth as read does not land; {_between(found)} it would, which is no one unit"
@@ -219,8 +219,8 @@ def _focal(search: PosedViews) -> Opinion:
         return Opinion("focal length", "unknown", text, evidence=evidence)
     if found.holds(1.0) or left(search.best):
         return Opinion("focal length", "fine", f"{lands}; {_between(found)} it would do", evidence=evidence)
-    if rivals := search.as_good(left):
-        return _either("focal length", search, rivals)
+    if equals := search.as_good(left):
+        return _either("focal length", search, equals)
     text = f"{lands} where it is {found.value:.3g} times as long, else {evidence['otherwise']:.0%}"
     return Opinion("focal length", "wrong", text, evidence=evidence)
 
@@ -231,7 +231,7 @@ def _by_cause(h: Hypothesis, search: PosedViews) -> float:
 
 
 def _center(search: PosedViews) -> Opinion:
-    size, best, told = search.fine.size, search.best, search.coarse.K[0, :2, 2]
+    size, best, as_read = search.fine.size, search.best, search.coarse.K[0, :2, 2]
 
     def center(h: Hypothesis) -> np.ndarray:
         return search.views(h.cause, coarse=True).K[0, :2, 2]
@@ -239,17 +239,17 @@ def _center(search: PosedViews) -> Opinion:
     def apart(h: Hypothesis, other: np.ndarray) -> bool:
         return float(np.abs(center(h) - other).max()) > SAME_CENTER * size[1]
 
-    rivals = search.as_good(lambda h: apart(h, center(best)))
-    if rivals:
+    equals = search.as_good(lambda h: apart(h, center(best)))
+    if equals:
         by_middle, _ = center_by_middle(search.fine.K[0], size)
-        if by_middle is not None and (by_middle.state == "wrong" or not apart(best, told)):
+        if by_middle is not None and (by_middle.state == "wrong" or not apart(best, as_read)):
             return by_middle
         return Opinion("principal point", "unknown", "it lands as well with another principal point")
     middle = [Hypothesis(cause=cause) for cause in search.causes if cause.words == MIDDLE]
-    otherwise = Hypothesis() if apart(best, told) or not middle else middle[0]
+    otherwise = Hypothesis() if apart(best, as_read) or not middle else middle[0]
     lands, evidence = _against(search, lambda h: apart(h, center(best)), otherwise)
     text = f"{lands}, {evidence['otherwise']:.0%} with another principal point"
-    if not apart(best, told):
+    if not apart(best, as_read):
         return Opinion("principal point", "fine", text, evidence=evidence)
     return Opinion("principal point", "wrong", f"{text}: {best.cause.words}", evidence=evidence)
 
@@ -280,11 +280,11 @@ def center_by_middle(K: np.ndarray, size: tuple[int, int]) -> tuple[Opinion | No
     """Opinion on the principal point, None without evidence, and the cause: swapped numbers or another image size. `K`
     (3, 3) float64; `size` (int, int): Height and width, pixels."""
     middle = np.array([(size[1] - 1) / 2, (size[0] - 1) / 2])
-    told = float(np.abs(K[:2, 2] - middle).max())
-    text, evidence = f"it is {told:.0f} pixels off the middle of the picture", {"off_middle": round(told, 1)}
-    if told <= EVEN * size[1]:
+    off = float(np.abs(K[:2, 2] - middle).max())
+    text, evidence = f"it is {off:.0f} pixels off the middle of the picture", {"off_middle": round(off, 1)}
+    if off <= EVEN * size[1]:
         return Opinion("principal point", "fine", text, evidence=evidence), AS_READ
-    for cause in other_centers(K, size) if told > ODD * size[1] else ():
+    for cause in other_centers(K, size) if off > ODD * size[1] else ():
         then = float(np.abs(np.array(cause.mend["intrinsics"][2:]) - middle).max())
         if cause.words != MIDDLE and then <= EVEN * size[1]:
             evidence |= {f"off_middle_{'swapped' if cause.words == SWAPPED else 'resized'}": round(then, 1)}

@@ -221,9 +221,9 @@ class PosedViews:
         add(SHIFTS)
         while found:
             best = max(found, key=lambda shift: self.at(found[shift]))
-            beside = [s for s in (best - 1, best + 1) if s and s not in found and abs(s) <= FARTHEST]
+            adjacent = [s for s in (best - 1, best + 1) if s and s not in found and abs(s) <= FARTHEST]
             tried = len(found)
-            add(beside)
+            add(adjacent)
             if len(found) == tried:
                 break
         return found

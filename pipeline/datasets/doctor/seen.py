@@ -234,10 +234,10 @@ class Seen:
         return replace(camera, up=T[:3, :3].T @ up)
 
 
-def _with_up(camera: Camera, told: str | None) -> Camera:
+def _with_up(camera: Camera, declared: str | None) -> Camera:
     """Camera with a world up "world:X,Y,Z"."""
     T = camera.T_world_camera
-    if told is None or T is None:
+    if declared is None or T is None:
         return camera
-    world = np.array([float(n) for n in told.partition(":")[2].split(",")])
+    world = np.array([float(n) for n in declared.partition(":")[2].split(",")])
     return camera.with_up(T[:3, :3].T @ world, "given")

@@ -189,15 +189,15 @@ def _outlines_measured(seen: Seen, mended: Seen) -> tuple[RegionAgreement, ...]:
 
 def _registration(seen: Seen) -> Opinion:
     outlines = seen.outlines
-    told = Registration.none(outlines.camera)
-    near = outlines.near(told)
+    identity = Registration.none(outlines.camera)
+    near = outlines.near(identity)
     own = outlines.by_region(near)
     frames = int(np.isfinite(outlines.by_frame(near)).sum())
     regions = int(np.isfinite(own).sum())
     if frames < LEAST_FRAMES or regions < LEAST_REGIONS:
         text = f"outlines of depth in {regions} of {own.size} regions of the picture, {frames} frames: too few to tell"
         return Opinion("registration", "unknown", text)
-    peak = mean_known(outlines.by_region(outlines.above_chance(told)))
+    peak = mean_known(outlines.by_region(outlines.above_chance(identity)))
     fitted = estimate_warp(outlines)
     gain = np.nan_to_num(outlines.near(fitted.warp) - near)
     gained, off = mean_known(outlines.by_region(gain)), displacement(fitted.warp, outlines)
