@@ -124,7 +124,8 @@ def judge(tab: Tab, frame: str, fails: bool) -> str:
     tab.page.locator("#where .frame-id").press("Enter")
     tab.poll("frame => document.title.includes(` ${frame} `)", frame)
     tab.poll("!document.getElementById('working').textContent")
-    things = tab.page.evaluate("[...document.querySelectorAll('#objects b')].map(e => e.textContent)")
+    # Names of the shown answer count twice.
+    things = tab.page.evaluate("[...document.querySelectorAll('#objects b, #answer .names b')].map(e => e.textContent)")
     # The most frequent name may mean several things, the next one fewer.
     names = [name for name, _ in Counter(t.partition("·")[0] for t in things if "·" in t).most_common()]
     tab.ask(f"{names[0]} left of the {names[1]}")

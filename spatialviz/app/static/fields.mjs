@@ -334,10 +334,6 @@ calls.overlay = marks => {
   for (const drawing of document.querySelectorAll('.pic > #overlay')) fill(drawing, marks);
 };
 
-calls.shown = () => setTimeout(() => {
-  document.querySelector('.ex.sel')?.scrollIntoView({block: 'nearest'});
-}, 60);
-
 calls.sentence = () => {
   setTimeout(() => focus(document.querySelector('input.sent')), 60);
 };
