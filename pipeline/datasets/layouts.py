@@ -212,10 +212,8 @@ def _image_folders(folder: Path) -> tuple[str, str] | None:
 
 def _is_camera_file(path: Path) -> bool:
     """Test whether a file has Open3D intrinsics; errors in them appear on loading."""
-    try:
-        return path.stat().st_size <= CAMERA_FILE_BYTES and b"intrinsic_matrix" in read_bytes(path)
-    except (OSError, InputError):
-        return False
+    small = path.is_file() and path.stat().st_size <= CAMERA_FILE_BYTES
+    return small and b"intrinsic_matrix" in (or_note([], "", read_bytes, path) or b"")
 
 
 def _trajectory(path: Path | None, keys: Sequence[Key]) -> dict[Key, np.ndarray]:

@@ -6,7 +6,6 @@ https://github.com/apple/ARKitScenes/blob/main/DATA.md, https://record3d.app
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, ClassVar
@@ -32,7 +31,7 @@ from pipeline.datasets.pairing import Pair, numbers, stem_of
 from pipeline.datasets.reconstructions import OPENCV_OF_OPENGL
 from pipeline.datasets.recording import DepthRule, Listed, Recording
 from pipeline.datasets.settings import Settings
-from pipeline.system.errors import InputError, as_input_error, extra_module, needed, require
+from pipeline.system.errors import as_input_error, extra_module, needed, require
 from pipeline.system.safe_files import open_zip, parse_json
 
 WITHIN_S = 0.005
@@ -205,9 +204,8 @@ def _is_record3d(root: Path) -> bool:
     folders, files = readable(root)
     if METADATA not in files or not {"rgb", "depth"} <= set(folders):
         return False
-    with suppress(InputError):
-        return {"K", "poses", "w", "h"} <= read_json(root / METADATA).keys()
-    return False
+    table = or_note([], "", read_json, root / METADATA) or {}
+    return {"K", "poses", "w", "h"} <= table.keys()
 
 
 RECORD3D = DatasetFormat(

@@ -105,28 +105,26 @@ def saved_frame(frame: Frame) -> tuple[SavedFrame, dict[str, bytes]]:
             "T_world_camera": None if camera.T_world_camera is None else camera.T_world_camera.tolist(),
             "up": None if camera.up is None else camera.up.tolist(),
             "up_source": camera.up_source,
-            "annotations": [_annotation_record(a) for a in frame.annotations],
+            "annotations": [
+                {
+                    "index": a.index,
+                    "label": a.label,
+                    "bbox": [float(v) for v in a.bbox],
+                    "mask": None if a.mask is None else RunLength.of(a.mask),
+                    "box": a.box
+                    and {"center": a.box.center.tolist(), "R": a.box.R.tolist(), "size": a.box.size.tolist()},
+                    "visible": a.visible,
+                    "instance": a.instance,
+                    "difficulty": a.difficulty,
+                    "fixed": a.fixed,
+                }
+                for a in frame.annotations
+            ],
             "notes": frame.notes,
             "depth_source": frame.depth_source or None,
         }
     )
     return record, {COLOR: png(np.ascontiguousarray(frame.rgb[..., ::-1]), PACKED), depth_file: depth}
-
-
-def _annotation_record(a: Annotation) -> dict[str, Any]:
-    return {
-        "index": a.index,
-        "label": a.label,
-        "bbox": [float(v) for v in a.bbox],
-        "mask": None if a.mask is None else RunLength.of(a.mask),
-        "box": None
-        if a.box is None
-        else {"center": a.box.center.tolist(), "R": a.box.R.tolist(), "size": a.box.size.tolist()},
-        "visible": a.visible,
-        "instance": a.instance,
-        "difficulty": a.difficulty,
-        "fixed": a.fixed,
-    }
 
 
 def _depth_bytes(depth: np.ndarray) -> tuple[str, float | None, bytes]:

@@ -140,12 +140,13 @@ class SemanticAbstractionDataset(Recording):
                 for name in ("target_obj_name", "reference_obj_name", "spatial_relation_name")
             )
             given = f"{group}/target_obj_id" in file
-            ids = read_integers(file, f"{group}/target_obj_id") if given else [-1] * len(targets)
+            ids = _list(file, f"{group}/target_obj_id") if given else np.full(len(targets), -1)
+            require(ids.dtype.kind in "iu" or not ids.size, "target_obj_id is no list of integers", got=ids.dtype)
             lengths = {len(targets), len(references), len(relations), len(ids)}
             require(len(lengths) == 1, "the lists of data/descriptions differ in length")
             classes = _labels(file, object_ids(_segments(file, item, (None, None), [])), [])
         found: list[GivenExpression] = []
-        for target, number, relation, reference in zip(targets, ids, relations, references, strict=True):
+        for target, number, relation, reference in zip(targets, ids.tolist(), relations, references, strict=True):
             if relation not in RELATIONS:
                 continue
             meant, others = (tuple(i for i, label in classes.items() if label == name) for name in (target, reference))
@@ -338,13 +339,6 @@ def read_names(file: Any, name: str) -> list[str]:
     )
     texts = (v.decode("utf-8", "replace") if isinstance(v, bytes) else v for v in values.tolist())
     return [" ".join("".join(c if c.isprintable() else " " for c in text).split()) for text in texts]
-
-
-def read_integers(file: Any, name: str) -> list[int]:
-    """A list of integers, itself or by region references."""
-    values = _list(file, name)
-    require(not (values.dtype.kind not in "iu" and values.size), f"{name} is no list of integers", got=values.dtype)
-    return [int(v) for v in values.tolist()]
 
 
 def read_classes(file: Any) -> dict[int, str]:

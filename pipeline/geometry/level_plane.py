@@ -202,7 +202,7 @@ def _explained(normals: np.ndarray, up: np.ndarray) -> float:
 
 def _ease(up: np.ndarray) -> np.ndarray:
     """Commonness, 0..1, of holding a camera with each up vector, (N, 3); 0 is never."""
-    pitch, roll = _pitch_deg(up), np.abs(_roll_deg(up))
+    pitch, roll = _pitch_deg(up), np.abs(np.rad2deg(np.arctan2(up[..., 0], -up[..., 1])))
     beyond = np.maximum(pitch - EASY_STEEP_DEG, 0) + np.maximum(-pitch - EASY_HIGH_DEG, 0)
     held = np.exp(-0.5 * (np.maximum(roll - EASY_ROLL_DEG, 0) / 8) ** 2 - beyond / 12)
     return np.where((pitch < STEEPEST_DEG) & (pitch > -HIGHEST_DEG) & (roll < MAX_ROLL_DEG), held, 0.0)
@@ -211,10 +211,6 @@ def _ease(up: np.ndarray) -> np.ndarray:
 def _pitch_deg(up: np.ndarray) -> np.ndarray:
     """Downward pitch of a camera with an up vector, (..., 3), degrees."""
     return np.rad2deg(np.arcsin(np.clip(-up[..., 2], -1, 1)))
-
-
-def _roll_deg(up: np.ndarray) -> np.ndarray:
-    return np.rad2deg(np.arctan2(up[..., 0], -up[..., 1]))
 
 
 def _fitted(surface: SurfaceBlocks, direction: np.ndarray, sign: np.float32) -> tuple[np.ndarray, float, float] | None:
