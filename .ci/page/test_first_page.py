@@ -154,3 +154,11 @@ def test_one_page_does_not_move_another(demo: Server, open_tab: OpenTab) -> None
     other.page.reload()
     other.words()
     assert other.frame == moved, (other.frame, moved)
+
+
+def test_depth_and_camera_are_examined_with_outlines(demo: Server, open_tab: OpenTab) -> None:
+    tab = open_tab(demo.address, "absent")
+    tab.see(".menu>summary").click()
+    tab.click("doctor")
+    tab.see("#dialog-window .doctor", "registration")
+    tab.poll("document.querySelector('#dialog-window img.edges').naturalWidth > 600")

@@ -22,6 +22,7 @@ from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.system.errors import InputError, UnknownClass, require
 from spatialviz.app import (
+    depth_check,
     evaluate,
     filling,
     frame_cloud,
@@ -86,6 +87,7 @@ class PageSession(Part):
             self._exports,
             self._browse,
             keys.Keys(ctx),
+            depth_check.DepthCheck(ctx),
             *self._labels.parts,
         )
         self._commands = {name: run for part in parts for name, run in commands_of(part).items()}
