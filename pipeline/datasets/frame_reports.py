@@ -14,8 +14,7 @@ from pipeline.datasets.base import Dataset, dataset_notes, has_moves, load_pictu
 from pipeline.datasets.cameras import or_note
 from pipeline.datasets.settings import ASSUMED, DECLARE, DEPTH_SCALE
 from pipeline.datasets.up import resolved_camera, scene_doubt, scene_vote
-from pipeline.geometry.camera import Camera, UpSource
-from pipeline.geometry.frame import Frame
+from pipeline.geometry.camera import UpSource
 from pipeline.system.errors import InputError
 
 
@@ -85,6 +84,8 @@ def survey(dataset: Dataset) -> Iterator[FrameReport]:
         untold = frame.camera.untold
         camera = frame.camera if untold else resolved_camera(dataset, frame)
         valid = frame.depth[frame.depth > 0]
+        assumed_up = f"{ASSUMED}; {DECLARE}" if camera.up_source == "assumed" else ""
+        doubts = (note for note in (assumed_up, scene_doubt(dataset, frame, camera)) if note)
         yield FrameReport(
             index,
             frame_id,
@@ -98,17 +99,10 @@ def survey(dataset: Dataset) -> Iterator[FrameReport]:
             has_pose=frame.camera.T_world_camera is not None,
             up_source=camera.up_source,
             up=None if camera.up is None else tuple(camera.up.tolist()),
-            notes=(*frame.notes, *up_notes(dataset, frame, camera)),
+            notes=(*frame.notes, *doubts),
             dataset_notes=assumed,
             moves=leads,
         )
-
-
-def up_notes(dataset: Dataset, frame: Frame, camera: Camera) -> tuple[str, ...]:
-    """Doubts about a frame's up vector: assumed, or against the scene's."""
-    notes = (f"{ASSUMED}; {DECLARE}",) if camera.up_source == "assumed" else ()
-    doubt = scene_doubt(dataset, frame, camera)
-    return (*notes, doubt) if doubt else notes
 
 
 LITTLE_DEPTH = 0.1

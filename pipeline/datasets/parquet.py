@@ -142,7 +142,9 @@ def is_lerobot_depth(features: Mapping[str, Any], name: str) -> bool:
 
 def _picture_columns(columns: Any, features: Mapping[str, Any]) -> dict[str, str | None]:
     """The columns of colour and depth: of several the first depth, and the colour of the same camera."""
-    names = [field.name for field in columns if _is_picture(field)]
+    # Pictures are encoded bytes, bare or in a struct, or nested lists of numbers.
+    coded = ("struct<bytes: ", "binary", "large_binary")
+    names = [field.name for field in columns if str(field.type).startswith(coded) or _is_array(field)]
     depth = next((name for name in names if is_lerobot_depth(features, name)), None)
     colors = [name for name in names if role_of(name)[0] == "color" and name != depth]
     same = [name for name in colors if depth is not None and role_of(name)[1] == role_of(depth)[1]]
@@ -151,11 +153,6 @@ def _picture_columns(columns: Any, features: Mapping[str, Any]) -> dict[str, str
 
 def _is_array(column: Any) -> bool:
     return str(column.type).count("list<") > 1
-
-
-def _is_picture(column: Any) -> bool:
-    """Test whether a column can hold pictures: encoded bytes, bare or in a struct, or nested lists."""
-    return str(column.type).startswith(("struct<bytes: ", "binary", "large_binary")) or _is_array(column)
 
 
 def _ids(table: Path, columns: list[str]) -> list[str]:

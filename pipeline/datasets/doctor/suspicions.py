@@ -70,10 +70,6 @@ class RegionAgreement:
         return None
 
 
-def _unmeasured(seen: Seen, mended: Seen) -> tuple[RegionAgreement, ...]:
-    return ()
-
-
 @dataclass(frozen=True)
 class Suspicion:
     """A possible fault of a recording. Each in turn says what it thinks of its subjects, on the frames as they are with
@@ -81,7 +77,7 @@ class Suspicion:
     for another."""
 
     opinions: Callable[[Seen, Sequence[Opinion]], list[Opinion]]  # With fixes; given the earlier opinions
-    measured: Callable[[Seen, Seen], tuple[RegionAgreement, ...]] = _unmeasured
+    measured: Callable[[Seen, Seen], tuple[RegionAgreement, ...]] = lambda seen, mended: ()
     """Agreement of the frames as they were and with a fix."""
 
 
@@ -255,10 +251,6 @@ LEAST_NEARER = 0.1
 AXES = {f"{sign}{name}": np.eye(3)[k] * (1 if sign == "+" else -1) for k, name in enumerate("xyz") for sign in "+-"}
 
 
-def _level_measured(seen: Seen, mended: Seen) -> tuple[RegionAgreement, ...]:
-    return (RegionAgreement(1 - _off(seen) / 180, 1 - _off(mended) / 180, LEAST_NEARER),)
-
-
 def _up(seen: Seen, known: Sequence[Opinion]) -> Opinion:
     agreed, axis = _agreed(seen)
     if all(frame.camera.up is None for frame in seen.frames):
@@ -316,7 +308,10 @@ SUSPICIONS = (
     # With its mend the same sizes are looked at again: none may speak for another unit.
     Suspicion(_sizes),
     Suspicion(lambda seen, known: [_registration(seen)], _outlines_measured),
-    Suspicion(lambda seen, known: [_up(seen, known)], _level_measured),
+    Suspicion(
+        lambda seen, known: [_up(seen, known)],
+        lambda seen, mended: (RegionAgreement(1 - _off(seen) / 180, 1 - _off(mended) / 180, LEAST_NEARER),),
+    ),
 )
 """What is looked for after landing, in an order in which none explains another: what landing leaves of the unit, the
 registration of what is mended so far, and up, which mended poses carry."""
