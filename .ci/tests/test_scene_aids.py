@@ -1,7 +1,8 @@
-"""What helps to judge lengths in the scene, without a browser: grid, tools for clicks, colours, what is kept."""
+"""What helps to judge an answer, without a browser: grid, tools for clicks, colours, all pairs, what is kept."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -19,9 +20,11 @@ from spatialviz.app.channel import Call
 from spatialviz.app.context import Context, Shared
 from spatialviz.app.frame_cloud import SceneAids
 from spatialviz.app.layout import BrowserPage
+from spatialviz.app.markup import h
 from spatialviz.app.picture import depth_bar
 from spatialviz.app.scene import Tag
 from spatialviz.app.selection import Selection
+from spatialviz.app.stages import pairs_evidence
 from spatialviz.app.state import State
 
 
@@ -138,3 +141,12 @@ def test_the_depth_bar_tells_the_ends_of_the_colours() -> None:
     assert state.loaded is not None
     low, high = depth_ends(state.loaded.context.frame.depth)
     assert f"{low:.2f} m{(low + high) / 2:.2f} m{high:.2f} m" in bar.text
+
+
+def test_every_candidate_pair_stands_in_the_heat_map_with_its_probability() -> None:
+    _, state = opened()
+    assert state.trace is not None
+    (table,) = re.findall('<table class="matrix.*?</table>', h.div(pairs_evidence(state, state.trace)).html)
+    told = {int(n): float(p) for n, p in re.findall(r"pair:(\d+)[^>]*>([.\d]+)<", table)}
+    assert told == {k: pytest.approx(p.p_relation, abs=0.006) for k, p in enumerate(state.ranked)}
+    assert len(told) > 1

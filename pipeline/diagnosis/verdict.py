@@ -8,10 +8,11 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.answering.pair_table import HOLDS, ScoredPair
+from pipeline.answering.pair_table import HOLDS, ScoredPair, one_object_twice
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.minimal_repair import FactorRepair, smallest_change
 from pipeline.diagnosis.oracles import names_of
+from pipeline.diagnosis.substitution import substitute
 from pipeline.geometry.boxes import Box3D
 from pipeline.labels.cases import Case, FrameCases
 from pipeline.language.relation_names import PHRASE
@@ -153,6 +154,16 @@ class Diagnosis:
             return None
         ours, theirs = self.winner.log_factors, self.right.log_factors
         return {name: ours[name] - theirs[name] for name in ours}
+
+    def acceptable_pairs(self) -> set[tuple[int, int]]:
+        """Acceptable candidate pairs, as indices of the trace's objects; none without a relation."""
+        if not self.gold or not self.case.reference:
+            return set()
+        found = substitute(self.evidence, self.case)
+        targets, references = (role.index[: role.found] for role in (found.target, found.reference))
+        covered = found.covered[: len(targets), : len(references)]
+        here = np.argwhere(covered & ~one_object_twice((targets, references), self.evidence.same))
+        return {(int(targets[i]), int(references[j])) for i, j in here}
 
     def labelled_boxes(self) -> dict[str, Box3D]:
         """Labelled target and reference in 3D, with known geometry."""

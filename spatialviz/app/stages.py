@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
+
 from pipeline.answering.answer_words import why_no_answer
 from pipeline.answering.ask import Trace
 from pipeline.answering.pair_table import ScoredPair
+from pipeline.answering.ranking import Candidates
 from pipeline.diagnosis.answer import Stage, failed_stages, parse_notes, stages_of, unasked_stages
 from pipeline.diagnosis.minimal_repair import threshold
 from pipeline.diagnosis.verdict import Diagnosis
@@ -14,7 +17,7 @@ from pipeline.geometry.palette import VERDICTS, hex_color, palette
 from pipeline.language.lexicon import wording
 from pipeline.language.tree import Attachment, Node, Span
 from spatialviz.app.answer import verdict_evidence
-from spatialviz.app.markup import Child, Element, cell, chosen, h, hint_of, named, term, was
+from spatialviz.app.markup import Child, Element, cell, chosen, h, hint_of, named, term, was, with_terms
 from spatialviz.app.stage_objects import attributes_evidence, candidates_evidence, lift_evidence, relations_evidence
 from spatialviz.app.state import State
 
@@ -147,13 +150,14 @@ def _attachment(attachment: Attachment) -> Element:
 
 
 SHOWN_PAIRS = 30
+MATRIX_LIMIT = 14
 
 
 def pairs_evidence(state: State, trace: Trace) -> list[Child]:
     """Ranked pairs, then the reasons."""
     if not state.ranked:
         return [h.p("There are no pairs to rank.", cls="dim")]
-    return [_ranked(state), _against(state)]
+    return [_ranked(state), _against(state), _matrix(state, trace)]
 
 
 def _ranked(state: State) -> list[Child]:
@@ -258,6 +262,61 @@ def _ends(state: State, pair: ScoredPair) -> Element:
 
 def _name(state: State, place: int | None) -> str:
     return "?" if place is None or place not in state.shown.place else state.name_of(place)
+
+
+def _matrix(state: State, trace: Trace) -> list[Child]:
+    """Candidate pairs as a heat map, targets down and references across; a click chooses the pair."""
+    if trace.root.triple is None or trace.relation == "between":
+        return []
+    colors = palette(state.dark)
+    targets, references = trace.candidates[trace.query.target], trace.candidates[trace.root.triple.nodes[0].label]
+    columns = _best(references)
+    ranks = {(p.target, p.reference): k for k, p in enumerate(state.ranked)}
+    accepted = state.judged.acceptable_pairs() if isinstance(state.judged, Diagnosis) else set()
+    css = {f"--{role}": hex_color(colors[role]) for role in ("target", "truth", "reference")}
+    cut = max(len(targets.index), len(references.index)) > MATRIX_LIMIT
+    head = (
+        h.th(_name(state, c).rpartition("·")[2], h.i(f"{s:.2f}"), cls="ref", title=_name(state, c)) for c, s in columns
+    )
+    table = h.table(
+        h.thead(h.tr(h.td(), h.td(), head)),
+        h.tbody(
+            h.tr(
+                h.th(named(colors["target"], _name(state, r)), cls="w2", scope="row"),
+                h.td(f"{score:.2f}", cls="n dim"),
+                (_pair_cell(state, ranks.get((r, c)), (r, c) in accepted) for c, _ in columns),
+                id=f"matrix-{r}",
+            )
+            for r, score in _best(targets)
+        ),
+        cls="matrix",
+        css=css,
+    )
+    aside = f"best {MATRIX_LIMIT} a side" if cut else with_terms("P(relation) · outlined: acceptable", "acceptable")
+    return [h.h3("All pairs", h.span(aside)), h.div(table, cls="mx")]
+
+
+def _pair_cell(state: State, rank: int | None, accepted: bool) -> Element:
+    if rank is None:
+        return h.td("·", cls="no", title="one and the same thing")
+    pair = state.ranked[rank]
+    is_chosen, p = state.at(pair)[:2] == (state.pair or ())[:2], pair.p_relation
+    marks = ("c", "sel" if is_chosen else "", "ok" if accepted else "", "top" if rank == 0 else "")
+    return h.td(
+        "1" if p >= 0.995 else f"{p:.2f}"[1:],
+        cls=" ".join(filter(None, marks)),
+        css={"--a": f"{0.06 + 0.84 * p:.2f}", "--p": f"{pair.probability:.3f}"},
+        do=f"pair:{rank}",
+        # Keys reach the pairs in the table above.
+        tabindex=-1,
+        title=f"{_name(state, pair.target)} · {_name(state, pair.reference)}: relation {p:.3f}, "
+        f"score {pair.log_score:.2f}, P {pair.probability:.3f}, rank {rank + 1}" + (", acceptable" if accepted else ""),
+    )
+
+
+def _best(candidates: Candidates) -> list[tuple[int, float]]:
+    best = np.argsort(-candidates.scores, kind="stable")[:MATRIX_LIMIT]
+    return [(int(candidates.index[k]), float(candidates.scores[k])) for k in best]
 
 
 EVIDENCE: dict[str, Callable[[State, Trace], list[Child]]] = {
