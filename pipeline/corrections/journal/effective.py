@@ -316,12 +316,19 @@ def effective_frame(
 ) -> EffectiveFrame:
     """Apply the events of a frame, in the order of saving, to the automatic labels.
 
-    `known` is any earlier state of the frame: its objects are taken over where no event of an object came or went.
+    `known` is any other state of the frame. Its objects are taken over where no event of an object came or went; where
+    it is of the first of these events, what the others do not touch is taken over, too.
     Without `relift`, what follows from new pixels or boxes is stale. InputError where the frame cannot be loaded.
     """
-    said: dict[str, dict[FieldRef, list[Event]]] = {kind: {} for kind in KINDS}
-    for event in events:
-        said[event.ref.kind].setdefault(event.ref, []).append(event)
+    ulids = tuple([e.ulid for e in events])
+    before = known if known is not None and ulids[: len(known.ulids)] == known.ulids else None
+    came = events if before is None else events[len(before.ulids) :]
+    said: dict[str, dict[FieldRef, list[Event]]] = {
+        kind: {} if before is None else dict(before.said[kind]) for kind in KINDS
+    }
+    for event in came:
+        of_kind = said[event.ref.kind]
+        of_kind[event.ref] = [*of_kind.get(event.ref, ()), event]
     made_of = tuple([e.ulid for e in events if e.ref.kind == "object"])
     stage = known.stage if known is not None and known.made_of == made_of else None
     if stage is None:
@@ -330,21 +337,28 @@ def effective_frame(
         relifted = _lift(stage, relift)
         _rename(stage)
         relate_objects(stage, relifted)
-    frame = stage.successor()
-    frame.stage, frame.made_of = stage, made_of
+    before = before if before is not None and before.stage is stage else None
+    frame = (before or stage).successor()
+    frame.stage, frame.made_of, frame.ulids, frame.said = stage, made_of, ulids, said
     causes = [e for e in events if e.ref.kind in ("object", "relation")]
     frame.cause = max(causes, key=attrgetter("id"), default=None)
-    correct_pairs(frame, said["relation"])
-    correct_expressions(frame, said["expression"])
+    correct_pairs(frame, said["relation"], None if before is None else came)
+    correct_expressions(frame, said["expression"], before, came)
     boxes = {n: row["bbox"] for n, row in auto.objects.items()}
     there = frame.objects.keys() | frame.left_out.keys()
     # A judgement is of labels, and never one itself: nothing follows from it.
-    for ref, members in said["review"].items():
+    judged = said["review"]
+    if before is not None and frame.outcomes.keys() == before.outcomes.keys():
+        judged = {e.ref: judged[e.ref] for e in came if e.ref.kind == "review"}
+    for ref, members in judged.items():
         after = frame.note(members, replayed_judgement(ref, members, boxes, there, frame.outcomes))
+        frame.statuses.pop(ref, None)
         if after.value is not None:
             frame.statuses[ref] = after.value
     for ref, members in said["frame"].items():
         after = frame.note(members, replay(None, members))
+        frame.statuses.pop(ref, None)
+        frame.origins.pop(("frames", "", ref.field), None)
         if after.value is not None and after.event is not None:
             frame.statuses[ref] = after.value
             frame.put("frames", "", ref.field, Origin.of("human", after.event))

@@ -12,7 +12,7 @@ import numpy as np
 from pipeline.corrections.journal.effective_frame import EffectiveFrame, Withdrawn
 from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FieldRef
-from pipeline.corrections.journal.frame_rows import AT, Answered, Row
+from pipeline.corrections.journal.frame_rows import AT, Answered, Asked, Row
 from pipeline.corrections.journal.replay import Origin, all_gone, replay
 from pipeline.labels.wording import expression_text
 from pipeline.language.noun_phrase import alone
@@ -26,15 +26,39 @@ OPEN_FIELDS = ("text", *SETS)
 """The columns that a person may set."""
 
 
-def correct_expressions(frame: EffectiveFrame, said: Mapping[FieldRef, Sequence[Event]]) -> None:
-    """Apply the events of expressions, and update consequences of objects and relations."""
+def correct_expressions(
+    frame: EffectiveFrame,
+    said: Mapping[FieldRef, Sequence[Event]],
+    before: EffectiveFrame | None,
+    came: Sequence[Event],
+) -> None:
+    """Apply the events of expressions, and update consequences of objects and relations.
+
+    `before` is the frame without the newest events, `came`: what they do not touch stands as it was.
+    """
     expressions, asked = frame.auto.expressions, frame.asked
-    answers = _answered(frame)
-    changed = [] if answers is None else [asked.ids[at] for at in np.flatnonzero(answers.now.changed).tolist()]
-    fields: dict[str, dict[str, Sequence[Event]]] = {name: {} for name in changed}
+    fields: dict[str, dict[str, Sequence[Event]]] = {}
     for ref, events in said.items():
         fields.setdefault(ref.key, {})[ref.field] = events
-    frame.outcomes = dict(expressions)
+    again = {e.ref.key for e in came if e.ref.kind == "expression"}
+    if before is None or before.pairs is not frame.pairs:
+        frame.answers = _answered(frame)
+        # What a person added takes its margin from the pair.
+        again |= fields.keys() - expressions.keys()
+    answers: _Answers | None = frame.answers
+    if before is None:
+        frame.outcomes = dict(expressions)
+        again |= {*fields, *_changed(asked, answers, None)}
+    elif answers is not before.answers:
+        again |= {*_changed(asked, answers, before.answers), *_changed(asked, before.answers, answers)}
+        _name_cause(frame, answers, before.answers)
+    frame.forget("expressions", again)
+    for name in again:
+        frame.outcomes.pop(name, None)
+        frame.marks.pop(name, None)
+        for column in ("status", "exists"):
+            frame.statuses.pop(FieldRef("expression", frame.frame, name, column), None)
+    fields = {name: fields.get(name, {}) for name in again}
     for name in sorted(fields, key=lambda n: (asked.index.get(n, len(asked.ids)), n)):
         row = expressions.get(name)
         if row is None:
@@ -42,6 +66,8 @@ def correct_expressions(frame: EffectiveFrame, said: Mapping[FieldRef, Sequence[
         else:
             follows = answers if answers is not None and answers.now.changed[asked.index[name]] else None
             _correct(frame, dict(row), fields[name], follows)
+    added = sorted(frame.outcomes.keys() - expressions.keys())
+    frame.outcomes = {name: frame.outcomes[name] for name in (*expressions, *added)}
     frame.expressions = {name: found for name, found in frame.outcomes.items() if found.__class__ is dict}  # pyright: ignore
     frame.withdrawn = tuple([found for found in frame.outcomes.values() if found.__class__ is Withdrawn])  # pyright: ignore
 
@@ -52,6 +78,25 @@ class _Answers(NamedTuple):
     now: Answered
     recomputed: Origin
     stale: Origin
+
+
+def _changed(asked: Asked, answers: _Answers | None, before: _Answers | None) -> list[str]:
+    """Ids of expressions that may follow from the answers, but for those with the same answer `before`."""
+    if answers is None:
+        return []
+    changed, now = answers.now.changed, answers.now
+    if before is not None:
+        was = before.now
+        margins = (now.margins == was.margins) | (np.isnan(now.margins) & np.isnan(was.margins))
+        changed = changed & (now.differs(was) | ~margins | (now.holds != was.holds) | (changed != was.changed))
+    return [asked.ids[at] for at in np.flatnonzero(changed).tolist()]
+
+
+def _name_cause(frame: EffectiveFrame, answers: _Answers | None, before: _Answers | None) -> None:
+    """Name the newest correction as the cause of what follows from the answers."""
+    if answers is not None and before is not None:
+        newest = {id(before.recomputed): answers.recomputed, id(before.stale): answers.stale}
+        frame.origins = {at: (newest.get(id(found), found), was) for at, (found, was) in frame.origins.items()}
 
 
 def _answered(frame: EffectiveFrame) -> _Answers | None:

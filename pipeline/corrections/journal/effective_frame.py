@@ -74,6 +74,9 @@ class EffectiveFrame:
     # The same frame after corrections of objects alone, and their ULIDs: other corrections begin there.
     stage: EffectiveFrame | None = None
     made_of: tuple[str, ...] = ()
+    ulids: tuple[str, ...] = ()  # of all events
+    said: dict[str, dict[FieldRef, list[Event]]] = field(default_factory=dict)  # events by kind and cell
+    answers: Any = None  # of the expressions, by the pairs
 
     @classmethod
     def untouched(cls, auto: FrameRows, setting: Setting) -> EffectiveFrame:
@@ -106,6 +109,10 @@ class EffectiveFrame:
     def put(self, table: str, key: str, column: str, origin: Origin, was: Any = None) -> None:
         """Note the origin and the automatic value of a value; the last call counts."""
         self.origins[table, key, column] = origin, was
+
+    def forget(self, table: str, keys: Collection[str]) -> None:
+        """Drop the origins of entities."""
+        self.origins = {at: found for at, found in self.origins.items() if at[0] != table or at[1] not in keys}
 
     def noted(self, table: str, key: str, column: str) -> Origin | None:
         """Origin of a value; None for the labeller's."""

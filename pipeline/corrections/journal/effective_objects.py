@@ -197,10 +197,23 @@ def relate_objects(frame: EffectiveFrame, relifted: Pairs | None) -> None:
         getattr(frame.related, name)[touched] = getattr(anew, name)[touched]
 
 
-def correct_pairs(frame: EffectiveFrame, said: Mapping[FieldRef, Sequence[Event]]) -> None:
-    """Apply the events of relations and of their statuses."""
-    frame.pairs = frame.related.copy()
+def correct_pairs(
+    frame: EffectiveFrame, said: Mapping[FieldRef, Sequence[Event]], came: Sequence[Event] | None
+) -> None:
+    """Apply the events of relations and of their statuses; where only `came` are new, to their pairs alone."""
     judged = {(ref.key, ref.field): events for ref, events in said.items()}
+    if came is None:
+        frame.pairs = frame.related.copy()
+    else:
+        both = {e.ref.numbers for e in came if e.ref.kind == "relation"}
+        both |= {numbers[::-1] for numbers in both}
+        keys = {f"{a},{b}" for a, b in both}
+        judged = {at: events for at, events in judged.items() if at[0] in keys}
+        frame.forget("relations", keys)
+        frame.pairs = frame.pairs.copy() if both else frame.pairs
+        for i, j in ((frame.pairs.index_of(a), frame.pairs.index_of(b)) for a, b in both):
+            for name in MATRICES if i is not None and j is not None else ():
+                getattr(frame.pairs, name)[i, j] = getattr(frame.related, name)[i, j]
     human: dict[tuple[int, int, str], Event] = {}
     for key, field in sorted(judged):
         _correct_relation(frame, judged, key, field, human)
@@ -243,6 +256,7 @@ def _correct_relation(
         return
     if field != relation:
         after = frame.note(events, replay(None, events))
+        frame.statuses.pop(events[0].ref, None)
         if after.value is not None and after.event is not None:
             frame.statuses[events[0].ref] = after.value
             frame.put("relations", key, field, Origin.of("human", after.event))
