@@ -100,14 +100,16 @@ class SceneFolder:
     labels: Mapping[Key, str] = field(default_factory=dict)  # Files of single frames, relative to the folder
     poses: Mapping[Key, PoseText] = field(default_factory=dict)
     pose_problem: str | None = None  # Why there are none although there is a file
+    keyed: bool = False  # Whether the format names the frames by their keys
 
     @classmethod
-    def of(cls, files: Files, known: bool) -> SceneFolder:
+    def of(cls, files: Files, known: bool, naming: Naming | None = None) -> SceneFolder:
         """List the frames of a folder; InputError where colour and depth do not pair or camera files differ. `told`
         says that the intrinsics are known already."""
         root = files.root
         colors, depths = files.of("color"), files.of("depth")
-        naming = choose_naming(colors, depths, files.flat)
+        keyed = naming is not None
+        naming = naming or choose_naming(colors, depths, files.flat)
         pairs = pair_files(naming, colors, depths, root)
         require(pairs, "there is neither a colour picture nor depth", cause="was it unpacked to the end?", path=root)
         keys = {pair.key for pair in pairs}
@@ -116,7 +118,7 @@ class SceneFolder:
         if not keys & each["camera"].keys():
             stated = stated_in_files((root / name for name in files.of("camera")[:MOST_CAMERA_FILES]), known)
         poses, problem = _poses(files, naming, [pair.key for pair in pairs])
-        return cls(files, pairs, stated, each["camera"], each["label"], poses, problem)
+        return cls(files, pairs, stated, each["camera"], each["label"], poses, problem, keyed)
 
     def camera(self, key: Key) -> Stated:
         """Camera facts of a frame."""
@@ -129,8 +131,8 @@ class SceneFolder:
 
     def ids(self, prefix: str) -> list[str]:
         """Frame ids: names of the colour files, without role words in flat folders."""
-        stems = [pair.stem for pair in self.pairs]
-        if self.files.flat:
+        stems = [pair.key[0] if self.keyed else pair.stem for pair in self.pairs]
+        if self.files.flat and not self.keyed:
             short = [role_of(stem)[1] or self.files.root.resolve().name for stem in stems]
             stems = short if len(set(short)) == len(short) else stems
         return [f"{prefix}/{stem}" if prefix else stem for stem in stems]
@@ -155,7 +157,8 @@ class FolderDataset(Recording):
         super().__init__(root, settings)
         known = settings.intrinsics is not None
         self._scenes = {
-            prefix: SceneFolder.of(self._files(folder), known) for prefix, folder in self._folders(root).items()
+            prefix: SceneFolder.of(self._files(folder), known, self._naming())
+            for prefix, folder in self._folders(root).items()
         }
         self._index = {
             frame_id: (prefix, pair)
@@ -167,6 +170,10 @@ class FolderDataset(Recording):
             self._names = read_label_names(root) or self.names
             self.class_names = tuple(dict.fromkeys(self._names.values())) or ("object",)
         self._check()
+
+    def _naming(self) -> Naming | None:
+        """The format's own: what the names of the files of a frame have in common, which is the frame's name."""
+        return None
 
     def _folders(self, root: Path) -> dict[str, Path]:
         return {"": root}

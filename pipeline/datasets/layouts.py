@@ -24,7 +24,7 @@ from pipeline.datasets.files import (
 )
 from pipeline.datasets.folder import FolderDataset, SceneFolder
 from pipeline.datasets.images import picture_size
-from pipeline.datasets.pairing import Files, Key, Pair, files_in
+from pipeline.datasets.pairing import Files, Key, Naming, Pair, files_in
 from pipeline.datasets.recording import DepthRule
 from pipeline.datasets.settings import Settings, camera_notes
 from pipeline.system.errors import InputError, needed, require
@@ -55,6 +55,9 @@ class SevenScenesDataset(FolderDataset):
             self.notes += camera_notes(settings, SEVEN_SCENES_CAMERA, "7-Scenes' own")
         if settings.registration is None:
             self.notes += (UNREGISTERED,)
+
+    def _naming(self) -> Naming:
+        return lambda name: (name.partition(".")[0],)
 
     def _folders(self, root: Path) -> dict[str, Path]:
         return {name: root / name for name in ("", *_sequences(root)) if _has_frames(root / name)}

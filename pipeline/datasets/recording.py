@@ -188,7 +188,8 @@ class Recording:
                 units = float(np.median(stored[stored > 0])) / BROWSED_MEDIAN_M if stored.any() else 1.0
                 unknown = (DEPTH_SCALE,)
         metres = read_depth(found.depth, units, rule.nothing, rule.rotated)
-        metres[metres > rule.farthest] = 0
+        if np.isfinite(rule.farthest):
+            metres[metres > rule.farthest] = 0
         return metres, unknown
 
     def _resized(self, rgb: np.ndarray, metres: np.ndarray, found: Listed, notes: list[str], first: bool) -> np.ndarray:
