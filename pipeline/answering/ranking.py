@@ -61,6 +61,9 @@ class Ranking:
     degenerate: bool  # No pair was allowed; the detector's best target stands alone
     reading_scores: tuple[float, ...]  # The best S of each reading, in their order; -inf where it has no pair
 
+    def __repr__(self) -> str:
+        return f"<Ranking of {len(self.pairs)} pairs, margin {self.margin:.3f}>"
+
 
 def rank(
     readings: Sequence[Reading],
