@@ -12,13 +12,16 @@ import pytest
 
 from pipeline.answering.frame_store import FrameStore
 from pipeline.answering.pipeline import Pipeline, open_pipeline
+from pipeline.datasets import MOVES
 from pipeline.datasets.demo import demo_run
 from pipeline.evaluation.run_folder import Run, open_run
 from spatialviz.app.browse import Browse
 from spatialviz.app.channel import Call, Command
 from spatialviz.app.context import Context, Idle, Shared, commands_of
 from spatialviz.app.frames import FramePictures
+from spatialviz.app.keys import keys_of, meant
 from spatialviz.app.layout import BrowserPage
+from spatialviz.app.toolbar import moves_html
 
 
 @cache
@@ -81,6 +84,26 @@ def test_without_a_run_there_is_nothing_to_choose_by() -> None:
     desk.browse.choose("failed")
     assert desk.said()["count"] == desk.said()["all"]
     assert desk.rows(0, 2)[0][2:] == [0, 0]
+
+
+def test_a_robots_moves_have_buttons_and_keys_where_the_dataset_tells_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    desk, dataset = Desk({}), opened()[1].dataset
+    there: list[str] = []
+    desk.open_frame = there.append
+    assert not desk.shared.moving
+    desk.browse.move("forward")
+    assert there == []
+    leads = {"forward": dataset.frame_ids[1]}
+    monkeypatch.setattr(type(dataset), "moves", lambda *_: leads, raising=False)
+    assert desk.shared.moving
+    buttons = moves_html(leads).html
+    assert buttons.count("<button") == len(keys_of(False)["Moves"]) == 6
+    assert buttons.count("disabled") == 5
+    desk.browse.move("forward")
+    desk.browse.move("left")
+    assert there == [leads["forward"]]
+    assert not keys_of(False, moving=False)["Moves"]
+    assert {meant(Command("key", (str(n),)), False).arguments for n in range(4, 10)} == {(m,) for m in MOVES}
 
 
 @pytest.mark.parametrize(

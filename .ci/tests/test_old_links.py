@@ -13,7 +13,7 @@ from command_line import spatialviz
 
 from pipeline.diagnosis.whatif.state import decode
 from spatialviz.app.state import CameraMode, ColorMode, Place, State
-from spatialviz.app.view_strings import CAMERA, with_settings
+from spatialviz.app.view_strings import CAMERA, FOV, POINTS, with_settings
 
 FIXTURE = Path(__file__).parents[2] / "tests" / "fixtures" / "2026-11-26"
 VIEWS: dict[str, Any] = json.loads((FIXTURE / "views.json").read_text(encoding="utf-8"))
@@ -36,8 +36,9 @@ def test_a_view_string_sets_what_it_did(name: str) -> None:
     # The place by the pair is where a view begins, and no string asks for it.
     assert state.camera == view.toggles[CAMERA]
     assert view.toggles[CAMERA] in get_args(CameraMode)
+    assert state.point_size == view.toggles.get(POINTS, 1)
     flags = asdict(state.flags)
-    assert flags.items() <= view.toggles.items()
+    assert flags == {name: on for name, on in view.toggles.items() if name not in (CAMERA, FOV, POINTS)}
 
 
 def test_commands_read_old_folders(tmp_path: Path) -> None:

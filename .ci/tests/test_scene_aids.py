@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from dataclasses import replace
 from functools import cache
@@ -9,16 +10,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 
 from pipeline.answering.frame_store import FrameStore
 from pipeline.answering.pipeline import Pipeline, open_pipeline
 from pipeline.datasets.demo import DEMO_EXPRESSION
+from pipeline.datasets.scene_mesh import ContextMesh
 from pipeline.diagnosis.whatif.answer_view import shown_objects
 from pipeline.geometry.cloud import floor_height
 from pipeline.geometry.palette import depth_ends
+from pipeline.system.errors import FrameUnusable, needed
 from spatialviz.app.channel import Call
 from spatialviz.app.context import Context, Shared
-from spatialviz.app.frame_cloud import SceneAids
+from spatialviz.app.frame_cloud import FrameCloud, SceneAids
 from spatialviz.app.layout import BrowserPage
 from spatialviz.app.markup import h
 from spatialviz.app.picture import depth_bar
@@ -26,6 +30,7 @@ from spatialviz.app.scene import Tag
 from spatialviz.app.selection import Selection
 from spatialviz.app.stages import pairs_evidence
 from spatialviz.app.state import State
+from spatialviz.app.view_strings import view_of, with_settings
 
 
 @cache
@@ -150,3 +155,48 @@ def test_every_candidate_pair_stands_in_the_heat_map_with_its_probability() -> N
     told = {int(n): float(p) for n, p in re.findall(r"pair:(\d+)[^>]*>([.\d]+)<", table)}
     assert told == {k: pytest.approx(p.p_relation, abs=0.006) for k, p in enumerate(state.ranked)}
     assert len(told) > 1
+
+
+def test_the_size_of_points_is_in_view_strings_and_older_ones_open() -> None:
+    _, state = opened()
+    view = view_of(replace(state, point_size=1.75), None, None, None)
+    assert with_settings(state, view).point_size == 1.75
+    old = view_of(state, None, None, None)
+    assert "point size" not in old.toggles
+    assert with_settings(state, old).point_size == 1.0
+    wild = replace(view, toggles={**view.toggles, "point size": 900.0})
+    assert with_settings(state, wild).point_size == 1.0
+
+
+def test_the_room_the_camera_and_larger_points_are_drawn_while_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
+    triangle, red = np.eye(3, dtype=np.float32), np.array([[255, 0, 0]] * 3, np.uint8)
+    mesh = ContextMesh(triangle, np.array([[0, 1, 2]], np.int32), red, 2)
+    monkeypatch.setattr("spatialviz.app.frame_cloud.fuse_context", lambda *_: mesh)
+    desk, (_, plain) = Desk(), opened()
+    cloud, nodes = FrameCloud(desk), desk.client.nodes
+    cloud.follow()
+    parts = [name for name in nodes if name.startswith("/cloud/")]
+    usual = [nodes[name].point_size for name in parts]
+    assert "/context" not in nodes
+    assert not nodes["/camera"].visible
+    desk.state = replace(plain, flags=replace(plain.flags, context=True, camera=True), point_size=2.0)
+    cloud.follow()
+    loaded = trimesh.load_mesh(io.BytesIO(nodes["/context"].glb_data), "glb")
+    np.testing.assert_allclose(loaded.vertices, triangle @ desk.scene.to_show.T, atol=1e-6)
+    assert b"KHR_materials_unlit" in nodes["/context"].glb_data
+    assert nodes["/camera"].visible
+    assert [nodes[name].point_size for name in parts] == pytest.approx([2 * size for size in usual])
+    desk.state = plain
+    cloud.follow()
+    assert "/context" not in nodes
+
+
+def test_a_frame_without_a_room_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        "spatialviz.app.frame_cloud.fuse_context", lambda *_: needed(None, "no pose", error=FrameUnusable)
+    )
+    desk, (_, plain) = Desk(), opened()
+    desk.state = replace(plain, flags=replace(plain.flags, context=True))
+    FrameCloud(desk).follow()
+    assert not desk.state.flags.context
+    assert desk.called("toast")["text"] == "no pose"

@@ -10,6 +10,7 @@ from typing import Literal
 
 from pydantic import NonNegativeInt
 
+from pipeline.datasets.base import moves
 from pipeline.datasets.frame_reports import CameraPlan
 from spatialviz.app.context import Context, Part, command
 
@@ -45,6 +46,13 @@ class Browse(Part):
     def step(self, step: int) -> None:
         """Show the next frame, or the previous."""
         self.open_number(self._ids.index(self.state.frame_id) + step)
+
+    @command("move")
+    def move(self, move: str) -> None:
+        """Follow a move of the dataset's robot; an impossible move does nothing."""
+        to = moves(self.ctx.source.dataset, self.state.frame_id).get(move)
+        if to is not None:
+            self.ctx.open_frame(to)
 
     @command("frames-of")
     def choose(self, which: Which) -> None:

@@ -17,6 +17,7 @@ from pipeline.answering.frame_store import FrameStore
 from pipeline.answering.pipeline import Pipeline
 from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.label_editor import LabelEditors
+from pipeline.datasets.base import has_moves
 from pipeline.datasets.demo import DEMO_EXPRESSION
 from pipeline.diagnosis.whatif.state import ViewState
 from pipeline.evaluation.run_folder import Run
@@ -54,6 +55,11 @@ class Shared:
     def pictures(self) -> FramePictures:
         """Pictures of all frames."""
         return FramePictures(self.store.sources)
+
+    @property
+    def moving(self) -> bool:
+        """True with a dataset of robot moves."""
+        return any(has_moves(opened.dataset) for opened in self.store.sources.values())
 
 
 class Context:

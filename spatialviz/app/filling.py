@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pipeline.datasets.base import has_moves, moves
 from spatialviz.app import answer, picture, sentences, stage_objects, stages, toolbar
 from spatialviz.app.context import Context
 
@@ -15,6 +16,7 @@ def fill_page(ctx: Context) -> None:
     asked = (state.trace is not None or state.labels is not None) and not state.error
     regions = {
         "where": toolbar.where_html(state, tuple(shared.store.sources), dataset.frame_ids),
+        "moves": toolbar.moves_html(moves(dataset, state.frame_id)) if has_moves(dataset) else None,
         "suggestions": None if asked else toolbar.suggestions_html(state, state.offers.questions),
         "tasks": toolbar.tasks_html(state, bool(shared.runs), bool(shared.journals)),
         "ask-problem": toolbar.refusal_html(state),

@@ -1,16 +1,20 @@
-"""Frame in a client's scene: point cloud, and aids for judging lengths."""
+"""Frame in a client's scene: point cloud, surrounding room, and aids for judging lengths."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import viser.transforms as vtf
 
 from pipeline.answering.frame_store import LoadedFrame, frame_colors
+from pipeline.datasets.scene_mesh import fuse_context
 from pipeline.geometry.cloud import CloudPart, metre_grid
 from pipeline.geometry.palette import hex_color
 from pipeline.geometry.viewer import surface_point
+from pipeline.system.errors import FrameUnusable, MissingExtra
 from spatialviz.app.context import Context, Part
 from spatialviz.app.scene import Tag, plain_color
 from spatialviz.app.scene_client import triple
@@ -21,7 +25,7 @@ CLOUD = "/cloud/"
 
 
 class FrameCloud(Part):
-    """Keeps a client's cloud up to the state."""
+    """Keeps a client's cloud and surrounding room up to the state."""
 
     def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
@@ -40,6 +44,7 @@ class FrameCloud(Part):
         if loaded is None:
             scene.cloud = None
             self.ctx.client.clear(CLOUD)
+            self.ctx.client.clear("/camera")
         elif self._painted != state.paint_key or loaded is not was:
             self._painted = state.paint_key
             look, frame = (state.roles, state.dark), loaded.context.frame
@@ -59,15 +64,17 @@ class FrameCloud(Part):
         if other and not state.error and state.camera == "pair" and viewpoint.untouched and loaded is not None:
             viewpoint.place("pair")
         self.dress()
+        self._show_room(state)
 
     def dress(self) -> None:
-        """Show or hide the points, at their size."""
+        """Show the points at the chosen size, and the camera."""
         parts, state, client = () if self._loaded is None else self._loaded.cloud.parts, self.state, self.ctx.client
         # Until the rest arrives, a point stands for four.
-        factor = 1 if all(CLOUD + part.name in client.nodes for part in parts) else 2
+        factor = state.point_size * (1 if all(CLOUD + part.name in client.nodes for part in parts) else 2)
         with client.atomic():
             for part in parts:
                 client.change(CLOUD + part.name, visible=state.flags.cloud, point_size=part.size * factor)
+            client.change("/camera", visible=state.flags.camera)
 
     def _show(self, loaded: LoadedFrame) -> None:
         """Show another frame, with the first cloud of points."""
@@ -78,6 +85,18 @@ class FrameCloud(Part):
         # Old tags would pile up over frames.
         self.ctx.client.clear("/tags/")
         self._add(part for part in loaded.cloud.parts if part.first)
+        self.ctx.client.put(
+            "camera_frustum",
+            "/camera",
+            fov=float(2 * np.arctan(frame.height / 2 / frame.camera.fy)),
+            aspect=frame.width / frame.height,
+            scale=0.15,
+            thickness=1.5,
+            thickness_units="screen",
+            color=(130, 138, 150),
+            wxyz=vtf.SO3.from_matrix(scene.to_show).wxyz,
+            visible=self.state.flags.camera,
+        )
 
     def _complete(self, loaded: LoadedFrame) -> None:
         """Send the rest of a frame's cloud, unless another frame is shown."""
@@ -93,13 +112,48 @@ class FrameCloud(Part):
                 CLOUD + part.name,
                 points=part.offsets,
                 colors=self._points[part.at],
-                point_size=part.size * (2 if part.first else 1),
+                point_size=part.size * self.state.point_size * (2 if part.first else 1),
                 precision="float16",
                 point_shading="flat",
                 point_shape="square",
                 position=triple(part.center),
                 visible=self.state.flags.cloud,
             )
+
+    def _show_room(self, state: State) -> None:
+        """Neighbouring frames fused, where wanted and possible, dimmed toward the background."""
+        room = state.loaded if state.flags.context else None
+        key = None if room is None else (room.cloud, state.dark)
+        if not self.ctx.client.outdated("/context", key) or room is None:
+            return
+        try:
+            mesh = fuse_context(self.ctx.source.dataset, room.context.frame)
+        except (FrameUnusable, MissingExtra) as error:
+            self.ctx.toast("No room to show", str(error), bad=True)
+            self.ctx.show(flags=replace(state.flags, context=False))
+            return
+        if len(mesh.faces):
+            dimmed = (mesh.colors * 0.45 + (20 if state.dark else 250) * 0.55).astype(np.uint8)
+            data = unlit_glb(mesh.vertices @ self.ctx.scene.to_show.T.astype(np.float32), mesh.faces, dimmed)
+            self.ctx.client.put("glb", "/context", glb_data=data, cast_shadow=False, receive_shadow=False)
+
+
+def unlit_glb(vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray) -> bytes:
+    """Unlit binary glTF of vertices (V, 3) float32, faces (F, 3) int, colors (V, 3) uint8 sRGB."""
+    import trimesh
+    from trimesh.exchange.gltf import export_glb
+
+    linear = np.round(255 * (colors / 255.0) ** 2.2).astype(np.uint8)
+    solid = trimesh.Trimesh(vertices, faces, vertex_colors=linear, process=False)
+    return bytes(export_glb(trimesh.Scene(solid), tree_postprocessor=_unlit))
+
+
+def _unlit(tree: dict[str, Any]) -> None:
+    tree["materials"] = [{"extensions": {"KHR_materials_unlit": {}}, "doubleSided": True}]
+    tree["extensionsUsed"] = ["KHR_materials_unlit"]
+    for mesh in tree["meshes"]:
+        for primitive in mesh["primitives"]:
+            primitive["material"] = 0
 
 
 GRID_COLORS = {True: ((118, 126, 140), (70, 76, 86)), False: ((150, 158, 170), (200, 205, 212))}

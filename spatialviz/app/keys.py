@@ -41,10 +41,13 @@ KEYS: Mapping[str, Rows] = {
         ("G", "Show or hide the dataset's own boxes", "flag:truth"),
         ("Z", "Show or hide the labelled pair", "flag:ghosts"),
         ("Y", "Show or hide the viewer's axes at the reference", "flag:axes"),
+        ("U", "Show or hide the room around the frame", "flag:context"),
         ("Shift+R", "Show or hide the region of the asked relation", "flag:region"),
         ("Shift+U", "Say which surface is level: click it next", "pick:level"),
         ("Shift+D", "Measure: click two surfaces", "pick:measure"),
         ("Shift+S", "Show or hide the metre grid on the floor", "flag:grid"),
+        ("-", "Smaller points", "point-size:less"),
+        ("=", "Larger points", "point-size:more"),
         ("Escape", "Stop measuring, and leave the large view", "pick:"),
         ("M", "Dark or light", "theme"),
     ),
@@ -118,6 +121,16 @@ LABEL_KEYS: Mapping[str, Rows] = {
 
 KEYS_OF_ONE = "Of one object, or a sentence: Y accepts, N rejects, Shift+U is unsure"
 
+MOVE_KEYS: Rows = (
+    ("7", "Turn left", "move:rotate_ccw"),
+    ("8", "Step forward", "move:forward"),
+    ("9", "Turn right", "move:rotate_cw"),
+    ("4", "Step to the left", "move:left"),
+    ("5", "Step back", "move:backward"),
+    ("6", "Step to the right", "move:right"),
+)
+"""Keys of datasets with moves: two rows of a number pad, and the rows of buttons."""
+
 MOUSE: Mapping[str, Rows] = {
     "The list of Evaluate": (
         ("/", "Search", ""),
@@ -145,11 +158,12 @@ MOUSE: Mapping[str, Rows] = {
 TITLE = "Keys and commands"
 
 
-def keys_of(labelling: bool) -> dict[str, Rows]:
-    """Keys by purpose; keys of shown labels come first, and replace others."""
+def keys_of(labelling: bool, moving: bool = True) -> dict[str, Rows]:
+    """Keys by purpose, moves only for datasets of moves; keys of shown labels come first, and replace others."""
     own = LABEL_KEYS if labelling else {}
     taken = {key for rows in own.values() for key, _, _ in rows}
-    return {**own, **{group: tuple(r for r in rows if r[0] not in taken) for group, rows in KEYS.items()}}
+    always = {**KEYS, "Moves": MOVE_KEYS if moving else ()}
+    return {**own, **{group: tuple(r for r in rows if r[0] not in taken) for group, rows in always.items()}}
 
 
 def meant(message: Command, correcting: bool) -> Command:
@@ -165,8 +179,11 @@ class Keys(Part):
 
     def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
-        every = (*KEYS.values(), *(LABEL_KEYS.values() if ctx.shared.journals else ()))
+        every = (*self._keys(False).values(), *(LABEL_KEYS.values() if ctx.shared.journals else ()))
         ctx.page.call("keys", list(dict.fromkeys(key for rows in every for key, _, message in rows if message)))
+
+    def _keys(self, labelling: bool) -> dict[str, Rows]:
+        return keys_of(labelling, self.ctx.shared.moving)
 
     @command("help")
     def toggle(self) -> None:
@@ -174,7 +191,7 @@ class Keys(Part):
         if self.ctx.dialog.title == TITLE:
             self.ctx.dialog.close()
         else:
-            self.ctx.dialog.show(TITLE, keys_html(keys_of(self.state.labels is not None)))
+            self.ctx.dialog.show(TITLE, keys_html(self._keys(self.state.labels is not None)))
 
     @command("run")
     def run(self, key: str) -> None:

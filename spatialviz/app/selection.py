@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import get_args
+from typing import Literal, get_args
 
 import numpy as np
 from pydantic import FiniteFloat
@@ -21,7 +21,9 @@ from spatialviz.app.context import Context, Part, choice, command, there
 from spatialviz.app.picture import smallest_at
 from spatialviz.app.scene import FLIGHT
 from spatialviz.app.state import CameraMode, ColorMode, Tool
-from spatialviz.app.toolbar import FLAGS
+from spatialviz.app.toolbar import FLAGS, LARGEST_POINT, LEAST_POINT
+
+POINT_STEP = 1.25
 
 
 class Selection(Part):
@@ -155,6 +157,16 @@ class Selection(Part):
         flags = self.state.flags
         if flag in FLAGS:
             self.ctx.show(flags=replace(flags, **{flag: not getattr(flags, flag)}))
+
+    @command("point-size")
+    def size_points(self, size: FiniteFloat | Literal["more", "less"]) -> None:
+        """Scale the points by a factor; "more" and "less" are steps."""
+        step = {"more": POINT_STEP, "less": 1 / POINT_STEP}.get(str(size))
+        factor = round(float(size) if step is None else self.state.point_size * step, 2)
+        if LEAST_POINT <= factor <= LARGEST_POINT:
+            self.state = replace(self.state, point_size=factor)
+            # The slider already stands at the value.
+            self.ctx.draw(live=step is None)
 
     @command("theme")
     def switch_theme(self) -> None:

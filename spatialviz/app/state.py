@@ -122,6 +122,8 @@ class SceneFlags:
     pairs: bool = True
     truth: bool = False
     axes: bool = False
+    context: bool = False
+    camera: bool = False
     ghosts: bool = True
     region: bool = False
     grid: bool = False
@@ -148,6 +150,7 @@ class State(AnswerView):
     correctable: bool = False  # True with open, correctable labels
     picking: Tool = ""  # Tool of the next click, "level" or "measure"; "" selects
     marks: tuple[tuple[int, int], ...] = ()  # Ends of the measurement, up to two pixels
+    point_size: float = 1.0  # Factor of the cloud's points
     evaluating: bool = False  # True while the run is shown, not an answer
     hovered: int | None = None  # Index in `shown.objects` of the row under the mouse
     stage: str = ""  # Module with open evidence; "" by the answer, "-" for none

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
 from pipeline.datasets.settings import ASSUMED, SOURCES
 from pipeline.geometry.camera import UpSource
 from pipeline.geometry.palette import DROPPED
-from spatialviz.app.keys import KEYS
+from spatialviz.app.keys import KEYS, MOVE_KEYS
 from spatialviz.app.markup import BAD, DOUBT, IDLE, Element, button, dot, h, hint_of, note, panel, segments, term, words
 from spatialviz.app.state import State
 
 COLORS = {"rgb": "Colour", "objects": "Objects", "depth": "Depth", "evidence": "Cleaning"}
 CAMERAS = {"pair": "Pair", "sensor": "Sensor", "top": "Top"}
+MOVE_MARKS = {
+    "rotate_ccw": ("↶", "turn left"),
+    "forward": ("↑", "forward"),
+    "rotate_cw": ("↷", "turn right"),
+    "left": ("←", "left"),
+    "backward": ("↓", "back"),
+    "right": ("→", "right"),
+}
 FLAGS = {
     "cloud": "cloud",
     "boxes": "boxes",
@@ -23,9 +31,13 @@ FLAGS = {
     "truth": "exact boxes",
     "axes": "axes",
     "region": "region",
+    "context": "room",
+    "camera": "camera",
     "grid": "metre grid",
 }
 HINTS = {message: f"{label} ({key})" for key, label, message in KEYS["Looking"]}
+LEAST_POINT, LARGEST_POINT = 0.4, 4.0
+"""Least and largest factor of point size."""
 PICTURES = tuple(
     h.button(label, cls="toggle", local=local, title=title)
     for label, local, title in (
@@ -61,11 +73,44 @@ def scene_tools_html(state: State) -> Element:
             aria_pressed=str(state.picking == "measure").lower(),
             title="metres between two surfaces that you click, here or in the picture (Shift+D; Escape ends)",
         ),
+        _point_size(state),
         h.div(toggles, cls="toggles", role="group", aria_label="shown in the scene"),
         h.div(PICTURES, cls="toggles", role="group", aria_label="pictures to keep"),
         h.div(legend, cls="legend") if state.colors == "evidence" else None,
         cls="tools",
     )
+
+
+def _point_size(state: State) -> Element:
+    part = (state.point_size - LEAST_POINT) / (LARGEST_POINT - LEAST_POINT)
+    return h.label(
+        "points",
+        h.input(
+            type="range",
+            min=LEAST_POINT,
+            max=LARGEST_POINT,
+            step="0.05",
+            value=f"{state.point_size:.2f}",
+            live="point-size",
+            id="point-size",
+            css={"--v": f"{part:.3f}"},
+            title="how large points are drawn (- and =)",
+        ),
+        cls="points",
+    )
+
+
+def moves_html(leads: Mapping[str, str]) -> Element:
+    """Moves of the robot from here: frames by possible move."""
+    return h.div((_move(leads, *key) for key in MOVE_KEYS), cls="moves")
+
+
+def _move(leads: Mapping[str, str], key: str, label: str, message: str) -> Element:
+    """Move button, placed as on the keyboard; disabled for an impossible move."""
+    move = message.removeprefix("move:")
+    mark, word = MOVE_MARKS[move]
+    hint = f"{label} ({key}): {leads.get(move, 'there is no picture')}"
+    return h.button(h.i(mark), word, do=message, title=hint, id=f"move-{move}", disabled=move not in leads)
 
 
 def suggestions_html(state: State, suggestions: Sequence[str]) -> Element | None:

@@ -25,6 +25,7 @@ from pipeline.system.errors import InputError, require
 from spatialviz.app.context import Context, Part, command
 from spatialviz.app.markup import BAD, h, note
 from spatialviz.app.state import ColorMode, Place, State
+from spatialviz.app.toolbar import LARGEST_POINT, LEAST_POINT
 from spatialviz.report.page import Subject, failure_page, scene_html
 
 
@@ -209,8 +210,8 @@ class Exports(Part):
 
 BEGINS = re.compile(r"\s*sv[0-9]{1,6}:")
 """Prefix of a state string, never of an expression."""
-CAMERA, FOV = "camera view", "field of view"
-"""Toggles: viewpoint ("sensor", "orbit", "top"), field of view of a turned camera (radians)."""
+CAMERA, FOV, POINTS = "camera view", "field of view", "point size"
+"""Toggles: viewpoint ("sensor", "orbit", "top"), field of view of a turned camera (radians), point size factor."""
 
 
 def needs_file(scorer: str | None, first: str | None, alone: bool) -> bool:
@@ -239,6 +240,8 @@ def view_of(
     toggles: dict[str, Toggle] = {**asdict(state.flags), CAMERA: state.camera}
     if camera is not None:
         toggles[FOV] = round(camera[1], 4)
+    if state.point_size != 1:
+        toggles[POINTS] = state.point_size
     return ViewState(
         state.source,
         state.frame_id,
@@ -258,11 +261,15 @@ def with_settings(state: State, view: ViewState) -> State:
     """State with a view's colours, toggles and viewpoint; unknown values are ignored."""
     known = asdict(state.flags)
     flags = {name: value for name, value in view.toggles.items() if name in known and isinstance(value, bool)}
+    size = view.toggles.get(POINTS)
+    if not isinstance(size, float | int) or not LEAST_POINT <= size <= LARGEST_POINT:
+        size = state.point_size
     return replace(
         state,
         flags=replace(state.flags, **flags),
         colors=next((mode for mode in get_args(ColorMode) if mode == view.colors), state.colors),
         camera=next((mode for mode in ("sensor", "orbit", "top") if mode == view.toggles.get(CAMERA)), state.camera),
+        point_size=float(size),
     )
 
 
