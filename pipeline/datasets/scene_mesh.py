@@ -19,6 +19,7 @@ from pipeline.geometry.camera import project
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import depth_edges, flying_pixels
 from pipeline.system.errors import FrameUnusable, MissingExtra, needed, require
+from pipeline.system.recent import Recent
 from pipeline.system.whole_files import write_whole
 
 MOST_FRAMES = 12
@@ -65,7 +66,12 @@ def fuse_context(dataset: Dataset, frame: Frame) -> ContextMesh:
     others = readable_frames(partial(load_picture, dataset), neighbours(dataset, frame.id))
     posed = [other for other in others if other.camera.T_world_camera is not None]
     require(posed, f"no other frame of the sequence of frame {frame.id} has a pose", error=FrameUnusable)
-    return _without_the_seen(_fused(posed, np.linalg.inv(pose)), frame)
+    key = str(dataset.root), frame.id, frame.content_hash, pose.tobytes()
+    return _KEPT.get(key, lambda: _without_the_seen(_fused(posed, np.linalg.inv(pose)), frame))
+
+
+_KEPT: Recent[tuple[object, ...], ContextMesh] = Recent(8)
+"""Meshes that the page goes back to."""
 
 
 def _fused(frames: list[Frame], T_camera_world: np.ndarray) -> ContextMesh:
