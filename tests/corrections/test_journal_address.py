@@ -67,6 +67,12 @@ def test_what_cannot_be_used_is_refused_in_one_line(where: str) -> None:
     assert len(str(error.value).splitlines()) == 1
 
 
+def test_a_url_of_an_earlier_version_names_the_same_journal() -> None:
+    pytest.importorskip("psycopg")
+    shown = [PostgresStore(f"postgresql{driver}://ann:x@db/labels").location for driver in ("", "+pg8000")]
+    assert shown == ["postgresql://ann@db/labels"] * 2
+
+
 @pytest.fixture(scope="module")
 def locked() -> Iterator[Cluster]:
     """A server that asks for a password."""

@@ -87,6 +87,8 @@ class PostgresStore(Store):
     )
 
     def __init__(self, where: str) -> None:
+        # As URLs of earlier versions named their driver.
+        where = re.sub(r"^postgresql\+pg8000:", "postgresql:", where)
         scheme = where.partition("://")[0]
         known = scheme in ("postgresql", "postgres")
         require(known, "no such kind of journal", got=scheme, expected="a path, or postgresql://...")
