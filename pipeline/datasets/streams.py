@@ -34,12 +34,12 @@ SUFFIXES = (".bag", ".db3", ".mcap")
 METADATA, LARGEST_METADATA = "metadata.yaml", 4 * 10**6
 """The description of a recording in a folder, and its bytes: its parser takes half a minute for ten times as many."""
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
-CAMERA_INFO, TF = "sensor_msgs/msg/CameraInfo", "tf2_msgs/msg/TFMessage"
+CLOUD, CAMERA_INFO, TF = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/CameraInfo", "tf2_msgs/msg/TFMessage"
 REGISTERED = ("aligned", "registered", "color", "rgb")
 """Words in a depth topic's name that say it is registered to the colour image."""
 TF_WITHIN_NS = 100_000_000
 """A transform further in time from a frame is not used."""
-COMPRESSED_DEPTH_HEADER = 12
+COMPRESSED_DEPTH_HEADER, FLOAT32 = 12, 7
 _DTYPES = {
     "16UC1": ("u2", 1),
     "mono16": ("u2", 1),
@@ -174,7 +174,7 @@ class StreamDataset(Recording):
         stream = _stream(self.root)
         rgb = _rgb(stream.message(self._color, color_at), self.root)
         message = stream.message(self._depth, depth_at)
-        depth, _ = _image(message, self.root)
+        depth = _depth(message, self.root)
         if self._transforms is None:
             self._transforms = Transforms(stream)
         pose = or_note(notes, "no camera pose, tf: ", self._transforms.pose, message.header.frame_id, stamp)
@@ -189,6 +189,7 @@ def _topics(stream: Stream) -> tuple[str, str, str | None]:
     images = [topic for topic in roles if stream.kinds[topic] in IMAGES]
     color = [topic for topic in images if roles[topic] in ("color", "camera")]
     depth = [topic for topic in images if roles[topic] == "depth"]
+    depth = depth or [topic for topic in roles if stream.kinds[topic] == CLOUD]
     missing = " and ".join(what for what, found in (("colour", color), ("depth", depth)) if not found)
     if missing:
         seen = ", ".join(f"{topic} ({kind.rpartition('/')[2]})" for topic, kind in list(stream.kinds.items())[:6])
@@ -235,6 +236,18 @@ def _rgb(message: Any, path: Path) -> np.ndarray:
     pixels, encoding = _image(message, path)
     require(pixels.dtype == np.uint8, "colour of another type than 8 bits", got=encoding, path=path)
     return np.ascontiguousarray(cv2.cvtColor(pixels, _TO_RGB[encoding]) if encoding in _TO_RGB else pixels)
+
+
+def _depth(message: Any, path: Path) -> np.ndarray:
+    """The depth of an image, or z of an organised point cloud."""
+    if not hasattr(message, "fields"):
+        return _image(message, path)[0]
+    require(message.height > 1, "a point cloud that is no grid", got=f"{message.width} points", path=path)
+    floats = (field for field in message.fields if field.name == "z" and field.datatype == FLOAT32)
+    z = needed(next(floats, None), "a point cloud without z of floats", path=path)
+    points = np.asarray(message.data, np.uint8).reshape(message.height, message.row_step)
+    points = points[:, : message.width * message.point_step].reshape(message.height, message.width, message.point_step)
+    return points[..., z.offset : z.offset + 4].copy().view("<f4")[..., 0].astype(np.float32)
 
 
 class Transforms:

@@ -163,14 +163,33 @@ def test_the_folder_of_a_ros2_recording_opens_too(recorded: tuple[Path, list[Tru
         assert len(open_dataset(path.parent).frame_ids) == 3
 
 
-def test_compressed_images_without_a_camera(tmp_path: Path) -> None:
+def test_compressed_images_and_organised_clouds(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path, ".mcap")
     truth = random_truth(np.random.default_rng(5))
     kind = "sensor_msgs/msg/CompressedImage"
     png = np.frombuffer(cv2.imencode(".png", truth.rgb[..., ::-1])[1].tobytes(), np.uint8)
     message = recorder.make(kind, header=recorder.header(1.0, "optical"), format="bgr8; png compressed bgr8", data=png)
     recorder.write("/camera/rgb/image_color/compressed", kind, 1.0, message)
-    recorder.image(DEPTH, 1.0, truth.millimetres, "16UC1")
+    points = np.zeros((HEIGHT, WIDTH, 4), np.float32)
+    points[..., 2] = np.where(truth.depth > 0, truth.depth, np.nan)
+    fields = [
+        recorder.make("sensor_msgs/msg/PointField", name=name, offset=4 * k, datatype=7, count=1)
+        for k, name in enumerate("xyz")
+    ]
+    kind = "sensor_msgs/msg/PointCloud2"
+    cloud = recorder.make(
+        kind,
+        header=recorder.header(1.0, "optical"),
+        height=HEIGHT,
+        width=WIDTH,
+        fields=fields,
+        is_bigendian=False,
+        point_step=16,
+        row_step=16 * WIDTH,
+        data=points.view(np.uint8).ravel(),
+        is_dense=False,
+    )
+    recorder.write("/points", kind, 1.0, cloud)
     recorder.writer.close()
     path = next((tmp_path / "room").glob("*.mcap"))
     refused(lambda: open_dataset(path), "no CameraInfo", "--intrinsics")
