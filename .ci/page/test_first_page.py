@@ -162,3 +162,11 @@ def test_depth_and_camera_are_examined_with_outlines(demo: Server, open_tab: Ope
     tab.click("doctor")
     tab.see("#dialog-window .doctor", "registration")
     tab.poll("document.querySelector('#dialog-window img.edges').naturalWidth > 600")
+
+
+def test_the_heat_map_outlines_the_right_pair_and_shows_it_at_a_click(demo: Server, open_tab: OpenTab) -> None:
+    tab = open_tab(demo.address)
+    tab.click("stage:PRM")
+    tab.see(".mx td.ok:not(.top)").first.click()
+    tab.see(".mx td.ok.sel")
+    tab.poll("document.querySelector('.pairs tr.sel').id !== 'pair-0'")
