@@ -85,7 +85,7 @@ GROUPS: dict[str, dict[str, tuple[type, str]]] = {
         "ask": (AskCommand, "run_ask"),
         "relations": (RelationsCommand, "run_ask"),
         "frames": (FramesCommand, "run_ask"),
-        "doctor": (DoctorCommand, "run_doctor"),
+        "doctor": (DoctorCommand, "run_ask"),
         "render": (RenderCommand, "run_ask"),
     },
     "label, check, correct": {
@@ -97,8 +97,8 @@ GROUPS: dict[str, dict[str, tuple[type, str]]] = {
         "correct": (CorrectCommand, "run_corrections"),
         "undo": (UndoCommand, "run_corrections"),
         "journal": (JournalCommand, "run_corrections"),
-        "export": (ExportCommand, "run_exports"),
-        "import": (ImportCommand, "run_exports"),
+        "export": (ExportCommand, "run_labels"),
+        "import": (ImportCommand, "run_labels"),
     },
     "evaluate, debug": {
         "eval": (EvalCommand, "run_eval"),

@@ -1,4 +1,4 @@
-"""Commands on answers, relations and frames, with their output for people."""
+"""Commands on answers, relations, frames and recordings, with their output for people."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from pipeline.answering.answer_words import probability, reading_notes, why_no_answer, words_of_answer
@@ -16,7 +17,8 @@ from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.pipeline import FrameRelations, Pipeline, open_pipeline, open_sources, relate_frames
 from pipeline.datasets import Dataset, FrameReport, SurveyCounts, survey, write_settings
-from pipeline.datasets.demo import DEMO_NAME, demo_run
+from pipeline.datasets.demo import DEMO_NAME, demo_path, demo_run
+from pipeline.datasets.doctor.examine import Examination, apply, examine, overlay
 from pipeline.datasets.scene_mesh import export_mesh, fuse_context
 from pipeline.datasets.settings import ASSUMED, DECLARE
 from pipeline.datasets.up import told_up
@@ -36,6 +38,7 @@ from pipeline.system.errors import require
 from spatialviz.cli_ask import (
     AskCommand,
     ContextCommand,
+    DoctorCommand,
     FramesCommand,
     GlossaryCommand,
     MeasureCommand,
@@ -44,7 +47,7 @@ from spatialviz.cli_ask import (
 )
 from spatialviz.options import ALL_FRAMES, FINE, NO, SourceOptions, numbers, one_frame, print_json, warn, warn_skipped
 from spatialviz.printing import print_rows, print_summary, rate_bar, say
-from spatialviz.report.picture import save_picture
+from spatialviz.report.picture import save_picture, write_picture
 
 SHOWN_PAIRS = 5
 
@@ -330,3 +333,36 @@ def print_frame(report: FrameReport) -> None:
 
 def _off_image_up(up: Sequence[float] | None) -> str:
     return "?" if up is None else f"{math.degrees(math.acos(max(-1.0, min(1.0, -up[1])))):.0f}°"
+
+
+STYLES = {"fine": "green", "wrong": "bold red", "unknown": "yellow"}
+WORDS = {"fine": "fine", "wrong": "WRONG", "unknown": "cannot tell"}
+SHOWN = 6
+
+
+def run_doctor(command: DoctorCommand) -> int:
+    demo = command.dataset == DEMO_NAME and not Path(command.dataset).exists()
+    found = examine(demo_path() if demo else command.dataset, **command.camera.camera())
+    if command.overlay is not None:
+        write_picture(overlay(found), command.overlay)
+    written = apply(found) if command.apply else None
+    record = {**found.record(), "written": None if written is None else str(written)}
+    command.write(record, print_examination, found, written)
+    return NO if found.wrong and written is None else FINE
+
+
+def print_examination(found: Examination, written: Path | None) -> None:
+    """Print the opinions with their evidence, the mending settings, and other attempts."""
+    overlapping = counted(found.pairs, "pair") + " of them overlap"
+    say((f"{counted(len(found.frames), 'frame')} looked at, {overlapping}", "dim"))
+    for opinion in found.opinions:
+        say((f"{opinion.about:<16}", ""), (f"{WORDS[opinion.state]:<12}", STYLES[opinion.state]), opinion.text)
+        if opinion.option is not None:
+            say(" " * 28, (opinion.option, "bold"))
+    if found.hypotheses:
+        rows = [(f"{one.score:.3f}", "" if one.as_good else "surely worse", one.words) for one in found.hypotheses]
+        print_rows((">lands", "", "tried"), rows[:SHOWN])
+    if written is not None:
+        say(f"wrote {', '.join(found.mends)} to {written}")
+    elif found.mends:
+        say("--apply keeps this in spatialviz.toml beside the data", style="dim")

@@ -112,10 +112,10 @@ def apply_edits(command: CorrectCommand, actions: list[Any]) -> int:
 
 
 def run_confirm(command: ConfirmCommand) -> int:
-    from pipeline.corrections.confirming import right_pair  # These bring models and the review of labels in.
-    from pipeline.corrections.journal_location import JournalLocation
+    from pipeline.corrections.judging import right_pair  # These bring models and the review of labels in.
     from pipeline.corrections.label_editor import LabelEditor
     from pipeline.corrections.scene import effective_truth
+    from pipeline.corrections.unsaved import JournalLocation
     from pipeline.diagnosis.asking import judged
 
     source = command.source.open(command.dataset, command.frame)

@@ -1,19 +1,33 @@
-"""Labelling, merging and checking, and what a person reads of them."""
+"""Commands labelling, merging, checking, exporting and importing labels, with their output for people."""
 
 from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from rich.text import Text
 
+from pipeline.corrections.journal.field_refs import shown_value
+from pipeline.corrections.journal.incoming.importing import (
+    ImportConfig,
+    ImportReport,
+    import_corrections,
+    import_record,
+)
+from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal
+from pipeline.corrections.journal.materialise import materialise
+from pipeline.datasets import Dataset
 from pipeline.geometry.lifting import LiftConfig
 from pipeline.labels.by_hand import begun_labels, with_frames
 from pipeline.labels.check import check_labels, finding_record
 from pipeline.labels.check.view import Finding
+from pipeline.labels.exports import export_labels
+from pipeline.labels.exports.exporting import MARK, HubConfig
 from pipeline.labels.job import LabelReport, label_dataset
 from pipeline.labels.merge import SelectConfig, merge_labels
 from pipeline.labels.plan import CAMERA, SENTENCE_KINDS, LabelConfig
@@ -23,10 +37,11 @@ from pipeline.labels.report import NUMBERS, summary_lines, summary_tables, write
 from pipeline.labels.schema import Manifest
 from pipeline.labels.statistics import label_statistics
 from pipeline.language.counted import counted
-from pipeline.system.errors import InputError
-from pipeline.system.whole_files import check_target
-from spatialviz.cli_labels import CheckCommand, LabelCommand, MergeCommand, Selection
-from spatialviz.options import FINE, NO, print_json, task_of, warn
+from pipeline.system.errors import InputError, require
+from pipeline.system.remote import is_url
+from pipeline.system.whole_files import check_target, scratch_folder
+from spatialviz.cli_labels import CheckCommand, ExportCommand, ImportCommand, LabelCommand, MergeCommand, Selection
+from spatialviz.options import BAD, FINE, NO, DatasetOptions, JournalOptions, print_json, task_of, warn
 from spatialviz.printing import print_rows, print_table, rate_bar, say
 
 COLORS = {"error": "red", "warning": "yellow"}
@@ -225,3 +240,110 @@ def _line(finding: Finding) -> Text:
         finding.message,
         (f"  ({figures})" if figures else "", "dim"),
     )
+
+
+def run_export(command: ExportCommand) -> None:
+    automatic = open_labels(command.labels)
+    options = None
+    if command.licence is not None:
+        require(command.format == "parquet", "--licence is for the card of --format parquet")
+        options = HubConfig(licence=command.licence)
+    require(
+        not (not command.corrected and command.journal != JournalOptions()),
+        "--journal and --project go with --corrected",
+    )
+    dataset = None if command.dataset is None else DatasetOptions(dataset=command.dataset).open(automatic)
+    with _labels(command, automatic, dataset) as labels, rate_bar("exporting", "frames") as advance:
+        report = export_labels(
+            labels,
+            command.format,
+            command.out,
+            images=command.images,
+            dataset=dataset,
+            overwrite=command.overwrite,
+            options=options,
+            progress=advance,
+        )
+    for note in report.notes:
+        warn(note)
+    if command.format in ("coco", "vqa") and command.images == "none":
+        warn("the files name images/ that are not there; --images copy writes them")
+    rows = ", ".join(f"{count} {name}" for name, count in report.rows.items())
+    say(f"{rows} -> {command.out}")
+
+
+@contextmanager
+def _labels(command: ExportCommand, automatic: Labels, dataset: Dataset | None) -> Iterator[Labels]:
+    """Labels to export: unchanged, or with the journal applied, in a temporary folder."""
+    if not command.corrected:
+        yield automatic
+        return
+    require(
+        automatic.manifest.corrections is None,
+        "these labels are corrected already",
+        cause="leave --corrected out",
+        path=command.labels,
+    )
+    check_target(command.out, overwrite=command.overwrite, mark=MARK)
+    with scratch_folder() as folder:
+        where = Path(folder) / "corrected"
+        with command.journal.open(automatic, must_exist=True) as journal:
+            dataset = dataset or DatasetOptions().open(automatic)
+            _, found = materialise(automatic, journal, where, dataset=dataset)
+        if stale := found.counts["stale"]:
+            warn(f"{stale} values are stale: they need the dataset (--dataset)")
+        yield open_labels(where)
+
+
+def run_import(command: ImportCommand) -> int:
+    labels = open_labels(command.labels)
+    config = ImportConfig(
+        format=command.format,
+        base=command.base,
+        deleted=command.deleted,
+        skip_conflicts=command.skip_conflicts,
+        reason=command.reason,
+        dry_run=command.dry_run,
+    )
+    with _journal(command, labels) as journal:
+        report = import_corrections(
+            labels, journal, command.file, command.author, config, open_dataset=lambda: command.source.open(labels)
+        )
+    command.write(import_record(report), print_import, report, command.show)
+    if report.problems:
+        count, first = len(report.problems), report.problems[0]
+        more = f" (and {count - 1} more problems)" if count > 1 else ""
+        warn(f"error: {first}{more}; nothing was saved")
+        return BAD
+    return NO if report.conflicts else FINE
+
+
+@contextmanager
+def _journal(command: ImportCommand, labels: Labels) -> Iterator[Journal | None]:
+    """Journal of an import; a dry run creates none."""
+    text = command.journal.journal
+    missing = not (text is not None and is_url(text)) and not Path(text or labels.root / JOURNAL_FILE).exists()
+    if command.dry_run and missing:
+        yield None
+        return
+    with command.journal.open(labels) as journal:
+        yield journal
+
+
+def print_import(report: ImportReport, show: int) -> None:
+    """Print the changes of a file, and objections to the changes."""
+    for edit in report.edits[:show]:
+        values = (shown_value(edit.ref, value) for value in (edit.before, edit.after))
+        say(f"{edit.ref}: {' -> '.join(values)}")
+    for lines, style in ((report.conflicts, "yellow"), (report.problems, "red"), (report.notes, "dim")):
+        for line in lines[:show]:
+            say(line, style=style)
+        if len(lines) > show:
+            say(f"and {len(lines) - show} more", style=style)
+    if len(report.edits) > show:
+        say(f"and {counted(len(report.edits) - show, 'more change')}")
+    changes = f"{counted(len(report.edits), 'change')}, {report.agreed} made here already"
+    against = f"{counted(len(report.conflicts), 'conflict')}, {counted(len(report.problems), 'problem')}"
+    say(f"{counted(report.compared, 'row')} compared, {changes}, {against}")
+    saved = report.saved
+    say("nothing was saved" if saved is None else f"saved: {counted(len(saved.events), 'change')}, group {saved.group}")

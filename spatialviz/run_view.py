@@ -9,7 +9,7 @@ from pathlib import Path
 from platformdirs import user_data_path
 
 from pipeline.answering.pipeline import Pipeline, open_sources
-from pipeline.corrections.journal_location import JournalLocation, journal_words
+from pipeline.corrections.unsaved import JournalLocation, journal_words
 from pipeline.datasets.demo import DEMO_NAME, demo_run
 from pipeline.diagnosis.whatif.state import ViewState, decode
 from pipeline.evaluation.run_folder import RUN_FILE, open_run

@@ -20,7 +20,7 @@ from recordings import LABELS, events, spatialviz
 from servers import Server
 
 from pipeline.corrections.journal.events import Event
-from pipeline.corrections.journal_location import JournalLocation
+from pipeline.corrections.unsaved import JournalLocation
 from pipeline.labels.reading import open_labels
 
 WIDTH = "#edit label.field[title^='width'] input"

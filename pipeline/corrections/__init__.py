@@ -11,7 +11,6 @@ from pipeline.system.lazy_exports import lazy_exports
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from pipeline.corrections.confirming import right_pair, why_not_kept
     from pipeline.corrections.draft import (
         Draft,
         edits_of_draft,
@@ -46,11 +45,16 @@ if TYPE_CHECKING:
     from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, journal_of, open_journal
     from pipeline.corrections.journal.materialise import materialise
     from pipeline.corrections.journal.replay import redo, undo
-    from pipeline.corrections.journal_location import JournalLocation, dump_unsaved
-    from pipeline.corrections.judging import Judge
+    from pipeline.corrections.judging import Judge, right_pair, why_not_kept
     from pipeline.corrections.label_editor import LabelEditor, LabelEditors
-    from pipeline.corrections.label_view import LabelView, paired
-    from pipeline.corrections.object_card import ExpressionCard, back_to_automatic, bring_back, set_answer
+    from pipeline.corrections.object_card import (
+        ExpressionCard,
+        LabelView,
+        back_to_automatic,
+        bring_back,
+        paired,
+        set_answer,
+    )
     from pipeline.corrections.review.doubts import DoubtConfig
     from pipeline.corrections.review.items import STATES, ItemKey, State, pair_agreements
     from pipeline.corrections.review.label_jobs import (
@@ -82,13 +86,16 @@ if TYPE_CHECKING:
     )
     from pipeline.corrections.scene import (
         ASKED_BEYOND_M,
+        drag_box,
+        dragged,
         effective_truth,
+        face_to_points,
+        fit_to_points,
         labelled_box,
         labelled_objects,
         pair_card,
     )
-    from pipeline.corrections.side_views import drag_box, dragged, face_to_points, fit_to_points
-    from pipeline.corrections.unsaved import Waiting, disputes
+    from pipeline.corrections.unsaved import JournalLocation, Waiting, disputes, dump_unsaved
     from pipeline.corrections.vocabulary import Vocabulary, completions
     from pipeline.corrections.wording import consequences, events_text
 

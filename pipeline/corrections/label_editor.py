@@ -15,9 +15,8 @@ from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Edit, Event, NotSaved, Saved, new_ulid
 from pipeline.corrections.journal.field_refs import LONGEST_NAME, FieldRef, plain_text
 from pipeline.corrections.journal.replay import history, redo, undo
-from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.review.items import ItemKey
-from pipeline.corrections.unsaved import Waiting, decided
+from pipeline.corrections.unsaved import JournalLocation, Waiting, decided
 from pipeline.datasets import Dataset
 from pipeline.labels.by_hand import NewLabels, grows, seen_with, with_frames
 from pipeline.labels.reading import Labels

@@ -15,8 +15,8 @@ from pydantic import TypeAdapter, ValidationError
 
 from pipeline.answering.frame_store import FrameStore
 from pipeline.answering.pipeline import Pipeline
-from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.label_editor import LabelEditors
+from pipeline.corrections.unsaved import JournalLocation
 from pipeline.datasets.base import has_moves
 from pipeline.datasets.demo import DEMO_EXPRESSION
 from pipeline.diagnosis.whatif.state import ViewState

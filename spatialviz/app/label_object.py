@@ -14,9 +14,8 @@ from pipeline.corrections.journal.edits import Edits, set_box, set_class
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Event, Saved
-from pipeline.corrections.label_view import LabelView
-from pipeline.corrections.object_card import back_to_automatic, bring_back, object_card
-from pipeline.corrections.side_views import SideViews, drag_box, dragged, face_to_points, fit_to_points, side_views
+from pipeline.corrections.object_card import LabelView, back_to_automatic, bring_back, object_card
+from pipeline.corrections.scene import SideViews, drag_box, dragged, face_to_points, fit_to_points, side_views
 from pipeline.corrections.vocabulary import Vocabulary, completions, vocabulary_of
 from pipeline.diagnosis.whatif.edit_words import box_with, number_of
 from pipeline.diagnosis.whatif.placement import SMALLEST_SIDE

@@ -8,10 +8,10 @@ from dataclasses import replace
 from pipeline.corrections.journal.edits import Edits
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Saved
-from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.label_editor import ANYTHING, LabelEditor, Outcome, Target
-from pipeline.corrections.label_view import LabelView
+from pipeline.corrections.object_card import LabelView
 from pipeline.corrections.scene import labelled_objects
+from pipeline.corrections.unsaved import JournalLocation
 from pipeline.corrections.wording import consequences, outcome_text
 from pipeline.diagnosis.whatif.answer_view import ShownObjects
 from pipeline.system.errors import needed, require

@@ -12,8 +12,8 @@ from dataclasses import replace
 
 from pydantic import NonNegativeInt
 
-from pipeline.corrections.confirming import right_pair, why_not_kept
 from pipeline.corrections.journal.events import Event, Saved
+from pipeline.corrections.judging import right_pair, why_not_kept
 from pipeline.corrections.label_editor import Target
 from pipeline.corrections.unsaved import Waiting
 from pipeline.corrections.wording import events_text, outcome_text

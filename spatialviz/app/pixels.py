@@ -20,7 +20,7 @@ from pipeline.corrections.draft import (
 from pipeline.corrections.journal.edits import merge_objects, set_class
 from pipeline.corrections.journal.events import Conflict, Event
 from pipeline.corrections.journal.field_refs import same_value
-from pipeline.corrections.label_view import LabelView, paired
+from pipeline.corrections.object_card import LabelView, paired
 from pipeline.corrections.vocabulary import vocabulary_of
 from pipeline.drawing.gestures import Canvas, Gesture, read_gesture
 from pipeline.geometry.palette import depth_colors, hex_color

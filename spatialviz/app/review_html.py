@@ -8,7 +8,7 @@ from itertools import islice
 from typing import Any
 
 from pipeline.corrections.label_editor import LabelEditor
-from pipeline.corrections.label_view import LabelView
+from pipeline.corrections.object_card import LabelView
 from pipeline.corrections.review.items import ItemKey
 from pipeline.corrections.review.label_jobs import CANCELLED, QueueProgress
 from pipeline.corrections.review.worklist import Worklist

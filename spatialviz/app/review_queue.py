@@ -12,7 +12,6 @@ from pipeline.corrections.journal.edits import Edits, judge_relation, set_relati
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Saved
 from pipeline.corrections.journal.field_refs import object_ref, relation_ref
-from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.label_editor import Target
 from pipeline.corrections.review.items import ItemKey
 from pipeline.corrections.review.label_jobs import CANCELLED, QueueJob, QueueProgress
@@ -27,6 +26,7 @@ from pipeline.corrections.review.worklist import (
     say_of_item,
 )
 from pipeline.corrections.scene import ASKED_BEYOND_M, labelled_objects, pair_card
+from pipeline.corrections.unsaved import JournalLocation
 from pipeline.language.counted import counted
 from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import InputError, needed

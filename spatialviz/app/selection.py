@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import FiniteFloat
 
 from pipeline.answering.frame_store import UpHint
-from pipeline.corrections.label_view import paired
+from pipeline.corrections.object_card import paired
 from pipeline.datasets import write_settings
 from pipeline.datasets.demo import demo_path
 from pipeline.geometry.camera import depth_at

@@ -13,8 +13,7 @@ from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict
 from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.corrections.label_editor import EventLine
-from pipeline.corrections.label_view import LabelView, paired
-from pipeline.corrections.object_card import ExpressionCard, set_answer
+from pipeline.corrections.object_card import ExpressionCard, LabelView, paired, set_answer
 from pipeline.corrections.unsaved import disputes
 from pipeline.corrections.wording import ref_text, value_text
 from pipeline.diagnosis.marks import MARKS

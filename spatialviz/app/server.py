@@ -18,7 +18,7 @@ import viser
 
 from pipeline.answering.frame_store import FrameStore
 from pipeline.answering.pipeline import Pipeline
-from pipeline.corrections.journal_location import JournalLocation, dump_unsaved
+from pipeline.corrections.unsaved import JournalLocation, dump_unsaved
 from pipeline.datasets.demo import demo_path
 from pipeline.diagnosis.whatif.state import ViewState
 from pipeline.evaluation.run_folder import Run

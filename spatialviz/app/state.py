@@ -11,7 +11,7 @@ from urllib.parse import parse_qs, urlencode
 
 import numpy as np
 
-from pipeline.corrections.label_view import LabelView
+from pipeline.corrections.object_card import LabelView
 from pipeline.diagnosis.suggestions import SuggestedQuestions
 from pipeline.diagnosis.whatif.answer_view import AnswerView
 from pipeline.diagnosis.whatif.state import CameraView

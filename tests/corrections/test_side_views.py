@@ -22,7 +22,7 @@ from pipeline.corrections import (
     labelled_box,
     labelled_objects,
 )
-from pipeline.corrections.side_views import VIEWS, box_axes, side_views
+from pipeline.corrections.scene import VIEWS, box_axes, side_views
 from pipeline.datasets import demo_path, open_dataset
 from pipeline.diagnosis import SMALLEST_SIDE
 from pipeline.geometry import Box3D, viewer_axes

@@ -20,7 +20,7 @@ from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Edit, Rival, Saved
 from pipeline.corrections.journal.field_refs import OF_ALL, FieldRef, Kind, box_of, judged_item
 from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.side_views import drag_box
+from pipeline.corrections.scene import drag_box
 from pipeline.drawing.gestures import Canvas, drawn, read_gesture
 from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import InputError, as_input_error, kind_and_text, require
