@@ -11,10 +11,10 @@ from pipeline.answering.ask import Trace
 from pipeline.answering.detector_prompts import unused_words
 from pipeline.answering.pair_table import HOLDS, Link, ScoredPair
 from pipeline.answering.ranking import Candidates, Ranking
+from pipeline.language.chain import why_unused
 from pipeline.language.choices import compares
 from pipeline.language.lexicon import wording
 from pipeline.language.tree import Node
-from pipeline.language.unreadable import why_unused
 from pipeline.relations.attributes import SIZES
 
 NOTHING = Candidates(np.zeros(0, np.int64), np.zeros(0))

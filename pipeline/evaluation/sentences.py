@@ -27,7 +27,7 @@ from pipeline.evaluation.summary import Deltas, oracle_deltas
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.cases import FrameCases
-from pipeline.language.unreadable import why_unread, why_unused
+from pipeline.language.chain import why_unread, why_unused
 from pipeline.metrics.intervals import Estimate, share_estimate
 from pipeline.metrics.tables import Cell, Row, Table
 from pipeline.system.errors import InputError, ServerError, require

@@ -13,11 +13,11 @@ from pydantic import AfterValidator, ConfigDict, Field, FiniteFloat, PlainSerial
 from pipeline.geometry.frame import Frame
 from pipeline.labels.frame_stream import frame_spans
 from pipeline.labels.reading import Labels
+from pipeline.language.chain import Unread, why_unread, why_unused
 from pipeline.language.expression import Reader, parse
 from pipeline.language.noun_phrase import same_names
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import Node, Query
-from pipeline.language.unreadable import Unread, why_unread, why_unused
 from pipeline.relations.relations import U
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require

@@ -1,52 +1,191 @@
-"""Attributes in an expression: before the thing, after it, misspelt, or naming a thing themselves."""
+"""A cursor over the tokens of an expression: boundaries of names, and attributes before and after the thing."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from pipeline.language import choices, lexicon
 from pipeline.language.attributes import BASIC_COLORS, FURTHER_COLORS, Attribute, attribute
-from pipeline.language.cursor import Cursor
 from pipeline.language.name_lookup import is_packed
-from pipeline.language.naming import default_synonyms, is_compound, key_of, known_words, singular
-from pipeline.language.normal import normal_form
+from pipeline.language.naming import DETERMINERS, default_synonyms, is_compound, key_of, normal_form, singular
 from pipeline.language.spelling import attribute_meant
-from pipeline.language.tokens import Token
+from pipeline.language.tokens import Token, joined_words
 from pipeline.language.tree import Choice, Role
+
+MODALS = frozenset({"can", "could", "may", "should", "would", "might", "must", "will", "shall"})
 
 
 @dataclass
-class DraftPhrase:
-    """A noun phrase under construction."""
+class Phrase:
+    """A noun phrase, under construction and as the grammar reads it; a reader that has one changes it no more."""
 
-    attributes: list[Attribute]
-    words: list[str]
-    choices: list[Choice]
-    modifiers: list[tuple[int, int, Role]]
+    label: str = ""  # The thing with its attributes
+    head: str = ""  # The thing alone, where there are attributes
+    attributes: tuple[Attribute, ...] = ()
+    words: tuple[str, ...] = ()  # Each attribute as it was written
+    choices: tuple[Choice, ...] = ()
     count: int | None = None
-    ordinal: tuple[int, str] | None = None
-    superlative: Token | None = None
-    predicate: bool = False
-    lacks: list[tuple[Attribute, str]] = field(default_factory=list)
+    viewer: bool = False
+    named: bool = False  # The vocabulary holds the name together
+    where: tuple[int, int] = (0, 0)  # The tokens of the thing
+    # tuple of (int, int, str), character ranges separate from the thing: its choices, and attributes without a thing
+    modifiers: tuple[tuple[int, int, Role], ...] = ()
+    superlative: Token | None = None  # `nearest` and the like, which may be a relation: `the nearest chair to the door`
+    # tuple of (Attribute, str), attributes that it does not have, and the words: `the not red mug`
+    lacks: tuple[tuple[Attribute, str], ...] = ()
+    ordinal: tuple[int, str] | None = None  # Rank and words, until the order that it counts in is read
+    predicate: bool = False  # Adjectives may stand alone: `is red`
+
+    @property
+    def name(self) -> str:
+        """Thing alone."""
+        return self.head or self.label
+
+    @property
+    def head_word(self) -> str:
+        """Last word of the thing."""
+        return self.name.split()[-1] if self.name else ""
+
+    @property
+    def anything(self) -> bool:
+        """Test if the name says only that there is a thing."""
+        return self.name in lexicon.ANYTHING and not self.named
+
+    def mark(self, start: int, end: int, role: Role) -> None:
+        self.modifiers = (*self.modifiers, (start, end, role))
 
     def choose(self, order: str, text: str, rank: int | None = 1) -> None:
         if self.ordinal is not None and rank == 1:
             rank, self.ordinal = self.ordinal[0], None
             if rank < 0:
                 order, rank = choices.OPPOSITE.get(order, order), -rank
-        self.choices.append(Choice(order, rank, text))  # type: ignore[arg-type]
+        self.choices += (Choice(order, rank, text),)  # type: ignore[arg-type]
 
 
-class AttributeReader(Cursor):
-    """A cursor that reads attributes."""
+class AttributeReader:
+    """A cursor over the tokens of an expression: patterns, boundaries of names, and attributes.
+
+    Words joined by hyphens are one token; `own` holds words of the user's own names, which stay as spelled; `breaks`
+    flags tokens behind punctuation.
+    """
 
     def __init__(self, text: str, tokens: Sequence[Token], own: Collection[str] = ()) -> None:
-        super().__init__(text, tokens, own)
+        self.text, self.own = text, own
+        self.tokens = _hyphens_joined(text, tokens)
+        self.breaks = [
+            k > 0 and any(c in text[self.tokens[k - 1].end : t.start] for c in ",;:.!?()")
+            for k, t in enumerate(self.tokens)
+        ]
+        self.line, self._starts, ends = joined_words(self.tokens)
+        self._after = {end: k + 1 for k, end in enumerate(ends)}
         self.respelled: dict[int, tuple[int, int, str]] = {}
         """Misspelt words by token: where each stands, and what it was read as."""
         self.left_out: dict[int, tuple[int, int, str]] = {}
         """Words of noun phrases that are not judged, by token: where they stand, and why."""
+
+    def match(self, pattern: re.Pattern[str], at: int) -> tuple[re.Match[str], int] | None:
+        """Match a pattern at a token, with the token after, where the match ends with a word."""
+        found = pattern.match(self.line, self._starts[at]) if at < len(self.tokens) else None
+        end = None if found is None else self._after.get(self._starts[at] + len(found[0].rstrip()))
+        if found is None or end is None or any(self.breaks[k] for k in range(at + 1, end)):
+            return None
+        return found, end
+
+    def words(self, at: int, end: int) -> str:
+        """Tokens as typed."""
+        return self.text[self.tokens[at].start : self.tokens[min(end, len(self.tokens)) - 1].end]
+
+    def plain(self, at: int) -> str | None:
+        """Single free word at a token; None elsewhere and behind the end."""
+        return self.tokens[at].plain if at < len(self.tokens) else None
+
+    def relation(self, at: int) -> str | None:
+        """Relation of the phrase at a token; None elsewhere and behind the end."""
+        return self.tokens[at].relation if at < len(self.tokens) else None
+
+    def past(self, at: int, words: Collection[str]) -> int:
+        """First token from `at` on that is none of some words."""
+        ahead = range(at, len(self.tokens))
+        return next((k for k in ahead if self.tokens[k].plain not in words), max(at, len(self.tokens)))
+
+    # ---- boundaries ------------------------------------------------------------------------------------------------
+
+    def _structural(self, at: int) -> bool:
+        """Test if a token is grammar, and no word of a name."""
+        if at >= len(self.tokens) or self.tokens[at].relation is not None:
+            return True
+        word = self.tokens[at].plain
+        if word in MODALS:
+            return self.plain(at + 1) in ("be", "been")
+        if word is not None and word.endswith("ing") and at and self._after_number(at):
+            return False
+        if word == "right":
+            return self._structural(at + 1) or self.breaks[at + 1]
+        return word is not None and (
+            word in lexicon.AND
+            or word in lexicon.WITH
+            or word in lexicon.NEGATIONS
+            or word in lexicon.LINKING
+            or word in lexicon.RELATIVE
+            or word in lexicon.UNKNOWN_RELATIONS
+            or word in lexicon.VERBS
+        )
+
+    def _after_number(self, at: int) -> bool:
+        """Test for `hanging` in `three hanging towels`."""
+        word = self.plain(at + 1)
+        return self.tokens[at - 1].plain in choices.NUMBERS and word is not None and word not in DETERMINERS
+
+    def _ends(self, at: int) -> bool:
+        """Test if a noun phrase or a side may end before a token."""
+        return (
+            at >= len(self.tokens)
+            or self.breaks[at]
+            or self._structural(at)
+            or (self.tokens[at].plain in lexicon.POSTURES or self.tokens[at].plain in ("or", "nor", "it", "this"))
+            or self.match(choices.AT_SIDE, at) is not None
+        )
+
+    def _bare_side(self, at: int) -> tuple[re.Match[str], int] | None:
+        """Match a side behind a thing without a preposition: `plant left`, not `that was left`, nor `table centre`."""
+        found = self.match(choices.BARE_SIDE, at)
+        if found is None or not self._ends(found[1]):
+            return None
+        before = self.tokens[at - 1].plain if at else None
+        linked = before is not None and (before in lexicon.LINKING or before in lexicon.SOMEBODY)
+        compound = at > 0 and is_compound([self.tokens[at - 1].text, self.tokens[at].text])
+        return None if found[0]["last"] and (linked or compound) else found
+
+    def _goes_on(self, at: int) -> bool:
+        """Test if a relation, a side or the end follows."""
+        return at >= len(self.tokens) or self._structural(at) or self.match(choices.AT_SIDE, at) is not None
+
+    def _starts_noun(self, at: int) -> bool:
+        """Test if a noun phrase may begin at a token."""
+        if at >= len(self.tokens) or self.breaks[at]:
+            return False
+        word = self.tokens[at].plain
+        return word in DETERMINERS or not (self._structural(at) or word in lexicon.PLACE_PRONOUNS)
+
+    def is_superlative_noun(self, at: int) -> bool:
+        """Test if `nearest` stands before a noun, as in `the nearest chair`."""
+        return (
+            self.tokens[at].text in lexicon.BEFORE_NOUNS
+            and self._starts_noun(at + 1)
+            and (
+                at == 0
+                or self.tokens[at - 1].plain in DETERMINERS | choices.ORDINALS.keys() | choices.NUMBERS.keys()
+                or self.tokens[at - 1].text == "next"
+                or self.tokens[at - 1].relation is not None
+            )
+        )
+
+    def _superlative_reference(self, at: int) -> int | None:
+        """Token after `to` or `from` where the reference of `nearest` follows; else None."""
+        reference = at + 1 < len(self.tokens) and self.tokens[at].plain in ("to", "from")
+        return at + 1 if reference and not self.match(choices.AT_SIDE, at) else None
 
     def _text(self, at: int) -> str:
         """Word as in the tables of choices and attributes; empty for names and phrases."""
@@ -68,7 +207,7 @@ class AttributeReader(Cursor):
                 return True
         return False
 
-    def _attribute(self, at: int, draft: DraftPhrase) -> int | None:
+    def _attribute(self, at: int, draft: Phrase) -> int | None:
         for size in (3, 2, 1):
             if at + size > len(self.tokens) or any(self.breaks[at + 1 : at + size]):
                 continue
@@ -76,16 +215,15 @@ class AttributeReader(Cursor):
             if (size > 1 and text.count(" ") < size - 1) or not text or (size == 3 and self._text(at + 1) != "of"):
                 continue
             if size == 1 and " and " in text and all(looks := [attribute(part) for part in text.split(" and ")]):
-                draft.attributes += [look for look in looks if look is not None]
-                draft.words += text.split(" and ")
-                draft.modifiers.append((self.tokens[at].start, self.tokens[at].end, "attribute"))
+                draft.attributes += tuple(look for look in looks if look is not None)
+                draft.words += tuple(text.split(" and "))
+                draft.mark(self.tokens[at].start, self.tokens[at].end, "attribute")
                 return at + 1
             if size == 1 and text.startswith("non ") and (other := attribute(text[4:])):
-                draft.lacks.append((other, text[4:]))
-                draft.modifiers.append((self.tokens[at].start, self.tokens[at].end, "choice"))
+                draft.lacks += ((other, text[4:]),)
+                draft.mark(self.tokens[at].start, self.tokens[at].end, "choice")
                 return at + 1
-            than = at + size < len(self.tokens) and self.tokens[at + size].plain == "than"
-            found = attribute(text) or (None if than else _degree_of(text))
+            found = attribute(text) or (None if self.plain(at + size) == "than" else _degree_of(text))
             if found is None and size == 1 and (meant := self._meant(at, draft)):
                 found, text = attribute(meant), meant
                 self.respelled[at] = self.tokens[at].start, self.tokens[at].end, meant
@@ -93,13 +231,13 @@ class AttributeReader(Cursor):
                 continue
             if self._is_content(at + size - 1, found) or (size > 1 and self._compound(at + size - 1)):
                 continue
-            draft.attributes.append(found)
-            draft.words.append(text)
-            draft.modifiers.append((self.tokens[at].start, self.tokens[at + size - 1].end, "attribute"))
+            draft.attributes += (found,)
+            draft.words += (text,)
+            draft.mark(self.tokens[at].start, self.tokens[at + size - 1].end, "attribute")
             return at + size
         return None
 
-    def _meant(self, at: int, draft: DraftPhrase) -> str | None:
+    def _meant(self, at: int, draft: Phrase) -> str | None:
         """Attribute meant by a misspelt word before a thing or in a predicate: `pruple chair`; else None."""
         token = self.tokens[at] if at < len(self.tokens) else None
         if (
@@ -113,10 +251,10 @@ class AttributeReader(Cursor):
         following = self.tokens[at + 1].text if at + 1 < len(self.tokens) else ""
         return None if meant is None or is_compound([meant, following]) else meant
 
-    def _attributes_after(self, at: int, end: int, draft: DraftPhrase) -> int:
+    def _attributes_after(self, at: int, end: int, draft: Phrase) -> int:
         """End of the thing before attributes that follow: `something yellow`, `mug small and red`."""
         start = end
-        if self.tokens[end].plain in ("to", "for", "by", "as", "of") if end < len(self.tokens) else False:
+        if self.plain(end) in ("to", "for", "by", "as", "of"):
             return end
         while start > at + 1 and not any(t.plain in lexicon.WITH for t in self.tokens[at:end]):
             word, before = self.tokens[start - 1], self.tokens[start - 2]
@@ -131,9 +269,9 @@ class AttributeReader(Cursor):
             return end
         for k in range(start, end):
             if found := attribute(self.tokens[k].plain or ""):
-                draft.attributes.append(found)
-                draft.words.append(self.tokens[k].text)
-                draft.modifiers.append((self.tokens[k].start, self.tokens[k].end, "attribute"))
+                draft.attributes += (found,)
+                draft.words += (self.tokens[k].text,)
+                draft.mark(self.tokens[k].start, self.tokens[k].end, "attribute")
         return start
 
     def _color_after(self, at: int) -> tuple[Attribute, str, int] | None:
@@ -151,11 +289,15 @@ class AttributeReader(Cursor):
             return None
         return look, words, found[1]
 
-    def _is_the_thing(self, at: int, draft: DraftPhrase, found: Attribute) -> bool:
+    def _is_the_thing(self, at: int, draft: Phrase, found: Attribute) -> bool:
         """Test if `orange`, `glass` or `light` names the thing, with no other thing behind."""
         same_kind = any(a.kind == found.kind for a in draft.attributes)
         word = self.tokens[at].text
-        if draft.predicate or same_kind or not (is_name(word) or (found.kind == "material" and word in known_words())):
+        if (
+            draft.predicate
+            or same_kind
+            or not (is_name(word) or (found.kind == "material" and word in default_synonyms().words))
+        ):
             return False
         after = at + 1
         if after >= len(self.tokens) or self.tokens[after].plain == "of":
@@ -173,11 +315,23 @@ class AttributeReader(Cursor):
         return named and (is_packed(following) or is_name(f"{word} {following}"))
 
 
+def _hyphens_joined(text: str, tokens: Sequence[Token]) -> list[Token]:
+    """Join tokens with hyphens between, outside the tables of single words."""
+    found: list[Token] = []
+    for k, token in enumerate(tokens):
+        last = found[-1] if found else None
+        if token.bound and last is not None and tokens[k - 1].bound and text[last.end : token.start].strip(" ") != "":
+            found[-1] = Token(text[last.start : token.end].lower(), last.start, token.end, bound=True)
+        else:
+            found.append(token)
+    return found
+
+
 def _degree_of(word: str) -> Attribute | None:
     """Attribute of `darkest`, `most dark` and `darker`: dark, since looks are judged by degrees."""
     if word.startswith("most "):
         return attribute(word[5:])
-    size = 3 if word.endswith("est") else 2 if word.endswith("er") and word not in known_words() else 0
+    size = 3 if word.endswith("est") else 2 if word.endswith("er") and word not in default_synonyms().words else 0
     if not size or len(word) < size + 3:
         return None
     stems = (word[:-size], word[: 1 - size], word[: -size - 1], f"{word[: -size - 1]}y")

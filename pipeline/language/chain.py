@@ -1,20 +1,104 @@
-"""The chain of nouns and relations read from an expression, and how readers add to it."""
+"""The chain of nouns and relations read from an expression, how readers add to it, and errors with corrections."""
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from pipeline.language import choices, lexicon
-from pipeline.language.naming import DETERMINERS
-from pipeline.language.normal import HEAD_ENDS
-from pipeline.language.nouns import QUANTIFIERS, NounReader, Phrase
-from pipeline.language.relation_names import RELATIONS
+from pipeline.language.attribute_reader import Phrase
+from pipeline.language.naming import DETERMINERS, HEAD_ENDS
+from pipeline.language.nouns import QUANTIFIERS, NounReader
+from pipeline.language.relation_names import PHRASE, RELATIONS
 from pipeline.language.tokens import EXAMPLE, Token
-from pipeline.language.tree import Choice, Role, Span
-from pipeline.language.unreadable import FORM
-from pipeline.system.errors import InputError, Unsupported
+from pipeline.language.tree import Choice, Query, Role, Span
+from pipeline.system.errors import InputError, UnknownClass, Unsupported, require
+
+FORM = "TARGET RELATION REFERENCE"
+NOT_EXACT = "how exactly it stands so is not judged"
+"""Of `directly` before a relation, which itself is judged."""
+Unread = Literal["WORDS", "GRAMMAR", "UNSUPPORTED"]
+"""Why an expression was not read as meant: a name is not known, the sentence cannot be read, or it can and what it asks
+for is not judged."""
+
+
+def why_unread(problem: InputError) -> Unread:
+    """Kind of an expression's error."""
+    if isinstance(problem, UnknownClass):
+        return "WORDS"
+    return "UNSUPPORTED" if isinstance(problem, Unsupported) else "GRAMMAR"
+
+
+def why_unused(query: Query) -> Unread | None:
+    """Kind of error of words left out; None where all were used, or only `directly` was not."""
+    unused = [span for span in query.unused if span.note != NOT_EXACT]
+    if not unused:
+        return None
+    return "WORDS" if any(span.unknown for span in unused) else "UNSUPPORTED"
+
+
+def check_judged(tokens: Sequence[Token], text: str) -> None:
+    """Refuse, by InputError, a question for a number, and a relation without a rule: `far from`."""
+    words = [t.plain or "" for t in tokens]
+    require(
+        " ".join(words[:2]) not in ("how many", "how much"),
+        "a number is asked for, and only a thing can be",
+        got=f"'{text}'",
+        expected=FORM,
+        error=Unsupported,
+    )
+    for phrase in lexicon.FAR:
+        size = len(phrase.split())
+        require(
+            not any(" ".join(words[i : i + size]) == phrase for i in range(1, len(words))),
+            f"'{phrase}' is not a relation that is judged",
+            got=f"'{text}'",
+            expected="'farthest from' or 'near'",
+            cause="it says only that two things are not near",
+            error=Unsupported,
+        )
+
+
+def other_view(what: str, text: str) -> InputError:
+    """Error for an expression judged from an object's front, or from somebody's position."""
+    return Unsupported(
+        f"'{what}' asks for another view than the camera's",
+        got=f"'{text}'",
+        cause="no object's own front is known; left, right, front and behind are judged from the camera",
+    )
+
+
+def unreadable(word: str, text: str) -> InputError:
+    """Error for a word that has no place in the grammar at its position."""
+    return InputError(f"'{word}' cannot be read here", got=f"'{text}'", expected=FORM, cause=EXAMPLE)
+
+
+def not_known(tokens: Sequence[Token], at: int, text: str) -> InputError:
+    """Error for a word that relates two things in a way that is not judged, or close to such a word."""
+    word = tokens[at].text
+    near = _close_phrases(tokens, range(max(at - 1, 0), at + 1))
+    meant = " or ".join(f"'{phrase}'" for phrase in near)
+    hint = f"did you mean {meant}?" if near else "known relations: " + ", ".join(PHRASE.values())
+    error = Unsupported if tokens[at].plain in lexicon.UNKNOWN_RELATIONS | lexicon.ACTIONS else InputError
+    return error(f"'{word}' is not a known relation", got=f"'{text}'", cause=hint)
+
+
+def _close_phrases(tokens: Sequence[Token], starts: range) -> list[str]:
+    """Relation phrases with letters close to one to four words that start at the given tokens, best first."""
+    scores: dict[str, float] = {}
+    for start in starts:
+        for end in range(start + 1, min(start + 5, len(tokens) + 1)):
+            if any(t.plain is None for t in tokens[start:end]):
+                break
+            run = " ".join(t.text for t in tokens[start:end])
+            known = [p for p in lexicon.phrase_table() if p[0] == run[0] and abs(len(p) - len(run)) < 4]
+            for phrase in difflib.get_close_matches(run, known, n=3, cutoff=0.7):
+                score = difflib.SequenceMatcher(None, phrase, run).ratio()
+                scores[phrase] = max(score, scores.get(phrase, 0.0))
+    return sorted(scores, key=lambda p: (-scores[p], len(p), p))[:3]
+
 
 Attach = Literal["any", "nearest", "same", "root"]
 
@@ -114,6 +198,19 @@ class ChainReader(NounReader):
             return "on", Choice(choices.SIDES[found["side"]], None, token.text)  # type: ignore[arg-type]
         return ("near", None) if token.relation == "on" and token.text.endswith(" side of") else None
 
+    def _relate(self, token: Token, words: str, phrase: Phrase, attach: Attach, *, negated: bool) -> None:
+        """Add a closed clause, said from the other side, with its reference."""
+        number = self._add_noun(phrase, "reference", phrase.where)
+        self._relation_span(token)
+        clause = Clause(str(token.relation), words, (number,), not token.swapped, attach, closed=True, negated=negated)
+        self.chain.clauses.append(clause)
+        self.joined = False
+
+    def _exclude(self, phrase: Phrase, where: tuple[int, int]) -> None:
+        """Add a thing that the target is not."""
+        number = self._add_noun(phrase, "reference", where)
+        self.chain.clauses.append(Clause("", "not", (number,), attach="root", negated=True, closed=True))
+
     def _add_noun(self, phrase: Phrase, role: Role, where: tuple[int, int]) -> int:
         number = len(self.chain.nouns)
         self.chain.nouns.append(phrase)
@@ -154,10 +251,14 @@ class ChainReader(NounReader):
         end = at + size
         if self._starts_noun(end):
             end = max(self.noun(end)[1], end)
-        self.problems.append(why if isinstance(why, InputError) else Unsupported(why, got=f"'{self.words(at, end)}'"))
-        self._note(at, end, self.problems[-1].what)
         self._forget()
-        return end
+        problem = why if isinstance(why, InputError) else Unsupported(why, got=f"'{self.words(at, end)}'")
+        return self._refused(problem, at, end)
+
+    def _refused(self, problem: InputError, at: int, end: int, also: Token | None = None) -> int:
+        """Note words as not used for a problem, which is raised where nothing else tells the thing meant."""
+        self.problems.append(problem)
+        return self._note(at, end, problem.what, also)
 
     def _place_left_out(self, token: Token, relation: str) -> Token:
         """Relation of a part of a thing, by its preposition alone; the part is noted as not judged."""
@@ -168,7 +269,7 @@ class ChainReader(NounReader):
         self.chain.spans.append(Span(start, token.end, "unused", 0, note))
         return replace(token, text=preposition, relation=relation, end=cut)
 
-    def _note(self, at: int, end: int, why: str, also: Token | None = None) -> None:
+    def _note(self, at: int, end: int, why: str, also: Token | None = None) -> int:
         start = self.tokens[at].start
         if also is not None:
             if any(also.end <= s.start < start for s in self.chain.spans):
@@ -176,6 +277,7 @@ class ChainReader(NounReader):
             else:
                 start = also.start
         self.chain.spans.append(Span(start, self.tokens[end - 1].end, "unused", 0, why))
+        return end
 
     def note_dropped(self) -> None:
         """Note words outside all parts that are not the grammar's own: nothing is dropped in silence."""
@@ -186,8 +288,8 @@ class ChainReader(NounReader):
                 self._note(at, at + 1, "this word was not used")
 
     def _missing(self, opened: OpenRelation) -> None:
-        self.problems.append(self._missing_reference(opened.token.text))
         token = opened.token
+        self.problems.append(self._missing_reference(token.text))
         self.chain.spans.append(Span(token.start, token.end, "unused", 0, self.problems[-1].what))
 
     def _merge(self, phrase: Phrase, number: int = 0, *, named: bool = False) -> None:

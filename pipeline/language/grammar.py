@@ -17,16 +17,15 @@ from collections.abc import Collection, Iterable
 from dataclasses import replace
 
 from pipeline.language import choices, lexicon
-from pipeline.language.attribute_reader import is_name
+from pipeline.language.attribute_reader import Phrase, is_name
 from pipeline.language.attributes import attribute
-from pipeline.language.chain import PART, Attach, Chain, Clause, OpenRelation
+from pipeline.language.chain import FORM, NOT_EXACT, PART, Attach, Chain, OpenRelation, not_known, unreadable
 from pipeline.language.naming import DETERMINERS, singular
-from pipeline.language.nouns import ALTERNATIVES, Phrase
+from pipeline.language.nouns import ALTERNATIVES
 from pipeline.language.references import NO_RANK, ReferenceReader
 from pipeline.language.relation_names import MIRRORED
 from pipeline.language.tokens import NameIndex, Token, tokenize
 from pipeline.language.tree import Choice, Span
-from pipeline.language.unreadable import FORM, NOT_EXACT, not_known, unreadable
 from pipeline.language.views import address_removed, closing_removed, leading_removed, thing_first, without_view
 from pipeline.system.errors import InputError, Unsupported
 
@@ -127,19 +126,16 @@ class _GrammarReader(ReferenceReader):
             self.negated = True
             return self._with(at)
         if word in ("where", "wherein") and self.chain.nouns and not self.opened:
-            start = at + 1
-            while start < len(self.tokens) and self.tokens[start].plain in lexicon.BE | {"there", "there's"}:
-                start += 1
+            start = self.past(at + 1, lexicon.BE | {"there", "there's"})
             if self._starts_noun(start) and self._with_relation(start):
                 return self._with(start - 1)
         if self.chain.nouns and not self.opened and (found := self.match(lexicon.EXCEPT, at)):
             self.negated = True
             self.chain.spans.append(self._span((at, found[1]), "relation", len(self.chain.clauses)))
             return found[1]
-        ordered = at + 1 < len(self.tokens) and self.tokens[at + 1].relation in ("closest", "farthest")
+        ordered = self.relation(at + 1) in ("closest", "farthest")
         if word in choices.ORDINALS and ordered and not self.is_superlative_noun(at + 1):
-            self._note(at, at + 1, NO_RANK)
-            return at + 1
+            return self._note(at, at + 1, NO_RANK)
         if self.opened and word in ("neither", "not", "no") and self._starts_noun(at + 1):
             # `near neither the bed nor the desk`, `on no table`
             self.opened[-1] = replace(self.opened[-1], negated=True)
@@ -159,8 +155,7 @@ class _GrammarReader(ReferenceReader):
             return self._alternative(at)
         if word == "whose" and self.chain.nouns:
             end = next((k for k in range(at + 1, len(self.tokens)) if self.breaks[k] or self._relates(k)), None)
-            self._note(at, end or len(self.tokens), PART)
-            return end or len(self.tokens)
+            return self._note(at, end or len(self.tokens), PART)
         if word in lexicon.AND or word in ("or", "nor", "plus"):
             self.joined = True
             clauses = self.chain.clauses
@@ -184,16 +179,13 @@ class _GrammarReader(ReferenceReader):
                 if (found := self.match(pattern, at)) and self._goes_on(found[1]):
                     # In `that I put on the table` the table says where it is.
                     end = found[1] - (self.tokens[found[1] - 1].relation is not None and self._starts_noun(found[1]))
-                    self.problems.append(Unsupported(why, got=f"'{self.words(at, end)}'"))
-                    self._note(at, end, why)
-                    return end
+                    return self._refused(Unsupported(why, got=f"'{self.words(at, end)}'"), at, end)
         if (
             word in ("high", "low")
             and at
             and self.tokens[at - 1].plain in lexicon.POSTURES | lexicon.LYING | {"hanging"}
         ):
-            self._note(at, at + 1, NOT_EXACT)
-            return at + 1
+            return self._note(at, at + 1, NOT_EXACT)
         if self._links(at):
             if word in lexicon.HOW_EXACTLY and self.chain.nouns and self._relates(at + 1):
                 self._note(at, at + 1, NOT_EXACT)
@@ -248,8 +240,7 @@ class _GrammarReader(ReferenceReader):
         ):
             end += 1
         end = max(self.noun(end, predicate=True)[1] if end < len(self.tokens) else end, at + 1)
-        self._note(at, end, ALTERNATIVES)
-        return end
+        return self._note(at, end, ALTERNATIVES)
 
     def _links(self, at: int) -> bool:
         """Test if a word only links a noun to the next part."""
@@ -282,23 +273,16 @@ class _GrammarReader(ReferenceReader):
         if scene is not None:
             order = lexicon.SCENE_ORDER.get(str(token.relation))
             if order is None:
-                self._note(at, scene, "all of the frame is there")
-            else:
-                self._choice(Choice(order, None, token.text), at, scene)  # type: ignore[arg-type]
-            return scene
+                return self._note(at, scene, "all of the frame is there")
+            return self._choice(Choice(order, None, token.text), at, scene)  # type: ignore[arg-type]
         order = lexicon.BARE_SIDES.get(token.text)
-        it = at + 1 < len(self.tokens) and self.tokens[at + 1].plain in lexicon.PLACE_PRONOUNS
+        it = self.plain(at + 1) in lexicon.PLACE_PRONOUNS
         if order is not None and not it and not self._starts_noun(at + 1):
             first = token.text == "on top" or token.text in lexicon.SUPERLATIVES
-            end = at + 1
-            while first and end < len(self.tokens) and self.tokens[end].plain in ("away", "back", "by", "off"):
-                end += 1
-            self._choice(Choice(order, 1 if first else None, self.words(at, end).lower()), at, end)  # type: ignore[arg-type]
-            return end
+            end = self.past(at + 1, ("away", "back", "by", "off")) if first else at + 1
+            return self._choice(Choice(order, 1 if first else None, self.words(at, end).lower()), at, end)  # type: ignore[arg-type]
         if token.text in lexicon.POSSESSIVE_TAILS:
-            self.problems.append(unreadable(token.text, self.text))
-            self._note(at, at + 1, self.problems[-1].what)
-            return at + 1
+            return self._refused(unreadable(token.text, self.text), at, at + 1)
         if self.opened and not self.joined:
             self._missing(self.opened.pop())
         self.opened.append(OpenRelation(token, self._take_negation(), self._attach()))
@@ -308,13 +292,11 @@ class _GrammarReader(ReferenceReader):
         """Read `table with a lamp on top`, a relation from the lamp to the table, or note a part."""
         if (first := self._place_first(at)) is not None:
             return first
-        without = at + 1 < len(self.tokens) and self.tokens[at + 1].plain == "no"
+        without = self.plain(at + 1) == "no"
         self.negated = self.negated or without
         phrase, end = self.noun(at + 1 + without)
+        end = self.past(end, lexicon.LINKING - DETERMINERS)
         after = self.tokens[end] if end < len(self.tokens) else None
-        while after is not None and after.plain in lexicon.LINKING and after.plain not in DETERMINERS:
-            end += 1
-            after = self.tokens[end] if end < len(self.tokens) else None
         tail = None if after is None or phrase is None else self._with_tail(end)
         if phrase is not None and tail is None and (carried := self._carries(at, phrase, end)) is not None:
             return carried
@@ -324,15 +306,11 @@ class _GrammarReader(ReferenceReader):
         if phrase.head_word == "nothing":
             phrase, self.negated = replace(phrase, label="thing", head=""), True
         self._relation_span(self.tokens[at])
-        number = self._add_noun(phrase, "reference", phrase.where)
-        self._relation_span(after)
         words = f"{self.tokens[at].text} ... {after.text}"
-        relation, swapped = str(after.relation), not after.swapped
         # `has` after no `that` is said of the target; `with` and `that has` of any thing before.
         relative = self.tokens[at - 1].plain in lexicon.RELATIVE or self.tokens[at].plain in ("with", "without")
         attach: Attach = "same" if self.joined and self.chain.clauses else "any" if relative else "root"
-        self.chain.clauses.append(Clause(relation, words, (number,), swapped, attach, True, self._take_negation()))
-        self.joined = False
+        self._relate(after, words, phrase, attach, negated=self._take_negation())
         return tail
 
     def _place_first(self, at: int) -> int | None:
@@ -340,20 +318,14 @@ class _GrammarReader(ReferenceReader):
         token = self.tokens[at + 1] if at + 1 < len(self.tokens) else None
         if token is None or (token.relation not in MIRRORED and token.relation not in lexicon.SAYS_SWAPPED):
             return None
-        it = at + 2 < len(self.tokens) and self.tokens[at + 2].plain in lexicon.PLACE_PRONOUNS
+        it = self.plain(at + 2) in lexicon.PLACE_PRONOUNS
         if not (it or token.text in lexicon.BARE_TAILS) or not self._starts_noun(at + 2 + it):
             return None
         phrase, end = self.noun(at + 2 + it)
         if phrase is None:
             return None
-        self._relation_span(token)
-        number = self._add_noun(phrase, "reference", phrase.where)
         words = f"{self.tokens[at].text} {token.text}"
-        negated = self._take_negation()
-        self.chain.clauses.append(
-            Clause(str(token.relation), words, (number,), not token.swapped, "any", True, negated)
-        )
-        self.joined = False
+        self._relate(token, words, phrase, "any", negated=self._take_negation())
         return end
 
     def _carries(self, at: int, phrase: Phrase, end: int) -> int | None:
@@ -362,11 +334,8 @@ class _GrammarReader(ReferenceReader):
         things = singular(phrase.head_word) in self.own and phrase.head_word not in lexicon.PARTS
         if not (self.negated and things and surface.head_word in lexicon.SURFACES):
             return None
-        self._relation_span(self.tokens[at])
-        other = self._add_noun(phrase, "reference", phrase.where)
-        negated = self._take_negation()
-        self.chain.clauses.append(Clause("on", self.tokens[at].text, (other,), True, "nearest", True, negated))
-        self.joined = False
+        token = self.tokens[at]
+        self._relate(replace(token, relation="on"), token.text, phrase, "nearest", negated=self._take_negation())
         return end
 
     # ---- nouns -----------------------------------------------------------------------------------------------------
@@ -389,11 +358,10 @@ class _GrammarReader(ReferenceReader):
                 self.problems.append(self._names_nothing("target", phrase))
                 phrase = replace(phrase, label="thing", head="")
             alone = phrase.where == (at, at + 1) and not phrase.named and not is_name(singular(phrase.head_word))
-            following = self.tokens[end].plain if end < len(self.tokens) and not self.breaks[end] else None
+            following = end < len(self.tokens) and not self.breaks[end] and self.tokens[end].plain
             if alone and not phrase.anything and following in DETERMINERS - lexicon.RELATIVE:
                 # `gran the mug`: a verb that nobody knows.
-                self._note(at, end, "this word is not known")
-                return end
+                return self._note(at, end, "this word is not known")
             for k in range(at + 1, phrase.where[0] if phrase.where[1] > phrase.where[0] else end):
                 if self.tokens[k].plain == "other" and self.tokens[at].plain != "a":
                     self._note(k, k + 1, "than which other is not said")
@@ -403,15 +371,11 @@ class _GrammarReader(ReferenceReader):
                 phrase = replace(phrase, label=phrase.name, head="", attributes=(), words=(), lacks=lacks)
                 self.negated = False
             elif self.negated:
-                self.problems.append(Unsupported("only what is not meant is said", got=f"'{self.text}'"))
-                self._note(at, end, self.problems[-1].what)
                 self._forget()
-                return end
+                return self._refused(Unsupported("only what is not meant is said", got=f"'{self.text}'"), at, end)
             self._add_noun(phrase, "target", phrase.where)
             for look, word in phrase.lacks:
-                other = Phrase(f"{word} {phrase.name}", phrase.name, (look,), (word,))
-                number = self._add_noun(other, "reference", (end, end))
-                self.chain.clauses.append(Clause("", "not", (number,), attach="root", negated=True, closed=True))
+                self._exclude(Phrase(f"{word} {phrase.name}", phrase.name, (look,), (word,)), (end, end))
             self._forget()
             return end
         return self._further(at, phrase, end)

@@ -9,8 +9,16 @@ from functools import lru_cache
 from string import ascii_lowercase
 from typing import Literal
 
-from pipeline.language.name_table import Synonyms, default_synonyms
-from pipeline.language.normal import HEAD_ENDS, base_of, forms_of, key_of, singular, spellings
+from pipeline.language.name_table import (
+    HEAD_ENDS,
+    Synonyms,
+    base_of,
+    default_synonyms,
+    forms_of,
+    key_of,
+    singular,
+    spellings,
+)
 
 How = Literal["exact", "synonym", "kind", "spelling"]
 

@@ -9,12 +9,13 @@ from functools import lru_cache
 from itertools import groupby
 
 from pipeline.language.name_lookup import How, KnownNames, known_as, lookups, respelled
-from pipeline.language.name_table import Synonyms, default_synonyms
-from pipeline.language.normal import (
+from pipeline.language.name_table import (
     CAMEL_CASE,
     DETERMINERS,
     HEAD_ENDS,
     QUALIFIER,
+    Synonyms,
+    default_synonyms,
     key_of,
     normal_form,
     singular,
@@ -32,7 +33,6 @@ __all__ = [
     "default_synonyms",
     "is_compound",
     "is_named",
-    "known_words",
     "match",
     "meanings",
     "normal_form",
@@ -212,12 +212,6 @@ def _walk(wanted: str, known: KnownNames) -> tuple[tuple[Meaning, ...], ...]:
             taken |= set(best)
             tiers.append(tuple(best[i] for i in sorted(best)))
     return tuple(tiers)
-
-
-@lru_cache(maxsize=1)
-def known_words() -> frozenset[str]:
-    """Single words, in lower case, of all names of the project's own table, without plurals."""
-    return default_synonyms().words
 
 
 def is_compound(words: Sequence[str]) -> bool:

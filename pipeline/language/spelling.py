@@ -10,7 +10,7 @@ from pipeline.language import choices
 from pipeline.language.attributes import INTENSIFIERS, SINGLE_WORDS, attribute
 from pipeline.language.lexicon import CONTRACTIONS, GRAMMAR_WORDS, SHORTHAND, phrase_table
 from pipeline.language.name_lookup import one_letter_away, two_swapped
-from pipeline.language.naming import known_words, singular
+from pipeline.language.naming import default_synonyms, singular
 
 _PHRASE_WORDS = frozenset(w for phrase in phrase_table() for w in phrase.split())
 _CHOICE_WORDS = {
@@ -68,7 +68,12 @@ def is_known(word: str) -> bool:
     """Test if a word in lower case is of the grammar, an adjective or in a name of the table."""
     grammar = word in _PHRASE_WORDS or word in _MISSPELT or word in GRAMMAR_WORDS or word in choices.NUMBERS
     grammar = grammar or word in INTENSIFIERS or word in choices.ORDINALS
-    return grammar or word in known_words() or singular(word) in known_words() or attribute(word) is not None
+    return (
+        grammar
+        or word in default_synonyms().words
+        or singular(word) in default_synonyms().words
+        or attribute(word) is not None
+    )
 
 
 @lru_cache(maxsize=4096)

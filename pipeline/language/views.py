@@ -5,10 +5,10 @@ from __future__ import annotations
 from pipeline.language import choices, lexicon
 from pipeline.language.attribute_reader import is_name
 from pipeline.language.attributes import attribute
+from pipeline.language.chain import FORM, check_judged, other_view
 from pipeline.language.naming import DETERMINERS, is_compound, singular
 from pipeline.language.openers import ASKERS, FRAMING
 from pipeline.language.tokens import Token, joined_words
-from pipeline.language.unreadable import FORM, check_judged, other_view
 from pipeline.system.errors import Unsupported
 
 

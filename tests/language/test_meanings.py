@@ -12,9 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.language import Meaning, match, meanings, normal_form
-from pipeline.language.name_table import NAMES, NameFile, Synonyms, default_synonyms
-from pipeline.language.naming import GENERIC, is_compound, known_words, spelt
-from pipeline.language.normal import key_of
+from pipeline.language.name_table import NAMES, NameFile, Synonyms, default_synonyms, key_of
+from pipeline.language.naming import GENERIC, is_compound, spelt
 from pipeline.proposals.class_names import synonyms_hash
 from tests.language.test_naming import COCO
 
@@ -170,7 +169,7 @@ def test_nothing_is_a_kind_of_itself() -> None:
 
 
 def test_known_words_and_compounds() -> None:
-    assert {"mug", "sofa", "whiteboard", "jello"} <= known_words()
+    assert {"mug", "sofa", "whiteboard", "jello"} <= default_synonyms().words
     assert all(map(is_compound, [("front", "door"), ("white", "board"), ("parking", "meter"), ("Wall", "clocks")]))
     assert not any(map(is_compound, [("red", "mug"), ("mug",), (), ("chair", "table")]))
 
