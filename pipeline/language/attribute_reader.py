@@ -5,13 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 
 from pipeline.language import choices, lexicon
 from pipeline.language.attributes import BASIC_COLORS, FURTHER_COLORS, Attribute, attribute
 from pipeline.language.name_lookup import is_packed
 from pipeline.language.naming import DETERMINERS, default_synonyms, is_compound, key_of, normal_form, singular
-from pipeline.language.spelling import attribute_meant
-from pipeline.language.tokens import Token, joined_words
+from pipeline.language.tokens import Token, attribute_meant, joined_words
 from pipeline.language.tree import Choice, Role
 
 MODALS = frozenset({"can", "could", "may", "should", "would", "might", "must", "will", "shall"})
@@ -198,14 +198,8 @@ class AttributeReader:
 
     def _compound(self, at: int) -> bool:
         """Test if a known name of several words begins at a token: `white board`, `front door`."""
-        words: list[str] = []
-        for k in range(at, min(at + 4, len(self.tokens))):
-            if self.tokens[k].plain is None:
-                return False
-            words.append(self.tokens[k].text)
-            if len(words) > 1 and is_compound(words):
-                return True
-        return False
+        words = [t.text for t in takewhile(lambda t: t.plain is not None, self.tokens[at : at + 4])]
+        return any(is_compound(words[:n]) for n in range(2, len(words) + 1))
 
     def _attribute(self, at: int, draft: Phrase) -> int | None:
         for size in (3, 2, 1):

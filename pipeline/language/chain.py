@@ -174,16 +174,17 @@ class ChainReader(NounReader):
         """Close the open relations with their references."""
         for opened in self.opened:
             self._relation_span(opened.token)
-            clause = Clause(
-                str(opened.token.relation),
-                opened.token.text,
-                references,
-                opened.token.swapped,
-                opened.attach,
-                negated=opened.negated,
-                otherwise=self._otherwise(opened.token, references),
+            self.chain.clauses.append(
+                Clause(
+                    str(opened.token.relation),
+                    opened.token.text,
+                    references,
+                    opened.token.swapped,
+                    opened.attach,
+                    negated=opened.negated,
+                    otherwise=self._otherwise(opened.token, references),
+                )
             )
-            self.chain.clauses.append(clause)
         self.opened.clear()
         self._forget()
 

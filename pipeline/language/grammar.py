@@ -164,12 +164,9 @@ class _GrammarReader(ReferenceReader):
             goes_on = word in ("or", "nor") or self._excludes_another(at + 1)
             self.negated = self.negated or (goes_on and bool(clauses) and clauses[-1].negated)
             return at + 1
-        if (side := self._side(at)) is not None:
-            return side
-        if self.chain.nouns and (look := self._color_phrase(at)) is not None:
-            return look
-        if not self.opened and (clause := self._object_clause(at)) is not None:
-            return clause
+        behind = self._side(at) or self._color_phrase(at) or self._object_clause(at)
+        if behind is not None:
+            return behind
         loose = self.chain.nouns and not self.opened and (token.relation is None or token.text == "in")
         filler = self.match(lexicon.FILLER, at) if loose else None
         if filler is not None and self._goes_on(filler[1]):

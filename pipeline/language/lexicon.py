@@ -9,17 +9,13 @@ from __future__ import annotations
 import re
 from functools import lru_cache
 
-from pipeline.language.openers import LEADING
+from pipeline.language.openers import LEADING, phrases
 from pipeline.language.relation import DECLARED
 from pipeline.language.relation_names import RELATIONS
 
 
 def _words(text: str) -> frozenset[str]:
     return frozenset(text.split())
-
-
-def _phrases(text: str) -> frozenset[str]:
-    return frozenset(text.split(", "))
 
 
 SAYS: dict[str, tuple[str, ...]] = {r.name: r.reads for r in DECLARED}
@@ -210,7 +206,7 @@ ADDRESS = _words(
 )
 """Words before a comma at the start that call for attention."""
 CLOSING = _words("please thanks is are there now asap where located gone")
-CLOSING_PHRASES = _phrases(
+CLOSING_PHRASES = phrases(
     "for me, for us, would you, will you, could you, can you, if you can, if you could, if you please, thank you, "
     "do you see it, can you see it, if possible, if you don't mind, right now, right away, thank you so much, "
     "please and thank you, please & thank you, many thanks, thanks a lot, for me please, "

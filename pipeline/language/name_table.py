@@ -261,8 +261,8 @@ class Synonyms:
         if extra is None:
             return default_synonyms()
         path = Path(extra)
-        wrong = "the synonym table is wrong at {}"
-        read = checked(NameFile.model_validate, _json_of(path), wrong, path, keys=NameFile.model_fields)
+        what = "the synonym table is wrong at {}"
+        read = checked(NameFile.model_validate, _json_of(path), what, path, keys=NameFile.model_fields)
         ours = default_synonyms().extended(read.groups, read.exceptions)
         kinds = dict(ours.kinds)
         for general, names in read.kinds.items():
@@ -361,20 +361,15 @@ class Synonyms:
 @lru_cache(maxsize=1)
 def default_synonyms() -> Synonyms:
     """The project's own table, read once."""
-    groups: list[frozenset[str]] = []
-    exceptions: set[str] = set()
-    kinds: list[tuple[str, str]] = []
-    near: list[frozenset[str]] = []
-    plain: set[str] = set()
-    for path in sorted(NAMES.glob("*.json")):
-        # These files hold names in normal form, which a test of them sees to.
-        read = _json_of(path)
-        groups += map(frozenset, read.get("groups", ()))
-        exceptions |= set(read.get("exceptions", ()))
-        near += map(frozenset, read.get("near", ()))
-        plain |= set(read.get("names", ()))
-        kinds += [(general, name) for general, names in read.get("kinds", {}).items() for name in names]
-    return Synonyms(tuple(groups), frozenset(exceptions), _grouped(kinds), tuple(near), frozenset(plain))
+    # These files hold names in normal form, which a test of them sees to.
+    files = [_json_of(path) for path in sorted(NAMES.glob("*.json"))]
+
+    def all_of(key: str) -> list[Any]:
+        return [entry for file in files for entry in file.get(key, ())]
+
+    kinds = [(general, n) for file in files for general, names in file.get("kinds", {}).items() for n in names]
+    groups, near = (tuple(map(frozenset, all_of(key))) for key in ("groups", "near"))
+    return Synonyms(groups, frozenset(all_of("exceptions")), _grouped(kinds), near, frozenset(all_of("names")))
 
 
 def _json_of(path: Path) -> Any:

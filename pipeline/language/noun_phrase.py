@@ -108,13 +108,8 @@ def indefinite_article(words: str) -> str:
     lower = plain.lower()
     if _is_spelled_out(plain):
         return "an" if lower[0] in _SPELLED_WITH_VOWEL else "a"
-    if _SILENT_H.match(lower):
-        return "an"
-    if _CONSONANT_SOUND.match(lower):
-        return "a"
-    if lower.startswith("x") and lower[1:2] not in (*_VOWELS, "y"):
-        return "an"
-    return "an" if lower[0] in _VOWELS else "a"
+    vowel = lower[0] in _VOWELS or (lower[0] == "x" and lower[1:2] not in (*_VOWELS, "y"))
+    return "an" if _SILENT_H.match(lower) or (vowel and not _CONSONANT_SOUND.match(lower)) else "a"
 
 
 def _number_sounds_open(digits: str) -> bool:

@@ -11,8 +11,7 @@ from pipeline.language.attribute_reader import MODALS, AttributeReader, Phrase
 from pipeline.language.attributes import attribute
 from pipeline.language.naming import DETERMINERS, is_compound, singular
 from pipeline.language.relation_names import MIRRORED
-from pipeline.language.spelling import is_known
-from pipeline.language.tokens import Token, label_of
+from pipeline.language.tokens import Token, is_known, label_of
 from pipeline.language.tree import Choice
 
 QUANTIFIERS = frozenset(

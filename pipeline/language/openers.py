@@ -5,45 +5,43 @@ from __future__ import annotations
 from itertools import product
 
 
-def _phrases(text: str) -> frozenset[str]:
+def phrases(text: str) -> frozenset[str]:
     return frozenset(text.split(", "))
 
 
 _WHO = ("i", "you", "we", "one", "anyone", "anybody", "somebody", "someone")
-_ASKED_TO = _phrases(
+_ASKED_TO = phrases(
     "find, spot, locate, show, pick, grab, get, give, bring, fetch, take, select, choose, detect, segment, highlight, "
     "ground, identify, mark, reach, click, hand, pass, see, look, search, point, retrieve, deliver, collect, indicate, "
     "have, use, borrow"
 )
 _ALONE = _ASKED_TO - {"have", "use", "see", "look", "search", "point", "borrow"}
 """Verbs that ask for a thing without a word between."""
-_HELPED_BY = _phrases("up, over, out, at, for, to, on, me, us, me up, me to, me at, me over, over to me, to me, on to")
-_MODALS = _phrases("can, could, would, will, may, might, should, shall, do, does, did")
-_TRYING = _phrases("help me, help us, help me to, to, and, go, go and, try to, try and")
-_WHERE = _phrases("where, where exactly, where else, how")
-_SEEN = _phrases("find, see, spot, get, leave, put, place, left, seen, reach, lose, keep")
-_AT_IT = _phrases("i am, i'm, we are, we're, i was, i have been, i've been")
-_AFTER = _phrases(
+_HELPED_BY = phrases("up, over, out, at, for, to, on, me, us, me up, me to, me at, me over, over to me, to me, on to")
+_MODALS = phrases("can, could, would, will, may, might, should, shall, do, does, did")
+_TRYING = phrases("help me, help us, help me to, to, and, go, go and, try to, try and")
+_WHERE = phrases("where, where exactly, where else, how")
+_SEEN = phrases("find, see, spot, get, leave, put, place, left, seen, reach, lose, keep")
+_AT_IT = phrases("i am, i'm, we are, we're, i was, i have been, i've been")
+_AFTER = phrases(
     "needing, wanting, after, searching for, trying to find, looking for, looking at, asking for, asking about, "
     "talking about, interested in, thinking of, referring to"
 )
-_SPEAKING = _phrases("i, we, you, i'd, we'd, i would, we would, i will, i'll, i really, i just, i also, i only")
-_WANTING = _phrases(
+_SPEAKING = phrases("i, we, you, i'd, we'd, i would, we would, i will, i'll, i really, i just, i also, i only")
+_WANTING = phrases(
     "want, need, like, love, mean, meant, see, seek, require, wish, have, prefer, want to, need to, like to, love to, "
     "have to, wish to, want you to, need you to, like you to, would like, would like to, lost, forgot, left, take, "
     "to have, like to have, would like to have, can't find, cannot find, can't see, couldn't find, don't see"
 )
-_KNOWING = _phrases(
+_KNOWING = phrases(
     "do you, do you happen to, can you, could you, would you, you, does anyone, did you, have you, do we, i, i do not, "
     "i don't"
 )
-_TOLD = _phrases("know, tell me, see, remember, recall, seen, found, noticed, recognize, show me")
-_WHICH = _phrases(
+_TOLD = phrases("know, tell me, see, remember, recall, seen, found, noticed, recognize, show me")
+_WHICH = phrases(
     "where, which, what, where is, where are, which is, which one is, what is, if there is, whether there is"
 )
-_LIES = _phrases(
-    "lies, stands, sits, hangs, rests, do you see, can you see, can i see, do we see, do you find, else is"
-)
+_LIES = phrases("lies, stands, sits, hangs, rests, do you see, can you see, can i see, do we see, do you find, else is")
 _ASKING = frozenset(
     " ".join(words)
     for words in (
@@ -59,7 +57,7 @@ _ASKING = frozenset(
         *product(("what", "which one", "which thing", "which object"), _LIES),
     )
 )
-_FRAMES = _phrases(
+_FRAMES = phrases(
     "where can, where could, where might, where would, where should, could, would, should, "
     "whatever is, whatever's, you'll find, you'll see, you will find, you will see, you find, you can find, "
     "can't find, cannot find, couldn't find, can't see, have you seen, has anyone seen, where has, where have, "
@@ -92,7 +90,7 @@ _FRAMES = _phrases(
 LEADING = _ALONE | _ASKING | _FRAMES
 """What may stand before the first noun and says nothing about it."""
 
-ASKERS = _phrases(
+ASKERS = phrases(
     "i, we, you, me, us, i'd, we'd, i'm, we're, i'll, we'll, i've, we've, please, kindly, anyone, anybody, someone, "
     "somebody, possible, need, want, wanna, looking, seeking, searching, trying"
 )
@@ -101,12 +99,12 @@ _OF_FRAMES = (_ASKED_TO, _HELPED_BY, _MODALS, _TRYING, _AFTER, _AT_IT, _SPEAKING
 FRAMING = (
     ASKERS
     | frozenset(word for group in _OF_FRAMES for phrase in group for word in phrase.split())
-    | _phrases(
+    | phrases(
         "so, as, good, kind, nice, very, much, trouble, bother, ask, request, beg, urge, allow, permit, let, oblige, "
         "be, being, been, had, seek, seeking, hunt, hunting, hope, hoping, spotting, finding, locating, wonder, "
         "wondering, if, desire, appreciate, grateful, glad, happy, care, kindness, possible, possibly, perhaps, maybe, "
         "just, really, also, now, able, about, enough, mind, rather, it, who, pray, obliged, thankful, delighted, got, "
         "gonna, gotta, shown"
     )
-) - _phrases("left, lost, forgot, cannot, can't, couldn't, don't, not, on, up, over, out")
+) - phrases("left, lost, forgot, cannot, can't, couldn't, don't, not, on, up, over, out")
 """Words of frames of asking: `might I trouble you for`, `be so good as to show me`."""

@@ -50,7 +50,7 @@ class ReferenceReader(ChainReader):
 
     def _color_phrase(self, at: int) -> int | None:
         """Read a colour in a phrase behind the thing: `in red`, `of a red colour`, `painted green`."""
-        found = None if self.opened else self._color_after(at)
+        found = self._color_after(at) if self.chain.nouns and not self.opened else None
         if found is None:
             return None
         look, words, end = found
@@ -130,7 +130,7 @@ class ReferenceReader(ChainReader):
         word = self.tokens[at].plain
         bare = word in DETERMINERS - lexicon.RELATIVE and not self._predicative(at) and not self.breaks[at]
         asked = self.asks_what and (word in ("is", "are") if self.chain.nouns else bare)
-        if not (
+        if self.opened or not (
             asked or (self.chain.nouns and not self.negated and not self.joined and (bare or word in lexicon.RELATIVE))
         ):
             return None

@@ -1,17 +1,129 @@
-"""Tokens of an expression: words, relation phrases, and class names of the user's vocabulary."""
+"""Tokens of an expression: words spelled right, relation phrases, and class names of the user's vocabulary."""
 
 from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Sequence
+from bisect import bisect, bisect_left
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 
-from pipeline.language.lexicon import AND, LINKING, STRUCTURAL, VIEW, WITH, phrase_table
-from pipeline.language.naming import DETERMINERS, Synonyms
-from pipeline.language.spelling import mended_words
+from pipeline.language import choices
+from pipeline.language.attributes import INTENSIFIERS, SINGLE_WORDS, attribute
+from pipeline.language.lexicon import (
+    AND,
+    CONTRACTIONS,
+    GRAMMAR_WORDS,
+    LINKING,
+    SHORTHAND,
+    STRUCTURAL,
+    VIEW,
+    WITH,
+    phrase_table,
+)
+from pipeline.language.name_lookup import one_letter_away, two_swapped
+from pipeline.language.naming import DETERMINERS, Synonyms, default_synonyms, singular
 from pipeline.system.errors import InputError, require
+
+_CHOICE_WORDS = {
+    w for phrase in (*choices.EXTREMES, *choices.SIDES, *choices.ORDINALS) for w in phrase.split() if len(w) > 4
+} - {"background", "foreground", "distance"}
+_OFTEN = (
+    "left right behind front between beside besides under above below next near bottom middle closest nearest farthest "
+    "furthest leftmost rightmost inside beneath underneath infront against across corner standing sitting hanging "
+    "lying neither without something anything which where thing things object objects item camera viewer stack"
+)
+_MISSPELT = tuple(dict.fromkeys([*_OFTEN.split(), *sorted(_CHOICE_WORDS)]))
+"""Words of the grammar that are taken for what a misspelt word should be."""
+_OF_THE_GRAMMAR = GRAMMAR_WORDS.union(
+    (w for phrase in phrase_table() for w in phrase.split()), _MISSPELT, choices.NUMBERS, choices.ORDINALS, INTENSIFIERS
+)
+_SLIPS = {"th": "the"} | {
+    word[:k] + word[k + 1] + word[k] + word[k + 2 :]: word
+    for word in ("the", "that", "this", "and", "with", "which", "from")
+    for k in range(len(word) - 1)
+    if word != "from" or k != 1
+}
+"""Two letters of a small word that changed places: `teh`; `form` is a word of its own."""
+
+
+@lru_cache(maxsize=4096)
+def spelling_corrected(word: str) -> str:
+    """Correct a misspelt word of the grammar: a letter more, less or two swapped, no apostrophe, or shorthand.
+
+    A word that is known is left alone (`whats` and `plz` are corrected); in long ones one letter may be another.
+    """
+    found = _SLIPS.get(word) or CONTRACTIONS.get(word) or SHORTHAND.get(word)
+    if found is not None:
+        return found
+    if len(word) < 3 or is_known(word):
+        return word
+    for meant in _MISSPELT:
+        if abs(len(word) - len(meant)) <= 1 and word[0] == meant[0] and _one_slip(word, meant):
+            return meant
+    return word
+
+
+def homophones_corrected(words: Sequence[str]) -> list[str]:
+    """Correct words that sound like a small word of the grammar: `next too the`, `left off`."""
+    found = list(words)
+    for k, word in enumerate(words):
+        before, after = words[k - 1] if k else "", words[k + 1] if k + 1 < len(words) else ""
+        if word == "too" and (before in ("next", "close", "closest", "nearest", "near") or after in ("the", "a", "my")):
+            found[k] = "to"
+        elif word == "off" and before in ("left", "right", "front", "top"):
+            found[k] = "of"
+        elif word == "then" and before in choices.COMPARATIVES:
+            found[k] = "than"
+    return found
+
+
+@lru_cache(maxsize=4096)
+def is_known(word: str) -> bool:
+    """Test if a word in lower case is of the grammar, an adjective or in a name of the table."""
+    words = default_synonyms().words
+    return word in _OF_THE_GRAMMAR or word in words or singular(word) in words or attribute(word) is not None
+
+
+@lru_cache(maxsize=4096)
+def attribute_meant(word: str) -> str | None:
+    """Adjective meant by an unknown word: `purple` for `pruple`; None for none or several.
+
+    Two letters that changed places and a letter too few come before a letter too many, and that before another letter;
+    which short words are not. The ends stay: other words differ there (`pasted` and `pastel`).
+    """
+    if len(word) < 3 or not word.isalpha() or is_known(word):
+        return None
+    swapped = two_swapped(word) if len(word) > 3 else frozenset[str]()
+    away = {w for w in one_letter_away(word) if w[0] == word[0]}
+    longer = {w for w in away if len(w) > len(word)}
+    shorter = {w for w in away if len(w) < len(word) and (w != word[:-1] or word[-1] == word[-2])}
+    if len(word) == 4:
+        shorter = {w for w in shorter if any(a == b for a, b in pairwise(word))}
+    other = {w for w in away if len(w) == len(word) and w[-1] == word[-1]}
+    for near in (swapped | longer, shorter, other if len(word) > 4 else frozenset[str]()):
+        meant = sorted(near & SINGLE_WORDS)
+        if meant:
+            return meant[0] if len({attribute(w) for w in meant}) == 1 else None
+    return None
+
+
+def mended_words(words: Sequence[str], own: Collection[str]) -> tuple[list[str], list[bool]]:
+    """Correct words in lower case, with a flag for each misspelt word; words of the user's `own` names stay."""
+    read = homophones_corrected([word if word in own else spelling_corrected(word) for word in words])
+    short = CONTRACTIONS.keys() | SHORTHAND.keys()
+    return read, [a != b and a not in short for a, b in zip(words, read, strict=True)]
+
+
+def _one_slip(word: str, meant: str) -> bool:
+    start = next((k for k, (a, b) in enumerate(zip(word, meant, strict=False)) if a != b), min(len(word), len(meant)))
+    a, b = word[start:], meant[start:]
+    swapped = a[:2] == b[1::-1] and a[2:] == b[2:] and len(a) > 1
+    other = len(word) > 6 and a[1:] == b[1:]
+    return swapped or a[1:] == b or a == b[1:] or other
+
 
 MAX_LENGTH = 300
 """Characters; a spatial expression is a phrase, not a page."""
@@ -141,21 +253,23 @@ def tokenize(text: str, known: NameIndex, *, hold_names: bool = True) -> list[To
     ends = [m.end() for m in found]
     opens = [i == 0 or _BREAKS.search(text, ends[i - 1], starts[i]) is not None for i in range(len(found))]
     opens.append(True)
-    quotes = {m.start(1): m for m in _QUOTED.finditer(text)} if _QUOTED.search(text) else {}
+    # The first word inside quotes, and the word behind them.
+    quotes = [(bisect(starts, m.start()), bisect_left(starts, m.end(1))) for m in _QUOTED.finditer(text)]
+    quoted = {first: after for first, after in quotes if after > first}
 
     tokens: list[Token] = []
     i = 0
     while i < len(words):
-        if quotes and (quoted := _quoted(quotes, starts, ends, i)):
-            label = _label(text, starts[i], ends[quoted - 1])
-            tokens.append(Token(" ".join(words[i:quoted]), starts[i], ends[quoted - 1], name=label))
-            i = quoted
+        if i in quoted:
+            end = ends[quoted[i] - 1]
+            tokens.append(Token(" ".join(words[i : quoted[i]]), starts[i], end, name=_label(text, starts[i], end)))
+            i = quoted[i]
             continue
         name = _longest(known.names.get(words[i]), words, opens, i)
         if name is not None and name[2] and not hold_names:
             name = None
         # A phrase does not reach into quotes: in `in the "front of house"` it is `in`.
-        free = _next_quote(quotes, starts, i)
+        free = min((first for first, _ in quotes if first > i), default=len(words))
         phrase = _longest(_PHRASES.get(words[i]), words[:free], opens, i)
         if phrase is not None and len(phrase[0]) > 1:
             phrase = _before_a_name(phrase, known, words, opens, i)
@@ -230,20 +344,6 @@ def _before_a_view(
     return next(
         (e for e in _PHRASES[words[at]] if e[0] == tuple(words[at : at + len(e[0])]) and e[0][-1] != "from"), None
     )
-
-
-def _next_quote(quotes: dict[int, re.Match[str]], starts: list[int], at: int) -> int:
-    """Number of the first word behind word `at` that begins a quoted name, or the number of words."""
-    ahead = min((q.start() for q in quotes.values() if q.start() > starts[at]), default=None)
-    return len(starts) if ahead is None else next((k for k in range(at, len(starts)) if starts[k] > ahead), len(starts))
-
-
-def _quoted(quotes: dict[int, re.Match[str]], starts: list[int], ends: list[int], at: int) -> int | None:
-    """Number of the word after a quoted name that starts at word `at`, or None."""
-    for quote in quotes.values():
-        if quote.start(1) <= starts[at] and (at == 0 or ends[at - 1] <= quote.start()) and ends[at] <= quote.end(1):
-            return next((k for k in range(at, len(ends)) if starts[k] >= quote.end(1)), len(ends))
-    return None
 
 
 def _label(text: str, start: int, end: int) -> str:

@@ -20,7 +20,7 @@ from pipeline.language.chain import OWN_WORDS
 from pipeline.language.lexicon import CONTRACTIONS, LEADING, SHORTHAND, VIEW_WORDS
 from pipeline.language.naming import meanings
 from pipeline.language.openers import FRAMING
-from pipeline.language.spelling import attribute_meant, is_known, spelling_corrected
+from pipeline.language.tokens import attribute_meant, is_known, spelling_corrected
 from pipeline.proposals import AnnotationDetector, Proposals
 from pipeline.system import InputError, UnknownClass
 
