@@ -100,9 +100,7 @@ def chosen(of: Mapping[str, Thing], name: str | None, what: str) -> Thing:
     """Entry of a name, the first without a name; InputError for an unknown name."""
     require(of, f"no {what} was named when the server was started", expected="spatialviz mcp PATH...")
     name = next(iter(of)) if name is None else name
-    if name not in of:
-        raise InputError(f"there is no {what} of this name", got=name, expected=" or ".join(of))
-    return of[name]
+    return needed(of.get(name), f"there is no {what} of this name", got=name, expected=" or ".join(of))
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,13 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 from spatialviz.options import (
     ALL_FRAMES,
     CPUS,
-    CameraOptions,
     DatasetArg,
     Flag,
     FrameArg,
     JournalOptions,
     NewFolder,
-    OneFrameArg,
+    OfCamera,
+    OnFrame,
     Output,
     SourceOptions,
     Truth,
@@ -104,24 +104,20 @@ class GlossaryCommand(Output):
     """Print all as a document."""
 
 
-@dataclass(frozen=True)
-class MeasureCommand(Output):
+@dataclass(frozen=True, kw_only=True)
+class MeasureCommand(OnFrame, OfCamera):
     """Measure the distance of two surface points of a frame, and its parts to the right, up and forward; in metres."""
 
-    dataset: DatasetArg
-    frame: OneFrameArg
     first: Positional[Annotated[str, arg(help="U,V (column, row) of a pixel.")]]
     second: Positional[Annotated[str, arg(help="U,V of another.")]]
-    camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
 
 
-@dataclass(frozen=True)
-class FramesCommand(Output):
+@dataclass(frozen=True, kw_only=True)
+class FramesCommand(OfCamera):
     """List a dataset's contents and faults: counts, and each note once with its number of frames."""
 
     dataset: Positional[str]
     """Dataset folder or capture; a folder of dataset folders, for all of them; or "demo"."""
-    camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
     all: Flag = False
     """List every frame too. --json lists them without it."""
     summary: Flag = False
@@ -130,8 +126,8 @@ class FramesCommand(Output):
     """Keep --intrinsics, --depth-scale, --up and --level-at in spatialviz.toml beside the data."""
 
 
-@dataclass(frozen=True)
-class DoctorCommand(Output):
+@dataclass(frozen=True, kw_only=True)
+class DoctorCommand(OfCamera):
     """Find a wrong depth scale, focal length, principal point, pose convention, registration or up of a recording.
 
     It compares the depth of posed frames that overlap, outlines of depth with edges of colour, and level planes. Exit
@@ -139,22 +135,18 @@ class DoctorCommand(Output):
     """
 
     dataset: DatasetArg
-    camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
     apply: Flag = False
     """Keep what mends it in spatialviz.toml beside the data, where readers find it."""
     overlay: Path | None = None
     """Picture to write: colour with the outlines of depth on it, as read and with what mends it."""
 
 
-@dataclass(frozen=True)
-class ContextCommand(Output):
+@dataclass(frozen=True, kw_only=True)
+class ContextCommand(OnFrame, OfCamera):
     """Fuse the posed frames around a frame into a mesh, in the frame's camera coordinates (extra: open3d)."""
 
-    dataset: DatasetArg
-    frame: OneFrameArg
     out: Positional[Path]
     """Mesh file to write: .ply, .obj or .glb."""
-    camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
 
 
 @dataclass(frozen=True)

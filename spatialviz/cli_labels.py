@@ -12,12 +12,12 @@ from spatialviz.options import (
     CPUS,
     Box,
     DatasetArg,
-    ExpressionArg,
     Flag,
     JournalOptions,
     LabelledOptions,
     LabelsArg,
     NewFolder,
+    OfAnswer,
     OneFrameArg,
     OnJournal,
     OnLabels,
@@ -236,24 +236,20 @@ class CorrectCommand(OnPictures):
     """The group that a try named which could not be saved: what was saved after all is not saved twice."""
 
 
-@dataclass(frozen=True)
-class ConfirmCommand(Output):
+@dataclass(frozen=True, kw_only=True)
+class ConfirmCommand(OfAnswer):
     """Ask, and confirm a pair of the answer as right: from then on answers are judged by the pair.
 
     What the labels lack of its two objects is added with the pixels of the answer's. Exit status 1 where somebody else
     has been there.
     """
 
-    dataset: DatasetArg
-    frame: OneFrameArg
-    expression: ExpressionArg
     labels: Path
     """Labels folder; one that is new is begun by hand, as by `label --empty`."""
     author: str
     """Who says so."""
     pair: int = 1
     """Which of the ranked pairs, from 1."""
-    source: OmitArgPrefixes[SourceOptions] = SourceOptions()
     journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
 
 

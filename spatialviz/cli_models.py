@@ -60,8 +60,19 @@ class ModelsCommand(Output):
     """ONNX files. Default: list all that is known."""
 
 
-@dataclass(frozen=True)
-class TrainCommand(Output):
+@dataclass(frozen=True, kw_only=True)
+class Training(Output):
+    """Command training relation networks."""
+
+    epochs: Epochs = 10
+    batch: Batch = None
+    seed: int = 0
+    """The same seed gives the same networks."""
+    workers: Workers = CPUS
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainCommand(Training):
     """Train a relation network on labels or on rendered rooms, calibrate it, and measure it on unseen data."""
 
     labels: Positional[str]
@@ -75,10 +86,6 @@ class TrainCommand(Output):
     vocabulary: Literal["avd", "semantic-abstraction"] = "avd"
     """avd: six relations that may hold together (binary cross entropy, U masked); semantic-abstraction: six of which
     one fits (cross entropy; the class prior is divided out in ranking)."""
-    epochs: Epochs = 10
-    batch: Batch = None
-    seed: int = 0
-    """The same seed gives the same network."""
     vectors: Path | None = None
     """Text vectors for +lang: .vec, .vec.gz or .npz."""
     normalised: Flag = False
@@ -96,11 +103,10 @@ class TrainCommand(Output):
     """Of the rooms' views, 360 pixels."""
     members: int | None = None
     """Networks trained on rooms, 3, of which one is made that gives their mean."""
-    workers: Workers = CPUS
 
 
-@dataclass(frozen=True)
-class RetrainCommand(OnPictures):
+@dataclass(frozen=True, kw_only=True)
+class RetrainCommand(Training, OnPictures):
     """Train relation networks on labels before and after the corrections of their journal, and compare both on held-out
     frames; with --run, the run is made again with the mended labels and the new network.
     """
@@ -110,13 +116,7 @@ class RetrainCommand(OnPictures):
     run_folder: Annotated[Path | None, arg(name="run")] = None
     """A run that `eval` wrote on these labels, made again."""
     features: PairFeatures = "rel14"
-    epochs: Epochs = 10
-    batch: Batch = None
     split: Split = None
-    seed: int = 0
-    """Of the split and of both networks."""
-    workers: int = CPUS
-    """Processes at once, with --run."""
 
 
 @dataclass(frozen=True)
@@ -130,8 +130,8 @@ class InstallCommand(Output):
     overwrite: Overwrite = False
 
 
-@dataclass(frozen=True)
-class AblationCommand(Output):
+@dataclass(frozen=True, kw_only=True)
+class AblationCommand(Training):
     """Train relation networks on rendered rooms, and measure them in other rooms and from other cameras."""
 
     rooms: int = 120
@@ -144,8 +144,3 @@ class AblationCommand(Output):
     """What the networks are given of a pair."""
     networks: int = 3
     """Networks of each kind, each with its own seed and its own draw of pairs."""
-    batch: Batch = None
-    epochs: Epochs = 10
-    seed: int = 0
-    """Another seed makes other rooms and networks."""
-    workers: Workers = CPUS

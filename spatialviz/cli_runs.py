@@ -10,13 +10,12 @@ from tyro.conf import OmitArgPrefixes, Positional
 
 from spatialviz.options import (
     CPUS,
-    CameraOptions,
     DatasetArg,
-    ExpressionArg,
     Flag,
     JournalOptions,
     NewFolder,
-    OneFrameArg,
+    OfAnswer,
+    OfCamera,
     Output,
     Overwrite,
     RunArg,
@@ -26,8 +25,20 @@ from spatialviz.options import (
 )
 
 
-@dataclass(frozen=True)
-class EvalCommand(Output):
+@dataclass(frozen=True, kw_only=True)
+class WritesRun(Output):
+    """Command writing a run."""
+
+    name: str | None = None
+    """Of the system in the tables. Default: detector and relation scorer, or as the file names it."""
+    workers: Workers = CPUS
+    plots: bool = True
+    """Draw plots (extra: report)."""
+    overwrite: Overwrite = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvalCommand(WritesRun):
     """Answer every expression of labels, and write tables with intervals, plots and records; --sentences: sentences
     written by people, judged without labels; --judge-again: results of an earlier version."""
 
@@ -73,22 +84,16 @@ class EvalCommand(Output):
     """Say of each expression which module failed. Without, no diagnosis is written, and it is faster."""
     limit: int | None = None
     """Only so many expressions, spread evenly."""
-    name: str | None = None
-    """Of the system in the tables. Default: detector and relation scorer."""
     others: tuple[Path, ...] = ()
     """Runs on the same labels whose systems become rows too."""
     compare: Path | None = None
     """A run to compare with: what was fixed, what was broken, what is right for another reason."""
-    workers: Workers = CPUS
-    plots: bool = True
-    """Draw plots (extra: report)."""
-    overwrite: Overwrite = False
     show: int = 5
     """Expressions shown of each kind with --compare."""
 
 
-@dataclass(frozen=True)
-class ImportRunCommand(Output):
+@dataclass(frozen=True, kw_only=True)
+class ImportRunCommand(WritesRun, OfCamera):
     """Judge the predictions of another pipeline: a run with verdicts as far as the file allows, and everything else of
     a run.
 
@@ -103,18 +108,11 @@ class ImportRunCommand(Output):
     """Labels folder that says what is asked and right."""
     out: Path
     """Run folder to write."""
-    camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
     format: str | None = None
     """spatialviz | coco | supervision | boxes | grounded-sam2 | grounded-sam | concept-graphs | recording | roborefer |
     spatialrgpt | llava | spatialclaw | lmms-eval, or a plugin's. Default: as the file's content says."""
     key: Path | None = None
     """What the file leaves open: COCO's annotation file, a list of class names, a list of id, image and question."""
-    name: str | None = None
-    """Of the system in the tables. Default: as the file names it."""
-    workers: Workers = CPUS
-    plots: bool = True
-    """Draw plots (extra: report)."""
-    overwrite: Overwrite = False
 
 
 @dataclass(frozen=True)
@@ -181,17 +179,13 @@ class TablesCommand(Output):
     """text | markdown | latex."""
 
 
-@dataclass(frozen=True)
-class WhatIfCommand(Output):
+@dataclass(frozen=True, kw_only=True)
+class WhatIfCommand(OfAnswer):
     """Answer an expression with and without edits: moved boxes, other masks, confidences, thresholds.
 
     Exit status: 0 where a pair stands in the relation after the edits, 1 where none does, 2 for bad usage or input.
     """
 
-    dataset: DatasetArg
-    frame: OneFrameArg
-    expression: ExpressionArg
-    source: OmitArgPrefixes[SourceOptions] = SourceOptions()
     edits: Path | None = None
     """JSON file of edits. Without any the objects are listed with the keys that edits name them by."""
     do: tuple[str, ...] = ()
@@ -202,16 +196,13 @@ class WhatIfCommand(Output):
     labels: Truth = None
 
 
-@dataclass(frozen=True)
-class SaveCaseCommand(Output):
+@dataclass(frozen=True, kw_only=True)
+class SaveCaseCommand(OfAnswer):
     """Save an answer as a small folder for `replay`: a failure becomes a regression test."""
 
     dataset: Positional[str]
     """Dataset folder or "demo"; or a run, of this pipeline or imported: its answer, judged by its labels."""
-    frame: OneFrameArg
-    expression: ExpressionArg
     out: NewFolder
-    source: OmitArgPrefixes[SourceOptions] = SourceOptions()
     labels: Truth = None
     edits: Path | None = None
     """Edits as a JSON file."""

@@ -91,9 +91,10 @@ def print_json(record: dict[str, Any]) -> None:
     print(json.dumps(record, ensure_ascii=False, allow_nan=False))
 
 
-def warn(text: object) -> None:
-    """Print a line beside the output."""
-    print(f"spatialviz: {one_line(str(text))}", file=sys.stderr)
+def warn(*texts: object) -> None:
+    """Print a line each beside the output."""
+    for text in texts:
+        print(f"spatialviz: {one_line(str(text))}", file=sys.stderr)
 
 
 _NO_MEMORY = re.compile(
@@ -249,8 +250,7 @@ class JournalOptions:
         from pipeline.corrections.journal.journal import journal_of
 
         opened = journal_of(labels, self.journal, project=self.project, must_exist=must_exist)
-        for warning in opened.warnings:
-            warn(warning)
+        warn(*opened.warnings)
         return opened
 
 
@@ -266,6 +266,21 @@ class OnPictures(OnJournal):
     """Command on corrections with possible need of the pictures."""
 
     source: OmitArgPrefixes[DatasetOptions] = DatasetOptions()
+
+
+@dataclass(frozen=True, kw_only=True)
+class OfCamera(Output):
+    """Command on a recording without models."""
+
+    camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnFrame(Output):
+    """Command on a single frame."""
+
+    dataset: DatasetArg
+    frame: OneFrameArg
 
 
 @dataclass(frozen=True)
@@ -392,6 +407,13 @@ class SourceOptions(ReaderOptions, ProposalOptions):
         options = self.arguments(frame)
         source = open_pipeline(dataset, **(options if labels is None else labelled_up(labels.manifest, options)))
         if self.level_at is not None or self.up is not None:
-            for frame_id, doubts in told_doubts(source.dataset).items():
-                warn(f"frame {frame_id}: {'; '.join(doubts)}")
+            warn(*(f"frame {frame}: {'; '.join(doubts)}" for frame, doubts in told_doubts(source.dataset).items()))
         return source
+
+
+@dataclass(frozen=True, kw_only=True)
+class OfAnswer(OnFrame):
+    """Command on the answer to an expression."""
+
+    expression: ExpressionArg
+    source: OmitArgPrefixes[SourceOptions] = SourceOptions()

@@ -54,6 +54,15 @@ def say(*parts: str | Text | tuple[str, str], style: str = "") -> None:
     console().print(Text.assemble(*map(_on_one_line, parts), style=style))
 
 
+def say_lines(lines: Iterable[str], style: str = "", most: int | None = None, where: str = "") -> None:
+    """Print lines but for empty ones, at most so many, then the number of the rest, with `where` they are."""
+    told = [line for line in lines if line]
+    for line in told[:most]:
+        say(line, style=style)
+    if most is not None and len(told) > most:
+        say(f"and {len(told) - most} more{where}", style=style)
+
+
 def _on_one_line(part: str | Text | tuple[str, str]) -> str | Text | tuple[str, str]:
     if isinstance(part, Text):
         return part
@@ -114,10 +123,8 @@ def print_table(found: ResultTable, caveats: bool = True) -> None:
     """Print a table with title and caveats."""
     say(found.title, style="bold")
     console().print(rich_table(found))
-    if found.note:
-        say(found.note, style="dim")
-    for caveat in found.caveats if caveats else ():
-        say(caveat, style="yellow")
+    say_lines([found.note], "dim")
+    say_lines(found.caveats if caveats else (), "yellow")
 
 
 def table_record(found: ResultTable) -> dict[str, Any]:
@@ -159,13 +166,8 @@ def print_summary(summary: dict[str, Any]) -> None:
     """Print counts over the frames of a dataset."""
     frames, usable = summary["frames"], summary["frames_usable"]
     say(f"{usable:,} of {counted(frames, 'frame')} can be used")
-    for note in summary["notes"]:
-        say(f"  note: {note}", style="yellow")
-    for reason, count in list(summary["problems"].items())[:5]:
-        say(f"  {count:,} broken: {reason}", style="red")
-    if len(summary["problems"]) > 5:
-        rest = sum(list(summary["problems"].values())[5:])
-        say(f"  {rest:,} broken for other reasons", style="red")
+    say_lines((f"  note: {note}" for note in summary["notes"]), "yellow")
+    say_lines((f"  {count:,} broken: {reason}" for reason, count in summary["problems"].items()), "red", 5, " reasons")
     if not usable:
         return
     say(f"  {listed(summary['sizes'])}; up {listed(summary['up_source'])}", style="dim")
@@ -178,11 +180,7 @@ def print_summary(summary: dict[str, Any]) -> None:
     frames_lacking = ", ".join(f"{count:,} {what}" for what, count in lacking.items() if count)
     depth = f"{share_text(summary['depth_valid'])} of the pixels have depth"
     say(f"  {depth}" + (f"; frames: {frames_lacking}" if frames_lacking else ""), style="dim")
-    classes = summary["classes"]
-    if not classes:
-        return
-    per_frame = summary["objects_per_frame"]
-    say(
-        f"{counted(summary['objects'], 'object')} of {counted(len(classes), 'class')}, {per_frame:.1f} a frame: ",
-        (listed(classes, SUMMARY_CLASSES), "dim"),
-    )
+    if classes := summary["classes"]:
+        objects = f"{counted(summary['objects'], 'object')} of {counted(len(classes), 'class')}"
+        names = listed(classes, SUMMARY_CLASSES)
+        say(f"{objects}, {summary['objects_per_frame']:.1f} a frame: ", (names, "dim"))

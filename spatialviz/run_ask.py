@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,6 @@ from pipeline.answering.answer_words import probability, reading_notes, why_no_a
 from pipeline.answering.ask import Trace
 from pipeline.answering.detector_prompts import taken_as, unused_words
 from pipeline.answering.json_records import frame_record, relation_records
-from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.pipeline import FrameRelations, Pipeline, open_pipeline, open_sources, relate_frames
 from pipeline.datasets import Dataset, FrameReport, SurveyCounts, survey, write_settings
@@ -27,10 +26,10 @@ from pipeline.diagnosis.asking import ask_and_judge
 from pipeline.diagnosis.suggestions import SURE, MissedNames, missed_names
 from pipeline.diagnosis.verdict import shown_verdict
 from pipeline.evaluation.run_folder import open_run
-from pipeline.geometry.viewer import Measurement, ViewerAxes, measure
+from pipeline.geometry.viewer import ViewerAxes, measure
 from pipeline.labels.reading import Labels, open_labels
-from pipeline.language.counted import counted
-from pipeline.language.glossary import GlossaryTerm, find_term, glossary, glossary_markdown
+from pipeline.language.counted import counted, listed
+from pipeline.language.glossary import find_term, glossary, glossary_markdown
 from pipeline.language.relation_names import PHRASE, VOCABULARIES
 from pipeline.relations.relations import letter
 from pipeline.synthetic import render_dataset
@@ -46,7 +45,7 @@ from spatialviz.cli_ask import (
     RenderCommand,
 )
 from spatialviz.options import ALL_FRAMES, FINE, NO, SourceOptions, numbers, one_frame, print_json, warn, warn_skipped
-from spatialviz.printing import print_rows, print_summary, rate_bar, say
+from spatialviz.printing import print_rows, print_summary, rate_bar, say, say_lines
 from spatialviz.report.picture import save_picture, write_picture
 
 SHOWN_PAIRS = 5
@@ -108,14 +107,15 @@ def run_measure(command: MeasureCommand) -> None:
     found = measure(context.frame.depth, context.frame.camera, context.viewer, (u0, v0), (u1, v1))
     estimated = {"depth_source": context.frame.depth_source} if context.frame.depth_source else {}
     record = {"frame": context.frame.id, **found.record(), "up_source": context.viewer.up_source, **estimated}
-    command.write(record, print_measurement, found, context)
+    command.write(record, say, f"{found.distance:.3f} m  {'  '.join(found.words)}")
+    if not command.json:
+        _warn_assumed(context.viewer, context.frame.depth_source)
 
 
 def run_frames(command: FramesCommand) -> int:
     camera = command.camera.camera()
     pipelines, left_out = open_sources(command.dataset, **camera, srm="rule", browse=True)
-    for name, reason in left_out.items():
-        warn(f"left out {name}: {reason}")
+    warn(*(f"left out {name}: {reason}" for name, reason in left_out.items()))
     usable = 0
     for name, pipeline in pipelines.items():
         # One dataset alone needs no name in its records.
@@ -144,8 +144,7 @@ def _survey_frames(command: FramesCommand, dataset: Dataset, camera: dict[str, A
     if command.json and command.summary:
         print_json({**named, **record})
     elif not command.json:
-        for note, frames in notes.items():
-            say(f"note on {counted(frames, 'frame')}: {note}", style="yellow")
+        say_lines((f"note on {counted(frames, 'frame')}: {note}" for note, frames in notes.items()), "yellow")
         print_summary(record)
     return record["frames_usable"]
 
@@ -154,15 +153,8 @@ def run_glossary(command: GlossaryCommand) -> None:
     if command.markdown:
         print(glossary_markdown(), end="")
         return
-    terms = list(glossary().values()) if command.word is None else [find_term(command.word)]
-
-    command.write(map(asdict, terms), print_terms, terms)
-
-
-def print_terms(terms: Iterable[GlossaryTerm]) -> None:
-    """Print words with their meaning."""
-    for term in terms:
-        say((term.name, "bold"), f" ({term.group}): {term.hint}")
+    terms = glossary().values() if command.word is None else [find_term(command.word)]
+    command.write(map(asdict, terms), say_lines, [f"{term.name} ({term.group}): {term.hint}" for term in terms])
 
 
 def run_context(command: ContextCommand) -> None:
@@ -196,8 +188,7 @@ def print_answer(answer: Answer, trace: Trace) -> None:
     """Print the answer, the ranked pairs with their factors, the doubts, the cost of each stage, and the verdict."""
     say(("frame ", "dim"), trace.frame.id, "  ", (trace.query.text, "bold"))
     no_answer = why_no_answer(trace)
-    if no_answer is not None:
-        say(no_answer, style="yellow")
+    say_lines([no_answer or ""], "yellow")
     if trace.ranking is not None and no_answer is None:
         print_ranking(trace)
     _warn_assumed(trace.viewer, trace.frame.depth_source)
@@ -233,17 +224,13 @@ def print_ranking(trace: Trace) -> None:
         ("" if best.reference is None else name(best.reference) + second, "bold dodger_blue2"),
         (f"   {answer.numbers}", "bold" if answer.holds else "yellow"),
     )
-    for failing in answer.fails:
-        say(f"does not hold: {failing}", style="yellow")
+    say_lines((f"does not hold: {failing}" for failing in answer.fails), "yellow")
     say(answer.below, style="dim")
-    for text, meant in taken_as(trace.query, {label: c.labels for label, c in trace.candidates.items()}):
-        say(f"'{text}' taken as {meant.name} ({meant.how})", style="dim")
-    for said, meant in trace.query.mended:
-        say(f"'{said}' read as '{meant}'", style="dim")
-    for words, why in unused_words(trace.query):
-        say(f"not used: '{words}': {why}", style="yellow")
-    for note in reading_notes(trace):
-        say(note, style="dim")
+    taken = taken_as(trace.query, {label: c.labels for label, c in trace.candidates.items()})
+    say_lines((f"'{text}' taken as {meant.name} ({meant.how})" for text, meant in taken), "dim")
+    say_lines((f"'{said}' read as '{meant}'" for said, meant in trace.query.mended), "dim")
+    say_lines((f"not used: '{words}': {why}" for words, why in unused_words(trace.query)), "yellow")
+    say_lines(reading_notes(trace), "dim")
     if len(trace.query.readings) > 1 or trace.query.default.root.triple is None:
         say(f"read as: {trace.ranking.reading.description}", style="dim")
     columns: dict[str, Callable[[ScoredPair], str]] = {"target": lambda p: name(p.target)}
@@ -264,24 +251,17 @@ def print_ranking(trace: Trace) -> None:
     if len(pairs) > SHOWN_PAIRS:
         say(f"and {len(pairs) - SHOWN_PAIRS} more pairs", style="dim")
     for role, index in (("target", best.target), ("reference", best.reference)):
-        for concern in () if index is None else trace.objects[index].lifted.quality.concerns:
-            say(f"{role} {name(index)}: {concern}", style="yellow")
-
-
-def print_measurement(found: Measurement, context: PreparedFrame) -> None:
-    """Print the distance, and the parts along the viewer's axes."""
-    say((f"{found.distance:.3f} m", "bold"), "  " + "  ".join(found.words))
-    _warn_assumed(context.viewer, context.frame.depth_source)
+        concerns = () if index is None else trace.objects[index].lifted.quality.concerns
+        say_lines((f"{role} {name(index)}: {concern}" for concern in concerns), "yellow")
 
 
 def _warn_assumed(viewer: ViewerAxes | None, depth_source: str) -> None:
     """Warn of unmeasured bases of all geometry: an assumed up vector, an estimated depth."""
-    if depth_source:
-        say(f"depth is {depth_source}", style="yellow")
-    if viewer is not None and viewer.up_source == "assumed":
-        say(f"{ASSUMED}; {DECLARE}", style="yellow")
-    if viewer is not None and viewer.up_doubt:
-        say(f"up may be wrong: {viewer.up_doubt}", style="yellow")
+    lines = [f"depth is {depth_source}" if depth_source else ""]
+    if viewer is not None:
+        lines.append(f"{ASSUMED}; {DECLARE}" if viewer.up_source == "assumed" else "")
+        lines.append(f"up may be wrong: {viewer.up_doubt}" if viewer.up_doubt else "")
+    say_lines(lines, "yellow")
 
 
 def print_overlooked(found: MissedNames) -> None:
@@ -291,10 +271,7 @@ def print_overlooked(found: MissedNames) -> None:
         if least:
             say(f"the best {name!r} has {score:.3f}: --min-score {least:.2f} keeps it", style="yellow")
     if found.seen:
-        say(
-            f"detections of at least {SURE:.2f}: " + ", ".join(f"{name} {n}" for name, n in found.seen.items()),
-            style="dim",
-        )
+        say(f"detections of at least {SURE:.2f}: {listed(found.seen)}", style="dim")
 
 
 def print_relations(found: FrameRelations, relations: Sequence[str]) -> None:
@@ -322,17 +299,14 @@ def print_frame(report: FrameReport) -> None:
         return
     median = "of no known unit" if report.median_depth is None else f"median {report.median_depth:.2f} m"
     pose = "pose" if report.has_pose else "no pose"
-    up = f"up {report.up_source}, {_off_image_up(report.up)} off image-up" if report.up_source else "up not asked"
+    off = "?" if report.up is None else f"{math.degrees(math.acos(max(-1.0, min(1.0, -report.up[1])))):.0f}°"
+    up = f"up {report.up_source}, {off} off image-up" if report.up_source else "up not asked"
     say(
         f"{report.index:>5}  {report.id}  {report.width}x{report.height}  {report.depth_valid:.0%} depth, {median}  "
         f"{pose}  {up}  {counted(report.annotations, 'object')}"
     )
     if report.labels:
         say("       " + ", ".join(report.labels), style="dim")
-
-
-def _off_image_up(up: Sequence[float] | None) -> str:
-    return "?" if up is None else f"{math.degrees(math.acos(max(-1.0, min(1.0, -up[1])))):.0f}°"
 
 
 STYLES = {"fine": "green", "wrong": "bold red", "unknown": "yellow"}

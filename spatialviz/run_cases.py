@@ -32,7 +32,7 @@ from spatialviz.cli_runs import (
     WhatIfCommand,
 )
 from spatialviz.options import BAD, FINE, NO, one_frame, warn
-from spatialviz.printing import figure, print_rows, say
+from spatialviz.printing import figure, print_rows, say, say_lines
 
 _STYLE = {"same": "green", "updated": "yellow", "changed": "red", "damaged": "red"}
 
@@ -102,7 +102,7 @@ def run_replay(command: ReplayCommand) -> int:
     if predictions is not None and predictions.unread:
         warn(predictions.unread)
     folders = [folder for path in command.cases for folder in find_cases(path)]
-    totals = {"same": 0, "changed": 0, "updated": 0, "damaged": 0}
+    totals = dict.fromkeys(("same", "changed", "updated", "damaged"), 0)
     for result in replay_all(
         folders,
         srm=command.srm,
@@ -116,7 +116,8 @@ def run_replay(command: ReplayCommand) -> int:
     ):
         totals[result.status] += 1
         command.write(replay_record(result), print_replay, result)
-    command.write({"cases": sum(totals.values()), **totals}, print_totals, totals)
+    shown = ", ".join(f"{n} {status}" for status, n in totals.items() if n or status in ("same", "changed"))
+    command.write({"cases": len(folders), **totals}, say, f"{counted(len(folders), 'case')}: {shown}")
     return BAD if totals["damaged"] else NO if totals["changed"] else FINE
 
 
@@ -230,8 +231,7 @@ def print_change(record: dict[str, Any]) -> None:
     if "placement" in record:
         say(record["placement"]["why"])
     if not any(name != "format" for name in record["edits"]):
-        for entry in record["objects"]:
-            say(f"{entry['key']}  {entry['label']}  {entry['score']:.2f}", style="dim")
+        say_lines((f"{entry['key']}  {entry['label']}  {entry['score']:.2f}" for entry in record["objects"]), "dim")
 
 
 def _object(entry: dict[str, str] | None) -> str:
@@ -242,8 +242,7 @@ def print_saved(now: Answer, folder: Path) -> None:
     """Print the saved files, and the command to run the case again."""
     if now.diagnosis is not None:
         say((now.diagnosis.verdict, "bold"), "  ", now.diagnosis.text)
-    elif now.problem or now.unjudged:
-        say(now.problem or now.unjudged or "", style="yellow")
+    say_lines([now.problem or now.unjudged or ""], "yellow")
     say(f"kept -> {folder}   run it again: spatialviz replay {folder}")
 
 
@@ -257,12 +256,10 @@ def print_replay(result: ReplayResult) -> None:
     if replay.changes:
         say(f"  before {in_words(replay.before)}")
         say(f"  after  {in_words(replay.after)}")
-        for change in replay.changes:
-            say(f"         {change}", style="yellow" if result.status == "updated" else "red")
+        say_lines((f"         {c}" for c in replay.changes), "yellow" if result.status == "updated" else "red")
         if replay.moved is not None:
             say(f"         the first module that gives something else: {replay.moved}")
-    for warning in replay.warnings:
-        say(f"         warning: {warning}", style="yellow")
+    say_lines((f"         warning: {warning}" for warning in replay.warnings), "yellow")
 
 
 def in_words(state: ExpectedRecord) -> str:
@@ -274,13 +271,6 @@ def in_words(state: ExpectedRecord) -> str:
     other = "" if reference is None else f" with {reference.label} ({reference.score:.2f})"
     lead = "" if state.answer.holds in (None, True) else NO_SUCH_PAIR
     return f"{lead}{target.label} ({target.score:.2f}){other}, relation {state.answer.p_relation:.2f}{verdict}"
-
-
-def print_totals(totals: dict[str, int]) -> None:
-    """Print the last line of a run."""
-    shown = ", ".join(f"{n} {status}" for status, n in totals.items() if n or status in ("same", "changed"))
-    count = sum(totals.values())
-    say(f"{counted(count, 'case')}: {shown}")
 
 
 def replay_record(result: ReplayResult) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal
 from pipeline.corrections.journal.materialise import materialise
 from pipeline.corrections.journal.replay import redo, undo
 from pipeline.corrections.object_card import ObjectCard, object_card
-from pipeline.corrections.scene import PairCard, pair_card
+from pipeline.corrections.scene import PairCard, effective_truth, pair_card
 from pipeline.corrections.wording import event_text
 from pipeline.labels.by_hand import begun_labels, grows, with_frames
 from pipeline.labels.reading import Labels, open_labels
@@ -36,7 +36,7 @@ from spatialviz.cli_labels import (
     ShowCommand,
 )
 from spatialviz.options import FINE, NO, Output, numbers, one_frame, warn
-from spatialviz.printing import figure, print_rows, say
+from spatialviz.printing import figure, print_rows, say, say_lines
 
 FrameOf = Callable[[str], EffectiveFrame | None]
 
@@ -114,7 +114,6 @@ def apply_edits(command: CorrectCommand, actions: list[Any]) -> int:
 def run_confirm(command: ConfirmCommand) -> int:
     from pipeline.corrections.judging import right_pair  # These bring models and the review of labels in.
     from pipeline.corrections.label_editor import LabelEditor
-    from pipeline.corrections.scene import effective_truth
     from pipeline.corrections.unsaved import JournalLocation
     from pipeline.diagnosis.asking import judged
 
@@ -200,13 +199,11 @@ def print_outcome(done: Saved | Conflict | None, verb: str, frame_of: FrameOf) -
     if done is None:
         say("there is nothing of this person's left to take back or bring back")
     elif isinstance(done, Saved):
-        for event in done.events:
-            say(_text(event, frame_of))
+        say_lines(_text(event, frame_of) for event in done.events)
         say(f"{verb}: {counted(len(done.events), 'change')}, group {done.group}")
     else:
         say("nothing was saved: somebody else has been there", style="yellow")
-        for rival in done.rivals:
-            say(str(rival))
+        say_lines(map(str, done.rivals))
 
 
 def print_effective(labels: Labels, found: EffectiveLabels, out: Path, show: int) -> None:
@@ -220,17 +217,14 @@ def print_effective(labels: Labels, found: EffectiveLabels, out: Path, show: int
     if counts["stale"]:
         say("stale values follow from masks or boxes: they need the dataset (--dataset)", style="yellow")
     frame_of = frames_of(Corrector(labels), ())
-    for entry in found.unapplied[:show]:
-        say(f"does not apply: {_text(entry.event, frame_of)} by {entry.event.author}: {entry.reason}", style="yellow")
-    if len(found.unapplied) > show:
-        say(f"and {len(found.unapplied) - show} more, in unapplied.json", style="yellow")
+    lines = (f"{_text(one.event, frame_of)} by {one.event.author}: {one.reason}" for one in found.unapplied)
+    say_lines((f"does not apply: {line}" for line in lines), "yellow", show, ", in unapplied.json")
     say(f"-> {out}", style="dim")
 
 
 def print_examined(found: Examined) -> None:
     """Print the check of a journal, and the intact part of a damaged one."""
-    for line in found.damage:
-        say(f"damaged: {line}", style="red")
+    say_lines((f"damaged: {line}" for line in found.damage), "red")
     if found.damage:
         say(found.summary)
         say(found.help or "", style="yellow")
@@ -300,8 +294,7 @@ def print_objects(cards: Sequence[ObjectCard], whole: bool) -> None:
             ),
             overflow="fold",
         )
-        for name, status in card.statuses.items():
-            say(f"{name} says: {status}")
+        say_lines(f"{name} says: {status}" for name, status in card.statuses.items())
         more = f"; {card.concern}" if card.concern else ""
         added = f"; added by {card.added_by}" if card.added_by else ""
         points, asked = counted(card.points, "point"), counted(card.expressions, "expression")

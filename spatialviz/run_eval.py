@@ -42,7 +42,7 @@ from spatialviz.cli_runs import (
     TablesCommand,
 )
 from spatialviz.options import FINE, NO, print_json, warn
-from spatialviz.printing import print_rows, print_table, rate_bar, rows_record, say, table_record
+from spatialviz.printing import print_rows, print_table, rate_bar, rows_record, say, say_lines, table_record
 
 MOST_SHOWN = 1000
 """Rows of SQL on the terminal."""
@@ -119,8 +119,7 @@ def run_eval(command: EvalCommand) -> None:
             progress=advance,
         )
     command.write(run_record(report), print_run, report, command.show)
-    for warning in report.warnings:
-        warn(warning)
+    warn(*report.warnings)
 
 
 def run_sentences(command: EvalCommand, path: Path) -> None:
@@ -147,11 +146,10 @@ def print_sentences(report: SentenceReport, out: Path | None) -> None:
         if table.rows:
             print_table(table)
             say()
-    for other, count in report.asked.skipped.items():
-        why = other if report.asked.published else f"of dataset {other!r}"
-        say(f"{counted(count, 'sentence')} skipped: {why}", style="dim")
-    if out is not None:
-        say(f"-> {out}", style="dim")
+    skipped = report.asked.skipped.items()
+    whys = {other: other if report.asked.published else f"of dataset {other!r}" for other, _ in skipped}
+    say_lines((f"{counted(count, 'sentence')} skipped: {whys[other]}" for other, count in skipped), "dim")
+    say_lines([] if out is None else [f"-> {out}"], "dim")
 
 
 def _tables(command: EvalCommand) -> Literal["grounding", "relations", "both"]:
@@ -227,9 +225,8 @@ def _print_differences(found: dict[str, Any]) -> None:
         print_rows(("frame", "expression", "differs", "first", "second"), rows)
     if found["differ"] > len(rows):
         say(f"and {found['differ'] - len(rows)} more (--limit)", style="dim")
-    for name in ("first", "second"):
-        if found[f"only_{name}"]:
-            say(f"only in the {name}: {found[f'only_{name}']}", style="dim")
+    only = {name: found[f"only_{name}"] for name in ("first", "second")}
+    say_lines((f"only in the {name}: {count}" for name, count in only.items() if count), "dim")
 
 
 def _shown_boxes(answer: dict[str, list[float] | None]) -> str:
@@ -271,8 +268,7 @@ def failures_of(
 
     def show(_: dict[str, Any]) -> None:
         print_failures(command, name, shares, summary, cuts, found, comparison)
-        for doubt in doubts:
-            say(doubt, style="yellow")
+        say_lines(doubts, "yellow")
 
     return record, show
 
@@ -335,8 +331,7 @@ def print_comparison(found: Comparison, show: int) -> None:
         ("right for another reason", found.other_reason),
     ):
         say(f"{title}: {len(entries)}")
-        for entry in entries[:show]:
-            say(f"  {entry['frame']}  {entry['text']}  ({entry['id']})", style="dim")
+        say_lines((f"  {entry['frame']}  {entry['text']}  ({entry['id']})" for entry in entries[:show]), "dim")
     say()
 
 
@@ -422,8 +417,7 @@ def print_failures(
         say(cost_words(summary))
     if not command.search:
         _print_found(command, name, summary.expressions, found)
-    for share in shares:
-        say(share.sentence, style="yellow")
+    say_lines((share.sentence for share in shares), "yellow")
 
 
 def _print_found(command: FailuresCommand, name: str, expressions: int, found: pa.Table) -> None:

@@ -42,7 +42,7 @@ from pipeline.system.remote import is_url
 from pipeline.system.whole_files import check_target, scratch_folder
 from spatialviz.cli_labels import CheckCommand, ExportCommand, ImportCommand, LabelCommand, MergeCommand, Selection
 from spatialviz.options import BAD, FINE, NO, DatasetOptions, JournalOptions, print_json, task_of, warn
-from spatialviz.printing import print_rows, print_table, rate_bar, say
+from spatialviz.printing import print_rows, print_table, rate_bar, say, say_lines
 
 COLORS = {"error": "red", "warning": "yellow"}
 
@@ -149,8 +149,7 @@ def run_check(command: CheckCommand) -> int:
 def print_statistics(statistics: dict[str, Any], labels: Labels) -> None:
     """Print the contents of labels."""
     say((str(labels.root), "bold"), (f"  rules {labels.manifest.profile.get('name')}", "dim"))
-    for line in summary_lines(labels, statistics):
-        say(line)
+    say_lines(summary_lines(labels, statistics))
     for table in summary_tables(statistics):
         say()
         print_table(table)
@@ -193,10 +192,7 @@ def print_manifest(manifest: Manifest, out: str) -> None:
         say(f"{counted(sum(made.values()), 'sentence')} in {SENTENCES_FILE}: {kinds}")
     rows = ((name, str(entry.rows), entry.content_hash[:16]) for name, entry in manifest.tables.items())
     print_rows(("table", ">rows", "hash of its rows"), rows)
-    for warning in manifest.warnings[:5]:
-        say(warning, style="yellow")
-    if len(manifest.warnings) > 5:
-        say(f"and {len(manifest.warnings) - 5} more, in the manifest", style="yellow")
+    say_lines(manifest.warnings, "yellow", 5, ", in the manifest")
     say(f"-> {out}", style="dim")
 
 
@@ -264,8 +260,7 @@ def run_export(command: ExportCommand) -> None:
             options=options,
             progress=advance,
         )
-    for note in report.notes:
-        warn(note)
+    warn(*report.notes)
     if command.format in ("coco", "vqa") and command.images == "none":
         warn("the files name images/ that are not there; --images copy writes them")
     rows = ", ".join(f"{count} {name}" for name, count in report.rows.items())
@@ -332,16 +327,10 @@ def _journal(command: ImportCommand, labels: Labels) -> Iterator[Journal | None]
 
 def print_import(report: ImportReport, show: int) -> None:
     """Print the changes of a file, and objections to the changes."""
-    for edit in report.edits[:show]:
-        values = (shown_value(edit.ref, value) for value in (edit.before, edit.after))
-        say(f"{edit.ref}: {' -> '.join(values)}")
+    edits = (f"{e.ref}: {shown_value(e.ref, e.before)} -> {shown_value(e.ref, e.after)}" for e in report.edits)
+    say_lines(edits, most=show)
     for lines, style in ((report.conflicts, "yellow"), (report.problems, "red"), (report.notes, "dim")):
-        for line in lines[:show]:
-            say(line, style=style)
-        if len(lines) > show:
-            say(f"and {len(lines) - show} more", style=style)
-    if len(report.edits) > show:
-        say(f"and {counted(len(report.edits) - show, 'more change')}")
+        say_lines(lines, style, show)
     changes = f"{counted(len(report.edits), 'change')}, {report.agreed} made here already"
     against = f"{counted(len(report.conflicts), 'conflict')}, {counted(len(report.problems), 'problem')}"
     say(f"{counted(report.compared, 'row')} compared, {changes}, {against}")

@@ -18,13 +18,14 @@ from pipeline.answering.model_catalogue import (
     is_fetched,
     take_inventory,
 )
+from pipeline.language.counted import listed
 from pipeline.proposals.mismatch import BOXES, shapes
 from pipeline.proposals.score_calibration import ScoreCalibration, save_calibration
 from pipeline.system.model_files import KnownModel
 from pipeline.system.onnx_session import ACCELERATORS
 from spatialviz.cli_models import CalibrateCommand, DetectCommand, ModelsCommand
 from spatialviz.options import FINE, NO, warn_skipped
-from spatialviz.printing import print_rows, rate_bar, say
+from spatialviz.printing import print_rows, rate_bar, say, say_lines
 
 SHOWN_NAMES = 8
 
@@ -50,8 +51,7 @@ def run_detect(command: DetectCommand) -> None:
 def print_recorded(report: RecordingReport, command: DetectCommand, names: Sequence[str]) -> None:
     """Print the detections by class, and the asked names without any."""
     say(f"{report.detections} detections in {report.frames} frames, {report.seconds:.1f} s -> {command.out}")
-    if report.classes:
-        say(", ".join(f"{name} {count}" for name, count in report.classes.items()))
+    say_lines([listed(report.classes)])
     if report.unknown:
         say("not known to the detector: " + ", ".join(report.unknown))
     if not report.detections and not command.classes:
@@ -151,16 +151,12 @@ def print_catalogue(known: Sequence[Adapter], here: Inventory) -> None:
             say(f"  {contract.what}")
             outputs = f" -> {shapes(contract.outputs)}" if contract.outputs else ""
             say(f"    {shapes(contract.inputs)}{outputs}", style="dim")
-        for model in adapter.known:
-            for line in _model_lines(model):
-                say(f"  {line}", style="cyan")
+        say_lines((f"  {line}" for model in adapter.known for line in _model_lines(model)), "cyan")
     say("here", style="bold")
     providers = [*(name for name, own in ACCELERATORS.items() if own in here.providers), "cpu"]
     say(f"  ONNX Runtime {here.version}, --provider {' or '.join(providers)}")
-    for name, path in here.fetched:
-        say(f"  fetched {name} -> {path}")
-    for name, path in here.networks:
-        say(f"  relation network --srm {name} -> {path}")
+    say_lines(f"  fetched {name} -> {path}" for name, path in here.fetched)
+    say_lines(f"  relation network --srm {name} -> {path}" for name, path in here.networks)
     if not here.fetched and not here.networks:
         say("  no model was fetched, and no relation network installed", style="dim")
 
@@ -209,10 +205,8 @@ def print_files(reports: Sequence[FileReport]) -> None:
         say(f"  {report.kind.sentence}", style="" if report.kind.options else "yellow")
         if report.class_names:
             say(f"  {len(report.class_names)} class names inside: {', '.join(report.class_names)}")
-        for what in report.missing:
-            say(f"  missing: {what}", style="yellow")
-        for line in _commands(report):
-            say(f"    {line}", style="cyan")
+        say_lines((f"  missing: {what}" for what in report.missing), "yellow")
+        say_lines((f"    {line}" for line in _commands(report)), "cyan")
 
 
 def _commands(report: FileReport) -> list[str]:

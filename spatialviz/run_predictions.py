@@ -40,8 +40,7 @@ def run_import_run(command: ImportRunCommand) -> None:
     imported = open_run(report.folder).manifest["imported"]
 
     command.write({**run_record(report), "imported": imported}, print_imported, report, imported)
-    for warning in report.warnings:
-        warn(warning)
+    warn(*report.warnings)
 
 
 def print_imported(report: RunReport, imported: Mapping[str, Any]) -> None:

@@ -20,7 +20,7 @@ from pipeline.training.label_training import LabelTraining, train_on_labels
 from pipeline.training.train import TrainConfig
 from spatialviz.cli_models import AblationCommand, InstallCommand, RetrainCommand, TrainCommand
 from spatialviz.options import warn
-from spatialviz.printing import figure, print_rows, print_table, progress_bars, say, table_record
+from spatialviz.printing import figure, print_rows, print_table, progress_bars, say, say_lines, table_record
 
 ROOMS = "rooms"
 OF_ROOMS, OF_LABELS = ("rooms", "views", "width", "height", "members"), ("vectors", "split", "pairs", "normalised")
@@ -116,8 +116,7 @@ def print_label_training(card: dict[str, Any], out: Path) -> None:
             f"Brier {figure(report['brier'])}, ECE {figure(report['ece'])}"
         )
     say(f"weights {card['weights_xxh3_128']}")
-    for warning in card["warnings"]:
-        warn(warning)
+    warn(*card["warnings"])
     say(f"-> {out}, card {out.with_suffix('.json')}")
 
 
@@ -163,11 +162,11 @@ def print_retraining(done: RetrainingRun) -> None:
         ("became right", "became wrong"), found.flips["all"], (found.better, found.worse), strict=True
     ):
         say(f"{title}: {count} held-out cells", style="bold")
-        for cell in cells[:SHOWN_CELLS]:
-            say(
-                f"  frame {cell['frame']}: {cell['a']} {PHRASE[cell['relation']]} {cell['b']} is {cell['label']}: "
-                f"{cell['before']:.2f} -> {cell['after']:.2f}"
-            )
+        say_lines(
+            f"  frame {cell['frame']}: {cell['a']} {PHRASE[cell['relation']]} {cell['b']} is {cell['label']}: "
+            f"{cell['before']:.2f} -> {cell['after']:.2f}"
+            for cell in cells[:SHOWN_CELLS]
+        )
     if done.in_use is not None:
         before, after = (shown(f.micro_f1) for f in (done.in_use.before, done.in_use.after))
         say(f"the network in use: micro-F1 {before} on the same pairs; the new one {after}")

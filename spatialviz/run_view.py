@@ -53,19 +53,15 @@ def run_view(command: ViewCommand) -> None:
         options = command.source.arguments()
         options = options if found is None else labelled_up(found.manifest, options)
         sources, left_out = open_sources(dataset, **options, browse=True)
-        for name, reason in left_out.items():
-            warn(f"left out {name}: {reason}")
+        warn(*(f"left out {name}: {reason}" for name, reason in left_out.items()))
         for name, opened in sources.items():
             if missing := getattr(opened.dataset, "untold", ()):
                 warn(f"{name} can only be looked at, nothing is measured without {' and '.join(missing)}")
+        one = command.labels is None or len(sources) <= 1
+        require(one, "--labels are of one dataset", got=f"{len(sources)} datasets", path=command.labels)
         if found is not None:
-            require(
-                len(sources) <= 1, "--labels are of one dataset", got=f"{len(sources)} datasets", path=command.labels
-            )
             _check_labels(found, next(iter(sources.values())))
             labels = dict.fromkeys(sources, found)
-        if command.labels is not None and begun:
-            require(len(sources) <= 1, "--labels are of one dataset", got=f"{len(sources)} datasets")
     corrected = {**_by_hand(command, sources), **labels}
     for name, run in runs.items():
         try:

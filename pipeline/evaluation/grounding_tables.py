@@ -120,10 +120,10 @@ def relation_table(
     )
 
 
-def stages_table(systems: Mapping[str, pa.Table], shares: Mapping[str, str] = NOTHING_SHARED) -> Table | None:
+def stages_table(systems: Mapping[str, pa.Table], shares: Mapping[str, str] = NOTHING_SHARED) -> Table:
     """Count expressions by stage, up to the best possible result of the next stage; `shares` as in `systems_table`.
 
-    None where no system has proposals.
+    Without a row where no system has proposals.
     """
     rows = []
     for name, records in systems.items():
@@ -139,8 +139,6 @@ def stages_table(systems: Mapping[str, pa.Table], shares: Mapping[str, str] = NO
             float(np.mean(column(records, "set_correct"))),
         )
         rows.append(Row(name, cells, shares=shares.get(name, "")))
-    if not rows:
-        return None
     return Table(
         "stages",
         "How far expressions get",
@@ -175,8 +173,8 @@ def relation_gain(
 
 def gain_table(
     systems: Mapping[str, pa.Table], config: BootstrapConfig | None = None, shares: Mapping[str, str] = NOTHING_SHARED
-) -> Table | None:
-    """Gain of every system with both; None without any. `shares` as in `systems_table`."""
+) -> Table:
+    """Gain of every system with both; without a row for none. `shares` as in `systems_table`."""
     rows = []
     for name, records in systems.items():
         if has_opm(records):
@@ -184,8 +182,6 @@ def gain_table(
             test = found[0][1]
             cells = (*(d for d, _ in found), test.b, test.c, f"{test.p_value:.2g}", test.n)
             rows.append(Row(name, cells, shares=shares.get(name, "")))
-    if not rows:
-        return None
     return Table(
         "gain",
         "What the relation adds to OPM only",
@@ -268,4 +264,4 @@ def make_tables(
         stages_table(systems, titles),
         gain_table(systems, bootstrap, titles),
     ]
-    return [with_caveats(table, shares) for table in tables if table is not None]
+    return [with_caveats(table, shares) for table in tables if table.rows]
