@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import inspect
 import json
 from collections.abc import Callable
 from contextlib import redirect_stdout
 from dataclasses import dataclass, fields
+from inspect import getdoc, signature
 from io import StringIO
 from pathlib import Path
 from typing import Annotated, Any
@@ -24,7 +24,7 @@ from pipeline.corrections.journal.batch import actions_of
 from pipeline.diagnosis.whatif.edits import adapter, validated
 from pipeline.system.errors import needed, require
 from spatialviz import cli_labels
-from spatialviz.agent_verbs import VERBS, Correcting, FrameOf, Limit, Reply, Session, Verb, Words, cut
+from spatialviz.agent_verbs import VERBS, FrameOf, Limit, Reply, Session, Verb, Words, cut
 from spatialviz.options import CameraOptions, DatasetOptions, error_line
 from spatialviz.report.picture import jpeg_url
 from spatialviz.run_corrections import apply_edits, run_confirm, run_journal, run_redo, run_show, run_undo
@@ -32,17 +32,14 @@ from spatialviz.run_corrections import apply_edits, run_confirm, run_journal, ru
 Group = Annotated[str | None, Field(description="The group of that action, and not the newest.")]
 
 
-def allowed(session: Session) -> tuple[Correcting, dict[str, Any]]:
-    """Author and labels of corrections, with the options of every command on a journal."""
+def command_of(kind: Callable[..., Any], session: Session, **given: Any) -> Any:
+    """Command of corrections by the session's author on its labels; of `given` what the command has."""
     found = needed(session.correcting, "nothing may be written here", expected="spatialviz mcp --allow-corrections")
-    return found, {"labels": found.labels, "journal": found.journal, "json": True}
-
-
-def pictures(found: Correcting) -> DatasetOptions:
-    """Dataset of the pictures."""
-    return DatasetOptions(
-        dataset=found.dataset, **{f.name: getattr(found.source, f.name) for f in fields(CameraOptions)}
-    )
+    camera = {f.name: getattr(found.source, f.name) for f in fields(CameraOptions)}
+    pictures = DatasetOptions(dataset=found.dataset, **camera)
+    source = found.source if kind is cli_labels.ConfirmCommand else pictures
+    known = {**vars(found), "source": source, "json": True, **given}
+    return kind(**{name: known[name] for name in signature(kind).parameters if name in known})
 
 
 def printed(run: Callable[[Any], object], command: object, limit: int | None = None) -> Reply:
@@ -64,12 +61,8 @@ class ShowVerb(Verb):
     limit: Limit = 30
 
     def reply(self, session: Session) -> Reply:
-        found, options = allowed(session)
-        frame = str(self.frame)
-        command = cli_labels.ShowCommand(
-            **options, frame=frame, object=self.object, pair=self.pair, source=pictures(found)
-        )
-        return printed(run_show, command, self.limit)
+        given = {**vars(self), "frame": str(self.frame)}
+        return printed(run_show, command_of(cli_labels.ShowCommand, session, **given), self.limit)
 
 
 @dataclass(frozen=True)
@@ -79,7 +72,8 @@ class JournalVerb(Verb):
     last: Annotated[int, Field(ge=1, le=1000, description="So many of the newest.")] = 20
 
     def reply(self, session: Session) -> Reply:
-        return printed(run_journal, cli_labels.JournalCommand(**allowed(session)[1], last=self.last), self.last)
+        command = command_of(cli_labels.JournalCommand, session, author=None, last=self.last)
+        return printed(run_journal, command, self.last)
 
 
 @dataclass(frozen=True)
@@ -98,9 +92,8 @@ class CorrectVerb(Verb):
     ]
 
     def reply(self, session: Session) -> Reply:
-        found, options = allowed(session)
         # Opens no file: the edits are here.
-        command = cli_labels.CorrectCommand(**options, edits=Path(), author=found.author, source=pictures(found))
+        command = command_of(cli_labels.CorrectCommand, session, edits=Path())
         actions = actions_of(self.edits)
         return printed(lambda command: apply_edits(command, actions), command)
 
@@ -114,11 +107,8 @@ class ConfirmVerb(Verb):
     pair: Annotated[int, Field(ge=1, description="Which of the ranked pairs.")] = 1
 
     def reply(self, session: Session) -> Reply:
-        found, options = allowed(session)
-        of = {"dataset": found.dataset, "frame": str(self.frame), "expression": self.expression, "pair": self.pair}
-        return printed(
-            run_confirm, cli_labels.ConfirmCommand(**options, **of, author=found.author, source=found.source)
-        )
+        given = {**vars(self), "frame": str(self.frame)}
+        return printed(run_confirm, command_of(cli_labels.ConfirmCommand, session, **given))
 
 
 @dataclass(frozen=True)
@@ -128,8 +118,7 @@ class UndoVerb(Verb):
     group: Group = None
 
     def reply(self, session: Session) -> Reply:
-        found, options = allowed(session)
-        return printed(run_undo, cli_labels.UndoCommand(**options, author=found.author, group=self.group))
+        return printed(run_undo, command_of(cli_labels.UndoCommand, session, group=self.group))
 
 
 @dataclass(frozen=True)
@@ -139,8 +128,7 @@ class RedoVerb(Verb):
     group: Group = None
 
     def reply(self, session: Session) -> Reply:
-        found, options = allowed(session)
-        return printed(run_redo, cli_labels.RedoCommand(**options, author=found.author, group=self.group))
+        return printed(run_redo, command_of(cli_labels.RedoCommand, session, group=self.group))
 
 
 READING: dict[str, type[Verb]] = {"show": ShowVerb, "journal": JournalVerb}
@@ -197,7 +185,7 @@ def tool_of(name: str, kind: type[Verb], session: Session) -> Tool | None:
             schema["properties"][of] = {"type": "string", "enum": names[of], "description": about}
     return Tool(
         name=name,
-        description=inspect.getdoc(kind),
+        description=getdoc(kind),
         input_schema={key: value for key, value in schema.items() if key not in ("title", "description")},
         annotations=ToolAnnotations(
             read_only_hint=name not in WRITING, destructive_hint=False, idempotent_hint=False, open_world_hint=False

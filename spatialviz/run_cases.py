@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.answering.answer_words import NO_SUCH_PAIR, holds, probability
-from pipeline.answering.objects import PreparedFrame, prepare_frame
+from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.pipeline import Pipeline
 from pipeline.answering.predictions import read_predictions
 from pipeline.datasets.saved_case import MANIFEST
@@ -191,9 +191,7 @@ def whatif_record(
 
 
 def _one_context(pipeline: Pipeline, text: str) -> PreparedFrame:
-    dataset = pipeline.dataset
-    frame = dataset.load(one_frame(dataset.frame_ids, text, dataset.root))
-    return prepare_frame(dataset, frame, pipeline.config.lift)
+    return pipeline.prepare(one_frame(pipeline.dataset.frame_ids, text, pipeline.dataset.root))
 
 
 _FACTORS = {

@@ -27,8 +27,6 @@ from spatialviz.cli_models import CalibrateCommand, DetectCommand, ModelsCommand
 from spatialviz.options import FINE, NO, warn_skipped
 from spatialviz.printing import print_rows, rate_bar, say, say_lines
 
-SHOWN_NAMES = 8
-
 
 def run_detect(command: DetectCommand) -> None:
     source, frame_ids = command.source.open(command.dataset)

@@ -79,11 +79,8 @@ class SystemFigures:
 
 def counted_pairs(records: RelationRecords, held_out: bool) -> np.ndarray:
     """(P,) bool: all pairs, or those of frames without use in training or calibration."""
-    counted = np.ones(len(records), np.bool_)
-    if held_out:
-        for system in records.systems:
-            counted &= system.part == DROPPED
-    return counted
+    seen = [system.part != DROPPED for system in records.systems] if held_out else []
+    return ~np.logical_or.reduce([np.zeros(len(records), np.bool_), *seen])
 
 
 def system_figures(

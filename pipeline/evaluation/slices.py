@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from pipeline.diagnosis.verdict import VERDICTS, shown_verdicts
-from pipeline.evaluation.grounding_tables import clusters_of
+from pipeline.evaluation.grounding_tables import clusters_of, column
 from pipeline.evaluation.search import quote
 from pipeline.evaluation.summary import has_verdicts
 from pipeline.language.relation_names import PAIRWISE, PHRASE
@@ -156,7 +156,8 @@ def _sliced(
     found = coded(records, cut)
     _, index = np.unique(clusters, return_inverse=True)
     flags: list[np.ndarray | None] = [None]
-    flags += [_is_true(records.column(m)) if judged or m != "lucky" else np.zeros(len(index)) for m in MEASURES]
+    # Null is not true.
+    flags += [column(records, m) == 1 if judged or m != "lucky" else np.zeros(len(index)) for m in MEASURES]
     verdicts = np.array(records.column("verdict").to_pylist() if judged else [None] * len(index), object)
     flags += [verdicts == v for v in VERDICTS]
     # (C, V, M): of each cluster and value how many expressions, and how many of each kind.
@@ -176,11 +177,6 @@ def _sliced(
     occurring = [v for v, n in zip(VERDICTS, counts[:, 1 + len(MEASURES) :].sum(axis=0), strict=True) if n]
     kinds = shown_verdicts(occurring) if judged else ()
     return [_slice(system, *part, kinds, config) for part in parts]
-
-
-def _is_true(flags: pa.ChunkedArray) -> np.ndarray:
-    """(N,) bool: null is not true."""
-    return flags.fill_null(False).to_numpy(zero_copy_only=False).astype(np.bool_)
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,7 @@ from scenes import frame_of, upright
 
 from pipeline.answering import open_pipeline
 from pipeline.audit import AuditReport
-from pipeline.audit.questions import audit_questions
-from pipeline.audit.report import audit
+from pipeline.audit.report import audit, audit_questions
 from pipeline.datasets import InMemoryDataset, open_dataset
 from pipeline.evaluation import Question, published_right, read_question_answers, read_questions
 from pipeline.evaluation.robospatial import inside, own_right
