@@ -189,8 +189,7 @@ class ChainReader(NounReader):
         self._forget()
 
     def _otherwise(self, token: Token, references: tuple[int, ...]) -> tuple[str, Choice | None] | None:
-        name = self.chain.nouns[references[0]].name
-        if HEAD_ENDS.split(name)[0].split()[-1] not in lexicon.SURFACES:
+        if HEAD_ENDS.split(self.chain.nouns[references[0]].name)[0].split()[-1] not in lexicon.SURFACES:
             return None
         before = next((t for t in reversed(self.tokens) if t.end <= token.start), token)
         # The plain phrases, which labels are written with, say one thing; after `lying` a place on it is as likely.
@@ -219,6 +218,11 @@ class ChainReader(NounReader):
             self.chain.spans.append(self._span(where, role, number))
         self._modifier_spans(phrase, number)
         return number
+
+    def _any_target(self, at: int) -> None:
+        """Add a thing without a name as the target, where there is none."""
+        if not self.chain.nouns:
+            self._add_noun(Phrase(label="thing"), "target", (at, at))
 
     def _span(self, where: tuple[int, int], role: Role, number: int) -> Span:
         return Span(self.tokens[where[0]].start, self.tokens[where[1] - 1].end, role, number)
@@ -265,9 +269,10 @@ class ChainReader(NounReader):
         """Relation of a part of a thing, by its preposition alone; the part is noted as not judged."""
         preposition = token.text.split()[0]
         cut = token.start + len(preposition)
-        note = "where on or in a thing something is is not judged"
         start = cut + len(self.text[cut : token.end]) - len(self.text[cut : token.end].lstrip())
-        self.chain.spans.append(Span(start, token.end, "unused", 0, note))
+        self.chain.spans.append(
+            Span(start, token.end, "unused", 0, "where on or in a thing something is is not judged")
+        )
         return replace(token, text=preposition, relation=relation, end=cut)
 
     def _note(self, at: int, end: int, why: str, also: Token | None = None) -> int:

@@ -69,7 +69,10 @@ def size_factor(labels: Sequence[str], lengths: Sequence[float] | np.ndarray) ->
     counts = ((low[None] <= low[:, None]) & (high[None] >= low[:, None])).sum(axis=1)
     start = low[int(counts.argmax())]
     end = high[(low <= start) & (high >= start)].min()
-    unfit = len(known) - fitting
-    if unfit < LEAST_UNFIT or fitting > MOST_FIT * len(known) or counts.max() < LEAST_MENDED * len(known):
+    if (
+        len(known) - fitting < LEAST_UNFIT
+        or fitting > MOST_FIT * len(known)
+        or counts.max() < LEAST_MENDED * len(known)
+    ):
         return None
     return SizeFactor(float(start), float(end), len(known), fitting)

@@ -147,13 +147,9 @@ def _parents(clauses: Sequence[Clause]) -> Iterator[tuple[int, ...]]:
     """
 
     def attachable(clause: Clause, done: tuple[int, ...], frontier: tuple[int, ...]) -> Sequence[int]:
-        if clause.attach == "nearest":
-            return (len(frontier) - 1,)
-        if clause.attach == "root":
-            return (0,)
-        if clause.attach == "same" and done and done[-1] in frontier:
-            return (frontier.index(done[-1]),)
-        return range(len(frontier) - 1, -1, -1)
+        same = frontier.index(done[-1]) if done and done[-1] in frontier else None
+        only = {"nearest": len(frontier) - 1, "root": 0, "same": same}.get(clause.attach)
+        return range(len(frontier) - 1, -1, -1) if only is None else (only,)
 
     def grow(done: tuple[int, ...], frontier: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
         if len(done) == len(clauses):

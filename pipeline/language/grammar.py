@@ -78,8 +78,7 @@ class _GrammarReader(ReferenceReader):
     """One pass over one expression, adding to its chain."""
 
     def __init__(self, text: str, tokens: list[Token], own: Collection[str] = ()) -> None:
-        tokens = closing_removed(address_removed(tokens, text))
-        tokens = without_view(tokens, text)
+        tokens = without_view(closing_removed(address_removed(tokens, text)), text)
         tokens, self.asks_what = leading_removed(tokens)
         if tokens and tokens[0].plain in lexicon.NEGATIONS:
             tokens = _meant_first(tokens, text)
@@ -111,8 +110,7 @@ class _GrammarReader(ReferenceReader):
         """Note a negation with nothing behind."""
         last = max((k for k, t in enumerate(self.tokens) if t.plain in lexicon.NEGATIONS), default=None)
         if last is not None:
-            start = self.tokens[last].start
-            self.chain.spans = [s for s in self.chain.spans if s.start != start]
+            self.chain.spans = [s for s in self.chain.spans if s.start != self.tokens[last].start]
             self._note(last, last + 1, "what is not meant is not said")
 
     # ---- one step --------------------------------------------------------------------------------------------------
@@ -133,17 +131,17 @@ class _GrammarReader(ReferenceReader):
             self.negated = True
             self.chain.spans.append(self._span((at, found[1]), "relation", len(self.chain.clauses)))
             return found[1]
-        ordered = self.relation(at + 1) in ("closest", "farthest")
-        if word in choices.ORDINALS and ordered and not self.is_superlative_noun(at + 1):
+        ordered = word in choices.ORDINALS and self.relation(at + 1) in ("closest", "farthest")
+        if ordered and not self.is_superlative_noun(at + 1):
             return self._note(at, at + 1, NO_RANK)
         if self.opened and word in ("neither", "not", "no") and self._starts_noun(at + 1):
             # `near neither the bed nor the desk`, `on no table`
             self.opened[-1] = replace(self.opened[-1], negated=True)
             self._relation_span(token)
             return at + 1
-        last = self.chain.clauses[-1] if self.chain.clauses else None
-        nor = word in ("nor", "or") and last is not None and last.negated and self._starts_noun(at + 1)
-        if nor and last is not None and last.relation:
+        clauses = self.chain.clauses
+        excluded = bool(clauses) and clauses[-1].negated
+        if word in ("nor", "or") and excluded and clauses[-1].relation and self._starts_noun(at + 1):
             self.joined = True
             return at + 1
         if word in lexicon.NEGATIONS:
@@ -151,18 +149,16 @@ class _GrammarReader(ReferenceReader):
             self.joined = self.joined or word == "nor"
             self._relation_span(token)
             return at + 1
-        if word == "or" and self.chain.nouns and not (last is not None and last.negated):
+        if word == "or" and self.chain.nouns and not excluded:
             return self._alternative(at)
         if word == "whose" and self.chain.nouns:
             end = next((k for k in range(at + 1, len(self.tokens)) if self.breaks[k] or self._relates(k)), None)
             return self._note(at, end or len(self.tokens), PART)
         if word in lexicon.AND or word in ("or", "nor", "plus"):
             self.joined = True
-            clauses = self.chain.clauses
             if word == "but" and any(t.plain in lexicon.EVERY for t in self.tokens[: min(at, 3)]):
                 self.negated = self.linked = True
-            goes_on = word in ("or", "nor") or self._excludes_another(at + 1)
-            self.negated = self.negated or (goes_on and bool(clauses) and clauses[-1].negated)
+            self.negated = self.negated or (excluded and (word in ("or", "nor") or self._excludes_another(at + 1)))
             return at + 1
         behind = self._side(at) or self._color_phrase(at) or self._object_clause(at)
         if behind is not None:
@@ -201,8 +197,7 @@ class _GrammarReader(ReferenceReader):
             and not self.negated
             and at + 1 < len(self.tokens)
         ):
-            side_token = replace(token, relation=word)
-            self.opened.append(OpenRelation(side_token, self._take_negation(), self._attach()))
+            self.opened.append(OpenRelation(replace(token, relation=word), self._take_negation(), self._attach()))
             return at + 1
         if word in lexicon.ACTIONS and not at and len(self.tokens) > 1 and self.tokens[1].plain in DETERMINERS:
             raise Unsupported(
@@ -231,11 +226,9 @@ class _GrammarReader(ReferenceReader):
 
     def _alternative(self, at: int) -> int:
         """Skip `or` and the words behind, which are not judged."""
-        end = at + 1
-        while end < len(self.tokens) and (
-            self._relates(end) or self.tokens[end].plain in lexicon.LINKING - DETERMINERS
-        ):
-            end += 1
+        ahead = range(at + 1, len(self.tokens))
+        skipped = lexicon.LINKING - DETERMINERS
+        end = next((k for k in ahead if not self._relates(k) and self.tokens[k].plain not in skipped), len(self.tokens))
         end = max(self.noun(end, predicate=True)[1] if end < len(self.tokens) else end, at + 1)
         return self._note(at, end, ALTERNATIVES)
 
@@ -261,7 +254,7 @@ class _GrammarReader(ReferenceReader):
             opens = token.relation in ("closest", "farthest") or token.text.split()[0] in lexicon.LINKING
             if not (opens or self.asks_what or self.linked or self.joined):
                 raise self._no_target()
-            self._add_noun(Phrase(label="thing"), "target", (at, at))
+            self._any_target(at)
         # Below the picture on the wall is another thing than at the bottom of the picture.
         sided = token.relation in choices.OF_THE_SCENE and (
             token.relation in ("left", "right", "between") or token.text.split()[0] in ("on", "at", "in", "to")

@@ -108,9 +108,7 @@ def singular(noun: str) -> str:
         return noun[:-1] if _OE_NOUNS.fullmatch(noun[:-1]) else noun[:-2]
     if noun.endswith(("sses", "shes", "ches", "xes", "zzes")):
         return _mended(noun[:-2])
-    if noun.endswith(_NO_PLURAL_ENDINGS) and noun not in _S_AFTER_ENDING:
-        return noun
-    return noun[:-1]
+    return noun if noun.endswith(_NO_PLURAL_ENDINGS) and noun not in _S_AFTER_ENDING else noun[:-1]
 
 
 def _mended(noun: str) -> str:

@@ -233,8 +233,7 @@ def suggest(query: str, names: Iterable[str], n: int = 3) -> tuple[str, ...]:
         form = normal_form(name)
         letters = difflib.SequenceMatcher(None, wanted, form).ratio()
         shared = words & set(form.split())
-        common = len(shared) / max(len(words | set(form.split())), 1)
-        score = max(letters, 0.6 + 0.4 * common if shared else 0.0)
+        score = max(letters, 0.6 + 0.4 * len(shared) / len(words.union(form.split())) if shared else 0.0)
         if score >= 0.6:
             scored.append((-score, name))
     return tuple(name for _, name in sorted(scored)[:n])

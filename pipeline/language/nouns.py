@@ -73,12 +73,10 @@ class NounReader(AttributeReader):
 
     def _determiners(self, at: int) -> int:
         while at < len(self.tokens):
-            if found := self.match(lexicon.SEEMS, at) or self.match(lexicon.PARTITIVE, at):
-                at = found[1]
-            elif self.tokens[at].plain in DETERMINERS or self.tokens[at].plain in QUANTIFIERS:
-                at += 1
-            else:
+            found = self.match(lexicon.SEEMS, at) or self.match(lexicon.PARTITIVE, at)
+            if found is None and self.tokens[at].plain not in DETERMINERS | QUANTIFIERS:
                 break
+            at = found[1] if found else at + 1
         return at
 
     def _before(self, at: int, draft: Phrase) -> int:
@@ -90,15 +88,14 @@ class NounReader(AttributeReader):
                 at = ranked
                 continue
             end = self._choice_before(at, draft) or self._attribute(at, draft)
-            if end is None and token.plain in lexicon.OTHER and not self._ends(at + 1):
-                end = at + 1
             superlative = at + 1 < len(self.tokens) and self.tokens[at + 1].text in lexicon.BEFORE_NOUNS
             if end is None and token.plain in choices.NUMBERS and (superlative or not self._ends(at + 1)):
                 draft.count, end = choices.NUMBERS[token.plain], at + 1
             if end is None and token.plain == "one" and at == start and self._starts_noun(at + 1):
                 end = None if self._ends(at + 1) or self.plain(at + 1) in ("of", *choices.ORDINALS) else at + 1
             following = attribute(self._text(at + 1)) or attribute(self._meant(at + 1, draft) or "")
-            if end is None and token.plain in ("and", "&") and draft.attributes and following:
+            listed = token.plain in ("and", "&") and draft.attributes and following
+            if end is None and (listed or (token.plain in lexicon.OTHER and not self._ends(at + 1))):
                 end = at + 1
             if end is None and token.plain == "or" and draft.attributes and following and not self.negated:
                 end = at + 2
@@ -289,9 +286,8 @@ class NounReader(AttributeReader):
     def _orders(self, at: int) -> bool:
         """Test if an order follows an ordinal: `(second) from the left`, `(second) closest`."""
         text = self._text(at)
-        if self.relation(at) in ("closest", "farthest"):
-            return True
-        return self._counts_from(at) is not None or (text in choices.EXTREMES and text not in choices.SIDES)
+        extreme = text in choices.EXTREMES and text not in choices.SIDES
+        return extreme or self.relation(at) in ("closest", "farthest") or self._counts_from(at) is not None
 
     def _filler(self, at: int) -> bool:
         found = self.match(lexicon.FILLER, at)

@@ -38,10 +38,10 @@ class ReferenceReader(ChainReader):
                 self._choice(Choice(order, 1 if bare[0]["far"] else None, bare[0][0].strip()), at, bare[1])  # type: ignore[arg-type]
             return bare[1]
         found, region = self.match(choices.AT_SIDE, at), self.match(choices.REGION_OF, at)
-        inside = region is not None and region[0]["side"] and region[0]["preposition"] != "to"
-        if found is not None and region is not None and inside and region[1] > found[1]:
-            return self._region(at)
         if found is None or not (found[0]["part"] or found[0]["most"] or self._ends(found[1])):
+            return self._region(at)
+        inside = region is not None and region[0]["side"] and region[0]["preposition"] != "to"
+        if region is not None and inside and region[1] > found[1]:
             return self._region(at)
         rank = 1 if found[0]["far"] or found[0]["most"] else None
         for order in choices.orders_of(found[0]["side"]):
@@ -64,8 +64,7 @@ class ReferenceReader(ChainReader):
         found = self.match(choices.REGION_OF, at)
         if found is None or self.opened:
             return None
-        if not self.chain.nouns:
-            self._add_noun(Phrase(label="thing"), "target", (at, at))
+        self._any_target(at)
         preposition, side, part = found[0]["preposition"], found[0]["side"], found[0]["part"]
         noun, end = self.noun(found[1])
         if noun is not None and noun.head_word in lexicon.STACKS and part in ("top", "bottom"):
@@ -93,8 +92,7 @@ class ReferenceReader(ChainReader):
         return found[1]
 
     def _choice(self, choice: Choice, at: int, end: int) -> int:
-        if not self.chain.nouns:
-            self._add_noun(Phrase(label="thing"), "target", (at, at))
+        self._any_target(at)
         attach = self._attach()
         if self.opened:
             self.opened.pop()
@@ -143,12 +141,9 @@ class ReferenceReader(ChainReader):
         start, end = end, self.past(end, lexicon.LINKING | lexicon.POSTURES | lexicon.NEGATIONS)
         negated = any(t.plain in lexicon.NEGATIONS for t in self.tokens[start:end])
         token = self.tokens[end] if end < len(self.tokens) else None
-        if token is None or token.relation not in (*MIRRORED, "on", "in"):
+        if token is None or token.relation not in (*MIRRORED, "on", "in") or self._starts_noun(end + 1):
             return None
-        if self._starts_noun(end + 1):
-            return None
-        if not self.chain.nouns:
-            self._add_noun(Phrase(label="thing"), "target", (at, at))
+        self._any_target(at)
         self._relate(token, token.text, self._resolved(phrase), "root" if asked else "nearest", negated=negated)
         self._forget()
         return end + 1

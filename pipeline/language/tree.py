@@ -8,8 +8,6 @@ from typing import Literal
 
 from pipeline.language.attributes import Attribute
 from pipeline.language.lexicon import ANYTHING, wording
-from pipeline.language.relation_names import RELATIONS
-from pipeline.system.errors import InputError, require
 
 Role = Literal["target", "relation", "reference", "attribute", "choice", "unused"]
 Order = Literal[
@@ -98,21 +96,6 @@ class Expression:
     inverse: bool = False
     mapped_from: str | None = None  # The relation in the sentence, where the vocabulary lacks it and another stands in
     note: str | None = None  # That mapping in words
-
-    def __post_init__(self) -> None:
-        require(
-            self.relation in RELATIONS,
-            "unknown relation",
-            got=repr(self.relation),
-            expected="one of " + ", ".join(RELATIONS),
-        )
-        require(
-            self.target.strip() and self.reference.strip(),
-            "an expression needs a target and a reference",
-            got=repr((self.target, self.reference)),
-        )
-        if (self.relation == "between") != (self.second_reference is not None):
-            raise InputError("between, and only between, has a second reference", got=self.relation)
 
     def __str__(self) -> str:
         second = f" and {self.second_reference}" if self.second_reference else ""
@@ -291,15 +274,10 @@ class Query:
     @property
     def needed(self) -> tuple[str, ...]:
         """Names of the things that have to be present: `labels` without excluded or negated things."""
-
-        def names(node: Node) -> Iterator[str]:
-            yield node.label
-            for attachment in node.attachments:
-                if not attachment.negated:
-                    for end in attachment.nodes:
-                        yield from () if end.viewer else names(end)
-
-        there = set(names(self.default.root))
+        present = [self.default.root]
+        for node in present:
+            present += (n for a in node.attachments if not a.negated for n in a.nodes if not n.viewer)
+        there = {node.label for node in present}
         return tuple(label for label in self.labels if label in there)
 
     @property
