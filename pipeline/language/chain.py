@@ -95,8 +95,7 @@ def _close_phrases(tokens: Sequence[Token], starts: range) -> list[str]:
             run = " ".join(t.text for t in tokens[start:end])
             known = [p for p in lexicon.phrase_table() if p[0] == run[0] and abs(len(p) - len(run)) < 4]
             for phrase in difflib.get_close_matches(run, known, n=3, cutoff=0.7):
-                score = difflib.SequenceMatcher(None, phrase, run).ratio()
-                scores[phrase] = max(score, scores.get(phrase, 0.0))
+                scores[phrase] = max(difflib.SequenceMatcher(None, phrase, run).ratio(), scores.get(phrase, 0.0))
     return sorted(scores, key=lambda p: (-scores[p], len(p), p))[:3]
 
 

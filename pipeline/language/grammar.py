@@ -332,8 +332,8 @@ class _GrammarReader(ReferenceReader):
 
     def _noun(self, at: int) -> int:
         excluded = self.joined and self.negated and bool(self.chain.clauses) and not self.chain.clauses[-1].relation
-        predicate = not self.opened and (excluded or self._predicative(at))
-        predicate = predicate and self.tokens[at].plain not in DETERMINERS
+        named = self.opened or self.tokens[at].plain in DETERMINERS
+        predicate = not named and (excluded or self._predicative(at))
         phrase, end = self.noun(at, stop_at_and=bool(self.opened), predicate=predicate)
         if phrase is None:
             if end > at + 1 or self.tokens[at].plain not in DETERMINERS:

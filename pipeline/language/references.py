@@ -6,10 +6,10 @@ from dataclasses import replace
 
 from pipeline.language import choices, lexicon
 from pipeline.language.attribute_reader import Phrase, is_name
-from pipeline.language.chain import FORM, ChainReader, Clause, OpenRelation, not_known, unreadable
+from pipeline.language.chain import ChainReader, Clause, OpenRelation, not_known, unreadable
 from pipeline.language.naming import DETERMINERS, is_compound, singular
 from pipeline.language.relation_names import MIRRORED
-from pipeline.language.tokens import EXAMPLE, Token
+from pipeline.language.tokens import Token
 from pipeline.language.tree import Choice, Span
 from pipeline.system.errors import InputError, require
 
@@ -289,9 +289,7 @@ class ReferenceReader(ChainReader):
                 return None, end
             self._relation_span(self.tokens[end])
             if phrase is None:
-                raise InputError(
-                    "the reference is missing after 'and'", got=f"'{self.text}'", expected=FORM, cause=EXAMPLE
-                )
+                raise self._missing_reference("and")
             return self._add_noun(self._resolved(phrase, first), "reference", phrase.where), after
         if first.count == 2 or (first.count is None and first.head_word != singular(first.head_word)):
             self.chain.nouns.append(first)

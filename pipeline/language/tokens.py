@@ -60,10 +60,8 @@ def spelling_corrected(word: str) -> str:
         return found
     if len(word) < 3 or is_known(word):
         return word
-    for meant in _MISSPELT:
-        if abs(len(word) - len(meant)) <= 1 and word[0] == meant[0] and _one_slip(word, meant):
-            return meant
-    return word
+    near = (m for m in _MISSPELT if abs(len(word) - len(m)) <= 1 and word[0] == m[0])
+    return next((m for m in near if _one_slip(word, m)), word)
 
 
 def homophones_corrected(words: Sequence[str]) -> list[str]:
@@ -244,8 +242,7 @@ def tokenize(text: str, known: NameIndex, *, hold_names: bool = True) -> list[To
     `built-in oven` is none. Without `hold_names`, names with grammar in them (`pillow on bed`) are split.
     """
     found = list(_WORD.finditer(text))
-    words = [m[0].lower().replace("’", "'") for m in found]
-    words, _ = mended_words(words, known.words)
+    words, _ = mended_words([m[0].lower().replace("’", "'") for m in found], known.words)
     words = [
         "with" if w == "w" and text[m.end() : m.end() + 1] == "/" else w for w, m in zip(words, found, strict=True)
     ]
@@ -282,13 +279,12 @@ def tokenize(text: str, known: NameIndex, *, hold_names: bool = True) -> list[To
             tokens.append(Token(words[i], starts[i], ends[i], bound=not (opens[i] and opens[i + 1])))
             i += 1
             continue
-        last = i + len(best[0])
-        joined = " ".join(best[0])
+        span = " ".join(best[0]), starts[i], ends[i + len(best[0]) - 1]
         if best is name:
-            tokens.append(Token(joined, starts[i], ends[last - 1], name=best[1], guards=best[2]))
+            tokens.append(Token(*span, name=best[1], guards=best[2]))
         else:
-            tokens.append(Token(joined, starts[i], ends[last - 1], relation=best[1], swapped=best[2]))
-        i = last
+            tokens.append(Token(*span, relation=best[1], swapped=best[2]))
+        i += len(best[0])
     return tokens
 
 
@@ -326,9 +322,7 @@ def _before_a_side(
     last = at + len(phrase[0])
     if phrase[0] not in (("on", "top"), ("on", "the", "top")) or last >= len(words):
         return phrase
-    between = text[ends[last - 1] : starts[last]].strip()
-    following = words[last]
-    if between or following in DETERMINERS or following in STRUCTURAL or following in _PHRASES:
+    if text[ends[last - 1] : starts[last]].strip() or words[last] in DETERMINERS | STRUCTURAL | _PHRASES.keys():
         return phrase
     return next(entry for entry in _PHRASES["on"] if entry[0] == ("on",))
 
