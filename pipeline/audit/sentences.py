@@ -253,7 +253,8 @@ def audited(
 ) -> AuditItem:
     """Audit one sentence; `known` are the frame's annotations, or the reason for their absence."""
     truth = known if isinstance(known, FrameCases) else None
-    names = [] if truth is None else object_names(truth)
+    numbered = () if truth is None else zip(truth.labels, truth.numbers, strict=True)
+    names = [f"{label}·{number}" for label, number in numbered]
     right = np.zeros(0, np.int64) if truth is None else sentence.among(truth)
     said = ", ".join(names[k] for k in right) or ("nothing" if sentence.nothing else _places(sentence))
     evidence: list[Evidence] = []
@@ -276,11 +277,6 @@ def audited(
             seems = seems or told[1]
     item_id = sentence.id or str(sentence.line)
     return AuditItem(item_id, sentence.frame, sentence.text, said, seems, tuple(evidence), unjudged)
-
-
-def object_names(truth: FrameCases) -> list[str]:
-    """Names of annotated objects in tables: "mug·4"."""
-    return [f"{label}·{number}" for label, number in zip(truth.labels, truth.numbers, strict=True)]
 
 
 def _places(sentence: Sentence) -> str:
