@@ -170,7 +170,7 @@ def test_each_changed_case_has_its_page(regressed: Job) -> None:
     assert len(pages) == 2
     for page in pages:
         assert "CORRECT" not in page
-        assert "<svg" in (regressed.out / page).read_text()
+        assert "<img" in (regressed.out / page).read_text()
     assert {p.name for p in regressed.out.iterdir()} == {*pages, "index.html", "comment.md"}
 
 
