@@ -135,8 +135,7 @@ class AttributeReader:
 
     def _after_number(self, at: int) -> bool:
         """Test for `hanging` in `three hanging towels`."""
-        word = self.plain(at + 1)
-        return self.tokens[at - 1].plain in choices.NUMBERS and word is not None and word not in DETERMINERS
+        return self.tokens[at - 1].plain in choices.NUMBERS and self.plain(at + 1) not in DETERMINERS | {None}
 
     def _ends(self, at: int) -> bool:
         """Test if a noun phrase or a side may end before a token."""

@@ -221,8 +221,8 @@ class _GrammarReader(ReferenceReader):
     def _acts(self, at: int) -> bool:
         """Test if a word behind a thing is a command, and no state: `that is open`."""
         word = self.tokens[at].plain
-        acts = word in lexicon.ACTIONS and bool(self.chain.nouns) and not self.opened
-        return acts and not (self._predicative(at) and attribute(word or "") is not None)
+        state = self._predicative(at) and attribute(word or "") is not None
+        return word in lexicon.ACTIONS and bool(self.chain.nouns) and not self.opened and not state
 
     def _alternative(self, at: int) -> int:
         """Skip `or` and the words behind, which are not judged."""

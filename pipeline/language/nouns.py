@@ -295,8 +295,7 @@ class NounReader(AttributeReader):
 
     def _with_relation(self, at: int) -> bool:
         """Test if `with a lamp on top` follows, and no part of the thing."""
-        _, end = self.noun(at)
-        end = self.past(end, lexicon.LINKING - DETERMINERS)
+        end = self.past(self.noun(at)[1], lexicon.LINKING - DETERMINERS)
         return end < len(self.tokens) and self._with_tail(end) is not None
 
     def _with_tail(self, at: int) -> int | None:
@@ -339,8 +338,6 @@ def _first_word(draft: Phrase, tokens: Sequence[Token], head: int) -> int:
     for k in range(head - 1, -1, -1):
         if tokens[k].start in starts:
             first = k
-        elif any(start < tokens[k].start < end for start, end, _ in draft.modifiers):
-            continue
-        elif tokens[k].plain not in lexicon.AND:
+        elif tokens[k].plain not in lexicon.AND and not any(m[0] < tokens[k].start < m[1] for m in draft.modifiers):
             break
     return first

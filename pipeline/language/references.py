@@ -54,8 +54,8 @@ class ReferenceReader(ChainReader):
         if found is None:
             return None
         look, words, end = found
-        where = self.tokens[at].start, self.tokens[end - 1].end
-        phrase = Phrase("", attributes=(look,), words=(words,), modifiers=((*where, "attribute"),))
+        phrase = Phrase("", attributes=(look,), words=(words,))
+        phrase.mark(self.tokens[at].start, self.tokens[end - 1].end, "attribute")
         self._merge(phrase, len(self.chain.nouns) - 1)
         return end
 
@@ -219,8 +219,8 @@ class ReferenceReader(ChainReader):
             got=f"'{self.text}'",
             expected="TARGET between REFERENCE and REFERENCE",
         )
-        phrase = Phrase(label=self.tokens[end].text, viewer=True)
-        self._refer(self._add_noun(phrase, "reference", (end, end + 1)))
+        viewer = Phrase(label=self.tokens[end].text, viewer=True)
+        self._refer(self._add_noun(viewer, "reference", (end, end + 1)))
         return end + 1
 
     def _reference(self, at: int, phrase: Phrase, end: int) -> int:
