@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+import time
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -175,7 +176,11 @@ def test_the_room_the_camera_and_larger_points_are_drawn_while_wanted(monkeypatc
     desk, (_, plain) = Desk(), opened()
     cloud, nodes = FrameCloud(desk), desk.client.nodes
     cloud.follow()
-    parts = [name for name in nodes if name.startswith("/cloud/")]
+    assert plain.loaded is not None
+    parts = [f"/cloud/{part.name}" for part in plain.loaded.cloud.parts]
+    while not set(parts) <= nodes.keys():
+        time.sleep(0.01)
+    cloud.dress()
     usual = [nodes[name].point_size for name in parts]
     assert "/context" not in nodes
     assert not nodes["/camera"].visible
