@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from pipeline.geometry.camera import lift_pixels
-from pipeline.geometry.surface import surface_normals, surface_step
 from pipeline.geometry.frame import Frame
+from pipeline.geometry.surface import surface_normals, surface_step
 from pipeline.system.errors import needed, require
 
 TOLERANCE = 0.015

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from benchmarks.peak_memory import PeakMemory
 
-from pipeline.answering.pipeline import open_pipeline
 from pipeline.answering.detector_runs import record_detections
+from pipeline.answering.pipeline import open_pipeline
 from pipeline.evaluation.grounding_tables import make_tables
 from pipeline.evaluation.relation_cases import frames_in, spread
 from pipeline.evaluation.run import (

@@ -110,11 +110,11 @@ def test_history_agrees_with_what_undo_would_take(steps: list[str]) -> None:
                 "",
                 "",
                 f"g{k}",
-                step,
+                step,  # type: ignore[arg-type]
                 of,
                 {},
             )
-        )  # type: ignore[arg-type]
+        )
         value, version = after, version + 1
     lines = event_lines(events, "ann", objects=[1])
     assert len(lines) == steps_made(events)

@@ -17,10 +17,10 @@ from slow_cases import mostly_slow
 from pipeline.answering import open_pipeline
 from pipeline.datasets import GivenExpression, Settings, given_expressions, has_moves, open_dataset
 from pipeline.datasets.semantic_abstraction import RELATIONS, SemanticAbstractionDataset
+from pipeline.datasets.semantic_abstraction_objects import fit_pose
 from pipeline.datasets.semantic_abstraction_splits import (
     RANDOMIZED,
 )
-from pipeline.datasets.semantic_abstraction_objects import fit_pose
 from pipeline.geometry import Frame, backproject, to_world
 from pipeline.language import VOCABULARIES
 

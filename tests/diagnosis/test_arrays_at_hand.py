@@ -108,7 +108,10 @@ WRONG: dict[str, tuple[Given, str]] = {
     "float colours": (lambda a: {"rgb": a["rgb"] / 255}, r"uint8 \(H, W, 3\).*255 \* rgb"),
     "channels first": (lambda a: {"rgb": a["rgb"].transpose(2, 0, 1)}, r"channels first"),
     "grey": (lambda a: {"rgb": a["rgb"][..., 0]}, r"got uint8 \(60, 80\)"),
-    "depth in mm": (lambda a: {"depth": a["depth"] * 1000}, "wrong unit; got a median depth of 2.5e.03 m; .*millimetres"),
+    "depth in mm": (
+        lambda a: {"depth": a["depth"] * 1000},
+        "wrong unit; got a median depth of 2.5e.03 m; .*millimetres",
+    ),
     "depth in integers": (lambda a: {"depth": (a["depth"] * 1000).astype(np.uint16)}, "got uint16 .*depth / 1000"),
     "depth of another size": (lambda a: {"depth": a["depth"][::2, ::2]}, "registered to the picture"),
     "a ragged list": (lambda a: {"depth": [[1.0], [1.0, 2.0]]}, "depth is no array"),

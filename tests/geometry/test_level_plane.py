@@ -22,8 +22,8 @@ from pipeline.geometry import (
     up_hypotheses,
     viewer_axes,
 )
-from pipeline.geometry.surface import LOOKED_UP_DEG, block_noise, may_be_wall, surface_blocks
 from pipeline.geometry.level_plane import NOISY, _of_surface, level_plane
+from pipeline.geometry.surface import LOOKED_UP_DEG, block_noise, may_be_wall, surface_blocks
 from pipeline.synthetic import camera_at, make_room, sense_view
 from pipeline.system import InputError
 

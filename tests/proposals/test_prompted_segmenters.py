@@ -19,7 +19,7 @@ from pipeline.evaluation.run_folder import _read_spec
 from pipeline.geometry import Frame
 from pipeline.proposals import CachedSegmenter, make_segmenter
 from pipeline.proposals.mismatch import SEGMENTERS
-from pipeline.proposals.prompted import EfficientSamModel, PromptedSegmenter, Sam2Model, SamModel
+from pipeline.proposals.prompted import EfficientSamModel, PairModel, PromptedSegmenter, Sam2Model, SamModel
 from pipeline.system import InputError
 
 
@@ -215,7 +215,7 @@ def test_efficientsam_takes_picture_pixels_and_the_best_candidate(
 # Batches and caches.
 
 
-class Boxes:
+class Boxes(PairModel):
     """A model that marks boxes; with `first_only` it holds the first box it is given, as a badly traced graph does."""
 
     name = "boxes"
