@@ -30,13 +30,11 @@ def header_size(data: bytes) -> tuple[int, int] | None:
             return _tiff(data)
         if data[:4] == b"\x76\x2f\x31\x01":
             return _exr(data)
-        name = next((name for magic, name in _PLUGINS.items() if data.startswith(magic)), None)
-        if name is None:
-            return None
+        name = next(name for magic, name in _PLUGINS.items() if data.startswith(magic))
         # By its class itself: `Image.open` has a limit of its own.
         module = import_module(f"PIL.{name}ImagePlugin")
         return getattr(module, f"{name}ImageFile")(io.BytesIO(data)).size
-    except Exception:  # Cut off or damaged within the header: each reader fails with errors of its own.
+    except Exception:  # No such format, or cut off or damaged within the header, with errors of each reader.
         return None
 
 
