@@ -1,5 +1,7 @@
 """A server of the page is there soon, ends quietly, and one that comes back finds the pages where they were."""
 
+import ctypes
+import signal
 from pathlib import Path
 
 from browser import OpenTab
@@ -30,6 +32,16 @@ def test_it_is_served_soon_and_ends_quietly(open_tab: OpenTab) -> None:
     assert all(line.startswith("spatialviz:") for line in said), said
     # What the page says of its server that is gone is no problem here.
     tab.problems.clear()
+
+
+def test_a_signal_given_to_another_thread_ends_it() -> None:
+    """The system chooses the thread that takes a signal: the main thread, asleep, may not be woken by it."""
+    with Server() as server:
+        process = server.process
+        threads = [int(task.name) for task in Path(f"/proc/{process.pid}/task").iterdir()]
+        ctypes.CDLL(None).tgkill(process.pid, max(threads), signal.SIGTERM)
+        assert process.wait(15) == 128 + signal.SIGTERM
+        server.end()
 
 
 def test_a_server_that_is_lost_and_comes_back(lost: Server, open_tab: OpenTab) -> None:

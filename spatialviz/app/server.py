@@ -9,6 +9,7 @@ import signal
 import socket
 import sys
 import threading
+import time
 import warnings
 import webbrowser
 from collections.abc import Mapping, Sequence
@@ -36,6 +37,8 @@ from spatialviz.plain_text import one_line
 
 ENDS_WITHIN = 10.0
 """Seconds for clients' threads to finish."""
+SIGNAL_SECONDS = 0.5
+"""Longest wait before a signal is seen."""
 
 
 def start(
@@ -157,7 +160,9 @@ def serve(
     try:
         # Products of a few numbers: a second thread costs more than it gains, at the expense of other clients.
         with one_thread():
-            server.sleep_forever()
+            # Short sleeps: a signal delivered to another thread wakes no sleeper; it is seen at the next turn.
+            while True:
+                time.sleep(SIGNAL_SECONDS)
     finally:
         for place in (journals or {}).values():
             place.jobs.end()
