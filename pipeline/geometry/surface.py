@@ -20,6 +20,8 @@ from pipeline.geometry.camera import Camera, lift_pixels
 
 MIN_SHARE = 0.4
 """A plane is fitted where at least this share of the window has a depth."""
+MIN_PIXELS = 6
+"""Pixels of which a plane smooths the depth."""
 MAX_RESIDUAL = 2.5
 """And where the depths lie this close to it, in standard deviations of the sensor's noise."""
 
@@ -59,32 +61,67 @@ def surface_normals(
     known : (H, W) bool
         False where the window holds too few depths or is no plane (a depth edge, strong curvature).
     """
-    height, width = depth.shape
-    side = 2 * radius + 1
     has = depth > 0
-    count = _sum(has.astype(np.float64), side)
-    safe = np.maximum(count, 1)
+    x = (np.arange(depth.shape[1]) - camera.cx) / camera.fx
+    y = (np.arange(depth.shape[0]) - camera.cy) / camera.fy
+    side = 2 * radius + 1
+    count, plane, explained = _planes(depth, has, x, y, side)
     inverse = np.divide(1.0, depth, out=np.zeros(depth.shape, np.float64), where=has)
-    x = np.where(has, (np.arange(width) - camera.cx)[None, :] / camera.fx, 0.0)
-    y = np.where(has, (np.arange(height) - camera.cy)[:, None] / camera.fy, 0.0)
-    mx, my, mq = (_sum(a, side) / safe for a in (x, y, inverse))
-    xx = _sum(x * x, side) / safe - mx * mx
-    yy = _sum(y * y, side) / safe - my * my
-    xy = _sum(x * y, side) / safe - mx * my
-    qx = _sum(inverse * x, side) / safe - mq * mx
-    qy = _sum(inverse * y, side) / safe - mq * my
-    qq = _sum(inverse * inverse, side) / safe - mq * mq
-    determinant = np.maximum(xx * yy - xy * xy, 1e-18)
-    a = (qx * yy - qy * xy) / determinant
-    b = (qy * xx - qx * xy) / determinant
-    # 1/z = a x + b y + c with x = X/Z, y = Y/Z is the plane a X + b Y + c Z = 1.
-    plane = np.stack([a, b, mq - a * mx - b * my], axis=-1)
+    spread = _sum(inverse * inverse, side) / np.maximum(count, 1)
+    residual = np.sqrt(np.maximum(spread - explained, 0.0))
     length = np.sqrt((plane * plane).sum(axis=-1))
-    residual = np.sqrt(np.maximum(qq - a * qx - b * qy, 0.0))
     # The noise of 1/z is that of z divided by z squared.
     known = has & (count >= MIN_SHARE * side * side) & (length > 1e-9)
     known &= residual < MAX_RESIDUAL * noise * depth_noise(depth) * inverse * inverse
     return (-plane / np.maximum(length, 1e-9)[..., None]).astype(np.float32), known
+
+
+def plane_depth(depth: np.ndarray, has: np.ndarray, x: np.ndarray, y: np.ndarray, radius: int) -> np.ndarray:
+    """Depth with the sensor's noise averaged away along the surface: of the plane fitted around each pixel, metres.
+
+    Parameters
+    ----------
+    depth : (H, W) float32
+        Metres.
+    has : (H, W) bool
+        Pixels of one surface or object; no others take part.
+    x, y : (W,) and (H,) float64
+        Pixel coordinates divided by the focal length, (u - cx) / fx and (v - cy) / fy.
+    radius : int
+        The window has 2 * radius + 1 pixels a side.
+
+    Returns
+    -------
+    (H, W) float32
+        The depth itself where the window holds fewer than MIN_PIXELS pixels, and where `has` is False.
+    """
+    count, plane, _ = _planes(depth, has, x, y, 2 * radius + 1)
+    inverse = plane[..., 0] * x + plane[..., 1] * y[:, None] + plane[..., 2]
+    fitted = has & (count >= MIN_PIXELS) & (inverse > 0)
+    return np.where(fitted, 1 / np.where(fitted, inverse, 1), depth).astype(np.float32)
+
+
+def _planes(
+    depth: np.ndarray, has: np.ndarray, x: np.ndarray, y: np.ndarray, side: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Planes (a, b, c) of 1/z = a x + b y + c around each pixel: pixels used, planes (H, W, 3), mean square explained.
+
+    With x = X/Z and y = Y/Z that is the plane a X + b Y + c Z = 1.
+    """
+    count = _sum(has.astype(np.float64), side)
+    safe = np.maximum(count, 1)
+    inverse = np.divide(1.0, depth, out=np.zeros(depth.shape, np.float64), where=has)
+    xs, ys = np.where(has, x, 0.0), np.where(has, y[:, None], 0.0)
+    mx, my, mq = (_sum(a, side) / safe for a in (xs, ys, inverse))
+    xx = _sum(xs * xs, side) / safe - mx * mx
+    yy = _sum(ys * ys, side) / safe - my * my
+    xy = _sum(xs * ys, side) / safe - mx * my
+    qx = _sum(inverse * xs, side) / safe - mq * mx
+    qy = _sum(inverse * ys, side) / safe - mq * my
+    determinant = np.maximum(xx * yy - xy * xy, 1e-18)
+    a = (qx * yy - qy * xy) / determinant
+    b = (qy * xx - qx * xy) / determinant
+    return count, np.stack([a, b, mq - a * mx - b * my], axis=-1), mq * mq + a * qx + b * qy
 
 
 def _sum(values: np.ndarray, side: int) -> np.ndarray:
