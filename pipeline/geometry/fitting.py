@@ -13,11 +13,16 @@ LOW_PERCENT, HIGH_PERCENT = 1.0, 99.0
 CONTRAST = 0.2
 """Contrast of `plan_yaw` above which an outline claims a direction."""
 LEAST_DEPTH = 0.5
-"""Least depth of a thing with sides, as a share of its width: half is seen of few."""
-YAWS = np.deg2rad(np.arange(0, 90, 3.0))
-YAW_POINTS = 160
+"""Least depth of a thing with sides, as a share of its width: of few things the back is seen."""
+NOISE_ENDS = 1.5
+"""Standard deviations of the depth by which the outermost points of a thing lie outside."""
 NEAREST = 0.01
 """Distances to a side below this count alike, metres."""
+YAW_POINTS = 160
+YAWS = np.deg2rad(np.arange(0, 90, 3.0))
+_COARSE = np.cos(YAWS), np.sin(YAWS)
+_FINER = np.deg2rad(np.arange(-2, 2.5, 0.5))
+_PLAN = np.array([1.0, 0.0, 1.0])
 
 
 def _proper_signed_permutations() -> np.ndarray:
@@ -71,18 +76,34 @@ def gravity_box(points: np.ndarray, viewer: ViewerAxes) -> tuple[Box3D, float]:
     return Box3D(R_level_camera.T @ box.center, R_level_camera.T @ box.R, box.size), confidence
 
 
-def upright_box(points: np.ndarray, viewer: ViewerAxes, margin: float = 0.0) -> tuple[Box3D, float]:
-    """Fit the upright box to (N, 3) points of what is seen of an object, camera frame, metres.
+def upright_box(
+    points: np.ndarray,
+    viewer: ViewerAxes,
+    *,
+    margin: float = 0.0,
+    noise: float = 0.0,
+    least_depth: float = LEAST_DEPTH,
+) -> tuple[Box3D, float]:
+    """Fit the upright box to what is seen of an object: its sides lie along the outline in plan (`plan_yaw`).
 
-    Its sides lie along the outline in plan (`plan_yaw`), or face the viewer where that claims no direction. `margin` is
-    the rim, metres, that erosion took from the mask: it is given back across the viewing ray. Behind what is seen the
-    box goes on until its depth is at least LEAST_DEPTH of its width, all of it where no direction is claimed: such
-    things are mostly round. The axes are near (right, down, forward), so that `size` reads (width, height, depth).
-    Beside the box stands the yaw confidence, 0..1, above .5 where a direction is claimed.
+    Where the outline claims no direction, the box faces the viewer and is as deep as it is wide: such things are mostly
+    round. The axes are near (right, down, forward), so that `size` reads (width, height, depth). Beside the box stands
+    the yaw confidence, 0..1: above .5 where a direction is claimed.
+
+    Parameters
+    ----------
+    points : (N, 3) float
+        Camera frame, metres.
+    margin : float
+        The rim that erosion took from the mask, metres: given back across the viewing ray.
+    noise : float
+        Standard deviation of the depth, metres: the outermost points lie NOISE_ENDS of it outside, along the ray.
+    least_depth : float
+        As a share of the width: a less deep box goes on behind what is seen.
     """
     R_level_camera = viewer.R_level_camera
     level = points.astype(np.float64) @ R_level_camera.T
-    yaw, contrast = plan_yaw(level[:, [0, 2]])
+    yaw, contrast = plan_yaw(level[:, ::2])
     claimed = contrast > CONTRAST
     center = level.mean(axis=0)
     if not claimed:
@@ -92,15 +113,16 @@ def upright_box(points: np.ndarray, viewer: ViewerAxes, margin: float = 0.0) -> 
     along = level @ R
     lo, hi = along.min(axis=0), along.max(axis=0)
     ray = center @ R
-    across = np.sqrt(np.maximum(1 - (ray / max(np.linalg.norm(ray), 1e-9)) ** 2, 0))
-    lo, hi = lo - margin * across, hi + margin * across
-    size = hi - lo
-    deep, wide = (0, 2) if abs(ray[0]) > abs(ray[2]) else (2, 0)
-    hidden = max((LEAST_DEPTH if claimed else 1.0) * size[wide] - size[deep], 0.0)
+    share = np.abs(ray) / max(np.sqrt(ray @ ray), 1e-9)
+    inwards = np.minimum(NOISE_ENDS * noise * share, (hi - lo) / 4) * _PLAN
+    inwards -= margin * np.sqrt(np.maximum(1 - share * share, 0))
+    lo, hi = lo + inwards, hi - inwards
+    deep, wide = (0, 2) if share[0] > share[2] else (2, 0)
+    behind = max((least_depth if claimed else 1.0) * (hi[wide] - lo[wide]) - (hi[deep] - lo[deep]), 0.0)
     if ray[deep] > 0:
-        hi[deep] += hidden
+        hi[deep] += behind
     else:
-        lo[deep] -= hidden
+        lo[deep] -= behind
     center = R_level_camera.T @ (R @ ((lo + hi) / 2))
     R, size = _canonical(R, hi - lo)
     return Box3D(center, R_level_camera.T @ R, size), contrast / (contrast + CONTRAST)
@@ -109,22 +131,21 @@ def upright_box(points: np.ndarray, viewer: ViewerAxes, margin: float = 0.0) -> 
 def plan_yaw(plan: np.ndarray) -> tuple[float, float]:
     """Find the direction of the sides of an outline in plan, (N, 2) metres: angle in 0..pi/2, and its contrast.
 
-    The closeness criterion for L-shaped views (Zhang, Xu, Dong and Dolan 2017): points lie near the two sides that are
-    seen. The contrast is how far the best angle stands above the median one; of round things about 0.
+    By the closeness criterion for L-shaped views (Zhang, Xu, Dong and Dolan 2017): points lie near the two sides that
+    are seen. The contrast is how far the best angle stands above the median one; of round things about 0.
     """
-    points = plan[:: max(1, len(plan) // YAW_POINTS)]
-    coarse = _closeness(points, YAWS)
-    best = YAWS[int(coarse.argmax())] + np.deg2rad(np.arange(-2, 2.5, 0.5))
-    fine = _closeness(points, best)
-    median = float(np.median(coarse))
-    return float(best[int(fine.argmax())] % (np.pi / 2)), float(fine.max() - median) / median
+    points = plan[:: -(-len(plan) // YAW_POINTS)].T.astype(np.float32)
+    coarse = _closeness(points, *_COARSE)
+    best = YAWS[coarse.argmax()] + _FINER
+    fine = _closeness(points, np.cos(best), np.sin(best))
+    median = float(np.partition(coarse, len(YAWS) // 2)[len(YAWS) // 2])
+    return float(best[fine.argmax()] % (np.pi / 2)), float(fine.max()) / median - 1
 
 
-def _closeness(points: np.ndarray, yaws: np.ndarray) -> np.ndarray:
-    cos, sin = np.cos(yaws), np.sin(yaws)
-    along = (np.array([[cos, sin], [-sin, cos]]).transpose(0, 2, 1) @ points.T).astype(np.float32)
+def _closeness(points: np.ndarray, cos: np.ndarray, sin: np.ndarray) -> np.ndarray:
+    along = np.array([[cos, sin], [-sin, cos]], np.float32).transpose(0, 2, 1) @ points
     side = np.minimum(along - along.min(axis=2, keepdims=True), along.max(axis=2, keepdims=True) - along)
-    return (1 / np.maximum(side.min(axis=0), np.float32(NEAREST))).sum(axis=1)
+    return np.reciprocal(np.maximum(side.min(axis=0), NEAREST, dtype=np.float32)).sum(axis=1)
 
 
 def pca_box(points: np.ndarray, viewer: ViewerAxes | None = None) -> tuple[Box3D, float]:

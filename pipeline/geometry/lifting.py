@@ -16,7 +16,7 @@ import numpy as np
 
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera, lift_pixels
-from pipeline.geometry.fitting import extents_of, gravity_box, pca_box, upright_box
+from pipeline.geometry.fitting import LEAST_DEPTH, extents_of, gravity_box, pca_box, upright_box
 from pipeline.geometry.surface import plane_depth, surface_step
 from pipeline.geometry.viewer import ViewerAxes
 
@@ -241,6 +241,7 @@ def lift(
     mask_source: MaskSource = "annotation",
     edges: np.ndarray | None = None,
     boxes: bool = True,
+    least_depths: Sequence[float] | None = None,
 ) -> tuple[LiftedObject, ...]:
     """Lift masks to 3D.
 
@@ -255,6 +256,8 @@ def lift(
         From `depth_edges`, where it is at hand already.
     boxes : bool
         Fit 3D boxes; without, `box` is None and `yaw_confidence` 0, all else is the same.
+    least_depths : sequence of float, optional
+        Of upright boxes: least depth of each, as a share of its width (`language.least_depth` by class).
 
     Returns
     -------
@@ -277,7 +280,11 @@ def lift(
     config = config or LiftConfig()
     if edges is None:
         edges = depth_edges(depth, config)
-    return tuple(_lift_one(depth, camera, m, viewer, config, mask_source, edges, boxes) for m in masks)
+    least = [LEAST_DEPTH] * len(masks) if least_depths is None else least_depths
+    return tuple(
+        _lift_one(depth, camera, mask, viewer, config, mask_source, edges, boxes, share)
+        for mask, share in zip(masks, least, strict=True)
+    )
 
 
 def _lift_one(
@@ -289,6 +296,7 @@ def _lift_one(
     mask_source: MaskSource,
     edges: np.ndarray,
     boxes: bool,
+    least_depth: float,
 ) -> LiftedObject:
     evidence, fallback = clean(mask, depth, edges, config)
     v, u = np.nonzero(evidence.codes == Pixel.KEPT)
@@ -320,31 +328,37 @@ def _lift_one(
         mask_source=mask_source,
     )
     box, confidence = None, 0.0
-    if boxes and config.box == "upright" and kept:
-        margin = (0 if fallback else config.erode * depth.shape[1] / 640 + 0.5) * quality.distance / camera.fx
-        box, confidence = upright_box(_smooth_points(depth, evidence, camera, config), viewer, margin)
+    if boxes and kept and config.box == "upright":
+        smooth, noise = _smooth_points(depth, evidence, camera, config)
+        margin = 0 if fallback else (config.erode * depth.shape[1] / 640 + 0.5) * quality.distance / camera.fx
+        box, confidence = upright_box(smooth, viewer, margin=margin, noise=noise, least_depth=least_depth)
     elif boxes:
         box, confidence = fit_box(points, viewer, config.box)
     return LiftedObject(points, box, confidence, *extents(points, box, viewer), evidence, quality)
 
 
-def _smooth_points(depth: np.ndarray, evidence: PixelEvidence, camera: Camera, config: LiftConfig) -> np.ndarray:
-    """Kept points, (N, 3), camera frame, without the sensor's noise, which makes boxes longer along the ray."""
+def _smooth_points(
+    depth: np.ndarray, evidence: PixelEvidence, camera: Camera, config: LiftConfig
+) -> tuple[np.ndarray, float]:
+    """Kept points, (N, 3), camera frame, without the sensor's noise, which lengthens boxes; and its deviation, metres.
+
+    Fallbacks and sparse masks come through the same way: with too few neighbours a point stays as it is.
+    """
     kept = evidence.codes == Pixel.KEPT
-    step = max(1, round(np.sqrt(kept.sum() / config.fit_pixels)))
-    kept = kept[::step, ::step]
-    if not kept.any():
-        kept, step = evidence.codes == Pixel.KEPT, 1
-    v0, u0 = evidence.y0 + np.arange(kept.shape[0]) * step, evidence.x0 + np.arange(kept.shape[1]) * step
-    flat = plane_depth(
-        depth[np.ix_(v0, u0)],
-        kept,
-        (u0 - camera.cx) / camera.fx,
-        (v0 - camera.cy) / camera.fy,
-        max(1, round(config.smooth * depth.shape[1] / 640)),
-    )
-    v, u = np.nonzero(kept)
-    return lift_pixels(flat[v, u], camera, v0[v], u0[u])
+    step = max(1, round(np.sqrt(np.count_nonzero(kept) / config.fit_pixels)))
+    thin = kept[::step, ::step]
+    if not thin.any():
+        thin, step = kept, 1
+    v0, u0 = evidence.y0 + np.arange(thin.shape[0]) * step, evidence.x0 + np.arange(thin.shape[1]) * step
+    x, y = (u0 - camera.cx) / camera.fx, (v0 - camera.cy) / camera.fy
+    h, w = evidence.codes.shape
+    sensed = depth[evidence.y0 : evidence.y0 + h : step, evidence.x0 : evidence.x0 + w : step]
+    flat = plane_depth(sensed, thin, x, y, max(1, round(config.smooth * depth.shape[1] / 640)))
+    v, u = np.nonzero(thin)
+    z = flat[v, u]
+    off = np.abs(sensed[v, u] - z)
+    noise = 1.4826 * float(np.partition(off, len(off) // 2)[len(off) // 2])
+    return np.stack([x[u] * z, y[v] * z, z], axis=1), noise
 
 
 def fit_box(points: np.ndarray, viewer: ViewerAxes, mode: BoxMode = "gravity") -> tuple[Box3D | None, float]:
