@@ -16,6 +16,7 @@ from pipeline.geometry.camera import backproject
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftConfig, LiftedObject, MaskSource, depth_edges, lift
 from pipeline.geometry.viewer import ViewerAxes, resolve_up, viewer_axes
+from pipeline.language.class_sizes import is_thin
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Detector, Proposals
 from pipeline.relations.features import Appearance
@@ -72,7 +73,7 @@ class PreparedFrame:
         self.frame = replace(frame, camera=camera)
         self.viewer: ViewerAxes = viewer_axes(camera.up, camera.up_source or "assumed", up_doubt)
         self.edges = depth_edges(frame.depth, self.config)
-        self._lifted: dict[tuple[str, int], tuple[LiftedObject, np.ndarray]] = {}
+        self._lifted: dict[tuple[str, int, bool], tuple[LiftedObject, np.ndarray]] = {}
         self.seconds = perf_counter() - start
 
     def lift(self, proposals: Proposals, detector: Detector) -> tuple[SceneObject, ...]:
@@ -80,7 +81,8 @@ class PreparedFrame:
         found = []
         fingerprint = detector.fingerprint()
         for i in range(len(proposals)):
-            key = (fingerprint, int(proposals.ids[i]))
+            label = proposals.label(i)
+            key = (fingerprint, int(proposals.ids[i]), is_thin(label))
             known = self._lifted.get(key) if key[1] >= 0 else None
             if known is None:
                 mask, source = self._mask(proposals, i, detector.exact)
@@ -93,12 +95,12 @@ class PreparedFrame:
                     mask_source=source,
                     edges=self.edges,
                     boxes=self.boxes,
+                    thin=[key[2]],
                 )
                 known = self._with_fixed_box(lifted, key[1]) if detector.exact else lifted, mask
                 if key[1] >= 0:
                     self._lifted[key] = known
-            label, score = proposals.label(i), float(proposals.scores[i])
-            entry = SceneObject(key[1], label, score, proposals.boxes[i], known[1], known[0])
+            entry = SceneObject(key[1], label, float(proposals.scores[i]), proposals.boxes[i], known[1], known[0])
             # Imported boxes take the place of those that are made here.
             finished = getattr(detector, "finished", None)
             found.append(entry if finished is None else finished(entry, self))

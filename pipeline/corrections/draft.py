@@ -18,6 +18,7 @@ from pipeline.drawing.depth_region import joined, link_grid, nearest_pixel
 from pipeline.drawing.gestures import Canvas, Gesture, applied, goes_around, polygon_mask
 from pipeline.geometry.lifting import LiftedObject, lift
 from pipeline.geometry.masks import decode_run_length, encode_run_length
+from pipeline.language.class_sizes import is_thin
 from pipeline.system.errors import InputError, require
 
 MOST_STEPS = 500
@@ -138,8 +139,8 @@ def rebased(draft: Draft, frame: EffectiveFrame) -> Draft:
     return draft if draft.ref is None else replace(draft, version=frame.version(draft.ref))
 
 
-def lifted_draft(canvas: Canvas, mask: np.ndarray) -> LiftedObject | None:
-    """Points and 3D box (camera frame) of a mask, lifted as labels are; None for no pixels."""
+def lifted_draft(canvas: Canvas, mask: np.ndarray, label: str = "") -> LiftedObject | None:
+    """Points and 3D box (camera frame) of a mask of a class, lifted as labels are; None for no pixels."""
     context = canvas.context
     return (
         lift(
@@ -150,6 +151,7 @@ def lifted_draft(canvas: Canvas, mask: np.ndarray) -> LiftedObject | None:
             config=context.config,
             mask_source="human",
             edges=context.edges,
+            thin=[is_thin(label)],
         )[0]
         if mask.any()
         else None

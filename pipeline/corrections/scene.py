@@ -29,6 +29,7 @@ from pipeline.geometry.lifting import LiftedObject, Quality, lift
 from pipeline.geometry.masks import decode_crop
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.labels.cases import HIT, Case, FrameCases, frame_cases
+from pipeline.language.class_sizes import is_thin
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.proposals.annotations import box_mask
 from pipeline.relations.relations import U, letter
@@ -373,7 +374,13 @@ def fit_to_points(frame: EffectiveFrame, number: int, corrector: Corrector, reas
     (mask,) = (o.mask for o in labelled_objects(frame) if o.id == number)
     inside = pixels_inside(box, mask, context.frame)
     (lifted,) = lift(
-        context.frame.depth, context.frame.camera, [inside], context.viewer, config=context.config, edges=context.edges
+        context.frame.depth,
+        context.frame.camera,
+        [inside],
+        context.viewer,
+        config=context.config,
+        edges=context.edges,
+        thin=[is_thin(row["label"])],
     )
     return set_box(frame, number, needed(lifted.box, "no point with a depth lies in the box"), reason)
 

@@ -17,6 +17,7 @@ from pipeline.geometry.boxes import Box3D, iou_2d
 from pipeline.geometry.lifting import LiftedObject, Quality, extents, lift
 from pipeline.geometry.masks import decode_run_length
 from pipeline.labels.cases import HIT, Case, FrameCases
+from pipeline.language.class_sizes import is_thin
 from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import told_by_ids
@@ -289,6 +290,7 @@ class TrueObjects:
             config=context.config,
             edges=context.edges,
             boxes=context.boxes,
+            thin=[is_thin(self._truth.labels[k])],
         )
         return self._entry(k, mask, lifted) if np.isfinite(lifted.lo).all() else self._describe(k)
 

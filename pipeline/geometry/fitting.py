@@ -13,7 +13,9 @@ LOW_PERCENT, HIGH_PERCENT = 1.0, 99.0
 CONTRAST = 0.2
 """Contrast of `plan_yaw` above which an outline claims a direction."""
 LEAST_DEPTH = 0.5
-"""Least depth of a thing with sides, as a share of its width: of few things the back is seen."""
+"""Least depth of a thing with sides, as a share of its width: behind what is seen the box goes on to it."""
+THIN_DEPTH = 0.05
+"""The same for classes such as pictures and curtains."""
 NOISE_ENDS = 1.5
 """Standard deviations of the depth by which the outermost points of a thing lie outside."""
 NEAREST = 0.01
@@ -82,7 +84,7 @@ def upright_box(
     *,
     margin: float = 0.0,
     noise: float = 0.0,
-    least_depth: float = LEAST_DEPTH,
+    thin: bool = False,
 ) -> tuple[Box3D, float]:
     """Fit the upright box to what is seen of an object: its sides lie along the outline in plan (`plan_yaw`).
 
@@ -98,8 +100,8 @@ def upright_box(
         The rim that erosion took from the mask, metres: given back across the viewing ray.
     noise : float
         Standard deviation of the depth, metres: the outermost points lie NOISE_ENDS of it outside, along the ray.
-    least_depth : float
-        As a share of the width: a less deep box goes on behind what is seen.
+    thin : bool
+        Things of the class may be thin (`language.is_thin`): THIN_DEPTH and not LEAST_DEPTH holds.
     """
     R_level_camera = viewer.R_level_camera
     level = points.astype(np.float64) @ R_level_camera.T
@@ -118,7 +120,8 @@ def upright_box(
     inwards -= margin * np.sqrt(np.maximum(1 - share * share, 0))
     lo, hi = lo + inwards, hi - inwards
     deep, wide = (0, 2) if share[0] > share[2] else (2, 0)
-    behind = max((least_depth if claimed else 1.0) * (hi[wide] - lo[wide]) - (hi[deep] - lo[deep]), 0.0)
+    least = 1.0 if not claimed else THIN_DEPTH if thin else LEAST_DEPTH
+    behind = max(least * (hi[wide] - lo[wide]) - (hi[deep] - lo[deep]), 0.0)
     if ray[deep] > 0:
         hi[deep] += behind
     else:

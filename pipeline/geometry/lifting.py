@@ -16,7 +16,7 @@ import numpy as np
 
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera, lift_pixels
-from pipeline.geometry.fitting import LEAST_DEPTH, extents_of, gravity_box, pca_box, upright_box
+from pipeline.geometry.fitting import extents_of, gravity_box, pca_box, upright_box
 from pipeline.geometry.surface import plane_depth, surface_step
 from pipeline.geometry.viewer import ViewerAxes
 
@@ -59,7 +59,9 @@ class LiftConfig:
     min_pixels: int = 30  # With fewer pixels left, the raw mask is used instead
     max_points: int = 8000  # Points are thinned evenly to this number
     box: BoxMode = "upright"
-    smooth: int = 3  # Radius, in pixels at an image width of 640, of the planes that smooth depth before a box is fitted
+    smooth: int = (
+        3  # Radius, in pixels at an image width of 640, of the planes that smooth depth before a box is fitted
+    )
     fit_pixels: int = 1500  # Pixels of a larger object are thinned evenly to about this number before that
 
 
@@ -241,7 +243,7 @@ def lift(
     mask_source: MaskSource = "annotation",
     edges: np.ndarray | None = None,
     boxes: bool = True,
-    least_depths: Sequence[float] | None = None,
+    thin: Sequence[bool] | None = None,
 ) -> tuple[LiftedObject, ...]:
     """Lift masks to 3D.
 
@@ -256,8 +258,8 @@ def lift(
         From `depth_edges`, where it is at hand already.
     boxes : bool
         Fit 3D boxes; without, `box` is None and `yaw_confidence` 0, all else is the same.
-    least_depths : sequence of float, optional
-        Of upright boxes: least depth of each, as a share of its width (`language.least_depth` by class).
+    thin : sequence of bool, optional
+        Objects whose class may be thin (`language.is_thin`): upright boxes of others are at least half as deep as wide.
 
     Returns
     -------
@@ -280,10 +282,9 @@ def lift(
     config = config or LiftConfig()
     if edges is None:
         edges = depth_edges(depth, config)
-    least = [LEAST_DEPTH] * len(masks) if least_depths is None else least_depths
     return tuple(
-        _lift_one(depth, camera, mask, viewer, config, mask_source, edges, boxes, share)
-        for mask, share in zip(masks, least, strict=True)
+        _lift_one(depth, camera, mask, viewer, config, mask_source, edges, boxes, flat)
+        for mask, flat in zip(masks, thin or [False] * len(masks), strict=True)
     )
 
 
@@ -296,7 +297,7 @@ def _lift_one(
     mask_source: MaskSource,
     edges: np.ndarray,
     boxes: bool,
-    least_depth: float,
+    thin: bool,
 ) -> LiftedObject:
     evidence, fallback = clean(mask, depth, edges, config)
     v, u = np.nonzero(evidence.codes == Pixel.KEPT)
@@ -331,7 +332,7 @@ def _lift_one(
     if boxes and kept and config.box == "upright":
         smooth, noise = _smooth_points(depth, evidence, camera, config)
         margin = 0 if fallback else (config.erode * depth.shape[1] / 640 + 0.5) * quality.distance / camera.fx
-        box, confidence = upright_box(smooth, viewer, margin=margin, noise=noise, least_depth=least_depth)
+        box, confidence = upright_box(smooth, viewer, margin=margin, noise=noise, thin=thin)
     elif boxes:
         box, confidence = fit_box(points, viewer, config.box)
     return LiftedObject(points, box, confidence, *extents(points, box, viewer), evidence, quality)

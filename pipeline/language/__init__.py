@@ -5,7 +5,7 @@ from pipeline.system.lazy_exports import lazy_exports
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from pipeline.language.attributes import BASIC_COLORS, Attribute, attribute
-    from pipeline.language.class_sizes import size_factor, size_range
+    from pipeline.language.class_sizes import is_thin, size_factor, size_range
     from pipeline.language.expression import parse, sentence_kind
     from pipeline.language.glossary import find_term, glossary_markdown
     from pipeline.language.lexicon import wording

@@ -1,4 +1,4 @@
-"""Plausible lengths of the longest edge by class, and the factor by which all named things are too long."""
+"""Plausible lengths of the longest edge by class, thin classes, and the factor by which named things are too long."""
 
 from __future__ import annotations
 
@@ -37,6 +37,23 @@ def size_range(label: str) -> tuple[float, float] | None:
     form, table = normal_form(label), size_table()
     ranges = [table[form]] if form in table else [bounds for name, bounds in table.items() if same_class(label, name)]
     return (min(r[0] for r in ranges), max(r[1] for r in ranges)) if ranges else None
+
+
+@lru_cache(maxsize=65536)
+def is_thin(label: str) -> bool:
+    """Tell classes whose things may be much less deep than half their width, by any of their names.
+
+    >>> from pipeline.language import is_thin
+    >>> is_thin("whiteboard"), is_thin("mug")
+    (True, False)
+    """
+    form = normal_form(label)
+    return form in thin_classes() or any(same_class(label, name) for name in thin_classes())
+
+
+@lru_cache(maxsize=1)
+def thin_classes() -> frozenset[str]:
+    return frozenset(json.loads(TABLE.read_text(encoding="utf-8"))["thin"])
 
 
 @dataclass(frozen=True)

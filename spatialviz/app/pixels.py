@@ -278,13 +278,14 @@ class Pixels(LabelPart):
     def _show(self, draft: Draft, view: LabelView, state: State) -> None:
         canvas = self._canvas_now()
         parts = draft.parts
-        lifted = lifted_draft(canvas, parts[0]) if len(parts) == 1 else None
+        fresh, known = self._fresh, draft.number is not None
+        row = None if draft.number is None or fresh else view.frame.objects[draft.number]
+        label = "" if row is None else row["label"]
+        lifted = lifted_draft(canvas, parts[0], label) if len(parts) == 1 else None
         box = None if lifted is None else lifted.box
         frame = canvas.context.frame
         picture = frame.rgb if self._kind == "rgb" else depth_colors(frame.depth)
         self.ctx.page.call("pixelsPicture", {"kind": self._kind, "url": jpeg_url(picture, 92)})
-        fresh, known = self._fresh, draft.number is not None
-        row = None if draft.number is None or fresh else view.frame.objects[draft.number]
         data: dict[str, Any] = {
             "on": True,
             "near": around(draft),

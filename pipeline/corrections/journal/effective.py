@@ -47,6 +47,7 @@ from pipeline.labels.labelling import label_objects, unusable
 from pipeline.labels.profiles import NONE, open_second_opinion
 from pipeline.labels.reading import Labels, build_table
 from pipeline.labels.schema import TABLES
+from pipeline.language.class_sizes import is_thin
 from pipeline.proposals.annotations import box_mask
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.arrow import pa, pc
@@ -129,16 +130,16 @@ class Relifter:
             if source == "box3d" and box is not None:
                 within = pixels_inside(box_of(box), mask, frame)
                 mask, source = (within, "box3d") if within.any() else (mask, "box")
-        lifted = self._lift(context, mask, source)
+        lifted = self._lift(context, mask, source, is_thin(row["label"]))
         if box is not None:
             lifted = lifted.moved_to(box_of(box), context.viewer)
         if source == "human" and not human_bbox and mask.any():
             bbox = np.array(mask_box(mask), np.float32)
         return SceneObject(row["object"], row["label"], row["score"], bbox, mask, lifted)
 
-    def _lift(self, context: PreparedFrame, mask: np.ndarray, source: Any) -> LiftedObject:
+    def _lift(self, context: PreparedFrame, mask: np.ndarray, source: Any, thin: bool) -> LiftedObject:
         known = self._loaded(context.frame.id)[1]
-        key = xxhash.xxh3_128_hexdigest(np.ascontiguousarray(mask).data), str(source)
+        key = xxhash.xxh3_128_hexdigest(np.ascontiguousarray(mask).data), str(source), thin
         if key not in known:
             (known[key],) = lift(
                 context.frame.depth,
@@ -148,6 +149,7 @@ class Relifter:
                 config=context.config,
                 mask_source=source,
                 edges=context.edges,
+                thin=[thin],
             )
         return known[key]
 

@@ -28,6 +28,7 @@ from pipeline.diagnosis.whatif.edits import Edits, PlacedBox
 from pipeline.diagnosis.whatif.pair_tables import PairTables, detection_keys, identity, score_pairs
 from pipeline.geometry.lifting import LiftedObject, lift
 from pipeline.geometry.masks import RunLength, mask_box
+from pipeline.language.class_sizes import is_thin
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import Attachment
 from pipeline.proposals.base import is_final, numbers_of, told_by_ids, top_k_indices
@@ -233,7 +234,7 @@ def _repainted(
     baseline: Baseline, context: PreparedFrame, entry: SceneObject, key: str, code: RunLength
 ) -> SceneObject:
     """Object by other pixels; an object found by several names is lifted once, and stays a single object."""
-    frame = context.frame
+    frame, thin = context.frame, is_thin(entry.label)
 
     def relift() -> tuple[np.ndarray, LiftedObject]:
         what, shape = f"the mask of {key}", (frame.height, frame.width)
@@ -241,10 +242,12 @@ def _repainted(
             code.size == shape, f"{what} is of another picture size", got=list(code.size), expected=f"{list(shape)}"
         )
         mask = code.decoded(shape, what)
-        found = lift(frame.depth, frame.camera, [mask], context.viewer, config=context.config, edges=context.edges)
+        found = lift(
+            frame.depth, frame.camera, [mask], context.viewer, config=context.config, edges=context.edges, thin=[thin]
+        )
         return mask, found[0]
 
-    mask, lifted = baseline.made("relifted", (context.config, key), relift, code)
+    mask, lifted = baseline.made("relifted", (context.config, key, thin), relift, code)
     bbox = np.array(mask_box(mask), np.float32) if mask.any() else entry.bbox
     return replace(entry, mask=mask, bbox=bbox, lifted=lifted)
 
