@@ -66,7 +66,7 @@ class LabelCommand(Output):
     """Also make sentences of these kinds (none named: of all) with all their right answers, for eval --sentences."""
     sentences_a_kind: int = 4
     """At most so many of each kind in a frame."""
-    box: Box = "gravity"
+    box: Box = "upright"
     seed: int = 0
     """The same seed gives the same labels."""
     engine: Literal["local", "ray"] = "local"

@@ -43,7 +43,13 @@ LabelsArg = Positional[Annotated[Path, arg(help="Labels folder.")]]
 RunArg = Positional[Annotated[Path, arg(help="Run folder of `spatialviz eval`.")]]
 NewFolder = Annotated[Path, arg(help="Folder to write; it must not exist, or be empty.")]
 Truth = Annotated[Path | None, arg(help="Labels that say what is true. Default: the frame's annotations.")]
-Box = Annotated[Literal["gravity", "pca"], arg(help="How 3D boxes are fitted: upright, or the paper's PCA box.")]
+Box = Annotated[
+    Literal["upright", "gravity", "pca"],
+    arg(
+        help="How 3D boxes are fitted: upright, with the sides along the outline; gravity, the fit of before 0.2; pca, "
+        "the paper's."
+    ),
+]
 Batch = Annotated[
     int | None,
     arg(
@@ -365,7 +371,7 @@ class SourceOptions(ReaderOptions, ProposalOptions):
     """What scores relations: trained (the network that comes with the program) | rule | an ONNX file."""
     vectors: Path | None = None
     """The text vectors that the relation network was trained with, for class names it was not trained on."""
-    box: Box = "gravity"
+    box: Box = "upright"
     k: int = 10
     """Proposals that go on for each name."""
     score_calibration: Path | None = None

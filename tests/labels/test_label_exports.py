@@ -265,7 +265,7 @@ def test_what_survives_in_kitti_comes_back(label_sets: dict[str, Labels], kind: 
                 else:
                     np.testing.assert_allclose(back[column], row[column], rtol=1e-11, atol=5e-9)
     boxed = [row for row in labels.objects.to_pylist() if row["center"] is not None]
-    assert report.rows["boxes"] == sum(row["estimator"] == "gravity" for row in boxed)
+    assert report.rows["boxes"] == sum(row["estimator"] in ("upright", "gravity") for row in boxed)
     assert any("not upright" in note for note in report.notes) == (kind == "hostile")
 
 

@@ -22,7 +22,7 @@ from pipeline.datasets import Dataset
 from pipeline.geometry import Annotation, Box3D, Frame, viewer_axes
 from pipeline.labels import LabelConfig, Labels, VqaConfig, build_table, export_labels, label_objects
 from pipeline.labels.exports.base import ExportFrame
-from pipeline.labels.exports.vqa_geometry import EXACT, HUMAN, POINTS, Depths, Figures, figures_of, gap_between
+from pipeline.labels.exports.vqa_geometry import EXACT, FITTED, HUMAN, POINTS, Depths, Figures, figures_of, gap_between
 from pipeline.proposals import AnnotationDetector
 
 
@@ -99,7 +99,7 @@ def without_boxes(frame: Frame) -> Frame:
 def test_gaps_and_centres_are_those_between_the_objects() -> None:
     frame, boxes = boxes_apart()
     found = figures(without_boxes(frame))
-    assert [f.rests_on for f in found] == [POINTS] * 3
+    assert [f.rests_on for f in found] == [FITTED] * 3
     matrix = viewer_axes(cast(np.ndarray, frame.camera.up)).matrix
     R = viewer_axes(cast(np.ndarray, frame.camera.up)).R_level_camera
     for (i, a), (j, b) in combinations(enumerate(boxes), 2):
@@ -138,7 +138,10 @@ def test_what_does_not_show_is_not_told() -> None:
         rows = replace(whole, objects=[{**whole.objects[0], **changes}, *whole.objects[1:]])
         return figures_of(rows, VqaConfig(), depths_of(bare), frozenset())[0]
 
-    assert told().rests_on == POINTS
+    assert told().rests_on == FITTED
+    old = told(estimator="gravity")
+    assert old.rests_on is None
+    assert len(old.points)
     for changes in (
         {"touches_border": True},
         {"occluded": 0.3},
@@ -154,7 +157,7 @@ def test_what_does_not_show_is_not_told() -> None:
         assert hidden.rests_on is None, changes
         assert not len(hidden.points)
         assert np.isnan(hidden.extents).all()
-    # A mask that leaks onto what stands beside: the two ways of undoing the cleaning disagree.
+    # A mask that leaks onto what stands beside: cleaning drops what hangs at another depth.
     row = bare.annotations[0]
     mask = cast(np.ndarray, row.mask).copy()
     spill = np.flatnonzero(mask.any(axis=0))[-1]
@@ -162,7 +165,7 @@ def test_what_does_not_show_is_not_told() -> None:
     mask[rows_in[len(rows_in) // 2] : rows_in[len(rows_in) // 2] + 6, spill : spill + 30] = True
     leaked = replace(bare, annotations=(replace(row, mask=mask), *bare.annotations[1:]))
     width, clean = figures(leaked)[0].extents[0], figures(bare)[0].extents[0]
-    assert np.isnan(width) or width == pytest.approx(clean, rel=0.1)
+    assert width == pytest.approx(clean, rel=0.1)
 
 
 def test_another_depth_is_not_measured() -> None:
@@ -171,7 +174,7 @@ def test_another_depth_is_not_measured() -> None:
     other = replace(bare, depth=bare.depth * np.float32(1.01))
     depths = depths_of(other)
     found = figures_of(rows_of(bare), VqaConfig(), depths, frozenset())
-    assert all(f.rests_on is None for f in found)
+    assert all(f.rests_on == FITTED and not len(f.points) for f in found)
     assert depths.missing == 1
     assert "another depth than was labelled" in depths.problem
 

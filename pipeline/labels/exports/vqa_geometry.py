@@ -1,10 +1,9 @@
 """Geometry of objects that questions are asked of, and what it rests on.
 
-Sizes and centres come from a box that a person or the dataset gives, else from the raw points of the mask: the
-cleaning that relations are judged by takes an eighth off a width, since it erodes the mask. It is undone twice,
-leniently (every pixel at the object's depths) and strictly (only what continues the surface that was kept); where the
-two disagree, the mask leaks or the sensor failed, and nothing is said. Gaps are between the raw points of two objects:
-boxes around them, exact ones too, would close or widen them by centimetres.
+Sizes and centres are those of the object's 3D box: a person's, else the dataset's, else the fitted one of an object
+seen whole. Boxes fitted as before 0.2 (`estimator`) say nothing: they are a sixth too narrow. Gaps are between the raw
+points of two objects, with the rim that cleaning took off where it goes on as the surface that was kept: boxes around
+them, exact ones too, would close or widen them by centimetres.
 """
 
 from __future__ import annotations
@@ -27,9 +26,7 @@ from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.labels.exports.base import ExportFrame
 from pipeline.system.errors import InputError, needed, require
 
-EXACT, HUMAN, POINTS = "the dataset's box", "a person's box", "points of the mask"
-AGREE = 0.1
-"""The strict and the lenient extent of an object differ by at most this share, or neither is believed."""
+EXACT, HUMAN, FITTED, POINTS = "the dataset's box", "a person's box", "the fitted box", "points of the mask"
 LEAST_SIZE, LEAST_SIZE_RELATIVE = 0.05, 0.03
 """Extents below max(5 cm, 3 % of the distance) are as much the depth's noise as the object's."""
 MOST_POINTS = 4000
@@ -43,7 +40,7 @@ class Figures:
     """What is known of one object; coordinates along the viewer's (right, up, forward), metres."""
 
     rests_on: str | None
-    """What centre and extents come from: EXACT, HUMAN or POINTS; None where nothing is known."""
+    """What centre and extents come from: EXACT, HUMAN or FITTED; None where nothing is known."""
     center: np.ndarray
     """(3,) float64: NaN where it is not known."""
     extents: np.ndarray
@@ -94,26 +91,28 @@ def figures_of(rows: ExportFrame, config: VqaConfig, depths: Depths, human: froz
     whole = [seen_whole(row, config) for row in rows.objects]
     depth = depths.of(rows.frame) if any(whole) else None
     raw = None if depth is None else _RawPoints(rows.frame, depth, viewer)
-    return [
-        _figures(row, viewer, raw.figures(row) if ok and raw is not None else NOTHING, row["object"] in human)
-        for row, ok in zip(rows.objects, whole, strict=True)
-    ]
+    found = []
+    for row, ok in zip(rows.objects, whole, strict=True):
+        given = HUMAN if row["object"] in human else EXACT if row["exact_size"] else None
+        fitted = FITTED if ok and row["estimator"] == "upright" else None
+        known = _measured(row, viewer, given or fitted)
+        found.append(replace(known, points=raw.of(row)) if ok and raw is not None else known)
+    return found
 
 
-def _figures(row: Mapping[str, Any], viewer: ViewerAxes, seen: Figures, human: bool) -> Figures:
-    """From a person's box, else the dataset's, else what is seen."""
-    prefix = "" if human else "exact_"
-    if row["touches_border"] or row[f"{prefix}size"] is None:
-        return seen
+def _measured(row: Mapping[str, Any], viewer: ViewerAxes, rests_on: str | None) -> Figures:
+    prefix = "exact_" if rests_on == EXACT else ""
+    if rests_on is None or row["touches_border"] or row[f"{prefix}size"] is None:
+        return NOTHING
     box = Box3D(
         np.array(row[f"{prefix}center"]), np.array(row[f"{prefix}R"]).reshape(3, 3), np.array(row[f"{prefix}size"])
     )
-    return Figures(
-        HUMAN if human else EXACT,
-        viewer.matrix @ box.center,
-        np.ptp(box.corners @ viewer.matrix.T, axis=0),
-        seen.points,
-    )
+    extents = np.ptp(box.corners @ viewer.matrix.T, axis=0)
+    if rests_on == FITTED:
+        # From one side the far end of the forward axis is never seen.
+        told = (extents >= max(LEAST_SIZE, LEAST_SIZE_RELATIVE * row["distance"])) & (True, True, False)
+        extents = np.where(told, extents, np.nan)
+    return Figures(rests_on, viewer.matrix @ box.center, extents, NOTHING.points)
 
 
 def seen_whole(row: Mapping[str, Any], config: VqaConfig) -> bool:
@@ -146,34 +145,18 @@ class _RawPoints:
         self.matrix = viewer.matrix.T.astype(np.float32)
         self.edges, self.flying = depth_edges(depth, self.config), flying_pixels(depth)
 
-    def figures(self, row: Mapping[str, Any]) -> Figures:
+    def of(self, row: Mapping[str, Any]) -> np.ndarray:
         evidence, _ = clean(decode_run_length(self.depth.shape, row["mask"]), self.depth, self.edges, self.config)
         height, width = evidence.codes.shape
         window = np.s_[evidence.y0 : evidence.y0 + height, evidence.x0 : evidence.x0 + width]
         z, kept = self.depth[window], evidence.codes == Pixel.KEPT
-        valid = (evidence.codes != Pixel.OUTSIDE) & (z > self.config.near) & (z < self.config.far)
-        v, u = np.nonzero(kept | (valid & ~self.flying[window]))
         if not kept.any():
-            return NOTHING
-        points = lift_pixels(z[v, u], self.camera, v + evidence.y0, u + evidence.x0) @ self.matrix
-        core = kept[v, u]
-        step = surface_step(np.median(z[kept]))
-        lo, hi = np.percentile(points[core, 2], (1, 99))
-        lenient = (points[:, 2] >= lo - step) & (points[:, 2] <= hi + step)
-        extents = np.ptp(points[lenient], axis=0).astype(np.float64)
-        strict = points[core | self._continues(z, kept)[v, u]]
-        agree = np.abs(np.ptp(strict, axis=0) - extents) <= AGREE * extents
-        least = max(LEAST_SIZE, LEAST_SIZE_RELATIVE * float(np.median(z[kept])))
-        # From one side the far end of the forward axis is never seen.
-        told = agree & (extents >= least) & (True, True, False)
-        if not agree[:2].all():
-            return replace(NOTHING, rests_on=POINTS, extents=np.where(told, extents, np.nan))
-        return Figures(
-            POINTS,
-            (strict.min(axis=0) + strict.max(axis=0)).astype(np.float64) / 2,
-            np.where(told, extents, np.nan),
-            strict[np.linspace(0, len(strict) - 1, min(len(strict), MOST_POINTS)).astype(np.int64)],
-        )
+            return NOTHING.points
+        rim = (evidence.codes != Pixel.OUTSIDE) & (z > self.config.near) & (z < self.config.far)
+        v, u = np.nonzero(kept | (rim & ~self.flying[window] & self._continues(z, kept)))
+        some = np.linspace(0, len(v) - 1, min(len(v), MOST_POINTS)).astype(np.int64)
+        v, u = v[some], u[some]
+        return lift_pixels(z[v, u], self.camera, v + evidence.y0, u + evidence.x0) @ self.matrix
 
     def _continues(self, z: np.ndarray, kept: np.ndarray) -> np.ndarray:
         from scipy.ndimage import distance_transform_edt

@@ -15,7 +15,7 @@
 An object is named only where its name means no other object of the frame.
 Distances and sizes are asked where a 3D box is given or the object is seen whole,
 and `metadata.rests_on` says which: see `pipeline.labels.exports.vqa_geometry`.
-Without the dataset's depth only given boxes are measured, which a note says. Which questions are
+Without the dataset's depth no gaps are asked, which a note says. Which questions are
 asked, and how, depends on the rows and the seed alone. The words for objects and
 relations are those of the expressions.
 
@@ -389,10 +389,7 @@ def write_vqa(job: Job) -> Written:
         file.write("\n")
     counts["questions"] = records.length
     files = (CONVERSATIONS_FILE, *(("images/",) if job.images is not None else ()))
-    note = (
-        f"{depths.missing} frames without depth, where gaps are not asked, and sizes and distances of given 3D boxes "
-        f"only: {depths.problem}"
-    )
+    note = f"{depths.missing} frames without depth, where gaps are not asked: {depths.problem}"
     return Written(files, counts, (note,) if depths.missing else ())
 
 
