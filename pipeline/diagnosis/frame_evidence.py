@@ -136,9 +136,9 @@ class FrameEvidence:
         found = np.zeros(len(indices), np.bool_)
         for k in np.flatnonzero(known).tolist():
             own, true = self.answers.objects[indices[k]].lifted, self.truth.geometry
-            lo, size = true["lo"][shapes[k]], true["size"][shapes[k]]
-            least = np.maximum(OFF_M, np.maximum(own.hi - own.lo, size) / 4)
-            found[k] = (np.abs(own.lo - lo) > least).any() or (np.abs(own.hi - lo - size) > least).any()
+            lo, hi = true["lo"][shapes[k]], true["hi"][shapes[k]]
+            least = np.maximum(OFF_M, np.maximum(own.hi - own.lo, hi - lo) / 4)
+            found[k] = (np.abs([own.lo - lo, own.hi - hi]) > least).any()
         return found
 
     def unusual(self, indices: np.ndarray) -> np.ndarray:
@@ -173,8 +173,8 @@ class FrameEvidence:
         if box is None:
             return None
         lo, hi = extents(np.empty((0, 3)), box, context.viewer)
-        true, size = self.truth.geometry["lo"][n], self.truth.geometry["size"][n]
-        return float(np.abs([lo - true, hi - true - size]).max())
+        true = self.truth.geometry
+        return float(np.abs([lo - true["lo"][n], hi - true["hi"][n]]).max())
 
     @cached_property
     def words(self) -> np.ndarray:
@@ -247,7 +247,7 @@ class TrueObjects:
 
     def __init__(self, truth: FrameCases, context: PreparedFrame) -> None:
         self._truth, self._context = truth, context
-        described = np.concatenate([truth.geometry["lo"], truth.geometry["size"]], axis=1)
+        described = np.concatenate([truth.geometry["lo"], truth.geometry["hi"]], axis=1)
         self.known: np.ndarray = np.asarray(np.isfinite(described).all(axis=1))
         self.pseudo = self.known & np.array([m is None for m in truth.masks], np.bool_)
         self._described: dict[int, SceneObject] = {}
