@@ -295,7 +295,7 @@ def print_objects(cards: Sequence[ObjectCard], whole: bool) -> None:
             overflow="fold",
         )
         say_lines(f"{name} says: {status}" for name, status in card.statuses.items())
-        more = f"; {card.concern}" if card.concern else ""
+        more = (f"; box {card.fit}" if card.fit else "") + (f"; {card.concern}" if card.concern else "")
         added = f"; added by {card.added_by}" if card.added_by else ""
         points, asked = counted(card.points, "point"), counted(card.expressions, "expression")
         say(f"{points} of {card.mask_pixels} pixels; {asked}{more}{added}", style="dim")

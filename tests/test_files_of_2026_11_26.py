@@ -19,8 +19,10 @@ import pyarrow.parquet as pq
 import pytest
 from frozen_journals import journal_record
 
+from pipeline.answering import AskConfig
 from pipeline.corrections import JOURNAL_FILE, check_journal, effective_tables, open_journal, same_value
 from pipeline.corrections.journal.effective import EffectiveLabels
+from pipeline.corrections.journal.effective_frame import setting_of
 from pipeline.datasets import open_dataset
 from pipeline.datasets.settings import read_settings
 from pipeline.diagnosis import decode, encode, open_case
@@ -29,7 +31,10 @@ from pipeline.diagnosis.whatif.state import state_record
 from pipeline.evaluation import Run, open_database, open_run
 from pipeline.evaluation.run_notes import notes_path, read_notes
 from pipeline.labels import MANIFEST_FILE, PROVENANCE_FILE, TABLES, labels_version, open_labels, read_table
+from pipeline.labels.plan import load_plan
+from pipeline.labels.provenance import makers_of
 from pipeline.labels.reading import content_hash
+from pipeline.labels.store import LabelStore
 from pipeline.relations import make_scorer
 
 FIXTURE = Path(__file__).parent / "fixtures" / "2026-11-26"
@@ -151,6 +156,18 @@ def test_a_question_of_a_run_is_answered_again(name: str, folder: Path) -> None:
     rows = [row for row in run.records.to_pylist() if row["verdict"] not in ("CORRECT", "LABEL")]
     found = [run.answer(row["frame"], row["id"]).diagnosis for row in rows[:3]]
     assert [d.verdict if d else None for d in found] == [row["verdict"] for row in rows[:3]]
+
+
+def test_boxes_are_fitted_as_they_were(folder: Path) -> None:
+    """Also by the imported run, whose specification names no settings: the default is another today."""
+    assert AskConfig().lift.box != "gravity"
+    labels = open_labels(folder / "labels")
+    assert setting_of(labels).config.lift.box == load_plan(LabelStore(folder / "labels")).config.lift.box == "gravity"
+    assert "before 0.2" in makers_of(labels.manifest).lines()["boxes"]
+    for name in ("run", "imported"):
+        assert open_run(folder / name).source.config.lift.box == "gravity"
+    for name in EXPECTED["cases"]:
+        assert open_case(folder / name).source.config.lift.box == "gravity"
 
 
 def test_notes_of_a_run() -> None:

@@ -236,9 +236,9 @@ def _given_reader(line: Prediction, system: str) -> Callable[..., Query]:
 def open_imported(predictions: Path, dataset: Any, **options: Any) -> ImportedPipeline:
     """Open a dataset with the predictions of a file.
 
-    `dataset`, `options`: as for `open_pipeline`; what names models is refused.
+    `dataset`, `options`: as for `open_pipeline`; what names models is refused, and of `config` only `lift` counts.
     """
-    for name in ("detector", "model", "segmenter", "fuse", "also", "config"):
+    for name in ("detector", "model", "segmenter", "fuse", "also"):
         require(not options.get(name), f"{name} is not for imported predictions", cause="the file says what was seen")
     require(
         not options.pop("rescored", False),
@@ -249,6 +249,9 @@ def open_imported(predictions: Path, dataset: Any, **options: Any) -> ImportedPi
     options.pop("srm", None)
     pipeline = open_pipeline(dataset, srm="rule", **options)
     read = read_predictions(predictions)
+    config = config_of(read)
+    if options.get("config") is not None:
+        config = replace(config, lift=options["config"].lift)
     known = set(pipeline.dataset.frame_ids)
     for line in read.lines.values():
         if line.frame not in known:
@@ -266,7 +269,7 @@ def open_imported(predictions: Path, dataset: Any, **options: Any) -> ImportedPi
         pipeline.dataset,
         ImportedDetector(read),
         scorer_of(read, None, scorer),
-        config_of(read),
+        config,
         pipeline.synonyms,
         predictions=read,
     )

@@ -19,6 +19,7 @@ from pipeline.diagnosis.whatif.placement import BoxNumbers, box_numbers
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.masks import decode_run_length
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
+from pipeline.labels.provenance import BOX_FITS
 from pipeline.proposals.annotations import box_mask
 from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import needed, require
@@ -75,6 +76,7 @@ class ObjectCard:
     points: int
     distance: float | None  # metres
     numbers: BoxNumbers | None
+    fit: str  # of a box that nobody set, in words; else ""
     states: dict[str, int]  # counts of T, U and F
     expressions: int  # with it as answer or reference
     fields: tuple[FieldLine, ...]
@@ -101,6 +103,7 @@ class ObjectCard:
             "points": self.points,
             "distance": self.distance,
             "box": box,
+            "fit": self.fit or None,
             "relations": self.states,
             "expressions": self.expressions,
             "fields": {line.field: line.record() for line in self.fields},
@@ -112,6 +115,7 @@ def object_card(frame: EffectiveFrame, number: int) -> ObjectCard:
     row = needed(frame.object(number), f"frame {frame.frame} has no object {number}")
     box, viewer = labelled_box(row), viewer_of(frame)
     created = number not in frame.auto.objects
+    own = box is not None and frame.origin(object_ref(frame.frame, number, "box")).source != "human"
     return ObjectCard(
         frame.frame,
         number,
@@ -126,6 +130,7 @@ def object_card(frame: EffectiveFrame, number: int) -> ObjectCard:
         int(row["points"] or 0),
         row["distance"],
         None if box is None or viewer is None else box_numbers(box, viewer),
+        BOX_FITS[row["estimator"]] if own else "",
         _states(frame, number),
         sum(number == e["reference_object"] or number in e["acceptable"] for e in frame.expressions.values()),
         tuple(_line(frame, number, name) for name in FIELDS),

@@ -314,7 +314,7 @@ def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | No
         path=path,
     )
     with as_input_error("the run's manifest cannot be read", KeyError, TypeError, ValueError, got=str, path=path):
-        spec = _read_spec(manifest["spec"], folder)
+        spec = _read_spec(manifest["spec"], folder, manifest.get("config"))
     if dataset is not None:
         if is_url(dataset):
             local_path(dataset)  # So that it was named by a person.
@@ -324,17 +324,18 @@ def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | No
     return Run(folder, manifest["name"], manifest, spec)
 
 
-def _read_spec(record: Mapping[str, Any], folder: Path) -> EvalSpec:
+def _read_spec(record: Mapping[str, Any], folder: Path, used: Any) -> EvalSpec:
     options = with_files(record["options"], lambda path: _resolved_model(str(path), folder))
     options |= {
         n: tuple(options[n])
         for n in ("intrinsics", "registration", "segmenter_model")
         if isinstance(options.get(n), list)
     }
-    if record["config"] is not None:
-        wrong, inside = "the run's manifest cannot be read, at {}", ("spec", "config")
-        check = TypeAdapter(AskConfig).validate_python
-        options["config"] = checked(check, record["config"], wrong, folder / RUN_FILE, inside=inside)
+    # Defaults change between releases: a run that named no settings was made with those in `used`.
+    named = record["config"] is not None
+    wrong, inside = "the run's manifest cannot be read, at {}", ("spec", "config") if named else ("config",)
+    check = TypeAdapter(AskConfig).validate_python
+    options["config"] = checked(check, record["config"] if named else used, wrong, folder / RUN_FILE, inside=inside)
     dataset = str(record["dataset"])
     return EvalSpec(
         dataset if dataset == DEMO_NAME else resolved_path(dataset, folder),

@@ -100,6 +100,15 @@ def _model(name: str, fingerprint: str) -> Model:
     return Model(name, fingerprint.removeprefix(f"{name}:") or None)
 
 
+BOX_FITS = {
+    "upright": "upright, sides along the outline",
+    "gravity": "upright, turned by PCA (the fit before 0.2)",
+    "pca": "turned freely by PCA (the paper's)",
+    "pca-raw": "turned freely by PCA, axes in its order",
+}
+"""Fits of 3D boxes (`estimator` of an object, `lift.box` of settings) in words."""
+
+
 @dataclass(frozen=True)
 class Decided:
     """How much of labels people decided: set, accepted or rejected it."""
@@ -129,6 +138,8 @@ class Makers:
     """Whether people's corrections are in the labels."""
     decided: Decided | None = None
     """What people decided; None where nothing, or where it was not counted."""
+    fit: str = "unknown fit"
+    """That of the boxes, in words."""
 
     @property
     def annotated(self) -> bool:
@@ -149,7 +160,7 @@ class Makers:
             people = ", ".join(f"{n} of {of} {what}" for what, (n, of) in asdict(self.decided).items())
         return {
             "masks": masks,
-            "boxes": f"lifted from these masks and the depth, settings {self.boxes}",
+            "boxes": f"{self.fit}, lifted from these masks and the depth, settings {self.boxes}",
             "relations": f"rule {self.rule or 'unknown'} ({(self.rule_hash or '')[:SHOWN_HASH]}), {opinion}",
             "decided by people": people,
         }
@@ -184,4 +195,5 @@ def makers_of(manifest: Manifest) -> Makers:
         None if name is None else str(name),
         made is not None,
         None if counted is None else Decided(**{k: (int(n), int(of)) for k, (n, of) in counted.items()}),
+        BOX_FITS.get(str((lift or {}).get("box")), Makers.fit),
     )

@@ -266,7 +266,10 @@ def object_html(card: ObjectCard, name: str, color: RGB) -> Element:
             ),
         ),
         concern=note(f"Not asked for: {card.concern}", DOUBT) if card.concern else None,
-        box=h.div(_box_rows(card.numbers, box_command(card.frame, card.number), LENGTH_DIGITS, _FITS)),
+        box=h.div(
+            _box_rows(card.numbers, box_command(card.frame, card.number), LENGTH_DIGITS, _FITS),
+            h.div(f"Fitted {card.fit}.", cls="dim") if card.fit else None,
+        ),
         sources=(heading("Where it comes from"), (_from(line, card) for line in card.fields)),
     )
 
