@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -14,6 +15,13 @@ CORNER_SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-
 
 EDGES = np.array([(0, 1), (2, 3), (4, 5), (6, 7), (0, 2), (1, 3), (4, 6), (5, 7), (0, 4), (1, 5), (2, 6), (3, 7)])
 """The 12 edges of a box as pairs of corner numbers."""
+
+Side = Literal["left", "right", "top", "bottom", "near", "far"]
+SIDES: tuple[Side, ...] = ("left", "right", "top", "bottom", "near", "far")
+"""Sides of a box by its axes where those are near (right, down, forward): at -x, +x, -y, +y, -z, +z."""
+
+OPEN_GAP = 0.6
+"""Share of an edge of an open side that is not drawn."""
 
 CUBE = (CORNER_SIGNS / 2).astype(np.float32)
 CUBE_FACES = np.array(
@@ -56,7 +64,7 @@ class Box3D:
         require(
             center.shape == (3,) and R.shape == (3, 3) and size.shape == (3,),
             "a 3D box needs center (3,), R (3, 3), size (3,)",
-            got=f"{center.shape}, {R.shape}, {size.shape}",
+            got=lambda: f"{center.shape}, {R.shape}, {size.shape}",
         )
         # A sum is finite where all of it is; thousands of boxes are made a second.
         require(
@@ -64,7 +72,7 @@ class Box3D:
             "a 3D box must be finite",
             got=lambda: f"center {center}, size {size}",
         )
-        require(size.min() >= 0, "a 3D box must have sizes of at least 0", got=size.tolist())
+        require(size.min() >= 0, "a 3D box must have sizes of at least 0", got=size.tolist)
         require(_is_rotation(R), "R of a 3D box is not a rotation", got=lambda: f"det {np.linalg.det(R):.3f}")
         object.__setattr__(self, "center", center)
         object.__setattr__(self, "R", R)
@@ -98,10 +106,26 @@ class Box3D:
         return np.ptp(self.corners, axis=0) / 2
 
 
-def edge_lines(boxes: Iterable[Box3D], growth: float = 0.0) -> np.ndarray:
-    """Edges of boxes, (N, 2, 3) float32, twelve each; every box is first grown by `growth` metres."""
-    grown = [Box3D(b.center, b.R, b.size + growth).corners[EDGES] for b in boxes]
-    return np.concatenate([np.zeros((0, 2, 3)), *grown]).astype(np.float32)
+def drawn_edges(box: Box3D, open_sides: Sequence[Side] | None = None) -> np.ndarray:
+    """Edges of a box to draw, (N, 2, 3) float64: twelve, those of open sides with a gap in their middle."""
+    ends = box.corners[EDGES]
+    signs = CORNER_SIGNS[EDGES]
+    # An edge is of a side where both its corners are.
+    of_side = [(signs[:, :, k // 2] == (-1, 1)[k % 2]).all(axis=1) for k in map(SIDES.index, open_sides or ())]
+    cut = np.any([np.zeros(len(EDGES), np.bool_), *of_side], axis=0)
+    start, end = ends[cut, 0], ends[cut, 1]
+    step = (end - start) * (1 - OPEN_GAP) / 2
+    pieces = np.stack([start, start + step], axis=1), np.stack([end - step, end], axis=1)
+    return np.concatenate([ends[~cut], *pieces])
+
+
+def edge_lines(
+    boxes: Iterable[Box3D], growth: float = 0.0, open_sides: Iterable[Sequence[Side] | None] | None = None
+) -> np.ndarray:
+    """Edges of boxes, (N, 2, 3) float32, as `drawn_edges`; every box is first grown by `growth` metres."""
+    grown = (Box3D(b.center, b.R, b.size + growth) for b in boxes)
+    drawn = map(drawn_edges, grown) if open_sides is None else map(drawn_edges, grown, open_sides)
+    return np.concatenate([np.zeros((0, 2, 3)), *drawn]).astype(np.float32)
 
 
 def boxes_on_ray(boxes: Mapping[int, Box3D], origin: np.ndarray, direction: np.ndarray) -> list[int]:

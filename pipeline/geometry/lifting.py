@@ -6,6 +6,7 @@ that evidence is kept with the object. Nothing is random.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -14,16 +15,17 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.boxes import Box3D, Side
 from pipeline.geometry.camera import Camera, lift_pixels
-from pipeline.geometry.fitting import extents_of, gravity_box, pca_box, upright_box
+from pipeline.geometry.fitting import extents_of, gravity_box, median, pca_box, upright_box
+from pipeline.geometry.open_sides import open_sides
 from pipeline.geometry.surface import plane_depth, surface_step
 from pipeline.geometry.viewer import ViewerAxes
 
 BoxMode = Literal["upright", "gravity", "pca", "pca-raw"]
 """upright: sides along the outline in plan, the eroded rim given back, what hides behind it allowed for. gravity:
-upright, yaw by PCA in plan, 1st to 99th percentile: that of all labels before 0.2. pca: the paper's PCA box, canonicalised
-in the level camera frame. pca-raw: the same with the axes as PCA gives them."""
+upright, yaw by PCA in plan, 1st to 99th percentile: that of all labels before 0.2. pca: the paper's PCA box,
+canonicalised in the level camera frame. pca-raw: the same with the axes as PCA gives them."""
 
 MaskSource = Literal["annotation", "detector", "box3d", "segmenter", "box", "human"]
 """Whose pixels they are: the dataset's mask, the detector's, those inside the
@@ -43,6 +45,15 @@ class Pixel(IntEnum):
     SMALL_PART = 6
 
 
+MAD_TO_DEVIATION = 1.4826
+"""Standard deviation of a normal distribution of median absolute deviation 1."""
+SQUARE = np.ones((3, 3), np.uint8)
+DECIDED = np.zeros(256, np.uint8)
+DECIDED[:5] = Pixel.KEPT, Pixel.MASK_BORDER, Pixel.DEPTH_EDGE, Pixel.OUT_OF_RANGE, Pixel.NO_DEPTH
+"""Outcomes of a pixel in rising precedence; OUTSIDE last."""
+OUTCOMES = tuple(p.name.lower() for p in Pixel if p is not Pixel.OUTSIDE)
+
+
 @dataclass(frozen=True)
 class LiftConfig:
     """Cleaning thresholds; the defaults are the measured choice."""
@@ -59,10 +70,8 @@ class LiftConfig:
     min_pixels: int = 30  # With fewer pixels left, the raw mask is used instead
     max_points: int = 8000  # Points are thinned evenly to this number
     box: BoxMode = "upright"
-    smooth: int = (
-        3  # Radius, in pixels at an image width of 640, of the planes that smooth depth before a box is fitted
-    )
-    fit_pixels: int = 1500  # Pixels of a larger object are thinned evenly to about this number before that
+    smooth: int = 3  # Radius of the planes that smooth the points of upright boxes, pixels at an image width of 640
+    fit_pixels: int = 1000  # Those points are thinned evenly to about this number
 
 
 @dataclass(frozen=True)
@@ -75,8 +84,7 @@ class PixelEvidence:
 
     def counts(self) -> dict[str, int]:
         """Pixels by outcome, for example {"kept": 812, "depth_edge": 90}."""
-        number = np.bincount(self.codes.ravel(), minlength=len(Pixel))
-        return {p.name.lower(): int(number[p]) for p in Pixel if p is not Pixel.OUTSIDE}
+        return {name: np.count_nonzero(self.codes == code) for code, name in enumerate(OUTCOMES, 1)}
 
     def full(self, height: int, width: int) -> np.ndarray:
         """Codes in an image, (H, W) uint8."""
@@ -126,6 +134,13 @@ class LiftedObject:
     hi: np.ndarray  # (3,) float64
     evidence: PixelEvidence | None
     quality: Quality
+    # Sides that the view does not bound (`open_sides`), of boxes as `upright_box` fits them; None: not known of others
+    open_sides: tuple[Side, ...] | None = None
+
+    @property
+    def goes_on(self) -> str:
+        """Open sides in words, empty without any: "may go on: right, far"."""
+        return f"may go on: {', '.join(self.open_sides)}" if self.open_sides else ""
 
     def __repr__(self) -> str:
         return f"<LiftedObject {len(self.points)} points, {self.box or 'no box'}>"
@@ -134,12 +149,12 @@ class LiftedObject:
         """Object after an edit of the box: the points move by the same affine map."""
         if self.box is None or not len(self.points):
             lo, hi = extents(np.empty((0, 3)), box, viewer)
-            return replace(self, box=box, lo=lo, hi=hi)
+            return replace(self, box=box, lo=lo, hi=hi, open_sides=None)
         scale = box.size / np.maximum(self.box.size, 1e-6)
         local = (self.points - self.box.center) @ self.box.R * scale
         points = (local @ box.R.T + box.center).astype(np.float32)
         lo, hi = extents(points, box, viewer)
-        return replace(self, points=points, box=box, lo=lo, hi=hi)
+        return replace(self, points=points, box=box, lo=lo, hi=hi, open_sides=None)
 
 
 def extents(points: np.ndarray, box: Box3D | None, viewer: ViewerAxes) -> tuple[np.ndarray, np.ndarray]:
@@ -158,11 +173,12 @@ def extents(points: np.ndarray, box: Box3D | None, viewer: ViewerAxes) -> tuple[
 def depth_edges(depth: np.ndarray, config: LiftConfig | None = None) -> np.ndarray:
     """Mask of pixels with a depth step in the 3x3 neighbourhood, (H, W) bool. Pixels without depth take no part."""
     config = config or LiftConfig()
-    kernel = np.ones((3, 3), np.uint8)
-    missing = depth <= 0
-    highest = cv2.dilate(depth, kernel)
-    lowest = cv2.erode(np.where(missing, np.float32(np.inf), depth), kernel)
-    return highest - lowest > np.maximum(np.float32(config.edge), np.float32(config.edge_relative) * depth)
+    span = cv2.dilate(depth, SQUARE)
+    # One array for all that follows: fresh ones cost more than the work.
+    own = np.where(depth > 0, depth, np.float32(np.inf))
+    span -= cv2.erode(own, SQUARE, dst=own)
+    np.multiply(depth, np.float32(config.edge_relative), out=own)
+    return span > np.maximum(own, np.float32(config.edge), out=own)
 
 
 def flying_pixels(depth: np.ndarray, neighbours: int = 3) -> np.ndarray:
@@ -199,23 +215,23 @@ def clean(
     z = depth[y0:y1, x0:x1]
     in_range = (z > config.near) & (z < config.far)
 
-    codes = np.full(inside.shape, Pixel.KEPT, np.uint8)
-    codes[~_eroded(inside, width, config)] = Pixel.MASK_BORDER
-    codes[edges[y0:y1, x0:x1]] = Pixel.DEPTH_EDGE
-    codes[~in_range] = Pixel.OUT_OF_RANGE
-    codes[z <= 0] = Pixel.NO_DEPTH
-    codes[~inside] = Pixel.OUTSIDE
+    # The last outcome that applies, as a rank in DECIDED: arithmetic on bytes is faster than writing where it applies.
+    reasons = (~_eroded(inside, width, config), edges[y0:y1, x0:x1], ~in_range, z <= 0, ~inside)
+    rank = np.zeros(inside.shape, np.uint8)
+    for k, reason in enumerate(reasons, 1):
+        np.maximum(rank, reason.view(np.uint8) * np.uint8(k), out=rank)
+    codes = cv2.LUT(rank, DECIDED)
 
     kept = (codes == Pixel.KEPT).view(np.uint8)
-    count, part, stats, _ = cv2.connectedComponentsWithStats(kept, connectivity=4)
+    count, part = cv2.connectedComponents(kept, connectivity=4)
     if count > 2:
-        area = stats[:, cv2.CC_STAT_AREA].copy()
+        area = np.bincount(part.ravel(), minlength=count)
         area[0] = 0
         small = area < config.part * area.max()
         small[0] = False
         codes[small[part]] = Pixel.SMALL_PART
 
-    fallback = int((codes == Pixel.KEPT).sum()) < config.min_pixels
+    fallback = np.count_nonzero(codes == Pixel.KEPT) < config.min_pixels
     if fallback:
         codes[inside & in_range] = Pixel.KEPT
     return PixelEvidence(codes, x0, y0), fallback
@@ -223,11 +239,11 @@ def clean(
 
 def _eroded(inside: np.ndarray, width: int, config: LiftConfig) -> np.ndarray:
     steps = round(config.erode * width / 640)
-    floor = config.erode_keep * inside.sum()
+    floor = config.erode_keep * np.count_nonzero(inside)
     current = inside.view(np.uint8)
     for _ in range(steps):
-        smaller = cv2.erode(current, np.ones((3, 3), np.uint8))
-        if smaller.sum() < floor:
+        smaller = cv2.erode(current, SQUARE)
+        if np.count_nonzero(smaller) < floor:
             break
         current = smaller
     return current.view(np.bool_)
@@ -276,7 +292,7 @@ def lift(
     >>> depth, mask = np.full((480, 640), 2, np.float32), np.zeros((480, 640), bool)
     >>> mask[200:280, 300:400] = True
     >>> lift(depth, Camera(intrinsics(500, 500, 320, 240), 640, 480), [mask], viewer_axes(IMAGE_UP))
-    (<LiftedObject 7296 points, <Box3D center 0.118 -0.002 2.000, size 0.380 0.300 0.000 m>>,)
+    (<LiftedObject 7296 points, <Box3D center 0.117 -0.002 2.093, size 0.400 0.328 0.200 m>>,)
     """
     camera.check_metric()
     config = config or LiftConfig()
@@ -300,16 +316,16 @@ def _lift_one(
     thin: bool,
 ) -> LiftedObject:
     evidence, fallback = clean(mask, depth, edges, config)
-    v, u = np.nonzero(evidence.codes == Pixel.KEPT)
-    kept = len(v)
+    places = np.flatnonzero(evidence.codes == Pixel.KEPT)
+    kept = len(places)
     if kept > config.max_points:
-        even = np.linspace(0, kept - 1, config.max_points).astype(np.int64)
-        v, u = v[even], u[even]
+        places = places[np.linspace(0, kept - 1, config.max_points).astype(np.int64)]
+    v, u = np.divmod(places, evidence.codes.shape[1])
     v, u = v + evidence.y0, u + evidence.x0
     points = lift_pixels(depth[v, u], camera, v, u)
 
     counts = evidence.counts()
-    area = int(sum(counts.values()))
+    area = sum(counts.values())
     codes = evidence.codes
     h, w = codes.shape
     border = bool(
@@ -324,42 +340,51 @@ def _lift_one(
         kept=kept / max(area, 1),
         depth_missing=(counts["no_depth"] + counts["out_of_range"]) / max(area, 1),
         touches_border=border,
-        distance=float(np.median(points[:, 2])) if kept else float("nan"),
+        distance=median(points[:, 2]) if kept else float("nan"),
         fallback=fallback,
         mask_source=mask_source,
     )
-    box, confidence = None, 0.0
+    box, confidence, unbounded = None, 0.0, None
     if boxes and kept and config.box == "upright":
-        smooth, noise = _smooth_points(depth, evidence, camera, config)
-        margin = 0 if fallback else (config.erode * depth.shape[1] / 640 + 0.5) * quality.distance / camera.fx
-        box, confidence = upright_box(smooth, viewer, margin=margin, noise=noise, thin=thin)
+        box, confidence = _fit_upright(depth, evidence, camera, viewer, config, quality, thin)
+        unbounded = open_sides(box, codes, evidence.x0, evidence.y0, depth, camera)
     elif boxes:
         box, confidence = fit_box(points, viewer, config.box)
-    return LiftedObject(points, box, confidence, *extents(points, box, viewer), evidence, quality)
+    return LiftedObject(points, box, confidence, *extents(points, box, viewer), evidence, quality, unbounded)
 
 
-def _smooth_points(
-    depth: np.ndarray, evidence: PixelEvidence, camera: Camera, config: LiftConfig
-) -> tuple[np.ndarray, float]:
-    """Kept points, (N, 3), camera frame, without the sensor's noise, which lengthens boxes; and its deviation, metres.
-
-    Fallbacks and sparse masks come through the same way: with too few neighbours a point stays as it is.
-    """
+def _fit_upright(
+    depth: np.ndarray,
+    evidence: PixelEvidence,
+    camera: Camera,
+    viewer: ViewerAxes,
+    config: LiftConfig,
+    quality: Quality,
+    thin: bool,
+) -> tuple[Box3D, float]:
+    """Upright box of the kept pixels, by points without the sensor's noise, which lengthens boxes; yaw confidence."""
     kept = evidence.codes == Pixel.KEPT
-    step = max(1, round(np.sqrt(np.count_nonzero(kept) / config.fit_pixels)))
-    thin = kept[::step, ::step]
-    if not thin.any():
-        thin, step = kept, 1
-    v0, u0 = evidence.y0 + np.arange(thin.shape[0]) * step, evidence.x0 + np.arange(thin.shape[1]) * step
-    x, y = (u0 - camera.cx) / camera.fx, (v0 - camera.cy) / camera.fy
-    h, w = evidence.codes.shape
+    h, w = kept.shape
+    step = max(1, round(math.sqrt(np.count_nonzero(kept) / config.fit_pixels)))
+    if not kept[::step, ::step].any():
+        step = 1
+    kept = np.ascontiguousarray(kept[::step, ::step])
     sensed = depth[evidence.y0 : evidence.y0 + h : step, evidence.x0 : evidence.x0 + w : step]
-    flat = plane_depth(sensed, thin, x, y, max(1, round(config.smooth * depth.shape[1] / 640)))
-    v, u = np.nonzero(thin)
+    x = (np.arange(evidence.x0, evidence.x0 + w, step) - camera.cx) / camera.fx
+    y = (np.arange(evidence.y0, evidence.y0 + h, step) - camera.cy) / camera.fy
+    flat = plane_depth(sensed, kept, x, y, max(1, round(config.smooth * depth.shape[1] / 640)))
+    v, u = np.divmod(np.flatnonzero(kept), kept.shape[1])
     z = flat[v, u]
     off = np.abs(sensed[v, u] - z)
-    noise = 1.4826 * float(np.partition(off, len(off) // 2)[len(off) // 2])
-    return np.stack([x[u] * z, y[v] * z, z], axis=1), noise
+    # What erosion and thinning leave out beyond the outermost points' centres.
+    rim = (0.0 if quality.fallback else config.erode * depth.shape[1] / 640 + 0.5) + (step - 1) / 2
+    return upright_box(
+        np.array([x[u] * z, y[v] * z, z]).T,
+        viewer,
+        margin=rim * quality.distance / camera.fx,
+        noise=MAD_TO_DEVIATION * median(off),
+        thin=thin,
+    )
 
 
 def fit_box(points: np.ndarray, viewer: ViewerAxes, mode: BoxMode = "gravity") -> tuple[Box3D | None, float]:

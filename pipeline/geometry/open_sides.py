@@ -1,55 +1,81 @@
-"""Sides of a 3D box that a view does not bound: cut by the picture, hidden by something nearer, or turned away."""
+"""Sides of a 3D box that a view does not bound: cut by the picture, hidden by something nearer, or not seen at all."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
 
-from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.camera import Camera, lift_pixels
-from pipeline.geometry.surface import surface_step
+from pipeline.geometry.boxes import SIDES, Box3D, Side
+from pipeline.geometry.camera import Camera
 
-SIDES = ("left", "right", "top", "bottom", "near", "far")
-"""Of a box with axes near (right, down, forward): its faces at -x, +x, -y, +y, -z and +z."""
-RIM = 0.15
-"""Share of the box's length beside a face, in which the outline tells of that face."""
-REACH = 2
-"""Pixels around the outline in which something nearer hides what goes on behind it."""
+BESIDE = 0.15
+"""Share of a box's length within which the outline lies beside a side."""
+TOWARDS = 0.5
+"""Cosine in the picture above which the outline faces a side."""
+ALONG = 0.3
+"""Cosine above which a surface runs on towards a side: a front that the picture cuts below goes on down, not near."""
+NEARER = 0.05
+"""Metres, and share of the distance, by which something nearer hides what is behind."""
+STEPS = np.array([[0.0], [-3.0], [-6.0], [3.0]])
+"""Pixels outwards from the outline, at an image width of 640: twice the object's surface, then what may hide it."""
+OUTLINE = 60
+"""The outline is thinned evenly to less than twice this number of pixels."""
+TURN = 3
+"""Pixels along the outline, both ways, that tell its direction."""
 
 
-def open_sides(
-    box: Box3D, mask: np.ndarray, depth: np.ndarray, camera: Camera, hidden: np.ndarray | None = None
-) -> np.ndarray:
-    """Sides where the object may go on beyond its box, (6,) bool, in the order of SIDES.
+def open_sides(box: Box3D, codes: np.ndarray, x0: int, y0: int, depth: np.ndarray, camera: Camera) -> tuple[Side, ...]:
+    """Sides of SIDES where an object may go on beyond its box.
+
+    A side is open where at least half of the outline that lies beside it and faces it is at the picture's border, or
+    next to something nearer, while the object's surface runs on towards the side. The far side is open too where no
+    outline lies beside it: the fit put it there unseen. From above, the far edge of a table's top bounds it.
 
     Parameters
     ----------
-    mask : (H, W) bool
+    box : Box3D
+        Camera frame; its axes are near the viewer's (right, down, forward).
+    codes : (h, w) uint8
+        A rectangle around the object's pixels, 0 outside of them.
+    x0, y0 : int
+        Upper left corner of that rectangle, pixels.
     depth : (H, W) float32
-        Metres.
-    hidden : (6,) bool, optional
-        Sides that are known to be open: those that the fit moved out.
-
-    A side is open where at least half of the outline beside it is at the picture's border, or next to something nearer
-    by more than a step of a surface (`normals.surface_step`).
+        Metres, 0 where missing.
     """
-    found = np.zeros(6, np.bool_) if hidden is None else hidden.copy()
-    x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
-    x0, y0 = max(x - REACH, 0), max(y - REACH, 0)
-    inside = mask[y0 : y + h + REACH, x0 : x + w + REACH]
-    z = depth[y0 : y + h + REACH, x0 : x + w + REACH]
-    v, u = np.nonzero(inside & (cv2.erode(inside.view(np.uint8), _CROSS) == 0) & (z > 0))
-    if not len(v):
-        return found
-    around = np.where(inside | (z <= 0), np.float32(np.inf), z)
-    nearest = cv2.erode(around, np.ones((2 * REACH + 1, 2 * REACH + 1), np.uint8))[v, u]
-    goes_on = nearest < z[v, u] - surface_step(z[v, u])
-    goes_on |= (v + y0 == 0) | (u + x0 == 0) | (v + y0 == mask.shape[0] - 1) | (u + x0 == mask.shape[1] - 1)
-    along = (lift_pixels(z[v, u], camera, v + y0, u + x0) - box.center) @ box.R / np.maximum(box.size, 1e-6)
-    for axis in range(3):
-        for side, beside in ((0, along[:, axis] < RIM - 0.5), (1, along[:, axis] > 0.5 - RIM)):
-            found[2 * axis + side] |= bool(beside.any() and goes_on[beside].mean() >= 0.5)
-    return found
+    contours, _ = cv2.findContours(codes, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE, offset=(x0, y0))
+    # Pixels and directions in the picture are complex numbers u + iv.
+    parts = [part[:, 0] @ _COMPLEX for part in contours if len(part) > 2 * TURN]
+    if not parts:
+        return ("far",)
+    thin = max(1, sum(map(len, parts)) // OUTLINE)
+    outline = np.concatenate([part[TURN:-TURN:thin] for part in parts])
+    along = np.concatenate([part[2 * TURN :: thin] - part[: -2 * TURN : thin] for part in parts])
+    outwards = 1j * along / np.maximum(np.abs(along), 1)
+    height, width = depth.shape
+    at = outline + STEPS * (width / 640) * outwards
+    u, v = np.rint(at.real), np.rint(at.imag)
+    inside_u, inside_v = np.minimum(np.maximum(u, 0), width - 1), np.minimum(np.maximum(v, 0), height - 1)
+    _, z, deeper, beyond = depth[inside_v.astype(np.intp), inside_u.astype(np.intp)]
+    goes_on = (beyond > 0) & (beyond < z - np.maximum(NEARER, NEARER * z))
+    goes_on |= (inside_u[3] != u[3]) | (inside_v[3] != v[3])
+
+    x, y = (at.real - camera.cx) / camera.fx, (at.imag - camera.cy) / camera.fy
+    surface = np.array([[x[0] * z, y[0] * z, z], [x[2] * deeper, y[2] * deeper, deeper]])
+    end, inner = box.R.T @ surface
+    place = (end - (box.center @ box.R)[:, None]) / np.maximum(box.size, 1e-6)[:, None]
+    side = np.sign(place)
+    towards = (_COMPLEX @ box.R[:2])[:, None] - box.R[2][:, None] * (x[0] + 1j * y[0])
+    facing = (towards * outwards.conj()).real * side > TOWARDS * np.abs(towards)
+    run = end - inner
+    runs_on = (run * side > ALONG * np.sqrt((run * run).sum(axis=0))) | (deeper <= 0)
+    beside = facing & (np.abs(place) > 0.5 - BESIDE) & (z > 0)
+    number = _LOWER + (place > 0)
+    seen = np.bincount(number[beside], minlength=6)
+    found = np.bincount(number[beside & goes_on & runs_on], minlength=6)
+    is_open = (2 * found >= seen) & (seen > 0)
+    is_open[5] |= seen[5] == 0
+    return tuple(side for side, is_open in zip(SIDES, is_open.tolist(), strict=True) if is_open)
 
 
-_CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
+_COMPLEX = np.array([1, 1j])
+_LOWER = np.array([[0], [2], [4]])

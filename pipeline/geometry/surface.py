@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
@@ -65,7 +66,8 @@ def surface_normals(
     x = (np.arange(depth.shape[1]) - camera.cx) / camera.fx
     y = (np.arange(depth.shape[0]) - camera.cy) / camera.fy
     side = 2 * radius + 1
-    count, plane, explained = _planes(depth, has, x, y, side)
+    count, *plane, explained = _planes(depth, has, x, y, side, np.float64)
+    plane = np.stack(plane, axis=-1)
     inverse = np.divide(1.0, depth, out=np.zeros(depth.shape, np.float64), where=has)
     spread = _sum(inverse * inverse, side) / np.maximum(count, 1)
     residual = np.sqrt(np.maximum(spread - explained, 0.0))
@@ -95,33 +97,42 @@ def plane_depth(depth: np.ndarray, has: np.ndarray, x: np.ndarray, y: np.ndarray
     (H, W) float32
         The depth itself where the window holds fewer than MIN_PIXELS pixels, and where `has` is False.
     """
-    count, plane, _ = _planes(depth, has, x, y, 2 * radius + 1)
-    inverse = plane[..., 0] * x + plane[..., 1] * y[:, None] + plane[..., 2]
+    # About the middle, where single precision suffices.
+    x, y = x - x.mean(), y - y.mean()
+    count, a, b, c, _ = _planes(depth, has, x, y, 2 * radius + 1, np.float32)
+    inverse = a * x.astype(np.float32) + b * y.astype(np.float32)[:, None] + c
     fitted = has & (count >= MIN_PIXELS) & (inverse > 0)
-    return np.where(fitted, 1 / np.where(fitted, inverse, 1), depth).astype(np.float32)
+    return np.divide(1, inverse, out=depth.copy(), where=fitted)
 
 
 def _planes(
-    depth: np.ndarray, has: np.ndarray, x: np.ndarray, y: np.ndarray, side: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Planes (a, b, c) of 1/z = a x + b y + c around each pixel: pixels used, planes (H, W, 3), mean square explained.
+    depth: np.ndarray, has: np.ndarray, x: np.ndarray, y: np.ndarray, side: int, dtype: type[np.floating[Any]]
+) -> tuple[np.ndarray, ...]:
+    """Planes 1/z = a x + b y + c around each pixel: pixels used, a, b, c, and mean square explained, each (H, W).
 
     With x = X/Z and y = Y/Z that is the plane a X + b Y + c Z = 1.
     """
-    count = _sum(has.astype(np.float64), side)
-    safe = np.maximum(count, 1)
-    inverse = np.divide(1.0, depth, out=np.zeros(depth.shape, np.float64), where=has)
-    xs, ys = np.where(has, x, 0.0), np.where(has, y[:, None], 0.0)
-    mx, my, mq = (_sum(a, side) / safe for a in (xs, ys, inverse))
-    xx = _sum(xs * xs, side) / safe - mx * mx
-    yy = _sum(ys * ys, side) / safe - my * my
-    xy = _sum(xs * ys, side) / safe - mx * my
-    qx = _sum(inverse * xs, side) / safe - mq * mx
-    qy = _sum(inverse * ys, side) / safe - mq * my
-    determinant = np.maximum(xx * yy - xy * xy, 1e-18)
-    a = (qx * yy - qy * xy) / determinant
-    b = (qy * xx - qx * xy) / determinant
-    return count, np.stack([a, b, mq - a * mx - b * my], axis=-1), mq * mq + a * qx + b * qy
+    height, width = depth.shape
+    # One filter for all: images one above the other, apart by more than its reach.
+    apart = np.zeros((9, height + side // 2, width), dtype)
+    images = apart[:, :height]
+    images[0] = has
+    np.multiply(has, x, out=images[1])
+    np.multiply(has, y[:, None], out=images[2])
+    np.divide(1.0, depth, out=images[3], where=has)
+    np.multiply(images[1], images[1:4], out=images[4:7])
+    np.multiply(images[2], images[2:4], out=images[7:9])
+    sums = _sum(apart.reshape(-1, width), side).reshape(apart.shape)[:, :height]
+    mx, my, mq, xx, xy, xq, yy, yq = sums[1:] / np.maximum(sums[0], 1)
+    xx -= mx * mx
+    xy -= mx * my
+    xq -= mx * mq
+    yy -= my * my
+    yq -= my * mq
+    determinant = np.maximum(xx * yy - xy * xy, dtype(1e-18))
+    a = (xq * yy - yq * xy) / determinant
+    b = (yq * xx - xq * xy) / determinant
+    return sums[0], a, b, mq - a * mx - b * my, mq * mq + a * xq + b * yq
 
 
 def _sum(values: np.ndarray, side: int) -> np.ndarray:
