@@ -81,10 +81,11 @@ class PixelEvidence:
     codes: np.ndarray  # (h, w) uint8, a `Pixel` value for each pixel of the mask's bounding rectangle
     x0: int  # Upper left corner of that rectangle in the image, pixels
     y0: int
+    eroded: int = 0  # Pixels that erosion took from the mask's rim
 
     def counts(self) -> dict[str, int]:
         """Pixels by outcome, for example {"kept": 812, "depth_edge": 90}."""
-        return {name: np.count_nonzero(self.codes == code) for code, name in enumerate(OUTCOMES, 1)}
+        return {name: int(np.count_nonzero(self.codes == code)) for code, name in enumerate(OUTCOMES, 1)}
 
     def full(self, height: int, width: int) -> np.ndarray:
         """Codes in an image, (H, W) uint8."""
@@ -216,7 +217,8 @@ def clean(
     in_range = (z > config.near) & (z < config.far)
 
     # The last outcome that applies, as a rank in DECIDED: arithmetic on bytes is faster than writing where it applies.
-    reasons = (~_eroded(inside, width, config), edges[y0:y1, x0:x1], ~in_range, z <= 0, ~inside)
+    solid, eroded = _eroded(inside, width, config)
+    reasons = (~solid, edges[y0:y1, x0:x1], ~in_range, z <= 0, ~inside)
     rank = np.zeros(inside.shape, np.uint8)
     for k, reason in enumerate(reasons, 1):
         np.maximum(rank, reason.view(np.uint8) * np.uint8(k), out=rank)
@@ -231,22 +233,21 @@ def clean(
         small[0] = False
         codes[small[part]] = Pixel.SMALL_PART
 
-    fallback = np.count_nonzero(codes == Pixel.KEPT) < config.min_pixels
+    fallback = bool(np.count_nonzero(codes == Pixel.KEPT) < config.min_pixels)
     if fallback:
         codes[inside & in_range] = Pixel.KEPT
-    return PixelEvidence(codes, x0, y0), fallback
+    return PixelEvidence(codes, x0, y0, 0 if fallback else eroded), fallback
 
 
-def _eroded(inside: np.ndarray, width: int, config: LiftConfig) -> np.ndarray:
-    steps = round(config.erode * width / 640)
+def _eroded(inside: np.ndarray, width: int, config: LiftConfig) -> tuple[np.ndarray, int]:
     floor = config.erode_keep * np.count_nonzero(inside)
-    current = inside.view(np.uint8)
-    for _ in range(steps):
+    current, steps = inside.view(np.uint8), 0
+    for _ in range(round(config.erode * width / 640)):
         smaller = cv2.erode(current, SQUARE)
         if np.count_nonzero(smaller) < floor:
             break
-        current = smaller
-    return current.view(np.bool_)
+        current, steps = smaller, steps + 1
+    return current.view(np.bool_), steps
 
 
 def lift(
@@ -377,7 +378,7 @@ def _fit_upright(
     z = flat[v, u]
     off = np.abs(sensed[v, u] - z)
     # What erosion and thinning leave out beyond the outermost points' centres.
-    rim = (0.0 if quality.fallback else config.erode * depth.shape[1] / 640 + 0.5) + (step - 1) / 2
+    rim = evidence.eroded + 0.5 + (step - 1) / 2
     return upright_box(
         np.array([x[u] * z, y[v] * z, z]).T,
         viewer,

@@ -15,6 +15,7 @@ from benchmarks.house_space import House, Placed
 from other_makers import MIN_PIXELS, Regime, Seen, seen_objects
 from scipy.special import ndtri
 
+from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera, intrinsics
 from pipeline.geometry.viewer import viewer_axes
 from pipeline.synthetic.raycast import EmbreeScene, pixel_rays, pose_of
@@ -230,8 +231,53 @@ def _rough(mask: np.ndarray, kind: int, rng: Rng) -> np.ndarray:
     return found if found.sum() >= MIN_PIXELS // 2 else mask
 
 
+@dataclass(frozen=True, eq=False)
+class SensedView:
+    """A view of one world as a sensor gives it."""
+
+    camera: Camera
+    depth: np.ndarray
+    """(H, W) float32, metres."""
+    masks: list[np.ndarray]
+    rough: bool
+    """Whether the masks are off by some pixels."""
+    things: list[Placed]
+    vertices: list[np.ndarray]
+    """(N, 3) each: of the things, in the world."""
+
+    @property
+    def names(self) -> list[str]:
+        return [found.thing.kind for found in self.things]
+
+    def boxes(self) -> list[Box3D]:
+        """Exact boxes, along the sides of the things' models, in the camera frame."""
+        R_camera_world, eye = pose_of(self.camera)[:3, :3].T, pose_of(self.camera)[:3, 3]
+        found = []
+        for placed in self.things:
+            lo, hi = placed.thing.mesh.bounds
+            cos, sin = np.cos(placed.yaw), np.sin(placed.yaw)
+            # Columns: the model's x, down, and y, a right-handed frame.
+            R = R_camera_world @ np.array([[cos, 0, -sin], [sin, 0, cos], [0, -1, 0]])
+            center = R_camera_world @ (placed.world(*((lo + hi) / 2)) - eye)
+            found.append(Box3D(center, R, (hi - lo)[[0, 2, 1]]))
+        return found
+
+
 def house_world(seed: int, regime: Regime, width: int = 480, height: int = 360) -> Seen | None:
     """What is seen of one world; None where no camera sees enough of any room."""
+    view = sensed_view(seed, regime, width, height)
+    if view is None:
+        return None
+    pose = pose_of(view.camera)
+    assert view.camera.up is not None
+    turn = pose[:3, :3] @ viewer_axes(view.camera.up).matrix.T
+    along = [(points - pose[:3, 3]) @ turn for points in view.vertices]
+    extents = [(points.min(axis=0), points.max(axis=0)) for points in along]
+    return seen_objects(view.depth, view.camera, view.masks, extents, view.names)
+
+
+def sensed_view(seed: int, regime: Regime, width: int = 480, height: int = 360) -> SensedView | None:
+    """A sensor's view of one world; None where no camera sees enough of any room. Half of them have exact masks."""
     rng = np.random.default_rng([seed, 4077, round(100 * regime.height[1])])
     for _ in range(ROOMS):
         house, upon = table_top(rng) if regime.close else (furnished(rng), [])
@@ -245,18 +291,10 @@ def house_world(seed: int, regime: Regime, width: int = 480, height: int = 360) 
         pixels = np.bincount(view.ids[view.ids >= 0], minlength=1)
         kept = rng.permutation(np.flatnonzero(pixels >= MIN_PIXELS))
         if FEWEST <= len(kept) <= MOST:
-            return _lifted(scene, view, camera, kept, rng)
+            depth = _sensed(scene, view, camera, rng)
+            masks, kind, rough = [view.ids == k for k in kept], int(rng.integers(3)), bool(rng.random() < 0.5)
+            if rough:
+                masks = [_rough(mask, kind, rng) for mask in masks]
+            things = [house.placed[k] for k in kept]
+            return SensedView(camera, depth, masks, rough, things, [scene.vertices[k] for k in kept])
     return None
-
-
-def _lifted(scene: _Scene, view: _View, camera: Camera, kept: np.ndarray, rng: Rng) -> Seen:
-    """Half of the worlds have exact masks."""
-    pose, depth = pose_of(camera), _sensed(scene, view, camera, rng)
-    assert camera.up is not None
-    turn = pose[:3, :3] @ viewer_axes(camera.up).matrix.T
-    along = [(scene.vertices[k] - pose[:3, 3]) @ turn for k in kept]
-    masks, kind = [view.ids == k for k in kept], int(rng.integers(3))
-    if rng.random() < 0.5:
-        masks = [_rough(mask, kind, rng) for mask in masks]
-    names = [scene.house.placed[k].thing.kind for k in kept]
-    return seen_objects(depth, camera, masks, [(points.min(axis=0), points.max(axis=0)) for points in along], names)
