@@ -59,6 +59,7 @@ def object_record(entry: SceneObject) -> Record:
             "touches_border": quality.touches_border,
             "distance": None if np.isnan(quality.distance) else round(quality.distance, 4),
             "yaw_confidence": round(entry.lifted.yaw_confidence, 4),
+            "open_sides": None if entry.lifted.open_sides is None else list(entry.lifted.open_sides),
             "mask_source": quality.mask_source,
             "concerns": list(quality.concerns),
         },

@@ -78,8 +78,9 @@ def _labelled(row: dict[str, Any], size: tuple[int, int]) -> SceneObject:
         row["mask_source"] or "box",
     )
     lo, hi = (np.full(3, np.nan) if row[k] is None else np.array(row[k], np.float64) for k in ("lo", "hi"))
+    sides = None if row["open_sides"] is None else tuple(row["open_sides"])
     lifted = LiftedObject(
-        np.empty((0, 3), np.float32), labelled_box(row), number("yaw_confidence", 0.0), lo, hi, None, quality
+        np.empty((0, 3), np.float32), labelled_box(row), number("yaw_confidence", 0.0), lo, hi, None, quality, sides
     )
     return SceneObject(row["object"], row["label"], number("score", 1.0), bbox, mask, lifted)
 

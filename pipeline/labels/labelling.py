@@ -205,6 +205,7 @@ def _object_row(
         "size": None if box is None else box.size.tolist(),
         "yaw_confidence": float(np.clip(lifted.yaw_confidence, 0, 1)),
         "estimator": config.lift.box,
+        "open_sides": None if lifted.open_sides is None else list(lifted.open_sides),
         "pca_center": None if pca is None else pca.center.tolist(),
         "pca_R": None if pca is None else pca.R.ravel().tolist(),
         "pca_size": None if pca is None else pca.size.tolist(),

@@ -66,7 +66,7 @@ def arrow_schema(table: str) -> pa.Schema:
             kind = typing.get_args(kind)[0]
         if typing.get_origin(kind) is list:
             (inner,) = typing.get_args(kind)
-            stored = pa.list_(pa.type_for_alias("int32" if inner is int else _STORED[inner]))
+            stored = pa.list_(pa.type_for_alias("int32" if inner is int else _STORED.get(inner, "string")))
         else:
             hint = info.json_schema_extra if isinstance(info.json_schema_extra, dict) else {}
             stored = pa.type_for_alias(str(hint.get("arrow") or _STORED.get(kind, "string")))

@@ -17,20 +17,22 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, create_model
 
+from pipeline.geometry.boxes import Side
 from pipeline.geometry.camera import UpSource
+from pipeline.geometry.lifting import BoxMode
 from pipeline.labels.profiles import canonical_hash
 from pipeline.language.relation_names import PAIRWISE, RELATIONS, version_numbers
 
-SCHEMA_VERSION = max("1.2.0", *(r.since for r in RELATIONS.values()), key=version_numbers)
+SCHEMA_VERSION = max("1.3.0", *(r.since for r in RELATIONS.values()), key=version_numbers)
 """Semantic version of the tables below: a new major number means that old readers must refuse, and a relation that is
 declared anew raises the minor one."""
-ADDED_COLUMNS = {
+ADDED_COLUMNS = {"open_sides": "1.3.0"} | {
     column: RELATIONS[name].since
     for name in PAIRWISE
     if RELATIONS[name].since != "1.0.0"
     for column in (name, f"{name}_margin")
 }
-"""Columns of relations that came later, with the version that brought them: a file of an older one has none, and
+"""Columns that came later, with the version that brought them: a file of an older one has none, and
 reads as null."""
 
 State = Annotated[Literal[-1, 0, 1] | None, Field(json_schema_extra={"arrow": "int8"})]
@@ -84,7 +86,10 @@ class ObjectRow(LabelRow):
     has one. `pca_center`, `pca_R` and `pca_size` are the paper's PCA box, its axes
     as PCA gives them: what the feature contracts paper30 and canon30 are made
     from. `occluded` is the share of the mask's border beside which something is at
-    least 5 cm nearer. Only `usable` objects are asked for in expressions.
+    least 5 cm nearer. `estimator` is the fit that made the box, before 1.3.0 never `upright`. `open_sides` are
+    the sides, by the viewer's axes, beyond which the object may go on: cut by the picture, hidden by something nearer,
+    or never seen; null of boxes that `upright` did not fit, as those that people set. Only `usable` objects are asked
+    for in expressions.
     """
 
     object: Annotated[int, Field(json_schema_extra={"arrow": "int32"})]
@@ -105,7 +110,8 @@ class ObjectRow(LabelRow):
     R: Matrix | None
     size: Vector | None
     yaw_confidence: Share
-    estimator: Literal["gravity", "pca", "pca-raw"]
+    estimator: BoxMode
+    open_sides: list[Side] | None = None
     pca_center: Vector | None
     pca_R: Matrix | None
     pca_size: Vector | None

@@ -235,6 +235,7 @@ def test_an_object_record_rounds_and_explains(row: Frame) -> None:
         "touches_border",
         "distance",
         "yaw_confidence",
+        "open_sides",
         "mask_source",
         "concerns",
     }

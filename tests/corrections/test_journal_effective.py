@@ -26,6 +26,7 @@ from pipeline.corrections import (
 )
 from pipeline.corrections.journal import edits
 from pipeline.corrections.journal.field_refs import box_of
+from pipeline.corrections.scene import labelled_objects
 from pipeline.datasets import Dataset, with_frame_up
 from pipeline.geometry import Box3D
 from pipeline.labels import TABLES, Labels
@@ -226,6 +227,25 @@ def test_a_rejected_object_goes_with_all_that_is_said_of_it_and_comes_back(
     back = bare_corrector.frame(FRAME, journal)
     assert back.tables()["objects"].equals(frame.tables()["objects"])
     assert back.tables()["relations"].equals(frame.tables()["relations"])
+
+
+def test_a_box_that_a_person_sets_has_no_open_sides(
+    full_corrector: Corrector, bare_corrector: Corrector, journal: Journal
+) -> None:
+    frame = full_corrector.frame(FRAME, journal)
+    number = next(n for n, row in frame.objects.items() if row["open_sides"])
+    box = box_of(frame.objects[number])
+    saved(journal, edits.set_box(frame, number, Box3D(box.center, box.R, box.size * 1.2)))
+    for corrector in (full_corrector, bare_corrector):
+        assert corrector.frame(FRAME, journal).objects[number]["open_sides"] is None
+        (entry,) = (o for o in labelled_objects(corrector.frame(FRAME, journal)) if o.id == number)
+        assert entry.lifted.open_sides is None
+    after = full_corrector.frame(FRAME, journal)
+    saved(journal, edits.set_box(after, number, None))
+    back = full_corrector.frame(FRAME, journal)
+    assert back.objects[number]["open_sides"] == frame.objects[number]["open_sides"]
+    (entry,) = (o for o in labelled_objects(back) if o.id == number)
+    assert list(entry.lifted.open_sides or ()) == frame.objects[number]["open_sides"]
 
 
 def test_a_new_mask_brings_points_box_relations_and_answers(

@@ -46,7 +46,7 @@ from pipeline.geometry.masks import decode_run_length, mask_box
 from pipeline.labels.labelling import label_objects, unusable
 from pipeline.labels.profiles import NONE, open_second_opinion
 from pipeline.labels.reading import Labels, build_table
-from pipeline.labels.schema import TABLES
+from pipeline.labels.schema import ADDED_COLUMNS, TABLES
 from pipeline.language.class_sizes import is_thin
 from pipeline.proposals.annotations import box_mask
 from pipeline.relations.model import OnnxScorer
@@ -393,7 +393,9 @@ def _lift(frame: EffectiveFrame, relift: Relifter | None) -> Pairs | None:
         for column in (*(OF_BOX if only_box else DERIVED), *(pixels - {c for c in row if new[c] == row[c]})):
             noted = frame.noted("objects", key, column)
             by_hand = noted is not None and noted.source == "human" and (number in auto.objects or column == "label")
-            if not by_hand and not (column in BOX_COLUMNS and number in frame.boxes):
+            # Labels of before have none of a column that came later, and no origin of it.
+            unknown = column in ADDED_COLUMNS and new[column] is None and was.get(column) is None
+            if not by_hand and not unknown and not (column in BOX_COLUMNS and number in frame.boxes):
                 frame.put("objects", key, column, origin, was.get(column))
         if row["mask_source"] == "human" and number not in frame.human_bbox:
             frame.put("objects", key, "bbox", Origin.of("recomputed", event), was.get("bbox"))

@@ -27,6 +27,7 @@ DERIVED = (
     "distance",
     *BOX_COLUMNS,
     "yaw_confidence",
+    "open_sides",
     "pca_center",
     "pca_R",
     "pca_size",
@@ -38,7 +39,7 @@ DERIVED = (
     "reason",
 )
 """Columns that follow from an object's pixels."""
-OF_BOX = (*BOX_COLUMNS, "yaw_confidence", "pca_center", "pca_R", "pca_size", "lo", "hi", "centroid")
+OF_BOX = (*BOX_COLUMNS, "yaw_confidence", "open_sides", "pca_center", "pca_R", "pca_size", "lo", "hi", "centroid")
 """Columns that follow from an object's 3D box."""
 
 
@@ -62,7 +63,7 @@ def _correct_object(frame: EffectiveFrame, number: int, fields: Mapping[str, Seq
             frame.geometry[number] = seed.event
             if "box" in seed.value:
                 frame.boxes[number] = seed.value["box"]
-            for column in row:
+            for column in (c for c in row if c != "open_sides"):
                 frame.put("objects", str(number), column, Origin.of("human", seed.event))
     if row is None:
         for name, events in fields.items():
@@ -110,6 +111,7 @@ def _set_field(frame: EffectiveFrame, row: Row, number: int, name: str, value: A
     if name == "box":
         frame.boxes[number] = value
         row.update({column: None if value is None else value[column] for column in BOX_COLUMNS})
+        row["open_sides"] = None
     else:
         row[name] = value
     if name == "mask":
@@ -161,6 +163,7 @@ def new_row(number: int, seed: Mapping[str, Any], auto: FrameRows, setting: Sett
         **values,
         "yaw_confidence": 0.0,
         "estimator": setting.config.lift.box,
+        "open_sides": None,
         "pca_center": None,
         "pca_R": None,
         "pca_size": None,

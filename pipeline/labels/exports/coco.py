@@ -245,6 +245,7 @@ QUALITY = (
     "distance",
     "yaw_confidence",
     "estimator",
+    "open_sides",
     "visible",
     "occluded",
     "usable",
