@@ -324,7 +324,7 @@ def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | No
     return Run(folder, manifest["name"], manifest, spec)
 
 
-def _read_spec(record: Mapping[str, Any], folder: Path, used: Any) -> EvalSpec:
+def _read_spec(record: Mapping[str, Any], folder: Path, used: Any = None) -> EvalSpec:
     options = with_files(record["options"], lambda path: _resolved_model(str(path), folder))
     options |= {
         n: tuple(options[n])
@@ -332,10 +332,11 @@ def _read_spec(record: Mapping[str, Any], folder: Path, used: Any) -> EvalSpec:
         if isinstance(options.get(n), list)
     }
     # Defaults change between releases: a run that named no settings was made with those in `used`.
-    named = record["config"] is not None
-    wrong, inside = "the run's manifest cannot be read, at {}", ("spec", "config") if named else ("config",)
-    check = TypeAdapter(AskConfig).validate_python
-    options["config"] = checked(check, record["config"] if named else used, wrong, folder / RUN_FILE, inside=inside)
+    inside = ("config",) if record["config"] is None else ("spec", "config")
+    config = used if record["config"] is None else record["config"]
+    if config is not None:
+        wrong, check = "the run's manifest cannot be read, at {}", TypeAdapter(AskConfig).validate_python
+        options["config"] = checked(check, config, wrong, folder / RUN_FILE, inside=inside)
     dataset = str(record["dataset"])
     return EvalSpec(
         dataset if dataset == DEMO_NAME else resolved_path(dataset, folder),
