@@ -17,11 +17,16 @@ LEAST_DEPTH = 0.5
 """Least depth of a thing with sides, as a share of its width: behind what is seen the box goes on to it."""
 THIN_DEPTH = 0.05
 """The same for classes such as pictures and curtains."""
-NOISE_ENDS = 1.5
-"""Standard deviations of the depth by which the outermost points of a thing lie outside."""
+NOISE_ENDS = (1.5, 0.0, 1.5)
+"""Standard deviations of the depth by which the outermost points lie outside, along the box's axes: at the top and the
+bottom are few points.
+"""
+MOST_SLANT = 3.0
+"""Largest factor by which the rim of a surface seen at a slant is lengthened."""
 NEAREST = 0.01
 """Distances to a side below this count alike, metres."""
 YAW_POINTS = 160
+AS_GOOD = 0.99
 YAWS = np.deg2rad(np.arange(0, 90, 3.0))
 _COARSE = np.cos(YAWS), np.sin(YAWS)
 _FINER = np.deg2rad(np.arange(-2, 2.5, 0.5))
@@ -101,9 +106,10 @@ def upright_box(
     points : (N, 3) float
         Camera frame, metres.
     margin : float
-        The rim that erosion took from the mask, metres: given back across the viewing ray.
+        The rim that erosion took from the mask, metres across the viewing ray: given back along the sides that are
+        seen, to those that are not.
     noise : float
-        Standard deviation of the depth, metres: the outermost points lie NOISE_ENDS of it outside, along the ray.
+        Standard deviation of the depth, metres: the outermost points lie NOISE_ENDS of it outside.
     thin : bool
         Things of the class may be thin (`language.is_thin`): THIN_DEPTH and not LEAST_DEPTH holds.
     """
@@ -121,11 +127,15 @@ def upright_box(
     along = R.T @ level
     lo, hi, ray = along.min(axis=1).tolist(), along.max(axis=1).tolist(), (center @ R).tolist()
     length = max(math.hypot(*ray), 1e-9)
-    for axis in range(3):
-        share = min(abs(ray[axis]) / length, 1.0)
-        noisy = 0.0 if axis == 1 else min(NOISE_ENDS * noise * share, (hi[axis] - lo[axis]) / 4)
-        inwards = noisy - margin * math.sqrt(1 - share * share)
-        lo[axis], hi[axis] = lo[axis] + inwards, hi[axis] - inwards
+    # Distances of the sides that are seen, of two opposite ones at most one.
+    seen = [max(near, -far, 0.0) for near, far in zip(lo, hi, strict=True)]
+    for axis, (near, far) in enumerate(zip(lo, hi, strict=True)):
+        noisy = min(NOISE_ENDS[axis] * noise * abs(ray[axis]) / length, (far - near) / 4)
+        # On a surface seen at a slant the same rim of the picture is longer.
+        slant = max(seen[:axis] + seen[axis + 1 :])
+        rim = margin * min(length / slant, MOST_SLANT) if slant else 0.0
+        lo[axis] = near + noisy - rim * (near <= 0)
+        hi[axis] = far - noisy + rim * (far >= 0)
     deep, wide = (0, 2) if abs(ray[0]) > abs(ray[2]) else (2, 0)
     least = 1.0 if not claimed else THIN_DEPTH if thin else LEAST_DEPTH
     behind = max(least * (hi[wide] - lo[wide]) - (hi[deep] - lo[deep]), 0.0)
@@ -147,7 +157,9 @@ def plan_yaw(plan: np.ndarray) -> tuple[float, float]:
     coarse = _closeness(points, *_COARSE)
     best = YAWS[coarse.argmax()] + _FINER
     fine = _closeness(points, np.cos(best), np.sin(best))
-    return float(best[fine.argmax()] % (np.pi / 2)), float(fine.max()) / median(coarse) - 1
+    # The middle of those as good: of a flat front several are.
+    yaw = float(best[fine >= AS_GOOD * fine.max()].mean())
+    return yaw % (math.pi / 2), float(fine.max()) / median(coarse) - 1
 
 
 def _closeness(points: np.ndarray, cos: np.ndarray, sin: np.ndarray) -> np.ndarray:

@@ -293,7 +293,7 @@ def lift(
     >>> depth, mask = np.full((480, 640), 2, np.float32), np.zeros((480, 640), bool)
     >>> mask[200:280, 300:400] = True
     >>> lift(depth, Camera(intrinsics(500, 500, 320, 240), 640, 480), [mask], viewer_axes(IMAGE_UP))
-    (<LiftedObject 7296 points, <Box3D center 0.117 -0.002 2.093, size 0.400 0.328 0.200 m>>,)
+    (<LiftedObject 7296 points, <Box3D center 0.114 -0.002 2.100, size 0.400 0.328 0.200 m>>,)
     """
     camera.check_metric()
     config = config or LiftConfig()
