@@ -23,6 +23,8 @@ MIN_SHARE = 0.4
 """A plane is fitted where at least this share of the window has a depth."""
 MIN_PIXELS = 6
 """Pixels of which a plane smooths the depth."""
+MOST_OFF = 0.1
+"""Share of the depth by which it may do so: pixels in a line bear no plane."""
 MAX_RESIDUAL = 2.5
 """And where the depths lie this close to it, in standard deviations of the sensor's noise."""
 
@@ -95,14 +97,16 @@ def plane_depth(depth: np.ndarray, has: np.ndarray, x: np.ndarray, y: np.ndarray
     Returns
     -------
     (H, W) float32
-        The depth itself where the window holds fewer than MIN_PIXELS pixels, and where `has` is False.
+        The depth itself where the window holds fewer than MIN_PIXELS pixels, where the plane is off by more than
+        MOST_OFF, and where `has` is False.
     """
     # About the middle, where single precision suffices.
     x, y = x - x.mean(), y - y.mean()
     count, a, b, c, _ = _planes(depth, has, x, y, 2 * radius + 1, np.float32)
     inverse = a * x.astype(np.float32) + b * y.astype(np.float32)[:, None] + c
     fitted = has & (count >= MIN_PIXELS) & (inverse > 0)
-    return np.divide(1, inverse, out=depth.copy(), where=fitted)
+    plane = np.divide(1, inverse, out=depth.copy(), where=fitted)
+    return np.where(np.abs(plane - depth) < MOST_OFF * depth, plane, depth)
 
 
 def _planes(

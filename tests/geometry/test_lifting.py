@@ -25,6 +25,7 @@ from pipeline.geometry import (
     project,
     viewer_axes,
 )
+from pipeline.geometry.surface import plane_depth
 
 WIDTH, HEIGHT = 640, 480
 CAMERA = camera_of(WIDTH, HEIGHT, 500)
@@ -366,3 +367,13 @@ def test_a_drawn_box_gives_an_object_without_points_its_extents() -> None:
     assert not len(drawn.points)
     np.testing.assert_allclose(drawn.lo, [-0.5, -0.5, 1.5])
     np.testing.assert_allclose(drawn.hi, [0.5, 0.5, 2.5])
+
+
+def test_pixels_in_a_line_bear_no_plane() -> None:
+    rng = np.random.default_rng(0)
+    x, y = (np.arange(84) - 42) / 100.0, (np.arange(46) - 23) / 100.0
+    for row, column in zip(rng.integers(5, 40, 100), rng.integers(5, 70, 100), strict=True):
+        has = np.zeros((46, 84), np.bool_)
+        has[row, column : column + 6] = True
+        depth = np.where(has, 1.8 + 0.01 * rng.standard_normal(has.shape), 0).astype(np.float32)
+        assert np.abs(plane_depth(depth, has, x, y, 3) - depth).max() < 0.2
