@@ -43,7 +43,8 @@ def test_points_inside_the_annotated_box_are_lifted_and_the_wall_behind_is_not()
     assert np.array_equal(found.mask, context.frame.depth < 2)
     assert found.lifted.points[:, 2].max() < 2
     assert found.lifted.box is not None
-    assert found.lifted.box.size[2] < 0.1
+    # Of a face that is seen flat half its width is taken for its depth.
+    assert found.lifted.box.size[2] < 0.6 * found.lifted.box.size[0]
     assert np.abs(found.lifted.box.center[:2]).max() < 0.01
 
 
