@@ -27,7 +27,7 @@ NEAREST = 0.01
 """Distances to a side below this count alike, metres."""
 YAW_POINTS = 160
 AS_GOOD = 0.99
-YAWS = np.deg2rad(np.arange(0, 90, 3.0))
+YAWS = np.deg2rad(np.arange(0, 90, 4.5))
 _COARSE = np.cos(YAWS), np.sin(YAWS)
 _FINER = np.deg2rad(np.arange(-2, 2.5, 0.5))
 

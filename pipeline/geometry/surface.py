@@ -101,7 +101,7 @@ def plane_depth(depth: np.ndarray, has: np.ndarray, x: np.ndarray, y: np.ndarray
         MOST_OFF, and where `has` is False.
     """
     # About the middle, where single precision suffices.
-    x, y = x - x.mean(), y - y.mean()
+    x, y = x - x[len(x) // 2], y - y[len(y) // 2]
     count, a, b, c, _ = _planes(depth, has, x, y, 2 * radius + 1, np.float32)
     inverse = a * x.astype(np.float32) + b * y.astype(np.float32)[:, None] + c
     fitted = has & (count >= MIN_PIXELS) & (inverse > 0)
