@@ -251,8 +251,10 @@ def print_ranking(trace: Trace) -> None:
     if len(pairs) > SHOWN_PAIRS:
         say(f"and {len(pairs) - SHOWN_PAIRS} more pairs", style="dim")
     for role, index in (("target", best.target), ("reference", best.reference)):
-        concerns = () if index is None else trace.objects[index].lifted.quality.concerns
-        say_lines((f"{role} {name(index)}: {concern}" for concern in concerns), "yellow")
+        if index is not None:
+            lifted = trace.objects[index].lifted
+            say_lines((f"{role} {name(index)}: {concern}" for concern in lifted.quality.concerns), "yellow")
+            say_lines([lifted.goes_on and f"{role} {name(index)} {lifted.goes_on}"], "dim")
 
 
 def _warn_assumed(viewer: ViewerAxes | None, depth_source: str) -> None:

@@ -146,8 +146,8 @@ def test_its_sentence_is_read_judged_and_answered(asked: dict[str, Any]) -> None
 
 @pytest.mark.slow
 def test_its_labels_have_columns_and_sentences(asked: dict[str, Any]) -> None:
-    assert asked["version"] == "1.3.0"
-    assert asked["written"] == ["1.3.0", [*PAIRWISE, "diagonal"]]
+    assert asked["version"] == "1.4.0"
+    assert asked["written"] == ["1.4.0", [*PAIRWISE, "diagonal"]]
     assert asked["schema"] == ["diagonal", "diagonal_margin"]
     assert asked["states"] == [-1, 0, 1]
     assert asked["margins"] == 0
@@ -181,7 +181,7 @@ def test_a_faulty_declaration_is_told_in_one_line(new: Relation, match: str) -> 
 
 
 def test_a_new_relation_stands_behind_the_old_ones() -> None:
-    new = Relation("touching", "touching", ("touching",), since="1.3.0")
+    new = Relation("touching", "touching", ("touching",), since="1.4.0")
     assert list(checked((*DECLARED, new))) == [*RELATIONS, "touching"]
     with pytest.raises(InputError, match="order of columns"):
         checked((new, *DECLARED))

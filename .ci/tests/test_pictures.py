@@ -110,6 +110,8 @@ def test_the_edges_of_a_box_are_cut_at_the_camera() -> None:
     camera = camera_of()
     ahead = Box3D(np.array([0.1, 0, 2.0]), np.eye(3), np.ones(3))
     np.testing.assert_allclose(box_edges_2d(ahead, camera), project(ahead.corners, camera)[EDGES])
+    # Edges of an open side have a gap: two lines each.
+    assert box_edges_2d(ahead, camera, ("far", "left")).shape == (12 + 7, 2, 2)
     behind = Box3D(np.array([0, 0, -2.0]), np.eye(3), np.ones(3))
     assert box_edges_2d(behind, camera).shape == (0, 2, 2)
     around = Box3D(np.array([0, 1.0, 0]), np.eye(3), np.array([1, 1, 3.0]))

@@ -8,7 +8,7 @@ import numpy as np
 from pipeline.geometry.boxes import SIDES, Box3D, Side
 from pipeline.geometry.camera import Camera
 
-BESIDE = 0.15
+BESIDE = 0.3
 """Share of a box's length within which the outline lies beside a side."""
 TOWARDS = 0.5
 """Cosine in the picture above which the outline faces a side."""

@@ -306,7 +306,7 @@ def _crop(
     picture = jpeg_url(np.ascontiguousarray(frame.rgb[y0:y1, x0:x1]), 90)
     marks: list[Element] = []
     for mask, box, color in things:
-        line = _outline(mask[y0:y1, x0:x1]) + ("" if box is None else edges_path(box, frame.camera, (x0, y0)))
+        line = _outline(mask[y0:y1, x0:x1]) + ("" if box is None else edges_path(box, frame.camera, origin=(x0, y0)))
         # A dark line under the coloured line, visible on any ground.
         marks += [h.path(d=line, cls="mask under"), h.path(d=line, cls="mask", stroke=hex_color(color))]
     return h.figure(

@@ -86,7 +86,8 @@ def overlay_marks(state: State) -> list[Element]:
     )
     for i in order:
         entry = state.shown.objects[i]
-        drawn = _rectangle(entry.bbox) if entry.lifted.box is None else edges_path(entry.lifted.box, frame.camera)
+        box, sides = entry.lifted.box, entry.lifted.open_sides
+        drawn = _rectangle(entry.bbox) if box is None else edges_path(box, frame.camera, sides)
         marks.append(_path(drawn, hex_color(colors[roles[i]]) if i in roles else "#ffffff", 1.3 * unit))
     for i in order:
         x0, y0 = _name_place(state, i)

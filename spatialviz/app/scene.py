@@ -67,17 +67,22 @@ class SceneView:
     def draw(self, state: State) -> list[Tag]:
         """Draw boxes and pair lines, and return the name tags."""
         colors, flags, lines = palette(state.dark), state.flags, self._client.lines
-        boxes = ((i, entry.lifted.box) for i, entry in enumerate(state.shown.objects))
-        self._boxed = {i: self.shown_box(box) for i, box in boxes if box is not None}
+        objects = state.shown.objects
+        self._boxed = {i: self.shown_box(o.lifted.box) for i, o in enumerate(objects) if o.lifted.box is not None}
         role_of: dict[int, Role] = {i: state.roles.get(i, "other") for i in self._boxed}
         wanted = [i for i in self._boxed if state.boxes_shown or role_of[i] != "other"]
+
+        def edges_of(chosen: Sequence[int]) -> np.ndarray:
+            sides = [objects[i].lifted.open_sides for i in chosen]
+            return edge_lines([self._boxed[i] for i in chosen], open_sides=sides)
+
         with self._client.atomic():
             for role in ("other", "reference", "target"):
-                members = [self._boxed[i] for i in wanted if role_of[i] == role]
-                lines(f"/boxes/{role}", edge_lines(members), colors[role], LINE_WIDTH[role])
+                members = [i for i in wanted if role_of[i] == role]
+                lines(f"/boxes/{role}", edges_of(members), colors[role], LINE_WIDTH[role])
             selected = state.selected if state.hovered is None else state.hovered
-            chosen = [self._boxed[selected]] if selected in self._boxed else []
-            lines("/boxes/selected", edge_lines(chosen), (255, 255, 255) if state.dark else (20, 22, 26), 2.0)
+            chosen = [selected] if selected in self._boxed else []
+            lines("/boxes/selected", edges_of(chosen), (255, 255, 255) if state.dark else (20, 22, 26), 2.0)
             annotated = () if state.loaded is None or not flags.truth else state.loaded.context.frame.annotations
             truth = [self.shown_box(a.box) for a in annotated if a.box is not None]
             lines("/boxes/truth", edge_lines(truth), colors["truth"], LINE_WIDTH["truth"])

@@ -143,6 +143,9 @@ def _facts(entry: SceneObject, title: Child) -> Element:
         width, height, depth = lifted.box.size
         facts["size"] = f"{width:.2f} wide × {height:.2f} high × {depth:.2f} deep m"
         facts["distance"] = with_terms(f"{quality.distance:.2f} m · yaw confidence {lifted.yaw_confidence:.2f}", "yaw")
+    if lifted.open_sides:
+        sides = term("open sides", ", ".join(lifted.open_sides))
+        facts["may go on"] = h.span(sides, h.span(" (edges with a gap)", cls="dim"))
     made = " by a segmenter" if quality.mask_source == "segmenter" else ""
     facts["points"] = f"{quality.points:,} of {quality.mask_pixels:,} mask pixels{made} ({quality.kept:.0%})"
     cleaned: list[Child] = []

@@ -16,7 +16,7 @@ from pipeline.answering.ask import Trace
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.answer import Answer
-from pipeline.geometry.boxes import EDGES, Box3D
+from pipeline.geometry.boxes import Box3D, Side, drawn_edges
 from pipeline.geometry.camera import Camera, project
 from pipeline.geometry.masks import mask_box
 from pipeline.geometry.palette import ON_DARK, RGB, Role
@@ -41,12 +41,14 @@ def tinted(rgb: np.ndarray, objects: Sequence[SceneObject], roles: Mapping[int, 
     return image
 
 
-def box_edges_2d(box: Box3D, camera: Camera, near: float = 0.05) -> np.ndarray:
-    """Visible edges of a 3D box in the image, clipped at the image plane.
+def box_edges_2d(
+    box: Box3D, camera: Camera, open_sides: Sequence[Side] | None = None, near: float = 0.05
+) -> np.ndarray:
+    """Visible edges of a 3D box in the image, clipped at the image plane; those of open sides have a gap.
 
-    Returns (M, 2, 2) float64: start and end of each edge, pixels; M <= 12.
+    Returns (M, 2, 2) float64: start and end of each line, pixels.
     """
-    ends = box.corners[EDGES]
+    ends = drawn_edges(box, open_sides)
     a, b = ends[:, 0], ends[:, 1]
     keep = (a[:, 2] > near) | (b[:, 2] > near)
     a, b = a[keep], b[keep]
@@ -73,7 +75,7 @@ def answer_picture(trace: Trace, known: AnswerRoles | None = None) -> np.ndarray
     for index, role in roles.items():
         entry = trace.objects[index]
         if entry.lifted.box is not None:
-            for start, end in box_edges_2d(entry.lifted.box, trace.frame.camera):
+            for start, end in box_edges_2d(entry.lifted.box, trace.frame.camera, entry.lifted.open_sides):
                 _line(image, start, end, ON_DARK[role], max(1, round(1.5 * scale)))
     for index, role in roles.items():
         entry = trace.objects[index]
@@ -170,10 +172,15 @@ def jpeg_url(rgb: np.ndarray, widest: int | None = None, quality: int = 95) -> s
     return "data:image/jpeg;base64," + base64.b64encode(jpeg(rgb, quality)).decode("ascii")
 
 
-def edges_path(box: Box3D, camera: Camera, origin: tuple[float, float] = (0.0, 0.0)) -> str:
+def edges_path(
+    box: Box3D,
+    camera: Camera,
+    open_sides: Sequence[Side] | None = None,
+    origin: tuple[float, float] = (0.0, 0.0),
+) -> str:
     """SVG path of the visible edges of a 3D box, in pixels of the picture from `origin`."""
     reach = 8 * camera.width
-    edges = box_edges_2d(box, camera) - np.array(origin)
+    edges = box_edges_2d(box, camera, open_sides) - np.array(origin)
     edges = np.clip(edges[np.isfinite(edges).all(axis=(1, 2))], -reach, reach)
     return "".join(f"M{a[0]:.1f} {a[1]:.1f}L{b[0]:.1f} {b[1]:.1f}" for a, b in edges)
 
