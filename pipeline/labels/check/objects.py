@@ -56,8 +56,8 @@ def cleared(known: np.ndarray, *arrays: np.ndarray) -> tuple[np.ndarray, ...]:
 SLACK_PIXELS = 4.0
 """At a width of 640, for what cleaning takes off a mask's border; measured on clean labels."""
 BOX_ON_MASK, BOX_ON_MASK_WARNED = 0.2, 0.4
-"""Least share of the projected 3D box on the mask's extents: upright boxes go on behind it. Clean labels: 0.24 and more,
-0.4 and more of all but 2 of 1,438."""
+"""Least share of the projected 3D box on the mask's extents: upright boxes go on behind it. Clean labels: 0.24 and
+more, 0.4 and more of all but 4 of 1,438."""
 MASK_IN_BOX, MASK_IN_BOX_WARNED = 0.05, 0.15
 """Least share of the mask's extents on the projected box, for each share of its pixels that was kept: an object that
 an occluder cuts in parts may lose most of them (clean labels: 0.18 and more)."""
@@ -65,8 +65,8 @@ BBOX_MASK, BBOX_MASK_WARNED = 0.2, 0.7
 """Least IoU of the 2D box with the mask's extents; annotations have 1."""
 OUTSIDE_M, OUTSIDE_SHARE = (0.01, 0.05), (0.1, 0.2)
 """How far extents may reach beyond the box's corners, in metres plus a share of its length: for a warning, an error.
-Clean labels: 7 mm. Noise is taken off the ends of upright boxes: theirs may reach a step of the surface farther (none of
-3,129 clean ones does)."""
+Clean labels: 7 mm. Noise is taken off the ends of upright boxes: theirs may reach a step of the surface farther (none
+of 3,129 does more)."""
 FILLED, FILLED_WARNED = 0.2, 0.35
 """Least length of the extents for the box's along an axis: a turned box is longer (clean labels: 0.41 and more). An
 upright box goes on behind what is seen, and to its farthest points."""

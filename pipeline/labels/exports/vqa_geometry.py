@@ -27,8 +27,8 @@ from pipeline.labels.exports.base import ExportFrame
 from pipeline.system.errors import InputError, needed, require
 
 EXACT, HUMAN, FITTED, POINTS = "the dataset's box", "a person's box", "the fitted box", "points of the mask"
-LEAST_SIZE, LEAST_SIZE_RELATIVE = 0.05, 0.03
-"""Extents below max(5 cm, 3 % of the distance) are as much the depth's noise as the object's."""
+LEAST_SIZE, LEAST_SIZE_RELATIVE = 0.07, 0.04
+"""Fitted extents below max(7 cm, 4 % of the distance) are as much noise and the mask's rim as the object's."""
 MOST_POINTS = 4000
 """Of each object in a gap, thinned evenly."""
 MASKS = ("annotation", "detector", "segmenter", "human")
