@@ -163,9 +163,11 @@ def plan_yaw(plan: np.ndarray) -> tuple[float, float]:
 
 
 def _closeness(points: np.ndarray, cos: np.ndarray, sin: np.ndarray) -> np.ndarray:
-    along = np.array([[cos, sin], [-sin, cos]], np.float32).transpose(0, 2, 1) @ points
-    side = np.minimum(along - along.min(axis=2, keepdims=True), along.max(axis=2, keepdims=True) - along)
-    return np.reciprocal(np.maximum(side.min(axis=0), NEAREST, dtype=np.float32)).sum(axis=1)
+    axes = np.concatenate([np.array([cos, sin], np.float32).T, np.array([-sin, cos], np.float32).T])
+    along = (axes @ points).reshape(2, len(cos), -1)
+    low, high = along.min(axis=2, keepdims=True), along.max(axis=2, keepdims=True)
+    side = np.minimum(along - low, high - along).min(axis=0)
+    return np.reciprocal(np.maximum(side, NEAREST, out=side), out=side).sum(axis=1)
 
 
 def pca_box(points: np.ndarray, viewer: ViewerAxes | None = None) -> tuple[Box3D, float]:

@@ -208,7 +208,9 @@ def clean(
     """
     config = config or LiftConfig()
     height, width = mask.shape
-    x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
+    first = int(mask.argmax()) // width
+    x, y, w, h = cv2.boundingRect(mask[first:].view(np.uint8))
+    y += first
     # One pixel of margin keeps erosion right at the crop; at the image border
     # there is none, because there the object does not end.
     x0, y0, x1, y1 = max(x - 1, 0), max(y - 1, 0), min(x + w + 1, width), min(y + h + 1, height)
@@ -224,16 +226,18 @@ def clean(
         np.maximum(rank, reason.view(np.uint8) * np.uint8(k), out=rank)
     codes = cv2.LUT(rank, DECIDED)
 
-    kept = (codes == Pixel.KEPT).view(np.uint8)
-    count, part = cv2.connectedComponents(kept, connectivity=4)
+    kept = codes == Pixel.KEPT
+    count, part = cv2.connectedComponents(kept.view(np.uint8), connectivity=4)
+    pixels = int(np.count_nonzero(kept))
     if count > 2:
         area = np.bincount(part.ravel(), minlength=count)
         area[0] = 0
         small = area < config.part * area.max()
         small[0] = False
         codes[small[part]] = Pixel.SMALL_PART
+        pixels -= int(area[small].sum())
 
-    fallback = bool(np.count_nonzero(codes == Pixel.KEPT) < config.min_pixels)
+    fallback = pixels < config.min_pixels
     if fallback:
         codes[inside & in_range] = Pixel.KEPT
     return PixelEvidence(codes, x0, y0, 0 if fallback else eroded), fallback
@@ -325,9 +329,9 @@ def _lift_one(
     v, u = v + evidence.y0, u + evidence.x0
     points = lift_pixels(depth[v, u], camera, v, u)
 
-    counts = evidence.counts()
-    area = sum(counts.values())
     codes = evidence.codes
+    area = int(np.count_nonzero(codes))
+    missing = int(np.count_nonzero((codes == Pixel.NO_DEPTH) | (codes == Pixel.OUT_OF_RANGE)))
     h, w = codes.shape
     border = bool(
         (evidence.y0 == 0 and codes[0].any())
@@ -339,7 +343,7 @@ def _lift_one(
         mask_pixels=area,
         points=kept,
         kept=kept / max(area, 1),
-        depth_missing=(counts["no_depth"] + counts["out_of_range"]) / max(area, 1),
+        depth_missing=missing / max(area, 1),
         touches_border=border,
         distance=median(points[:, 2]) if kept else float("nan"),
         fallback=fallback,

@@ -101,9 +101,9 @@ def plane_depth(depth: np.ndarray, has: np.ndarray, x: np.ndarray, y: np.ndarray
         MOST_OFF, and where `has` is False.
     """
     # About the middle, where single precision suffices.
-    x, y = x - x[len(x) // 2], y - y[len(y) // 2]
+    x, y = (x - x[len(x) // 2]).astype(np.float32), (y - y[len(y) // 2]).astype(np.float32)
     count, a, b, c, _ = _planes(depth, has, x, y, 2 * radius + 1, np.float32)
-    inverse = a * x.astype(np.float32) + b * y.astype(np.float32)[:, None] + c
+    inverse = a * x + b * y[:, None] + c
     fitted = has & (count >= MIN_PIXELS) & (inverse > 0)
     plane = np.divide(1, inverse, out=depth.copy(), where=fitted)
     return np.where(np.abs(plane - depth) < MOST_OFF * depth, plane, depth)
@@ -121,13 +121,13 @@ def _planes(
     apart = np.zeros((9, height + side // 2, width), dtype)
     images = apart[:, :height]
     images[0] = has
-    np.multiply(has, x, out=images[1])
-    np.multiply(has, y[:, None], out=images[2])
-    np.divide(1.0, depth, out=images[3], where=has)
+    np.multiply(images[0], x, out=images[1])
+    np.multiply(images[0], y[:, None], out=images[2])
+    np.divide(images[0], np.maximum(depth, dtype(1e-6)), out=images[3])
     np.multiply(images[1], images[1:4], out=images[4:7])
     np.multiply(images[2], images[2:4], out=images[7:9])
     sums = _sum(apart.reshape(-1, width), side).reshape(apart.shape)[:, :height]
-    mx, my, mq, xx, xy, xq, yy, yq = sums[1:] / np.maximum(sums[0], 1)
+    mx, my, mq, xx, xy, xq, yy, yq = sums[1:] * (1 / np.maximum(sums[0], 1))
     xx -= mx * mx
     xy -= mx * my
     xq -= mx * mq
