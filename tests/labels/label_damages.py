@@ -244,7 +244,7 @@ def a_3d_box_is_moved(t: Tables) -> set[Where]:
 @damages("object/box-mask", "warning")
 def a_3d_box_is_half_off(t: Tables) -> set[Where]:
     box = item(t, "room/2", 2)
-    put(box, center=[box["center"][0] - 0.24, *box["center"][1:]])
+    put(box, center=[box["center"][0] - 0.34, *box["center"][1:]])
     return {("room/2", (2,))}
 
 
@@ -258,7 +258,7 @@ def extents_are_moved(t: Tables) -> set[Where]:
 @damages("object/extent-box", "warning")
 def extents_are_a_little_higher(t: Tables) -> set[Where]:
     row = item(t, "room/2", 0)
-    put(row, hi=[row["hi"][0], row["hi"][1] + 0.03, row["hi"][2]])
+    put(row, hi=[row["hi"][0], row["hi"][1] + 0.1, row["hi"][2]])
     return {("room/2", (0,))}
 
 
@@ -278,7 +278,8 @@ def a_mask_is_given_twice(t: Tables) -> set[Where]:
 @damages("object/duplicate")
 def a_3d_box_is_given_twice(t: Tables) -> set[Where]:
     one, other = item(t, "room/1", 0), item(t, "room/1", 2)
-    put(other, center=one["center"], R=one["R"], size=one["size"])
+    put(other, center=one["center"], size=one["size"])
+    other["R"] = one["R"]  # Both stand alike.
     return {("room/1", (0, 2))}
 
 

@@ -186,7 +186,7 @@ def _extents(view: FrameView, boxed: np.ndarray, level: np.ndarray) -> Iterator[
     upright = (view.objects["estimator"] == "upright")[:, None]
     reach = np.maximum(np.maximum(first - lo, hi - last), 0)
     reach = np.where(same, np.maximum(np.abs(lo - first), np.abs(hi - last)), reach)
-    step = np.where(upright, surface_step(np.nan_to_num(view.objects["distance"]))[:, None], 0)
+    step = np.where(upright, surface_step(np.nan_to_num(view.objects["distance"]))[:, None] * (1, 0, 1), 0)
     warn, fail = (m + s * length + step for m, s in zip(OUTSIDE_M, OUTSIDE_SHARE, strict=True))
     warn = np.where(same, OUTSIDE_M[0], warn)
     longer = ~upright & (length - (hi - lo) > FLAT_M)
