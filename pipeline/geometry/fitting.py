@@ -98,7 +98,7 @@ def upright_box(
     """Fit the upright box to what is seen of an object: its sides lie along the outline in plan (`plan_yaw`).
 
     Where the outline claims no direction, the box faces the viewer and is as deep as it is wide: such things are mostly
-    round. The axes are near (right, down, forward), so that `size` reads (width, height, depth). Beside the box stands
+    round, but for thin ones. The axes are near (right, down, forward), so that `size` reads (width, height, depth). Beside the box stands
     the yaw confidence, 0..1: above .5 where a direction is claimed.
 
     Parameters
@@ -111,12 +111,12 @@ def upright_box(
     noise : float
         Standard deviation of the depth, metres: the outermost points lie NOISE_ENDS of it outside.
     thin : bool
-        Things of the class may be thin (`language.is_thin`): THIN_DEPTH and not LEAST_DEPTH holds.
+        Things of the class may be thin (`language.is_thin`), and are not round: THIN_DEPTH and not LEAST_DEPTH holds.
     """
     R_level_camera = viewer.R_level_camera
     level = R_level_camera @ points.T.astype(np.float64)
     yaw, contrast = plan_yaw(level[::2])
-    claimed = contrast > CONTRAST
+    claimed = thin or contrast > CONTRAST
     center = level.mean(axis=1)
     if not claimed:
         yaw = math.atan2(center[2], center[0]) - math.pi / 2
