@@ -98,8 +98,8 @@ def upright_box(
     """Fit the upright box to what is seen of an object: its sides lie along the outline in plan (`plan_yaw`).
 
     Where the outline claims no direction, the box faces the viewer and is as deep as it is wide: such things are mostly
-    round, but for thin ones. The axes are near (right, down, forward), so that `size` reads (width, height, depth). Beside the box stands
-    the yaw confidence, 0..1: above .5 where a direction is claimed.
+    round, but for thin ones. The axes are near (right, down, forward), so that `size` reads (width, height, depth).
+    Beside the box stands the yaw confidence, 0..1: above .5 where a direction is claimed.
 
     Parameters
     ----------
