@@ -25,7 +25,7 @@ from pipeline.geometry import Frame, lifting
 def demo_remembered() -> Iterator[None]:
     """While it holds, a frame of the demo is decoded once, and each of its masks lifted once."""
     demo = demo_path().resolve()
-    load, lift = BopDataset._decoded, lifting._lift_one
+    load, lift = BopDataset._decoded, lifting._lifted
     frames: dict[Any, Frame] = {}
     depths: set[int] = set()
     objects: dict[Any, lifting.LiftedObject] = {}
@@ -39,17 +39,32 @@ def demo_remembered() -> Iterator[None]:
             depths.add(id(frames[key].depth))
         return frames[key]
 
-    def lift_once(depth: np.ndarray, *rest: Any) -> lifting.LiftedObject:
+    def lift_once(
+        depth: np.ndarray,
+        camera: Any,
+        masks: Any,
+        viewer: Any,
+        config: Any,
+        sources: Any,
+        edges: np.ndarray,
+        boxes: bool,
+        thin: Any,
+    ) -> tuple[lifting.LiftedObject, ...]:
+        def lifted(some: list[int]) -> tuple[lifting.LiftedObject, ...]:
+            own, kinds, flat = ([values[k] for k in some] for values in (masks, sources, thin))
+            return lift(depth, camera, own, viewer, config, kinds, edges, boxes, flat)
+
         if id(depth) not in depths:
-            return lift(depth, *rest)
-        key = id(depth), *map(_content, rest)
-        if key not in objects:
-            objects[key] = unwritable(lift(depth, *rest))
-        return objects[key]
+            return lifted([*range(len(masks))])
+        frame = id(depth), *map(_content, (camera, viewer, config, edges, boxes))
+        keys = [(frame, *map(_content, own)) for own in zip(masks, sources, thin, strict=True)]
+        fresh = [k for k, key in enumerate(keys) if key not in objects]
+        objects.update(zip((keys[k] for k in fresh), map(unwritable, lifted(fresh)), strict=True))
+        return tuple(objects[key] for key in keys)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(BopDataset, "_decoded", load_once)
-        patch.setattr(lifting, "_lift_one", lift_once)
+        patch.setattr(lifting, "_lifted", lift_once)
         yield
 
 

@@ -78,29 +78,33 @@ class PreparedFrame:
 
     def lift(self, proposals: Proposals, detector: Detector) -> tuple[SceneObject, ...]:
         """Lift proposals to 3D, each once."""
-        found = []
         fingerprint = detector.fingerprint()
-        for i in range(len(proposals)):
-            label = proposals.label(i)
-            key = (fingerprint, int(proposals.ids[i]), is_thin(label))
-            known = self._lifted.get(key) if key[1] >= 0 else None
-            if known is None:
-                mask, source = self._mask(proposals, i, detector.exact)
-                (lifted,) = lift(
-                    self.frame.depth,
-                    self.frame.camera,
-                    [mask],
-                    self.viewer,
-                    config=self.config,
-                    mask_source=source,
-                    edges=self.edges,
-                    boxes=self.boxes,
-                    thin=[key[2]],
-                )
-                known = self._with_fixed_box(lifted, key[1]) if detector.exact else lifted, mask
-                if key[1] >= 0:
-                    self._lifted[key] = known
-            entry = SceneObject(key[1], label, float(proposals.scores[i]), proposals.boxes[i], known[1], known[0])
+        labels = [proposals.label(i) for i in range(len(proposals))]
+        keys = [(fingerprint, int(n), is_thin(label)) for n, label in zip(proposals.ids, labels, strict=True)]
+        # Without an identity each is lifted anew, at its own place in the list.
+        places = [key if key[1] >= 0 else i for i, key in enumerate(keys)]
+        known: dict[object, tuple[LiftedObject, np.ndarray]] = {**self._lifted}
+        fresh = {place: i for i, place in reversed([*enumerate(places)]) if place not in known}
+        masks = [self._mask(proposals, i, detector.exact) for i in fresh.values()]
+        lifted = lift(
+            self.frame.depth,
+            self.frame.camera,
+            [mask for mask, _ in masks],
+            self.viewer,
+            config=self.config,
+            mask_source=[source for _, source in masks],
+            edges=self.edges,
+            boxes=self.boxes,
+            thin=[keys[i][2] for i in fresh.values()],
+        )
+        for (place, i), (mask, _), item in zip(fresh.items(), masks, lifted, strict=True):
+            known[place] = self._with_fixed_box(item, keys[i][1]) if detector.exact else item, mask
+            if keys[i][1] >= 0:
+                self._lifted[keys[i]] = known[place]
+        found = []
+        for i, place in enumerate(places):
+            own, mask = known[place]
+            entry = SceneObject(keys[i][1], labels[i], float(proposals.scores[i]), proposals.boxes[i], mask, own)
             # Imported boxes take the place of those that are made here.
             finished = getattr(detector, "finished", None)
             found.append(entry if finished is None else finished(entry, self))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from itertools import permutations, product
 
 import numpy as np
@@ -12,12 +12,12 @@ from pipeline.geometry.viewer import ViewerAxes
 
 LOW_PERCENT, HIGH_PERCENT = 1.0, 99.0
 CONTRAST = 0.2
-"""Contrast of `plan_yaw` above which an outline claims a direction."""
+"""Contrast of `plan_yaws` above which an outline claims a direction."""
 LEAST_DEPTH = 0.5
 """Least depth of a thing with sides, as a share of its width: behind what is seen the box goes on to it."""
 THIN_DEPTH = 0.05
 """The same for classes such as pictures and curtains."""
-NOISE_ENDS = (1.5, 0.0, 1.5)
+NOISE_ENDS = np.array([1.5, 0.0, 1.5])
 """Standard deviations of the depth by which the outermost points lie outside, along the box's axes: at the top and the
 bottom are few points.
 """
@@ -28,7 +28,6 @@ NEAREST = 0.01
 YAW_POINTS = 160
 AS_GOOD = 0.99
 YAWS = np.deg2rad(np.arange(0, 90, 4.5))
-_COARSE = np.cos(YAWS), np.sin(YAWS)
 _FINER = np.deg2rad(np.arange(-2, 2.5, 0.5))
 
 
@@ -95,79 +94,105 @@ def upright_box(
     noise: float = 0.0,
     thin: bool = False,
 ) -> tuple[Box3D, float]:
-    """Fit the upright box to what is seen of an object: its sides lie along the outline in plan (`plan_yaw`).
+    """Fit the upright box to (N, 3) points of one object, see `upright_boxes`; beside it stands the yaw confidence."""
+    return upright_boxes([points], viewer, margins=[margin], noises=[noise], thin=[thin])[0]
+
+
+def upright_boxes(
+    clouds: Sequence[np.ndarray],
+    viewer: ViewerAxes,
+    *,
+    margins: Sequence[float],
+    noises: Sequence[float],
+    thin: Sequence[bool],
+) -> list[tuple[Box3D, float]]:
+    """Fit the upright box to what is seen of each object: its sides lie along the outline in plan (`plan_yaws`).
 
     Where the outline claims no direction, the box faces the viewer and is as deep as it is wide: such things are mostly
     round, but for thin ones. The axes are near (right, down, forward), so that `size` reads (width, height, depth).
-    Beside the box stands the yaw confidence, 0..1: above .5 where a direction is claimed.
+    Beside each box stands the yaw confidence, 0..1: above .5 where a direction is claimed.
 
     Parameters
     ----------
-    points : (N, 3) float
-        Camera frame, metres.
-    margin : float
-        The rim that erosion took from the mask, metres across the viewing ray: given back along the sides that are
+    clouds : sequence of (N, 3) float
+        N > 0; camera frame, metres.
+    margins : sequence of float
+        The rim that erosion took from each mask, metres across the viewing ray: given back along the sides that are
         seen, to those that are not.
-    noise : float
-        Standard deviation of the depth, metres: the outermost points lie NOISE_ENDS of it outside.
-    thin : bool
+    noises : sequence of float
+        Standard deviations of the depth, metres: the outermost points lie NOISE_ENDS of it outside.
+    thin : sequence of bool
         Things of the class may be thin (`language.is_thin`), and are not round: THIN_DEPTH and not LEAST_DEPTH holds.
     """
+    if not clouds:
+        return []
     R_level_camera = viewer.R_level_camera
-    level = R_level_camera @ points.T.astype(np.float64)
-    yaw, contrast = plan_yaw(level[::2])
-    claimed = thin or contrast > CONTRAST
-    center = level.mean(axis=1)
-    if not claimed:
-        yaw = math.atan2(center[2], center[0]) - math.pi / 2
+    counts, flat = np.array([len(points) for points in clouds]), np.array(thin, np.bool_)
+    # One array for all: shorter clouds end in copies of their first point. Sums are taken by cloud: a box is the same, to
+    # the last bit, whatever is fitted beside it.
+    level, center = np.empty((len(clouds), 3, counts.max())), np.empty((len(clouds), 3))
+    for own, middle, points in zip(level, center, clouds, strict=True):
+        own[:, : len(points)] = R_level_camera @ points.T.astype(np.float64)
+        own[:, len(points) :] = own[:, :1]
+        middle[:] = own[:, : len(points)].mean(axis=1)
+    even = np.linspace(0, counts - 1, YAW_POINTS, axis=1).astype(np.intp)
+    yaw, contrast = plan_yaws(np.take_along_axis(level[:, ::2], even[:, None], axis=2))
+    claimed = flat | (contrast > CONTRAST)
+    yaw = np.where(claimed, yaw, np.arctan2(center[:, 2], center[:, 0]) - np.pi / 2)
     # A quarter turn only exchanges width and depth: with less than half of one the axes are near right and forward.
-    yaw = (yaw + math.pi / 4) % (math.pi / 2) - math.pi / 4
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    R = np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
-    along = R.T @ level
-    lo, hi, ray = along.min(axis=1).tolist(), along.max(axis=1).tolist(), (center @ R).tolist()
-    length = max(math.hypot(*ray), 1e-9)
+    yaw = (yaw + np.pi / 4) % (np.pi / 2) - np.pi / 4
+    cos, sin, zero = np.cos(yaw), np.sin(yaw), np.zeros(len(clouds))
+    R = np.array([[cos, zero, -sin], [zero, zero + 1, zero], [sin, zero, cos]]).transpose(2, 0, 1)
+    x, z = level[:, 0].copy(), level[:, 2].copy()
+    level[:, 0] = cos[:, None] * x + sin[:, None] * z
+    level[:, 2] = cos[:, None] * z - sin[:, None] * x
+    near, far, ray = level.min(axis=2), level.max(axis=2), (center[:, None] @ R)[:, 0]
+    length = np.maximum(np.linalg.norm(ray, axis=1), 1e-9)[:, None]
+    noisy = np.minimum(NOISE_ENDS * np.array(noises)[:, None] * np.abs(ray) / length, (far - near) / 4)
     # Distances of the sides that are seen, of two opposite ones at most one.
-    seen = [max(near, -far, 0.0) for near, far in zip(lo, hi, strict=True)]
-    for axis, (near, far) in enumerate(zip(lo, hi, strict=True)):
-        noisy = min(NOISE_ENDS[axis] * noise * abs(ray[axis]) / length, (far - near) / 4)
-        # On a surface seen at a slant the same rim of the picture is longer.
-        slant = max(seen[:axis] + seen[axis + 1 :])
-        rim = margin * min(length / slant, MOST_SLANT) if slant else 0.0
-        lo[axis] = near + noisy - rim * (near <= 0)
-        hi[axis] = far - noisy + rim * (far >= 0)
-    deep, wide = (0, 2) if abs(ray[0]) > abs(ray[2]) else (2, 0)
-    least = 1.0 if not claimed else THIN_DEPTH if thin else LEAST_DEPTH
-    behind = max(least * (hi[wide] - lo[wide]) - (hi[deep] - lo[deep]), 0.0)
-    if ray[deep] > 0:
-        hi[deep] += behind
-    else:
-        lo[deep] -= behind
-    ends, R = np.array([lo, hi]), R_level_camera.T @ R
-    return Box3D(R @ (ends[0] + ends[1]) / 2, R, ends[1] - ends[0]), contrast / (contrast + CONTRAST)
+    seen = np.maximum(np.maximum(near, -far), 0)
+    # On a surface that is seen at a slant the same rim of the picture is longer.
+    slant = np.maximum(seen[:, [1, 0, 0]], seen[:, [2, 2, 1]])
+    rim = np.array(margins)[:, None] * np.minimum(length / np.maximum(slant, 1e-9), MOST_SLANT) * (slant > 0)
+    lo, hi = near + noisy - rim * (near <= 0), far - noisy + rim * (far >= 0)
+    k = np.arange(len(clouds))
+    deep = np.where(np.abs(ray[:, 0]) > np.abs(ray[:, 2]), 0, 2)
+    least = np.where(claimed, np.where(flat, THIN_DEPTH, LEAST_DEPTH), 1.0)
+    behind = np.maximum(least * (hi - lo)[k, 2 - deep] - (hi - lo)[k, deep], 0)
+    ahead = ray[k, deep] > 0
+    hi[k, deep] += behind * ahead
+    lo[k, deep] -= behind * ~ahead
+    R = R_level_camera.T @ R
+    middle = (R @ ((lo + hi) / 2)[..., None])[..., 0]
+    confidence = (contrast / (contrast + CONTRAST)).tolist()
+    return [(Box3D(*box), sure) for *box, sure in zip(middle, R, hi - lo, confidence, strict=True)]
 
 
-def plan_yaw(plan: np.ndarray) -> tuple[float, float]:
-    """Find the direction of the sides of an outline in plan, (2, N) metres: angle in 0..pi/2, and its contrast.
+def plan_yaws(plans: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Find the directions of the sides of M outlines in plan, (M, 2, N) metres: angles, 0..pi/2, and contrasts, (M,).
 
     By the closeness criterion for L-shaped views (Zhang, Xu, Dong and Dolan 2017): points lie near the two sides that
     are seen. The contrast is how far the best angle stands above the median one; of round things about 0.
     """
-    points = plan[:, :: -(-plan.shape[1] // YAW_POINTS)].astype(np.float32)
-    coarse = _closeness(points, *_COARSE)
-    best = YAWS[coarse.argmax()] + _FINER
-    fine = _closeness(points, np.cos(best), np.sin(best))
+    plans = plans.astype(np.float32)
+    coarse = _closeness(plans, YAWS)
+    angles = YAWS[coarse.argmax(axis=1)][:, None] + _FINER
+    fine = _closeness(plans, angles)
+    best = fine.max(axis=1)
     # The middle of those as good: of a flat front several are.
-    yaw = float(best[fine >= AS_GOOD * fine.max()].mean())
-    return yaw % (math.pi / 2), float(fine.max()) / median(coarse) - 1
+    good = fine >= AS_GOOD * best[:, None]
+    yaw = (angles * good).sum(axis=1) / good.sum(axis=1)
+    return yaw % (np.pi / 2), best / np.median(coarse, axis=1) - 1
 
 
-def _closeness(points: np.ndarray, cos: np.ndarray, sin: np.ndarray) -> np.ndarray:
-    axes = np.concatenate([np.array([cos, sin], np.float32).T, np.array([-sin, cos], np.float32).T])
-    along = (axes @ points).reshape(2, len(cos), -1)
-    low, high = along.min(axis=2, keepdims=True), along.max(axis=2, keepdims=True)
-    side = np.minimum(along - low, high - along).min(axis=0)
-    return np.reciprocal(np.maximum(side, NEAREST, out=side), out=side).sum(axis=1)
+def _closeness(plans: np.ndarray, yaws: np.ndarray) -> np.ndarray:
+    """(M, A) float32: of A angles (the same, or (M, A)) in the order given."""
+    cos, sin = np.cos(yaws).astype(np.float32), np.sin(yaws).astype(np.float32)
+    axes = np.concatenate([np.stack([cos, sin], axis=-1), np.stack([-sin, cos], axis=-1)], axis=-2)
+    along = (axes @ plans).reshape(len(plans), 2, yaws.shape[-1], -1)
+    low, high = along.min(axis=3, keepdims=True), along.max(axis=3, keepdims=True)
+    side = np.minimum(along - low, high - along).min(axis=1)
+    return np.reciprocal(np.maximum(side, NEAREST, out=side), out=side).sum(axis=2)
 
 
 def pca_box(points: np.ndarray, viewer: ViewerAxes | None = None) -> tuple[Box3D, float]:

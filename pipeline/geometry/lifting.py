@@ -10,14 +10,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Literal
+from typing import Literal, cast
 
 import cv2
 import numpy as np
 
 from pipeline.geometry.boxes import Box3D, Side
 from pipeline.geometry.camera import Camera, lift_pixels
-from pipeline.geometry.fitting import extents_of, gravity_box, median, pca_box, upright_box
+from pipeline.geometry.fitting import extents_of, gravity_box, median, pca_box, upright_box, upright_boxes
 from pipeline.geometry.open_sides import open_sides
 from pipeline.geometry.surface import plane_depth, surface_step
 from pipeline.geometry.viewer import ViewerAxes
@@ -261,7 +261,7 @@ def lift(
     viewer: ViewerAxes,
     *,
     config: LiftConfig | None = None,
-    mask_source: MaskSource = "annotation",
+    mask_source: MaskSource | Sequence[MaskSource] = "annotation",
     edges: np.ndarray | None = None,
     boxes: bool = True,
     thin: Sequence[bool] | None = None,
@@ -275,6 +275,8 @@ def lift(
     masks : sequence of (H, W) bool
     viewer : ViewerAxes
         The level frame for extents and boxes.
+    mask_source : MaskSource, or a sequence of it
+        Of all masks, or of each.
     edges : (H, W) bool, optional
         From `depth_edges`, where it is at hand already.
     boxes : bool
@@ -303,23 +305,58 @@ def lift(
     config = config or LiftConfig()
     if edges is None:
         edges = depth_edges(depth, config)
+    sources = cast("Sequence[MaskSource]", [mask_source] * len(masks) if isinstance(mask_source, str) else mask_source)
+    return _lifted(depth, camera, masks, viewer, config, sources, edges, boxes, thin or [False] * len(masks))
+
+
+def _lifted(
+    depth: np.ndarray,
+    camera: Camera,
+    masks: Sequence[np.ndarray],
+    viewer: ViewerAxes,
+    config: LiftConfig,
+    sources: Sequence[MaskSource],
+    edges: np.ndarray,
+    boxes: bool,
+    thin: Sequence[bool],
+) -> tuple[LiftedObject, ...]:
+    cleaned = [
+        _cleaned(depth, camera, mask, config, source, edges) for mask, source in zip(masks, sources, strict=True)
+    ]
+    fits: list[tuple[Box3D | None, float]] = [(None, 0.0)] * len(masks)
+    sides: dict[int, tuple[Side, ...]] = {}
+    seen = [k for k, (_, _, quality) in enumerate(cleaned) if boxes and quality.points]
+    if config.box == "upright":
+        evidence = [cleaned[k][1] for k in seen]
+        smooth = [_smooth_points(depth, own, camera, config) for own in evidence]
+        found = upright_boxes(
+            [points for points, _, _ in smooth],
+            viewer,
+            margins=[rim * cleaned[k][2].distance / camera.fx for k, (_, rim, _) in zip(seen, smooth, strict=True)],
+            noises=[noise for _, _, noise in smooth],
+            thin=[thin[k] for k in seen],
+        )
+        crops = [(own.codes, own.x0, own.y0) for own in evidence]
+        sides.update(zip(seen, open_sides([box for box, _ in found], crops, depth, camera), strict=True))
+    else:
+        found = [fit_box(cleaned[k][0], viewer, config.box) for k in seen]
+    for k, fit in zip(seen, found, strict=True):
+        fits[k] = fit
     return tuple(
-        _lift_one(depth, camera, mask, viewer, config, mask_source, edges, boxes, flat)
-        for mask, flat in zip(masks, thin or [False] * len(masks), strict=True)
+        LiftedObject(points, box, sure, *extents(points, box, viewer), evidence, quality, sides.get(k))
+        for k, ((points, evidence, quality), (box, sure)) in enumerate(zip(cleaned, fits, strict=True))
     )
 
 
-def _lift_one(
+def _cleaned(
     depth: np.ndarray,
     camera: Camera,
     mask: np.ndarray,
-    viewer: ViewerAxes,
     config: LiftConfig,
     mask_source: MaskSource,
     edges: np.ndarray,
-    boxes: bool,
-    thin: bool,
-) -> LiftedObject:
+) -> tuple[np.ndarray, PixelEvidence, Quality]:
+    """Points of a mask, thinned, with what became of its pixels."""
     evidence, fallback = clean(mask, depth, edges, config)
     places = np.flatnonzero(evidence.codes == Pixel.KEPT)
     kept = len(places)
@@ -349,25 +386,13 @@ def _lift_one(
         fallback=fallback,
         mask_source=mask_source,
     )
-    box, confidence, unbounded = None, 0.0, None
-    if boxes and kept and config.box == "upright":
-        box, confidence = _fit_upright(depth, evidence, camera, viewer, config, quality, thin)
-        unbounded = open_sides(box, codes, evidence.x0, evidence.y0, depth, camera)
-    elif boxes:
-        box, confidence = fit_box(points, viewer, config.box)
-    return LiftedObject(points, box, confidence, *extents(points, box, viewer), evidence, quality, unbounded)
+    return points, evidence, quality
 
 
-def _fit_upright(
-    depth: np.ndarray,
-    evidence: PixelEvidence,
-    camera: Camera,
-    viewer: ViewerAxes,
-    config: LiftConfig,
-    quality: Quality,
-    thin: bool,
-) -> tuple[Box3D, float]:
-    """Upright box of the kept pixels, by points without the sensor's noise, which lengthens boxes; yaw confidence."""
+def _smooth_points(
+    depth: np.ndarray, evidence: PixelEvidence, camera: Camera, config: LiftConfig
+) -> tuple[np.ndarray, float, float]:
+    """Kept points, (N, 3), without the sensor's noise, which lengthens boxes; rim they lack, pixels; noise, metres."""
     kept = evidence.codes == Pixel.KEPT
     h, w = kept.shape
     step = max(1, round(math.sqrt(np.count_nonzero(kept) / config.fit_pixels)))
@@ -383,13 +408,7 @@ def _fit_upright(
     off = np.abs(sensed[v, u] - z)
     # What erosion and thinning leave out beyond the outermost points' centres.
     rim = evidence.eroded + 0.5 + (step - 1) / 2
-    return upright_box(
-        np.array([x[u] * z, y[v] * z, z]).T,
-        viewer,
-        margin=rim * quality.distance / camera.fx,
-        noise=MAD_TO_DEVIATION * median(off),
-        thin=thin,
-    )
+    return np.array([x[u] * z, y[v] * z, z]).T, rim, MAD_TO_DEVIATION * median(off)
 
 
 def fit_box(points: np.ndarray, viewer: ViewerAxes, mode: BoxMode = "gravity") -> tuple[Box3D | None, float]:

@@ -116,11 +116,12 @@ def test_small_empty_and_scattered_masks_are_no_trouble() -> None:
         np.pad(np.ones((1, 1), np.uint8), 2),
         np.pad(np.ones((2, 2), np.uint8), 1),
     ):
-        assert open_sides(box, codes, 300, 200, depth, AHEAD) == ("far",)
+        assert open_sides([box], [(codes, 300, 200)], depth, AHEAD) == [("far",)]
     speckled = (np.random.default_rng(0).random((HEIGHT, WIDTH)) < 0.3).astype(np.uint8)
-    assert set(open_sides(box, speckled, 0, 0, depth, AHEAD)) <= set(SIDES)
+    assert set(open_sides([box], [(speckled, 0, 0)], depth, AHEAD)[0]) <= set(SIDES)
     flat = replace(box, size=np.zeros(3))
-    assert set(open_sides(flat, np.ones((HEIGHT, WIDTH), np.uint8), 0, 0, depth, AHEAD)) <= set(SIDES)
+    whole = np.ones((HEIGHT, WIDTH), np.uint8)
+    assert set(open_sides([flat], [(whole, 0, 0)], depth, AHEAD)[0]) <= set(SIDES)
 
 
 def test_without_depth_nothing_is_known() -> None:

@@ -14,7 +14,7 @@ from scenes import Plane, camera_of, cast, up_of, upright
 from pipeline.answering.objects import prepare_frame
 from pipeline.datasets import open_dataset
 from pipeline.geometry import Box3D, iou_3d, lift, viewer_axes
-from pipeline.geometry.fitting import LEAST_DEPTH, THIN_DEPTH, plan_yaw, upright_box
+from pipeline.geometry.fitting import LEAST_DEPTH, THIN_DEPTH, plan_yaws, upright_box
 from pipeline.geometry.lifting import BoxMode, LiftConfig, fit_box
 from pipeline.geometry.surface import depth_noise, plane_depth
 from pipeline.language import is_thin
@@ -127,13 +127,35 @@ def test_a_few_points_still_have_a_box(points: np.ndarray) -> None:
     assert 0 <= confidence <= 1
 
 
+def test_an_object_is_lifted_alike_alone_and_among_others() -> None:
+    viewer = viewer_axes(up_of(20))
+    boxes = [
+        upright((x, 0.7, z), (0.1 + 0.1 * k, 0.3, 0.2), 25.0 * k)
+        for k, (x, z) in enumerate([(-0.7, 2), (0, 1.8), (0.6, 2.4)])
+    ]
+    seen = cast(CAMERA, boxes, [Plane((0, 0, 1), 4.5)], viewer)
+    depth = (seen.depth + 0.004 * np.random.default_rng(0).normal(size=seen.depth.shape)).astype(np.float32)
+    masks = [seen.ids == k for k in range(3)] + [np.zeros_like(seen.ids, np.bool_)]
+    kinds = ("annotation", "detector", "human", "box")
+    together = lift(depth, CAMERA, masks, viewer, mask_source=kinds, thin=[False, True, False, False])
+    assert together[3].box is None
+    for k in (2, 0, 1):
+        (alone,) = lift(depth, CAMERA, [masks[k]], viewer, mask_source=kinds[k], thin=[k == 1])
+        whole = together[k]
+        assert alone.box is not None
+        assert whole.box is not None
+        assert alone.box.corners.tobytes() == whole.box.corners.tobytes()
+        assert (alone.yaw_confidence, alone.open_sides) == (whole.yaw_confidence, whole.open_sides)
+        assert alone.quality == whole.quality
+
+
 @given(st.floats(0.0, np.pi / 2 - 0.01))
 def test_the_yaw_of_two_seen_sides(angle: float) -> None:
     along = np.concatenate(
         [np.stack([np.linspace(0, 0.6, 90), np.zeros(90)]), np.stack([np.zeros(60), np.linspace(0, 0.4, 60)])], 1
     )
     cos, sin = np.cos(angle), np.sin(angle)
-    found, contrast = plan_yaw(np.array([[cos, -sin], [sin, cos]]) @ along)
+    (found,), (contrast,) = plan_yaws((np.array([[cos, -sin], [sin, cos]]) @ along)[None])
     assert abs((found - angle + np.pi / 4) % (np.pi / 2) - np.pi / 4) < np.deg2rad(1.5)
     assert contrast > 0.5
 
