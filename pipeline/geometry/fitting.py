@@ -128,8 +128,8 @@ def upright_boxes(
         return []
     R_level_camera = viewer.R_level_camera
     counts, flat = np.array([len(points) for points in clouds]), np.array(thin, np.bool_)
-    # One array for all: shorter clouds end in copies of their first point. Sums are taken by cloud: a box is the same, to
-    # the last bit, whatever is fitted beside it.
+    # One array for all: shorter clouds end in copies of their first point. Sums are taken by cloud: a box is the same,
+    # bit by bit, whatever is fitted beside it.
     level, center = np.empty((len(clouds), 3, counts.max())), np.empty((len(clouds), 3))
     for own, middle, points in zip(level, center, clouds, strict=True):
         own[:, : len(points)] = R_level_camera @ points.T.astype(np.float64)
