@@ -128,18 +128,18 @@ def yaw_by(criterion: Callable[[np.ndarray], float]) -> Iterator[None]:
     """Upright boxes whose yaw another criterion chooses, (2, N) points along candidate axes -> one value, in steps of 1
     degree; what claims a direction stays the same.
     """
-    before = fitting.plan_yaw
+    before, angles = fitting.plan_yaws, np.deg2rad(np.arange(90))
 
-    def chosen(plan: np.ndarray) -> tuple[float, float]:
-        angles = np.deg2rad(np.arange(90))
-        values = [criterion(np.array([[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]]) @ plan) for a in angles]
-        return float(angles[int(np.argmax(values))]), before(plan)[1]
+    def chosen(plans: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        turns = [np.array([[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]]) for a in angles]
+        best = [int(np.argmax([criterion(turn @ plan) for turn in turns])) for plan in plans]
+        return angles[best], before(plans)[1]
 
-    fitting.plan_yaw = chosen
+    fitting.plan_yaws = chosen
     try:
         yield
     finally:
-        fitting.plan_yaw = before
+        fitting.plan_yaws = before
 
 
 def least_area(along: np.ndarray) -> float:
