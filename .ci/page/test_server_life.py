@@ -38,6 +38,8 @@ def test_a_signal_given_to_another_thread_ends_it() -> None:
     """The system chooses the thread that takes a signal: the main thread, asleep, may not be woken by it."""
     with Server() as server:
         process = server.process
+        assert process.stdout is not None
+        assert b"stops" in process.stdout.readline()
         threads = [int(task.name) for task in Path(f"/proc/{process.pid}/task").iterdir()]
         ctypes.CDLL(None).tgkill(process.pid, max(threads), signal.SIGTERM)
         assert process.wait(15) == 128 + signal.SIGTERM

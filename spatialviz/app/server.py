@@ -147,10 +147,11 @@ def serve(
         access=access,
         max_clients=max_clients,
     )
+    if block:
+        _end_in_order()
     announce(server, access, sources, host, port, open_browser, "Ctrl-C" if block else "stop()")
     if not block:
         return server
-    _end_in_order()
     # Present objects stay: excluded from cyclic garbage collection.
     gc.freeze()
     # Results for a page closed meanwhile are dropped; no news to a user.
