@@ -14,6 +14,7 @@ import warnings
 import webbrowser
 from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
+from functools import partial
 
 import viser
 
@@ -147,18 +148,19 @@ def serve(
         access=access,
         max_clients=max_clients,
     )
-    if block:
-        _end_in_order()
-    announce(server, access, sources, host, port, open_browser, "Ctrl-C" if block else "stop()")
+    announced = partial(announce, server, access, sources, host, port, open_browser)
     if not block:
+        announced("stop()")
         return server
-    # Present objects stay: excluded from cyclic garbage collection.
-    gc.freeze()
-    # Results for a page closed meanwhile are dropped; no news to a user.
-    warnings.filterwarnings("ignore", r"Queued a \w+ on a closed connection", UserWarning)
-    # Nor are messages foreign to viser's client.
-    warnings.filterwarnings("ignore", r"\[viser\] .* does not match annotation", UserWarning)
+    _end_in_order()
     try:
+        announced("Ctrl-C")
+        # Present objects stay: excluded from cyclic garbage collection.
+        gc.freeze()
+        # Results for a page closed meanwhile are dropped; no news to a user.
+        warnings.filterwarnings("ignore", r"Queued a \w+ on a closed connection", UserWarning)
+        # Nor are messages foreign to viser's client.
+        warnings.filterwarnings("ignore", r"\[viser\] .* does not match annotation", UserWarning)
         # Products of a few numbers: a second thread costs more than it gains, at the expense of other clients.
         with one_thread():
             # Short sleeps: a signal delivered to another thread wakes no sleeper; it is seen at the next turn.
