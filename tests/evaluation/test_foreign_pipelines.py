@@ -69,7 +69,7 @@ def changed(line: Line) -> set[str]:
 def test_a_fault_that_counts_is_wrong_in_one_module_and_makes_a_right_answer_wrong(
     own: ForeignPipeline, tried: Tried
 ) -> None:
-    found = lines_of_frames(own, tried, every=4, frames=3)
+    found = lines_of_frames(own, tried, every=4, frames=5)
     planted = [line for line in found if line.fault is not None]
     assert len({line.fault.split()[0] for line in planted if line.fault}) >= 4
     for line in planted:
