@@ -13,7 +13,9 @@ from dataset_writers import random_truth, write_png
 from depth_graphs import write_network, write_picture
 from numpy.random import default_rng
 
+from pipeline.datasets.odd_frames import MOST_DEPTHS, OddFrame
 from spatialviz.cli import main
+from spatialviz.run_ask import print_odd_frames
 
 TOLD = ["--intrinsics", "60,61,31.5,23.5", "--depth-scale", "1000"]
 
@@ -102,6 +104,8 @@ def test_frames_names_odd_frames(tmp_path: Path, capsys: pytest.CaptureFixture[s
     records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [r["odd"] for r in records] == [[reason] if k == 4 else [] for k in range(9)]
     assert [r["oddness"] >= 1 for r in records] == [k == 4 for k in range(9)]
+    print_odd_frames([OddFrame("a", None, None)] * (MOST_DEPTHS + 1))
+    assert "at most 2,000 frames were looked at" in capsys.readouterr().out
 
 
 def test_a_missing_extra_is_named(
