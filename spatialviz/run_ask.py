@@ -18,6 +18,7 @@ from pipeline.answering.pipeline import FrameRelations, Pipeline, open_pipeline,
 from pipeline.datasets import Dataset, FrameReport, SurveyCounts, survey, write_settings
 from pipeline.datasets.demo import DEMO_NAME, demo_path, demo_run
 from pipeline.datasets.doctor.examine import Examination, apply, examine, overlay
+from pipeline.datasets.odd_frames import MOST_DEPTHS, OddFrame, odd_frames
 from pipeline.datasets.scene_mesh import export_mesh, fuse_context
 from pipeline.datasets.settings import ASSUMED, DECLARE
 from pipeline.datasets.up import told_up
@@ -130,14 +131,16 @@ def _survey_frames(command: FramesCommand, dataset: Dataset, camera: dict[str, A
         more = {key: camera[key] for key in ("poses", "registration")}
         write_settings(dataset.root, camera["intrinsics"], camera["depth_scale"], *told_up(dataset), **more)
     counts, notes = SurveyCounts(), Counter[str]()
+    if not command.json:
+        say((str(dataset.root), "bold"), f"  {dataset.format}, {counted(len(dataset.frame_ids), 'frame')}")
+    with rate_bar("looking for odd frames", "frames") as advance:
+        odd = () if command.json and command.summary else odd_frames(dataset, progress=advance)
     with rate_bar("looking at frames", "frames") as advance:
-        if not command.json:
-            say((str(dataset.root), "bold"), f"  {dataset.format}, {counted(len(dataset.frame_ids), 'frame')}")
         for report in counts.watch(survey(dataset)):
             advance(report.index + 1, len(dataset.frame_ids))
             notes.update(report.notes)
             if command.json and not command.summary:
-                print_json({**named, **frame_record(report)})
+                print_json({**named, **frame_record(report, odd[report.index])})
             elif command.all and not command.json:
                 print_frame(report)
     record = counts.record()
@@ -146,6 +149,7 @@ def _survey_frames(command: FramesCommand, dataset: Dataset, camera: dict[str, A
     elif not command.json:
         say_lines((f"note on {counted(frames, 'frame')}: {note}" for note, frames in notes.items()), "yellow")
         print_summary(record)
+        print_odd_frames(odd)
     return record["frames_usable"]
 
 
@@ -309,6 +313,17 @@ def print_frame(report: FrameReport) -> None:
     )
     if report.labels:
         say("       " + ", ".join(report.labels), style="dim")
+
+
+SHOWN_ODD = 5
+
+
+def print_odd_frames(frames: Sequence[OddFrame]) -> None:
+    """Print the oddest frames with their reasons, and how many were looked at."""
+    found = sorted((frame for frame in frames if frame.reasons), key=lambda frame: -(frame.oddness or 0))
+    say_lines((f"odd: {frame.id}  {', '.join(frame.reasons)}" for frame in found), "yellow", SHOWN_ODD, " (--json)")
+    if len(frames) > MOST_DEPTHS:
+        say(f"  for odd depth at most {MOST_DEPTHS:,} frames were looked at, evenly spread", style="dim")
 
 
 STYLES = {"fine": "green", "wrong": "bold red", "unknown": "yellow"}

@@ -7,12 +7,15 @@ import shutil
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from dataset_writers import random_truth, write_png
 from depth_graphs import write_network, write_picture
 from numpy.random import default_rng
 
+from pipeline.datasets.odd_frames import MOST_DEPTHS, OddFrame
 from spatialviz.cli import main
+from spatialviz.run_ask import print_odd_frames
 
 TOLD = ["--intrinsics", "60,61,31.5,23.5", "--depth-scale", "1000"]
 
@@ -86,6 +89,23 @@ def test_frames_tells_each_note_once_and_takes_folders_of_datasets(
     assert main(["frames", str(pairs), *TOLD, "--all"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert sum("64x48" in line and "depth, median" in line for line in lines) == 3
+
+
+def test_frames_names_odd_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for number in range(9):
+        write_png(tmp_path / f"{number}.png", np.zeros((48, 64, 3), np.uint8))
+        write_png(
+            tmp_path / f"{number}_depth.png", np.full((48, 64), 9000 if number == 4 else 2000 + number, np.uint16)
+        )
+    reason = "depth changes by 7.0 m at the median from the frames before"
+    assert main(["frames", str(tmp_path), *TOLD]) == 0
+    assert [line for line in capsys.readouterr().out.splitlines() if line.startswith("odd: ")] == [f"odd: 4  {reason}"]
+    assert main(["frames", str(tmp_path), *TOLD, "--json"]) == 0
+    records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [r["odd"] for r in records] == [[reason] if k == 4 else [] for k in range(9)]
+    assert [r["oddness"] >= 1 for r in records] == [k == 4 for k in range(9)]
+    print_odd_frames([OddFrame("a", None, None)] * (MOST_DEPTHS + 1))
+    assert "at most 2,000 frames were looked at" in capsys.readouterr().out
 
 
 def test_a_missing_extra_is_named(

@@ -258,6 +258,18 @@ def load_pose(dataset: Dataset, frame_id: str) -> np.ndarray | None:
     return load_picture(dataset, frame_id).camera.T_world_camera if method is None else method(frame_id)
 
 
+def load_depth(dataset: Dataset, frame_id: str) -> np.ndarray | None:
+    """Measured depth (H, W) float32, metres, of a frame as its camera saw it, or None; without colour where possible.
+
+    It is 0 where missing, and NaN where it was measured in a unit that nothing tells.
+    """
+    method: Any = getattr(dataset, "load_depth", None)
+    if method is not None:
+        return method(frame_id)
+    frame = load_picture(dataset, frame_id)
+    return None if frame.depth_source else frame.depth
+
+
 def load_picture(dataset: Dataset, frame_id: str) -> Frame:
     """Load a frame without annotations where the dataset can leave them out, else whole."""
     method: Any = getattr(dataset, "load_picture", None)

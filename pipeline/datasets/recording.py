@@ -95,6 +95,14 @@ class Recording:
             return self.load_picture(frame_id).camera.T_world_camera
         return self._standard(self._listed(frame_id, []).pose)
 
+    def load_depth(self, frame_id: str) -> np.ndarray | None:
+        """Measured depth of a frame, without colour; see `base.load_depth`."""
+        found = self._listed(frame_id, [])
+        if found.depth is None:
+            return None
+        metres, unknown = self._measured(found, found.depth)
+        return np.where(metres > 0, np.float32(np.nan), metres) if unknown else metres
+
     def depth_units(self, frame_id: str) -> float:
         """Depth units in a metre by which a frame is read."""
         stated = self._listed(frame_id, []).stated.units_per_metre
@@ -180,14 +188,18 @@ class Recording:
         if found.depth is None:
             shrink = 1.0 if found.annotate is not None else min(1.0, LONGEST_ALONE / max(rgb.shape[:2]))
             return np.ones((round(rgb.shape[0] * shrink), round(rgb.shape[1] * shrink)), np.float32), ()
+        return self._measured(found, found.depth)
+
+    def _measured(self, found: Listed, depth: Blob) -> tuple[np.ndarray, tuple[str, ...]]:
+        """Measured depth as `_metres`."""
         rule, unknown = self.rule, ()
         units = self._settings.depth_scale or found.stated.units_per_metre or rule.units_per_metre
         if units is None and self._settings.browse:
-            stored = read_stored(found.depth)
+            stored = read_stored(depth)
             if stored.dtype.kind != "f":
                 units = float(np.median(stored[stored > 0])) / BROWSED_MEDIAN_M if stored.any() else 1.0
                 unknown = (DEPTH_SCALE,)
-        metres = read_depth(found.depth, units, rule.nothing, rule.rotated)
+        metres = read_depth(depth, units, rule.nothing, rule.rotated)
         if np.isfinite(rule.farthest):
             metres[metres > rule.farthest] = 0
         return metres, unknown

@@ -217,6 +217,9 @@ class EstimatedDepth(ChangedFrames):
             for frame in readable_frames(inner.load, inner.frame_ids[:1]):
                 self._known(frame)
 
+    def load_depth(self, frame_id: str) -> None:
+        """Nothing: no depth that was measured is used; see `base.load_depth`."""
+
     def changed(self, frame: Frame) -> Frame:
         """Frame with estimated depth."""
         camera, K = frame.camera, self._known(frame)
