@@ -239,7 +239,7 @@ def _object(entry: dict[str, str] | None) -> str:
 def print_saved(now: Answer, folder: Path) -> None:
     """Print the saved files, and the command to run the case again."""
     if now.diagnosis is not None:
-        say((now.diagnosis.verdict, "bold"), "  ", now.diagnosis.text)
+        say((now.diagnosis.verdict, "bold"), "  ", f"{now.story.head}. {now.story}")
     say_lines([now.problem or now.unjudged or ""], "yellow")
     say(f"kept -> {folder}   run it again: spatialviz replay {folder}")
 
