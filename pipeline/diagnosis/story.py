@@ -45,7 +45,7 @@ def judged_story(
         "phrase": PHRASE.get(case.relation) if plain else None,
         "both": f"“{case.target}” and “{case.reference}”" if case.target != case.reference else f"“{case.target}”",
         "place": f"another {case.target}" if case.target == case.reference else f"the {case.reference}",
-        "mine": None if d.winner is None else _really(d, d.winner.target, case.target_object, case.target),
+        "mine": None if d.winner is None else _really(d, d.winner.target, case.target_object),
     }
     values["ending"] = _ending(d, values["mine"])
     told = {
@@ -77,8 +77,10 @@ def _ending(d: Diagnosis, mine: str | None) -> str | None:
     """What was answered in place of what was missed; None where the answer is not among the detections."""
     if mine is not None:
         return words("ending", "another", mine=mine)
-    found, asked = d.evidence.answers.candidates, (d.case.target, d.case.reference)
-    none = d.evidence.answers.source.line is None and any(n in found and not len(found[n].index) for n in asked)
+    answers = d.evidence.answers
+    found, line = answers.candidates, answers.source.line
+    empty = any(name in found and not len(found[name].index) for name in (d.case.target, d.case.reference))
+    none = empty if line is None or line.ranked else line.answer is None
     return words("ending", "nothing") if none else None
 
 
@@ -173,7 +175,6 @@ def _several(d: Diagnosis, winner: ScoredPair, right: ScoredPair, phrase: str | 
     if d.repair == ("RECALL",):
         return "several.unseen", {}
     change = mend(d)[1]
-    # The score that the smallest change is of, else the one that speaks most for the answer.
     name, ours, theirs = _lead(d, winner, right, of="" if change is None else change.name)
     values = {"phrase": phrase, "name": name, "times": _times(ours, theirs)}
     brief = {"SRM": "SRM.short", "CONF": "CONF.short"}
@@ -187,7 +188,7 @@ def _several(d: Diagnosis, winner: ScoredPair, right: ScoredPair, phrase: str | 
 def _false(d: Diagnosis, winner: ScoredPair, right: ScoredPair) -> Kind:
     case = d.case
     if d.false_target and d.false_reference:
-        mine, beside = _really(d, winner.target, case.target_object, case.target), _beside(d, winner)
+        mine, beside = _really(d, winner.target, case.target_object), _beside(d, winner)
         return "false.nothing" if mine == beside == words("really", "nothing") else "false.both", {
             "beside": beside,
             "p_target": _p(winner.p_target),
@@ -195,10 +196,10 @@ def _false(d: Diagnosis, winner: ScoredPair, right: ScoredPair) -> Kind:
             "right_target": _p(right.p_target),
             "right_reference": _p(right.p_reference),
         }
-    name, ours, theirs = _lead(d, winner, right)
-    shown = dict(zip(("ours", "theirs"), distinct_digits(ours, theirs), strict=True)) | {"times": _times(ours, theirs)}
     false = case.target if d.false_target else case.reference
-    really = _really(d, winner.target, case.target_object, case.target) if d.false_target else _beside(d, winner)
+    name, ours, theirs = _lead(d, winner, right, of=false)
+    shown = dict(zip(("ours", "theirs"), distinct_digits(ours, theirs), strict=True)) | {"times": _times(ours, theirs)}
+    really = _really(d, winner.target, case.target_object) if d.false_target else _beside(d, winner)
     return "false" if name == false else "false.other", shown | {"name": false, "really": really, "other": name}
 
 
@@ -207,7 +208,7 @@ def _outranked(d: Diagnosis, winner: ScoredPair, right: ScoredPair) -> Kind:
     name, mine, other = _lead(d, winner, right)
     p_ours, p_theirs = distinct_digits(mine, other)
     values = {"name": name, "times": _times(mine, other), "p_ours": p_ours, "p_theirs": p_theirs}
-    if not case.relation or not name:
+    if not case.relation:
         return "ranked.thing", values
     ours, theirs = distinct_digits(winner.p_relation, right.p_relation)
     kind = "equal" if ours == theirs else "favoured" if winner.p_relation > right.p_relation else ""
@@ -215,15 +216,19 @@ def _outranked(d: Diagnosis, winner: ScoredPair, right: ScoredPair) -> Kind:
     return f"ranked.{kind}" if kind else "ranked", values
 
 
-def _lead(d: Diagnosis, winner: ScoredPair, right: ScoredPair, of: str = "") -> tuple[str | None, float, float]:
-    """Name whose score speaks most for the answer, with the scores of the answer and of the right pair."""
+def _lead(d: Diagnosis, winner: ScoredPair, right: ScoredPair, of: str = "") -> tuple[str, float, float]:
+    """Name whose score speaks most for the answer, with the scores of the answer and of the right pair.
+
+    `of`: the name that is taken where its score clearly does.
+    """
     both = (
         (d.case.target, winner.target, right.target, winner.p_target, right.p_target),
         (d.case.reference, winner.reference, right.reference, winner.p_reference, right.p_reference),
     )
     apart = [(name, ours, theirs) for name, mine, other, ours, theirs in both if mine != other]
     ratios = {t: t[1] / max(t[2], 1e-9) for t in apart}
-    return max(apart, key=lambda t: (t[0] == of and ratios[t] >= CLEARLY, ratios[t]), default=(None, 1.0, 1.0))
+    same = (d.case.target, winner.p_target, right.p_target)
+    return max(apart, key=lambda t: (t[0] == of and ratios[t] >= CLEARLY, ratios[t]), default=same)
 
 
 def _contrast(d: Diagnosis, winner: ScoredPair, right: ScoredPair) -> tuple[str | None, str | None, str | None]:
@@ -243,13 +248,13 @@ def _contrast(d: Diagnosis, winner: ScoredPair, right: ScoredPair) -> tuple[str 
     return (phrase, *distinct_digits(ours, theirs))
 
 
-def _really(d: Diagnosis, index: int, example: int, name: str) -> str:
-    """What a box of the answer really is: `index` among the detections, `example` a labelled object of its name."""
+def _really(d: Diagnosis, index: int, example: int) -> str:
+    """What a box of the answer really is: `index` among the detections, `example` a labelled object of the class."""
     evidence, truth = d.evidence, d.truth
     overlap = evidence.overlap[index]
     alike = truth.alike[example]
     if (overlap[alike] >= HIT).any():
-        return words("really", "another", name=name)
+        return words("really", "another", name=truth.labels[example])
     k = int(overlap.argmax())
     size, of_label = (np.prod(box[2:] - box[:2]) for box in (evidence.answers.boxes[index], truth.boxes[k]))
     if overlap[k] < TOUCHES:
@@ -280,7 +285,7 @@ def _inside(d: Diagnosis, index: int) -> int | None:
 
 def _beside(d: Diagnosis, winner: ScoredPair) -> str:
     assert winner.reference is not None
-    return _really(d, winner.reference, d.case.reference_object, d.case.reference)
+    return _really(d, winner.reference, d.case.reference_object)
 
 
 def _worst_box(d: Diagnosis, winner: ScoredPair, right: ScoredPair) -> dict[str, Any]:
