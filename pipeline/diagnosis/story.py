@@ -16,6 +16,7 @@ from pipeline.diagnosis.story_words import TRUTHS, WORDS, Change, Story, capital
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.geometry.masks import decode_run_length
 from pipeline.labels.cases import HIT
+from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.language.tree import Query
 from pipeline.system.errors import InputError
@@ -84,6 +85,14 @@ def _ending(d: Diagnosis, mine: str | None) -> str | None:
     return words("ending", "nothing") if none else None
 
 
+def change_words(changed: bool, before: Story, after: Story) -> str:
+    """Whether an answer under edits is another one, and right, in a few words."""
+    was, now = (told.tone in ("right", "also right") for told in (before, after))
+    known = "none" not in (before.tone, after.tone)
+    kind = "unknown" if not known else f"{'still ' if was == now else ''}{'right' if now else 'wrong'}"
+    return words("changes", kind if changed else "same")
+
+
 Kind = tuple[str, dict[str, Any]]
 
 
@@ -130,6 +139,10 @@ def _missed(d: Diagnosis, unknown: Collection[str], **_: Any) -> Kind:
     missed = d.missed
     assert missed is not None
     kind = "unknown" if d.missed_name in unknown else "suppressed" if missed.suppressed else missed.kind.lower()
+    if kind == "localisation" and d.verdict == "OPM-TARGET" and d.winner is not None:
+        # The answer may be the very box that fits badly.
+        best = d.evidence.overlap[d.winner.target, d.case.acceptable].max(initial=0.0)
+        kind = "loose" if best >= max(TOUCHES, missed.overlap - 1e-6) else kind
     role = "target" if d.verdict == "OPM-TARGET" else "reference"
     return f"{role if kind in ('absent', 'threshold') else 'missed'}.{kind}", {
         "name": d.missed_name,
@@ -153,7 +166,8 @@ def _lost(d: Diagnosis, **_: Any) -> Kind:
     if winner is None or right is None:
         if "LIFT" in d.repair:
             return "box.alike", {}
-        return "one.alone" if winner is None else "one.alike" if case.target == case.reference else "one", {}
+        kind = "one.alone" if winner is None else "one.alike" if case.target == case.reference else "one"
+        return kind, {"targets": counted(2, case.target).removeprefix("2 ")}
     if d.detail == "DEGENERATE":
         return "ranked.tie", {}
     if d.detail == "SCORE":
@@ -181,7 +195,7 @@ def _several(d: Diagnosis, winner: ScoredPair, right: ScoredPair, phrase: str | 
     short = [brief.get(part, part) for part in d.repair]
     known = {"SRM": phrase, "CONF": values["times"]}
     long = [part if known.get(part, "") is not None else brief[part] for part in d.repair]
-    long, short = (_joined([words("faults", kind, **values) for kind in kinds]) for kinds in (long, short))
+    long, short = (_joined([words("faults", kind, **values) for kind in kinds], ", and ") for kinds in (long, short))
     return "several", {"Number": NUMBERS[len(d.repair)], "faults": long, "short": short}
 
 
@@ -189,12 +203,11 @@ def _false(d: Diagnosis, winner: ScoredPair, right: ScoredPair) -> Kind:
     case = d.case
     if d.false_target and d.false_reference:
         mine, beside = _really(d, winner.target, case.target_object), _beside(d, winner)
+        ends = distinct_digits(winner.p_reference, right.p_reference)
         return "false.nothing" if mine == beside == words("really", "nothing") else "false.both", {
             "beside": beside,
-            "p_target": _p(winner.p_target),
-            "p_reference": _p(winner.p_reference),
-            "right_target": _p(right.p_target),
-            "right_reference": _p(right.p_reference),
+            **dict(zip(("p_target", "right_target"), distinct_digits(winner.p_target, right.p_target), strict=True)),
+            **dict(zip(("p_reference", "right_reference"), ends, strict=True)),
         }
     false = case.target if d.false_target else case.reference
     name, ours, theirs = _lead(d, winner, right, of=false)
@@ -309,7 +322,8 @@ def mend(d: Diagnosis) -> tuple[str, Change | None]:
     if d.missed is not None:
         others = [TRUTHS[part] for part in d.repair if part != "RECALL"]
         kind = "found" if d.repair == ("RECALL",) else "found.more" if others else ""
-        return words("mends", kind, name=d.missed_name, truths=_joined(others)) if kind else "", None
+        done = words("done", d.missed.kind)
+        return words("mends", kind, name=d.missed_name, done=done, truths=_joined(others)) if kind else "", None
     rise = next(((n, n.right_above) for n in d.needed if n.right_above is not None), None)
     if rise is not None:
         return _moved(d, rise[0], "right", rise[0].right, rise[1], d.right)
@@ -366,8 +380,8 @@ def _times(ours: float, theirs: float) -> str | None:
     return None if ratio < CLEARLY else f"{ratio:.0f}" if ratio < 1000 else "over 1,000"
 
 
-def _joined(parts: list[str]) -> str:
-    return " and ".join(filter(None, (", ".join(parts[:-1]), parts[-1]))) if parts else ""
+def _joined(parts: list[str], last: str = " and ") -> str:
+    return last.join(filter(None, (", ".join(parts[:-1]), parts[-1]))) if parts else ""
 
 
 def _p(value: float) -> str:

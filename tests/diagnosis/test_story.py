@@ -14,7 +14,7 @@ from diagnosis_worlds import world
 from pipeline.answering import ScoredPair
 from pipeline.datasets import demo_run
 from pipeline.diagnosis import Diagnosis, Missed, diagnose
-from pipeline.diagnosis.story import judged_story, unjudged_story
+from pipeline.diagnosis.story import change_words, judged_story, unjudged_story
 from pipeline.diagnosis.story_words import LONGEST, STORIES, WORDS, Story, story, values_of
 from pipeline.diagnosis.whatif import Baseline
 from pipeline.evaluation import open_run
@@ -59,7 +59,7 @@ def test_every_kind_is_said_shortly_and_plainly(kind: str) -> None:
 
 
 def test_other_words_are_plain_too() -> None:
-    for group in ("really", "ending", "faults", "mends", "factors", "truths"):
+    for group in ("really", "ending", "faults", "mends", "factors", "truths", "done", "changes"):
         for words in WORDS[group].values():
             assert not FORBIDDEN.search(re.sub(r"\{\w+\}", "", words)), words
 
@@ -160,3 +160,19 @@ def test_the_change_of_a_story_makes_the_answer_right() -> None:
         assert mended.story.tone in ("right", "also right"), (found.story, mended.story)
         seen.append(change.field)
     assert set(seen) == {"confidences", "relations"}
+
+
+@pytest.mark.parametrize(
+    ("changed", "before", "after", "words"),
+    [
+        (False, "right", "lucky.alone", "Answer unchanged."),
+        (True, "false", "right", "Now right."),
+        (True, "false", "label.text", "Now right."),
+        (True, "right", "false", "Now wrong."),
+        (True, "right", "lucky.alone", "Another answer, also right."),
+        (True, "false", "ranked", "Another answer, still wrong."),
+        (True, "unjudged", "unjudged", "Another answer."),
+    ],
+)
+def test_what_edits_did_is_said_in_a_few_words(changed: bool, before: str, after: str, words: str) -> None:
+    assert change_words(changed, story(before, **SAMPLE), story(after, **SAMPLE)) == words
