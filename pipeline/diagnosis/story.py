@@ -45,6 +45,7 @@ def judged_story(
         "reference": case.reference or None,
         "phrase": PHRASE.get(case.relation) if plain else None,
         "both": f"“{case.target}” and “{case.reference}”" if case.target != case.reference else f"“{case.target}”",
+        "pair": "pair" if case.reference else "one",
         "place": f"another {case.target}" if case.target == case.reference else f"the {case.reference}",
         "mine": None if d.winner is None else _really(d, d.winner.target, case.target_object),
     }
@@ -275,7 +276,8 @@ def _really(d: Diagnosis, index: int, example: int) -> str:
         if inside is None:
             return words("really", "nothing")
         k, of_label = inside, size
-    kind = "other" if overlap[k] >= HIT else "wide" if size > of_label else "own" if alike[k] else "part"
+    loose = ("own", "own wide") if alike[k] else ("part", "wide")
+    kind = "other" if overlap[k] >= HIT else loose[int(size > of_label)]
     return words("really", kind, label=truth.labels[k])
 
 
