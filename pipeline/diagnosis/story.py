@@ -25,6 +25,8 @@ CLEARLY = 1.95
 """From so many times on a score is told as that many times the other."""
 TOUCHES = 0.1
 """A box that overlaps a label at least this much is of that object, in part."""
+DOUBTED = ("label.perhaps", "label.box", "label.text")
+"""Kinds of which nobody can say that the answer is right."""
 NUMBERS = {2: "two", 3: "three", 4: "four", 5: "five"}
 
 
@@ -89,7 +91,7 @@ def _ending(d: Diagnosis, mine: str | None) -> str | None:
 def change_words(changed: bool, before: Story, after: Story) -> str:
     """Whether an answer under edits is another one, and right, in a few words."""
     was, now = (told.tone in ("right", "also right") for told in (before, after))
-    known = "none" not in (before.tone, after.tone)
+    known = all(told.tone != "none" and told.kind not in DOUBTED for told in (before, after))
     kind = "unknown" if not known else f"{'still ' if was == now else ''}{'right' if now else 'wrong'}"
     return words("changes", kind if changed else "same")
 

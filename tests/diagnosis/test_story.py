@@ -167,7 +167,8 @@ def test_the_change_of_a_story_makes_the_answer_right() -> None:
     [
         (False, "right", "lucky.alone", "Answer unchanged."),
         (True, "false", "right", "Now right."),
-        (True, "false", "label.text", "Now right."),
+        (True, "false", "label.another", "Now right."),
+        (True, "false", "label.text", "Another answer."),
         (True, "right", "false", "Now wrong."),
         (True, "right", "lucky.alone", "Another answer, also right."),
         (True, "false", "ranked", "Another answer, still wrong."),
