@@ -23,6 +23,8 @@ bottom are few points.
 """
 MOST_SLANT = 3.0
 """Largest factor by which the rim of a surface seen at a slant is lengthened."""
+PART_GAP, PLAN_SLACK = 0.03, 0.01
+"""Metres beyond a box's end from which dropped points tell of a part, and beyond its plan within which they do."""
 NEAREST = 0.01
 """Distances to a side below this count alike, metres."""
 YAW_POINTS = 160
@@ -166,6 +168,26 @@ def upright_boxes(
     middle = (R @ ((lo + hi) / 2)[..., None])[..., 0]
     confidence = (contrast / (contrast + CONTRAST)).tolist()
     return [(Box3D(*box), sure) for *box, sure in zip(middle, R, hi - lo, confidence, strict=True)]
+
+
+def with_thin_parts(box: Box3D, dropped: np.ndarray, least: float) -> Box3D:
+    """Extend an upright box up or down to parts that cleaning dropped whole: legs of tables are thinner than rims.
+
+    `dropped`: (N, 3) points of the mask that cleaning dropped, camera frame, metres. A part is told by `least` of them
+    within the box's plan and more than PART_GAP beyond its end; of these the outermost twentieth does not count.
+    """
+    local, half = (dropped - box.center) @ box.R, box.size / 2
+    heights = local[(np.abs(local[:, ::2]) <= half[::2] + PLAN_SLACK).all(axis=1), 1]
+    ends = [half[1], half[1]]
+    for k, outwards in enumerate((-heights, heights)):
+        part = np.sort(outwards[outwards > half[1] + PART_GAP])
+        if len(part) >= max(least, 1):
+            ends[k] = part[len(part) - 1 - len(part) // 20]
+    up, down = ends
+    if up + down == box.size[1]:
+        return box
+    size = np.array([box.size[0], up + down, box.size[2]])
+    return Box3D(box.center + box.R[:, 1] * (down - up) / 2, box.R, size)
 
 
 def plan_yaws(plans: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -17,7 +17,15 @@ import numpy as np
 
 from pipeline.geometry.boxes import Box3D, Side
 from pipeline.geometry.camera import Camera, lift_pixels
-from pipeline.geometry.fitting import extents_of, gravity_box, median, pca_box, upright_box, upright_boxes
+from pipeline.geometry.fitting import (
+    extents_of,
+    gravity_box,
+    median,
+    pca_box,
+    upright_box,
+    upright_boxes,
+    with_thin_parts,
+)
 from pipeline.geometry.open_sides import open_sides
 from pipeline.geometry.surface import plane_depth, surface_step
 from pipeline.geometry.viewer import ViewerAxes
@@ -47,6 +55,9 @@ class Pixel(IntEnum):
 
 MAD_TO_DEVIATION = 1.4826
 """Standard deviation of a normal distribution of median absolute deviation 1."""
+DROPPED_POINTS = 500
+PART_PIXELS, PART_SHARE = 10, 0.02
+"""Fewest dropped pixels that tell of a part of an object, and as a share of those kept."""
 SQUARE = np.ones((3, 3), np.uint8)
 DECIDED = np.zeros(256, np.uint8)
 DECIDED[:5] = Pixel.KEPT, Pixel.MASK_BORDER, Pixel.DEPTH_EDGE, Pixel.OUT_OF_RANGE, Pixel.NO_DEPTH
@@ -336,6 +347,10 @@ def _lifted(
             noises=[noise for _, _, noise in smooth],
             thin=[thin[k] for k in seen],
         )
+        found = [
+            (with_thin_parts(box, *_dropped(depth, own, camera)), sure)
+            for (box, sure), own in zip(found, evidence, strict=True)
+        ]
         crops = [(own.codes, own.x0, own.y0) for own in evidence]
         sides.update(zip(seen, open_sides([box for box, _ in found], crops, depth, camera), strict=True))
     else:
@@ -409,6 +424,16 @@ def _smooth_points(
     # What erosion and thinning leave out beyond the outermost points' centres.
     rim = evidence.eroded + 0.5 + (step - 1) / 2
     return np.array([x[u] * z, y[v] * z, z]).T, rim, MAD_TO_DEVIATION * median(off)
+
+
+def _dropped(depth: np.ndarray, evidence: PixelEvidence, camera: Camera) -> tuple[np.ndarray, float]:
+    """Points of dropped pixels with a depth, thinned, (N, 3), and how many of them tell of a part of the object."""
+    places = np.flatnonzero(evidence.codes >= Pixel.DEPTH_EDGE)
+    step = 1 + len(places) // DROPPED_POINTS
+    v, u = np.divmod(places[::step], evidence.codes.shape[1])
+    v, u = v + evidence.y0, u + evidence.x0
+    kept = np.count_nonzero(evidence.codes == Pixel.KEPT)
+    return lift_pixels(depth[v, u], camera, v, u), max(PART_PIXELS, PART_SHARE * kept) / step
 
 
 def fit_box(points: np.ndarray, viewer: ViewerAxes, mode: BoxMode = "gravity") -> tuple[Box3D | None, float]:

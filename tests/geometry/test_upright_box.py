@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -14,7 +15,7 @@ from scenes import Plane, camera_of, cast, up_of, upright
 from pipeline.answering.objects import prepare_frame
 from pipeline.datasets import open_dataset
 from pipeline.geometry import Box3D, iou_3d, lift, viewer_axes
-from pipeline.geometry.fitting import LEAST_DEPTH, THIN_DEPTH, plan_yaws, upright_box
+from pipeline.geometry.fitting import LEAST_DEPTH, THIN_DEPTH, plan_yaws, upright_box, with_thin_parts
 from pipeline.geometry.lifting import BoxMode, LiftConfig, fit_box
 from pipeline.geometry.surface import depth_noise, plane_depth
 from pipeline.language import is_thin
@@ -125,6 +126,35 @@ def test_a_few_points_still_have_a_box(points: np.ndarray) -> None:
     assert box is not None
     assert np.isfinite(box.size).all()
     assert 0 <= confidence <= 1
+
+
+def test_thin_legs_that_cleaning_drops_belong_to_the_box() -> None:
+    top = upright((0.1, 0.5, 2.2), (0.9, 0.05, 0.6), 20)
+    feet = [(x, z) for x in (-0.42, 0.42) for z in (-0.27, 0.27)]
+    legs = [upright(top.center + top.R @ np.array([x, 0.35, z]), (0.015, 0.65, 0.015), 20) for x, z in feet]
+    viewer = viewer_axes(up_of(25))
+    seen = cast(CAMERA, [top, *legs], [Plane((0, 0, 1), 4.5)], viewer)
+    depth, mask = seen.depth.astype(np.float32), (seen.ids >= 0) & (seen.ids < 5)
+    (found,) = lift(depth, CAMERA, [mask], viewer)
+    assert found.box is not None
+    assert found.box.size[1] == pytest.approx(0.7, abs=0.05)
+    # Bare, or with its mask leaking by three pixels: what hangs free has no legs.
+    bare = seen.ids == 0
+    for grown in (bare, cv2.dilate(bare.view(np.uint8), np.ones((7, 7), np.uint8)).view(np.bool_)):
+        (shelf,) = lift(np.where(mask & ~bare, 4.5, depth).astype(np.float32), CAMERA, [grown], viewer)
+        assert shelf.box is not None
+        assert shelf.box.size[1] < 0.1
+
+
+def test_dropped_points_tell_of_a_part_where_they_are_many_and_within_the_plan() -> None:
+    box = Box3D(np.array([0.0, 0.0, 2.0]), np.eye(3), np.array([1.0, 0.2, 0.6]))
+    leg = np.stack([np.full(40, 0.45), np.linspace(0.1, 0.9, 40), np.full(40, 1.8)], axis=1)
+    longer = with_thin_parts(box, leg, 20)
+    np.testing.assert_allclose(longer.size, [1.0, 0.1 + 0.88, 0.6], atol=0.03)
+    assert longer.center[1] - longer.size[1] / 2 == pytest.approx(-0.1)
+    assert with_thin_parts(box, leg, 50) is box
+    assert with_thin_parts(box, leg + np.array([0.1, 0, 0]), 20) is box
+    assert with_thin_parts(box, np.empty((0, 3), np.float32), 0) is box
 
 
 def test_an_object_is_lifted_alike_alone_and_among_others() -> None:
