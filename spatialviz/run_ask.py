@@ -203,7 +203,8 @@ def print_answer(answer: Answer, trace: Trace) -> None:
         found = answer.diagnosis
         name = shown_verdict(found.verdict, found.detail, found.lucky)
         style = "bold green" if found.correct else "bold yellow"
-        say(("verdict ", "dim"), (name, style), f"  {found.text}")
+        say(("verdict ", "dim"), (name, style), f"  {answer.story.head}")
+        say_lines(filter(None, (answer.story.sentence, answer.story.mend)))
     elif answer.unjudged is not None:
         say(f"no verdict: {answer.unjudged}", style="dim")
 

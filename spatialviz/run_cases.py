@@ -16,6 +16,7 @@ from pipeline.diagnosis.asking import answer, frame_truth, judged, truth_or_reas
 from pipeline.diagnosis.cases.manifest import ExpectedRecord
 from pipeline.diagnosis.cases.replay import ReplayResult, find_cases, replay_all
 from pipeline.diagnosis.cases.saving import open_case, save_case
+from pipeline.diagnosis.story import change_words
 from pipeline.diagnosis.whatif import Baseline, Edits, Outcome, edits_record, load_edits, rerun, what_changed
 from pipeline.diagnosis.whatif.edit_words import edits_from_words
 from pipeline.diagnosis.whatif.region import asked_pair
@@ -58,9 +59,14 @@ def whatif_answer(baseline: Baseline, edits: Edits, labels: Labels | None) -> tu
     after = rerun(baseline, edits)
     weights = replace(pipeline.config.rank, **edits.rank)
     truth = truth_or_reason(pipeline, context, labels)
-    first = judged(baseline.outcome.trace, pipeline, context, truth).verdict
-    verdicts = first, judged(after.trace, pipeline, context, truth, weights).verdict
-    return whatif_record(baseline, after, edits, verdicts), after
+    answers = (
+        judged(baseline.outcome.trace, pipeline, context, truth),
+        judged(after.trace, pipeline, context, truth, weights),
+    )
+    record = whatif_record(baseline, after, edits, (answers[0].verdict, answers[1].verdict))
+    for when, found in zip(("before", "after"), answers, strict=True):
+        record[when]["head"] = found.story.head
+    return record | {"said": change_words(record["changed"], answers[0].story, answers[1].story)}, after
 
 
 def run_save_case(command: SaveCaseCommand) -> None:
@@ -213,6 +219,7 @@ def print_change(record: dict[str, Any]) -> None:
     rows += [(title, *(figure(side.get(key), ".3f", "") for side in sides)) for title, key in _FACTORS.items()]
     if any(side["verdict"] for side in sides):
         rows.append(("verdict", *(side["verdict"] or "" for side in sides)))
+        rows.append(("", *(side["head"] for side in sides)))
     print_rows(("", "before", "after"), rows)
     for when, side in zip(("before", "after"), sides, strict=True):
         if "reason" in side:
@@ -221,8 +228,7 @@ def print_change(record: dict[str, Any]) -> None:
             nearest = " with ".join(_object(side[role]) for role in ("target", "reference") if role in side)
             shown = probability(side["relation_probability"])
             say(f"{when}: {NO_SUCH_PAIR}{nearest}, relation {shown}", style="yellow")
-    if record["changed"]:
-        say("the answer is another", style="bold")
+    say(record["said"], style="bold" if record["changed"] else "")
     for move in record["moved"][:5]:
         was, now = (move[f"rank_{when}"] or "not there" for when in ("before", "after"))
         say(f"pair {move['target']}, {move['reference']}: {was} -> {now}", style="dim")
@@ -239,7 +245,7 @@ def _object(entry: dict[str, str] | None) -> str:
 def print_saved(now: Answer, folder: Path) -> None:
     """Print the saved files, and the command to run the case again."""
     if now.diagnosis is not None:
-        say((now.diagnosis.verdict, "bold"), "  ", now.diagnosis.text)
+        say((now.diagnosis.verdict, "bold"), "  ", f"{now.story.head}. {now.story}")
     say_lines([now.problem or now.unjudged or ""], "yellow")
     say(f"kept -> {folder}   run it again: spatialviz replay {folder}")
 

@@ -2,7 +2,7 @@
 
 `frame_evidence` joins what was detected in a frame with what is true of it,
 `substitution` ranks again with parts of the pipeline replaced by the truth,
-`decision` names the module, `verdict` says it in words, `asking` answers and
+`decision` names the module, `story` says it in words, `asking` answers and
 judges, `cases` keeps answers, `whatif` edits them.
 """
 
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from pipeline.diagnosis.marks import MARKS, read_marks
     from pipeline.diagnosis.oracles import ALL_ORACLES, CONF, LIFT, ORACLES, SRM, SUBSETS, names_of
     from pipeline.diagnosis.sentence_truth import sentence_case
+    from pipeline.diagnosis.story_words import Story
     from pipeline.diagnosis.substitution import substitute
     from pipeline.diagnosis.suggestions import (
         SuggestedQuestions,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, Protocol, TypeAlias
 
 import numpy as np
@@ -16,6 +16,8 @@ from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import HOLDS, ScoredPair
 from pipeline.datasets.plausible import depth_doubt
 from pipeline.diagnosis.oracles import RECALL, names_of
+from pipeline.diagnosis.story import unjudged_story
+from pipeline.diagnosis.story_words import Story
 from pipeline.diagnosis.verdict import MODULE_OF, Diagnosis
 from pipeline.language.counted import counted
 from pipeline.language.glossary import glossary
@@ -272,8 +274,14 @@ class Answer(InNotebook):
         return None if self.diagnosis is None else self.diagnosis.verdict
 
     @property
+    def story(self) -> Story:
+        """What is said of the answer: right or wrong in a few words, why, and what would mend it."""
+        d = self.diagnosis
+        return unjudged_story(self.trace, self.problem, self.unjudged) if d is None else d.story
+
+    @property
     def why(self) -> str | None:
-        """Verdict in words with the smallest mending change; else the reason for none, if known."""
+        """Verdict in a sentence; else the reason for none, if known."""
         return self.unjudged if self.diagnosis is None else self.diagnosis.text
 
     def needed_trace(self) -> Trace:
@@ -351,7 +359,7 @@ def diagnosis_record(d: Diagnosis) -> dict[str, Any]:
         "verdict": d.verdict,
         "detail": d.detail,
         "lucky": d.lucky,
-        "said": d.text,
+        **story_record(d.story),
         "repair": list(d.repair),
         "mends": list(d.mends),
         "truth": {
@@ -375,6 +383,13 @@ def diagnosis_record(d: Diagnosis) -> dict[str, Any]:
             for n in d.needed
         ],
     } | present(missed=missed)
+
+
+def story_record(told: Story) -> dict[str, Any]:
+    """Story as in `ask --json`: the mend with the number that a what-if would change, or null."""
+    change = None if told.change is None else asdict(told.change)
+    mend = {"said": told.mend, "change": change} if told.mend else None
+    return {"head": told.head, "tone": told.tone, "kind": told.kind, "said": told.sentence, "mend": mend}
 
 
 def _shown(d: Diagnosis) -> tuple[int, ...]:

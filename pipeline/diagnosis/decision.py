@@ -57,8 +57,9 @@ from pipeline.diagnosis.oracles import (
     OracleScores,
     names_of,
 )
+from pipeline.diagnosis.story import judged_story
 from pipeline.diagnosis.substitution import substitute
-from pipeline.diagnosis.verdict import Diagnosis, explain
+from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.labels.cases import HIT, Case, misread
 from pipeline.language.tree import Query
 from pipeline.system.errors import InputError
@@ -93,7 +94,7 @@ def diagnose(
     found = _decided(evidence, case, parse_ok, mark)
     if found.verdict == "PARSE":
         found = replace(found, detail=misread(query, case, problem))
-    return replace(found, text=explain(found, case, query=query, problem=problem, unknown=evidence.answers.unknown))
+    return replace(found, story=judged_story(found, query, problem, evidence.answers.unknown))
 
 
 def _decided(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | None) -> Diagnosis:

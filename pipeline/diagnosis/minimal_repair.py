@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import exp, inf, prod
 
@@ -82,35 +81,6 @@ def _least_change(table: PairTable, factor: str, pair: int, right: int, ahead: n
         return inf
     scores = table.flat[0]
     return float((scores[gained] - scores[right]).max(initial=0.0))
-
-
-def smallest_change(changes: Sequence[FactorRepair]) -> str:
-    """Smallest change of a single factor putting the right pair first, in words, or that none exists."""
-    names = {
-        "relation": "relation",
-        "target": "target score",
-        "reference": "reference score",
-        "attributes": "attributes",
-    }
-    for change in changes:
-        if change.right_above is None:
-            continue
-        above, now = threshold(change.right_above, change.right)
-        if change.right_above < 0.01 and change.right < 0.005 and change.factor != "reference":
-            # Two pairs that are both next to 0: what is enough says more than what is just enough.
-            return f"A {names[change.factor]} of 0.01 instead of {change.right:.2f} would put the right pair first."
-        return f"Smallest change: its {names[change.factor]} above " + (
-            f"{above}, which is a tie." if above == now else f"{above} instead of {now}."
-        )
-    if not changes:
-        return ""
-    falls = [n for n in changes if n.winner_below is not None]
-    if not falls:
-        return "No change of one factor alone would put the right pair first."
-    least = min(falls, key=lambda n: n.winner - (n.winner_below or 0.0))
-    below, now = threshold(least.winner_below or 0.0, least.winner)
-    what = f"Smallest change: the answer's {names[least.factor]} below {below}"
-    return f"{what}, which is a tie." if below == now else f"{what} instead of {now}."
 
 
 def threshold(value: float, now: float) -> tuple[str, str]:

@@ -10,7 +10,8 @@ from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.ranking import alone
 from pipeline.diagnosis.answer import failed_stages
-from pipeline.diagnosis.verdict import MODULE_OF, ORACLE_WORDS, Diagnosis, shown_detail
+from pipeline.diagnosis.story_words import TRUTHS, Story
+from pipeline.diagnosis.verdict import MODULE_OF, Diagnosis, shown_detail
 from pipeline.diagnosis.whatif.answer_view import BothAnswers, OtherAnswer
 from pipeline.diagnosis.whatif.changes import each_edit
 from pipeline.evaluation.run_figures import Recorded, judged_by
@@ -74,6 +75,14 @@ def verdict_chip_of(judged: Diagnosis) -> Element:
     return verdict_chip(judged.verdict, judged.detail, judged.lucky)
 
 
+def story_html(told: Story) -> Element:
+    """Head, sentence and mend of a verdict."""
+    return h.div(
+        h.p(h.b(f"{told.head}. "), told.sentence, cls="sentence"),
+        h.p(told.mend, cls="dim small") if told.mend else None,
+    )
+
+
 def verdict_html(state: State) -> Element | None:
     """Verdict chip; opens the failed stage, or carries the verdict's sentence where no stage failed."""
     judged = state.judged
@@ -87,7 +96,7 @@ def verdict_html(state: State) -> Element | None:
     return h.div(
         h.button(verdict_chip_of(judged), cls="plain", do=f"stage:{stage}", id="verdict", title="show why"),
         # A failed stage carries the sentence.
-        None if state.task == "explain" and failed_stages(state.trace, judged) else h.p(judged.text, cls="sentence"),
+        None if state.task == "explain" and failed_stages(state.trace, judged) else story_html(judged.story),
         None if state.other is None or state.trace is None else _second(state.other, state.other_pair),
         cls="verdict",
     )
@@ -209,7 +218,7 @@ def _oracles(d: Diagnosis) -> list[Child]:
 
 
 def _oracle(d: Diagnosis, name: str, right: bool, margin: float) -> Element:
-    words = ORACLE_WORDS.get(name, "nothing: as it is")
+    words = TRUTHS.get(name, "nothing: as it is")
     return h.tr(
         h.th(term(name) if name else "none", scope="row"),
         h.td(words),

@@ -16,7 +16,7 @@ from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.geometry.palette import VERDICTS, hex_color, palette
 from pipeline.language.lexicon import wording
 from pipeline.language.tree import Attachment, Node, Span
-from spatialviz.app.answer import verdict_evidence
+from spatialviz.app.answer import story_html, verdict_evidence
 from spatialviz.app.markup import Child, Element, cell, chosen, h, hint_of, named, term, was, with_terms
 from spatialviz.app.stage_objects import attributes_evidence, candidates_evidence, lift_evidence, relations_evidence
 from spatialviz.app.state import State
@@ -72,7 +72,7 @@ def _item(state: State, stage: Stage, open_stage: str, failed: tuple[str, ...]) 
 def _sentence(state: State) -> Element:
     """Reason of a wrong or missing answer."""
     if isinstance(state.judged, Diagnosis):
-        return h.p(state.judged.text, cls="sentence")
+        return story_html(state.judged.story)
     if state.error:
         return h.p(state.error, cls="sentence refused")
     return h.p(None if state.trace is None else why_no_answer(state.trace), cls="sentence")

@@ -60,7 +60,7 @@ def _answer(answer: Answer) -> Element:
         "div",
         element("p", element("b", f"“{answer.text}”"), frame, verdict),
         element("p", answer.sentence),
-        None if answer.why is None else element("p", answer.why, style=_QUIET),
+        element("p", element("b", f"{answer.story.head}. "), str(answer.story)),
         None if picture is None else element("img", src=picture, style="max-width:100%", alt=answer.sentence),
         None if trace is None or not answer.pairs or trace.answered else _pairs(trace.name, answer.pairs),
         None if trace is None else element("p", _makers(trace), style=_QUIET),

@@ -16,7 +16,6 @@ import numpy as np
 import viser
 
 from pipeline import __version__
-from pipeline.answering.answer_words import why_no_answer
 from pipeline.answering.frame_store import LoadedFrame
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.pipeline import Pipeline
@@ -125,20 +124,9 @@ def write_page(page: str, path: Path) -> None:
     write_whole(path, page.encode("utf-8", "replace"), "the report")
 
 
-def headline(answered: Answer) -> str:
-    """Reason of the verdict, in a sentence or two."""
-    if answered.diagnosis is not None:
-        return answered.diagnosis.text
-    if answered.trace is None:
-        return f"The expression cannot be asked: {answered.problem}"
-    return why_no_answer(answered.trace) or "An answer without a verdict: " + (
-        answered.unjudged or "nothing is known of what is true in this frame"
-    )
-
-
 def _header(answered: Answer, subject: Subject) -> Element:
     """Verdict, question, reason and answer; a note where answer and truth share a maker."""
-    judged = answered.diagnosis
+    judged, told = answered.diagnosis, answered.story
     title = "" if judged is None else title_of(subject.shares)
     return h.header(
         h.div(
@@ -147,7 +135,8 @@ def _header(answered: Answer, subject: Subject) -> Element:
             h.span(f"{subject.dataset} · frame {subject.frame}", cls="dim"),
             cls="eyebrow",
         ),
-        h.h1(headline(answered)),
+        h.h1(told.head),
+        h.p(str(told), cls="lead"),
         h.p(f"Answer: {answered.sentence}.", cls="lead dim") if answered.pairs else None,
         note(f"{title[:1].upper()}{title[1:]}.") if title else None,
     )

@@ -184,7 +184,7 @@ def test_colours_and_what_nothing_judges_are_the_attributes_fault() -> None:
         assert isinstance(d, Diagnosis)
         assert d.verdict == "ATTRIBUTE", text
         assert d.repair == ("ATTRIBUTE",)
-        assert "Verdict: ATTRIBUTE." in d.text
+        assert d.story.head == "Looks misjudged"
 
 
 def test_a_choice_that_is_wrong_with_all_else_true_is_a_relation_among_its_like() -> None:
