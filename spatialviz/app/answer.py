@@ -60,6 +60,7 @@ def before_html(state: State, edited: BothAnswers) -> Element:
             h.b(probability(best.relation_probability), title=hint_of("P(relation)")),
         ]
     return h.div(
+        h.b(_became(state, edited)),
         h.span("before", cls="dim"),
         h.span(answer, cls="said"),
         verdict_chip_of(edited.judged) if isinstance(edited.judged, Diagnosis) else None,
@@ -67,6 +68,14 @@ def before_html(state: State, edited: BothAnswers) -> Element:
         css={"--c": hex_color(colors["edited"])},
         title=f"{counted(count, 'edit')}; 0 takes {'it' if count == 1 else 'them'} back",
     )
+
+
+def _became(state: State, edited: BothAnswers) -> str:
+    """Whether the edits have changed the answer, in a sentence."""
+    if not edited.changed:
+        return "The answer is unchanged."
+    was, now = (isinstance(d, Diagnosis) and d.verdict == "CORRECT" for d in (edited.judged, state.judged))
+    return "Now it is right." if now and not was else "Now it is wrong." if was and not now else "Another answer."
 
 
 def verdict_chip_of(judged: Diagnosis) -> Element:
