@@ -87,11 +87,12 @@ def test_a_new_answer_is_read_from_its_head(demo: Server, open_tab: OpenTab) -> 
 
 def test_what_if_says_whether_the_answer_has_changed(demo: Server, open_tab: OpenTab) -> None:
     tab = open_tab(demo.address, "absent")
-    tab.ask("laptop right of the mug")
-    tab.see("#answer .names", "right of")
+    tab.ask("mug on the left of another mug")
+    tab.see("#verdict", "CORRECT lucky")
     tab.drawer("Edit")
-    tab.send("edit:k:9")
+    tab.send("edit:set:k:9")
     tab.see("#answer .before", "The answer is unchanged.")
+    tab.see("#answer .before .vd", "CORRECT lucky")
     tab.press("0")
     tab.poll("!document.querySelector('#answer .before')")
     tab.send("edit:hide")

@@ -29,7 +29,7 @@ def test_a_drag_passes_frames_by(demo: Server, open_tab: OpenTab) -> None:
 def test_what_is_open_is_not_red(demo: Server, open_tab: OpenTab) -> None:
     """Wrong answers are; items that nobody has looked at are amber."""
     tab = open_tab(demo.address, "absent")
-    color = "getComputedStyle(document.querySelector('#strip .tally i')).backgroundColor"
+    color = "(e => e && getComputedStyle(e).backgroundColor)(document.querySelector('#strip .tally i'))"
     fill = "name => { const e = document.body.appendChild(document.createElement('i')); "
     fill += "e.style.background = `var(--${name}-fill)`; return getComputedStyle(e).backgroundColor; }"
     tab.see("#strip .tally i")

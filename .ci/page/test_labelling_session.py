@@ -44,7 +44,8 @@ def test_undo_brings_the_item_back(review: Tab) -> None:
     tab = review
     tab.click("queue-kind:relation")
     tab.press("j")
-    first = tab.poll(CLAIM)
+    tab.see("#review-item .task-item")
+    first = tab.still(CLAIM)
     tab.page.keyboard.press("y")
     tab.poll(f"claim => {CLAIM} !== claim", first)
     tab.press("Control+z")
