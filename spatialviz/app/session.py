@@ -127,7 +127,7 @@ class PageSession(Part):
         else:
             self.go(place, restoring=True)
         if dead := place.dead(self.ctx.source.dataset.frame_ids):
-            self.ctx.toast("A dead link", f"{dead}: this is {self.state.source} {self.state.frame_id}", bad=True)
+            self.ctx.toast("Dead link: something else is shown", dead, bad=True)
 
     async def _turned(self, _: object) -> None:
         """Update the address after a camera move."""

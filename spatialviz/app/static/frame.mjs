@@ -3,8 +3,8 @@ the scene is a line that says what to do, and the picture takes its place. */
 
 import {byId, calls, locals, sceneWindow} from './core.mjs';
 
-const NONE = 'This browser draws no 3D scene (no WebGL 2): turn hardware acceleration on in its settings, or take another one.';
-const LOST = 'The browser has lost the 3D scene: draw it again, and close other tabs that draw if that does not help.';
+const NONE = 'No 3D scene: this browser has no WebGL 2. Turn hardware acceleration on in its settings.';
+const LOST = 'The browser has lost the 3D scene. Draw it again; if that fails, close other tabs that draw.';
 
 const draws = () => {
   const gl = document.createElement('canvas').getContext('webgl2');
