@@ -74,8 +74,13 @@ def _became(state: State, edited: BothAnswers) -> str:
     """Whether the edits have changed the answer, in a sentence."""
     if not edited.changed:
         return "The answer is unchanged."
-    was, now = (isinstance(d, Diagnosis) and d.verdict == "CORRECT" for d in (edited.judged, state.judged))
-    return "Now it is right." if now and not was else "Now it is wrong." if was and not now else "Another answer."
+    if why_no_answer(edited.after.trace) is not None:
+        return "Now there is no answer."
+    verdicts = [d.verdict if isinstance(d, Diagnosis) else "" for d in (edited.judged, state.judged)]
+    right = [v == "CORRECT" for v in verdicts]
+    # Of an answer without a verdict, and of one beside the label, neither is said.
+    told = right[0] != right[1] and not {"", "LABEL"} & set(verdicts)
+    return "Another answer." if not told else "Now it is right." if right[1] else "Now it is wrong."
 
 
 def verdict_chip_of(judged: Diagnosis) -> Element:

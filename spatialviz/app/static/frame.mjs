@@ -3,7 +3,7 @@ the scene is a line that says what to do, and the picture takes its place. */
 
 import {byId, calls, locals, sceneWindow} from './core.mjs';
 
-const NONE = 'No 3D scene: this browser has no WebGL 2. Turn hardware acceleration on in its settings.';
+const NONE = 'No 3D scene: this browser has no WebGL 2. Turn on its hardware acceleration.';
 const LOST = 'The browser has lost the 3D scene. Draw it again; if that fails, close other tabs that draw.';
 
 const draws = () => {
