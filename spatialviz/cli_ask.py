@@ -54,8 +54,8 @@ class ViewCommand:
     """A file with a line NAME TOKEN for each person who may open the page; corrections are by that name."""
     max_clients: int = 24
     """Pages that may be open at once."""
-    theme: Literal["dark", "light"] = "dark"
-    """Colours of the page."""
+    theme: Literal["dark", "light"] | None = None
+    """Colours of the page, until others are chosen on it. Default: those of the system."""
     open_browser: bool = True
     """Open the page in the default browser."""
 

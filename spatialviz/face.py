@@ -47,7 +47,7 @@ def show(
     up: Sequence[float] | np.ndarray | None = None,
     host: str = "127.0.0.1",
     port: int = 8080,
-    dark: bool = True,
+    dark: bool | None = None,
     open_browser: bool = True,
     block: bool | None = None,
 ) -> viser.ViserServer | None:

@@ -79,7 +79,7 @@ def run_view(command: ViewCommand) -> None:
         first_view=None if view is None else _in(view, sources),
         host=command.host,
         port=command.port,
-        dark=command.theme == "dark",
+        dark=None if command.theme is None else command.theme == "dark",
         open_browser=command.open_browser,
         access=Access.of(command.host, command.tokens),
         max_clients=command.max_clients,

@@ -180,7 +180,7 @@ def chromium() -> Iterator[Browser]:
 
 def new_tab(browser: Browser, scene: Scene = "unpainted", **options: Any) -> Tab:
     """A tab in a context of its own: it shares neither cookies nor what is stored with another one."""
-    page = browser.new_context(**({"viewport": SIZE} | options)).new_page()
+    page = browser.new_context(**({"viewport": SIZE, "color_scheme": "dark"} | options)).new_page()
     if scene != "painted":
         page.add_init_script(UNPAINTED if scene == "unpainted" else ABSENT)
     return Tab(page)

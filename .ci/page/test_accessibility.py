@@ -128,6 +128,9 @@ def test_magnified_nothing_is_lost(demo: Server, open_tab: OpenTab, size: dict[s
         tab.still("document.body.innerHTML.length")
         lost = tab.page.evaluate(OUT_OF_REACH)
         assert not lost, (size, task, lost)
+        if task == "evaluate" and size == MAGNIFIED:
+            parts = [tab.page.locator(f"#{name}").bounding_box() for name in ("facets", "found", "figures")]
+            assert {part and (part["x"], part["width"]) for part in parts} == {(0, size["width"])}, parts
         view = tab.page.locator("#view").bounding_box()
         # Evaluate has the width for itself.
         assert task == "evaluate" or (view is not None and min(view["width"], view["height"]) >= 200), (size, view)

@@ -69,6 +69,60 @@ def test_the_scene_is_painted(demo: Server, open_tab: OpenTab) -> None:
     tab.poll(f"points => ({COLORS})() < points / 2", points)
 
 
+def test_a_new_answer_is_read_from_its_head(demo: Server, open_tab: OpenTab) -> None:
+    """However far down the column was; another stage of the same answer leaves it where it is."""
+    tab = open_tab(demo.address, "absent", viewport={"width": 1440, "height": 500})
+    down = "(() => { const side = document.getElementById('side'); side.scrollTop = 9999; return side.scrollTop; })()"
+    tab.click("stage:PRM")
+    tab.see("#head-prm[aria-expanded=true]")
+    assert tab.page.evaluate(down) > 100
+    tab.press("j")
+    tab.page.wait_for_timeout(500)  # long enough for the other pair
+    assert tab.page.evaluate("document.getElementById('side').scrollTop") > 0
+    tab.page.evaluate(down)
+    tab.ask("laptop right of the mug")
+    tab.see("#answer .names", "right of")
+    tab.poll("document.getElementById('side').scrollTop === 0")
+
+
+def test_what_if_says_whether_the_answer_has_changed(demo: Server, open_tab: OpenTab) -> None:
+    tab = open_tab(demo.address, "absent")
+    tab.ask("mug on the left of another mug")
+    tab.see("#verdict", "CORRECT lucky")
+    tab.drawer("Edit")
+    tab.send("edit:set:k:9")
+    tab.see("#answer .before", "The answer is unchanged.")
+    tab.see("#answer .before .vd", "CORRECT lucky")
+    tab.press("0")
+    tab.poll("!document.querySelector('#answer .before')")
+    tab.send("edit:hide")
+    tab.see("#answer .before", "Now there is no answer.")
+    tab.press("0")
+    tab.ask("which potted plant is on the left side of a shelf?")
+    tab.see("#verdict", "OPM-CONF")
+    tab.send("edit:hide")
+    tab.see("#answer .before", "Another answer.")
+    tab.press("0")
+
+
+def test_the_colours_are_the_systems_until_others_are_chosen(demo: Server, open_tab: OpenTab) -> None:
+    """From the first byte; those that are chosen stay, and `view --theme` decides before the system does."""
+    theme = "document.documentElement.dataset.theme"
+    tab = open_tab(demo.address, "absent", color_scheme="light")
+    assert tab.page.evaluate(theme) == "light"
+    tab.page.emulate_media(color_scheme="dark")
+    tab.poll(f"{theme} === 'dark'")
+    tab.page.emulate_media(color_scheme="light")
+    tab.poll(f"{theme} === 'light'")
+    tab.press("m")
+    tab.poll(f"{theme} === 'dark'")
+    tab.page.reload()
+    tab.words()
+    assert tab.page.evaluate(theme) == "dark"
+    with Server("demo", "--theme", "dark") as dark:
+        assert open_tab(dark.address, "absent", color_scheme="light").page.evaluate(theme) == "dark"
+
+
 def test_a_question_and_its_evidence(demo: Server, open_tab: OpenTab) -> None:
     tab = open_tab(demo.address, "absent")
     tab.ask("laptop right of the mug")

@@ -26,6 +26,19 @@ def test_a_drag_passes_frames_by(demo: Server, open_tab: OpenTab) -> None:
     assert not tab.page.locator(".passing:visible").count()
 
 
+def test_what_is_open_is_not_red(demo: Server, open_tab: OpenTab) -> None:
+    """Wrong answers are; items that nobody has looked at are amber."""
+    tab = open_tab(demo.address, "absent")
+    color = "(e => e && getComputedStyle(e).backgroundColor)(document.querySelector('#strip .tally i'))"
+    fill = "name => { const e = document.body.appendChild(document.createElement('i')); "
+    fill += "e.style.background = `var(--${name}-fill)`; return getComputedStyle(e).backgroundColor; }"
+    tab.see("#strip .tally i")
+    assert tab.page.evaluate(color) == tab.page.evaluate(fill, "bad")
+    tab.click("task:label")
+    tab.see("#review-list .queue .q")
+    tab.poll(f"wanted => {color} === wanted", tab.page.evaluate(fill, "doubt"))
+
+
 def test_the_grid_by_keys_alone(demo: Server, open_tab: OpenTab) -> None:
     """Open the grid, go to another picture, open it; Escape leaves it as it was."""
     tab = open_tab(demo.address, "absent")

@@ -71,6 +71,76 @@ def test_a_question_is_completed_as_it_is_typed(demo: Server, open_tab: OpenTab)
     tab.poll("document.activeElement.tagName === 'BODY'")
 
 
+def test_a_field_is_left_by_enter(reviewed: Server, open_tab: OpenTab) -> None:
+    """Whatever is typed in: the keys after it are the page's."""
+    tab = open_tab(reviewed.address, "absent")
+    left = "document.activeElement.tagName === 'BODY'"
+    tab.click("task:label")
+    author = tab.see("#review-head input")
+    author.fill("bob")
+    author.press("Enter")
+    tab.poll(left)
+    tab.page.keyboard.type("jk")
+    assert author.input_value() == "bob"
+    tab.click("task:evaluate")
+    for field, said in (("#search input", "said:left"), ("#where .frame-id", tab.frame)):
+        tab.see(field).fill(said)
+        tab.see(field).press("Enter")
+        tab.poll(left)
+    tab.click("task:explain")
+    tab.ask("laptop right of the mug")
+    tab.see("#answer .names", "right of")
+    tab.poll(left)
+    tab.drawer("Edit")
+    number = tab.see("#edit input[type=number]")
+    number.fill("0.5")
+    number.press("Enter")
+    tab.poll(left)
+
+
+def test_a_new_class_is_asked_about_where_it_is_typed(reviewed: Server, open_tab: OpenTab) -> None:
+    """The first Enter leaves nothing undone: the field comes back, with the question."""
+    tab = open_tab(f"{reviewed.address}/?mode=label", "absent")
+    tab.click("queue-kind:object")
+    tab.press("j")
+    tab.press("Shift+O")
+    tab.poll("document.activeElement.dataset.field === 'class'")
+    tab.page.keyboard.type("gizmo")
+    tab.page.keyboard.press("Enter")
+    tab.see("#suggested", "Enter again makes it one")
+    assert tab.page.evaluate("[document.activeElement.dataset.field, document.activeElement.value]") == [
+        "class",
+        "gizmo",
+    ]
+    tab.page.keyboard.press("Escape")
+    tab.page.keyboard.press("Escape")
+
+
+def test_keys_are_searched_at_once(demo: Server, open_tab: OpenTab) -> None:
+    """What is typed after ? finds a command, and Enter does it."""
+    tab = open_tab(demo.address, "absent")
+    tab.press("?")
+    tab.see("#dialog-window")
+    tab.page.keyboard.type("all frames")
+    tab.page.keyboard.press("Enter")
+    tab.see("#frame-grid .shot")
+    tab.page.keyboard.press("Escape")
+
+
+def test_handles_go_with_their_tab(demo: Server, open_tab: OpenTab) -> None:
+    """And the key that shows them opens it."""
+    tab = open_tab(demo.address).drawn()
+    tab.press("Shift+E")
+    tab.see("#drawer-tabs [data-name=Edit][aria-selected=true]")
+    shown = (
+        "(() => { const node = document.getElementById('view').contentWindow.__viserMutable"
+        ".nodeRefFromName['/edit/gizmo']; return !!node && node.visible; })()"
+    )
+    tab.poll(shown)
+    tab.drawer("Objects")
+    tab.poll(f"!{shown}")
+
+
 def test_keys_go_as_one_reads(demo: Server, open_tab: OpenTab) -> None:
     """And out of the scene; arrows choose; Escape closes whatever is open, where one was."""
     tab = open_tab(demo.address)

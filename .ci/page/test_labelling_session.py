@@ -39,6 +39,20 @@ def test_items_are_settled_by_one_key_each(review: Tab, reviewed: Server) -> Non
     assert len({e["group"] for e in events(LABELS, "--journal", reviewed.journal)[before:]}) == 5
 
 
+def test_undo_brings_the_item_back(review: Tab) -> None:
+    """The one that was answered, open as before."""
+    tab = review
+    tab.click("queue-kind:relation")
+    tab.press("j")
+    tab.see("#review-item .task-item")
+    first = tab.still(CLAIM)
+    tab.page.keyboard.press("y")
+    tab.poll(f"claim => {CLAIM} !== claim", first)
+    tab.press("Control+z")
+    tab.poll(f"claim => {CLAIM} === claim", first)
+    tab.see("#side .note", "taken back")
+
+
 def test_an_edge_is_dragged(review: Tab, reviewed: Server) -> None:
     """An edge of a side view is drawn outwards: the box of the labels grows by as much; one undo takes it back."""
     tab, before = review, len(events(LABELS, "--journal", reviewed.journal))
@@ -116,6 +130,16 @@ def test_a_recording_that_nobody_labelled(bare: Server, open_tab: OpenTab) -> No
     # The two that were outlined are a pair, whose relations follow from their geometry.
     tab.see("#review-pair .tuf")
     assert "laptop" in tab.see("#review-pair h2").inner_text()
+
+
+def test_evaluate_says_what_it_needs(bare: Server, open_tab: OpenTab) -> None:
+    """Of a recording without a run: the commands that make one."""
+    tab = open_tab(bare.address, "absent")
+    tab.click("task:evaluate")
+    told = tab.see("#evaluate .norun").inner_text()
+    assert f"spatialviz eval {bare.folder / 'rec'} --labels" in told, told
+    assert "spatialviz view --run RUN" in told, told
+    assert not tab.page.locator("#facets:visible, #rows:visible").count()
 
 
 def judge(tab: Tab, frame: str, fails: bool) -> str:

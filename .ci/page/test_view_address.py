@@ -77,6 +77,17 @@ def test_what_is_looked_at_comes_back(demo: Server, open_tab: OpenTab) -> None:
     tab.poll("moved => document.querySelector('#where .frame-id').value === moved", moved)
 
 
+def test_a_dead_link_says_so(demo: Server, open_tab: OpenTab) -> None:
+    """In one line, and what is shown instead; a live one says nothing."""
+    tab = open_tab(f"{demo.address}/?data=nosuch&frame=zzz&ask=foo", "absent")
+    tab.see(".toast.bad", "No dataset nosuch is open here")
+    tab.open(f"{demo.address}/?data=demo&frame=zzz")
+    tab.see(".toast.bad", "There is no frame zzz")
+    tab.open(f"{demo.address}/?data=demo&frame={tab.frame}")
+    tab.page.wait_for_timeout(500)  # long enough for a message
+    assert not tab.page.locator(".toast").count()
+
+
 def test_the_labelled_pair_comes_back(demo: Server, open_tab: OpenTab) -> None:
     """The pair that is looked at is in the address, and comes back in a second tab."""
     tab = open_tab(demo.address, "absent")

@@ -32,7 +32,8 @@ def test_any_address_can_be_read(query: str) -> None:
     Place.read(query, ["demo"])
 
 
-def test_a_dataset_that_is_not_open_says_nothing() -> None:
-    assert Place.read("data=/etc&frame=1&ask=mug", ["demo"]) == Place()
+def test_a_dataset_that_is_not_open_says_its_name_alone() -> None:
+    assert Place.read("data=/etc&frame=1&ask=mug", ["demo"]) == Place(missing="/etc")
+    assert Place(missing="/etc").query() == ""
     query = "data=demo&camera=1,2,nan,4,5,6,7,8,9&item=-1,2&mode=root&stage=x&pair=-1&look=root"
     assert Place.read(query, ["demo"]) == Place("demo")

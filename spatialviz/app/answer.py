@@ -61,6 +61,7 @@ def before_html(state: State, edited: BothAnswers) -> Element:
             h.b(probability(best.relation_probability), title=hint_of("P(relation)")),
         ]
     return h.div(
+        h.b(_became(state, edited)),
         h.span("before", cls="dim"),
         h.span(answer, cls="said"),
         verdict_chip_of(edited.judged) if isinstance(edited.judged, Diagnosis) else None,
@@ -68,6 +69,19 @@ def before_html(state: State, edited: BothAnswers) -> Element:
         css={"--c": hex_color(colors["edited"])},
         title=f"{counted(count, 'edit')}; 0 takes {'it' if count == 1 else 'them'} back",
     )
+
+
+def _became(state: State, edited: BothAnswers) -> str:
+    """Whether the edits have changed the answer, in a sentence."""
+    if not edited.changed:
+        return "The answer is unchanged."
+    if why_no_answer(edited.after.trace) is not None:
+        return "Now there is no answer."
+    verdicts = [d.verdict if isinstance(d, Diagnosis) else "" for d in (edited.judged, state.judged)]
+    right = [v == "CORRECT" for v in verdicts]
+    # Of an answer without a verdict, and of one beside the label, neither is said.
+    told = right[0] != right[1] and not {"", "LABEL"} & set(verdicts)
+    return "Another answer." if not told else "Now it is right." if right[1] else "Now it is wrong."
 
 
 def verdict_chip_of(judged: Diagnosis) -> Element:

@@ -162,13 +162,12 @@ DRAWING = "px-"
 
 @dataclass(frozen=True)
 class Hello:
-    """First message: address, author and theme as kept by the browser."""
+    """First message: address, author as kept by the browser, and theme."""
 
     type: Literal["hello"]
     address: Annotated[str, Field(max_length=LONGEST_ADDRESS)] = ""  # Query of the page's address, without "?"
     author: Annotated[str, Field(max_length=LONGEST_ADDRESS)] = ""  # Name kept by the browser; "" for none
-    # As kept by the browser; "" for the server's default
-    theme: Literal["", "dark", "light"] = ""
+    theme: Literal["", "dark", "light"] = ""  # As chosen there, else the server's, else the system's
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,7 @@ class Shared:
     author: str | None = None  # Default author of corrections, replaced by the page's
     opened_by: tuple[str, ...] = ()  # Command line, for commands reopening the page
     first_view: ViewState | None = None  # Initial view
-    dark: bool = True
+    dark: bool | None = None  # None for the browser's own
     alone: bool = True  # Server reachable from this machine only: pages may load files
 
     @cached_property
@@ -86,7 +86,9 @@ class Context:
         source, opened = next(iter(shared.store.sources.items()))
         first = opened.dataset.frame_ids[0]
         # Set by the page's own thread only.
-        self.state = State(source, first, dark=shared.dark, text=DEMO_EXPRESSION, correctable=bool(shared.journals))
+        self.state = State(
+            source, first, dark=shared.dark is not False, text=DEMO_EXPRESSION, correctable=bool(shared.journals)
+        )
         self.channel = Channel(page_id[:6], receive)
         self.post = self.channel.post  # Runs a job on the page's own thread, after earlier jobs
         self.page = BrowserPage(self.channel.send)

@@ -19,6 +19,7 @@ from spatialviz.app.evaluate_html import (
     facets_html,
     filters_html,
     heads_html,
+    no_run_html,
     offers_html,
     row_html,
     search_html,
@@ -36,6 +37,9 @@ LONGEST_SEARCH = 2000
 """Characters, more than anybody types."""
 AT_ONCE = 400
 """Rows per message, at most."""
+FIGURES = ("run-summary", "run-compared", "run-slices", "run-confusion")
+REGIONS = ("search", "offers", "filters", "facet-list", *FIGURES)
+"""Regions of a run in the page."""
 FILLED = 4
 """Pictures per background job."""
 
@@ -88,7 +92,7 @@ class Evaluate(Part):
         return listing.place_of(listing.figures.rows.asked(state.frame_id, state.text))
 
     def _begin(self) -> None:
-        figures, self._figured = self._all.get(self.state.source), False
+        figures, self._figured, self._stale = self._all.get(self.state.source), False, True
         self.state = replace(self.state, listing=None if figures is None else Listing(figures))
         if figures is not None:
             rows = figures.rows
@@ -284,8 +288,11 @@ class Evaluate(Part):
 
     def _draw(self) -> None:
         listing, page = self.state.listing, self.ctx.page
-        self._stale = listing is None or not self.state.evaluating
-        if listing is None or self._stale:
+        self._stale = not self.state.evaluating
+        if self._stale:
+            return
+        if listing is None:
+            self._show_none()
             return
         rows, second = listing.figures.rows, listing.figures.second is not None
         facets = () if listing.error else rows.facets(listing.query)
@@ -314,6 +321,14 @@ class Evaluate(Part):
         self._show_chosen()
         self._show_figures(listing.figures)
 
+    def _show_none(self) -> None:
+        """Say what a run is made of, in place of its list."""
+        dataset, place = self.ctx.source.dataset, self.ctx.shared.journals.get(self.state.source)
+        # Labels begun by hand have no folder before the first stroke.
+        labels = None if place is None or not place.labels.root.exists() else place.labels.root
+        told = no_run_html(dataset.root, bool(dataset.class_names), labels)
+        self.ctx.page.fill({**dict.fromkeys(REGIONS), "found-bar": told})
+
     def _show_bar(self) -> None:
         listing, numbers, marks = self._listing, np.flatnonzero(self._selected), dict[str, int]()
         rows, second = listing.figures.rows, listing.figures.second is not None
@@ -335,7 +350,7 @@ class Evaluate(Part):
             ("run-slices", lambda figures: slices_html(figures, self._cut)),
             ("run-confusion", confusion_html),
         ]
-        page.fill({region: None for region, _ in parts})
+        page.fill(dict.fromkeys(FIGURES))
 
         def draw() -> None:
             # One part per job, so that requested rows need not wait for all.

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from pipeline.evaluation.browsing import Facet, FacetValue
@@ -38,6 +40,20 @@ def hint(word: str) -> str:
 def searches(query: str) -> dict[str, str]:
     """Attributes of an element listing a search's results on click."""
     return {"do": f"find:{query}"}
+
+
+def no_run_html(dataset: Path, annotated: bool, labels: Path | None) -> Element:
+    """What Evaluate needs, and the commands that make it; `labels` are those that are open."""
+    name, given = shlex.quote(str(dataset)), "LABELS" if labels is None else shlex.quote(str(labels))
+    # Another, stronger detector: one that is judged by labels of its own making is right by construction.
+    truth = "" if annotated else "--detector yolo-seg --model LARGE.onnx "
+    made = (
+        None if labels is not None else f"spatialviz label {name} {truth}--out LABELS",
+        f"spatialviz eval {name} --labels {given} --detector yolo-seg --model FILE.onnx --out RUN",
+        "spatialviz view --run RUN",
+    )
+    said = "Evaluate shows the answers of a run, and none is open. Labels and a detector make one:"
+    return panel(h.p(said), h.pre("\n".join(filter(None, made)), cls="file", tabindex=0), cls="norun")
 
 
 # ---- facets

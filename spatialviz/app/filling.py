@@ -18,7 +18,7 @@ def fill_page(ctx: Context) -> None:
         "where": toolbar.where_html(state, tuple(shared.store.sources), dataset.frame_ids),
         "moves": toolbar.moves_html(moves(dataset, state.frame_id)) if has_moves(dataset) else None,
         "suggestions": None if asked else toolbar.suggestions_html(state, state.offers.questions),
-        "tasks": toolbar.tasks_html(state, bool(shared.runs), bool(shared.journals)),
+        "tasks": toolbar.tasks_html(state, bool(shared.journals)),
         "ask-problem": toolbar.refusal_html(state),
         "scene-tools": toolbar.scene_tools_html(state),
         "depth-legend": picture.depth_bar(state),

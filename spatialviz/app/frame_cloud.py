@@ -75,6 +75,7 @@ class FrameCloud(Part):
             for part in parts:
                 client.change(CLOUD + part.name, visible=state.flags.cloud, point_size=part.size * factor)
             client.change("/camera", visible=state.flags.camera)
+        self.ctx.page.call("cloud", {CLOUD + part.name: len(part.offsets) for part in parts if state.flags.cloud})
 
     def _show(self, loaded: LoadedFrame) -> None:
         """Show another frame, with the first cloud of points."""

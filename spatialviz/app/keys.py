@@ -193,6 +193,10 @@ class Keys(Part):
         else:
             self.ctx.dialog.show(TITLE, keys_html(self._keys(self.state.labels is not None)))
 
+    @command("close-dialog")
+    def close(self) -> None:
+        self.ctx.dialog.close()
+
     @command("run")
     def run(self, key: str) -> None:
         """Execute the command of a key."""

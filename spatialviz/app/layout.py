@@ -22,6 +22,7 @@ KEPT_CALLS = (
     "pixelsPicture",
     "asking",
     "scale",
+    "cloud",
     "measure",
     "found",
     "chosen",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -10,10 +11,10 @@ from pipeline.answering.frame_store import LoadedFrame
 from pipeline.answering.pipeline import Pipeline
 from pipeline.corrections.journal.edits import Edits, judge_relation, set_relation, set_status, settle
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.events import Saved
-from pipeline.corrections.journal.field_refs import object_ref, relation_ref
+from pipeline.corrections.journal.events import Event, Saved
+from pipeline.corrections.journal.field_refs import FieldRef, object_ref, relation_ref
 from pipeline.corrections.label_editor import Target
-from pipeline.corrections.review.items import ItemKey
+from pipeline.corrections.review.items import ItemKey, item_of
 from pipeline.corrections.review.label_jobs import CANCELLED, QueueJob, QueueProgress
 from pipeline.corrections.review.worklist import (
     BLOCK,
@@ -81,7 +82,7 @@ class ReviewQueue(LabelPart):
         self._kind, self._find = "all", ""
         self._ahead: tuple[str, str] | None = None
         self._doubted: tuple[str, str] | None = None
-        ctx.editors.on_saved.append(lambda _: self._caught_up())
+        ctx.editors.on_saved.append(self._saved)
         ctx.leave += [
             queue.location.jobs.queue.listen(lambda queue=queue: ctx.post(lambda: self._made(queue)))
             for queue in self._queues.values()
@@ -139,6 +140,15 @@ class ReviewQueue(LabelPart):
         if now.problem and now.problem != was.problem:
             stopped = now.problem == CANCELLED
             self.ctx.note("the review queue is not made" if stopped else f"no review queue: {now.problem}")
+
+    def _saved(self, events: Sequence[Event]) -> None:
+        """Update the list; an item whose answer was taken back is shown again."""
+        work, items = self._caught_up(), [item_of(e.ref) for e in events if e.action == "undo" and _answers(e.ref)]
+        found = [i for i in items if work is not None and i is not None and i.plain in work.indices]
+        # The same said the other way round is taken back with it; many answers at once are no item.
+        one = len({(i.frame, frozenset((i.a, i.b))) for i in found}) == 1
+        if one and work is not None and self.state.labels is not None:
+            self.open(work.keys[work.indices[found[0].plain]])
 
     def _caught_up(self) -> Worklist | None:
         """List of the current pipeline, updated with everybody's saved edits."""
@@ -363,3 +373,8 @@ class ReviewQueue(LabelPart):
         # A new id for each card, so that the page scrolls to the card.
         card = card.with_(id=f"card-{place}-{self.number}", data_shown=True)
         return h.div(panel(card), None if pace is None else panel(pace))
+
+
+def _answers(ref: FieldRef) -> bool:
+    """True for a cell that an answer to an item sets, not an edit of its object or sentence."""
+    return ref.kind in ("relation", "review") or ref.field.endswith("status")

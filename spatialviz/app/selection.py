@@ -170,5 +170,9 @@ class Selection(Part):
 
     @command("theme")
     def switch_theme(self) -> None:
-        self.ctx.client.set_dark(not self.state.dark)
-        self.ctx.show(dark=not self.state.dark)
+        self.follow_theme("light" if self.state.dark else "dark")
+
+    @command("system-theme")
+    def follow_theme(self, theme: Literal["dark", "light"]) -> None:
+        self.ctx.client.set_dark(theme == "dark")
+        self.ctx.show(dark=theme == "dark")

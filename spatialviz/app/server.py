@@ -54,7 +54,7 @@ def start(
     first_view: ViewState | None = None,
     host: str = "127.0.0.1",
     port: int = 8080,
-    dark: bool = True,
+    dark: bool | None = None,
     access: Access | None = None,
     max_clients: int = MAX_CLIENTS,
 ) -> viser.ViserServer:
@@ -87,12 +87,12 @@ def start(
     )
     pages = Pages(shared, access, max_clients)
     try:
-        with served_by(Site(access, pages, shared.pictures)), redirect_stdout(io.StringIO()):
+        with served_by(Site(access, pages, shared)), redirect_stdout(io.StringIO()):
             server = viser.ViserServer(host=host, port=port, label="spatialviz", verbose=False)
     except (OSError, RuntimeError) as error:
         raise InputError(f"cannot listen on {host}:{port}", got=str(error)) from error
     close_tunnels(server)
-    server.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False)
+    server.gui.configure_theme(dark_mode=dark is not False, show_logo=False, show_share_button=False)
     server.scene.configure_environment_map(hdri=None)
     server.scene.configure_default_lights(True, cast_shadow=False)
     server.scene.world_axes.visible = False
@@ -125,7 +125,7 @@ def serve(
     first_view: ViewState | None = None,
     host: str = "127.0.0.1",
     port: int = 8080,
-    dark: bool = True,
+    dark: bool | None = None,
     open_browser: bool = True,
     access: Access | None = None,
     max_clients: int = MAX_CLIENTS,

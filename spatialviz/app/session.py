@@ -32,7 +32,7 @@ from spatialviz.app import (
 )
 from spatialviz.app.answer import answer_in_words
 from spatialviz.app.browse import Browse
-from spatialviz.app.channel import Command, Go, Hello, Incoming, Scene
+from spatialviz.app.channel import Command, Hello, Incoming, Scene
 from spatialviz.app.context import Context, Idle, Part, Shared, command, commands_of, there
 from spatialviz.app.labelling import Labelling
 from spatialviz.app.picture import overlay_marks
@@ -107,6 +107,10 @@ class PageSession(Part):
     # ---- the browser ------------------------------------------------------------------
 
     def receive(self, message: Incoming) -> None:
+        if isinstance(message, Command):
+            self.handle(message)
+            return
+        place = Place.read(message.address, self.ctx.shared.store.sources)
         if isinstance(message, Hello):
             self.ctx.channel.send(self._scene)
             self.ctx.page.again()
@@ -119,11 +123,11 @@ class PageSession(Part):
                 self.ctx.editors.greet(message.author)
             except InputError as error:
                 self.ctx.note(str(error))
-            self._begin(Place.read(message.address, self.ctx.shared.store.sources))
-        elif isinstance(message, Go):
-            self.go(Place.read(message.address, self.ctx.shared.store.sources), restoring=True)
+            self._begin(place)
         else:
-            self.handle(message)
+            self.go(place, restoring=True)
+        if dead := place.dead(self.ctx.source.dataset.frame_ids):
+            self.ctx.toast("Dead link: something else is shown", dead, bad=True)
 
     async def _turned(self, _: object) -> None:
         """Update the address after a camera move."""
@@ -147,10 +151,6 @@ class PageSession(Part):
     def clicked(self, pixel: tuple[int, int] | None, boxes: list[int]) -> None:
         """Select by a click in the scene."""
         self._selection.click(pixel if self.state.flags.cloud else None, boxes)
-
-    @command("close-dialog")
-    def _close_dialog(self) -> None:
-        self.ctx.dialog.close()
 
     @command("data")
     def _turn_to_source(self, name: str) -> None:

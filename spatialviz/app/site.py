@@ -26,7 +26,7 @@ from pipeline.system.freed_memory import collect
 from spatialviz.app.access import KINDS, Access, response
 from spatialviz.app.channel import Hello, read
 from spatialviz.app.context import Shared
-from spatialviz.app.frames import IMAGES, FramePictures
+from spatialviz.app.frames import IMAGES
 from spatialviz.app.session import PageSession
 from spatialviz.app.viser_socket import SceneConnection, scene_page, subprotocol
 from spatialviz.options import warn
@@ -43,9 +43,11 @@ SCENE_POLICY = (
 """Content policy for viser's client: inline script and styles, blob workers."""
 SCENE_STYLE = (
     "<style>#root :has(canvas) ~ :not(:has(canvas), canvas), .mantine-Notifications-root, body > [data-portal] "
-    "{ display: none !important }</style>"
+    "{ display: none !important } :root { color-scheme: light !important } "
+    ":root, body, #root, #root :has(canvas) { background: none !important }</style>"
 )
-"""Hides viser's panels in favour of the page's own."""
+"""Hides viser's panels in favour of the page's own; the page's ground shows through from the first byte. A frame of
+another colour scheme than its element's would be opaque."""
 
 
 MAX_CLIENTS = 24
@@ -294,11 +296,14 @@ class Pages:
 class Site:
     """Answers every request of a server."""
 
-    def __init__(self, access: Access, pages: Pages, pictures: FramePictures) -> None:
-        self._access, self._pages, self._pictures = access, pages, pictures
+    def __init__(self, access: Access, pages: Pages, shared: Shared) -> None:
+        self._access, self._pages, self._pictures = access, pages, shared.pictures
         self._waiting = 0
         static = resources.files("spatialviz.app") / "static"
         self._files = {f.name: f.read_bytes() for f in static.iterdir() if Path(f.name).suffix in KINDS}
+        if shared.dark is not None:
+            given = b"dark" if shared.dark else b"light"
+            self._files["index.html"] = self._files["index.html"].replace(b'data-given=""', b'data-given="%s"' % given)
         self._scene = gzip.compress(scene_page().replace("</title>", "</title>" + SCENE_STYLE, 1).encode(), 6)
 
     async def answer(self, connection: Any, request: Request) -> Response | None:

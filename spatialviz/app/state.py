@@ -40,10 +40,11 @@ class Place:
     camera: tuple[CameraView, float | None] | None = None
     pair: int | None = None  # Rank of the shown pair, from 1; None for the best
     look: CameraMode | None = None  # Viewpoint; None for the pair
+    missing: str = ""  # Dataset of an address that is not open here
 
     @classmethod
     def read(cls, query: str, sources: Collection[str]) -> Place:
-        """Parse a query; an unknown dataset gives an empty place, unreadable fields are dropped."""
+        """Parse a query; an unknown dataset gives a place without a view, unreadable fields are dropped."""
         try:
             fields = {
                 key: values[0] for key, values in parse_qs(query, keep_blank_values=True, max_num_fields=16).items()
@@ -52,7 +53,7 @@ class Place:
             return cls()
         source = fields.get("data")
         if source is not None and source not in sources:
-            return cls()
+            return cls(missing=source)
         task = next((t for t in get_args(Task) if t == fields.get("mode")), None)
         stage, pair = fields.get("stage"), fields.get("pair", "")
         look = next((m for m in get_args(CameraMode) if m == fields.get("look")), None)
@@ -69,6 +70,12 @@ class Place:
             int(pair) if pair.isdecimal() and len(pair) < 6 else None,
             look,
         )
+
+    def dead(self, frames: Collection[str]) -> str:
+        """Reason of a place that cannot be shown, by the frames of its dataset; "" for none."""
+        if self.missing:
+            return f"No dataset {self.missing} is open here"
+        return "" if self.frame is None or self.frame in frames else f"There is no frame {self.frame}"
 
     def query(self) -> str:
         """Query of this place."""

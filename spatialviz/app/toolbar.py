@@ -160,11 +160,10 @@ TASK_HINTS = {
 }
 
 
-def tasks_html(state: State, with_run: bool, with_labels: bool) -> Element | None:
-    """Available tasks of the page."""
-    possible = {"explain": True, "evaluate": with_run, "label": with_labels}
-    tasks = {name: name.capitalize() for name, is_so in possible.items() if is_so}
-    return segments("task", tasks, state.task, "What the page is for", TASK_HINTS) if len(tasks) > 1 else None
+def tasks_html(state: State, with_labels: bool) -> Element:
+    """Available tasks of the page; without a run, Evaluate says how one is made."""
+    tasks = {name: name.capitalize() for name in TASK_HINTS if name != "label" or with_labels}
+    return segments("task", tasks, state.task, "What the page is for", TASK_HINTS)
 
 
 def refusal_html(state: State) -> Element | None:

@@ -254,7 +254,9 @@ class WhatIf(Part):
     @command("edit-mode")
     def _set_mode(self, mode: str) -> None:
         state, chosen = self.state, choice(MODES, self.state.mode, mode)
-        if chosen is not None and state.labels is None:
+        if chosen is not None and chosen != state.mode and state.labels is None:
+            if chosen != "off":
+                self.ctx.page.call("tab", "Edit")
             selected = state.pair[0] if state.selected is None and state.pair is not None else state.selected
             self.ctx.show(mode=chosen, selected=selected)
 

@@ -115,6 +115,11 @@ class BothAnswers:
     judged: Diagnosis | str | None  # The verdict on the one before
     seconds: float  # What answering again took the core
 
+    @property
+    def changed(self) -> bool:
+        """True where the edits have made another pair win."""
+        return self.before.winner != self.after.winner
+
     def pair_before(self, pair: ScoredPair) -> tuple[int | None, ScoredPair | None]:
         """Pair of the unedited answer, after its former rank from 1; None for no candidate."""
         return self.before.ranked.get(self.after.pair_keys(pair), (None, None))

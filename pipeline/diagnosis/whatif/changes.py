@@ -67,7 +67,7 @@ def what_changed(
     >>> what_changed(baseline.outcome, after)["changed"]
     True
     """
-    first, last = _winner(before), _winner(after)
+    first, last = before.winner, after.winner
     told = verdicts or (None, None)
     return {
         "changed": first != last,
@@ -83,11 +83,6 @@ def what_changed(
             "went": sorted(set(before.keys) - set(after.keys)),
         },
     }
-
-
-def _winner(outcome: Outcome) -> PairKeys | None:
-    ranking = outcome.trace.ranking
-    return None if ranking is None else outcome.pair_keys(ranking.pairs[0])
 
 
 def _answer(outcome: Outcome, verdict: str | None) -> Record:

@@ -56,6 +56,12 @@ class Outcome:
         reference, second = (None if i is None else self.keys[i] for i in (pair.reference, pair.second_reference))
         return self.keys[pair.target], reference, second
 
+    @property
+    def winner(self) -> PairKeys | None:
+        """Keys of the best pair; None without an answer."""
+        ranking = self.trace.ranking
+        return None if ranking is None else self.pair_keys(ranking.pairs[0])
+
     @cached_property
     def ranked(self) -> dict[PairKeys, tuple[int, ScoredPair]]:
         """Ranked pairs by the keys of their objects, each after its rank, from 1."""

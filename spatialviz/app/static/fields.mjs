@@ -188,10 +188,8 @@ fields.class = {
   keydown(event, field) {
     if (listKey(event, field)) return;
     if (event.key === 'Enter') {
-      event.preventDefault();
-      clearTimeout(timer);
-      close();
       send(`class:${field.value}`);
+      leave(event, field);
     } else if (event.key === 'Escape') leave(event, field, field.defaultValue);
   },
   blur: fields.ask.blur,
@@ -199,6 +197,8 @@ fields.class = {
 
 calls.offer = ({typed, note, offers}) => {
   const field = fieldOf('class');
+  // What Enter has left is asked about.
+  if (note) field?.focus();
   if (!field || field !== document.activeElement || (typed !== undefined && typed !== field.value)) return;
   const shown = offers.map(({name, via, known, count}) => ({
     value: name, parts: [['b', '', name], ['span', '', via], ['span', 'kind', known ? String(count || '') : 'new']],
@@ -207,8 +207,8 @@ calls.offer = ({typed, note, offers}) => {
     close();
     field.value = offer.value;
     if (done) {
-      clearTimeout(timer);
       send(`class:${offer.value}`);
+      field.blur();
     } else soon('class-typed:', field);
   });
 };

@@ -1,6 +1,7 @@
 // The page: its socket, its address, and what elements do by their data (spatialviz/app/markup.py lists it).
 
 import {byId, calls, connect, el, fields, go, locals, patch, send, sceneWindow, typing} from './core.mjs';
+import {showScene} from './frame.mjs';
 import './fields.mjs';
 import './pixels.mjs';
 import './rows.mjs';
@@ -28,7 +29,7 @@ connect(transmit);
 const open = () => {
   socket = new WebSocket(`${location.protocol === 'https:' ? 'wss' : 'ws'}://${location.host}/app/socket?id=${id}`);
   socket.onopen = () => {
-    transmit({type: 'hello', address: location.search.slice(1), author: kept('author'), theme: kept('theme')});
+    transmit({type: 'hello', address: location.search.slice(1), author: kept('author'), theme: document.documentElement.dataset.theme});
     for (const message of waiting.splice(0)) transmit(message);
   };
   socket.onmessage = e => {
@@ -39,7 +40,7 @@ const open = () => {
     if (message.type === 'patch') { patch(message.parts); settle(); }
     else if (message.type === 'call') calls[message.name]?.(message.data);
     else if (message.type === 'address') address(message);
-    else if (message.type === 'scene') scene(message.path);
+    else if (message.type === 'scene') showScene(message.path);
   };
   socket.onclose = ({code, reason}) => {
     document.body.classList.add('lost');
@@ -49,13 +50,6 @@ const open = () => {
   };
 };
 
-const scene = path => {
-  const view = byId('view');
-  if (view.dataset.path === path) return;
-  view.dataset.path = path;
-  // The words are on the screen before viser's client is fetched.
-  requestAnimationFrame(() => setTimeout(() => { view.src = path; }));
-};
 byId('view').addEventListener('load', () => {
   const w = sceneWindow();
   if (!w || !w.location.pathname.startsWith('/scene/')) return;
@@ -68,8 +62,16 @@ byId('view').addEventListener('load', () => {
 
 // ---- address
 
+let about = '';
 const address = ({query, title, push}) => {
   document.title = title;
+  // Another answer is read from its head.
+  const said = new URLSearchParams(query), now = ['data', 'frame', 'ask'].map(name => said.get(name)).join('\n');
+  if (now !== about && document.body.dataset.mode === 'explain') {
+    byId('side').scrollTop = 0;
+    byId('answer').scrollIntoView({block: 'nearest'});
+  }
+  about = now;
   const wanted = '?' + query;
   if (location.search !== wanted) history[push ? 'pushState' : 'replaceState'](null, '', wanted);
 };
@@ -162,7 +164,12 @@ const pressed = e => {
   if (own && typing(f)) {
     fields[f.dataset.field]?.keydown?.(e, f);
     if (e.defaultPrevented) return;
-    if (e.key === 'Enter' && f.dataset.enter) { said(f.dataset.enter, f.value); f.blur(); e.preventDefault(); }
+    // Keys after it are the page's again.
+    if (e.key === 'Enter' && f.tagName === 'INPUT' && (f.dataset.enter || !f.closest('dialog'))) {
+      if (f.dataset.enter) said(f.dataset.enter, f.value);
+      f.blur();
+      e.preventDefault();
+    }
     if (e.key === 'Escape' && !f.closest('dialog')) { if (f.dataset.enter) f.value = f.defaultValue; f.blur(); e.preventDefault(); }
     return;
   }
@@ -211,7 +218,17 @@ for (const kind of ['click', 'focusin']) {
 
 calls.announce = text => { byId('announced').textContent = ''; setTimeout(() => { byId('announced').textContent = text; }, 100); };
 
-calls.theme = name => { document.documentElement.dataset.theme = name; kept('theme', name); };
+// Until one is chosen the theme is the system's: one that the page does not have already was chosen.
+const {dataset: look} = document.documentElement;
+calls.theme = name => {
+  if (name !== look.theme) kept('chosen-theme', name);
+  look.theme = name;
+};
+matchMedia('(prefers-color-scheme: light)').addEventListener('change', ({matches}) => {
+  if (look.given || kept('chosen-theme')) return;
+  look.theme = matches ? 'light' : 'dark';
+  send('system-theme:' + look.theme);
+});
 calls.task = name => {
   if (document.body.dataset.mode === name) return;
   document.body.dataset.mode = name;
@@ -264,6 +281,8 @@ const settle = () => {
 
 locals.tab = (_, name) => {
   if (!byId('drawer-tabs').querySelector(`[data-name="${CSS.escape(name)}"]`)) return;
+  // What moves boxes goes with the tab that says so.
+  if (name !== 'Edit' && byId('drawer-tabs').querySelector('[data-name=Edit][aria-selected=true]')) send('edit-mode:off');
   for (const tab of byId('drawer-tabs').querySelectorAll('[role=tab]')) {
     const own = tab.dataset.name === name;
     tab.setAttribute('aria-selected', own);

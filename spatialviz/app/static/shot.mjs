@@ -93,10 +93,8 @@ function shotOfScene() {
     const canvas = el('canvas'), more = drawn.width / origin.width;
     Object.assign(canvas, {width: drawn.width, height: drawn.height});
     const pen = canvas.getContext('2d');
-    pen.fillStyle = getComputedStyle(sceneWindow().document.body).backgroundColor;
-    pen.fillRect(0, 0, canvas.width, canvas.height);
     pen.fillStyle = getComputedStyle(byId('scene')).backgroundColor;
-    if (!document.documentElement.dataset.theme.includes('light')) pen.fillRect(0, 0, canvas.width, canvas.height);
+    pen.fillRect(0, 0, canvas.width, canvas.height);
     pen.drawImage(drawn, 0, 0);
     pen.scale(more, more);
     for (const name of ['tags', 'scale', 'legend']) paint(pen, byId(name), origin);

@@ -217,6 +217,7 @@ const stripped = () => {
   const bar = byId('strip'), closed = kept() === 'closed';
   bar.hidden = strip.all < 2;
   bar.classList.toggle('closed', closed);
+  for (const one of [bar, byId('frame-grid')]) one.classList.toggle('reviews', strip.words[1] === 'open');
   if (!bar.firstChild) bar.append(head, low.box, lowPlan, preview);
   const shut = pressable(closed ? '▴' : '▾', 'strip', closed ? 'show the strip of frames' : 'hide the strip of frames');
   shut.setAttribute('aria-label', shut.title);

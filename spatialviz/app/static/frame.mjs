@@ -1,0 +1,57 @@
+/* The scene's frame: loaded once the words stand, with how much of its points is there; where the browser cannot draw it,
+the scene is a line that says what to do, and the picture takes its place. */
+
+import {byId, calls, locals, sceneWindow} from './core.mjs';
+
+const NONE = 'No 3D scene: this browser has no WebGL 2. Turn on its hardware acceleration.';
+const LOST = 'The browser has lost the 3D scene. Draw it again; if that fails, close other tabs that draw.';
+
+const draws = () => {
+  const gl = document.createElement('canvas').getContext('webgl2');
+  gl?.getExtension('WEBGL_lose_context')?.loseContext();
+  return !!gl;
+};
+const without = words => {
+  byId('stage').toggleAttribute('data-sceneless', !!words);
+  byId('sceneless').hidden = !words;
+  byId('sceneless').firstElementChild.textContent = words;
+};
+const load = () => {
+  const view = byId('view'), able = draws();
+  without(able ? '' : NONE);
+  if (able && sceneWindow().location.pathname === view.dataset.path) sceneWindow().location.reload();
+  else if (able) view.src = view.dataset.path;
+};
+
+export const showScene = path => {
+  const view = byId('view');
+  if (view.dataset.path === path) return;
+  view.dataset.path = path;
+  // The words are on the screen before viser's client is fetched.
+  requestAnimationFrame(() => setTimeout(load));
+};
+byId('view').addEventListener('load', () => {
+  sceneWindow().addEventListener('webglcontextlost', () => without(LOST), true);
+  sceneWindow().addEventListener('webglcontextrestored', () => without(''), true);
+});
+locals.redraw = load;
+
+// ---- points: how many of each part of the cloud there are to be, until they are there
+
+let parts = [], waiting = 0;
+const there = ([name, count]) => {
+  const node = sceneWindow()?.__viserMutable?.nodeRefFromName?.[name];
+  return node?.getObjectByProperty('isPoints', true)?.geometry.attributes.position?.count === count;
+};
+const follow = () => {
+  clearTimeout(waiting);
+  const sum = some => some.reduce((n, [, count]) => n + count, 0), all = sum(parts), now = sum(parts.filter(there));
+  byId('loading').hidden = now === all;
+  byId('loading').textContent = `${now.toLocaleString('en')} of ${all.toLocaleString('en')} points of this frame`;
+  if (now < all) waiting = setTimeout(follow, 100);
+};
+calls.cloud = counts => {
+  parts = Object.entries(counts);
+  follow();
+};
+byId('view').addEventListener('load', follow);
