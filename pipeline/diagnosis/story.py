@@ -49,7 +49,7 @@ def judged_story(
         "both": f"“{case.target}” and “{case.reference}”" if case.target != case.reference else f"“{case.target}”",
         "pair": "pair" if case.reference else "one",
         "place": f"another {case.target}" if case.target == case.reference else f"the {case.reference}",
-        "mine": None if d.winner is None else _really(d, d.winner.target, case.target_object),
+        "mine": None if d.winner is None else really(d, d.winner.target, case.target_object),
     }
     values["ending"] = _ending(d, values["mine"])
     told = {
@@ -205,7 +205,7 @@ def _several(d: Diagnosis, winner: ScoredPair, right: ScoredPair, phrase: str | 
 def _false(d: Diagnosis, winner: ScoredPair, right: ScoredPair) -> Kind:
     case = d.case
     if d.false_target and d.false_reference:
-        mine, beside = _really(d, winner.target, case.target_object), _beside(d, winner)
+        mine, beside = really(d, winner.target, case.target_object), _beside(d, winner)
         ends = distinct_digits(winner.p_reference, right.p_reference)
         return "false.nothing" if mine == beside == words("really", "nothing") else "false.both", {
             "beside": beside,
@@ -215,8 +215,8 @@ def _false(d: Diagnosis, winner: ScoredPair, right: ScoredPair) -> Kind:
     false = case.target if d.false_target else case.reference
     name, ours, theirs = _lead(d, winner, right, of=false)
     shown = dict(zip(("ours", "theirs"), distinct_digits(ours, theirs), strict=True)) | {"times": _times(ours, theirs)}
-    really = _really(d, winner.target, case.target_object) if d.false_target else _beside(d, winner)
-    return "false" if name == false else "false.other", shown | {"name": false, "really": really, "other": name}
+    thing = really(d, winner.target, case.target_object) if d.false_target else _beside(d, winner)
+    return "false" if name == false else "false.other", shown | {"name": false, "really": thing, "other": name}
 
 
 def _outranked(d: Diagnosis, winner: ScoredPair, right: ScoredPair) -> Kind:
@@ -264,7 +264,7 @@ def _contrast(d: Diagnosis, winner: ScoredPair, right: ScoredPair) -> tuple[str 
     return (phrase, *distinct_digits(ours, theirs))
 
 
-def _really(d: Diagnosis, index: int, example: int) -> str:
+def really(d: Diagnosis, index: int, example: int) -> str:
     """What a box of the answer really is: `index` among the detections, `example` a labelled object of the class."""
     evidence, truth = d.evidence, d.truth
     overlap = evidence.overlap[index]
@@ -302,7 +302,7 @@ def _inside(d: Diagnosis, index: int) -> int | None:
 
 def _beside(d: Diagnosis, winner: ScoredPair) -> str:
     assert winner.reference is not None
-    return _really(d, winner.reference, d.case.reference_object)
+    return really(d, winner.reference, d.case.reference_object)
 
 
 def _worst_box(d: Diagnosis, winner: ScoredPair, right: ScoredPair) -> dict[str, Any]:

@@ -85,6 +85,11 @@ class RunFigures:
         return _or_why(lambda: summarise_run(self.run.records))
 
     @cached_property
+    def counts(self) -> dict[str, int]:
+        """Number of answers by verdict."""
+        return self.run.verdicts
+
+    @cached_property
     def comparison(self) -> Comparison | str | None:
         """Changes by the second run."""
         other = self.second

@@ -1,17 +1,18 @@
-"""Head of the answer: names, probabilities, the verdict in a sentence, and a comparison with the labels."""
+"""Story of an answer, and the evidence of its verdict."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from pipeline.answering.answer_words import headline, pair_words, probability, why_no_answer, words_of_answer
+from pipeline.answering.answer_words import pair_words, why_no_answer, words_of_answer
 from pipeline.answering.ask import Trace
 from pipeline.answering.objects import SceneObject
-from pipeline.answering.pair_table import ScoredPair
-from pipeline.answering.ranking import alone
-from pipeline.diagnosis.answer import failed_stages
-from pipeline.diagnosis.story_words import TRUTHS, Story
-from pipeline.diagnosis.verdict import MODULE_OF, Diagnosis, shown_detail
+from pipeline.diagnosis.cards import Card, CardObject, cards_of
+from pipeline.diagnosis.story import unjudged_story
+from pipeline.diagnosis.story_words import TRUTHS, Story, capital
+from pipeline.diagnosis.verdict import MODULE_OF, Diagnosis, shown_detail, shown_verdict
 from pipeline.diagnosis.whatif.answer_view import BothAnswers, OtherAnswer
 from pipeline.diagnosis.whatif.changes import each_edit
 from pipeline.evaluation.run_figures import Recorded, judged_by
@@ -19,55 +20,152 @@ from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.palette import VERDICTS, hex_color, palette
 from pipeline.language.counted import counted
 from pipeline.language.glossary import glossary
-from spatialviz.app.markup import BAD, Child, Element, button, h, hint_of, named, note, panel, term, with_terms
+from spatialviz.app.frames import thumb_url
+from spatialviz.app.markup import BAD, Child, Element, button, h, hint_of, joined, named, note, panel, term
 from spatialviz.app.state import State
-from spatialviz.app.toolbar import ground_chips, level_html
+from spatialviz.app.toolbar import depth_chip, level_html, up_chip
 
 HINT = "Type TARGET RELATION REFERENCE above, for example “mug left of the laptop”, and press Enter."
 NOTHING_TO_ASK = "Nothing can be asked: the dataset has no annotations, and no detector was named (--detector)."
+MARKS = {"right": "✓", "also right": "!", "wrong": "✕", "none": "?"}
+TONES = {"right": "good", "also right": "doubt", "wrong": "bad", "none": "idle"}
+"""Classes of a tone."""
+AREAS = {
+    "PARSE": "reading",
+    "OPM": "detection",
+    "LIFT": "lifting",
+    "SRM": "relation",
+    "ATTRIBUTE": "looks",
+    "PRM": "ranking",
+    "LABEL": "label",
+}
+"""Step of the pipeline that a verdict blames, in plain words."""
 
 
 def answer_html(state: State, can_ask: bool = True) -> Element:
-    """Answer in one line, with the relation's probability and the product; below, the posterior and the verdict."""
-    trace, under = state.trace, h.div(ground_chips(state), mend_button(state), cls="under")
+    """Story of the answer: right or wrong, what was answered and what it should be, why, and what would mend it."""
     if state.problem:
         return panel(note(f"This frame is broken: {state.problem}", BAD), cls="answer")
-    if trace is None:
-        # The stage PARSE carries the reason of a refused question.
-        hint = "No answer." if state.error else HINT if can_ask else NOTHING_TO_ASK
-        return panel(level_html(state), h.p(hint, cls="lead dim"), verdict_html(state), under, cls="answer")
-    reason = why_no_answer(trace)
-    told_: Child = [note(_capital(reason), BAD), _alone(state, trace)] if reason is not None else _pair(state, trace)
+    if state.trace is None and not state.error:
+        return panel(level_html(state), h.p(HINT if can_ask else NOTHING_TO_ASK, cls="dim"), doubts_html(state))
+    told, recorded = story_of(state), state.recorded
+    if recorded is not None and recorded.is_that(state.judged):
+        recorded = None
     before = None if state.edited is None else before_html(state, state.edited)
-    return panel(level_html(state), before, told_, verdict_html(state), under, cls="answer")
+    why = h.p(told.sentence if recorded is None else recorded.said, cls=f"why {TONES[told.tone]}")
+    return panel(
+        level_html(state),
+        _head(state, told, recorded),
+        before,
+        _cards(state),
+        why,
+        h.p(state.offers.words, cls="sub") if state.error and state.offers.names else None,
+        None if recorded is None else _recorded(state),
+        _mend(state, told) if recorded is None else None,
+        None if state.other is None or state.trace is None else _second(state.other, state.other_pair),
+        doubts_html(state),
+        cls="answer",
+    )
+
+
+def story_of(state: State) -> Story:
+    """Story of the shown answer; without a verdict it is the answer itself."""
+    judged, trace = state.judged, state.trace
+    if isinstance(judged, Diagnosis):
+        return judged.story
+    told = unjudged_story(trace, state.error or None, judged)
+    pair = state.chosen or next(iter(state.ranked), None)
+    if trace is None or pair is None:
+        return told
+    answer = words_of_answer(trace, state.name_of, pair).sentence(pair_words(trace, pair, state.name_of))
+    return replace(told, sentence=f"{capital(answer)}.", mend=told.sentence)
+
+
+def _head(state: State, told: Story, recorded: Recorded | None) -> Element:
+    """Verdict in words; below it the blamed step, and how many answers of the run are like it."""
+    judged, listing = state.judged, state.listing
+    verdict = recorded.verdict if recorded else judged.verdict if isinstance(judged, Diagnosis) else ""
+    detail, lucky = (recorded or judged).detail if verdict else None, bool(verdict and (recorded or judged).lucky)  # type: ignore[union-attr]
+    head = shown_verdict(verdict, detail, lucky) if recorded else told.head
+    parts: list[Child] = [
+        AREAS.get(MODULE_OF.get(verdict, "")),
+        shown_verdict(verdict, detail, lucky) if verdict else None,
+    ]
+    alike = 0 if listing is None or not verdict or verdict == "CORRECT" else listing.figures.counts.get(verdict, 0)
+    said = h.span(joined([part for part in parts if part]), title=hint_of(verdict) if verdict else None)
+    many = h.button(f"1 of {alike:,} like it", do=f"alike:{verdict}", cls="link", title="list them") if alike else None
+    return h.div(
+        h.span(MARKS[told.tone], cls="mark", aria_hidden="true"),
+        h.div(h.h2(head, id="verdict"), h.p(said, " · " if alike else None, many, cls="sub")),
+        cls=f"verd {TONES[told.tone]}",
+    )
+
+
+def _cards(state: State) -> Element | None:
+    """The answer beside what is right, each thing with its crop."""
+    pair = state.chosen or next(iter(state.ranked), None)
+    found = cards_of(state.trace, state.judged, pair, lambda i: state.name_of(i).replace("·", " "))
+    if not found or state.loaded is None:
+        return None
+    rank = next((n for n, p in enumerate(state.ranked, 1) if p is pair), 1)
+    titles = [
+        f"Pair {rank} of {len(state.ranked)}" if card.kind == "answer" and rank > 1 else card.title for card in found
+    ]
+    return h.div((_card(state, card, title) for card, title in zip(found, titles, strict=True)), cls="duel")
+
+
+def _card(state: State, card: Card, title: str) -> Element:
+    return h.div(h.h3(title), (_thing(state, card, thing) for thing in card.objects), cls=f"card of-{card.kind}")
+
+
+def _thing(state: State, card: Card, thing: CardObject) -> Element:
+    """Thing of a card; one that was detected is selected by a click."""
+    place = None if thing.index is None else state.shown.place.get(thing.index)
+    url = "" if state.loaded is None else thumb_url(state.loaded, thing.bbox)
+    picture = h.img(src=url, alt="", cls="thumb") if url else h.span(cls="thumb")
+    inner = (picture, h.span(h.b(thing.name), h.small(thing.note) if thing.note else None))
+    look = {"cls": f"thing {thing.role}", "title": f"{thing.role}: {thing.name}"}
+    if place is None:
+        return h.div(inner, **look)
+    return h.button(inner, do=f"object:{place}", hover=f"hover:{place}", id=f"card-{card.kind}-{thing.role}", **look)
+
+
+def _mend(state: State, told: Story) -> Element | None:
+    """Smallest change that would make the answer right, with a button that tries it."""
+    if not told.mend:
+        return None
+    if told.tone != "wrong":
+        return h.p(told.mend, cls="sub")
+    tries = None if told.change is None else h.button("Try it", cls="go", do="try-mend", title="answer again with it")
+    return h.div(h.div(h.h3("What would mend it"), h.p(told.mend)), tries, cls="fix")
+
+
+def doubts_html(state: State) -> Element | None:
+    """Doubts of what all geometry rests on."""
+    parts = [*filter(None, (up_chip(state), depth_chip(state)))]
+    return h.div(parts, cls="upchips") if parts else None
 
 
 def before_html(state: State, edited: BothAnswers) -> Element:
-    """Answer without the edits, in one line."""
+    """Answer without the edits, in one line, headed by whether it has changed."""
     trace, colors = edited.before.trace, palette(state.dark)
     reason, count = why_no_answer(trace), len(each_edit(state.edits))
     answer: list[Child] = [h.span(reason or "no answer", cls="dim")]
-
-    def name(i: int) -> str:
-        return state.named(edited.before.keys[i])
-
     if reason is None and trace.ranking is not None:
-        best, lead = trace.ranking.pairs[0], words_of_answer(trace, name).lead.strip()
+        best = trace.ranking.pairs[0]
         references = (i for i in (best.reference, best.second_reference) if i is not None)
         answer = [
-            h.span(lead, cls="dim") if lead else None,
-            named(colors["target"], name(best.target)),
-            *(named(colors["reference"], name(i)) for i in references),
-            h.b(probability(best.relation_probability), title=hint_of("P(relation)")),
+            named(colors["target"], state.named(edited.before.keys[best.target])),
+            *(named(colors["reference"], state.named(edited.before.keys[i])) for i in references),
         ]
     return h.div(
         h.b(_became(state, edited)),
         h.span("before", cls="dim"),
         h.span(answer, cls="said"),
         verdict_chip_of(edited.judged) if isinstance(edited.judged, Diagnosis) else None,
+        button("Take back", "edit-reset", f"{counted(count, 'edit')} (0)"),
         cls="before",
         css={"--c": hex_color(colors["edited"])},
-        title=f"{counted(count, 'edit')}; 0 takes {'it' if count == 1 else 'them'} back",
     )
 
 
@@ -89,60 +187,20 @@ def verdict_chip_of(judged: Diagnosis) -> Element:
     return verdict_chip(judged.verdict, judged.detail, judged.lucky)
 
 
-def story_html(told: Story) -> Element:
-    """Head, sentence and mend of a verdict."""
-    return h.div(
-        h.p(h.b(f"{told.head}. "), told.sentence, cls="sentence"),
-        h.p(told.mend, cls="dim small") if told.mend else None,
-    )
-
-
-def verdict_html(state: State) -> Element | None:
-    """Verdict chip; opens the failed stage, or carries the verdict's sentence where no stage failed."""
-    judged = state.judged
-    if state.recorded is not None and not state.recorded.is_that(judged):
-        return _recorded(state, state.recorded)
-    if judged is None:
-        return None
-    if isinstance(judged, str):
-        return h.div(h.p(f"No verdict: {judged}", cls="dim sentence"), cls="verdict")
-    stage = MODULE_OF.get(judged.verdict, "" if judged.verdict in ("COMPOUND", "UNEXPLAINED") else "LABEL")
-    return h.div(
-        h.button(verdict_chip_of(judged), cls="plain", do=f"stage:{stage}", id="verdict", title="show why"),
-        # A failed stage carries the sentence.
-        None if state.task == "explain" and failed_stages(state.trace, judged) else story_html(judged.story),
-        None if state.other is None or state.trace is None else _second(state.other, state.other_pair),
-        cls="verdict",
-    )
-
-
-def _recorded(state: State, found: Recorded) -> Element:
-    """Verdict as recorded in the run, beside the present verdict where the two differ."""
+def _recorded(state: State) -> Element:
+    """Present verdict beside that of the run, where the two differ."""
     judged, run = state.judged, None if state.listing is None else state.listing.figures.run
     by = "" if run is None else judged_by(run.manifest)
     now: Child = verdict_chip_of(judged) if isinstance(judged, Diagnosis) else judged or "no verdict"
     why = by or "labels, models or data are not those of the run any more"
-    return h.div(
-        h.button(
-            verdict_chip(found.verdict, found.detail, found.lucky),
-            cls="plain",
-            id="verdict",
-            do="stage:LABEL",
-            title="as the run has it",
-        ),
-        h.p(found.said, cls="sentence"),
-        h.p("Judged now: ", now, f". The run: {why}.", cls="dim small"),
-        cls="verdict",
-    )
+    return h.p("So says the run. Judged now: ", now, f". The run: {why}.", cls="sub")
 
 
 def mend_button(state: State) -> Element | None:
-    """Button leading to the labels of the verdict; highlighted where the label itself is in doubt."""
+    """Button leading to the labels of the verdict."""
     if not state.correctable or not state.text:
         return None
-    doubted = isinstance(state.judged, Diagnosis) and state.judged.verdict == "LABEL"
-    hint = "the labelled pair and its expression (Shift+M)"
-    return button("correct this label", "mend", hint, "mend go" if doubted else "mend")
+    return button("Label is wrong…", "mend", "the labelled pair and its expression, to correct them (Shift+M)", "mend")
 
 
 def answer_in_words(state: State, trace: Trace) -> str:
@@ -151,57 +209,6 @@ def answer_in_words(state: State, trace: Trace) -> str:
     if sentence is None and state.pair is not None:
         sentence = words_of_answer(trace, state.name_of).sentence(pair_words(trace, state.ranked[0], state.name_of))
     return f"“{state.text}”: {sentence} ({sum(trace.timings.values()) * 1000:.0f} ms)"
-
-
-def _pair(state: State, trace: Trace) -> list[Child]:
-    """Chosen pair, as the answer or as a lower rank."""
-    best = state.ranked[0]
-    pair = state.chosen or best
-    answer = words_of_answer(trace, state.name_of, pair)
-    return [
-        # The lead sentence belongs to the best pair, not to another clicked pair.
-        note(_capital(answer.lead.strip())) if pair is best and answer.lead else None,
-        _names(state, trace, pair),
-        _headline(trace, pair),
-        h.div(f"not so: {'; '.join(answer.fails)}", cls="dim") if answer.fails else None,
-        h.div(with_terms(answer.below, "posterior", "margin"), cls="dim", id="answer-below"),
-    ]
-
-
-def _alone(state: State, trace: Trace) -> Element | None:
-    """Subject of the verdict without a pair: the best target by name alone, as in an evaluation."""
-    candidates = trace.candidates.get(trace.query.target)
-    found = None if candidates is None else alone(candidates)
-    if found is None or trace.missing or not isinstance(state.judged, Diagnosis):
-        return None
-    said = f"The verdict is of the best {trace.query.target} alone, as in an evaluation: {state.name_of(found)}"
-    return h.div(said, cls="dim")
-
-
-def _names(state: State, trace: Trace, pair: ScoredPair) -> Element:
-    colors = palette(state.dark)
-    parts: list[Child] = [named(colors["target"], state.name_of(pair.target))]
-    ends = [k for k in (pair.reference, pair.second_reference) if k is not None]
-    for k, end in enumerate(ends):
-        joint = h.span("and" if k else trace.phrase, cls="dim")
-        parts += [" ", joint, " ", named(colors["reference"], state.name_of(end))]
-    return h.h2(parts, cls="names", id="answer-names")
-
-
-def _headline(trace: Trace, pair: ScoredPair) -> Element:
-    """Relation's probability and the product of all factors, or a remark on an imported answer without a ranking."""
-    if trace.answered is not None:
-        return h.div(_capital(trace.answered), cls="dim", id="answer-heads")
-    cells = []
-    for what, value in headline(pair, trace.own_scores):
-        name = what if what == "product" else f"P({what})"
-        low = "low" if what != "product" and not pair.holds else ""
-        cells.append(h.span(term(name), " ", h.b(probability(value), cls=low)))
-    return h.div(cells, cls="heads", id="answer-heads")
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
 
 
 UNKNOWN = "No verdict: nothing is known of the truth in this frame. It needs labels (a run) or annotations."

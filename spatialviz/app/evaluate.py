@@ -113,6 +113,13 @@ class Evaluate(Part):
         self.search(query)
         self._say_address()
 
+    @command("alike")
+    def list_alike(self, verdict: str) -> None:
+        """List the answers of a verdict."""
+        self.state = replace(self.state, evaluating=True)
+        self.search(f"verdict:{verdict}")
+        self.ctx.draw()
+
     def search(self, query: str | None) -> None:
         """List the matches of a search, by default a run's first search."""
         query = self._first if query is None else " ".join(query[:LONGEST_SEARCH].split())

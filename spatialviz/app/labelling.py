@@ -18,6 +18,7 @@ from pipeline.corrections.label_editor import Target
 from pipeline.corrections.unsaved import Waiting
 from pipeline.corrections.wording import events_text, outcome_text
 from pipeline.system.errors import InputError, needed, require
+from spatialviz.app.answer import mend_button
 from spatialviz.app.context import Context, command, there
 from spatialviz.app.label_object import LabelObject, SidePanel
 from spatialviz.app.label_part import LabelPart
@@ -172,22 +173,25 @@ class Labelling(LabelPart):
             self._ask(self.state.text)
 
     def _offer(self) -> Element | None:
+        """Ways from an answer to its label: the labelled pair, or the answered one as right."""
         state = self.state
         pair = state.chosen or next(iter(state.ranked), None)
-        if state.trace is None or pair is None:
+        if state.labels is not None or state.source not in self.ctx.shared.journals:
             return None
-        if state.source not in self.ctx.shared.journals:
-            return None
+        wrong, made, told = mend_button(state), None, None
         if self._kept == (state.frame_id, state.text):
-            back = button("Undo", "right-undo", "this pair is not right after all")
-            return h.div(h.span("This pair is kept as true.", cls="dim"), back, cls="rightpair panel")
-        known, why = state.judged is not None, why_not_kept(state.trace.root)
-        if why or pair.reference is None:
-            told = f"No truth is known here yet, and none is kept of this answer: {why}. Outline things under Label."
-            return None if known or not why else h.div(told, cls="rightpair panel dim")
-        hint = "it is kept as true, with its objects, and the answer is judged by it at once"
-        made = button("This pair is right", "right-pair", hint, cls="try" if known else "try go")
-        return h.div(made, None if known else h.span("No truth is known here yet.", cls="dim"), cls="rightpair panel")
+            told, made = "This pair is kept as right.", button("Undo", "right-undo", "this pair is not right after all")
+        elif state.trace is not None and pair is not None:
+            known, why = state.judged is not None, why_not_kept(state.trace.root)
+            told = None if known else "No truth is known here yet."
+            if not why and pair.reference is not None:
+                hint = "it is kept as true, with its objects, and the answer is judged by it at once"
+                made = button("This pair is right", "right-pair", hint, cls="" if known else "go")
+            elif told and why:
+                told += f" None is kept of this answer: {why}. Outline things under Label."
+        if not any((wrong, made, told)):
+            return None
+        return h.div(wrong, made, h.span(told, cls="sub") if told else None, cls="rightpair panel")
 
 
 PERIOD_SECONDS = 2.0

@@ -34,53 +34,54 @@ from spatialviz.app.markup import (
     with_terms,
     words,
 )
-from spatialviz.app.picture import thumb
 from spatialviz.app.state import State
 from spatialviz.app.what_if import REGION_COLORS
 
 KEPT: RGB = (53, 169, 107)
 
 
+FEW = 6
+"""Candidates that are shown before more are wanted."""
+
+
 def candidates_evidence(state: State, trace: Trace) -> list[Child]:
-    """Table of candidates for each name of the question, best first."""
-    return [_candidates(state, n, name, found) for n, (name, found) in enumerate(trace.candidates.items())]
-
-
-def _candidates(state: State, number: int, name: str, found: Candidates) -> Element:
+    """Table of candidates for each name of the question, best first, the blamed name's first."""
     judged = state.judged if isinstance(state.judged, Diagnosis) else None
+    blamed = None if judged is None else judged.missed_name
+    if judged is not None and blamed is None and judged.false_reference and not judged.false_target:
+        blamed = judged.case.reference
+    names = sorted(trace.candidates, key=lambda name: name != blamed)
+    tables = [_candidates(state, judged, name, trace.candidates[name]) for name in names]
+    count = sum(len(found.index) for found in trace.candidates.values())
+    return [h.details(h.summary(f"all {count} candidates"), cls="more") if count > FEW else None, *tables]
+
+
+def _candidates(state: State, judged: Diagnosis | None, name: str, found: Candidates) -> Element:
     raw = None if found.raw_scores is None or np.allclose(found.raw_scores, found.scores) else found.raw_scores
     rows = []
     for k in np.argsort(-found.scores, kind="stable").tolist():
-        i = int(found.index[k])
+        i, score = int(found.index[k]), float(found.scores[k])
         place = state.shown.place[i]
         mark, cls = ("", "") if judged is None or not judged.gold else _mark(judged, i)
+        color = palette(state.dark)[state.roles.get(place, "other")]
         rows.append(
             h.tr(
-                h.td(thumb(state, place)),
-                h.td(
-                    named(palette(state.dark)[state.roles.get(place, "other")], state.name_of(i)),
-                    h.div(mark, cls=f"mark {cls}".strip()) if mark else None,
-                    cls="w",
-                ),
-                h.td(detector_score(float(found.scores[k])), cls="n"),
-                None if raw is None else h.td(f"{raw[k]:.2f}", cls="n dim"),
-                id=f"candidate-{number}-{i}",
+                h.td(named(color, state.name_of(i)), cls="w"),
+                h.td(mark, cls=f"mark {cls}".strip(), title=mark or None),
+                h.td(h.span(h.i(css={"width": f"{min(score, 1):.0%}"}), cls="score")),
+                h.td(detector_score(score), cls="n"),
+                None if raw is None else h.td(f"{raw[k]:.2f}", cls="n dim", title="as the detector gave it"),
+                id=f"candidate-{name}-{i}",
                 do=f"object:{place}",
                 hover=f"hover:{place}",
                 **chosen(place == state.selected, "r"),
             )
         )
     if judged is not None and judged.missed is not None and judged.missed_name == name:
-        rows.append(h.tr(h.td(_missed(judged.missed, name), colspan=4), cls="missed"))
+        rows.append(h.tr(h.td(_missed(judged.missed, name), colspan=5), cls="missed"))
     if not rows:
-        rows = [h.tr(h.td("nothing of this name was found", cls="dim", colspan=4))]
-    head = h.tr(
-        h.td(),
-        h.th("candidate"),
-        h.th(term("score"), cls="n"),
-        None if raw is None else h.th(term("raw"), cls="n"),
-    )
-    return h.table(h.caption(f"“{name}”"), h.thead(head), h.tbody(rows), cls="candidates")
+        rows = [h.tr(h.td("nothing of this name was found", cls="dim", colspan=5))]
+    return h.table(h.caption(f"“{name}”, by ", term("score")), h.tbody(rows), cls="candidates")
 
 
 def _mark(judged: Diagnosis, i: int) -> tuple[str, str]:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pipeline.answering.answer_words import why_no_answer
+from pipeline.answering.answer_words import headline, probability, words_of_answer
 from pipeline.answering.ask import Trace
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.ranking import Candidates
@@ -16,8 +16,8 @@ from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.geometry.palette import VERDICTS, hex_color, palette
 from pipeline.language.lexicon import wording
 from pipeline.language.tree import Attachment, Node, Span
-from spatialviz.app.answer import story_html, verdict_evidence
-from spatialviz.app.markup import Child, Element, cell, chosen, h, hint_of, named, term, was, with_terms
+from spatialviz.app.answer import verdict_evidence
+from spatialviz.app.markup import Child, Element, cell, chosen, h, hint_of, joined, named, term, was, with_terms
 from spatialviz.app.stage_objects import attributes_evidence, candidates_evidence, lift_evidence, relations_evidence
 from spatialviz.app.state import State
 
@@ -32,50 +32,54 @@ def opened(state: State) -> str:
     return state.stage or next(iter(failed(state)), "PRM")
 
 
+STEPS = {
+    "PARSE": "read",
+    "OPM": "detect",
+    "LIFT": "lift",
+    "SRM": "relate",
+    "ATTRIBUTE": "look",
+    "PRM": "rank",
+    "LABEL": "label",
+}
+"""Stages in plain words."""
+SIGNS = {"good": "✓", "doubt": "!", "bad": "✕", "idle": "·"}
+
+
 def stages_html(state: State, open_stage: str = "") -> Element:
-    """Stages in order, the open stage with evidence; `open_stage` is as `State.stage`."""
-    open_stage = open_stage or opened(state)
-    return h.ol((_item(state, stage, open_stage, failed(state)) for stage in _stages(state)), cls="stages")
+    """Row of stages, and below it the evidence of one; `open_stage` is as `State.stage`."""
+    open_stage, stages = open_stage or opened(state), _stages(state)
+    shown = next((stage for stage in stages if stage.name == open_stage), None)
+    steps = h.div((_step(stage, stage is shown) for stage in stages), cls="steps", role="group", aria_label="stages")
+    return h.div(steps, None if shown is None else _evidence(state, shown), cls="stages")
 
 
 def all_stages_html(state: State) -> Element:
-    """Stages in order, each with its evidence."""
-    return h.ol((_item(state, stage, stage.name, failed(state)) for stage in _stages(state)), cls="stages")
+    """Every stage with its evidence."""
+    return h.div((_evidence(state, stage, h.h3(*_names(stage))) for stage in _stages(state)), cls="stages")
 
 
-def _item(state: State, stage: Stage, open_stage: str, failed: tuple[str, ...]) -> Element:
-    trace, key = state.trace if stage.name == open_stage else None, stage.name.lower()
-    marks = ("stage", stage.mark, "open" if trace is not None else "", "failed" if stage.name in failed else "")
-    evidence = None
-    if trace is not None:
-        how = {"id": f"evidence-{key}", "role": "region", "aria_label": f"evidence of {stage.name}"}
-        evidence = h.div(EVIDENCE[stage.name](state, trace), cls="evidence", **how)
-    return h.li(
-        h.button(
-            h.b(stage.name),
-            h.span(stage.words, cls="line"),
-            h.span(stage.cost, cls="cost"),
-            cls="head",
-            do=f"stage:{stage.name}",
-            id=f"head-{key}",
-            aria_expanded=str(trace is not None).lower(),
-            aria_controls=f"evidence-{key}",
-            title=hint_of(stage.name),
-        ),
-        _sentence(state) if failed[:1] == (stage.name,) else None,
-        evidence,
-        cls=" ".join(filter(None, marks)),
-        id=f"stage-{key}",
+def _names(stage: Stage) -> tuple[Element, str]:
+    return h.i(SIGNS[stage.mark], cls=stage.mark), STEPS[stage.name]
+
+
+def _step(stage: Stage, shown: bool) -> Element:
+    key, code = stage.name.lower(), hint_of(stage.name) or stage.name
+    return h.button(
+        *_names(stage),
+        cls=f"step {stage.mark}",
+        do=f"stage:{stage.name}",
+        id=f"head-{key}",
+        aria_expanded=str(shown).lower(),
+        aria_controls=f"evidence-{key}",
+        title=" · ".join(filter(None, (f"{code} {stage.words}", stage.cost))),
     )
 
 
-def _sentence(state: State) -> Element:
-    """Reason of a wrong or missing answer."""
-    if isinstance(state.judged, Diagnosis):
-        return story_html(state.judged.story)
-    if state.error:
-        return h.p(state.error, cls="sentence refused")
-    return h.p(None if state.trace is None else why_no_answer(state.trace), cls="sentence")
+def _evidence(state: State, stage: Stage, head: Element | None = None) -> Element:
+    """Outcome of a stage in words, and what it rests on."""
+    told = None if state.trace is None else EVIDENCE[stage.name](state, state.trace)
+    look = {"id": f"evidence-{stage.name.lower()}", "role": "region", "aria_label": f"evidence of {STEPS[stage.name]}"}
+    return h.div(head, h.p(stage.words, cls="sub"), told, cls=f"evidence {stage.mark}", **look)
 
 
 def _stages(state: State) -> tuple[Stage, ...]:
@@ -149,7 +153,8 @@ def _attachment(attachment: Attachment) -> Element:
     )
 
 
-SHOWN_PAIRS = 30
+SHOWN_PAIRS, FEW = 30, 6
+"""Pairs that are listed, and how many of them before more are wanted."""
 MATRIX_LIMIT = 14
 
 
@@ -157,7 +162,27 @@ def pairs_evidence(state: State, trace: Trace) -> list[Child]:
     """Ranked pairs, then the reasons."""
     if not state.ranked:
         return [h.p("There are no pairs to rank.", cls="dim")]
-    return [_ranked(state), _against(state), _matrix(state, trace)]
+    return [_numbers_of(state, trace), _ranked(state), _against(state), _matrix(state, trace)]
+
+
+def _numbers_of(state: State, trace: Trace) -> list[Child]:
+    """Numbers of the chosen pair, and what of the question it does not fulfil."""
+    pair = state.chosen or state.ranked[0]
+    answer = words_of_answer(trace, state.name_of, pair)
+    if trace.answered is not None:
+        return [h.p(trace.answered, cls="sub", id="answer-numbers")]
+    numbers = (
+        (term(name if name == "product" else f"P({name})"), " ", h.b(probability(value)))
+        for name, value in headline(pair, trace.own_scores)
+    )
+    fails = f"not so: {'; '.join(answer.fails)}" if answer.fails else None
+    below = with_terms(answer.below, "posterior", "margin")
+    return [h.p(joined(part for part in (*numbers, below, fails) if part), cls="sub", id="answer-numbers")]
+
+
+def more(what: str) -> Element:
+    """Switch between the first few rows of what follows it and all of it."""
+    return h.details(h.summary(what), cls="more")
 
 
 def _ranked(state: State) -> list[Child]:
@@ -167,9 +192,10 @@ def _ranked(state: State) -> list[Child]:
     names |= {"fit": "P(attributes)"} if fit else {}
     names["P"] = "posterior"
     heads = (h.th(term(name, shown), cls="n") for shown, name in names.items())
-    more = "" if len(state.ranked) <= SHOWN_PAIRS else f"best {SHOWN_PAIRS} of {len(state.ranked)}"
+    count = len(state.ranked)
+    said = f"all {count} pairs" if count <= SHOWN_PAIRS else f"best {SHOWN_PAIRS} of {count} pairs"
     return [
-        h.h3("Ranked pairs", h.span(more)),
+        more(said) if count > FEW else None,
         h.table(
             h.thead(h.tr(h.th("#", cls="n"), h.th("target, reference"), heads)),
             h.tbody(_row(state, i, pair, fit) for i, pair in enumerate(state.ranked[:SHOWN_PAIRS])),

@@ -9,11 +9,11 @@ from pipeline.datasets.settings import ASSUMED, SOURCES
 from pipeline.geometry.camera import UpSource
 from pipeline.geometry.palette import DROPPED
 from spatialviz.app.keys import KEYS, MOVE_KEYS
-from spatialviz.app.markup import BAD, DOUBT, IDLE, Element, button, dot, h, hint_of, note, panel, segments, term, words
+from spatialviz.app.markup import DOUBT, IDLE, Element, button, dot, h, hint_of, note, panel, segments, term, words
 from spatialviz.app.state import State
 
 COLORS = {"rgb": "Colour", "objects": "Objects", "depth": "Depth", "evidence": "Cleaning"}
-CAMERAS = {"pair": "Pair", "sensor": "Sensor", "top": "Top"}
+CAMERAS = {"pair": "Pair", "sensor": "Camera", "top": "Top"}
 MOVE_MARKS = {
     "rotate_ccw": ("↶", "turn left"),
     "forward": ("↑", "forward"),
@@ -38,17 +38,10 @@ FLAGS = {
 HINTS = {message: f"{label} ({key})" for key, label, message in KEYS["Looking"]}
 LEAST_POINT, LARGEST_POINT = 0.4, 4.0
 """Least and largest factor of point size."""
-PICTURES = tuple(
-    h.button(label, cls="toggle", local=local, title=title)
-    for label, local, title in (
-        ("Save scene", "shot:scene", "the scene as it stands, with its names, as a PNG"),
-        ("Save page", "shot:page", "the whole page, as a PNG; the browser asks first"),
-    )
-)
 
 
-def scene_tools_html(state: State) -> Element:
-    """Controls of the scene: colours, viewpoint, visible parts."""
+def scene_tools_html(state: State) -> list[Element]:
+    """Viewpoints, and the menu of what is shown in the scene."""
     flags = asdict(state.flags)
     exact = state.loaded is not None and any(a.box is not None for a in state.loaded.context.frame.annotations)
     toggles = (
@@ -63,22 +56,35 @@ def scene_tools_html(state: State) -> Element:
         if key != "truth" or exact
     )
     legend = (h.span(dot(color), term(words(reason))) for reason, color in DROPPED.items())
-    return h.div(
+    menu = h.div(
         segments("color", COLORS, state.colors, "paint"),
-        segments("camera", CAMERAS, state.camera, "look from"),
-        h.button(
-            "Measure",
-            cls="toggle",
-            do="pick:measure",
-            aria_pressed=str(state.picking == "measure").lower(),
-            title="metres between two surfaces that you click, here or in the picture (Shift+D; Escape ends)",
-        ),
-        _point_size(state),
-        h.div(toggles, cls="toggles", role="group", aria_label="shown in the scene"),
-        h.div(PICTURES, cls="toggles", role="group", aria_label="pictures to keep"),
         h.div(legend, cls="legend") if state.colors == "evidence" else None,
-        cls="tools",
+        h.div(toggles, cls="toggles", role="group", aria_label="shown in the scene"),
+        _point_size(state),
     )
+    return [
+        segments("camera", CAMERAS, state.camera, "look from"),
+        h.details(h.summary("Show"), menu, cls="menu stays", id="show"),
+    ]
+
+
+def scene_buttons_html(state: State) -> list[Element]:
+    """Buttons at the lower edge of the scene."""
+    measure = h.button(
+        "Measure",
+        cls="try",
+        do="pick:measure",
+        aria_pressed=str(state.picking == "measure").lower(),
+        title="metres between two surfaces that you click, here or in the picture (Shift+D; Escape ends)",
+    )
+    objects = f"Objects {len(state.shown.objects)}"
+    return [
+        measure,
+        h.button(
+            "What if", cls="try", local="tab:Edit", title="change a box, a score or a setting, and see the answer"
+        ),
+        h.button(objects, cls="try", local="tab:Objects", title="all objects of this frame"),
+    ]
 
 
 def _point_size(state: State) -> Element:
@@ -166,36 +172,23 @@ def tasks_html(state: State, with_labels: bool) -> Element:
     return segments("task", tasks, state.task, "What the page is for", TASK_HINTS)
 
 
-def refusal_html(state: State) -> Element | None:
-    """Reason of a refused question, and the objects of this frame, beside the field."""
-    if not state.error:
-        return None
-    return h.div(
-        note(state.error, BAD),
-        h.button("×", cls="close", local="dismiss", aria_label="close", title="close"),
-        h.p(state.offers.words) if state.offers.names else None,
-        cls="refusal",
-        role="alert",
-    )
-
-
 PICK = "Click a level surface, a floor or a table-top, in the picture or in the scene. Shift+U leaves it as it is."
 MADE_WITH = "The labels were made with it."
 HOW = "Click here (Shift+U), then a surface that is level: up is then known."
 
 
-def up_chip(state: State) -> Element | None:
-    """Source of up, small; conspicuous for an assumed or doubtful up. A click asks for a level surface."""
+def up_chip(state: State, quiet: bool = False) -> Element | None:
+    """Doubt of an assumed or implausible up; `quiet` also names a sound one. A click asks for a level surface."""
     # Shown labels have the up of their making, unchanged by clicks.
     if state.loaded is None:
         return None
     labels = state.labels
     source: UpSource | None = state.loaded.context.viewer.up_source if labels is None else labels.frame.row["up_source"]
-    if source is None:
-        return None
     viewer = state.loaded.context.viewer
     doubt = viewer.up_doubt if viewer.up_source == source else ""
     loud = source == "assumed" or bool(doubt)
+    if source is None or not (loud or quiet or state.loaded.up_hint is not None):
+        return None
     said = f"{ASSUMED[0].upper()}{ASSUMED[1:]}." if source == "assumed" else f"Up: {SOURCES[source]}."
     said += f" It may be wrong: {doubt}." if doubt else ""
     chip = h.button if labels is None else h.span
@@ -221,7 +214,7 @@ def depth_chip(state: State) -> Element | None:
 
 def ground_chips(state: State) -> Element:
     """Assumptions under all geometry."""
-    return h.span(up_chip(state), depth_chip(state), cls="upchips")
+    return h.span(up_chip(state, quiet=True), depth_chip(state), cls="upchips")
 
 
 def level_html(state: State) -> Element | None:

@@ -146,13 +146,9 @@ function takeAsked(offer, done) {
 function ask(field) {
   clearTimeout(timer);
   close();
-  byId('ask-problem').hidden = false;
   send(`ask:${field.value.trim()}`);
   field.blur();
 }
-
-/* The refusal below the field lies over the tools; what it says stands in the stage PARSE, too. */
-locals.dismiss = () => { byId('ask-problem').hidden = true; };
 
 fields.ask = {
   input: (_, field) => soon('ask-typed:', field),

@@ -184,6 +184,7 @@ const pressed = e => {
   }
   const name = named(e), large = byId('stage').dataset.max, menu = document.querySelector('.menu[open]');
   if (name === 'Escape' && menu) { shut(menu); return; }
+  if (name === 'Escape') byId('drawer').classList.add('closed');
   if (name === 'Escape' && large) locals.maximise(null, large);
   if (e.key === '/') { e.preventDefault(); byId('ask-text').focus(); byId('ask-text').select(); }
   else if (e.key === '?') { e.preventDefault(); send('help'); }
@@ -209,7 +210,7 @@ for (const kind of ['click', 'focusin']) {
   document.addEventListener(kind, e => {
     for (const menu of document.querySelectorAll('.menu[open]')) {
       if (!menu.contains(e.target)) menu.open = false;
-      else if (kind === 'click' && e.target.closest('button')) shut(menu);
+      else if (kind === 'click' && e.target.closest('button') && !menu.matches('.stays')) shut(menu);
     }
   });
 }
@@ -233,7 +234,7 @@ calls.task = name => {
   if (document.body.dataset.mode === name) return;
   document.body.dataset.mode = name;
   // What a task is about is open.
-  locals.tab(null, {explain: 'Objects', evaluate: 'Objects', label: 'Edit'}[name]);
+  if (name === 'label') locals.tab(null, 'Edit'); else byId('drawer').classList.add('closed');
 };
 calls.author = name => { kept('author', name); };
 calls.toast = ({title, text, bad}) => {
@@ -291,6 +292,7 @@ locals.tab = (_, name) => {
   }
   byId('drawer').classList.remove('closed');
 };
+locals.swap = () => byId('stage').toggleAttribute('data-swap');
 calls.tab = name => locals.tab(null, name);
 locals.drawer = () => byId('drawer').classList.toggle('closed');
 locals.maximise = (_, which) => {

@@ -1,0 +1,121 @@
+"""Cards of an answer: what was answered and what it should be, thing by thing, for a glance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from pipeline.answering.ask import Trace
+from pipeline.answering.pair_table import ScoredPair
+from pipeline.diagnosis.story import really
+from pipeline.diagnosis.story_words import words
+from pipeline.diagnosis.verdict import Diagnosis, Missed
+from pipeline.labels.cases import HIT
+
+End: TypeAlias = Literal["target", "reference"]
+
+
+@dataclass(frozen=True)
+class CardObject:
+    """Thing on a card."""
+
+    role: End
+    name: str  # Of a detection with its number
+    note: str  # What it really is, or how it was seen; may be empty
+    bbox: np.ndarray  # (4,) float64: x0, y0, x1, y1, pixels
+    index: int | None  # Among the trace's objects; None for a labelled thing that was not detected
+
+
+@dataclass(frozen=True)
+class Card:
+    """Target and reference of one pair, under a title."""
+
+    kind: Literal["answer", "right", "label"]
+    objects: tuple[CardObject, ...]
+
+    @property
+    def title(self) -> str:
+        """Title in words."""
+        return words("cards", self.kind)
+
+
+def cards_of(
+    trace: Trace | None, judged: Diagnosis | str | None, pair: ScoredPair | None, name: Callable[[int], str]
+) -> tuple[Card, ...]:
+    """Cards of a pair of an answer: the answer, and beside it what is right where that is another one.
+
+    `pair`: the one that is looked at, None without an answer; `name`: of an object by its place in the trace. A right
+    answer has one card, a refused question only the right one. The labelled pair stands in where no detection is right;
+    of an answer that is right beside its label, the label's own.
+    """
+    d = judged if isinstance(judged, Diagnosis) else None
+    found: list[Card] = []
+    if trace is not None and pair is not None:
+        things = [_answered(trace, d, "target", pair.target, pair.p_target, name)]
+        if pair.reference is not None:
+            things.append(_answered(trace, d, "reference", pair.reference, pair.p_reference, name))
+        found.append(Card("answer", tuple(things)))
+    if d is None or (d.correct and not d.lucky):
+        return tuple(found)
+    kind = "label" if d.verdict == "LABEL" else "right"
+    right = d.right if d.gold and kind == "right" else None
+    case = d.case
+    things = [_right(d, "target", case.target, case.target_object, right and (right.target, right.p_target), name)]
+    if case.reference:
+        seen = right and (right.reference, right.p_reference)
+        things.append(_right(d, "reference", case.reference, case.reference_object, seen, name))
+    return (*found, Card(kind, tuple(things)))
+
+
+def _answered(
+    trace: Trace,
+    d: Diagnosis | None,
+    role: End,
+    index: int,
+    score: float,
+    name: Callable[[int], str],
+) -> CardObject:
+    note = "" if score >= 1 else words("cards", "scored", score=f"{score:.2f}")
+    if d is not None and d.gold and index < d.evidence.detections:
+        case = d.case
+        example, label = (
+            (case.target_object, case.target) if role == "target" else (case.reference_object, case.reference)
+        )
+        alike = label and (d.evidence.overlap[index][d.truth.alike[example]] >= HIT).any()
+        if label and not alike:
+            note = words("cards", "really", really=really(d, index, example))
+    return CardObject(role, name(index), note, np.asarray(trace.objects[index].bbox, np.float64), index)
+
+
+def _right(
+    d: Diagnosis,
+    role: End,
+    label: str,
+    example: int,
+    seen: tuple[int | None, float] | None,
+    name: Callable[[int], str],
+) -> CardObject:
+    """Right thing of a role: as it was detected, else as it is labelled."""
+    box, missed = d.truth.boxes[example], d.missed
+    index, score = (None, None) if seen is None else seen
+    if index is None and d.gold and not (missed is not None and d.missed_name == label):
+        # It may have been seen without being in a pair that could win.
+        here = np.flatnonzero(d.evidence.match == example)
+        named = d.evidence.answers.candidates.get(label)
+        both = [] if named is None else [int(k) for k in np.flatnonzero(np.isin(named.index, here))]
+        if both and named is not None:
+            best = max(both, key=lambda k: named.scores[k])
+            index, score = int(named.index[best]), float(named.scores[best])
+    if index is not None and index < d.evidence.detections:
+        note = "" if score is None or score >= 1 else words("cards", "scored", score=f"{score:.2f}")
+        return CardObject(role, name(index), note, np.asarray(d.evidence.answers.boxes[index], np.float64), index)
+    note = _unseen(missed) if missed is not None and d.missed_name == label else words("cards", "labelled")
+    return CardObject(role, label, note, np.asarray(box, np.float64), None)
+
+
+def _unseen(missed: Missed) -> str:
+    kind = "suppressed" if missed.suppressed else missed.kind.lower()
+    return words("cards", kind, score="" if missed.score is None else f"{missed.score:.2f}")
