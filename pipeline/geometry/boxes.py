@@ -119,12 +119,44 @@ def drawn_edges(box: Box3D, open_sides: Sequence[Side] | None = None) -> np.ndar
     return np.concatenate([ends[~cut], *pieces])
 
 
+def dashed(segments: np.ndarray, period: float, share: float = 0.55) -> np.ndarray:
+    """Cut line segments into dashes.
+
+    `segments`: (N, 2, D) float, start and end; `period`: approximate length of a dash with its gap: each segment holds
+    a whole number of dashes, and ends with a dash; `share`: of the dash in it, 0..1. Returns (M, 2, D) float32 in the
+    order of the segments.
+    """
+    segments = np.asarray(segments, np.float64)
+    length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
+    count = np.maximum(np.ceil(length / period), 1).astype(int)
+    which = np.repeat(np.arange(len(segments)), count)
+    number = np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)
+    # With the last gap left out, so that every corner is drawn.
+    whole = count[which] - (1 - share)
+    ends = np.stack([number / whole, np.minimum((number + share) / whole, 1.0)], axis=1)
+    start, step = segments[which, 0], segments[which, 1] - segments[which, 0]
+    return (start[:, None] + ends[..., None] * step[:, None]).astype(np.float32)
+
+
+DASH, SHORTEST_DASH, LONGEST_DASH = 0.12, 0.03, 0.25
+"""Period of a box's dashes: share of its diagonal, within metres that are told from afar and from nearby."""
+
+
 def edge_lines(
-    boxes: Iterable[Box3D], growth: float = 0.0, open_sides: Iterable[Sequence[Side] | None] | None = None
+    boxes: Iterable[Box3D],
+    growth: float = 0.0,
+    open_sides: Iterable[Sequence[Side] | None] | None = None,
+    dashes: bool = False,
 ) -> np.ndarray:
-    """Edges of boxes, (N, 2, 3) float32, as `drawn_edges`; every box is first grown by `growth` metres."""
-    grown = (Box3D(b.center, b.R, b.size + growth) for b in boxes)
+    """Edges of boxes, (N, 2, 3) float32, as `drawn_edges`, cut into `dashes` by the size of the box.
+
+    Every box is first grown by `growth` metres.
+    """
+    grown = [Box3D(b.center, b.R, b.size + growth) for b in boxes]
     drawn = map(drawn_edges, grown) if open_sides is None else map(drawn_edges, grown, open_sides)
+    if dashes:
+        periods = (np.clip(DASH * np.linalg.norm(b.size), SHORTEST_DASH, LONGEST_DASH) for b in grown)
+        drawn = map(dashed, drawn, map(float, periods))
     return np.concatenate([np.zeros((0, 2, 3)), *drawn]).astype(np.float32)
 
 

@@ -71,10 +71,15 @@ def drawn_pixels(frame: Frame) -> np.ndarray:
     return (frame.depth > 0) & (frame.depth < FAR) & ~flying_pixels(frame.depth)
 
 
+def stride_of(camera: Camera) -> int:
+    """Step of rows and columns with at most MAX_POINTS points of a camera's picture."""
+    return max(1, int(np.ceil(np.sqrt(camera.width * camera.height / MAX_POINTS))))
+
+
 def cloud_of(frame: Frame, viewer: ViewerAxes, stride: int | None = None) -> Cloud:
     """Build the cloud of a frame from each `stride`-th row and column; by default at most MAX_POINTS points."""
     to_show = np.stack([viewer.right, viewer.forward, viewer.up])
-    stride = stride or max(1, int(np.ceil(np.sqrt(frame.width * frame.height / MAX_POINTS))))
+    stride = stride or stride_of(frame.camera)
     depth, keep = frame.depth[::stride, ::stride], drawn_pixels(frame)[::stride, ::stride]
     level = np.floor(np.log(np.maximum(depth, np.float32(1e-3))) * np.float32(1 / np.log(BAND_RATIO))).astype(np.int8)
     # Bands of the rest lie behind all of the first; eight bits are sorted by counting.
@@ -102,6 +107,9 @@ def _part(points: np.ndarray, group: np.ndarray, start: int, size: float) -> Clo
 
 AROUND, NEAREST = 1.12, 0.55
 """A pair is seen from so much farther than would fill the view, and from no nearer than so many metres."""
+NEAREST_SPACINGS = 150
+"""Nor from nearer than so many times the spacing of its points: they then lie 6 pixels apart in a view 800 pixels high,
+and 6 is the size that no point exceeds on the page."""
 TOWARD = np.array([-0.36, 0.84, -0.42])
 """Where one looks who sees all: from the right, above and behind the sensor."""
 FITTING_FOV, TOP_FOV = float(np.deg2rad(44)), float(np.deg2rad(50))
@@ -131,8 +139,15 @@ def viewpoint(
     if kind == "pair" and about is not None:
         eye, look, fov = fitting_viewpoint(about, aspect)
         # What stands around the pair is in view, too.
-        return look + (eye - look) * max(AROUND, NEAREST / max(float(np.linalg.norm(eye - look)), 1e-6)), look, fov
+        distance = max(float(np.linalg.norm(eye - look)), 1e-6)
+        return look + (eye - look) * max(AROUND, nearest_distance(about, camera) / distance), look, fov
     return fitting_viewpoint(points, aspect)
+
+
+def nearest_distance(points: np.ndarray, camera: Camera) -> float:
+    """Nearest distance, metres, at which the surface around (N, 3) points from the camera is seen as closed."""
+    spacing = stride_of(camera) * float(np.median(np.linalg.norm(points, axis=1))) / camera.fx
+    return max(NEAREST, NEAREST_SPACINGS * spacing)
 
 
 def fitting_viewpoint(points: np.ndarray, aspect: float) -> Viewed:

@@ -6,6 +6,7 @@ both); every role is doubled by a word, a line width or a line style wherever it
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Literal
 
 import numpy as np
@@ -33,7 +34,8 @@ ON_LIGHT: dict[Role, RGB] = {
 }
 """As on a dark ground; "bad" is a failure, with a word."""
 
-LINE_WIDTH: dict[Role, float] = {"other": 1.3, "reference": 3.2, "target": 3.2, "truth": 1.6, "edited": 2.5}
+LINE_WIDTH: dict[Role, float] = {"other": 1.3, "reference": 3.0, "target": 3.0, "truth": 3.0, "edited": 3.0}
+"""Of boxes in 3D, pixels; a dark halo of a pixel stands around lines of three."""
 FACE_OPACITY: dict[Role, float] = {"other": 0.035, "reference": 0.15, "target": 0.15}
 """Of boxes in 3D."""
 
@@ -42,7 +44,7 @@ DROPPED: dict[Pixel, RGB] = {
     Pixel.OUT_OF_RANGE: (84, 88, 96),
     Pixel.DEPTH_EDGE: (230, 70, 110),
     Pixel.MASK_BORDER: (250, 200, 60),
-    Pixel.SMALL_PART: (170, 110, 240),
+    Pixel.SMALL_PART: (64, 200, 220),
 }
 """Colours of the pixels that cleaning dropped, by reason."""
 
@@ -73,20 +75,42 @@ def depth_ends(depth: np.ndarray) -> tuple[float, float]:
     return float(low), float(high)
 
 
+DEPTH_STOPS = ((246, 231, 194), (187, 182, 160), (113, 139, 137), (78, 92, 124), (63, 44, 85))
+"""Colours of depths at equal steps, near to far: lightness tells them, and they stay near grey, so that the colours of
+roles stand out of them (a test holds how far)."""
+
+
 def depth_colors(depth: np.ndarray, ends: tuple[float, float] | None = None) -> np.ndarray:
-    """Turbo colours of depths in metres, (..., 3) uint8, near red to far blue between `ends`, by default `depth_ends`.
+    """Colours of depths in metres, (..., 3) uint8, near sand to far violet grey between `ends`, default `depth_ends`.
 
     Pixels without depth are dark grey.
     """
+    low, high = ends or depth_ends(depth)
+    at, stops = np.linspace(0, len(DEPTH_STOPS) - 1, 256), np.arange(len(DEPTH_STOPS))
+    table = np.stack([np.interp(at, stops, channel) for channel in zip(*DEPTH_STOPS, strict=True)], axis=1)
+    level = np.clip((depth - low) / max(high - low, 1e-6), 0, 1) * 255
+    colors = np.round(table).astype(np.uint8)[level.astype(np.uint8)]
+    colors[depth <= 0] = (40, 42, 46)
+    return colors
+
+
+SATURATION, LIGHTNESS = 0.45, 0.7
+"""Shares that are kept of a dimmed pixel's."""
+LUMA = (0.2126, 0.7152, 0.0722)
+
+
+def dimmed(rgb: np.ndarray, lit: Iterable[np.ndarray]) -> np.ndarray:
+    """Picture ((H, W, 3) uint8), dimmed outside the masks `lit` ((H, W) bool each); without any the picture itself."""
     import cv2
 
-    valid = depth > 0
-    low, high = ends or depth_ends(depth)
-    level = 255 - np.clip((depth - low) / max(high - low, 1e-6), 0, 1) * 255
-    flat = cv2.applyColorMap(np.ascontiguousarray(level.astype(np.uint8).reshape(-1, 1)), cv2.COLORMAP_TURBO)
-    colors = flat[:, 0, ::-1].reshape(*depth.shape, 3).copy()
-    colors[~valid] = (40, 42, 46)
-    return colors
+    masks = [mask for mask in lit if mask.any()]
+    if not masks:
+        return rgb
+    grey = (1 - SATURATION) * np.tile(LUMA, (3, 1))
+    image = cv2.transform(rgb, LIGHTNESS * (grey + SATURATION * np.eye(3)))
+    kept = np.logical_or.reduce(masks)
+    image[kept] = rgb[kept]
+    return image
 
 
 VERDICTS: dict[str, RGB] = {

@@ -21,7 +21,7 @@ def fill_page(ctx: Context) -> None:
         "tasks": toolbar.tasks_html(state, bool(shared.journals)),
         "scene-tools": toolbar.scene_tools_html(state),
         "scene-buttons": toolbar.scene_buttons_html(state),
-        "depth-legend": picture.depth_bar(state),
+        "legend": picture.legend_html(state),
         "objects": picture.objects_html(state, state.loaded) if state.loaded else None,
         "image": picture.image_html(state),
         "object": stage_objects.object_html(state) if state.labels is None else None,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,12 +10,15 @@ import numpy as np
 import viser.transforms as vtf
 
 from pipeline.answering.frame_store import LoadedFrame, frame_colors
+from pipeline.answering.objects import SceneObject
 from pipeline.datasets.scene_mesh import fuse_context
+from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.cloud import CloudPart, metre_grid
 from pipeline.geometry.palette import hex_color
 from pipeline.geometry.viewer import surface_point
 from pipeline.system.errors import FrameUnusable, MissingExtra
 from spatialviz.app.context import Context, Part
+from spatialviz.app.picture import index_map
 from spatialviz.app.scene import Tag, plain_color
 from spatialviz.app.scene_client import triple
 from spatialviz.app.state import State
@@ -47,7 +50,7 @@ class FrameCloud(Part):
             self.ctx.client.clear("/camera")
         elif self._painted != state.paint_key or loaded is not was:
             self._painted = state.paint_key
-            look, frame = (state.roles, state.dark), loaded.context.frame
+            look, frame = (state.roles, state.dark, state.spotlit), loaded.context.frame
             self._points = loaded.painted(
                 state.paint_key, lambda: frame_colors(state.colors, frame, loaded.objects, *look)
             )
@@ -164,6 +167,10 @@ TAG = "/tags/measured"
 class SceneAids(Part):
     """Draws aids into a client's scene and page."""
 
+    def __init__(self, ctx: Context) -> None:
+        super().__init__(ctx)
+        self._mapped: tuple[Sequence[SceneObject], str] = ((), "")
+
     def follow(self) -> list[Tag]:
         """Draw the aids for the state; returns the name tags to show."""
         state = self.state
@@ -174,6 +181,7 @@ class SceneAids(Part):
             self.ctx.page.call("measure", None)
             return []
         self.ctx.page.call("scale", self._looked_at(state, loaded))
+        self.ctx.page.call("objects", self._hoverable(state))
         frame = loaded.context.frame
         ends = [self.ctx.scene.to_show @ surface_point(frame.depth, frame.camera, mark) for mark in state.marks]
         self.ctx.page.call("measure", {"on": state.picking == "measure", "points": [_rounded(end) for end in ends]})
@@ -193,6 +201,23 @@ class SceneAids(Part):
             )
         ]
 
+    def _hoverable(self, state: State) -> dict[str, object] | None:
+        """Names, boxes and places in the picture of all objects, for marking them in the browser."""
+        objects = state.found.objects
+        if self._mapped[0] is not objects:
+            self._mapped = objects, index_map(objects) if objects else ""
+        if not objects:
+            return None
+        return {
+            "map": self._mapped[1],
+            "names": state.shown.names,
+            "boxes": [
+                None if o.lifted.box is None else _hover_box(self.ctx.scene.shown_box(o.lifted.box))
+                for o in state.shown.objects
+            ],
+            "rects": [np.round(o.bbox, 1).tolist() for o in objects],
+        }
+
     def _looked_at(self, state: State, loaded: LoadedFrame) -> dict[str, object]:
         """Point of the depth scale: the middle of the chosen pair, else of the cloud."""
         ends = [] if state.pair is None else [state.shown.objects[i].lifted.box for i in state.pair[:2]]
@@ -210,6 +235,15 @@ class SceneAids(Part):
         grid = metre_grid(loaded.context.frame, loaded.context.viewer, loaded.cloud.points)
         for name, color, width, lines in zip(("cells", "fine"), GRID_COLORS[dark], (1.6, 0.8), grid, strict=True):
             self.ctx.client.lines(f"/grid/{name}", lines, color, width)
+
+
+def _hover_box(box: Box3D) -> dict[str, object]:
+    return {
+        "center": _rounded(box.center),
+        "R": _rounded(box.R.ravel()),
+        "half": _rounded(box.size / 2),
+        "volume": round(float(box.volume), 6),
+    }
 
 
 def _rounded(v: np.ndarray) -> list[float]:

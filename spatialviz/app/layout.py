@@ -15,6 +15,7 @@ KEPT_CALLS = (
     "strip",
     "plan",
     "tags",
+    "objects",
     "keys",
     "theme",
     "task",

@@ -11,7 +11,7 @@ script or a style, as the page's content policy forbids both. Actions of an elem
 `enter`          command sent with the value of a text field by Enter, leaving the field; Escape reverts
 `point`          command sent with the clicked point of a picture, as fractions of width and height
 `band`           command sent with the rectangle drawn with Shift held, as the same fractions
-`hover`          command sent on hover or focus, and "name:-1" afterwards
+`hover`          "hover:3", or of a pair "hover:3,7": the objects that hover or focus marks everywhere
 `field`          a text field with a list of its own: a name of `static/fields.mjs`
 `css`            custom properties and styles of this element alone
 ===============  =======================================================================================

@@ -13,9 +13,33 @@ from pipeline.corrections.draft import Draft
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.masks import decode_crop, outlines
-from pipeline.geometry.palette import ON_DARK, RGB, depth_colors, depth_ends, hex_color, ink, instance_colors, palette
+from pipeline.geometry.palette import (
+    DROPPED,
+    ON_DARK,
+    RGB,
+    Role,
+    depth_colors,
+    depth_ends,
+    hex_color,
+    ink,
+    instance_colors,
+    palette,
+)
 from spatialviz.app.frames import jpeg_url, png_url, thumb_url
-from spatialviz.app.markup import Child, Element, chosen, detector_score, h, heading, named, note, panel
+from spatialviz.app.markup import (
+    Child,
+    Element,
+    chosen,
+    detector_score,
+    dot,
+    h,
+    heading,
+    named,
+    note,
+    panel,
+    term,
+    words,
+)
 from spatialviz.app.state import State
 from spatialviz.report.picture import edges_path, tinted
 
@@ -40,6 +64,7 @@ def image_html(state: State) -> Element:
             _svg(frame, _quiet_boxes(state, frame.width / 360), "boxes"),
             _svg(frame, _ghost_marks(state, frame), "ghosts"),
             _svg(frame, overlay_marks(state), "overlay"),
+            _svg(frame, None, "marked"),
             h.button(
                 cls="large",
                 local="maximise:picture",
@@ -159,7 +184,7 @@ STEPS = 128
 
 
 def depth_bar(state: State) -> Element | None:
-    """Colour bar of depths, with minimum, middle and maximum in metres, in the depth view."""
+    """Colour bar of depths, with its ends in metres, in the depth view."""
     if state.loaded is None or state.colors != "depth":
         return None
     depth = state.loaded.context.frame.depth
@@ -168,12 +193,47 @@ def depth_bar(state: State) -> Element | None:
     colors = depth_colors(np.linspace(low, high, STEPS, dtype=np.float32)[None], (low, high))
     bar = np.concatenate([colors[..., ::-1], np.full((1, STEPS, 1), 255, np.uint8)], axis=2)
     return h.figure(
-        h.figcaption("Depth"),
-        h.img(src=png_url(bar), alt=f"colours from {low:.2f} m, red, to {high:.2f} m, blue", draggable="false"),
-        h.div((h.span(f"{at:.2f} m") for at in (low, (low + high) / 2, high)), cls="ticks"),
+        h.span(f"{low:.2f} m"),
+        h.img(src=png_url(bar), alt=f"colours from {low:.2f} m, light, to {high:.2f} m, dark", draggable="false"),
+        h.span(f"{high:.2f} m"),
         cls="depthbar",
         title="Nearer and farther ones have the colours of the ends: "
         f"{measured.min():.2f} to {measured.max():.2f} m were measured.",
+    )
+
+
+def legend_html(state: State) -> list[Child]:
+    """Legend of the scene: roles that are drawn, and the paint."""
+    drawn = {ghost.role for ghost in state.ghosts} if state.flags.ghosts else set()
+    right = "truth" in drawn or state.right_roles
+    roles: tuple[tuple[Role, str, object], ...] = (
+        ("target", "target", "target" in state.roles.values()),
+        ("reference", "reference", "reference" in state.roles.values()),
+        ("truth", "right by the labels" if "truth" in drawn else "✓ right by the labels", right),
+        ("edited", "" if state.other is None else state.other.name, "edited" in drawn),
+    )
+    return [
+        *(
+            h.span(h.i(cls=f"line {role}", css={"--c": hex_color(ON_DARK[role])}), text)
+            for role, text, shown in roles
+            if shown
+        ),
+        *(h.span(dot(color), term(words(reason))) for reason, color in DROPPED.items() if state.colors == "evidence"),
+        depth_bar(state),
+    ]
+
+
+def index_map(objects: Sequence[SceneObject], step: int = 4) -> str:
+    """Address of a picture, a `step`-th as large as the frame: in each pixel 1 + the place of the smallest object there.
+
+    The low byte is red, the high byte green.
+    """
+    height, width = objects[0].mask.shape
+    places = np.zeros((-(-height // step), -(-width // step)), np.uint16)
+    for i in sorted(range(len(objects)), key=lambda i: -objects[i].lifted.quality.mask_pixels):
+        places[objects[i].mask[::step, ::step]] = i + 1
+    return png_url(
+        np.stack([np.zeros_like(places), places >> 8, places & 255, np.full_like(places, 255)], 2).astype(np.uint8)
     )
 
 

@@ -15,14 +15,13 @@ import numpy as np
 import viser
 import viser.transforms as vtf
 
-from pipeline.diagnosis.whatif.answer_view import ExtraBox, ShownObjects
+from pipeline.diagnosis.whatif.answer_view import ExtraBox
 from pipeline.diagnosis.whatif.state import CameraView
 from pipeline.geometry.boxes import CUBE, CUBE_FACES, Box3D, boxes_on_ray, edge_lines
 from pipeline.geometry.camera import Camera
-from pipeline.geometry.cloud import Cloud, viewpoint
+from pipeline.geometry.cloud import Cloud, nearest_distance, viewpoint
 from pipeline.geometry.palette import FACE_OPACITY, LINE_WIDTH, RGB, Role, hex_color, palette
 from pipeline.system.errors import needed
-from spatialviz.app.markup import detector_score
 from spatialviz.app.scene_client import SceneClient, triple
 from spatialviz.app.state import State
 
@@ -42,6 +41,14 @@ class Tag:
     # Middle and half sizes of the named thing, from the node, metres; a point without an extent
     center: tuple[float, float, float] = (0.0, 0.0, 0.0)
     extent: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    mark: str = ""  # Glyph of a role, "T" or "R"
+    right: bool = False  # A right answer
+    dashed: bool = False  # Of a labelled box, which is dashed
+
+
+MARKS: dict[str, str] = {"target": "T", "reference": "R"}
+COLORS = palette(True)
+"""Role colours in the scene, the same on any ground as in the picture: boxes stand over points, with a dark halo."""
 
 
 class SceneView:
@@ -66,7 +73,7 @@ class SceneView:
 
     def draw(self, state: State) -> list[Tag]:
         """Draw boxes and pair lines, and return the name tags."""
-        colors, flags, lines = palette(state.dark), state.flags, self._client.lines
+        colors, flags, lines = COLORS, state.flags, self._client.lines
         objects = state.shown.objects
         self._boxed = {i: self.shown_box(o.lifted.box) for i, o in enumerate(objects) if o.lifted.box is not None}
         role_of: dict[int, Role] = {i: state.roles.get(i, "other") for i in self._boxed}
@@ -80,36 +87,28 @@ class SceneView:
             for role in ("other", "reference", "target"):
                 members = [i for i in wanted if role_of[i] == role]
                 lines(f"/boxes/{role}", edges_of(members), colors[role], LINE_WIDTH[role])
-            selected = state.selected if state.hovered is None else state.hovered
-            chosen = [selected] if selected in self._boxed else []
-            lines("/boxes/selected", edges_of(chosen), (255, 255, 255) if state.dark else (20, 22, 26), 2.0)
+            chosen = [i for i in (state.selected,) if i in self._boxed and i not in state.roles]
+            lines("/boxes/selected", edges_of(chosen), (255, 255, 255), LINE_WIDTH["target"])
             annotated = () if state.loaded is None or not flags.truth else state.loaded.context.frame.annotations
             truth = [self.shown_box(a.box) for a in annotated if a.box is not None]
             lines("/boxes/truth", edge_lines(truth), colors["truth"], LINE_WIDTH["truth"])
             self._draw_faces(wanted, role_of, colors)
             self._draw_pairs(state.pair_lines if flags.pairs else (), colors)
             tags = self._draw_axes(state) + self._draw_ghosts(state.ghosts if flags.ghosts else (), colors)
-            return tags + self._draw_tags(state.shown, role_of, selected, flags.labels, colors)
+            return tags + self._draw_tags(state, role_of, colors)
 
     def _draw_ghosts(self, ghosts: Sequence[ExtraBox], colors: Mapping[Role, RGB]) -> list[Tag]:
-        """Extra boxes beside the answer's, slightly larger and in distinct lines."""
+        """Extra boxes beside the answer's, slightly larger and in dashes."""
         tags = []
         for role in ("truth", "edited"):
             members = [self.shown_box(ghost.box) for ghost in ghosts if ghost.role == role]
-            self._client.lines(f"/boxes/ghosts-{role}", edge_lines(members, GHOST_GROWTH), colors[role], 2.4)
+            lines = edge_lines(members, GHOST_GROWTH, dashes=True)
+            self._client.lines(f"/boxes/ghosts-{role}", lines, colors[role], LINE_WIDTH[role])
         for ghost in ghosts:
-            box = self.shown_box(ghost.box)
+            box, color = self.shown_box(ghost.box), hex_color(colors[ghost.role])
             anchor = self._client.anchor(f"/tags/ghost-{ghost.key}", box.center)
-            tags.append(
-                Tag(
-                    anchor,
-                    ghost.text,
-                    "",
-                    hex_color(colors[ghost.role]),
-                    False,
-                    extent=extent(box),
-                )
-            )
+            mark = MARKS[ghost.key.removeprefix("other-")]
+            tags.append(Tag(anchor, ghost.text, "", color, True, extent=extent(box), mark=mark, dashed=True))
         return tags
 
     def shown_box(self, box: Box3D) -> Box3D:
@@ -173,23 +172,18 @@ class SceneView:
             tags.append(Tag(self._client.anchor(f"/axes/tip-{name}", tip), name, "", "#5b6472", False))
         return tags
 
-    def _draw_tags(
-        self,
-        shown: ShownObjects,
-        role_of: Mapping[int, Role],
-        selected: int | None,
-        every: bool,
-        colors: Mapping[Role, RGB],
-    ) -> list[Tag]:
+    def _draw_tags(self, state: State, role_of: Mapping[int, Role], colors: Mapping[Role, RGB]) -> list[Tag]:
         tags = []
         for i, box in self._boxed.items():
-            strong = role_of[i] != "other" or i == selected
-            if strong or every:
-                detail = detector_score(shown.objects[i].score)
+            role = role_of[i]
+            strong = role != "other" or i == state.selected
+            if strong or state.flags.labels:
                 # The target's tag moves from object to object: a moved node is cheaper than a new node.
-                place = "target" if role_of[i] == "target" else i
-                anchor, color = self._client.anchor(f"/tags/{place}", box.center), hex_color(colors[role_of[i]])
-                tags.append(Tag(anchor, shown.names[i], detail, color, strong, extent=extent(box)))
+                place = "target" if role == "target" else i
+                anchor, color = self._client.anchor(f"/tags/{place}", box.center), hex_color(colors[role])
+                mark, right = MARKS.get(role, ""), role in state.right_roles
+                name = state.shown.names[i].replace("·", " ")
+                tags.append(Tag(anchor, name, "", color, strong, extent=extent(box), mark=mark, right=right))
         # The answer's tags come last, on top of others.
         return sorted(tags, key=lambda t: t.strong)
 
@@ -296,5 +290,6 @@ class Viewpoint:
         # The next frame is shown whole again.
         self._placed, self.untouched = None, True
         away = np.array(self._client.camera.position) - center
-        away *= max(float(np.linalg.norm(box.size)) * 1.9, 0.5) / max(float(np.linalg.norm(away)), 1e-6)
+        least = nearest_distance(box.corners, needed(self._camera, "no cloud is shown"))
+        away *= max(float(np.linalg.norm(box.size)) * 1.9, least) / max(float(np.linalg.norm(away)), 1e-6)
         self._turn(position=center + away, look_at=center)

@@ -240,14 +240,6 @@ class PageSession(Part):
         """Toggle the evidence of a module."""
         self.ctx.show(stage="-" if opened(self.state) == name else name)
 
-    @command("hover")
-    def _hover(self, number: int) -> None:
-        """Highlight the object of the row under the mouse; -1 for none."""
-        hovered = number if 0 <= number < len(self.state.shown.objects) else None
-        if hovered != self.state.hovered:
-            self.state = replace(self.state, hovered=hovered)
-            self._draw_scene()
-
     @command("task")
     def _turn_to(self, task: str) -> None:
         """Switch the task: explain, evaluate, or label."""

@@ -236,6 +236,7 @@ def _row(state: State, i: int, pair: ScoredPair, fit: bool) -> Element:
         cell(h.b(f"{posterior:.2f}"), was(posterior, old[-1])),
         id=f"pair-{i}",
         do=f"pair:{i}",
+        hover="hover:" + ",".join(map(str, dict.fromkeys(state.at(pair)))),
         **chosen(state.at(pair) == state.pair, "r"),
     )
 

@@ -11,6 +11,7 @@ from urllib.parse import parse_qs, urlencode
 
 import numpy as np
 
+from pipeline.answering.objects import SceneObject
 from pipeline.corrections.object_card import LabelView
 from pipeline.diagnosis.suggestions import SuggestedQuestions
 from pipeline.diagnosis.whatif.answer_view import AnswerView
@@ -126,7 +127,7 @@ class SceneFlags:
     cloud: bool = True
     boxes: bool = False
     labels: bool = False
-    pairs: bool = True
+    pairs: bool = False
     truth: bool = False
     axes: bool = False
     context: bool = False
@@ -134,6 +135,7 @@ class SceneFlags:
     ghosts: bool = True
     region: bool = False
     grid: bool = False
+    dim: bool = True  # Points beside the answer
 
 
 @dataclass(frozen=True)
@@ -159,7 +161,6 @@ class State(AnswerView):
     marks: tuple[tuple[int, int], ...] = ()  # Ends of the measurement, up to two pixels
     point_size: float = 1.0  # Factor of the cloud's points
     evaluating: bool = False  # True while the run is shown, not an answer
-    hovered: int | None = None  # Index in `shown.objects` of the row under the mouse
     stage: str = ""  # Module with open evidence; "" by the answer, "-" for none
 
     @property
@@ -195,7 +196,6 @@ class State(AnswerView):
             trace=None,
             pair=None,
             selected=None,
-            hovered=None,
             error="",
             stopped="",
             judged=None,
@@ -236,7 +236,14 @@ class State(AnswerView):
     def paint_key(self) -> tuple[object, ...]:
         """Cache key of the cloud's colours."""
         roles = tuple(sorted(self.roles.items())) if self.colors == "objects" else ()
-        return (self.source, self.frame_id, self.colors, self.dark, roles)
+        lit = tuple((entry.bbox.tobytes(), entry.lifted.quality.mask_pixels) for entry in self.spotlit)
+        return (self.source, self.frame_id, self.colors, self.dark, roles, lit)
+
+    @property
+    def spotlit(self) -> list[SceneObject]:
+        """Objects that the cloud is dimmed around: those of an answer, in colours of the picture."""
+        shown = self.flags.dim and self.colors == "rgb" and self.labels is None and self.pair is not None
+        return self.lit if shown else []
 
     @property
     def at_place(self) -> Place:

@@ -34,6 +34,7 @@ FLAGS = {
     "context": "room",
     "camera": "camera",
     "grid": "metre grid",
+    "dim": "dim the rest",
 }
 HINTS = {message: f"{label} ({key})" for key, label, message in KEYS["Looking"]}
 LEAST_POINT, LARGEST_POINT = 0.4, 4.0

@@ -16,7 +16,7 @@ from pipeline.answering.ask import Trace
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.answer import Answer
-from pipeline.geometry.boxes import Box3D, Side, drawn_edges
+from pipeline.geometry.boxes import Box3D, Side, dashed, drawn_edges
 from pipeline.geometry.camera import Camera, project
 from pipeline.geometry.masks import mask_box
 from pipeline.geometry.palette import ON_DARK, RGB, Role
@@ -141,25 +141,6 @@ def _caption(trace: Trace, width: int, scale: float) -> np.ndarray:
         cv2.LINE_AA,
     )
     return strip
-
-
-def dashed(segments: np.ndarray, period: float, share: float = 0.55) -> np.ndarray:
-    """Cut line segments into dashes.
-
-    `segments`: (N, 2, D) float, start and end; `period`: approximate length of a dash with its gap: each segment holds
-    a whole number of dashes, and ends with a dash; `share`: of the dash in it, 0..1. Returns (M, 2, D) float32 in the
-    order of the segments.
-    """
-    segments = np.asarray(segments, np.float64)
-    length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
-    count = np.maximum(np.ceil(length / period), 1).astype(int)
-    which = np.repeat(np.arange(len(segments)), count)
-    number = np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)
-    # With the last gap left out, so that every corner is drawn.
-    whole = count[which] - (1 - share)
-    ends = np.stack([number / whole, np.minimum((number + share) / whole, 1.0)], axis=1)
-    start, step = segments[which, 0], segments[which, 1] - segments[which, 0]
-    return (start[:, None] + ends[..., None] * step[:, None]).astype(np.float32)
 
 
 WIDEST = 1280

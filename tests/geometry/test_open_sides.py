@@ -154,3 +154,15 @@ def test_edges_of_open_sides_have_a_gap() -> None:
         lengths = np.linalg.norm(np.diff(lines, axis=1), axis=2)[:, 0]
         np.testing.assert_allclose(lengths, np.where(on_side, 1 - OPEN_GAP, 2))
     assert len(drawn_edges(box, SIDES)) == 24
+
+
+@pytest.mark.parametrize("size", [(0.1, 0.12, 0.1), (0.6, 0.9, 0.5), (3.0, 2.5, 0.2)])
+def test_dashes_draw_every_corner_and_half_of_each_edge(size: tuple[float, float, float]) -> None:
+    box = Box3D(np.array([0.2, 0.1, 2.0]), np.eye(3), np.array(size))
+    whole, cut = edge_lines([box]), edge_lines([box], dashes=True)
+    assert len(whole) == 12 < len(cut) < 12 * 40
+    length = [float(np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1).sum()) for lines in (whole, cut)]
+    assert 0.5 * length[0] < length[1] < 0.9 * length[0]
+    for corner in box.corners:
+        assert np.linalg.norm(cut.reshape(-1, 3) - corner, axis=1).min() < 1e-5
+    assert np.isfinite(edge_lines([], dashes=True)).all()

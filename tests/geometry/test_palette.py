@@ -7,8 +7,9 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from pipeline.geometry import RGB, hex_color, ink
-from pipeline.geometry.palette import palette
+from pipeline.geometry import RGB, depth_colors, hex_color, ink
+from pipeline.geometry.lifting import Pixel
+from pipeline.geometry.palette import DROPPED, LIGHTNESS, ON_DARK, SATURATION, dimmed, palette
 
 LEAST = 19.0
 """Of the distances in CIE Lab (CIE76): some eight times what two patches that touch need to be told apart."""
@@ -78,3 +79,37 @@ def test_a_name_is_read_on_the_colour_of_its_role(dark):
     for color in palette(dark).values():
         inks = {"#000000": (luminance(color) + 0.05) / 0.05, "#ffffff": 1.05 / (luminance(color) + 0.05)}
         assert inks[ink(hex_color(color))] == max(inks.values()) >= 4.5
+
+
+DEPTH_APART = 41.0
+"""CIE76 between any colour of depth and those of a target, a reference, a labelled and an edited box."""
+
+
+def test_depth_leaves_the_colours_of_roles_free() -> None:
+    colors = depth_colors(np.linspace(1, 4, 256, dtype=np.float32)[None])[0]
+    painted = np.array([lab(linear(tuple(c))) for c in colors.tolist()])
+    for role in ("target", "reference", "truth", "edited"):
+        apart = np.linalg.norm(painted - lab(linear(ON_DARK[role])), axis=1).min()
+        assert apart >= DEPTH_APART, (role, apart)
+    assert (np.diff(painted[:, 0]) < 0.5).all(), "near is light, far is dark"
+
+
+def test_a_small_part_is_no_violet() -> None:
+    seen = lab(linear(DROPPED[Pixel.SMALL_PART]))
+    for accent in ((122, 80, 208), (189, 163, 255)):
+        assert np.linalg.norm(seen - lab(linear(accent))) > 40
+    others = [lab(linear(color)) for reason, color in DROPPED.items() if reason is not Pixel.SMALL_PART]
+    assert min(np.linalg.norm(seen - other) for other in others) > 30
+
+
+def test_what_is_beside_the_point_is_dimmed() -> None:
+    rgb = np.full((4, 6, 3), (200, 80, 40), np.uint8)
+    lit = np.zeros((4, 6), bool)
+    lit[1:3, 2:4] = True
+    image = dimmed(rgb, [lit, np.zeros_like(lit)])
+    assert (image[lit] == rgb[lit]).all()
+    before, after = rgb[0, 0].astype(float), image[0, 0].astype(float)
+    luma = np.array([0.2126, 0.7152, 0.0722])
+    assert after @ luma == pytest.approx(LIGHTNESS * (before @ luma), abs=1)
+    assert after.max() - after.min() == pytest.approx(LIGHTNESS * SATURATION * (before.max() - before.min()), abs=1)
+    assert dimmed(rgb, []) is rgb

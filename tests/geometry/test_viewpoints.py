@@ -7,7 +7,7 @@ import pytest
 from scenes import camera_of
 
 from pipeline.geometry import viewpoint
-from pipeline.geometry.cloud import NEAREST, fitting_viewpoint
+from pipeline.geometry.cloud import NEAREST, NEAREST_SPACINGS, fitting_viewpoint, nearest_distance, stride_of
 
 POINTS = np.random.default_rng(1).uniform([-1, 1, -0.6], [1, 3, 0.4], (3000, 3))
 CAMERA, LEVEL = camera_of(), np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
@@ -36,6 +36,18 @@ def test_a_pair_is_seen_whole_from_no_nearer_than_half_a_metre() -> None:
     assert seen(pair, eye, look, fov, 1.3).all()
     assert np.linalg.norm(eye - look) >= NEAREST - 1e-9
     assert np.linalg.norm(eye - look) < np.linalg.norm(np.subtract(*fitting_viewpoint(POINTS, 1.3)[:2]))
+
+
+@pytest.mark.parametrize("away", [0.5, 2.0, 6.0])
+def test_points_are_never_seen_so_near_that_they_come_apart(away: float) -> None:
+    small = np.array([[0.0, away, 0.0], [0.05, away, 0.05]])
+    eye, look, fov = viewpoint("pair", POINTS, LEVEL, CAMERA, 1.3, small)
+    distance = float(np.linalg.norm(eye - look))
+    spacing = stride_of(CAMERA) * away / CAMERA.fx
+    assert distance >= max(NEAREST, NEAREST_SPACINGS * spacing) - 1e-6
+    assert distance >= nearest_distance(small, CAMERA) - 1e-6
+    # In pixels of a view of 800 rows: no more than the size that the page allows a point.
+    assert spacing / distance * 400 / np.tan(fov / 2) <= 7
 
 
 def test_the_sensors_view_holds_its_picture_and_stands_where_it_stood() -> None:

@@ -218,11 +218,43 @@ class AnswerView:
         others = dict.fromkeys((self.at(p)[0], self.at(p)[1]) for p in self.ranked[:6])
         return [ends for ends in (chosen, *(o for o in others if o != chosen)) if ends[0] != ends[1]]
 
+    @cached_property
+    def labelled(self) -> dict[str, SceneObject]:
+        """Labelled target and reference of the asked expression, by role."""
+        return self.judged.labelled_objects() if isinstance(self.judged, Diagnosis) else {}
+
+    @property
+    def labelled_words(self) -> str:
+        """Words before the name of a labelled object."""
+        return "label:" if isinstance(self.judged, Diagnosis) and self.judged.verdict == "LABEL" else "should be"
+
+    @cached_property
+    def right_roles(self) -> frozenset[str]:
+        """Roles of the chosen pair that a right object fills, in a box that is not to blame."""
+        judged, chosen = self.judged, self.chosen
+        if not isinstance(judged, Diagnosis) or self.trace is None or chosen is None:
+            return frozenset()
+        if "LIFT" in judged.repair or judged.evidence.answers.objects is not self.trace.objects:
+            return frozenset()
+        case, match = judged.case, judged.evidence.match
+        right = {"target": match[chosen.target] in case.acceptable}
+        if chosen.reference is not None:
+            right["reference"] = match[chosen.reference] == case.reference_object
+        return frozenset(role for role, holds in right.items() if holds)
+
+    @property
+    def lit(self) -> list[SceneObject]:
+        """Objects of the chosen pair, and the labelled ones: the rest of the picture is beside the point."""
+        return [*(self.shown.objects[i] for i in self.roles), *self.labelled.values()]
+
     @property
     def ghosts(self) -> list[ExtraBox]:
-        """Labelled target and reference in 3D, and the other run's where different."""
-        boxes = self.judged.labelled_boxes() if isinstance(self.judged, Diagnosis) else {}
-        found = [ExtraBox(name, f"labelled {name}", box, "truth") for name, box in boxes.items()]
+        """Labelled target and reference in 3D where the pair's are others, and the other run's where different."""
+        found = [
+            ExtraBox(role, f"{self.labelled_words} {entry.label}", entry.lifted.box, "truth")
+            for role, entry in self.labelled.items()
+            if entry.lifted.box is not None and role not in self.right_roles
+        ]
         other, mine = self.other, self.ranked[0] if self.ranked else None
         if other is None or not other.pairs:
             return found

@@ -2,7 +2,9 @@
 
 import {byId, calls, connect, el, fields, go, locals, patch, send, sceneWindow, typing} from './core.mjs';
 import {showScene} from './frame.mjs';
+import './drawing.mjs';
 import './fields.mjs';
+import './hover.mjs';
 import './pixels.mjs';
 import './rows.mjs';
 import './scale.mjs';
@@ -137,17 +139,6 @@ document.addEventListener('pointerdown', e => {
     if (Math.abs(a[0] - b[0]) > .004 && Math.abs(a[1] - b[1]) > .004) said(pic.dataset.band, [...a, ...b].map(v => v.toFixed(5)).join(','));
   }, {once: true});
 });
-
-let hovered = '', hovering = 0;
-const hover = e => {
-  const now = (e.target instanceof Element && e.target.closest('[data-hover]')?.dataset.hover) || '';
-  if (now === hovered) return;
-  const left = hovered;
-  hovered = now;
-  clearTimeout(hovering);
-  hovering = setTimeout(() => send(now || left.replace(/:.*/, ':-1')), 80);
-};
-for (const kind of ['mouseover', 'focusin']) document.addEventListener(kind, hover);
 
 // ---- keys
 

@@ -38,19 +38,24 @@ export function sceneMatrix() {
   return view && root?.matrixWorld ? times(view, root.matrixWorld.elements) : null;
 }
 
-const followers = [];
+const leaders = [], followers = [];
 let hooked = null;
 const drawn = () => followers.forEach(follower => follower());
+export const beforeDrawing = leader => leaders.push(leader);
 export const afterDrawing = follower => followers.push(follower);
 
-/* After each drawing of the scene; until there is one, and where it cannot be followed, with each of the page. */
+/* Before and after each drawing of the scene; until there is one, and where it cannot be followed, after each of the page. */
 function follow() {
   const scene = sceneWindow()?.__viserMutable?.scene;
   if (scene && scene !== hooked) {
     hooked = scene;
-    const before = scene.onAfterRender;
-    scene.onAfterRender = function (...given) {
+    const before = scene.onBeforeRender, after = scene.onAfterRender;
+    scene.onBeforeRender = function (...given) {
       before?.apply(this, given);
+      leaders.forEach(leader => leader());
+    };
+    scene.onAfterRender = function (...given) {
+      after?.apply(this, given);
       drawn();
     };
   }

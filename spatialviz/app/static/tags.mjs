@@ -5,16 +5,18 @@ A tag never covers what it names, nor another tag, nor leaves the scene; where i
 import {calls, el, sceneHost, sceneWindow} from './core.mjs';
 import {SVG, afterDrawing, project, times, viewMatrix} from './scene.mjs';
 
-const MOST = 30;
-const GAP = 6, RINGS = [GAP, 30, 64];
-/* A line leads from tags that stand farther away, in pixels. */
-const LEAD_FROM = 12;
+/* Of those without a role. */
+const MOST_WEAK = 8;
+/* In pixels from the box. */
+const GAP = 6, RINGS = [GAP, 26, 46], FARTHEST = 48;
+/* A line leads from tags that stand farther from the lines of their box. */
+const LEAD_FROM = GAP + 2;
 /* What places cost, in pixels squared of covered strong boxes: a ring farther out; a place other than the last. */
 const RING_COST = 400, MOVE_COST = 500, SIDE_COST = 15;
 /* A weak tag covers no more than this share of itself of a strong box, save of one that takes half of the scene. */
 const COVERED = 0.15;
-const CORNERS = [0, 1, 2, 3, 4, 5, 6, 7].map(k => [k & 1 ? 1 : -1, k & 2 ? 1 : -1, k & 4 ? 1 : -1]);
-const EDGES = CORNERS.flatMap((_, a) => [1, 2, 4].filter(bit => !(a & bit)).map(bit => [a, a | bit]));
+export const CORNERS = [0, 1, 2, 3, 4, 5, 6, 7].map(k => [k & 1 ? 1 : -1, k & 2 ? 1 : -1, k & 4 ? 1 : -1]);
+export const BOX_EDGES = CORNERS.flatMap((_, a) => [1, 2, 4].filter(bit => !(a & bit)).map(bit => [a, a | bit]));
 
 /* ---- colours */
 
@@ -56,14 +58,17 @@ function candidates([x0, y0, x1, y1], w, h, W, H) {
   return found;
 }
 
-/* The free place nearest to a box, on a grid over the scene: for a strong tag without a place around it. */
-function anywhere([x0, y0, x1, y1], w, h, W, H, free) {
+/* The place that covers least of other tags, on a grid over a box and what is near it: for a strong tag without a place
+   around it. */
+function anywhere([x0, y0, x1, y1], w, h, W, H, covered) {
   let best = null, least = Infinity;
-  for (let y = 2; y <= H - h - 2; y += h + 4) {
-    for (let x = 2; x <= W - w - 2; x += 24) {
-      const rect = [x, y, x + w, y + h];
-      const dx = Math.max(x0 - rect[2], x - x1, 0), dy = Math.max(y0 - rect[3], y - y1, 0), far = dx * dx + dy * dy;
-      if (far < least && free(rect)) [best, least] = [rect, far];
+  const left = within(x0 - FARTHEST - w, 2, W - w - 2), right = within(x1 + FARTHEST, 2, W - w - 2);
+  const top = within(y0 - FARTHEST - h, 2, H - h - 2), bottom = within(y1 + FARTHEST, 2, H - h - 2);
+  for (let y = top; y <= bottom; y += h / 2) {
+    for (let x = left; x <= right; x += 12) {
+      const rect = [x, y, x + w, y + h], dx = Math.max(x0 - rect[2], x - x1, 0), dy = Math.max(y0 - rect[3], y - y1, 0);
+      const cost = Math.hypot(dx, dy) > FARTHEST ? Infinity : 100 * covered(rect) + overlap(rect, [x0, y0, x1, y1]) + dx + dy;
+      if (cost < least) [best, least] = [rect, cost];
     }
   }
   return best;
@@ -90,9 +95,7 @@ export function arrange(items, W, H, taken = []) {
       item.next = place;
     });
     if (!item.rect && item.strong) {
-      item.rect = anywhere(item.box, item.w, item.h, W, H, free)
-        // Its box fills the scene: only inside of it can it be told at all.
-        ?? anywhere([W / 2, 0, W / 2, 0], item.w, item.h, W, H, rect => put.every(other => !overlap(rect, other)));
+      item.rect = anywhere(item.box, item.w, item.h, W, H, rect => put.reduce((sum, other) => sum + overlap(rect, other), 0));
       item.next = -1;
     }
     item.place = item.rect ? item.next : -1;
@@ -120,7 +123,7 @@ function look(tag, view, W, H) {
 /* The point of a box's drawn edges that is nearest to a point. */
 function nearest(corners, x, y) {
   let best = corners[0], least = Infinity;
-  for (const [i, j] of EDGES) {
+  for (const [i, j] of BOX_EDGES) {
     const [ax, ay] = corners[i], dx = corners[j][0] - ax, dy = corners[j][1] - ay;
     const along = within(((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy || 1), 0, 1);
     const px = ax + along * dx, py = ay + along * dy, far = (px - x) ** 2 + (py - y) ** 2;
@@ -147,13 +150,14 @@ function layers() {
   }).observe(host);
 }
 
-/* `list`: {node, text, detail, color, strong, center, extent}, center and half sizes in the node's coordinates. */
+/* `list`: {node, text, detail, color, strong, center, extent, mark, right, dashed}, center and half sizes in the node's
+   coordinates. */
 calls.tags = list => {
   layers();
   const known = new Map(tags.map(tag => [tag.node, tag]));
   tags = list.map(one => {
     const old = known.get(one.node);
-    const same = old && ['text', 'detail', 'color', 'strong'].every(name => old[name] === one[name]);
+    const same = old && ['text', 'detail', 'color', 'strong', 'mark', 'right', 'dashed'].every(name => old[name] === one[name]);
     const tag = {place: -1, shown: false, center: [0, 0, 0], extent: [0, 0, 0], ...old, ...one};
     if (!same) [tag.div, tag.line, tag.w] = [...element(one), 0];
     return tag;
@@ -165,10 +169,12 @@ calls.tags = list => {
   place();
 };
 
-function element({text, detail, color, strong}) {
-  const div = el('div', strong ? 'tag' : 'tag weak', text), line = document.createElementNS(SVG, 'line');
+function element({text, detail, color, strong, mark, right, dashed}) {
+  const div = el('div', `tag${strong ? '' : ' weak'}${dashed ? ' dashed' : ''}`), line = document.createElementNS(SVG, 'line');
   div.style.setProperty('--c', color);
-  div.style.color = inkOn(color);
+  div.style.setProperty('--ink', inkOn(color));
+  if (mark) div.append(el('b', '', mark), ' ');
+  div.append(text + (right ? ' \u2713' : ''));
   if (detail) div.append(' ', el('i', '', detail));
   line.style.stroke = color;
   return [div, line];
@@ -200,7 +206,7 @@ function stand(tag) {
 /* What else stands over the scene: legends, the scale, the button to enlarge. */
 function standing() {
   const {left, top} = layer.getBoundingClientRect();
-  return [...document.querySelectorAll('#legend figure, #scale, #scene>.large')].map(e => e.getBoundingClientRect())
+  return [...document.querySelectorAll('#legend>*, #scale, #scene>.large')].map(e => e.getBoundingClientRect())
     .filter(r => r.width).map(r => [r.left - left - 2, r.top - top - 2, r.right - left + 2, r.bottom - top + 2]);
 }
 
@@ -214,8 +220,9 @@ function place() {
   }
   const seen = tags.filter(tag => look(Object.assign(tag, {nodes}), view, W, H));
   // One that is shown stays so until another is clearly nearer.
-  const order = seen.map(tag => [tag.strong ? 0 : tag.far * (tag.shown ? 0.9 : 1), tag]).sort((a, b) => a[0] - b[0]);
-  const chosen = new Set(order.slice(0, MOST).map(([, tag]) => tag));
+  const nearness = tag => tag.far * (tag.shown ? 0.9 : 1);
+  const weak = seen.filter(tag => !tag.strong).sort((a, b) => nearness(a) - nearness(b)).slice(0, MOST_WEAK);
+  const chosen = new Set([...seen.filter(tag => tag.strong), ...weak]);
   // They choose in an order that does not change while the camera turns.
   const shown = tags.filter(tag => chosen.has(tag)).sort((a, b) => b.strong - a.strong);
   arrange(shown, W, H, standing());
