@@ -69,7 +69,7 @@ const overlap = () => {
 // A name in the scene covers neither what it names (unless that fills the scene) nor another name, legend or button.
 const tagged = async () => {
   const tags = (await import('/app/tags.mjs')).shownTags(), {left, top, width, height} = document.getElementById('tags').getBoundingClientRect();
-  const others = [...document.querySelectorAll('#legend figure, #scale, #scene>.large, #moves .moves')].map(e => [e, e.getBoundingClientRect()])
+  const others = [...document.querySelectorAll('#scene-tools>*, #scene-low, #scene-buttons>*, #moves .moves')].map(e => [e, e.getBoundingClientRect()])
     .filter(([, b]) => b.width).map(([e, b]) => [e.id || e.className || e.tagName, [b.left - left, b.top - top, b.right - left, b.bottom - top]]);
   return tags.flatMap((tag, i) => [
     ...(common(tag.rect, tag.box) > 1 && common(tag.box, [0, 0, width, height]) < 0.5 * width * height ? [`tag ${tag.text} covers what it names`] : []),

@@ -252,6 +252,7 @@ class TrueObjects:
         self.pseudo = self.known & np.array([m is None for m in truth.masks], np.bool_)
         self._described: dict[int, SceneObject] = {}
         self._lifted: dict[int, SceneObject] = {}
+        self._masks: dict[int, np.ndarray] = {}
 
     def get(self, k: int, points: bool) -> SceneObject | None:
         """Object, with points on request; None for unknown geometry."""
@@ -261,13 +262,14 @@ class TrueObjects:
             return self._described.setdefault(k, self._described.get(k) or self._describe(k))
         return self._lifted.setdefault(k, self._lifted.get(k) or self._lift(k))
 
-    def _mask(self, k: int) -> np.ndarray:
+    def mask(self, k: int) -> np.ndarray:
         """(H, W) bool: labelled pixels; the whole 2D box without any."""
-        frame, code = self._context.frame, self._truth.masks[k]
-        if code is None:
-            return box_mask(self._truth.boxes[k], frame.height, frame.width)
-        where = f"labelled object {self._truth.numbers[k]} of frame {frame.id}"
-        return decode_run_length((frame.height, frame.width), code, where)
+        if k not in self._masks:
+            frame, code = self._context.frame, self._truth.masks[k]
+            shape, where = (frame.height, frame.width), f"labelled object {self._truth.numbers[k]} of frame {frame.id}"
+            box = self._truth.boxes[k]
+            self._masks[k] = box_mask(box, *shape) if code is None else decode_run_length(shape, code, where)
+        return self._masks[k]
 
     def _describe(self, k: int) -> SceneObject:
         truth = self._truth
@@ -281,7 +283,7 @@ class TrueObjects:
         return self._entry(k, np.zeros((0, 0), np.bool_), lifted)
 
     def _lift(self, k: int) -> SceneObject:
-        context, mask = self._context, self._mask(k)
+        context, mask = self._context, self.mask(k)
         (lifted,) = lift(
             context.frame.depth,
             context.frame.camera,

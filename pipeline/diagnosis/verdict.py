@@ -8,13 +8,13 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair, one_object_twice
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.minimal_repair import FactorRepair
 from pipeline.diagnosis.oracles import names_of
 from pipeline.diagnosis.story_words import UNTOLD, Story
 from pipeline.diagnosis.substitution import substitute
+from pipeline.geometry.boxes import Box3D
 from pipeline.labels.cases import Case, FrameCases
 
 Miss = Literal["RANK", "THRESHOLD", "LOCALISATION", "ABSENT"]
@@ -161,11 +161,16 @@ class Diagnosis:
         here = np.argwhere(covered & ~one_object_twice((targets, references), self.evidence.same))
         return {(int(targets[i]), int(references[j])) for i, j in here}
 
-    def labelled_objects(self) -> dict[str, SceneObject]:
-        """Labelled target and reference, with known geometry."""
-        ends = (("target", self.case.target_object), ("reference", self.case.reference_object))
-        found = ((n, self.evidence.objects.get(k, points=False)) for n, k in ends[: 2 if self.case.reference else 1])
-        return {name: o for name, o in found if o is not None}
+    @property
+    def labelled(self) -> dict[str, int]:
+        """Labelled objects by role: target, and reference if asked."""
+        ends = {"target": self.case.target_object}
+        return ends | ({"reference": self.case.reference_object} if self.case.reference else {})
+
+    def labelled_boxes(self) -> dict[str, Box3D]:
+        """Labelled target and reference in 3D, with known geometry."""
+        found = ((role, self.evidence.objects.get(k, points=False)) for role, k in self.labelled.items())
+        return {role: o.lifted.box for role, o in found if o is not None and o.lifted.box is not None}
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ both); every role is doubled by a word, a line width or a line style wherever it
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Literal
 
 import numpy as np
@@ -99,18 +98,13 @@ SATURATION, LIGHTNESS = 0.45, 0.7
 LUMA = (0.2126, 0.7152, 0.0722)
 
 
-def dimmed(rgb: np.ndarray, lit: Iterable[np.ndarray]) -> np.ndarray:
-    """Picture ((H, W, 3) uint8), dimmed outside the masks `lit` ((H, W) bool each); without any the picture itself."""
+def dimmed(rgb: np.ndarray, lit: np.ndarray) -> np.ndarray:
+    """Picture ((H, W, 3) uint8), dimmed outside the pixels `lit` ((H, W) bool)."""
     import cv2
 
-    masks = [mask for mask in lit if mask.any()]
-    if not masks:
-        return rgb
     grey = (1 - SATURATION) * np.tile(LUMA, (3, 1))
     image = cv2.transform(rgb, LIGHTNESS * (grey + SATURATION * np.eye(3)))
-    kept = np.logical_or.reduce(masks)
-    image[kept] = rgb[kept]
-    return image
+    return cv2.copyTo(rgb, lit.view(np.uint8), image)
 
 
 VERDICTS: dict[str, RGB] = {

@@ -224,7 +224,7 @@ def legend_html(state: State) -> list[Child]:
 
 
 def index_map(objects: Sequence[SceneObject], step: int = 4) -> str:
-    """Address of a picture, a `step`-th as large as the frame: in each pixel 1 + the place of the smallest object there.
+    """Address of a picture, a `step`-th as large as the frame: in each pixel 1 + the smallest object there.
 
     The low byte is red, the high byte green.
     """

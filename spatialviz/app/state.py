@@ -11,7 +11,6 @@ from urllib.parse import parse_qs, urlencode
 
 import numpy as np
 
-from pipeline.answering.objects import SceneObject
 from pipeline.corrections.object_card import LabelView
 from pipeline.diagnosis.suggestions import SuggestedQuestions
 from pipeline.diagnosis.whatif.answer_view import AnswerView
@@ -236,14 +235,14 @@ class State(AnswerView):
     def paint_key(self) -> tuple[object, ...]:
         """Cache key of the cloud's colours."""
         roles = tuple(sorted(self.roles.items())) if self.colors == "objects" else ()
-        lit = tuple((entry.bbox.tobytes(), entry.lifted.quality.mask_pixels) for entry in self.spotlit)
+        lit = None if self.spotlit is None else np.packbits(self.spotlit).tobytes()
         return (self.source, self.frame_id, self.colors, self.dark, roles, lit)
 
     @property
-    def spotlit(self) -> list[SceneObject]:
-        """Objects that the cloud is dimmed around: those of an answer, in colours of the picture."""
+    def spotlit(self) -> np.ndarray | None:
+        """(H, W) bool: pixels that the cloud is dimmed around: those of an answer, in the picture's own colours."""
         shown = self.flags.dim and self.colors == "rgb" and self.labels is None and self.pair is not None
-        return self.lit if shown else []
+        return self.lit if shown else None
 
     @property
     def at_place(self) -> Place:

@@ -7,9 +7,8 @@ from dataclasses import asdict
 
 from pipeline.datasets.settings import ASSUMED, SOURCES
 from pipeline.geometry.camera import UpSource
-from pipeline.geometry.palette import DROPPED
 from spatialviz.app.keys import KEYS, MOVE_KEYS
-from spatialviz.app.markup import DOUBT, IDLE, Element, button, dot, h, hint_of, note, panel, segments, term, words
+from spatialviz.app.markup import DOUBT, IDLE, Element, button, h, hint_of, note, panel, segments
 from spatialviz.app.state import State
 
 COLORS = {"rgb": "Colour", "objects": "Objects", "depth": "Depth", "evidence": "Cleaning"}
@@ -56,10 +55,8 @@ def scene_tools_html(state: State) -> list[Element]:
         for key, label in FLAGS.items()
         if key != "truth" or exact
     )
-    legend = (h.span(dot(color), term(words(reason))) for reason, color in DROPPED.items())
     menu = h.div(
         segments("color", COLORS, state.colors, "paint"),
-        h.div(legend, cls="legend") if state.colors == "evidence" else None,
         h.div(toggles, cls="toggles", role="group", aria_label="shown in the scene"),
         _point_size(state),
     )

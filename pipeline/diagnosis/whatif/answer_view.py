@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TypeVar
 
+import numpy as np
+
 from pipeline.answering.ask import Trace
 from pipeline.answering.frame_store import LoadedFrame
 from pipeline.answering.objects import PreparedFrame, SceneObject
@@ -219,16 +221,6 @@ class AnswerView:
         return [ends for ends in (chosen, *(o for o in others if o != chosen)) if ends[0] != ends[1]]
 
     @cached_property
-    def labelled(self) -> dict[str, SceneObject]:
-        """Labelled target and reference of the asked expression, by role."""
-        return self.judged.labelled_objects() if isinstance(self.judged, Diagnosis) else {}
-
-    @property
-    def labelled_words(self) -> str:
-        """Words before the name of a labelled object."""
-        return "label:" if isinstance(self.judged, Diagnosis) and self.judged.verdict == "LABEL" else "should be"
-
-    @cached_property
     def right_roles(self) -> frozenset[str]:
         """Roles of the chosen pair that a right object fills, in a box that is not to blame."""
         judged, chosen = self.judged, self.chosen
@@ -242,19 +234,24 @@ class AnswerView:
             right["reference"] = match[chosen.reference] == case.reference_object
         return frozenset(role for role, holds in right.items() if holds)
 
-    @property
-    def lit(self) -> list[SceneObject]:
-        """Objects of the chosen pair, and the labelled ones: the rest of the picture is beside the point."""
-        return [*(self.shown.objects[i] for i in self.roles), *self.labelled.values()]
+    @cached_property
+    def lit(self) -> np.ndarray:
+        """(H, W) bool: pixels of the chosen pair's objects, and of the labelled ones."""
+        masks = [self.shown.objects[i].mask for i in self.roles]
+        if isinstance(self.judged, Diagnosis):
+            masks += map(self.judged.evidence.objects.mask, self.judged.labelled.values())
+        return np.logical_or.reduce(masks)
 
     @property
     def ghosts(self) -> list[ExtraBox]:
         """Labelled target and reference in 3D where the pair's are others, and the other run's where different."""
-        found = [
-            ExtraBox(role, f"{self.labelled_words} {entry.label}", entry.lifted.box, "truth")
-            for role, entry in self.labelled.items()
-            if entry.lifted.box is not None and role not in self.right_roles
-        ]
+        found: list[ExtraBox] = []
+        if isinstance(self.judged, Diagnosis):
+            # Another answer may be right beside the labelled one.
+            before = "label:" if self.judged.verdict == "LABEL" else "should be"
+            names = {role: self.judged.truth.labels[k] for role, k in self.judged.labelled.items()}
+            boxes = self.judged.labelled_boxes().items()
+            found = [ExtraBox(r, f"{before} {names[r]}", b, "truth") for r, b in boxes if r not in self.right_roles]
         other, mine = self.other, self.ranked[0] if self.ranked else None
         if other is None or not other.pairs:
             return found

@@ -97,7 +97,7 @@ function shotOfScene() {
     pen.fillRect(0, 0, canvas.width, canvas.height);
     pen.drawImage(drawn, 0, 0);
     pen.scale(more, more);
-    for (const name of ['tags', 'scale', 'legend']) paint(pen, byId(name), origin);
+    for (const name of ['tags', 'scene-low']) paint(pen, byId(name), origin);
     keep(canvas, 'scene');
   };
   scene.requestRender?.();

@@ -203,10 +203,10 @@ function stand(tag) {
   }
 }
 
-/* What else stands over the scene: legends, the scale, the button to enlarge. */
+/* What else stands over the scene: tools, legend with scale, buttons, the inset picture. */
 function standing() {
   const {left, top} = layer.getBoundingClientRect();
-  return [...document.querySelectorAll('#legend>*, #scale, #scene>.large')].map(e => e.getBoundingClientRect())
+  return [...document.querySelectorAll('#scene-tools>*, #scene-low, #scene-buttons>*, #scene~#picture')].map(e => e.getBoundingClientRect())
     .filter(r => r.width).map(r => [r.left - left - 2, r.top - top - 2, r.right - left + 2, r.bottom - top + 2]);
 }
 
