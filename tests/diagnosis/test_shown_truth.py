@@ -1,0 +1,58 @@
+"""What a view shows of the truth: dashed boxes of what should be, none beside what is right, and lit pixels."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline import open_run
+from pipeline.answering import LoadedFrame
+from pipeline.datasets.demo import demo_run
+from pipeline.diagnosis import AnswerView, shown_objects
+from pipeline.diagnosis.answer import Answer
+from pipeline.evaluation.run_folder import Run
+from pipeline.system.errors import needed
+
+
+@pytest.fixture(scope="module")
+def run() -> Run:
+    return open_run(demo_run())
+
+
+def seen(run: Run, search: str) -> tuple[Answer, AnswerView]:
+    answer = run.failures(search)[0].answer
+    trace, judged = needed(answer.trace, "no answer"), needed(answer.diagnosis, "no verdict")
+    loaded = LoadedFrame(judged.evidence.answers.context, ())
+    view = AnswerView(loaded=loaded, trace=trace, found=shown_objects(loaded, trace, trace.exact), judged=judged)
+    return answer, replace(view, pair=view.at(view.ranked[0]))
+
+
+def test_no_second_box_stands_beside_a_right_answer(run: Run) -> None:
+    _, view = seen(run, "verdict:CORRECT lucky:false")
+    assert view.right_roles == {"target", "reference"}
+    assert view.ghosts == []
+
+
+def test_only_what_is_wrong_has_a_second_box(run: Run) -> None:
+    _, view = seen(run, "verdict:OPM-CONF")
+    assert {ghost.key for ghost in view.ghosts}.isdisjoint(view.right_roles)
+    assert view.ghosts
+    assert all(ghost.text.startswith("should be ") for ghost in view.ghosts)
+
+
+def test_a_box_that_is_to_blame_is_not_called_right(run: Run) -> None:
+    _, view = seen(run, "verdict:LIFT")
+    assert view.right_roles == frozenset()
+    assert {ghost.key for ghost in view.ghosts} == {"target", "reference"}
+
+
+def test_pixels_of_the_pair_and_of_the_labelled_one_are_lit(run: Run) -> None:
+    answer, view = seen(run, "verdict:OPM-CONF")
+    judged = needed(answer.diagnosis, "no verdict")
+    masks = [view.shown.objects[i].mask for i in view.roles]
+    masks += [judged.evidence.objects.mask(k) for k in judged.labelled.values()]
+    assert view.lit.dtype == np.bool_
+    assert all(view.lit[mask].all() for mask in masks)
+    assert view.lit.sum() <= sum(int(mask.sum()) for mask in masks)
