@@ -17,14 +17,16 @@ def run() -> Run:
 
 
 def cards(run: Run, search: str) -> tuple[Card, ...]:
-    answer = run.failures(search)[0].answer()
+    answer = run.failures(search)[0].answer
     trace = answer.trace
     pair = answer.pairs[0] if answer.pairs else None
     found = cards_of(trace, answer.diagnosis, pair, trace.name if trace is not None else str)
     for card in found:
-        assert card.title and card.objects[0].role == "target"
+        assert card.title
+        assert card.objects[0].role == "target"
         for thing in card.objects:
-            assert thing.name and np.isfinite(thing.bbox).all()
+            assert thing.name
+            assert np.isfinite(thing.bbox).all()
     return found
 
 
