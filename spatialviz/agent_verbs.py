@@ -261,6 +261,8 @@ class FailuresVerb(Verb):
         record["slices"] = {name: cut(found, self.limit, "slices") for name, found in record["slices"].items()}
         for part in {"summary", "slices", "facets"} - set(self.parts):
             del record[part]
+        if "summary" not in self.parts:
+            del record["of_found"]
         if record["found"] > self.limit:
             record["left_out"] = f"{record['found'] - self.limit} more: a larger limit gives them, or query"
         return Reply(record)

@@ -15,7 +15,7 @@ from rich.text import Text
 from pipeline.answering.pipeline import open_pipeline
 from pipeline.diagnosis.marks import read_marks
 from pipeline.diagnosis.verdict import VERDICTS, shown_verdict
-from pipeline.evaluation.browsing import RunRows
+from pipeline.evaluation.browsing import RunRows, shown_rows
 from pipeline.evaluation.comparing import CHANGES, Comparison, answer_differences, compare
 from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.leakage import Share, shares_of_run, with_caveats
@@ -58,6 +58,8 @@ SHOWN = (
     "verdict",
     "detail",
     "lucky",
+    "tone",
+    "head",
     "said",
     "repair",
     "margin",
@@ -251,14 +253,22 @@ def failures_of(
     with suppress(InputError):
         # A run of the first releases does not say what it was made of.
         doubts = doubts_of(open_run(command.run_folder))
-    shown = found.slice(0, command.limit).select([c for c in SHOWN if c in found.column_names])
+    shown = shown_rows(found.slice(0, command.limit))
+    of_found = None
+    if command.search and command.json and found.num_rows:
+        parts = [slice_by({name: found}, d) for d in dimensions]
+        of_found = {
+            "summary": summarise_run(found).record(),
+            "slices": {s.dimension.name: s.record() for s in parts},
+        }
     record = {
         "search": command.search,
         "system": name,
         "shares": [share.record() for share in shares],
         "doubts": list(doubts),
         "found": found.num_rows,
-        "failures": [{key: plain(value) for key, value in row.items()} for row in shown.to_pylist()],
+        "failures": [{name: plain(row[name]) for name in SHOWN if name in row} for row in shown],
+        "of_found": of_found,
         "summary": summary.record(),
         "slices": {s.dimension.name: s.record() for s in cuts},
         "facets": {f.name: f.record() for f in rows.facets(among_failures(command.search, rows.records.schema))},
@@ -424,13 +434,14 @@ def _print_found(command: FailuresCommand, name: str, expressions: int, found: p
     what = f"search {command.search}" if command.search else "failed"
     of = counted(expressions, "expression")
     say((f"{what}: {found.num_rows} of {of}", "bold"), (f"  in {name}", "dim"))
-    for row in found.slice(0, command.limit).to_pylist():
+    for row in shown_rows(found.slice(0, command.limit)):
         verdict = shown_verdict(row["verdict"], row["detail"], bool(row["lucky"]))
         changed = ""
         if row.get("change") not in (None, "same"):
             changed = f"  {CHANGES[row['change']]}: {row['second_verdict']}"
         marks = "".join(f"  #{name}" for name in row["marks"])
-        say((row["frame"], "dim"), "  ", row["text"], (f"  {verdict}", "bold yellow"), changed, (marks, "cyan"))
+        told = (f"  {row['head']}", "bold yellow"), (f"  {verdict}", "yellow")
+        say((row["frame"], "dim"), "  ", row["text"], *told, changed, (marks, "cyan"))
         say(f"    {row['said'] or ''}  ({row['id']})", style="dim")
     if found.num_rows > command.limit:
         say(f"and {found.num_rows - command.limit} more (--limit)", style="dim")

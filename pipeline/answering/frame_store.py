@@ -28,7 +28,7 @@ from pipeline.datasets.up import with_frame_up
 from pipeline.geometry.cloud import Cloud, cloud_of
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import Pixel
-from pipeline.geometry.palette import DROPPED, Role, depth_colors, dimmed, instance_colors, palette
+from pipeline.geometry.palette import DROPPED, ON_DARK, Role, depth_colors, dimmed, instance_colors
 from pipeline.system.encoded_pictures import jpeg, resized, thumbnail
 from pipeline.system.errors import InputError
 from pipeline.system.freed_memory import trim
@@ -308,9 +308,9 @@ def frame_colors(
     image = (grey * 0.55 + (20 if dark else 110)).astype(np.uint8)
     order = sorted(range(len(objects)), key=lambda i: -int(objects[i].lifted.quality.mask_pixels))
     if mode == "objects":
-        calm, role_colors = instance_colors(len(objects)), palette(dark)
+        calm = instance_colors(len(objects))
         for i in order:
-            color = role_colors[roles[i]] if i in roles else calm[i]
+            color = ON_DARK[roles[i]] if i in roles else calm[i]
             mask = objects[i].mask
             image[mask] = (image[mask] * 0.35 + np.array(color) * 0.65).astype(np.uint8)
         return image

@@ -17,6 +17,7 @@ import numpy as np
 from pipeline.diagnosis.oracles import ALL_ORACLES
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.comparing import CHANGE, CHANGES, SECOND, SECOND_COLUMNS, with_second
+from pipeline.evaluation.row_stories import READ, row_head
 from pipeline.evaluation.run_notes import MARKS, Key, keep_filter, mark, notes_path, read_notes
 from pipeline.evaluation.search import SORT, Field, Term, Value, fields_of, find_rows, quote, read_terms, terms_of
 from pipeline.evaluation.slices import DIMENSIONS, YES_NO, Coded, Dimension, coded
@@ -237,6 +238,15 @@ def complete(typed: str, fields: Sequence[Field], most: int = 20) -> list[str]:
     ][:most]
 
 
+TRY = ("margin<0.1", "lucky:yes", "sort:margin")
+
+
+def examples(facets: Sequence[Facet]) -> tuple[str, ...]:
+    """Terms of a search to try: the most frequent class and relation, and a term of each other kind."""
+    often = {f.name: max(f.values, key=lambda v: v.count).term for f in facets if f.name in ("class", "relation")}
+    return (*(often[name] for name in ("class", "relation") if name in often), *TRY)
+
+
 SHOWN = (
     "id",
     "frame",
@@ -262,6 +272,17 @@ SHOWN = (
     *(f"{SECOND}{name}" for name in SECOND_COLUMNS),
 )
 """Columns of a row that is shown."""
+
+
+def shown_rows(records: pa.Table) -> list[dict[str, Any]]:
+    """Rows as they are shown: SHOWN, with the `tone` and `head` of their stories."""
+    names = [name for name in dict.fromkeys((*SHOWN, *READ)) if name in records.column_names]
+    rows = records.select(names).to_pylist()
+    found: list[dict[str, Any]] = []
+    for row in rows:
+        tone, head = row_head(row)
+        found.append({name: value for name, value in row.items() if name in SHOWN} | {"tone": tone, "head": head})
+    return found
 
 
 def labelled_boxes(records: pa.Table, labels: Labels) -> np.ndarray:
@@ -339,8 +360,20 @@ class RunRows:
 
     def read(self, rows: np.ndarray) -> list[dict[str, Any]]:
         """Read the columns of these rows for a list."""
-        names = [name for name in SHOWN if name in self.records.column_names]
-        return self.records.select(names).take(pa.array(rows)).to_pylist()
+        return shown_rows(self.records.take(pa.array(rows)))
+
+    def filled(self, rows: np.ndarray, names: Iterable[str]) -> list[str]:
+        """Columns of `names` that say something of any of these rows."""
+        found = self.records.select([n for n in names if n in self.records.column_names]).take(pa.array(rows))
+        empty = {n: c.null_count == len(c) for n, c in zip(found.column_names, found.columns, strict=True)}
+        if MARKS in empty:
+            empty[MARKS] = not any(found.column(MARKS).to_pylist())
+        return [name for name, nothing in empty.items() if not nothing]
+
+    @cached_property
+    def widest_frame(self) -> int:
+        """Characters of the longest id of a frame."""
+        return max(map(len, self._bare.column("frame").unique().to_pylist()), default=0)
 
     def mark(self, rows: Iterable[int], name: str, on: bool = True) -> None:
         """Mark rows, or remove a mark; raises InputError as `run_notes.mark`."""

@@ -52,6 +52,7 @@ class Comparison:
     broken: tuple[dict[str, Any], ...]
     other_reason: tuple[dict[str, Any], ...]
     measure: str  # the measure by which they are sorted into these
+    changes: dict[str, int]  # how many of each of CHANGES
     # verdicts: how many expressions went from which verdict to which: [before][after], all of them, those that stayed
     # too; None where a run has no verdicts
     verdicts: dict[str, dict[str, int]] | None = None
@@ -68,6 +69,7 @@ class Comparison:
             "fixed": list(self.fixed),
             "broken": list(self.broken),
             "other_reason": list(self.other_reason),
+            "changes": self.changes,
             "verdicts": self.verdicts,
         }
 
@@ -97,6 +99,7 @@ def compare(before: pa.Table, after: pa.Table, measure: str = "set_correct") -> 
         _named(second, change == "broken"),
         _named(second, change == "other_reason"),
         measure,
+        {name: int((change == name).sum()) for name in CHANGES},
         verdict_transitions(first, second),
     )
 

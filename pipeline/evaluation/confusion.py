@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -66,6 +66,10 @@ class Standings:
     def columns(self) -> tuple[str, ...]:
         """The relations, then the other outcomes."""
         return (*self.names, *OTHERS)
+
+    def take(self, rows: np.ndarray) -> Standings:
+        """The same of some expressions."""
+        return replace(self, meant=self.meant[rows], cell=self.cell[rows])
 
     def column(self) -> list[str]:
         """The outcome of each expression as a text, for a search."""

@@ -12,12 +12,13 @@ import numpy as np
 from pipeline.datasets.base import load_picture
 from pipeline.diagnosis.verdict import RULES_VERSION, Diagnosis
 from pipeline.evaluation.browsing import RunRows, completions, labelled_boxes
-from pipeline.evaluation.comparing import Comparison, compare
-from pipeline.evaluation.confusion import Confusion, answer_standings, count_standings
+from pipeline.evaluation.comparing import Comparison, compare, shared_rows
+from pipeline.evaluation.confusion import Confusion, Standings, answer_standings, count_standings
 from pipeline.evaluation.run_folder import Run
 from pipeline.evaluation.search import Field
 from pipeline.evaluation.slices import Slices, slice_by
 from pipeline.evaluation.summary import RunSummary, summarise_run
+from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
 from pipeline.system.recent import Recent
 from pipeline.system.version import __version__
@@ -28,6 +29,8 @@ MOST_SHOWN = 12
 """Slices of one dimension."""
 FRAMES = 8
 """Decoded frames that are kept."""
+PARTS = 8
+"""Searches whose figures are kept."""
 Drawn = Literal["labelled", "second run", "answered reference", "answered target", "wrong target"]
 """What a box of an answer's picture is."""
 Found = TypeVar("Found")
@@ -59,8 +62,48 @@ class Listing:
         return None if number is None else next(iter(np.flatnonzero(self.found == number).tolist()), None)
 
 
-class RunFigures:
-    """The figures of one run; each is made when it is first read, or says why it cannot be.
+class Figures:
+    """Figures of some expressions of a run; each is made when it is first read, or says why it cannot be."""
+
+    def __init__(
+        self, run: Run, records: pa.Table, second: Run | None, standings: Callable[[], Standings | str]
+    ) -> None:
+        self.run, self.records, self.second = run, records, second
+        self._standings = standings
+        self._slices: dict[str, Slices | str] = {}
+
+    @cached_property
+    def summary(self) -> RunSummary | str:
+        """Verdicts and costs of modules."""
+        return _or_why(lambda: summarise_run(self.records))
+
+    @cached_property
+    def comparison(self) -> Comparison | str | None:
+        """Changes by the second run."""
+        other = self.second
+        return None if other is None else _or_why(lambda: self._compared(other.records))
+
+    def _compared(self, second: pa.Table) -> Comparison:
+        # Of a part, what only the second run has is no part of it.
+        part = self.records.num_rows < self.run.records.num_rows
+        return compare(self.records, second.take(shared_rows(self.records, second)[1]) if part else second)
+
+    def slices(self, dimension: str) -> Slices | str:
+        """Slices by a dimension; the most frequent values of texts."""
+        if dimension not in self._slices:
+            of_run = {self.run.name: self.records}
+            self._slices[dimension] = _or_why(lambda: slice_by(of_run, dimension, most=MOST_SHOWN))
+        return self._slices[dimension]
+
+    @cached_property
+    def confusion(self) -> Confusion | str:
+        """Asked relations against the answers' relations."""
+        found = self._standings()
+        return found if isinstance(found, str) else count_standings(found)
+
+
+class RunFigures(Figures):
+    """The figures of one run, with its rows.
 
     `second`: to compare with.
 
@@ -68,7 +111,7 @@ class RunFigures:
     """
 
     def __init__(self, run: Run, second: Run | None) -> None:
-        self.run, self.second = run, second
+        super().__init__(run, run.records, second, lambda: self.standings)
         require(
             "verdict" in run.records.column_names,
             "the run has no verdicts",
@@ -76,13 +119,22 @@ class RunFigures:
             path=run.folder,
         )
         self.rows = RunRows(run.records, run.folder, None if second is None else second.records)
-        self._slices: dict[str, Slices | str] = {}
         self._frames: Recent[str, np.ndarray] = Recent(FRAMES)
+        self._parts: Recent[bytes, Figures] = Recent(PARTS)
 
-    @cached_property
-    def summary(self) -> RunSummary | str:
-        """Verdicts and costs of modules."""
-        return _or_why(lambda: summarise_run(self.run.records))
+    def of(self, found: np.ndarray) -> Figures:
+        """Figures of some of its rows ((F,) int64, in any order)."""
+        rows = np.sort(found)
+        if len(rows) == self.records.num_rows:
+            return self
+
+        def standings() -> Standings | str:
+            found = self.standings
+            return found if isinstance(found, str) else found.take(rows)
+
+        return self._parts.get(
+            rows.tobytes(), lambda: Figures(self.run, self.records.take(pa.array(rows)), self.second, standings)
+        )
 
     @cached_property
     def counts(self) -> dict[str, int]:
@@ -90,33 +142,19 @@ class RunFigures:
         return self.run.verdicts
 
     @cached_property
-    def comparison(self) -> Comparison | str | None:
-        """Changes by the second run."""
-        other = self.second
-        return None if other is None else _or_why(lambda: compare(self.run.records, other.records))
-
-    def slices(self, dimension: str) -> Slices | str:
-        """Slices of the run by a dimension; the most frequent values of texts."""
-        if dimension not in self._slices:
-            of_run = {self.run.name: self.run.records}
-            self._slices[dimension] = _or_why(lambda: slice_by(of_run, dimension, most=MOST_SHOWN))
-        return self._slices[dimension]
-
-    @cached_property
-    def confusion(self) -> Confusion | str:
-        """Asked relations against the answers' relations; makes rows searchable by the latter."""
+    def standings(self) -> Standings | str:
+        """Relation in which each answer stands; makes rows searchable by it."""
         run = self.run
         made_with = (run.manifest.get("labels") or {}).get("content_hash")
         found = _or_why(lambda: answer_standings(run.records, run.labels, made_with))
-        if isinstance(found, str):
-            return found
-        self.rows.add_column(STANDS_IN, found.column())
-        return count_standings(found)
+        if not isinstance(found, str):
+            self.rows.add_column(STANDS_IN, found.column())
+        return found
 
     @cached_property
     def fields(self) -> tuple[Field, ...]:
         """Fields of a search, with the values in the run."""
-        _ = self.confusion
+        _ = self.standings
         return completions(self.rows.records)
 
     @cached_property

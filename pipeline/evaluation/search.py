@@ -259,6 +259,11 @@ def among_failures(query: str, schema: pa.Schema) -> str:
     return query if compile_search(query, schema).about_right else f"{FAILURES} {query}".strip()
 
 
+def narrowed(query: str, more: str) -> str:
+    """Search for what two searches both find; what stands in both is said once."""
+    return " ".join(dict.fromkeys(term.written for text in (query, more) for term in read_terms(text)))
+
+
 def _rows(records: pa.Table, search: Search) -> np.ndarray:
     if not search.columns:
         return np.arange(records.num_rows)

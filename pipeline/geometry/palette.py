@@ -16,12 +16,12 @@ Role = Literal["target", "reference", "other", "truth", "edited", "bad"]
 RGB = tuple[int, int, int]
 
 ON_DARK: dict[Role, RGB] = {
-    "target": (241, 126, 38),
-    "reference": (70, 159, 251),
+    "target": (245, 127, 32),
+    "reference": (72, 160, 248),
     "other": (155, 158, 166),
-    "truth": (93, 218, 156),
+    "truth": (95, 216, 155),
     "edited": (246, 219, 90),
-    "bad": (246, 116, 106),
+    "bad": (255, 107, 107),
 }
 ON_LIGHT: dict[Role, RGB] = {
     "target": (176, 81, 0),
@@ -31,7 +31,7 @@ ON_LIGHT: dict[Role, RGB] = {
     "edited": (92, 57, 0),
     "bad": (180, 17, 35),
 }
-"""As on a dark ground; "bad" is a failure, with a word."""
+"""ON_DARK over photos and in the scene, whatever the theme; ON_LIGHT for words on light panels. "bad" is a failure."""
 
 LINE_WIDTH: dict[Role, float] = {"other": 1.3, "reference": 3.0, "target": 3.0, "truth": 3.0, "edited": 3.0}
 """Of boxes in 3D, pixels; a dark halo of a pixel stands around lines of three."""
@@ -108,20 +108,20 @@ def dimmed(rgb: np.ndarray, lit: np.ndarray) -> np.ndarray:
 
 
 VERDICTS: dict[str, RGB] = {
-    "CORRECT": (58, 158, 104),
-    "PARSE": (170, 68, 153),
-    "LABEL": (126, 136, 150),
-    "OPM-TARGET": (0, 101, 189),
-    "OPM-REF": (86, 180, 233),
-    "LIFT": (204, 164, 20),
-    "ATTRIBUTE": (124, 150, 38),
-    "SRM": (213, 68, 60),
-    "OPM-CONF": (92, 92, 214),
-    "PRM": (226, 122, 24),
-    "COMPOUND": (140, 92, 60),
-    "UNEXPLAINED": (96, 100, 108),
+    "CORRECT": (5, 110, 67),
+    "PARSE": (168, 203, 208),
+    "LABEL": (246, 196, 91),
+    "OPM-TARGET": (105, 101, 248),
+    "OPM-REF": (202, 190, 252),
+    "LIFT": (9, 145, 150),
+    "ATTRIBUTE": (133, 125, 58),
+    "SRM": (207, 123, 185),
+    "OPM-CONF": (130, 67, 147),
+    "PRM": (151, 70, 0),
+    "COMPOUND": (172, 161, 160),
+    "UNEXPLAINED": (107, 110, 114),
 }
-"""A colour for each verdict; the blues are the detector's. It is always shown with the word."""
+"""A hue for each verdict, far from those of roles (tests hold it); violets are the detector. The word stands by it."""
 
 
 def ink(color: str) -> str:

@@ -8,13 +8,14 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pipeline.evaluation.browsing import complete, with_value
-from pipeline.evaluation.run_figures import STANDS_IN, Listing, RunFigures, figures_of
+from pipeline.evaluation.browsing import complete, examples, with_value
+from pipeline.evaluation.run_figures import STANDS_IN, Listing, figures_of
 from pipeline.evaluation.run_notes import MARKS
 from pipeline.evaluation.search import FAILURES
 from pipeline.system.errors import InputError
 from spatialviz.app.context import Context, Part, command, there
 from spatialviz.app.evaluate_html import (
+    COLUMNS,
     bar_html,
     facets_html,
     filters_html,
@@ -24,7 +25,7 @@ from spatialviz.app.evaluate_html import (
     row_html,
     search_html,
 )
-from spatialviz.app.figures_html import CUTS, comparison_html, confusion_html, slices_html, summary_html
+from spatialviz.app.figures_html import CUTS, Sample, comparison_html, confusion_html, slices_html, summary_html
 from spatialviz.app.frames import pictures_of
 from spatialviz.app.markup import Element
 from spatialviz.app.state import Place
@@ -56,9 +57,11 @@ class Evaluate(Part):
         self._first = ""
         self._selected = np.zeros(0, np.bool_)
         self._opened: set[str] = set()
+        self._columns: list[str] = []
         self._view, self._cut = "grid", next(iter(CUTS))
         self._version, self._span = 0, (0, 0)
-        self._stale = self._figured = False
+        self._stale = self._whole = False
+        self._sample: Sample | None = None
         self._told: int | None = None
 
     @property
@@ -92,7 +95,7 @@ class Evaluate(Part):
         return listing.place_of(listing.figures.rows.asked(state.frame_id, state.text))
 
     def _begin(self) -> None:
-        figures, self._figured, self._stale = self._all.get(self.state.source), False, True
+        figures, self._sample, self._stale = self._all.get(self.state.source), None, True
         self.state = replace(self.state, listing=None if figures is None else Listing(figures))
         if figures is not None:
             rows = figures.rows
@@ -131,10 +134,12 @@ class Evaluate(Part):
         listing = self._listing
         if STANDS_IN in query:
             # The column is computed with the confusion.
-            _ = listing.figures.confusion
+            _ = listing.figures.standings
         try:
             listing = replace(listing, query=query, error="", found=listing.figures.rows.find(query))
             self._version, self._span = self._version + 1, (0, 0)
+            # Of failures alone the accuracy is 0.
+            self._whole = query in (self._first, "")
         except InputError as error:
             listing = replace(listing, query=query, error=str(error))
         self.state, self._stale = replace(self.state, listing=listing), True
@@ -190,7 +195,7 @@ class Evaluate(Part):
             {
                 "version": self._version,
                 "first": first,
-                "rows": [row_html(row, self._view).html for row in rows],
+                "rows": [row_html(row, self._view, self._columns).html for row in rows],
             },
         )
         urls = [pictures_of(listing.figures).url(n, row) for n, row in zip(numbers, rows, strict=True)]
@@ -301,18 +306,19 @@ class Evaluate(Part):
         if listing is None:
             self._show_none()
             return
-        rows, second = listing.figures.rows, listing.figures.second is not None
+        rows = listing.figures.rows
         facets = () if listing.error else rows.facets(listing.query)
         page.fill(
             {
-                "search": search_html(listing.query),
+                "search": search_html(listing.query, examples(facets)),
                 "offers": None,
-                "filters": filters_html(listing, rows.notes, self._first, second, self._view),
+                "filters": filters_html(listing, rows.notes, self._first, self._view),
                 "facet-list": facets_html(facets, self._opened, listing.error),
             }
         )
         self._show_bar()
         self._told = self._asked
+        self._columns = rows.filled(listing.found, COLUMNS)
         page.call(
             "found",
             {
@@ -320,13 +326,14 @@ class Evaluate(Part):
                 "total": listing.count,
                 "view": self._view,
                 "place": self._told,
-                "head": heads_html(listing.query, second).html if self._view == "table" else "",
+                "head": heads_html(listing.query, self._columns).html if self._view == "table" else "",
+                "frame": rows.widest_frame,
                 "label": f"{listing.count} expressions",
                 "noted": rows.stamp,
             },
         )
         self._show_chosen()
-        self._show_figures(listing.figures)
+        self._show_figures(listing)
 
     def _show_none(self) -> None:
         """Say what a run is made of, in place of its list."""
@@ -346,31 +353,41 @@ class Evaluate(Part):
 
     # ---- figures --------------------------------------------------------------------
 
-    def _show_figures(self, figures: RunFigures) -> None:
-        """Figures of the whole run, drawn in turn, once."""
-        if self._figured:
+    def _show_figures(self, listing: Listing) -> None:
+        """Figures of the run, or of what is found, drawn in turn."""
+        figures, count = listing.figures, listing.count
+        whole = self._whole or not count
+        sample = Sample(figures if whole else figures.of(listing.found), "" if whole else listing.query, count)
+        if sample == self._sample:
             return
-        self._figured, page = True, self.ctx.page
-        parts: list[tuple[str, Callable[[RunFigures], Element | None]]] = [
-            ("run-summary", summary_html),
-            ("run-compared", comparison_html),
-            ("run-slices", lambda figures: slices_html(figures, self._cut)),
-            ("run-confusion", confusion_html),
+        if self._sample is None:
+            self.ctx.page.fill(dict.fromkeys(FIGURES))
+        self._sample = sample
+        parts: list[tuple[str, Callable[[], Element | None]]] = [
+            ("run-summary", lambda: summary_html(sample)),
+            ("run-compared", lambda: comparison_html(sample)),
+            ("run-slices", lambda: slices_html(sample, self._cut)),
+            ("run-confusion", lambda: confusion_html(sample)),
         ]
-        page.fill(dict.fromkeys(FIGURES))
 
         def draw() -> None:
-            # One part per job, so that requested rows need not wait for all.
-            if parts and self.state.listing is not None and self.state.listing.figures is figures:
+            # One per job, so that requested rows need not wait for all.
+            if parts and self._sample is sample:
                 region, made = parts.pop(0)
-                page.show(region, made(figures))
+                self.ctx.page.show(region, made())
                 self.ctx.post(draw)
 
         self.ctx.post(draw)
 
+    @command("figures-of")
+    def choose_sample(self, which: Literal["all", "found"]) -> None:
+        """Show the figures of the whole run, or of what is found."""
+        self._whole = which == "all"
+        self._show_figures(self._listing)
+
     @command("cut")
     def cut(self, dimension: str) -> None:
         """Slice the run by another dimension."""
-        if dimension in CUTS:
+        if dimension in CUTS and self._sample is not None:
             self._cut = dimension
-            self.ctx.page.show("run-slices", slices_html(self._listing.figures, dimension))
+            self.ctx.page.show("run-slices", slices_html(self._sample, dimension))

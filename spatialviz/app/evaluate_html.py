@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from pipeline.diagnosis.story_words import Tone
 from pipeline.evaluation.browsing import Facet, FacetValue
 from pipeline.evaluation.comparing import CHANGES
 from pipeline.evaluation.run_figures import Listing
@@ -16,7 +17,7 @@ from pipeline.geometry.palette import hex_color
 from pipeline.language.glossary import glossary
 from spatialviz.app.answer import verdict_chip
 from spatialviz.app.frames import STROKES
-from spatialviz.app.markup import BAD, Child, Element, button, h, joined, note, panel, segments
+from spatialviz.app.markup import BAD, Child, Element, button, h, note, panel, segments
 
 SHOWN_VALUES, FEW_VALUES = 7, 11
 """Values of a folded facet; up to so many are never folded."""
@@ -60,14 +61,14 @@ def no_run_html(dataset: Path, annotated: bool, labels: Path | None) -> Element:
 
 
 def facets_html(facets: Sequence[Facet], opened: Collection[str], error: str) -> Element:
-    """All facets; each value has a box to include and a small box to exclude."""
+    """All facets, their bars on one scale; each value has a box to include and a small box to exclude."""
     if error:
         return panel(h.p("The search cannot be read.", cls="dim"))
-    return h.div((_facet(f, f.name in opened) for f in facets), cls="facets", role="group", aria_label="Filters")
+    most = max((v.count for f in facets for v in f.values), default=0) or 1
+    return h.div((_facet(f, f.name in opened, most) for f in facets), cls="facets", role="group", aria_label="Filters")
 
 
-def _facet(facet: Facet, opened: bool) -> Element:
-    most = max((v.count for v in facet.values), default=0) or 1
+def _facet(facet: Facet, opened: bool, most: int) -> Element:
     asked = [v for v in facet.values if v.state]
     few = len(facet.values) <= FEW_VALUES
     shown = facet.values if opened or few else facet.values[:SHOWN_VALUES]
@@ -125,8 +126,9 @@ def _value(facet: Facet, value: FacetValue, most: int) -> Element:
 # ---- the search and what is done with what it finds
 
 
-def search_html(query: str) -> Element:
-    return h.input(
+def search_html(query: str, tried: Sequence[str]) -> Element:
+    """Field of the search, and terms to try."""
+    field = h.input(
         cls="find runs",
         field="find",
         value=query,
@@ -136,6 +138,8 @@ def search_html(query: str) -> Element:
         placeholder="search, such as verdict:SRM class:chair margin<0.1   ( / )",
         aria_label="Search the expressions of the run",
     )
+    terms = (h.button(term, do=f"facet:{term}", title="add to the search, or take away") for term in tried)
+    return h.div(field, h.div("try", terms, cls="tried", role="group", aria_label="Terms to try", title=SYNTAX_HINT))
 
 
 def offers_html(offered: Sequence[str]) -> Element | None:
@@ -153,8 +157,9 @@ def offers_html(offered: Sequence[str]) -> Element | None:
     )
 
 
-def filters_html(listing: Listing, notes: Notes, first: str, second: bool, view: str) -> Element:
+def filters_html(listing: Listing, notes: Notes, first: str, view: str) -> Element:
     """Saved searches, common searches, and the choice of view."""
+    second = listing.figures.second is not None
     ready = {"failures": first, "all": ""} | ({"what the second run broke": "change:broken"} if second else {})
     chips = [_filter(name, query, listing.query) for name, query in ready.items()]
     for name, query in notes.filters.items():
@@ -202,7 +207,7 @@ def bar_html(
     if listing.error:
         return h.div(note(listing.error, BAD), cls="foundbar")
     legend = (
-        h.span(h.i(cls=f"stroke {style}", css={"--c": hex_color(color)}), name)
+        h.span(h.i(cls=f"stroke {style}{' wrong' * (name == 'wrong target')}", css={"--c": hex_color(color)}), name)
         for name, (color, style) in STROKES.items()
         if second or name != "second run"
     )
@@ -256,12 +261,13 @@ COLUMNS = {
     "p_relation": ("P(relation)", "the probability of the asked relation for the answer"),
     "object_distance": ("distance", "of the labelled target, metres"),
     "frame": ("frame", ""),
+    MARKS: ("marks", ""),
 }
 """Columns of the table: title and tooltip."""
 NUMBERS = ("margin", "p_relation", "object_distance")
 
 
-def heads_html(query: str, second: bool) -> Element:
+def heads_html(query: str, columns: Sequence[str]) -> Element:
     """Column heads: a click sorts by the column, a second reverses, a third resets."""
     words = query.split()
     plain = [word for word in words if not word.startswith("sort:")]
@@ -270,54 +276,56 @@ def heads_html(query: str, second: bool) -> Element:
         h.div(h.span(label, cls="unseen"), role="columnheader", cls=f"c-{name}")
         for name, label in (("tick", "selected"), ("shot", "picture"))
     ]
-    for name, (title, said) in COLUMNS.items():
-        if name == "second_verdict" and not second:
-            continue
+    for name in columns:
+        title, said = COLUMNS[name]
         up, down = f"sort:{name}", f"sort:-{name}"
         then, order, mark = {up: (down, "ascending", " ↑"), down: ("", "descending", " ↓")}.get(now, (up, "none", ""))
-        press = h.button(f"{title}{mark}", title=said or None, **searches(" ".join([*plain, then]).strip()))
+        press = h.button(f"{title}{mark}", title=said or title, **searches(" ".join([*plain, then]).strip()))
         numeric = " n" if name in NUMBERS else ""
-        cells.append(h.div(press, role="columnheader", aria_sort=order, cls=f"c-{name}{numeric}"))
-    cells.append(h.div("marks", role="columnheader", cls="c-marks"))
+        if name == MARKS:
+            cells.append(h.div(title, role="columnheader", cls="c-marks"))
+        else:
+            cells.append(h.div(press, role="columnheader", aria_sort=order, cls=f"c-{name}{numeric}"))
     return h.div(h.div(cells, role="row", aria_rowindex="1", cls="expr"), role="rowgroup", cls="columns")
 
 
-def row_html(row: Mapping[str, Any], view: str) -> Element:
+GLYPHS: dict[Tone, str] = {"right": "✓", "also right": "✓", "wrong": "✕", "none": "–"}
+
+
+def row_html(row: Mapping[str, Any], view: str, columns: Sequence[str]) -> Element:
     """Expression as a card of the grid, or as a row of the table."""
-    verdict = verdict_chip(row["verdict"], row["detail"], bool(row["lucky"]))
+    head = h.div(h.i(GLYPHS[row["tone"]], cls=row["tone"].replace(" ", "-")), row["head"], cls="head")
+    # What a card has no room for is in its words.
+    detail = () if view == "grid" else (row["detail"], bool(row["lucky"]))
+    verdict = verdict_chip(row["verdict"], *detail)
     marks = [h.span(f"#{name}", cls="tagged") for name in row[MARKS]]
     image = h.img(alt="", decoding="async", draggable="false")
-    margin = "" if row["margin"] is None else f"{row['margin']:+.2f}".replace("-", "−")
     second, change = _second(row), row.get("change", "same")
     changed = None if change in (None, "same") else h.i(CHANGES[change], cls=f"change {change}")
     if view == "grid":
-        facts = (row["frame"], f"margin {margin}" if margin and changed is None else None)
         return h.div(
             h.div(image, h.span(cls="tick"), h.span(marks, cls="marks"), cls="snap"),
-            h.div(verdict, second, cls="says"),
+            head,
             h.div(row["text"], cls="asked"),
-            h.div(joined(filter(None, (changed, *facts))), cls="dim"),
+            h.div(changed, verdict, second or h.span(row["frame"], cls="dim"), cls="says"),
             cls="expr card",
             role="option",
             title=_hint(row),
             aria_label=_label(row),
         )
-    numbers = {name: "" if row[name] is None else f"{row[name]:.2f}" for name in ("p_relation", "object_distance")}
     other = (changed, " ", second) if second else h.span(CHANGES["same"], cls="dim")
     cells: dict[str, Child] = {
-        "tick": h.span(cls="tick"),
-        "shot": image,
         "text": h.div(row["text"], cls="asked"),
-        "verdict": verdict,
-        **({"second_verdict": other} if "change" in row else {}),
-        "margin": margin,
-        **numbers,
+        "verdict": (head, verdict),
+        "second_verdict": other,
+        **{name: "" if row[name] is None else f"{row[name]:.2f}".replace("-", "−") for name in NUMBERS},
         "frame": row["frame"],
-        "marks": marks,
+        MARKS: marks,
     }
-    looks = {"shot": " snap", "frame": " dim cut", "marks": " marks"} | dict.fromkeys(NUMBERS, " n")
+    looks = {"shot": " snap", "frame": " dim cut"} | dict.fromkeys(NUMBERS, " n")
+    shown = {"tick": h.span(cls="tick"), "shot": image, **{name: cells[name] for name in columns}}
     return h.div(
-        (h.div(cell, role="gridcell", cls=f"c-{name}{looks.get(name, '')}") for name, cell in cells.items()),
+        (h.div(cell, role="gridcell", cls=f"c-{name}{looks.get(name, '')}") for name, cell in shown.items()),
         cls="expr",
         role="row",
         title=_hint(row),
@@ -335,11 +343,13 @@ def _second(row: Mapping[str, Any]) -> Element | None:
 
 def _hint(row: Mapping[str, Any]) -> str:
     other = row.get("second_said")
-    return f"{row['said']}\nSecond run: {other}" if other and row.get("change") != "same" else row["said"] or ""
+    lead = "" if row["margin"] is None else f"Margin {row['margin']:+.2f}.".replace("-", "−")
+    told = " ".join(filter(None, (row["said"], lead)))
+    return f"{told}\nSecond run: {other}" if other and row.get("change") != "same" else told
 
 
 def _label(row: Mapping[str, Any]) -> str:
-    parts = [row["text"], row["verdict"], row["frame"], *(f"marked {name}" for name in row[MARKS])]
+    parts = [row["text"], row["head"], row["verdict"], row["frame"], *(f"marked {name}" for name in row[MARKS])]
     if row.get("change") not in (None, "same"):
-        parts.insert(2, f"{CHANGES[row['change']]} in the second run: {row['second_verdict']}")
+        parts.insert(3, f"{CHANGES[row['change']]} in the second run: {row['second_verdict']}")
     return ", ".join(parts)

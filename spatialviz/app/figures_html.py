@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.diagnosis.oracles import NAMED_BY, shown_oracle
+from pipeline.diagnosis.oracles import shown_oracle
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.comparing import CHANGES
 from pipeline.evaluation.confusion import NO_ANSWER, OTHERS, Confusion
 from pipeline.evaluation.leakage import Share, title_of
-from pipeline.evaluation.run_figures import STANDS_IN, RunFigures, doubts_of
-from pipeline.evaluation.search import FAILURES, quote
+from pipeline.evaluation.plots import LOSS_COLORS
+from pipeline.evaluation.run_figures import STANDS_IN, Figures, doubts_of
+from pipeline.evaluation.search import FAILURES, narrowed, quote
 from pipeline.evaluation.slices import Slice, Slices
 from pipeline.evaluation.summary import SHORT, RunSummary, cost_words, residual_words
 from pipeline.geometry.palette import VERDICTS as COLORS
@@ -35,26 +37,42 @@ CUTS = {
 }
 """Dimensions for slicing a run, with titles."""
 NOT_TOLD = "not worked out"
-COST_COLORS = {name: COLORS[verdicts[0]] for name, verdicts in NAMED_BY.items()} | {
-    "residual": COLORS["LABEL"],
-    "unknown": COLORS["UNEXPLAINED"],
-}
 AXIS = 10
 """Start of the scale, rounded to a multiple, percent."""
 
 
-def summary_html(figures: RunFigures) -> Element:
-    """Losses of accuracy, and the verdicts with confidence intervals."""
-    summary = figures.summary
-    name = h.h2(
-        h.b(figures.run.name),
-        h.span(figures.run.folder.name if isinstance(summary, str) else counted(summary.expressions, "expression")),
-        cls="runhead",
-    )
-    shares = [shares_html(figures.run.shares), *map(note, doubts_of(figures.run))]
+@dataclass(frozen=True)
+class Sample:
+    """Expressions that figures are of: all of a run, or those that a search finds."""
+
+    figures: Figures
+    query: str = ""  # Empty for the whole run
+    found: int = 0  # How many the search finds
+
+    @property
+    def said(self) -> str:
+        """How many expressions, in words."""
+        count = self.figures.records.num_rows
+        return f"the {count:,} found" if self.query else f"all {count:,}"
+
+    def finds(self, query: str) -> dict[str, str]:
+        """Attributes of an element listing a search's results among these on click."""
+        return searches(narrowed(self.query, query) if self.query else query)
+
+
+def summary_html(of: Sample) -> Element:
+    """Losses of accuracy, and the verdicts with confidence intervals; of the whole run, or of what is found."""
+    summary, run = of.figures.summary, of.figures.run
+    total = run.records.num_rows
+    choice: Child = h.span(counted(total, "expression"))
+    if 0 < of.found < total:
+        choices = {"all": f"all {total:,}", "found": f"{of.found:,} found"}
+        choice = segments("figures-of", choices, "found" if of.query else "all", "Figures of")
+    name = h.div(h.h2(h.b(run.name), title=run.folder.name), choice, cls="runhead")
+    shares = [shares_html(run.shares), *map(note, doubts_of(run))]
     if isinstance(summary, str):
         return panel(name, shares, note(summary))
-    return panel(name, shares, _waterfall(summary, "untold" in figures.run.records.column_names), _verdicts(summary))
+    return panel(name, shares, _waterfall(of, summary), _verdicts(of, summary))
 
 
 def shares_html(shares: Sequence[Share]) -> Element | None:
@@ -90,7 +108,7 @@ def _along(start: float, width: float) -> dict[str, str]:
     return {"left": f"{start:.2%}", "width": f"{width:.2%}"}
 
 
-def _waterfall(summary: RunSummary, told: bool) -> tuple[Child, ...]:
+def _waterfall(of: Sample, summary: RunSummary) -> tuple[Child, ...]:
     """Bars from the accuracy as measured, module by module, to 100, each starting at the end of the previous."""
     if summary.deltas is None:
         return heading("Where the accuracy goes", ""), _in_words(summary)
@@ -122,6 +140,7 @@ def _waterfall(summary: RunSummary, told: bool) -> tuple[Child, ...]:
         said = f"{_named(name)}: {hint(word)}\nFair share {e.formatted(signed=True)} points."
         if single is not None:
             said += f" With it alone {100 * (base + single.value):.1f} in place of {100 * base:.1f}."
+        told = "untold" in of.figures.records.column_names
         unknown = f"{FAILURES} -untold:none" if told else FAILURES
         query = {"PARSE": "verdict:PARSE", "residual": _causes(summary), "unknown": unknown}.get(
             name, f"{FAILURES} mends:{name}"
@@ -131,10 +150,10 @@ def _waterfall(summary: RunSummary, told: bool) -> tuple[Child, ...]:
                 h.span(h.b(_named(name)), " ", SHORT[name], cls="module"),
                 h.b(signed(e.value), cls="n"),
                 reached,
-                h.span(bar, mark, cls="track", css={"--c": hex_color(COST_COLORS[name])}),
+                h.span(bar, mark, cls="track", css={"--c": LOSS_COLORS[name]}),
                 cls="fall",
                 title=said,
-                **searches(query),
+                **of.finds(query),
             )
         )
         at += e.value
@@ -151,14 +170,13 @@ def _waterfall(summary: RunSummary, told: bool) -> tuple[Child, ...]:
         cls="fall axis",
     )
     return (
-        heading("Where the accuracy goes", f"% of all {summary.expressions:,}"),
+        heading("Where the accuracy goes", f"% of {of.said}"),
         _in_words(summary),
         h.div(axis, rows, cls="falls"),
         h.p(
             "Each bar is a module's fair share of what is lost; all add up to 100. ",
             h.u(cls="key"),
-            " the accuracy with this module alone replaced by the truth. ",
-            "All figures are of the whole run; a search changes the list alone.",
+            " the accuracy with this module alone replaced by the truth.",
             cls="small dim",
         ),
     )
@@ -180,7 +198,7 @@ def _causes(summary: RunSummary) -> str:
     return f"verdict:{','.join(verdicts)}" if verdicts else "verdict:LABEL"
 
 
-def _verdicts(summary: RunSummary) -> tuple[Child, ...]:
+def _verdicts(of: Sample, summary: RunSummary) -> tuple[Child, ...]:
     rows = []
     for verdict, share in summary.verdicts.items():
         if not share.count:
@@ -204,34 +222,32 @@ def _verdicts(summary: RunSummary) -> tuple[Child, ...]:
                 h.span(between(e), cls="n dim"),
                 cls="vrow",
                 title=said,
-                **searches(f"verdict:{verdict}"),
+                **of.finds(f"verdict:{verdict}"),
             )
         )
-    unit = h.span(f"% of all · 95 % over {summary.unit}s", title=hint("interval"))
+    unit = h.span(f"% of {of.said} · 95 % over {summary.unit}s", title=hint("interval"))
     return heading("Verdicts", unit), rows
 
 
 # ---- a second run
 
 
-def comparison_html(figures: RunFigures) -> Element | None:
+def comparison_html(of: Sample) -> Element | None:
     """Failures fixed and introduced by the second run; each number lists its expressions."""
-    found = figures.comparison
-    if found is None or figures.second is None:
+    found, run, second = of.figures.comparison, of.figures.run, of.figures.second
+    if found is None or second is None:
         return None
-    names = h.p(h.span("first ", cls="dim"), figures.run.name, h.span(" → second ", cls="dim"), figures.second.name)
-    title = heading("Second run", h.span(names.text, title=names.text))
+    names = f"first {run.name} → second {second.name}"
+    title = heading("Second run", h.span(names, title=names))
     if isinstance(found, str):
         return panel(title, note(found))
-    facet = next(f for f in figures.rows.facets("") if f.name == "change")
-    counts = {v.name: v.count for v in facet.values}
     boxes = (
         h.button(
-            h.b(f"{counts.get(name, 0):,}"),
+            h.b(f"{found.changes[name]:,}"),
             h.span(CHANGES[name]),
             cls=f"change {name}",
             title=hint(CHANGES[name]),
-            **searches(f"change:{name}"),
+            **of.finds(f"change:{name}"),
         )
         for name in ("fixed", "broken", "verdict", "other_reason")
     )
@@ -260,31 +276,31 @@ def _by_chance(p: float) -> str:
 # ---- slices and confusion
 
 
-def slices_html(figures: RunFigures, cut: str) -> Element:
+def slices_html(of: Sample, cut: str) -> Element:
     """Run by a dimension; a row, or a part of its bar, searches for its expressions."""
-    found = figures.slices(cut)
+    found = of.figures.slices(cut)
     chosen = h.div(segments("cut", CUTS, cut, "Cut the run by"), cls="cuts")
     if isinstance(found, str):
         return panel(heading("Slices"), chosen, note(found))
     head = h.tr(h.td(), h.th("n", cls="n"), h.th("right", cls="n", title=hint("accuracy")), h.td())
-    table = h.table(head, (_slice(s, found) for s in found.slices), cls="slices")
+    table = h.table(head, (_slice(of, s, found) for s in found.slices), cls="slices")
     return panel(heading("Slices", f"by {found.dimension.title}"), chosen, table)
 
 
-def _slice(s: Slice, found: Slices) -> Element:
+def _slice(of: Sample, s: Slice, found: Slices) -> Element:
     parts = []
     for verdict in VERDICTS:
         count = s.counts.get(verdict, 0)
         if not count:
             continue
         told = f"{verdict}: {count} of {s.n} ({s.verdicts[verdict].value:.1%})"
-        way = {} if s.query is None else searches(f"{s.query} verdict:{verdict}".strip())
+        way = {} if s.query is None else of.finds(f"{s.query} verdict:{verdict}")
         style = {"--c": hex_color(COLORS[verdict]), "width": f"{count / s.n:.2%}"}
         parts.append(h.i(css=style, title=told, **way, tabindex="-1", aria_hidden="true"))
     told = f"{s.name}: accuracy {s.set_correct.formatted()} over {found.unit}s"
     name: Child = s.name
     if s.query is not None:
-        name = h.button(s.name, cls="plain", title=f"{told}; search: {s.query}", **searches(s.query))
+        name = h.button(s.name, cls="plain", title=f"{told}; search: {s.query}", **of.finds(s.query))
     return h.tr(
         h.th(name, cls="w", scope="row"),
         h.td(s.n, cls="n dim"),
@@ -293,14 +309,14 @@ def _slice(s: Slice, found: Slices) -> Element:
     )
 
 
-def confusion_html(figures: RunFigures) -> Element:
+def confusion_html(of: Sample) -> Element:
     """Confusion of asked and answered relations, as a heat map."""
-    found = figures.confusion
+    found = of.figures.confusion
     if isinstance(found, str):
         return panel(heading("Relations"), note(found))
     shown = [k for k, name in enumerate(found.columns) if name not in OTHERS or found.counts[:, k].any()]
     heads = (h.th(h.span(_phrase(found.columns[k])), scope="col", title=_phrase(found.columns[k])) for k in shown)
-    body = (_line(found, r, shown) for r in range(len(found.rows)) if found.counts[r].any())
+    body = (_line(of, found, r, shown) for r in range(len(found.rows)) if found.counts[r].any())
     return panel(
         heading("Relations", "asked ↓ · the answer stands in →"),
         h.div(h.table(h.tr(h.td(), heads), body), cls="cmx"),
@@ -317,7 +333,7 @@ def _phrase(name: str) -> str:
     return str(PHRASE.get(name, name))
 
 
-def _line(found: Confusion, r: int, shown: list[int]) -> Element:
+def _line(of: Sample, found: Confusion, r: int, shown: list[int]) -> Element:
     total = max(1, int(np.sum(found.counts[r])))
     row, cells = found.rows[r], []
     for k in shown:
@@ -327,9 +343,9 @@ def _line(found: Confusion, r: int, shown: list[int]) -> Element:
             continue
         kind = "g" if name == row else "q" if name in OTHERS and name != NO_ANSWER else "b"
         told = f"asked {_phrase(row)}, stands in {_phrase(name)}: {count} of {total} ({count / total:.1%})"
-        press = h.button(_few(count), title=told, **searches(f"relation:{row} {STANDS_IN}={quote(name)}"))
+        press = h.button(_few(count), title=told, **of.finds(f"relation:{row} {STANDS_IN}={quote(name)}"))
         cells.append(h.td(press, cls=f"c {kind}", css={"--a": f"{0.12 + 0.8 * count / total:.2f}"}))
-    ask = h.button(_phrase(row), cls="plain", **searches(f"relation:{row}"))
+    ask = h.button(_phrase(row), cls="plain", **of.finds(f"relation:{row}"))
     return h.tr(h.th(ask, cls="a", scope="row"), cells)
 
 

@@ -95,7 +95,7 @@ class FramePictures(BackgroundPictures):
 
 STROKES: dict[Drawn, tuple[RGB, Stroke]] = {
     "answered target": (ON_DARK["target"], "thick"),
-    "wrong target": ((236, 72, 78), "thick"),
+    "wrong target": (ON_DARK["target"], "thick"),
     "answered reference": (ON_DARK["reference"], "thin"),
     "labelled": (ON_DARK["truth"], "dashed"),
     "second run": (ON_DARK["edited"], "dashed"),
@@ -125,7 +125,9 @@ class RunPictures:
         return found
 
     def _made(self, number: int, row: Mapping[str, Any]) -> str:
-        outlines = [Outline(box, *STROKES[what]) for what, box in self._figures.boxes(number, row)]
+        outlines = [
+            Outline(box, *STROKES[what], what == "wrong target") for what, box in self._figures.boxes(number, row)
+        ]
         try:
             return jpeg_url(answer_crop(self._figures.colors(row["frame"]), outlines), 80)
         except InputError:

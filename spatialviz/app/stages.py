@@ -13,7 +13,7 @@ from pipeline.answering.ranking import Candidates
 from pipeline.diagnosis.answer import Stage, failed_stages, parse_notes, stages_of, unasked_stages
 from pipeline.diagnosis.minimal_repair import threshold
 from pipeline.diagnosis.verdict import Diagnosis
-from pipeline.geometry.palette import VERDICTS, hex_color, palette
+from pipeline.geometry.palette import hex_color, palette
 from pipeline.language.lexicon import wording
 from pipeline.language.tree import Attachment, Node, Span
 from spatialviz.app.answer import verdict_evidence
@@ -249,12 +249,12 @@ def _against(state: State) -> list[Child]:
     config = d.evidence.answers.source.config.rank
     weights = {"target": config.target_weight, "reference": config.reference_weight, "relation": config.relation_weight}
     shares = {name: weights.get(name, 1.0) * share for name, share in (d.contributions or {}).items()}
-    scale = max(1e-9, *(abs(v) for v in shares.values()))
+    scale, colors = max(1e-9, *(abs(v) for v in shares.values())), palette(state.dark)
     needed = {n.factor: n.right_above for n in d.needed}
     rows = []
     for name, share in shares.items():
         above, right = needed.get(name), getattr(d.right, f"p_{name}")
-        css = {"--c": hex_color(VERDICTS["SRM" if share > 0 else "CORRECT"]), "width": f"{abs(share) / scale / 2:.1%}"}
+        css = {"--c": hex_color(colors["bad" if share > 0 else "truth"]), "width": f"{abs(share) / scale / 2:.1%}"}
         wanted = None if above is None else h.div(f"> {threshold(above, right)[0]}", cls="dim", title=hint_of("needed"))
         rows.append(
             h.tr(

@@ -19,7 +19,7 @@ from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.evaluation.plots import LOSS_COLORS
 from pipeline.evaluation.run_folder import Failure, Failures, Run
 from pipeline.evaluation.summary import cost_words, summarise_run
-from pipeline.geometry.palette import ON_LIGHT, VERDICTS, hex_color, ink
+from pipeline.geometry.palette import ON_LIGHT, VERDICTS, hex_color
 from pipeline.language.counted import counted
 from pipeline.metrics.intervals import Estimate
 from pipeline.system.errors import InputError, MissingExtra
@@ -181,8 +181,8 @@ def _bar(share: float, color: str) -> Element:
 
 
 def _chip(verdict: str, text: str) -> Element:
-    color = _COLORS[verdict]
-    return element("b", text, style=f"background:{color};color:{ink(color)};padding:0 0.4em;margin-left:0.5em")
+    stripe = f"border-left:3px solid {_COLORS[verdict]}"
+    return element("span", text, style=f"{stripe};background:rgba(128,128,128,0.18);padding:0 0.4em;margin-left:0.5em")
 
 
 def _figures(name: str, rows: Sequence[dict[str, str | float]]) -> Element:

@@ -199,6 +199,8 @@ LEAST = 0.3
 """How much of a frame's width a picture shows at least."""
 GROUND = (14, 16, 20)
 Stroke = Literal["thick", "thin", "dashed"]
+CROSS = 8
+"""Half the size of a ✕, pixels of the crop."""
 
 
 @dataclass(frozen=True)
@@ -208,6 +210,7 @@ class Outline:
     box: np.ndarray  # (4,) float64: x0, y0, x1, y1, pixels of the frame
     color: RGB
     style: Stroke = "thick"  # "thick", "thin" or "dashed": colours are doubled by it
+    crossed: bool = False  # With a red ✕ at its corner: of what is wrong
 
 
 def answer_crop(rgb: np.ndarray, outlines: Sequence[Outline], size: tuple[int, int] = (360, 270)) -> np.ndarray:
@@ -239,4 +242,9 @@ def answer_crop(rgb: np.ndarray, outlines: Sequence[Outline], size: tuple[int, i
         wide = 3 if outline.style == "thick" else 2
         for color, thick in (((0, 0, 0), wide + 2), (outline.color, wide)):
             cv2.polylines(image, list(lines), False, color, thick, cv2.LINE_AA)
+        if outline.crossed:
+            at = np.clip([x1, y0], CROSS + 4, np.array(size) - CROSS - 4)
+            cv2.circle(image, tuple(np.round(at).astype(int).tolist()), CROSS + 4, GROUND, -1, cv2.LINE_AA)
+            arms = (at + CROSS * np.array([[[-1, -1], [1, 1]], [[-1, 1], [1, -1]]]) * 0.6).round().astype(np.int32)
+            cv2.polylines(image, list(arms), False, ON_DARK["bad"], 3, cv2.LINE_AA)
     return image

@@ -16,10 +16,11 @@ from hypothesis import strategies as st
 from run_records import random_records
 
 from pipeline.datasets import demo_run
-from pipeline.evaluation import CHANGES, RunRows, compare, find_failures, find_rows, with_value
-from pipeline.evaluation.browsing import facets_of
+from pipeline.evaluation import CHANGES, RunRows, compare, find_failures, find_rows, open_run, with_value
+from pipeline.evaluation.browsing import examples, facets_of
 from pipeline.evaluation.comparing import changes, with_second
 from pipeline.evaluation.run_notes import FILE, keep_filter, mark, notes_path, read_notes
+from pipeline.evaluation.search import narrowed
 from pipeline.system import InputError
 
 
@@ -216,3 +217,31 @@ def test_rows_are_read_by_range_in_the_order_of_the_search(tmp_path: Path) -> No
     assert number == found[0]
     assert rows.number("no", "such") is None
     assert {"change", "second_verdict", "second_said", "marks"} <= row.keys()
+
+
+def test_columns_that_say_nothing_are_not_shown(tmp_path: Path) -> None:
+    run = open_run(demo_run())
+    rows = RunRows(run.records, tmp_path)
+    names = ("text", "margin", "frame", "marks", "second_verdict")
+    unmatched = rows.find("margin:none")
+    assert rows.filled(unmatched, names) == ["text", "frame"]
+    rows.mark(unmatched[:1].tolist(), "odd")
+    assert rows.filled(unmatched, names) == ["text", "frame", "marks"]
+    assert rows.filled(np.arange(run.records.num_rows), names) == ["text", "margin", "frame", "marks"]
+    assert rows.widest_frame == len("000001/000000")
+
+
+def test_terms_to_try_find_something() -> None:
+    run = open_run(demo_run())
+    tried = examples(facets_of(run.records))
+    assert len(tried) == 5
+    for term in tried:
+        assert len(find_rows(run.records, term)), term
+        assert with_value(with_value("-right", term, run.records.schema), term, run.records.schema) == "-right"
+
+
+@pytest.mark.parametrize(("query", "more"), [("", "lucky"), ("class:mug -right", "-right lucky"), ('"a b"', "x:none")])
+def test_a_narrowed_search_says_nothing_twice(query: str, more: str) -> None:
+    found = narrowed(query, more).split()
+    assert len(found) == len(set(found))
+    assert set(f"{query} {more}".split()) == set(found)

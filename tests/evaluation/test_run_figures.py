@@ -70,3 +70,38 @@ def test_a_row_has_its_answers_boxes_and_the_labelled_ones_where_it_is_wrong(fig
     assert seen == {"labelled", "answered reference", "answered target", "wrong target"}
     frame = rows[0]["frame"]
     assert figures.colors(frame) is figures.colors(frame)
+
+
+def test_figures_of_what_a_search_finds_are_those_of_its_rows(run: Run, figures: RunFigures) -> None:
+    found = figures.rows.find("class:laptop,mug sort:-margin")
+    part = figures.of(found)
+    assert part is figures.of(found[::-1])
+    assert figures.of(np.arange(run.records.num_rows)) is figures
+    assert isinstance(part.summary, RunSummary)
+    assert part.summary.expressions == len(found) < run.records.num_rows
+    rows = figures.rows.read(found)
+    for verdict, share in part.summary.verdicts.items():
+        assert share.count == sum(row["verdict"] == verdict for row in rows)
+    cut, whole = part.slices("relation"), figures.slices("relation")
+    assert isinstance(cut, Slices)
+    assert isinstance(whole, Slices)
+    assert sum(s.n for s in cut.slices) == len(found)
+    assert sum(s.n for s in whole.slices) == run.records.num_rows
+    confusion = part.confusion
+    assert not isinstance(confusion, str)
+    assert int(confusion.counts.sum()) == len(found)
+    assert isinstance(figures.of(np.zeros(0, np.int64)).summary, str)
+
+
+def test_a_second_run_is_compared_on_what_is_found(run: Run) -> None:
+    other = copy(run)
+    vars(other)["records"] = run.records.slice(200)
+    figures = RunFigures(run, other)
+    found = np.arange(150, 260)
+    part = figures.of(found).comparison
+    assert part is not None
+    assert not isinstance(part, str)
+    assert (part.shared, part.only_before, part.only_after) == (60, 50, 0)
+    assert part.changes["same"] == 60
+    assert sum(part.changes.values()) == 60
+    assert isinstance(figures.of(np.arange(20)).comparison, str)

@@ -9,10 +9,12 @@ import pytest
 
 from pipeline.geometry import RGB, depth_colors, hex_color, ink
 from pipeline.geometry.lifting import Pixel
-from pipeline.geometry.palette import DROPPED, LIGHTNESS, ON_DARK, SATURATION, dimmed, palette
+from pipeline.geometry.palette import DROPPED, LIGHTNESS, ON_DARK, SATURATION, VERDICTS, dimmed, palette
 
 LEAST = 19.0
 """Of the distances in CIE Lab (CIE76): some eight times what two patches that touch need to be told apart."""
+HUES = {"as it is": 19.0, "without L cones": 10.0, "without M cones": 10.0, "without S cones": 10.0}
+"""Least CIEDE2000 between the hue of a verdict and any other, or a role."""
 SEEN = {
     "as it is": np.eye(3),
     "without L cones": [
@@ -45,6 +47,24 @@ def lab(rgb: np.ndarray) -> np.ndarray:
     x = XYZ @ np.clip(rgb, 0, 1) / WHITE
     x, y, z = np.where(x > 0.008856, np.cbrt(x), 7.787 * x + 16 / 116)
     return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
+
+
+def ciede2000(one: np.ndarray, other: np.ndarray) -> float:
+    """Distance of two colours in CIE Lab, as in Sharma, Wu and Dalal (2005)."""
+    (l1, a1, b1), (l2, a2, b2) = one, other
+    chroma = (np.hypot(a1, b1) + np.hypot(a2, b2)) / 2
+    stretch = 1.5 - 0.5 * np.sqrt(chroma**7 / (chroma**7 + 25**7))
+    c1, c2 = np.hypot(a1 * stretch, b1), np.hypot(a2 * stretch, b2)
+    h1, h2 = (np.degrees(np.arctan2(b, a * stretch)) % 360 for a, b in ((a1, b1), (a2, b2)))
+    turn = (h2 - h1 + 180) % 360 - 180 if c1 * c2 else 0.0
+    hue, c, light = (h1 + turn / 2) % 360 if c1 * c2 else h1 + h2, (c1 + c2) / 2, ((l1 + l2) / 2 - 50) ** 2
+    waves = ((-0.17, 1, -30), (0.24, 2, 0), (0.32, 3, 6), (-0.2, 4, -63))
+    tone = 1 + sum(w * np.cos(np.radians(k * hue + by)) for w, k, by in waves)
+    dl = (l2 - l1) / (1 + 0.015 * light / np.sqrt(20 + light))
+    dc = (c2 - c1) / (1 + 0.045 * c)
+    dh = 2 * np.sqrt(c1 * c2) * np.sin(np.radians(turn / 2)) / (1 + 0.015 * c * tone)
+    bend = np.sin(np.radians(60 * np.exp(-(((hue - 275) / 25) ** 2)))) * 2 * np.sqrt(c**7 / (c**7 + 25**7))
+    return float(np.sqrt(dl**2 + dc**2 + dh**2 - bend * dc * dh))
 
 
 def luminance(color: RGB) -> float:
@@ -81,7 +101,7 @@ def test_a_name_is_read_on_the_colour_of_its_role(dark):
         assert inks[ink(hex_color(color))] == max(inks.values()) >= 4.5
 
 
-DEPTH_APART = 41.0
+DEPTH_APART = 40.0
 """CIE76 between any colour of depth and those of a target, a reference, a labelled and an edited box."""
 
 
@@ -112,3 +132,27 @@ def test_what_is_beside_the_point_is_dimmed() -> None:
     luma = np.array([0.2126, 0.7152, 0.0722])
     assert after @ luma == pytest.approx(LIGHTNESS * (before @ luma), abs=1)
     assert after.max() - after.min() == pytest.approx(LIGHTNESS * SATURATION * (before.max() - before.min()), abs=1)
+
+
+@pytest.mark.parametrize("seen", SEEN)
+def test_a_verdict_is_no_role_and_no_other_verdict(seen):
+    roles = {role: ON_DARK[role] for role in ("target", "reference", "truth", "bad")}
+    colors = {name: lab(np.array(SEEN[seen]) @ linear(color)) for name, color in (roles | VERDICTS).items()}
+    pairs = [p for p in combinations(colors, 2) if p[1] in VERDICTS]
+    apart = {pair: ciede2000(colors[pair[0]], colors[pair[1]]) for pair in pairs}
+    nearest = min(apart, key=lambda pair: apart[pair])
+    assert apart[nearest] >= HUES[seen], (nearest, apart[nearest])
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "apart"),
+    [
+        ((50, 2.6772, -79.7751), (50, 0, -82.7485), 2.0425),
+        ((50, -1.3802, -84.2814), (50, 0, -82.7485), 1.0),
+        ((50, 2.5, 0), (73, 25, -18), 27.1492),
+        ((2.0776, 0.0795, -1.135), (0.9033, -0.0636, -0.5514), 0.9082),
+        ((60.2574, -34.0099, 36.2677), (60.4626, -34.1751, 39.4387), 1.2644),
+    ],
+)
+def test_distances_are_those_of_the_published_table(one, other, apart):
+    assert ciede2000(np.array(one), np.array(other)) == pytest.approx(apart, abs=1e-4)

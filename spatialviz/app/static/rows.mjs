@@ -6,7 +6,7 @@ one that leaves the sight is removed. The list has the focus as one; `aria-activ
 
 import {byId, calls, fields, locals, make, send, typing} from './core.mjs';
 
-const KEPT = 800, GAP = 12, CARD = 216, TEXT = 92, LINE = 52, HEAD = 32;
+const KEPT = 800, GAP = 12, CARD = 216, TEXT = 104, LINE = 52, HEAD = 32;
 const list = byId('rows'), space = list.appendChild(document.createElement('div'));
 space.className = 'space';
 
@@ -123,7 +123,7 @@ function clear() {
   asked = '';
 }
 
-calls.found = ({version: now, total: count, view: kind, head: heads, place, label}) => {
+calls.found = ({version: now, total: count, view: kind, head: heads, frame: letters, place, label}) => {
   const again = now !== version;
   clear();
   [version, total, view] = [now, count, kind];
@@ -133,6 +133,7 @@ calls.found = ({version: now, total: count, view: kind, head: heads, place, labe
   for (const name of ['aria-rowcount', 'aria-colcount']) list.removeAttribute(name);
   const marked = again ? place !== null : list.classList.contains('marked');
   list.className = kind;
+  list.style.setProperty('--frame', `${Math.min(letters, 24)}ch`);
   list.classList.toggle('marked', marked);
   space.setAttribute('role', table() ? 'rowgroup' : 'presentation');
   list.querySelector('.columns')?.remove();
