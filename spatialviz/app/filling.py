@@ -1,44 +1,127 @@
-"""Update of every region of the page from a state."""
+"""Regions of the page, each drawn anew only after a change of what it reads of the state."""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 
 from pipeline.datasets.base import has_moves, moves
 from spatialviz.app import answer, picture, sentences, stage_objects, stages, toolbar
 from spatialviz.app.context import Context
+from spatialviz.app.markup import Child
+from spatialviz.app.state import State
 
 
-def fill_page(ctx: Context) -> None:
-    """Fill all regions at once; unchanged content sends nothing."""
-    page, state, shared, dataset = ctx.page, ctx.state, ctx.shared, ctx.source.dataset
-    page.call("theme", "dark" if state.dark else "light")
-    page.call("task", state.task)
-    page.call("working", "")
+@dataclass(frozen=True)
+class Region:
+    """Region of static/index.html."""
+
+    name: str
+    reads: str  # Fields of `State`, apart by spaces
+    draw: Callable[[Context, State], Child]
+    wanted: Callable[[State], bool] = lambda _: True  # Else it is empty, and reads nothing
+
+
+ASKED = "loaded problem text trace found error stopped judged edits edited other pair"
+"""An answer, and the pair that is looked at."""
+
+
+def _suggestions(_: Context, state: State) -> Child:
     asked = (state.trace is not None or state.labels is not None) and not state.error
-    regions = {
-        "where": toolbar.where_html(state, tuple(shared.store.sources), dataset.frame_ids),
-        "moves": toolbar.moves_html(moves(dataset, state.frame_id)) if has_moves(dataset) else None,
-        "suggestions": None if asked else toolbar.suggestions_html(state, state.offers.questions),
-        "tasks": toolbar.tasks_html(state, bool(shared.journals)),
-        "scene-tools": toolbar.scene_tools_html(state),
-        "scene-buttons": toolbar.scene_buttons_html(state),
-        "legend": picture.legend_html(state),
-        "objects": picture.objects_html(state, state.loaded) if state.loaded else None,
-        "image": picture.image_html(state),
-        "object": stage_objects.object_html(state) if state.labels is None else None,
-        "log": picture.log_html(ctx.log),
-    }
-    with page.together():
-        page.fill(regions)
-        fill_answer(ctx)
+    return None if asked else toolbar.suggestions_html(state, state.offers.questions)
 
 
-def fill_answer(ctx: Context) -> None:
-    """Fill the regions following a dragged box."""
-    state, view = ctx.state, ctx.state.labels
-    regions = {
-        "answer": sentences.sentence_html(state, view) if view else answer.answer_html(state, ctx.can_ask),
-        "stages": None if view else stages.stages_html(state, state.stage),
-        "expressions": sentences.expressions_html(view) if view else None,
-        "history": sentences.history_html(view) if view else None,
-    }
-    ctx.page.fill(regions)
+def _where(ctx: Context, state: State) -> Child:
+    return toolbar.where_html(state, tuple(ctx.shared.store.sources), ctx.source.dataset.frame_ids)
+
+
+def _moves(ctx: Context, state: State) -> Child:
+    dataset = ctx.source.dataset
+    return toolbar.moves_html(moves(dataset, state.frame_id)) if has_moves(dataset) else None
+
+
+REGIONS = (
+    Region("where", "source frame_id", _where),
+    Region("moves", "source frame_id", _moves),
+    Region("suggestions", "loaded trace labels error offers text", _suggestions),
+    Region("tasks", "labels evaluating", lambda ctx, state: toolbar.tasks_html(state, bool(ctx.shared.journals))),
+    Region("scene-tools", "loaded flags colors camera point_size", lambda _, state: toolbar.scene_tools_html(state)),
+    Region("scene-buttons", "found trace pair picking", lambda _, state: toolbar.scene_buttons_html(state)),
+    Region("legend", f"{ASKED} colors flags dark labels", lambda _, state: picture.legend_html(state)),
+    Region(
+        "objects",
+        "loaded trace found pair dark",
+        lambda _, state: None if state.loaded is None else picture.objects_html(state, state.loaded),
+        lambda state: state.drawer == "Objects",
+    ),
+    Region(
+        "object",
+        "found trace pair selected dark",
+        lambda _, state: stage_objects.object_html(state),
+        lambda state: state.drawer == "Objects" and state.labels is None,
+    ),
+    Region("log", "", lambda ctx, _: picture.log_html(ctx.log), lambda state: state.drawer == "Log"),
+    Region("image", f"{ASKED} labels selected colors flags dark marks", lambda _, state: picture.image_html(state)),
+)
+FOLLOWING = (
+    Region(
+        "answer",
+        f"{ASKED} offers listing labels dark picking source frame_id",
+        lambda ctx, state: answer.answer_html(state, ctx.can_ask),
+    ),
+    Region(
+        "stages",
+        f"{ASKED} stage flags dark",
+        lambda _, state: stages.stages_html(state, state.stage),
+    ),
+)
+"""Regions following a dragged box."""
+LABELLED = (
+    Region("answer", "labels loaded picking", lambda _, s: sentences.sentence_html(s, s.labels) if s.labels else None),
+    Region("expressions", "labels", lambda _, s: sentences.expressions_html(s.labels) if s.labels else None),
+    Region("history", "labels", lambda _, s: sentences.history_html(s.labels) if s.labels else None),
+)
+
+
+class Filling:
+    """Keeps the regions of a page up to its state."""
+
+    def __init__(self, ctx: Context) -> None:
+        self._ctx = ctx
+        self._drawn: dict[str, tuple[object, ...]] = {}
+
+    def fill(self) -> None:
+        """Fill all regions after a change."""
+        page, state = self._ctx.page, self._ctx.state
+        page.call("theme", "dark" if state.dark else "light")
+        page.call("task", state.task)
+        page.call("working", "")
+        with page.together():
+            self._fill((*REGIONS, *(LABELLED if state.labels else FOLLOWING)))
+        page.call("selected", {"object": state.selected, "pair": self._rank(state)})
+
+    def follow(self) -> None:
+        """Fill the regions following a dragged box."""
+        self._fill(FOLLOWING)
+
+    def _rank(self, state: State) -> int | None:
+        return next((k for k, pair in enumerate(state.ranked) if state.at(pair) == state.pair), None)
+
+    def _fill(self, regions: Iterable[Region]) -> None:
+        state = self._ctx.state
+        for region in regions:
+            wanted = region.wanted(state)
+            read = [getattr(state, name) for name in region.reads.split()] if wanted else []
+            key = (region, wanted, self._ctx.log if wanted and region.name == "log" else None, *read)
+            before = self._drawn.get(region.name)
+            if before is None or len(before) != len(key) or not all(map(_same, before, key)):
+                self._drawn[region.name] = key
+                self._ctx.page.show(region.name, region.draw(self._ctx, state) if wanted else None)
+
+
+SIMPLE = (str, int, float, bool, tuple)
+"""Types of fields that are compared; others are the same only as one object."""
+
+
+def _same(one: object, other: object) -> bool:
+    return one is other or (isinstance(one, SIMPLE) and isinstance(other, SIMPLE) and one == other)

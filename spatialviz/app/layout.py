@@ -16,6 +16,7 @@ KEPT_CALLS = (
     "plan",
     "tags",
     "objects",
+    "selected",
     "keys",
     "theme",
     "task",

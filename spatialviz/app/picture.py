@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Iterator, Sequence
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -25,11 +27,10 @@ from pipeline.geometry.palette import (
     instance_colors,
     palette,
 )
-from spatialviz.app.frames import jpeg_url, png_url, thumb_url
+from spatialviz.app.frames import IMAGES, jpeg_url, png_url, thumb_url
 from spatialviz.app.markup import (
     Child,
     Element,
-    chosen,
     detector_score,
     dot,
     h,
@@ -51,16 +52,11 @@ def image_html(state: State) -> Element:
     if state.loaded is None:
         return panel(note(state.problem or "no frame"), cls="picture")
     frame = state.loaded.context.frame
-    if state.colors == "rgb":
-        picture = tinted(frame.rgb, state.shown.objects, state.roles)
-    else:
-        picture = frame_colors(state.colors, frame, state.loaded.objects, state.roles, state.dark)
-    step = max(1, round(frame.width / IMAGE_WIDTH))
     alt = (f"frame {frame.id}", *(f"{role} {state.shown.names[i]}" for i, role in state.roles.items()))
     return panel(
         None if state.labels is None else pixel_row_html(state),
         h.div(
-            h.img(src=jpeg_url(picture[::step, ::step]), alt=", ".join(alt), draggable="false", id="photo"),
+            h.img(src=_photo_url(state, state.loaded), alt=", ".join(alt), draggable="false", id="photo"),
             _svg(frame, _quiet_boxes(state, frame.width / 360), "boxes"),
             _svg(frame, _ghost_marks(state, frame), "ghosts"),
             _svg(frame, overlay_marks(state), "overlay"),
@@ -79,6 +75,32 @@ def image_html(state: State) -> Element:
         depth_bar(state),
         cls="picture",
     )
+
+
+PHOTOS = 8
+_photos: OrderedDict[tuple[object, ...], tuple[object, str]] = OrderedDict()
+_photos_lock = Lock()
+
+
+def _photo_url(state: State, loaded: LoadedFrame) -> str:
+    """Address of the frame's picture in the chosen colours; the last few are not made again."""
+    frame, masks = loaded.context.frame, [state.shown.objects[i].mask for i in state.roles]
+    key = (id(loaded), state.colors, state.dark, *state.roles.items(), *map(id, masks))
+    with _photos_lock:
+        # What the key names is kept with the address.
+        _, url = _photos.get(key, (None, ""))
+    if not url or IMAGES.get(url.rpartition("/")[2]) is None:
+        if state.colors == "rgb":
+            picture = tinted(frame.rgb, state.shown.objects, state.roles)
+        else:
+            picture = frame_colors(state.colors, frame, loaded.objects, state.roles, state.dark)
+        step = max(1, round(frame.width / IMAGE_WIDTH))
+        url = jpeg_url(picture[::step, ::step])
+        with _photos_lock:
+            _photos[key] = ((loaded, masks), url)
+            while len(_photos) > PHOTOS:
+                _photos.popitem(last=False)
+    return url
 
 
 def _svg(frame: Frame, marks: Child, name: str) -> Element:
@@ -263,7 +285,7 @@ def _row(state: State, i: int) -> Element:
         id=f"object-{i}",
         do=f"object:{i}",
         hover=f"hover:{i}",
-        **chosen(i == state.selected, "r"),
+        cls="r",
     )
 
 

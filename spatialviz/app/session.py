@@ -69,6 +69,7 @@ class PageSession(Part):
         self._begun = self._correcting = False
         self._pushed: Place | None = None
         self._turning: asyncio.TimerHandle | None = None
+        self._filling = filling.Filling(ctx)
         self._judge = Judge(shared.runs, shared.labels, shared.others, ctx.editors.corrected)
         ctx.client.camera.on_update(self._turned)
         self._selection = Selection(ctx, self.reopen)
@@ -239,6 +240,11 @@ class PageSession(Part):
     def _open_stage(self, name: str) -> None:
         """Toggle the evidence of a module."""
         self.ctx.show(stage="-" if opened(self.state) == name else name)
+
+    @command("drawer")
+    def _open_drawer(self, name: str) -> None:
+        """Fill a tab of the drawer, or none."""
+        self.ctx.show(drawer=name)
 
     @command("task")
     def _turn_to(self, task: str) -> None:
@@ -412,7 +418,7 @@ class PageSession(Part):
         """Draw the page for the state; `live`, only the parts following a drag."""
         if live:
             with self.ctx.page.together():
-                filling.fill_answer(self.ctx)
+                self._filling.follow()
                 self._draw_scene(live=True)
                 self.ctx.page.call("overlay", "".join(mark.html for mark in overlay_marks(self.state)))
             return
@@ -424,7 +430,7 @@ class PageSession(Part):
             self._correcting, self.state = correcting, replace(self.state, mode="off")
             # Questions belong to answers, not to labels.
             self.ctx.page.call("question", "" if correcting else self.state.text)
-        filling.fill_page(self.ctx)
+        self._filling.fill()
         self._runs.follow()
         self._labels.follow()
         self._browse.follow()

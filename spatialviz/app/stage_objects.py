@@ -22,7 +22,6 @@ from spatialviz.app.markup import (
     Child,
     Element,
     button,
-    chosen,
     detector_score,
     dot,
     h,
@@ -74,7 +73,7 @@ def _candidates(state: State, judged: Diagnosis | None, name: str, found: Candid
                 id=f"candidate-{name}-{i}",
                 do=f"object:{place}",
                 hover=f"hover:{place}",
-                **chosen(place == state.selected, "r"),
+                cls="r",
             )
         )
     if judged is not None and judged.missed is not None and judged.missed_name == name:
@@ -106,7 +105,7 @@ def _missed(missed: Missed, name: str) -> str:
 
 
 def lift_evidence(state: State, trace: Trace) -> list[Child]:
-    """Objects of the chosen pair, and the selected object; remarks on an assumed up or estimated depth."""
+    """Objects of the chosen pair; remarks on an assumed up or estimated depth."""
     doubt = "" if state.loaded is None else state.loaded.doubt
     said = (
         (trace.viewer.up_source == "assumed", "The up vector is assumed."),
@@ -115,7 +114,7 @@ def lift_evidence(state: State, trace: Trace) -> list[Child]:
         (doubt, f"{doubt[:1].upper()}{doubt[1:]}"),
     )
     doubts: list[Child] = [note(text) for holds, text in said if holds]
-    places = dict.fromkeys((*(state.pair or ()), *(() if state.selected is None else (state.selected,))))
+    places = dict.fromkeys(state.pair or ())
     return [*doubts, *(_own(state, i) for i in places)] if places else [*doubts, h.p("No object is chosen.", cls="dim")]
 
 

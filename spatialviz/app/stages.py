@@ -17,7 +17,7 @@ from pipeline.geometry.palette import hex_color, palette
 from pipeline.language.lexicon import wording
 from pipeline.language.tree import Attachment, Node, Span
 from spatialviz.app.answer import verdict_evidence
-from spatialviz.app.markup import Child, Element, cell, chosen, h, hint_of, joined, named, term, was, with_terms
+from spatialviz.app.markup import Child, Element, cell, h, hint_of, joined, named, term, was, with_terms
 from spatialviz.app.stage_objects import attributes_evidence, candidates_evidence, lift_evidence, relations_evidence
 from spatialviz.app.state import State
 
@@ -237,7 +237,7 @@ def _row(state: State, i: int, pair: ScoredPair, fit: bool) -> Element:
         id=f"pair-{i}",
         do=f"pair:{i}",
         hover="hover:" + ",".join(map(str, dict.fromkeys(state.at(pair)))),
-        **chosen(state.at(pair) == state.pair, "r"),
+        cls="r",
     )
 
 
@@ -327,8 +327,8 @@ def _pair_cell(state: State, rank: int | None, accepted: bool) -> Element:
     if rank is None:
         return h.td("·", cls="no", title="one and the same thing")
     pair = state.ranked[rank]
-    is_chosen, p = state.at(pair)[:2] == (state.pair or ())[:2], pair.p_relation
-    marks = ("c", "sel" if is_chosen else "", "ok" if accepted else "", "top" if rank == 0 else "")
+    p = pair.p_relation
+    marks = ("c", "ok" if accepted else "", "top" if rank == 0 else "")
     return h.td(
         "1" if p >= 0.995 else f"{p:.2f}"[1:],
         cls=" ".join(filter(None, marks)),

@@ -161,6 +161,7 @@ class State(AnswerView):
     point_size: float = 1.0  # Factor of the cloud's points
     evaluating: bool = False  # True while the run is shown, not an answer
     stage: str = ""  # Module with open evidence; "" by the answer, "-" for none
+    drawer: str = ""  # Open tab of the drawer
 
     @property
     def task(self) -> Task:

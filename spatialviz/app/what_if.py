@@ -338,8 +338,12 @@ class WhatIf(Part):
         self._gizmo.show(None if box is None else self.ctx.scene.shown_box(box), state.mode)
         self._draw_scene(state)
         # Without objects there is nothing to edit.
-        self.ctx.page.show("cost", cost_html(state, len(self._undo)) if state.shown.objects else None)
+        shown = state.drawer == "Edit" and bool(state.shown.objects)
+        self.ctx.page.show("cost", cost_html(state, len(self._undo)) if shown else None)
         if not live:
+            if not shown:
+                self.ctx.page.show("edit")
+                return
             hidden = selected is not None and f"#{state.shown.objects[selected].id}" in state.edits.hidden
             trace, editable = state.trace, candidate or hidden
             self.ctx.page.show("edit", None if trace is None else edit_html(state, trace, self.ctx.source, editable))

@@ -75,6 +75,26 @@ export const make = html => woken(parsed(html).firstElementChild);
 
 const parsed = html => { const t = document.createElement('template'); t.innerHTML = html; return t.content; };
 
+// ---- what is selected is marked wherever a row stands for it: the server draws nothing anew
+
+let selected = {};
+const mark = () => {
+  for (const e of document.querySelectorAll('[data-marked]')) { e.classList.remove('sel'); e.removeAttribute('aria-current'); delete e.dataset.marked; }
+  for (const [kind, at] of Object.entries(selected)) {
+    if (at === null) continue;
+    for (const e of document.querySelectorAll(`[data-do="${kind}:${at}"]`)) {
+      e.dataset.marked = '';
+      e.classList.add('sel');
+      e.setAttribute('aria-current', 'true');
+    }
+  }
+};
+calls.selected = now => {
+  selected = now;
+  mark();
+  document.querySelector('#stages tr[data-marked]')?.scrollIntoView({block: 'nearest'});
+};
+
 export const patch = parts => {
   for (const [id, html] of parts) {
     const old = byId(id), made = parsed(html).firstElementChild;
@@ -85,6 +105,7 @@ export const patch = parts => {
     // The item that is judged stays in sight, above the queue that it is from.
     if (now && now !== shown && !now.closest('#review-list')) now.scrollIntoView({block: 'nearest'});
   }
+  mark();
 };
 
 // Puts HTML into an element in place of what it holds.

@@ -175,7 +175,7 @@ const pressed = e => {
   }
   const name = named(e), large = byId('stage').dataset.max, menu = document.querySelector('.menu[open]');
   if (name === 'Escape' && menu) { shut(menu); return; }
-  if (name === 'Escape') byId('drawer').classList.add('closed');
+  if (name === 'Escape') shutDrawer();
   if (name === 'Escape' && large) locals.maximise(null, large);
   if (e.key === '/') { e.preventDefault(); byId('ask-text').focus(); byId('ask-text').select(); }
   else if (e.key === '?') { e.preventDefault(); send('help'); }
@@ -225,7 +225,7 @@ calls.task = name => {
   if (document.body.dataset.mode === name) return;
   document.body.dataset.mode = name;
   // What a task is about is open.
-  if (name === 'label') locals.tab(null, 'Edit'); else byId('drawer').classList.add('closed');
+  if (name === 'label') locals.tab(null, 'Edit'); else shutDrawer();
 };
 calls.author = name => { kept('author', name); };
 calls.toast = ({title, text, bad}) => {
@@ -254,7 +254,7 @@ calls.working = text => {
   working = setTimeout(() => { byId('working').textContent = text; }, text ? 150 : 0);
 };
 
-// A dialog is open while its region holds one; a tab stands while its panel holds something.
+// A dialog is open while its region holds one.
 let before = null;
 const settle = () => {
   const dialog = byId('dialog-window');
@@ -266,11 +266,13 @@ const settle = () => {
     dialog.querySelector('[autofocus]')?.select?.();
   }
   if (!dialog && before) { before.focus?.(); before = null; }
-  for (const tab of byId('drawer-tabs').querySelectorAll('[role=tab]')) {
-    tab.hidden = !tab.getAttribute('aria-controls').split(' ').some(one => byId(one).childElementCount);
-  }
 };
 
+const shutDrawer = () => {
+  if (byId('drawer').classList.contains('closed')) return;
+  byId('drawer').classList.add('closed');
+  send('drawer:');
+};
 locals.tab = (_, name) => {
   if (!byId('drawer-tabs').querySelector(`[data-name="${CSS.escape(name)}"]`)) return;
   // What moves boxes goes with the tab that says so.
@@ -282,10 +284,11 @@ locals.tab = (_, name) => {
     for (const one of tab.getAttribute('aria-controls').split(' ')) byId(one).parentElement.hidden = !own;
   }
   byId('drawer').classList.remove('closed');
+  send('drawer:' + name);
 };
 locals.swap = () => byId('stage').toggleAttribute('data-swap');
 calls.tab = name => locals.tab(null, name);
-locals.drawer = () => byId('drawer').classList.toggle('closed');
+locals.drawer = shutDrawer;
 locals.maximise = (_, which) => {
   const stage = byId('stage');
   if (stage.dataset.max === which) delete stage.dataset.max; else stage.dataset.max = which;
