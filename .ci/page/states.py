@@ -44,7 +44,7 @@ def others(tab: Tab) -> Iterator[str]:
     """The same of the other tasks."""
     tab.click("task:evaluate")
     tab.see("#figures .falls")
-    tab.poll("document.querySelectorAll('#rows .card').length > 3")
+    tab.poll("document.querySelectorAll('#rows .tile').length > 3")
     yield "evaluate"
     tab.click("rows-view:table")
     tab.see("#rows [role=columnheader]", "verdict")

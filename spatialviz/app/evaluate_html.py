@@ -308,7 +308,7 @@ def row_html(row: Mapping[str, Any], view: str, columns: Sequence[str]) -> Eleme
             head,
             h.div(row["text"], cls="asked"),
             h.div(changed, verdict, second or h.span(row["frame"], cls="dim"), cls="says"),
-            cls="expr card",
+            cls="expr tile",
             role="option",
             title=_hint(row),
             aria_label=_label(row),
