@@ -115,7 +115,7 @@ def _cards(state: State) -> Element | None:
 
 
 def _card(state: State, card: Card, title: str) -> Element:
-    return h.div(h.h3(title), (_thing(state, card, thing) for thing in card.objects), cls=f"card of-{card.kind}")
+    return h.div(h.h3(title), (_thing(state, card, thing) for thing in card.objects), cls=f"pair-card of-{card.kind}")
 
 
 def _thing(state: State, card: Card, thing: CardObject) -> Element:
