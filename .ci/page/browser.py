@@ -119,7 +119,21 @@ class Tab:
 
     def drawer(self, name: str) -> None:
         """Open a tab of the drawer, by the name that its command has."""
+        if self.page.locator("#drawer.closed").count() and not self.page.locator("#drawer:visible").count():
+            self.see('#scene-buttons [data-local="tab:Objects"]').click()
         self.see(f'#drawer-tabs [data-local="tab:{name}"]').click()
+
+    @property
+    def answered(self) -> str:
+        """Names of the answer's card: "mug 3 · laptop 2"."""
+        return " · ".join(self.page.locator(".pair-card.of-answer .thing b").all_inner_texts())
+
+    def answers(self, target: str, reference: str = "") -> str:
+        """Wait until the answer's card has things of such names."""
+        for end, name in (("target", target), ("reference", reference)):
+            if name:
+                self.see(f".pair-card.of-answer .thing.{end}", name)
+        return self.answered
 
     def send(self, command: str) -> None:
         """Send a command as an element does that is clicked; for those that have none on the page now."""
