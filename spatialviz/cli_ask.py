@@ -80,6 +80,8 @@ class AskCommand(Output):
     the built-in demo, which `view` opens."""
     save: Path | None = None
     """Write the answer as a picture."""
+    try_mend: Annotated[Flag, arg(name="try")] = False
+    """Try what would make a wrong answer right; with --run also what a setting of its kind does to the whole run."""
     labels: Truth = None
 
 

@@ -26,7 +26,9 @@ from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.asking import ask_and_judge
 from pipeline.diagnosis.suggestions import SURE, MissedNames, missed_names
 from pipeline.diagnosis.verdict import shown_verdict
-from pipeline.evaluation.run_folder import open_run
+from pipeline.diagnosis.whatif.try_mend import try_mend
+from pipeline.evaluation.mend_counts import count_mends, mend_setting
+from pipeline.evaluation.run_folder import Run, open_run
 from pipeline.geometry.viewer import ViewerAxes, measure
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.counted import counted, listed
@@ -60,11 +62,16 @@ def run_ask(command: AskCommand) -> int:
         path=command.save,
     )
     answered = 0
-    pipeline, labels, known = _opened(command)
+    pipeline, labels, run = _opened(command)
+    known = {} if run is None else {"marks": run.spec.marks, "confidence": run.spec.confidence}
     for answer in ask_and_judge(pipeline, command.frame, command.expressions, labels, warn_skipped, **known):
         trace = answer.needed_trace()
         answered += answer.holds is True
-        command.write(answer.record(), print_answer, answer, trace)
+        tried = _tried(answer, run) if command.try_mend else {}
+        command.write(answer.record() | tried, print_answer, answer, trace)
+        if tried and not command.json:
+            over = tried["over_run"]
+            say_lines((f"Tried: {tried['tried']['said']}", *([f"Over the run: {over['said']}"] if over else [])))
         if trace.missing and command.frame != ALL_FRAMES and not command.json:
             print_overlooked(missed_names(pipeline, trace))
         if command.save is not None:
@@ -72,14 +79,14 @@ def run_ask(command: AskCommand) -> int:
     return FINE if answered else NO
 
 
-def _opened(command: AskCommand) -> tuple[Pipeline, Labels | None, dict[str, Any]]:
-    """Pipeline of a command, labels, and the marks and confidence of an asked run."""
+def _opened(command: AskCommand) -> tuple[Pipeline, Labels | None, Run | None]:
+    """Pipeline of a command, labels, and an asked run."""
     labels = None if command.labels is None else open_labels(command.labels)
     if command.run_folder is None:
         if command.dataset == DEMO_NAME and not command.json:
             by = "by the demo's annotations; " if command.source == SourceOptions() else ""
             say(f"{by}--run demo answers as `view` does", style="dim")
-        return command.source.open(command.dataset, command.frame, labels), labels, {}
+        return command.source.open(command.dataset, command.frame, labels), labels, None
     require(command.source == SourceOptions(), "--run brings its own detector and relation scorer")
     built_in = str(command.run_folder) == DEMO_NAME and not command.run_folder.exists()
     run = open_run(
@@ -87,7 +94,19 @@ def _opened(command: AskCommand) -> tuple[Pipeline, Labels | None, dict[str, Any
         dataset=None if command.dataset == DEMO_NAME else command.dataset,
         labels=None if command.labels is None else str(command.labels),
     )
-    return run.source, run.labels, {"marks": run.spec.marks, "confidence": run.spec.confidence}
+    return run.source, run.labels, run
+
+
+def _tried(answer: Answer, run: Run | None) -> dict[str, Any]:
+    """What would make an answer right tried on it, and a setting of its kind on a run."""
+    tried, d = try_mend(answer), answer.diagnosis
+    setting = None if run is None or d is None else mend_setting(run, d)
+    asked = None if d is None else (d.truth.frame, d.case.id)
+    over = None if run is None or setting is None else count_mends(run, setting, asked).record()
+    told = (
+        {"said": "Nothing to try: no single change is known to mend this answer."} if tried is None else tried.record()
+    )
+    return {} if answer.story.tone != "wrong" else {"tried": told, "over_run": over}
 
 
 def run_relations(command: RelationsCommand) -> int:

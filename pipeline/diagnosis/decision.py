@@ -47,6 +47,7 @@ from pipeline.diagnosis.imported_answers import (
 )
 from pipeline.diagnosis.minimal_repair import FactorRepair, factor_repairs
 from pipeline.diagnosis.missed import not_proposed
+from pipeline.diagnosis.needed_score import needed_score
 from pipeline.diagnosis.oracles import (
     ATTRIBUTE,
     CONF,
@@ -140,7 +141,11 @@ def _decided(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | No
     flips = [bit for bit in FLIPS if bit < found.subsets and found.mends(bit)]
     verdict, detail, repair = _flipped(found, diagnosis, flips)
     mends = tuple(name for bit in flips for name in names_of(bit))
-    return replace(diagnosis, verdict=verdict, detail=detail, repair=names_of(repair), mends=mends)
+    moved = any(n.right_above is not None or n.winner_below is not None for n in diagnosis.needed)
+    together = None if moved or not lost else needed_score(evidence, case, found, missed=False)
+    return replace(
+        diagnosis, verdict=verdict, detail=detail, repair=names_of(repair), mends=mends, needed_score=together
+    )
 
 
 def _needed(found: OracleScores, case: Case, right: int) -> tuple[FactorRepair, ...]:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from pipeline.diagnosis.frame_evidence import FrameEvidence
+from pipeline.diagnosis.needed_score import loose_candidate, needed_score
 from pipeline.diagnosis.oracles import OracleScores
 from pipeline.diagnosis.verdict import Diagnosis, Missed
 from pipeline.geometry.boxes import iou_2d
@@ -21,14 +23,25 @@ def not_proposed(evidence: FrameEvidence, case: Case, found: OracleScores, diagn
     """OPM-TARGET or OPM-REF, without a right target or a right pair among the candidates; else None."""
     if not found.right[: found.target.found].any():
         missed = missed_of(evidence, case.target, case.acceptable)
-        return replace(diagnosis, verdict="OPM-TARGET", detail=missed.kind, missed=missed, missed_name=case.target)
+        known = _known(evidence, case, found, missed, case.target, case.acceptable)
+        return replace(diagnosis, verdict="OPM-TARGET", **known)
     if not found.covered[: found.target.found, : found.reference.found].any():
         pairs = evidence.truth.acceptable_pairs(case)
         shown = found.target.overlap[: found.target.found] >= HIT
         wanted = pairs[np.asarray((shown & np.asarray(pairs.any(axis=1))[None]).any(axis=0))].any(axis=0)
         missed = missed_of(evidence, case.reference, np.flatnonzero(wanted))
-        return replace(diagnosis, verdict="OPM-REF", detail=missed.kind, missed=missed, missed_name=case.reference)
+        known = _known(evidence, case, found, missed, case.reference, np.flatnonzero(wanted))
+        return replace(diagnosis, verdict="OPM-REF", **known)
     return None
+
+
+def _known(
+    evidence: FrameEvidence, case: Case, found: OracleScores, missed: Missed, name: str, objects: np.ndarray
+) -> dict[str, Any]:
+    """Fields of a verdict on a missing object, `objects` those that would have been right."""
+    loose = loose_candidate(evidence, name, objects, NEAR_MISS) if missed.kind == "LOCALISATION" else None
+    needed = needed_score(evidence, case, found, loose)
+    return {"detail": missed.kind, "missed": missed, "missed_name": name, "needed_score": needed}
 
 
 def missed_of(evidence: FrameEvidence, name: str, objects: np.ndarray) -> Missed:

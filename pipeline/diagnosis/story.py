@@ -12,8 +12,9 @@ from pipeline.answering.answer_words import why_no_answer
 from pipeline.answering.ask import Trace
 from pipeline.answering.pair_table import HOLDS, ScoredPair
 from pipeline.diagnosis.minimal_repair import FactorRepair, threshold
+from pipeline.diagnosis.needed_score import NeededScore
 from pipeline.diagnosis.story_words import TRUTHS, WORDS, Change, Story, capital, story, words
-from pipeline.diagnosis.verdict import Diagnosis
+from pipeline.diagnosis.verdict import Diagnosis, Missed
 from pipeline.geometry.masks import decode_run_length
 from pipeline.labels.cases import HIT
 from pipeline.language.counted import counted
@@ -322,12 +323,9 @@ def _worst_box(d: Diagnosis, winner: ScoredPair, right: ScoredPair) -> dict[str,
 
 
 def mend(d: Diagnosis) -> tuple[str, Change | None]:
-    """Smallest change to make the answer right, in words and as a number that a what-if can change."""
+    """Smallest change to make the answer right, in words and as a what-if can try it."""
     if d.missed is not None:
-        others = [TRUTHS[part] for part in d.repair if part != "RECALL"]
-        kind = "found" if d.repair == ("RECALL",) else "found.more" if others else ""
-        done = words("done", d.missed.kind)
-        return words("mends", kind, name=d.missed_name, done=done, truths=_joined(others)) if kind else "", None
+        return _found(d, d.missed)
     rise = next(((n, n.right_above) for n in d.needed if n.right_above is not None), None)
     if rise is not None:
         return _moved(d, rise[0], "right", rise[0].right, rise[1], d.right)
@@ -335,9 +333,54 @@ def mend(d: Diagnosis) -> tuple[str, Change | None]:
     if falls:
         least, below = min(falls, key=lambda f: f[0].winner - f[1])
         return _moved(d, least, "winner", least.winner, below, d.winner)
+    if d.needed_score is not None:
+        names = list(dict.fromkeys(name for name, _ in d.needed_score.scored))
+        kind = "both" if len(names) > 1 else "alike"
+        return _scored(d, d.needed_score, None, kind, name=names[0], targets=counted(2, names[0]).removeprefix("2 "))
     if d.repair:
         return words("mends", "truths", truths=_joined([TRUTHS[part] for part in d.repair])), None
-    return words("mends", "none") if d.needed else "", None
+    return words("mends", "none") if d.needed or d.verdict == "PRM" else "", None
+
+
+def _found(d: Diagnosis, missed: Missed) -> tuple[str, Change | None]:
+    """What an object that was missed would have to be: found, and with which score."""
+    needed, done = d.needed_score, words("done", missed.kind)
+    if needed is None:
+        others = [part for part in d.repair if part != "RECALL"]
+        faults = _joined([words("faults", {"SRM": "SRM.short", "CONF": "CONF.short"}.get(p, p)) for p in others])
+        kind = "found.more" if others else "found"
+        return words("mends", kind, name=d.missed_name, done=done, faults=faults) if d.repair else "", None
+    names = _joined(list(dict.fromkeys(name for name, _ in needed.missing)))
+    # A detection that was cut off, or that does not fit, has a score; what nobody saw may have any.
+    own = missed.score if missed.kind != "ABSENT" and len(needed.missing) == 1 else None
+    likely = d.evidence.confidence if own is None else own
+    if needed.above < likely < needed.below and not needed.scored:
+        return words("mends", "found", name=names, done=done), _change(d, needed, own, likely)
+    kind = "fit.above" if needed.loose is not None else "right"
+    kind = "found.both" if needed.scored else "found.above" if own is None else kind
+    return _scored(d, needed, own, kind, name=names, done=done, what=words("factors", "target", target=names))
+
+
+def _scored(
+    d: Diagnosis, needed: NeededScore, own: float | None, kind: str, **values: Any
+) -> tuple[str, Change | None]:
+    """Mend by a score above what is needed; `own`: what it is now."""
+    shown, now = threshold(needed.above, own or 0.0)
+    # A little more: the pixels of a labelled thing are lifted anew.
+    enough = beyond(1.05 * needed.above, len(shown.partition(".")[2]), up=True)
+    after = min(enough, (needed.above + needed.below) / 2)
+    others = _joined(list(dict.fromkeys(name for name, _ in needed.scored)))
+    said = words("mends", kind, value=shown, now=now, others=others, **values)
+    return said, _change(d, needed, own, after)
+
+
+def _change(d: Diagnosis, needed: NeededScore, own: float | None, after: float) -> Change:
+    labelled = tuple((name, int(d.truth.numbers[k])) for name, k in needed.missing)
+    names, places = zip(*needed.scored, strict=True) if needed.scored else ((), ())
+    if needed.loose is not None:
+        return Change("masks", labelled[0][0], (needed.loose, *places), own, after, labelled, (labelled[0][0], *names))
+    field = "added" if labelled else "confidences"
+    return Change(field, (*(name for name, _ in labelled), *names)[0], places, own, after, labelled, names)
 
 
 def _moved(

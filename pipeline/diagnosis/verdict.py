@@ -11,6 +11,7 @@ import numpy as np
 from pipeline.answering.pair_table import ScoredPair, one_object_twice
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.minimal_repair import FactorRepair
+from pipeline.diagnosis.needed_score import NeededScore
 from pipeline.diagnosis.oracles import names_of
 from pipeline.diagnosis.story_words import UNTOLD, Story
 from pipeline.diagnosis.substitution import substitute
@@ -111,6 +112,8 @@ class Diagnosis:
     mends: tuple[str, ...] = ()
     # What one factor alone would have to be for the best acceptable pair to win; empty where one wins
     needed: tuple[FactorRepair, ...] = ()
+    # What would have to be found, or scored together, where no factor of `needed` is enough
+    needed_score: NeededScore | None = None
     story: Story = UNTOLD  # What is said of it, once it is decided
     # Of imported predictions: the oracles that cannot be put in place by what the file gives, and why; what
     # `right_with` says of subsets with these counts nowhere

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from pipeline.datasets import demo_run
 from pipeline.diagnosis import Diagnosis, Missed, diagnose
 from pipeline.diagnosis.story import change_words, judged_story, unjudged_story
 from pipeline.diagnosis.story_words import LONGEST, STORIES, WORDS, Story, story, values_of
-from pipeline.diagnosis.whatif import Baseline
 from pipeline.evaluation import open_run
 from pipeline.evaluation.run import Evaluator
 from pipeline.labels import read_cases
@@ -140,26 +138,6 @@ def test_all_answers_of_the_demos_run_are_told(monkeypatch: pytest.MonkeyPatch) 
     mended = {s.kind for s in told if s.mend}
     assert mended.isdisjoint(s.kind for s in told if not s.mend)
     assert all(STORIES[kind][0] == "wrong" for kind in mended)
-
-
-def test_the_change_of_a_story_makes_the_answer_right() -> None:
-    """As a what-if, on failures of the demo's run, of either kind of number."""
-    seen: list[str] = []
-    for failure in open_run(demo_run()).failures("verdict:OPM-CONF,PRM,SRM,LIFT,COMPOUND"):
-        found = failure.answer
-        change = found.story.change
-        if change is None or seen.count(change.field) > 3:
-            continue
-        opened: Any = found.origin
-        context = opened.pipeline.prepare(found.needed_trace().frame)
-        keys = Baseline(opened.pipeline, context, found.text).outcome.keys
-        names = ("a", "b") if change.field == "relations" else ("object",)
-        asked = "relation" if change.field == "relations" else "name"
-        entry = dict(zip(names, (keys[k] for k in change.objects), strict=True))
-        mended = found.what_if({change.field: [{asked: change.name, "p": change.after, **entry}]})
-        assert mended.story.tone in ("right", "also right"), (found.story, mended.story)
-        seen.append(change.field)
-    assert set(seen) == {"confidences", "relations"}
 
 
 @pytest.mark.parametrize(

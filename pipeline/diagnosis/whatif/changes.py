@@ -149,6 +149,7 @@ def each_edit(edits: Edits, named: Callable[[str], str] = str) -> tuple[EditDesc
     """Edits in a fixed order; `named` gives the word for an object's key."""
     found = [EditDescription(_id("boxes", k), f"{named(k)}: its box", k) for k in edits.boxes]
     found += [EditDescription(_id("masks", k), f"{named(k)}: its mask", k) for k in edits.masks]
+    found += [EditDescription(_id("added", k), f"{a.name}: added", k) for k, a in edits.added.items()]
     found += [EditDescription(_id("hidden", k), f"{named(k)}: hidden", k) for k in sorted(edits.hidden)]
     found += [
         EditDescription(_id("confidences", name, k), f"P({named(k)} | {name}) = {p:.2f}", k)

@@ -3,6 +3,7 @@
 An edit refers to objects by the keys of `pipeline.diagnosis.whatif.pair_tables`. What it means:
 
 - hidden: as if the detector had not found the object; the next best moves up.
+- added: as if the detector had found an object of these pixels, asked for a name; it goes on whatever K is.
 - masks: the pixels are lifted anew, with the whole cleaning; the 2D box becomes that of the pixels.
 - boxes: the object's points move with its box by one affine map; its mask and 2D box stay the detector's.
 - confidences: P(object | name) of a candidate, after any calibration. Who is a candidate does not depend on it.
@@ -176,6 +177,15 @@ _Mask = Annotated[RunLength, AfterValidator(_of_a_picture)]
 
 
 @dataclass(frozen=True)
+class AddedObject:
+    """Object as if found: by which name, with which score, and its pixels."""
+
+    name: Key
+    p: Share
+    mask: _Mask
+
+
+@dataclass(frozen=True)
 class _Confidence:
     """P(object | name), as in a file."""
 
@@ -224,6 +234,8 @@ class Edits:
     # mapping of key to RunLength
     masks: Annotated[Mapping[Key, _Mask], Field(max_length=MOST_EDITS)] = field(default_factory=dict)
     hidden: Annotated[frozenset[Key], Field(max_length=MOST_EDITS)] = frozenset()
+    # mapping of a new key to AddedObject
+    added: Annotated[Mapping[Key, AddedObject], Field(max_length=MOST_EDITS)] = field(default_factory=dict)
     # mapping of (name, key) to float: 0..1; the name as it is asked in the expression
     confidences: _Confidences = field(default_factory=dict)
     relations: _Relations = field(default_factory=dict)  # mapping of (relation, key of a, key of b) to float: 0..1
@@ -243,7 +255,9 @@ class Edits:
     def keys(self) -> frozenset[str]:
         """Objects named by any edit."""
         ends = {key for _, a, b in self.relations for key in (a, b)}
-        return frozenset({*self.boxes, *self.masks, *self.hidden, *(key for _, key in self.confidences), *ends})
+        return frozenset(
+            {*self.boxes, *self.masks, *self.hidden, *self.added, *(key for _, key in self.confidences), *ends}
+        )
 
     def with_box(self, key: str, box: Box3D) -> Edits:
         """Set the object's 3D box (camera frame)."""
@@ -257,8 +271,16 @@ class Edits:
         return replace(self, masks={**self.masks, key: RunLength.of(mask)})
 
     def with_hidden(self, key: str) -> Edits:
-        """Hide the object, as if not found."""
+        """Hide the object, as if not found; an added one is gone."""
+        if key in self.added:
+            return replace(self, added={k: entry for k, entry in self.added.items() if k != key})
         return replace(self, hidden=self.hidden | {key})
+
+    def with_added(self, name: str, mask: np.ndarray | RunLength, p: float) -> Edits:
+        """Add an object of these pixels, found by a name with this score; its key is the next free "+N"."""
+        code = mask if isinstance(mask, RunLength) else RunLength.of(mask)
+        key = next(f"+{n}" for n in range(1, MOST_EDITS + 2) if f"+{n}" not in self.added)
+        return replace(self, added={**self.added, key: AddedObject(name, probability(p), code)})
 
     def with_shown(self, key: str) -> Edits:
         """Show a hidden object again."""
@@ -311,6 +333,10 @@ def edits_record(edits: Edits) -> Record:
         },
         "masks": {key: {"size": list(m.size), "counts": m.counts} for key, m in sorted(edits.masks.items())},
         "hidden": sorted(edits.hidden),
+        "added": {
+            key: {"name": a.name, "p": a.p, "mask": {"size": list(a.mask.size), "counts": a.mask.counts}}
+            for key, a in sorted(edits.added.items())
+        },
         "confidences": [{"name": n, "object": key, "p": p} for (n, key), p in sorted(edits.confidences.items())],
         "relations": [{"relation": r, "a": a, "b": b, "p": p} for (r, a, b), p in sorted(edits.relations.items())],
         "k": edits.k,

@@ -24,14 +24,14 @@ from pipeline.answering.objects import PreparedFrame, SceneObject, same_object
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.pipeline import Pipeline
 from pipeline.answering.ranking import Candidates, RelationLookup
-from pipeline.diagnosis.whatif.edits import Edits, PlacedBox
+from pipeline.diagnosis.whatif.edits import AddedObject, Edits, PlacedBox
 from pipeline.diagnosis.whatif.pair_tables import PairTables, detection_keys, identity, score_pairs
 from pipeline.geometry.lifting import LiftedObject, lift
 from pipeline.geometry.masks import RunLength, mask_box
 from pipeline.language.class_sizes import is_thin
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import Attachment
-from pipeline.proposals.base import is_final, numbers_of, told_by_ids, top_k_indices
+from pipeline.proposals.base import Proposals, is_final, numbers_of, told_by_ids, top_k_indices
 from pipeline.relations import make_scorer
 from pipeline.relations.relations import Profile
 from pipeline.relations.scorer import RelationScorer, RelationScores
@@ -130,7 +130,8 @@ def _alike(a: Any, b: Any) -> bool:
 
 def foreign_keys(baseline: Baseline, edits: Edits) -> tuple[str, ...]:
     """Edited objects outside the question's detections; their edits have no effect here."""
-    return tuple(sorted(edits.keys - baseline.all_keys))
+    added = {key for key, entry in edits.added.items() if entry.name in baseline.found}
+    return tuple(sorted(edits.keys - baseline.all_keys - added))
 
 
 def rerun(baseline: Baseline, edits: Edits) -> Outcome:
@@ -164,8 +165,12 @@ def _rerun(baseline: Baseline, edits: Edits) -> Outcome:
             entries = [_edited(baseline, context, edits, name, int(k)) for k in at]
             keys |= {id(entry): baseline.keys[name][k] for entry, k in zip(entries, at.tolist(), strict=True)}
             # Masks are megabytes, and joining looks only at who is who.
-            bare = replace(baseline.found[name], masks=None, has_mask=None, segmented=None)
-            found[name] = bare.take(at), entries
+            bare = replace(baseline.found[name], masks=None, has_mask=None, segmented=None).take(at)
+            for key, new in edits.added.items():
+                if new.name == name:
+                    entry = _added(baseline, context, edits, key, new)
+                    entries, keys[id(entry)], bare = [*entries, entry], key, _joined_by(bare, entry)
+            found[name] = bare, entries
         objects, candidates = joined(found, calibration)
         object_keys = tuple(keys[id(o)] for o in objects)
         candidates = _with_confidences(candidates, object_keys, edits)
@@ -236,6 +241,35 @@ def _edited(baseline: Baseline, context: PreparedFrame, edits: Edits, name: str,
     return replace(entry, lifted=moved)
 
 
+def _added(baseline: Baseline, context: PreparedFrame, edits: Edits, key: str, new: AddedObject) -> SceneObject:
+    """Object that no detection is, in 3D by its pixels, or where they were edited by the edited ones."""
+    nothing = np.zeros((context.frame.height, context.frame.width), np.bool_)
+    blank = baseline.made("blank", (key, new.name), lambda: _blank(context, new.name, nothing))
+    entry = _repainted(baseline, context, blank, key, edits.masks.get(key, new.mask))
+    if key in edits.boxes:
+        entry = replace(entry, lifted=entry.lifted.moved_to(edits.boxes[key].box(), context.viewer))
+    return replace(entry, score=new.p)
+
+
+def _blank(context: PreparedFrame, name: str, mask: np.ndarray) -> SceneObject:
+    """Object without pixels."""
+    frame = context.frame
+    (thing,) = lift(frame.depth, frame.camera, [mask], context.viewer, config=context.config, edges=context.edges)
+    return SceneObject(-1, name, 0.0, np.zeros(4, np.float32), mask, thing)
+
+
+def _joined_by(found: Proposals, entry: SceneObject) -> Proposals:
+    """Detections of a name and another one after them."""
+    return Proposals(
+        np.concatenate([found.boxes, entry.bbox[None]]),
+        np.append(found.scores, np.float32(entry.score)),
+        np.append(found.label_index, len(found.labels)),
+        (*found.labels, entry.label),
+        None,
+        np.append(found.ids, -1),
+    )
+
+
 def _repainted(
     baseline: Baseline, context: PreparedFrame, entry: SceneObject, key: str, code: RunLength
 ) -> SceneObject:
@@ -261,7 +295,10 @@ def _repainted(
 def _with_confidences(candidates: dict[str, Candidates], keys: tuple[str, ...], edits: Edits) -> dict[str, Candidates]:
     result = dict(candidates)
     for name, own in candidates.items():
-        given = [edits.confidences.get((name, keys[at]), np.nan) for at in own.index.tolist()]
+        # The score of an added object is final: no calibration is of it.
+        added = {key: entry.p for key, entry in edits.added.items()}
+        at_keys = [keys[at] for at in own.index.tolist()]
+        given = [edits.confidences.get((name, key), added.get(key, np.nan)) for key in at_keys]
         told = np.isfinite(np.array(given, np.float64))
         scores, raw = (np.where(told, given, p) for p in (own.scores, own.detector_scores))
         result[name] = replace(own, scores=scores, raw_scores=raw)
@@ -277,7 +314,7 @@ def _tables(
 ) -> PairTables:
     """Scores of all pairs, from the last of this kind and from the unedited ones."""
     profile = replace(Profile(), **edits.profile)
-    plain = not edits.boxes and not edits.masks
+    plain = not edits.boxes and not edits.masks and not edits.added
     kind = (context.config, edits.scorer, profile)
     known = [t for t in (baseline.tables.get((kind, p)) for p in (False, True)) if t is not None]
     indices = {identity(o) for o in objects}
