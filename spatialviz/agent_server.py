@@ -22,11 +22,11 @@ from pydantic import Field
 from pipeline import __version__
 from pipeline.corrections.journal.batch import actions_of
 from pipeline.diagnosis.whatif.edits import adapter, validated
+from pipeline.system.encoded_pictures import jpeg_url
 from pipeline.system.errors import needed, require
 from spatialviz import cli_labels
 from spatialviz.agent_verbs import VERBS, FrameOf, Limit, Reply, Session, Verb, Words, cut
 from spatialviz.options import CameraOptions, DatasetOptions, error_line
-from spatialviz.report.picture import jpeg_url
 from spatialviz.run_corrections import apply_edits, run_confirm, run_journal, run_redo, run_show, run_undo
 
 Group = Annotated[str | None, Field(description="The group of that action, and not the newest.")]
@@ -137,8 +137,8 @@ WRITING: dict[str, type[Verb]] = {"correct": CorrectVerb, "confirm": ConfirmVerb
 
 LONGEST = 100_000
 """Characters of an answer."""
-WIDEST, QUALITY = 640, 80
-"""Of a picture: pixels, and JPEG's quality."""
+QUALITY = 80
+"""Of a picture as JPEG."""
 ABOUT = """spatialviz says why an RGB-D spatial-reasoning pipeline answered what it answered: PARSE, OPM (detection), \
 LIFT (3D boxes), SRM (relations), PRM (ranking). Begin with `contents`; `failures` finds what a run got wrong, `why` \
 says which module failed, `whatif` answers under edits."""
@@ -212,5 +212,5 @@ def call(session: Session, verbs: dict[str, type[Verb]], name: str, arguments: d
 
 
 def image(rgb: np.ndarray) -> ImageContent:
-    """Picture, reduced in size."""
-    return ImageContent(data=jpeg_url(rgb, WIDEST, QUALITY).partition(",")[2], mime_type="image/jpeg")
+    """Picture as JPEG."""
+    return ImageContent(data=jpeg_url(rgb, quality=QUALITY).partition(",")[2], mime_type="image/jpeg")

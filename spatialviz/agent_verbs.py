@@ -13,7 +13,6 @@ from typing import Annotated, Any, Literal, TypeVar
 import numpy as np
 from pydantic import ConfigDict, Field
 
-from pipeline.answering.ask import Trace
 from pipeline.datasets.base import resolve_frame
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.asking import pathless_edits
@@ -21,17 +20,19 @@ from pipeline.diagnosis.cases.replay import find_cases, replay_all
 from pipeline.diagnosis.opened import Opened
 from pipeline.diagnosis.whatif import Baseline
 from pipeline.evaluation.run_folder import Run, asked_again, open_database
+from pipeline.pictures.looks import frame_picture
 from pipeline.system.errors import InputError, needed, require
 from pipeline.system.sql import QueryDatabase
 from spatialviz import cli_runs
 from spatialviz.options import JournalOptions, SourceOptions
-from spatialviz.report.picture import answer_picture
 from spatialviz.run_cases import replay_record, whatif_answer
 from spatialviz.run_eval import failures_of, row_records
 
 Thing = TypeVar("Thing")
 MOST = 1000
 """Of anything that is counted by `limit`."""
+WIDEST = 640
+"""Width of a picture at most, pixels."""
 LONGEST_QUERY = 20
 """Seconds."""
 
@@ -122,9 +123,10 @@ def cut(record: dict[str, Any], limit: int, *keys: str) -> dict[str, Any]:
     return {**record, **{key: found[:limit] for key, found in lists.items()}, "left_out": {**left, "how": how}}
 
 
-def pictures_of(trace: Trace | None, asked: bool) -> tuple[np.ndarray, ...]:
-    """Picture of an answer, on request and if any."""
-    return (answer_picture(trace),) if asked and trace is not None else ()
+def pictures_of(answer: Answer, asked: bool) -> tuple[np.ndarray, ...]:
+    """Frame with the answer's objects, on request and if any."""
+    frame = None if answer.trace is None else answer.trace.frame
+    return (frame_picture(answer, frame, WIDEST),) if asked and frame is not None else ()
 
 
 class Verb:
@@ -179,7 +181,7 @@ class AskVerb(Verb):
         record = cut(found.record(), self.limit, "pairs")
         shown = {f"{pair['target']},{pair['reference']}" for pair in record["pairs"]}
         record["relations"] = {pair: states for pair, states in record["relations"].items() if pair in shown}
-        return Reply(record, pictures_of(found.trace, self.picture))
+        return Reply(record, pictures_of(found, self.picture))
 
 
 @dataclass(frozen=True)
@@ -202,7 +204,7 @@ class WhyVerb(Verb):
         else:
             found = session.source(self.source).ask(self.frame, self.expression)
         record = {"expression": found.text, "answer": found.sentence, "holds": found.holds, "why": found.why}
-        return Reply({**record, "verdict": found.record().get("verdict")}, pictures_of(found.trace, self.picture))
+        return Reply({**record, "verdict": found.record().get("verdict")}, pictures_of(found, self.picture))
 
 
 @dataclass(frozen=True)
@@ -230,7 +232,7 @@ class WhatIfVerb(Verb):
         context = pipeline.prepare(resolve_frame(pipeline.dataset, self.frame))
         baseline = Baseline(pipeline, context, self.expression)
         record, after = whatif_answer(baseline, pathless_edits(self.edits), opened.labels)
-        return Reply(cut(record, self.limit, "objects", "moved", "candidates"), pictures_of(after.trace, self.picture))
+        return Reply(cut(record, self.limit, "objects", "moved", "candidates"), pictures_of(after, self.picture))
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,8 @@ from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.counted import counted, listed
 from pipeline.language.glossary import find_term, glossary, glossary_markdown
 from pipeline.language.relation_names import PHRASE, VOCABULARIES
+from pipeline.pictures.answer_card import answer_picture
+from pipeline.pictures.writing import write_picture
 from pipeline.relations.relations import letter
 from pipeline.synthetic import render_dataset
 from pipeline.system.errors import require
@@ -49,7 +51,6 @@ from spatialviz.cli_ask import (
 )
 from spatialviz.options import ALL_FRAMES, FINE, NO, SourceOptions, numbers, one_frame, print_json, warn, warn_skipped
 from spatialviz.printing import print_rows, print_summary, rate_bar, say, say_lines
-from spatialviz.report.picture import save_picture, write_picture
 
 SHOWN_PAIRS = 5
 
@@ -75,7 +76,7 @@ def run_ask(command: AskCommand) -> int:
         if trace.missing and command.frame != ALL_FRAMES and not command.json:
             print_overlooked(missed_names(pipeline, trace))
         if command.save is not None:
-            save_picture(trace, command.save)
+            write_picture(answer_picture(answer, dataset=pipeline.dataset.root.name), command.save)
     return FINE if answered else NO
 
 

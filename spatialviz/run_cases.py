@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pipeline.answering.answer_words import NO_SUCH_PAIR, holds, probability
+from pipeline.answering.answer_words import NO_SUCH_PAIR, probability
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.pipeline import Pipeline
 from pipeline.answering.predictions import read_predictions
@@ -47,10 +47,10 @@ def run_whatif(command: WhatIfCommand) -> int:
     edits = edits_from_words(baseline, edits, command.do, command.on)
     record, after = whatif_answer(baseline, edits, labels)
     command.write(record, print_change)
-    return FINE if holds(after.trace) else NO
+    return FINE if after.holds else NO
 
 
-def whatif_answer(baseline: Baseline, edits: Edits, labels: Labels | None) -> tuple[dict[str, Any], Outcome]:
+def whatif_answer(baseline: Baseline, edits: Edits, labels: Labels | None) -> tuple[dict[str, Any], Answer]:
     """Record of `whatif --json`, and the answer under edits."""
     pipeline, context = baseline.source, baseline.context
     if unknown := foreign_keys(baseline, edits):
@@ -66,7 +66,7 @@ def whatif_answer(baseline: Baseline, edits: Edits, labels: Labels | None) -> tu
     record = whatif_record(baseline, after, edits, (answers[0].verdict, answers[1].verdict))
     for when, found in zip(("before", "after"), answers, strict=True):
         record[when]["head"] = found.story.head
-    return record | {"said": change_words(record["changed"], answers[0].story, answers[1].story)}, after
+    return record | {"said": change_words(record["changed"], answers[0].story, answers[1].story)}, answers[1]
 
 
 def run_save_case(command: SaveCaseCommand) -> None:

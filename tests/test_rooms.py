@@ -26,6 +26,7 @@ ROOMS = (
     "training",
     "diagnosis",
     "evaluation",
+    "pictures",
     "corrections",
     "audit",
     "paper",

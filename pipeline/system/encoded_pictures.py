@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+
 import cv2
 import numpy as np
 
@@ -12,6 +14,12 @@ THUMB, THUMB_QUALITY = 68, 78
 def jpeg(rgb: np.ndarray, quality: int = 82) -> bytes:
     """Encode a picture ((H, W, 3) uint8, RGB) as JPEG."""
     return cv2.imencode(".jpg", np.ascontiguousarray(rgb[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+
+
+def jpeg_url(rgb: np.ndarray, widest: int | None = None, quality: int = 95) -> str:
+    """JPEG of a picture ((H, W, 3) uint8, RGB) as the address of an image, at most `widest` pixels wide."""
+    rgb = rgb if widest is None or rgb.shape[1] <= widest else resized(rgb, widest)
+    return "data:image/jpeg;base64," + base64.b64encode(jpeg(rgb, quality)).decode("ascii")
 
 
 def png(image: np.ndarray, level: int = 1) -> bytes:

@@ -16,9 +16,9 @@ import numpy as np
 from pipeline.answering.frame_store import BackgroundPictures, LoadedFrame
 from pipeline.evaluation.run_figures import Drawn, RunFigures
 from pipeline.geometry.palette import ON_DARK, RGB
+from pipeline.pictures.marks import Outline, Stroke, answer_crop
 from pipeline.system.encoded_pictures import jpeg, png
 from pipeline.system.errors import InputError
-from spatialviz.report.picture import Outline, Stroke, answer_crop
 
 KEPT_BYTES = 96 * 2**20
 """Limit of kept pictures; a dropped picture is remade by the next drawing."""

@@ -24,6 +24,7 @@ from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import outlines
 from pipeline.geometry.palette import RGB, hex_color, palette
 from pipeline.geometry.viewer import viewer_axes
+from pipeline.pictures.marks import edges_path
 from pipeline.system.errors import InputError, needed, require
 from spatialviz.app.context import Context, command
 from spatialviz.app.edit_panel import box_command, object_html, rejected_html
@@ -31,7 +32,6 @@ from spatialviz.app.frames import jpeg_url
 from spatialviz.app.label_part import LabelPart
 from spatialviz.app.markup import Element, h, panel
 from spatialviz.app.review_html import UNNAMED, digits_row
-from spatialviz.report.picture import edges_path
 
 FARTHEST = 1000.0
 """Metres: limit of a typed side or place of a box, against slips."""

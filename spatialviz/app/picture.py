@@ -27,6 +27,7 @@ from pipeline.geometry.palette import (
     instance_colors,
     palette,
 )
+from pipeline.pictures.marks import edges_path, tinted
 from spatialviz.app.frames import IMAGES, jpeg_url, png_url, thumb_url
 from spatialviz.app.markup import (
     Child,
@@ -42,7 +43,6 @@ from spatialviz.app.markup import (
     words,
 )
 from spatialviz.app.state import State
-from spatialviz.report.picture import edges_path, tinted
 
 IMAGE_WIDTH = 720
 

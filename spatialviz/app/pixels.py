@@ -24,6 +24,7 @@ from pipeline.corrections.object_card import LabelView, paired
 from pipeline.corrections.vocabulary import vocabulary_of
 from pipeline.drawing.gestures import Canvas, Gesture, read_gesture
 from pipeline.geometry.palette import depth_colors, hex_color
+from pipeline.pictures.marks import box_edges_2d
 from pipeline.system.errors import InputError, as_input_error, needed, require
 from spatialviz.app.channel import Command
 from spatialviz.app.context import Context, command, there
@@ -32,7 +33,6 @@ from spatialviz.app.label_part import LabelPart
 from spatialviz.app.picture import PART_COLORS, around, mask_url, outlined, told_of
 from spatialviz.app.review_html import UNNAMED
 from spatialviz.app.state import State
-from spatialviz.report.picture import box_edges_2d
 
 Tool = Literal["select", "brush", "erase", "polygon", "rectangle", "depth", "cut"]
 

@@ -22,12 +22,14 @@ from pipeline.evaluation.summary import cost_words, summarise_run
 from pipeline.geometry.palette import ON_LIGHT, VERDICTS, hex_color
 from pipeline.language.counted import counted
 from pipeline.metrics.intervals import Estimate
+from pipeline.pictures.answer_card import answer_picture
+from pipeline.system.encoded_pictures import jpeg_url
 from pipeline.system.errors import InputError, MissingExtra
 from pipeline.system.in_notebook import InNotebook
-from spatialviz.report.picture import QUALITY, WIDEST, answer_picture, answer_roles, jpeg_url
 
 SHOWN_PAIRS = 8
 SHOWN_ROWS = 12
+QUALITY = 86
 _QUIET = "color:gray"
 _COLORS = {verdict: hex_color(color) for verdict, color in VERDICTS.items()}
 
@@ -55,7 +57,7 @@ def _answer(answer: Answer) -> Element:
     verdict = None if answer.verdict is None else _chip(answer.verdict, answer.verdict)
     trace, judged = answer.trace, answer.diagnosis
     frame = None if trace is None else element("span", f" {trace.frame.id}", style=_QUIET)
-    picture = None if trace is None else jpeg_url(answer_picture(trace, answer_roles(answer)), WIDEST, QUALITY)
+    picture = None if trace is None else jpeg_url(answer_picture(answer), quality=QUALITY)
     return element(
         "div",
         element("p", element("b", f"“{answer.text}”"), frame, verdict),

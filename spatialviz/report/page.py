@@ -29,6 +29,9 @@ from pipeline.evaluation.leakage import Share, shares_of_answer, title_of
 from pipeline.geometry.cloud import cloud_of, drawn_pixels, viewpoint
 from pipeline.labels.reading import Labels
 from pipeline.language.lexicon import wording
+from pipeline.pictures.answer_card import SIZE, answer_picture
+from pipeline.pictures.looks import frame_picture
+from pipeline.system.encoded_pictures import jpeg_url
 from pipeline.system.errors import InputError
 from pipeline.system.whole_files import write_whole
 from spatialviz.app.answer import verdict_chip_of
@@ -39,7 +42,6 @@ from spatialviz.app.scene_client import SceneClient, triple
 from spatialviz.app.stages import all_stages_html
 from spatialviz.app.state import State
 from spatialviz.app.viser_socket import served_by
-from spatialviz.report.picture import QUALITY, WIDEST, answer_picture, answer_roles, jpeg_url
 
 POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; frame-src 'self' data: blob:; "
@@ -60,12 +62,13 @@ def failure_page(
 
     `scene`: a self-contained page of the scene in 3D, put into a frame of its own.
     """
-    trace = answered.trace
-    image = context.frame.rgb if trace is None else answer_picture(trace, answer_roles(answered))
-    views = [h.img(src=jpeg_url(image, WIDEST, QUALITY), alt=answered.sentence)]
+    card = jpeg_url(answer_picture(answered, context.frame, subject.dataset), quality=QUALITY)
+    image = jpeg_url(frame_picture(answered, context.frame, WIDEST), quality=QUALITY)
+    views = [h.img(src=image, alt=answered.sentence)]
     if scene is not None:
         views.append(h.iframe(title="The scene in 3D", sandbox="allow-scripts", srcdoc=scene))
     body = h.main(
+        h.img(src=card, alt=f"{answered.story.head}. {answered.story}", width=SIZE[0], height=SIZE[1], cls="head"),
         _header(answered, subject),
         h.div(views, cls="views"),
         all_stages_html(shown_state(answered, context)),
@@ -82,7 +85,9 @@ def failure_page(
         '<!doctype html>\n<html lang="en" data-theme="light"><head><meta charset="utf-8">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"{h.title(f'{answered.text} · {subject.frame}').html}\n<style>{style}</style></head>\n"
+        f"{h.title(f'{answered.text} · {subject.frame}').html}\n"
+        f"{h.meta(property='og:title', content=f'{answered.story.head}: “{answered.text}”').html}\n"
+        f"{h.meta(property='og:description', content=str(answered.story)).html}\n<style>{style}</style></head>\n"
         f"<body>{still(body).html}</body></html>\n"
     )
 
@@ -225,6 +230,8 @@ def view_state(dataset: str, frame: str, text: str, edits: Mapping[str, Any] | N
         return None
 
 
+WIDEST, QUALITY = 1280, 86
+"""Width of the frame's picture at most, pixels, and how well pictures are kept."""
 MOST_POINTS = 40_000
 ASPECT = 1.6
 """Width over height of the part of the page that shows the scene."""
