@@ -76,6 +76,7 @@ class Tab:
         self.poll(
             "document.getElementById('answer').childElementCount + "
             "document.getElementById('review-list').childElementCount > 0"
+            " && document.querySelector('#timeline .frame-id')?.value"
         )
         return self
 
@@ -154,11 +155,11 @@ class Tab:
 
     @property
     def frame(self) -> str:
-        return self.page.locator("#where .frame-id").input_value()
+        return self.page.locator("#timeline .frame-id").input_value()
 
     def other_frame(self, than: str) -> str:
         """The frame that the page is at as soon as that is another one."""
-        now = "document.querySelector('#where .frame-id').value"
+        now = "document.querySelector('#timeline .frame-id').value"
         return self.poll(f"was => {now} !== was && {now}", than)
 
     def press(self, key: str) -> None:

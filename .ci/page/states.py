@@ -34,10 +34,16 @@ def explained(tab: Tab) -> Iterator[str]:
     tab.closed()
     tab.press("Shift+W")
     tab.see("#frame-grid .shot")
+    tab.see("#frame-grid .camera")
     yield "all frames"
-    tab.page.keyboard.press("Escape")
-    tab.click("frames-of:failed")
+    tab.see("[data-local='framesOf:with failures']").click()
     yield "frames with failures"
+    tab.page.keyboard.press("Escape")
+    tab.see("#frame-bar").focus()
+    tab.page.keyboard.press("ArrowRight")
+    tab.see(".passing figcaption", "wrong")
+    yield "a frame in passing"
+    tab.page.keyboard.press("Escape")
 
 
 def others(tab: Tab) -> Iterator[str]:

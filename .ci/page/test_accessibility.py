@@ -105,11 +105,11 @@ def test_an_answer_is_announced_once(demo: Server, open_tab: OpenTab) -> None:
 def test_refusals_are_plain_words(demo: Server, open_tab: OpenTab) -> None:
     """What cannot be taken is said, and the page goes on as it was."""
     tab = open_tab(demo.address, "absent")
-    before, field = tab.frame, tab.page.locator("#where .frame-id")
+    before, field = tab.frame, tab.page.locator("#timeline .frame-id")
     field.fill("kitchen")
     field.press("Enter")
     tab.see(".toast.bad", "no frame 'kitchen'")
-    tab.poll("before => document.querySelector('#where .frame-id').value === before", before)
+    tab.poll("before => document.querySelector('#timeline .frame-id').value === before", before)
     tab.ask("sv1:noview")
     tab.see(".toast.bad", "state string is damaged")
     tab.ask("laptop right of the mug")

@@ -82,12 +82,12 @@ def test_a_field_is_left_by_enter(reviewed: Server, open_tab: OpenTab) -> None:
     tab.poll(left)
     tab.page.keyboard.type("jk")
     assert author.input_value() == "bob"
-    tab.click("task:evaluate")
-    for field, said in (("#search input", "said:left"), ("#where .frame-id", tab.frame)):
+    frame = tab.frame
+    for task, field, said in (("evaluate", "#search input", "said:left"), ("explain", "#timeline .frame-id", frame)):
+        tab.click(f"task:{task}")
         tab.see(field).fill(said)
         tab.see(field).press("Enter")
         tab.poll(left)
-    tab.click("task:explain")
     tab.ask("laptop right of the mug")
     tab.see("#answer .names", "right of")
     tab.poll(left)

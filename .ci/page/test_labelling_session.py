@@ -144,8 +144,8 @@ def test_evaluate_says_what_it_needs(bare: Server, open_tab: OpenTab) -> None:
 
 def judge(tab: Tab, frame: str, fails: bool) -> str:
     """*This pair is right* under an answer gives its verdict at once; where it `fails`, another pair is right."""
-    tab.page.locator("#where .frame-id").fill(frame)
-    tab.page.locator("#where .frame-id").press("Enter")
+    tab.page.locator("#timeline .frame-id").fill(frame)
+    tab.page.locator("#timeline .frame-id").press("Enter")
     tab.poll("frame => document.title.includes(` ${frame} `)", frame)
     tab.poll("!document.getElementById('working').textContent")
     # Names of the shown answer count twice.

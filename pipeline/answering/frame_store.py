@@ -22,8 +22,10 @@ from pipeline.answering.pipeline import Pipeline
 from pipeline.datasets import Dataset
 from pipeline.datasets.base import load_picture, scene_of
 from pipeline.datasets.frame_reports import CameraPlan, camera_plan
+from pipeline.datasets.odd_frames import OddFrame, odd_frames
 from pipeline.datasets.plausible import depth_doubt
 from pipeline.datasets.settings import Vector
+from pipeline.datasets.timeline import Timeline, timeline_of
 from pipeline.datasets.up import with_frame_up
 from pipeline.geometry.cloud import Cloud, cloud_of
 from pipeline.geometry.frame import Frame
@@ -176,7 +178,7 @@ class FrameStore:
             # Whoever opens it is told what is wrong with it.
             with suppress(InputError, KeyError):
                 loaded = self._load(key, wanted=False)
-                self._give_way()
+                self.give_way()
                 _ = loaded.cloud
                 if then is not None:
                     then(loaded)
@@ -220,11 +222,11 @@ class FrameStore:
 
     def _made(self, key: Key, making: _Making) -> LoadedFrame:
         opened = making.opened
-        self._give_way(making)
+        self.give_way(making)
         raw = opened.dataset.load(key[1])
-        self._give_way(making)
+        self.give_way(making)
         context = prepare_frame(opened.dataset, raw, opened.config.lift)
-        self._give_way(making)
+        self.give_way(making)
         objects, problem = tuple[SceneObject, ...](), ""
         if opened.detector is not None:
             try:
@@ -234,7 +236,7 @@ class FrameStore:
         doubt = _doubt(context.frame, opened.dataset.root)
         return LoadedFrame(context, objects, problem, self.up_hints.get(key[0]), doubt)
 
-    def _give_way(self, making: _Making | None = None) -> None:
+    def give_way(self, making: _Making | None = None) -> None:
         """Pause unawaited work while somebody is being answered."""
         while (making is None or not making.wanted) and self._busy() and threading.main_thread().is_alive():
             time.sleep(YIELD_SECONDS)
@@ -260,13 +262,18 @@ KEPT_PICTURES, KEPT_PLANS = 600, 16
 
 
 class BackgroundPictures:
-    """Thumbnails of frames and plans of cameras, of several pipelines: made on own threads, a few kept."""
+    """Thumbnails of frames, plans of cameras and odd frames, of several pipelines: made on own threads, a few kept.
 
-    def __init__(self, sources: Mapping[str, Pipeline]) -> None:
-        self._sources = sources
+    `pause` is called between the frames of long work.
+    """
+
+    def __init__(self, sources: Mapping[str, Pipeline], pause: Callable[[], object] = lambda: None) -> None:
+        self._sources, self._pause = sources, pause
         self._behind = ThreadPoolExecutor(2, "pictures")
         self._pictures: Recent[tuple[str, str, int], bytes] = Recent(KEPT_PICTURES)
         self._plans: Recent[tuple[str, str], tuple[CameraPlan | None]] = Recent(KEPT_PLANS)
+        self._timelines: dict[str, Timeline] = {}
+        self._odd: dict[str, Future[tuple[OddFrame, ...]]] = {}
 
     def picture(self, source: str, frame_id: str, width: int) -> Future[bytes]:
         """Thumbnail of a frame as JPEG of a width in pixels; empty for a broken frame."""
@@ -283,6 +290,30 @@ class BackgroundPictures:
         dataset = self._sources[source].dataset
         key = (source, scene_of(dataset, frame_id))
         self._behind.submit(lambda: then(self._plans.get(key, lambda: (camera_plan(dataset, frame_id),))[0]))
+
+    def timeline(self, source: str) -> Timeline:
+        """Timeline of a source, made on first use."""
+        if source not in self._timelines:
+            self._timelines[source] = timeline_of(self._sources[source].dataset)
+        return self._timelines[source]
+
+    def odd(self, source: str, then: Callable[[tuple[OddFrame, ...]], object]) -> None:
+        """Find the odd frames of a source, once, and call back."""
+        made = Future[tuple[OddFrame, ...]]()
+        kept = self._odd.setdefault(source, made)
+        if kept is made:
+            # No daemon, as in `FrameStore.prepare`, and no pool, whose end would wait for the last frame.
+            threading.Thread(target=self._find_odd, args=(source, made), daemon=False, name="odd").start()
+        kept.add_done_callback(lambda found: then(found.result()))
+
+    def _find_odd(self, source: str, made: Future[tuple[OddFrame, ...]]) -> None:
+        def go_on(*_: int) -> None:
+            self._pause()
+            if not threading.main_thread().is_alive():
+                raise SystemExit
+
+        made.set_result(odd_frames(self._sources[source].dataset, progress=go_on))
+        trim()
 
 
 def frame_colors(

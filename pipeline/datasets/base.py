@@ -157,6 +157,16 @@ def scene_of(dataset: Dataset, frame_id: str) -> str:
     return dataset.root.resolve().name if parent in (".", "/") else parent
 
 
+def scenes_of(dataset: Dataset) -> tuple[str, ...]:
+    """Scene of every frame, as by `scene_of`; frames of a folder share its name."""
+    own, known = callable(getattr(dataset, "scene_of", None)), dict[str, str]()
+    folders = dataset.frame_ids if own else [frame_id.rpartition("/")[0] for frame_id in dataset.frame_ids]
+    for folder, frame_id in zip(folders, dataset.frame_ids, strict=True):
+        if folder not in known:
+            known[folder] = scene_of(dataset, frame_id)
+    return tuple(known[folder] for folder in folders)
+
+
 def frames_of_scene(dataset: Dataset, frame_id: str) -> tuple[str, ...]:
     """Frame ids of the same scene, in the dataset's order."""
     folder = PurePosixPath(frame_id).parent

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from pipeline.datasets.base import Dataset, load_depth, load_pose, scene_of
+from pipeline.datasets.base import Dataset, load_depth, load_pose, scenes_of
 from pipeline.datasets.cameras import or_note
 
 MOST_POSES, MOST_DEPTHS = 100_000, 2_000
@@ -71,10 +71,13 @@ def odd_frames(
     next one is like the one before it.
     """
     ids = dataset.frame_ids
-    poses = {k: or_note([], "", load_pose, dataset, ids[k]) for k in _spread(len(ids), most_poses)}
+    poses: dict[int, np.ndarray | None] = {}
     grids: dict[int, np.ndarray | None] = {}
-    missing = np.full(len(ids), np.nan)
-    for done, k in enumerate(chosen := _spread(len(ids), most_depths)):
+    missing, chosen = np.full(len(ids), np.nan), _spread(len(ids), most_depths)
+    for k in _spread(len(ids), most_poses):
+        poses[k] = or_note([], "", load_pose, dataset, ids[k])
+        progress(0, len(chosen))
+    for done, k in enumerate(chosen):
         depth = or_note([], "", load_depth, dataset, ids[k])
         if depth is not None:
             rows, columns = (np.linspace(0, size - 1, n).astype(int) for n, size in zip(GRID, depth.shape, strict=True))
@@ -82,8 +85,8 @@ def odd_frames(
             missing[k] = 1 - np.count_nonzero(depth) / depth.size
         progress(done + 1, len(chosen))
     scenes: defaultdict[str, list[int]] = defaultdict(list)
-    for k, frame_id in enumerate(ids):
-        scenes[scene_of(dataset, frame_id)].append(k)
+    for k, scene in enumerate(scenes_of(dataset)):
+        scenes[scene].append(k)
     places = tuple(scenes.values())
     changes = ((poses, _distances), (poses, _turns), (grids, _depth_changes))
     values = np.stack([*(_changes(found, apart, places, len(ids)) for found, apart in changes), missing])

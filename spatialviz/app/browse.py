@@ -1,51 +1,74 @@
-"""Frame browser of a dataset: a strip and a grid of marked pictures, and the cameras of a scene.
+"""Frames of a dataset for the page: the timeline of all, steps through them, rows by request, pictures by address.
 
-Only frames in sight are loaded: names and marks by range, pictures by address.
+The timeline is sent once, a byte a frame; a step from frame to frame sends only where it leads.
 """
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections.abc import Mapping
-from typing import Literal
+from typing import Any, Literal
 
+import numpy as np
 from pydantic import NonNegativeInt
 
 from pipeline.datasets.base import moves
 from pipeline.datasets.frame_reports import CameraPlan
+from pipeline.datasets.odd_frames import OddFrame
+from pipeline.datasets.timeline import UNKNOWN, Timeline, next_with_share, oddest
+from pipeline.evaluation.run_figures import Listing
+from pipeline.evaluation.search import FAILURES
+from pipeline.language.counted import counted
 from spatialviz.app.context import Context, Part, command
+from spatialviz.app.markup import Element, h
+from spatialviz.app.state import State
 
-Which = Literal["all", "failed", "right", "open", "settled"]
-"""Filters: frames with or without a wrong answer of the run, with or without an open item of the review."""
-MOST_ROWS = 400
-"""Frames per request of the page, at most."""
+MOST_ROWS, MOST_IDS = 400, 20
+"""Frames per request of the page, and ids offered for a typed one, at most."""
+CHANGED = 0.1
+"""Above this share of changed frames the timeline is sent anew."""
+Kind = Literal["wrong", "open", "depth"]
+"""Meaning of the timeline's shares: wrong answers, open items of the review, or pixels without depth."""
 Counts = Mapping[str, tuple[int, int]]
 """By frame: (right answers or settled items, the others)."""
 
 
 class Browse(Part):
-    """Opens frames for a client, and fills the strip and the grid."""
+    """Opens frames for a client, and fills the timeline and the grid of all frames."""
 
     def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
-        self._which: Which = "all"
-        self._listed: tuple[int, ...] = ()
-        self._counted: tuple[str, str, Counts] | None = None
-        self._version = 0
+        self._sent: tuple[str, Kind, object] = "", "depth", None
+        self._data: dict[str, Any] = {}
+        self._shares = np.zeros(0, np.uint8)
+        self._odd: dict[str, tuple[OddFrame, ...]] = {}
 
     @property
-    def _ids(self) -> tuple[str, ...]:
-        return tuple(self.ctx.source.dataset.frame_ids)
+    def _timeline(self) -> Timeline:
+        return self.ctx.shared.pictures.timeline(self.state.source)
+
+    @property
+    def _at(self) -> int:
+        return self._timeline.indices[self.state.frame_id]
+
+    # ---- commands -------------------------------------------------------------------
 
     @command("frame")
     def open_number(self, number: int) -> None:
         """Show the frame of a number."""
-        if 0 <= number < len(self._ids):
-            self.ctx.open_frame(self._ids[number])
+        ids = self._timeline.frame_ids
+        if 0 <= number < len(ids):
+            self.ctx.open_frame(ids[number])
 
     @command("next-frame")
     def step(self, step: int) -> None:
         """Show the next frame, or the previous."""
-        self.open_number(self._ids.index(self.state.frame_id) + step)
+        self.open_number(self._at + step)
+
+    @command("next-open")
+    def step_open(self, step: int) -> None:
+        """Show the next frame with open items, or the previous."""
+        self.open_number(-1 if (at := next_with_share(self._shares, self._at, step)) is None else at)
 
     @command("move")
     def move(self, move: str) -> None:
@@ -54,89 +77,152 @@ class Browse(Part):
         if to is not None:
             self.ctx.open_frame(to)
 
-    @command("frames-of")
-    def choose(self, which: Which) -> None:
-        """Filter the frames."""
-        self._which = which
-        self.follow()
-
     @command("frame-grid")
     def show_all(self) -> None:
         """Show the frames as a grid of pictures."""
         self.ctx.page.call("frameGrid")
 
     @command("frame-rows")
-    def rows(self, first: NonNegativeInt, after: NonNegativeInt) -> None:
-        """Send names and marks of a range of listed frames."""
-        ids, counts, places = self._ids, self._counts, self._places[first : min(after, first + MOST_ROWS)]
-        rows = [[n, ids[n], *counts.get(ids[n], (0, 0))] for n in places]
-        self.ctx.page.call("frameRows", {"from": first, "rows": rows})
+    def rows(self, numbers: list[NonNegativeInt]) -> None:
+        """Send ids and counts of frames."""
+        ids, counts = self._timeline.frame_ids, self._counts[1]
+        rows = [[n, ids[n], *counts.get(ids[n], (0, 0))] for n in numbers[:MOST_ROWS] if n < len(ids)]
+        self.ctx.page.call("frameRows", rows)
 
-    # ---- drawing ----------------------------------------------------------------------
+    @command("frame-typed")
+    def complete(self, typed: str) -> None:
+        """Offer frame ids: those that contain the text, else those around the current frame."""
+        ids, first = self._timeline.frame_ids, max(0, self._at - MOST_IDS // 2)
+        found = (i for i in ids if typed in i) if typed else iter(ids[first:])
+        self.ctx.page.call("frameIds", [i for i, _ in zip(found, range(MOST_IDS), strict=False)])
 
-    @property
-    def _counts(self) -> Counts:
-        """Counts by frame: of the review while labels are shown, else of the run."""
-        if self.state.labels is not None:
-            return self.ctx.reviewed
-        run = self.ctx.run
-        return {} if run is None else run.frame_counts
-
-    @property
-    def _places(self) -> range | tuple[int, ...]:
-        """Numbers of the listed frames."""
-        counts, which, source = self._counts, self._which, self.state.source
-        before = self._counted
-        if before is None or before[:2] != (source, which) or before[2] is not counts:
-            well = which in ("right", "settled")
-            listed = (n for n, one in enumerate(self._ids) if one in counts and well == (not counts[one][1]))
-            self._counted, self._version = (source, which, counts), self._version + 1
-            self._listed = () if which == "all" else tuple(listed)
-        return range(len(self._ids)) if which == "all" or not counts else self._listed
-
-    @command("strip")
-    def follow(self) -> None:
-        """Send the strip's list and the position of the current frame."""
-        state, counts, places = self.state, self._counts, self._places
-        labels = state.labels is not None
-        kinds = (
-            {}
-            if not counts
-            else {"open": "open", "settled": "settled"}
-            if labels
-            else {"failed": "with failures", "right": "all right"}
-        )
-        at = self._ids.index(state.frame_id)
-        data = {
-            "source": list(self.ctx.shared.store.sources).index(state.source),
-            "name": state.source,
-            "count": len(places),
-            "all": len(self._ids),
-            "at": places.index(at) if at in places else -1,
-            "kinds": {"all": "all"} | kinds if kinds else {},
-            "which": self._which if self._which in kinds else "all",
-            "words": ["settled", "open"] if labels else ["right", "wrong"],
-            "version": self._version,
-        }
-        self.ctx.page.call("strip", data)
-
-    def browse(self) -> None:
-        """In the background, load the neighbours and find the scene's cameras."""
-        state, ids, store = self.state, self._ids, self.ctx.shared.store
-        at = ids.index(state.frame_id)
-        store.prepare(state.source, (*ids[at + 1 : at + 2], *ids[max(0, at - 1) : at]))
+    @command("frame-plan")
+    def plan(self) -> None:
+        """Send the cameras of the scene from above, and odd frames, once found."""
+        state, indices = self.state, self._timeline.indices
 
         def found(plan: CameraPlan | None) -> None:
-            def show() -> None:
-                if (self.state.source, self.state.frame_id) == (state.source, state.frame_id):
-                    self.ctx.page.call("plan", None if plan is None else _plan_data(plan, state.frame_id))
-
-            self.ctx.post(show)
+            data = None if plan is None else _plan_data(plan, indices)
+            self.ctx.post(lambda: self.ctx.page.call("plan", data))
 
         self.ctx.shared.pictures.plan(state.source, state.frame_id, found)
+        self._find_odd()
+
+    # ---- timeline -------------------------------------------------------------------
+
+    @property
+    def _counts(self) -> tuple[Kind, Counts]:
+        """Counts by frame: of the review while labels are shown, else of the run."""
+        if self.state.labels is not None:
+            return "open", self.ctx.reviewed
+        run = self.ctx.run
+        return "wrong", {} if run is None else run.frame_counts
+
+    @command("timeline")
+    def follow(self) -> None:
+        """Send what has changed of the timeline, and the current frame."""
+        state, page = self.state, self.ctx.page
+        kind, about = self._counts
+        if not about:
+            kind, about = "depth", self._odd.get(state.source)
+            if about is None and state.labels is None:
+                self._find_odd()
+        if self._sent[:2] != (state.source, kind) or about is not self._sent[2]:
+            self._send(kind, about)
+        page.show("frame-steps", steps_html(state, kind, self._at, self._shares))
+        page.call("frameAt", self._at)
+
+    def _send(self, kind: Kind, about: Counts | tuple[OddFrame, ...] | None) -> None:
+        """Send the timeline, or of one that is there already the changed frames."""
+        source, line, before = self.state.source, self._timeline, self._shares
+        if isinstance(about, Mapping):
+            self._shares = line.shares(about)
+        else:
+            self._shares = line.missing_depth(about) if about else np.full(len(line.frame_ids), UNKNOWN, np.uint8)
+        known = self._sent[:2] == (source, kind)
+        self._sent = source, kind, about
+        shares = b64encode(self._shares.tobytes()).decode()
+        if known and kind != "depth" and np.mean(changed := self._shares != before) <= CHANGED:
+            # A browser that connects again is sent what the page has kept, by this very mapping.
+            self._data["shares"] = shares
+            self.ctx.page.call("frameShares", [[int(k), int(self._shares[k])] for k in np.flatnonzero(changed)])
+            return
+        number = list(self.ctx.shared.store.sources).index(source)
+        self._data = {"source": number, "name": source, "kind": kind, "read": about is not None}
+        self._data |= {"shares": shares, "scenes": line.scenes}
+        self.ctx.page.call("timeline", self._data)
+
+    def _find_odd(self) -> None:
+        """Find odd frames in the background, and draw them."""
+        source = self.state.source
+
+        def show(odd: tuple[OddFrame, ...]) -> None:
+            if source not in self._odd:
+                self._odd[source] = odd
+                self.follow()
+            self.ctx.page.call("oddFrames", {"name": source, "frames": oddest(odd)})
+
+        self.ctx.shared.pictures.odd(source, lambda odd: self.ctx.post(lambda: show(odd)))
+
+    def browse(self) -> None:
+        """In the background, load the neighbours."""
+        ids, at = self._timeline.frame_ids, self._at
+        self.ctx.shared.store.prepare(self.state.source, (*ids[at + 1 : at + 2], *ids[max(0, at - 1) : at]))
 
 
-def _plan_data(plan: CameraPlan, at: str) -> dict[str, object]:
-    """Cameras from above for the page, with the current frame; metres to the millimetre."""
+def _plan_data(plan: CameraPlan, indices: Mapping[str, int]) -> dict[str, object]:
+    """Cameras from above for the page; metres to the millimetre."""
     positions, headings = plan.positions.round(3).tolist(), plan.headings.round(3).tolist()
-    return {"at": at, "scene": plan.scene, "frames": plan.frame_ids, "positions": positions, "headings": headings}
+    frames = [indices[frame_id] for frame_id in plan.frame_ids]
+    return {"scene": plan.scene, "frames": frames, "ids": plan.frame_ids, "positions": positions, "headings": headings}
+
+
+def steps_html(state: State, kind: Kind, at: int, shares: np.ndarray) -> Element:
+    """Steps through the failures of the list, the frames with open items, or all frames; and the frame's id."""
+    frame = f"frame {at + 1:,} of {len(shares):,}"
+    words, to, noun, keys = frame.capitalize(), "next-frame", "frame", ("P", "N")
+    if kind == "wrong" and state.listing is not None:
+        words, to, noun, keys = listed_words(state.listing, state.listed), "next-failure", "failure", (",", ".")
+        noun = noun if state.listing.query == FAILURES else f"of {state.listing.query or 'all'}"
+    elif kind == "open":
+        words, to, noun, keys = _open_words(shares, at), "next-open", "frame with open items", ("", "")
+    ends = to == "next-frame"
+    back = _step(to, -1, f"previous {noun}", keys[0], "‹", disabled=ends and at == 0)
+    on = _step(to, 1, f"next {noun}", keys[1], "›", disabled=ends and at + 1 == len(shares))
+    field = h.input(
+        type="text",
+        value=state.frame_id,
+        list="frame-ids",
+        aria_label="Frame",
+        change="open:",
+        field="frame",
+        cls="frame-id",
+        title=state.frame_id,
+        autocomplete="off",
+        spellcheck="false",
+    )
+    every = h.button("All frames", cls="try", local="frames", title="all frames as pictures (Shift+W)")
+    return h.div(
+        h.div(back, h.b(words), on, cls="frame-row"),
+        h.div(None if ends else h.span(frame, cls="dim"), field, every, cls="frame-row"),
+    )
+
+
+def _step(to: str, by: int, title: str, key: str, sign: str, disabled: bool) -> Element:
+    parts = (sign, h.kbd(key) if key else None)[::-by]
+    hint = f"{title} ({key})" if key else title
+    return h.button(parts, cls="try", do=f"{to}:{by}", id=f"step{by}", title=hint, aria_label=title, disabled=disabled)
+
+
+def listed_words(listing: Listing, place: int | None) -> str:
+    """Position of an answer in a list of the run: "Failure 3 of 505", or "3 of 43 found" by another search."""
+    if listing.query != FAILURES:
+        return f"{listing.count:,} found" if place is None else f"{place + 1:,} of {listing.count:,} found"
+    return counted(listing.count, "failure") if place is None else f"Failure {place + 1:,} of {listing.count:,}"
+
+
+def _open_words(shares: np.ndarray, at: int) -> str:
+    found = np.flatnonzero((shares > 0) & (shares < UNKNOWN))
+    place = int(np.searchsorted(found, at)) + 1
+    count = f"{place:,} of {len(found):,}" if at in found else counted(len(found), "frame")
+    return f"{count} with open items"

@@ -54,7 +54,7 @@ class Shared:
     @cached_property
     def pictures(self) -> FramePictures:
         """Pictures of all frames."""
-        return FramePictures(self.store.sources)
+        return FramePictures(self.store.sources, self.store.give_way)
 
     @property
     def moving(self) -> bool:

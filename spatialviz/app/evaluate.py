@@ -80,19 +80,9 @@ class Evaluate(Part):
             self.state = replace(self.state, listing=replace(listing, at=None))
         if self.state.evaluating and self._stale:
             self._draw()
-        if self._asked != self._told:
-            self._told = self._asked
+        if self.state.listed != self._told:
+            self._told = self.state.listed
             self.ctx.page.call("place", self._told)
-
-    @property
-    def _asked(self) -> int | None:
-        """Position of the current expression in the list; None if not listed."""
-        state, listing = self.state, self.state.listing
-        if listing is None:
-            return None
-        if listing.at is not None and (listing.at[0], listing.at[2]) == (state.frame_id, state.text):
-            return listing.place
-        return listing.place_of(listing.figures.rows.asked(state.frame_id, state.text))
 
     def _begin(self) -> None:
         figures, self._sample, self._stale = self._all.get(self.state.source), None, True
@@ -240,8 +230,15 @@ class Evaluate(Part):
         """Explain the next or the previous expression of the list."""
         count, at = self._listing.count, self._listing.place
         if count:
-            at = self._asked if at is None else at
-            self.open((0 if step > 0 else count - 1) if at is None else (at + step) % count)
+            at = self.state.listed if at is None else at
+            self.open(self._from_here(step) if at is None else (at + step) % count)
+
+    def _from_here(self, step: int) -> int:
+        """Position in the list of the next expression, or the previous, from the current frame on."""
+        listing, indices = self._listing, self.ctx.shared.pictures.timeline(self.state.source).indices
+        frames = np.array([indices[listing.figures.rows.keys[k][0]] for k in listing.found.tolist()])
+        ahead = (frames - indices[self.state.frame_id]) * step % len(indices)
+        return int(np.flatnonzero(ahead == ahead.min())[0 if step > 0 else -1])
 
     def reveal(self, frame: str, expression: str) -> None:
         """Mark an expression as open, listing the whole run where the search lacks it."""
@@ -317,7 +314,7 @@ class Evaluate(Part):
             }
         )
         self._show_bar()
-        self._told = self._asked
+        self._told = self.state.listed
         self._columns = rows.filled(listing.found, COLUMNS)
         page.call(
             "found",

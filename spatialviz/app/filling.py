@@ -31,17 +31,13 @@ def _suggestions(_: Context, state: State) -> Child:
     return None if asked else toolbar.suggestions_html(state, state.offers.questions)
 
 
-def _where(ctx: Context, state: State) -> Child:
-    return toolbar.where_html(state, tuple(ctx.shared.store.sources), ctx.source.dataset.frame_ids)
-
-
 def _moves(ctx: Context, state: State) -> Child:
     dataset = ctx.source.dataset
     return toolbar.moves_html(moves(dataset, state.frame_id)) if has_moves(dataset) else None
 
 
 REGIONS = (
-    Region("where", "source frame_id", _where),
+    Region("where", "source", lambda ctx, state: toolbar.where_html(state, tuple(ctx.shared.store.sources))),
     Region("moves", "source frame_id", _moves),
     Region("suggestions", "loaded trace labels error offers text", _suggestions),
     Region("tasks", "labels evaluating", lambda ctx, state: toolbar.tasks_html(state, bool(ctx.shared.journals))),

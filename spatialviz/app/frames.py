@@ -69,24 +69,19 @@ def thumb_url(loaded: LoadedFrame, bbox: np.ndarray) -> str:
     return IMAGES.url(data, "jpg") if data else ""
 
 
-WIDTHS = (160, 480, 960)
-"""Pixels: strip, grid, frame in passing."""
+WIDTH = 480
+"""Pixels of a frame's picture."""
 ADDRESS = re.compile(r"/app/frame/([0-9]{1,3})/([0-9]{1,9})/([0-9]{1,4})\.jpg")
 
 
 class FramePictures(BackgroundPictures):
     """Pictures of all pipelines of a server, open to any page."""
 
-    def url(self, source: str, frame_id: str, width: int = WIDTHS[0]) -> str:
-        """Address of a frame's picture."""
-        number = self._sources[source].dataset.frame_ids.index(frame_id)
-        return f"/app/frame/{list(self._sources).index(source)}/{number}/{width}.jpg"
-
     async def get(self, path: str) -> bytes | None:
         """Frame's picture as JPEG; None for an unknown frame or width, or a broken frame."""
         found = ADDRESS.fullmatch(path)
         source, number, width = (0, 0, 0) if found is None else map(int, found.groups())
-        if width not in WIDTHS or source >= len(self._sources):
+        if width != WIDTH or source >= len(self._sources):
             return None
         name = list(self._sources)[source]
         ids = self._sources[name].dataset.frame_ids

@@ -12,8 +12,9 @@ from spatialviz.app.channel import Call, Outgoing, PageAddress, Patch
 from spatialviz.app.markup import BAD, Child, Element, button, changed, h, note
 
 KEPT_CALLS = (
-    "strip",
-    "plan",
+    "timeline",
+    "frameAt",
+    "oddFrames",
     "tags",
     "objects",
     "selected",

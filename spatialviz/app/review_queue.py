@@ -355,7 +355,7 @@ class ReviewQueue(LabelPart):
         work = queue.work
         if work is not None and self.ctx.reviewed is not work.frame_counts:
             self.ctx.reviewed = work.frame_counts
-            self.ctx.post(lambda: self.ctx.handle(Command("strip")))
+            self.ctx.post(lambda: self.ctx.handle(Command("timeline")))
         bulk = None if work is None else bulk_html(self._find, len(self._found(work)), len(work))
         rows = queue_html(work, queue.seen, queue.networks, self._kind, item, queue.names, bulk)
         page.fill({"review-item": None if view is None else self._card(queue, item), "review-list": rows})

@@ -179,6 +179,16 @@ class State(AnswerView):
         return None if number is None else rows.keys[number][1]
 
     @cached_property
+    def listed(self) -> int | None:
+        """Position of the current expression in the list of the run; None if not listed."""
+        listing = self.listing
+        if listing is None:
+            return None
+        if listing.at is not None and (listing.at[0], listing.at[2]) == (self.frame_id, self.text):
+            return listing.place
+        return listing.place_of(listing.figures.rows.asked(self.frame_id, self.text))
+
+    @cached_property
     def recorded(self) -> Recorded | None:
         """Verdict of the run on the current, unedited expression."""
         expression = self.expression_id(self.text)

@@ -127,34 +127,12 @@ def suggestions_html(state: State, suggestions: Sequence[str]) -> Element | None
     return panel(h.ul(rows, cls="suggestions"))
 
 
-LISTED_FRAMES = 1000
-"""Frames listed around the current frame; more would be slow to open."""
-
-
-def where_html(state: State, sources: Sequence[str], ids: Sequence[str]) -> list[Element]:
-    """Choice of dataset and frame, with steps to the neighbours."""
-    dataset = h.span(state.source, cls="dataset")
-    if len(sources) > 1:
-        options = (h.option(name, value=name, selected=name == state.source) for name in sources)
-        dataset = h.select(options, aria_label="Dataset", change="data:")
-    field = h.input(
-        type="text",
-        value=state.frame_id,
-        list="frame-ids",
-        aria_label="Frame",
-        change="open:",
-        cls="frame-id",
-        autocomplete="off",
-        spellcheck="false",
-    )
-    at, count = ids.index(state.frame_id), len(ids)
-    start = max(0, min(at - LISTED_FRAMES // 2, count - LISTED_FRAMES))
-    offered = h.datalist((h.option(value=name) for name in ids[start : start + LISTED_FRAMES]), id="frame-ids")
-    back, on = (
-        button(label, f"next-frame:{by}", hint, aria_label=hint, id=f"step{by}", disabled=not 0 <= at + by < count)
-        for by, label, hint in ((-1, "‹", "previous frame (P)"), (1, "›", "next frame (N)"))
-    )
-    return [dataset, field, offered, h.div(back, h.span(f"{at + 1} of {count}", cls="dim"), on, cls="nav")]
+def where_html(state: State, sources: Sequence[str]) -> Element:
+    """Name of the dataset, or the choice of one."""
+    if len(sources) < 2:
+        return h.span(state.source, cls="dataset")
+    options = (h.option(name, value=name, selected=name == state.source) for name in sources)
+    return h.select(options, aria_label="Dataset", change="data:")
 
 
 TASK_HINTS = {

@@ -4,14 +4,15 @@ import {byId, calls, connect, el, fields, go, locals, patch, send, sceneWindow, 
 import {showScene} from './frame.mjs';
 import './drawing.mjs';
 import './fields.mjs';
+import './frame_grid.mjs';
 import './hover.mjs';
 import './pixels.mjs';
 import './rows.mjs';
 import './scale.mjs';
 import './shot.mjs';
 import './sides.mjs';
-import './strip.mjs';
 import './tags.mjs';
+import './timeline.mjs';
 import './tip.mjs';
 
 const kept = (name, value) => {
