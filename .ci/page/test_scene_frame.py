@@ -58,7 +58,7 @@ def test_without_webgl_the_picture_takes_the_place(demo: Server, open_tab: OpenT
     assert scene["height"] < 80, scene
     assert picture["height"] > 400, picture
     tab.ask("laptop right of the mug")
-    tab.see("#answer .names", "right of")
+    tab.see("#answer", "mug")
 
 
 def test_a_scene_that_is_lost_is_drawn_again(demo: Server, open_tab: OpenTab) -> None:
@@ -69,3 +69,65 @@ def test_a_scene_that_is_lost_is_drawn_again(demo: Server, open_tab: OpenTab) ->
     tab.poll("document.getElementById('sceneless').hidden")
     tab.drawn()
     tab.poll("document.getElementById('loading').hidden")
+
+
+TAGS = """(async () => {
+  const {shownTags} = await import('/app/tags.mjs');
+  const gap = ([a, b, c, d], [x, y, X, Y]) => Math.hypot(Math.max(x - c, a - X, 0), Math.max(y - d, b - Y, 0));
+  return shownTags().map(({text, strong, rect, box}) => ({text, strong, gap: gap(rect, box), box}));
+})()"""
+
+
+def test_names_stand_beside_their_boxes(demo: Server, open_tab: OpenTab) -> None:
+    """With the glyph of a role and no score; of those without a role at most eight."""
+    tab = open_tab(demo.address).drawn()
+    tab.poll("document.querySelectorAll('#tags .tag:not(.hovering)').length > 2")
+    tab.send("flag:labels")
+    tab.poll("document.querySelectorAll('#tags .weak:not(.hovering)').length > 8")
+    tags = tab.still(TAGS)
+    strong, weak = ([tag for tag in tags if tag["strong"] is kind] for kind in (True, False))
+    assert {"T", "R"} <= set(tab.page.locator("#tags .tag b").all_inner_texts())
+    assert len(strong) >= 2
+    assert 0 < len(weak) <= 8
+    assert not [tag for tag in tags if tag["gap"] > 48]
+    assert not [tag for tag in tags if "·" in tag["text"] or "0." in tag["text"]]
+
+
+def marked(tab: Tab, number: int) -> None:
+    """An object is marked everywhere."""
+    tab.poll("n => import('/app/hover.mjs').then(m => m.markedObjects().join() === String(n))", number)
+    tab.poll("document.querySelector('.hovered path')?.getAttribute('d') && document.querySelector('#marked rect')")
+    assert tab.page.evaluate(
+        "n => [...document.querySelectorAll(`[data-hover='hover:${n}']`)]"
+        ".every(e => getComputedStyle(e).outlineStyle === 'solid')",
+        number,
+    )
+
+
+def test_one_thing_is_marked_in_row_picture_and_scene(demo: Server, open_tab: OpenTab) -> None:
+    """Whichever of them the pointer is over; and by the focus of a row."""
+    tab = open_tab(demo.address).drawn()
+    tab.poll("document.querySelector('#tags .tag')")
+    row = tab.see("#stages [data-hover]")
+    number = int(row.get_attribute("data-hover").split(":")[1])  # pyright: ignore[reportOptionalMemberAccess]
+    row.hover()
+    marked(tab, number)
+    tab.page.mouse.move(2, 2)
+    tab.poll("!document.querySelector('.hovered path')")
+    # Its middle in the picture may show something in front of it: what is marked there is asked of the page.
+    picture = tab.see("#image .pic").bounding_box()
+    assert picture is not None
+    find = "import('/app/hover.mjs').then(m => m.inPicture(0.5, 0.55).concat([-1])[0] + 1)"
+    seen = tab.poll(find) - 1
+    tab.page.mouse.move(picture["x"] + picture["width"] * 0.5, picture["y"] + picture["height"] * 0.55)
+    marked(tab, seen)
+    host = tab.see("#scene").bounding_box()
+    assert host is not None
+    target = next(tag for tag in tab.still(TAGS) if tag["strong"])
+    x, y = (target["box"][k] / 2 + target["box"][k + 2] / 2 for k in (0, 1))
+    tab.page.mouse.move(host["x"] + x, host["y"] + y)
+    inside = tab.poll("at => import('/app/hover.mjs').then(m => m.inScene(...at).concat([-1])[0] + 1)", [x, y]) - 1
+    marked(tab, inside)
+    tab.page.mouse.move(2, 2)
+    row.focus()
+    marked(tab, number)

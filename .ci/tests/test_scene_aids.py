@@ -133,7 +133,7 @@ def test_the_scale_is_told_for_the_middle_of_the_pair_else_of_the_cloud() -> Non
     assert pair is not None
     boxes = [desk.state.shown.objects[i].lifted.box for i in pair[:2]]
     expected = np.mean([box.center for box in boxes if box is not None], axis=0)
-    assert desk.called("scale")["name"] == desk.state.shown.names[pair[0]]
+    assert desk.called("scale")["name"] == "the pair"
     np.testing.assert_allclose(desk.called("scale")["center"], expected, atol=1e-3)
     desk.aided(replace(desk.state, pair=None))
     assert desk.called("scale")["name"] == "the middle"

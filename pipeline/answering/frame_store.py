@@ -334,7 +334,7 @@ def frame_colors(
     if mode == "depth":
         return depth_colors(frame.depth)
     if mode == "rgb" or not objects:
-        return frame.rgb if lit is None else dimmed(frame.rgb, lit)
+        return frame.rgb if lit is None else dimmed(frame.rgb, lit, dark)
     grey = np.repeat(frame.rgb.mean(axis=2, keepdims=True), 3, axis=2)
     image = (grey * 0.55 + (20 if dark else 110)).astype(np.uint8)
     order = sorted(range(len(objects)), key=lambda i: -int(objects[i].lifted.quality.mask_pixels))

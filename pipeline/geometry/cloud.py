@@ -107,9 +107,9 @@ def _part(points: np.ndarray, group: np.ndarray, start: int, size: float) -> Clo
 
 AROUND, NEAREST = 1.12, 0.55
 """A pair is seen from so much farther than would fill the view, and from no nearer than so many metres."""
-NEAREST_SPACINGS = 150
-"""Nor from nearer than so many times the spacing of its points: they then lie 6 pixels apart in a view 800 pixels high,
-and 6 is the size that no point exceeds on the page."""
+NEAREST_SPACINGS = 250
+"""Nor from nearer than so many times the spacing of its points on a surface that faces the sensor: they then lie 4
+pixels apart in a view 800 pixels high, and 8 on a surface at 60 degrees; on the page no point is larger than 6."""
 TOWARD = np.array([-0.36, 0.84, -0.42])
 """Where one looks who sees all: from the right, above and behind the sensor."""
 FITTING_FOV, TOP_FOV = float(np.deg2rad(44)), float(np.deg2rad(50))

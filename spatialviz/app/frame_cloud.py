@@ -210,7 +210,7 @@ class SceneAids(Part):
             return None
         return {
             "map": self._mapped[1],
-            "names": state.shown.names,
+            "names": [name.replace("·", " ") for name in state.shown.names],
             "boxes": [
                 None if o.lifted.box is None else _hover_box(self.ctx.scene.shown_box(o.lifted.box))
                 for o in state.shown.objects
@@ -222,8 +222,8 @@ class SceneAids(Part):
         """Point of the depth scale: the middle of the chosen pair, else of the cloud."""
         ends = [] if state.pair is None else [state.shown.objects[i].lifted.box for i in state.pair[:2]]
         centers = [self.ctx.scene.to_show @ box.center for box in ends if box is not None]
-        if centers and state.pair is not None:
-            return {"center": _rounded(np.mean(centers, axis=0)), "name": state.shown.names[state.pair[0]]}
+        if centers:
+            return {"center": _rounded(np.mean(centers, axis=0)), "name": "the pair"}
         points = loaded.cloud.points
         middle = np.median(points, axis=0) if len(points) else np.array([0.0, 2.0, 0.0])
         return {"center": _rounded(middle), "name": "the middle"}

@@ -252,8 +252,8 @@ class State(AnswerView):
     @property
     def spotlit(self) -> np.ndarray | None:
         """(H, W) bool: pixels that the cloud is dimmed around: those of an answer, in the picture's own colours."""
-        shown = self.flags.dim and self.colors == "rgb" and self.labels is None and self.pair is not None
-        return self.lit if shown else None
+        dims = self.flags.dim and self.colors == "rgb" and self.labels is None
+        return self.lit if dims and (self.roles or self.ghosts) else None
 
     @property
     def at_place(self) -> Place:

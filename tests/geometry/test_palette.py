@@ -128,6 +128,9 @@ def test_what_is_beside_the_point_is_dimmed() -> None:
     lit[1:3, 2:4] = True
     image = dimmed(rgb, lit)
     assert (image[lit] == rgb[lit]).all()
+    light = dimmed(rgb, lit, dark=False)
+    assert (light[lit] == rgb[lit]).all()
+    assert (light[0, 0] > image[0, 0]).all()
     before, after = rgb[0, 0].astype(float), image[0, 0].astype(float)
     luma = np.array([0.2126, 0.7152, 0.0722])
     assert after @ luma == pytest.approx(LIGHTNESS * (before @ luma), abs=1)

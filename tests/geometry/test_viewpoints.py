@@ -46,8 +46,8 @@ def test_points_are_never_seen_so_near_that_they_come_apart(away: float) -> None
     spacing = stride_of(CAMERA) * away / CAMERA.fx
     assert distance >= max(NEAREST, NEAREST_SPACINGS * spacing) - 1e-6
     assert distance >= nearest_distance(small, CAMERA) - 1e-6
-    # In pixels of a view of 800 rows: no more than the size that the page allows a point.
-    assert spacing / distance * 400 / np.tan(fov / 2) <= 7
+    # In pixels of a view of 800 rows: less than the size that the page allows a point.
+    assert spacing / distance * 400 / np.tan(fov / 2) <= 5
 
 
 def test_the_sensors_view_holds_its_picture_and_stands_where_it_stood() -> None:

@@ -4,7 +4,7 @@ Rows name their objects by `data-hover="hover:3"`, those of a pair by "hover:3,7
 
 import {byId, calls, el, sceneHost, sceneWindow} from './core.mjs';
 import {SVG, afterDrawing, project, sceneMatrix} from './scene.mjs';
-import {BOX_EDGES, CORNERS} from './tags.mjs';
+import {BOX_EDGES, CORNERS, overlap, standing} from './tags.mjs';
 
 /* By number: names; boxes of the scene {center, R, half, volume} or null; rectangles in the picture. `map`: pixels of a
 small picture of the frame, in which each pixel is 1 + the number of the smallest object there. */
@@ -93,11 +93,14 @@ function stand() {
   }
   const view = marked.length && sceneMatrix(), {clientWidth: W, clientHeight: H} = sceneHost(), drawn = [];
   const boxes = view ? marked.map(i => objects.boxes[i]).filter(Boolean) : [];
-  let top = null;
+  let top = null, low = null;
   for (const {center, R, half} of boxes) {
     const ends = CORNERS.map(signs => project(view, ...center.map((c, k) => c + dot(R.slice(3 * k, 3 * k + 3), signs.map((s, j) => s * half[j]))), W, H));
     for (const [i, j] of BOX_EDGES) if (ends[i] && ends[j]) drawn.push(ends[i].slice(0, 2), ends[j].slice(0, 2));
-    for (const end of ends) if (end && (!top || end[1] < top[1])) top = end;
+    for (const end of ends.filter(Boolean)) {
+      if (!top || end[1] < top[1]) top = end;
+      if (!low || end[1] > low[1]) low = end;
+    }
   }
   const middles = boxes.length === 2 ? boxes.map(box => project(view, ...box.center, W, H)) : [];
   if (middles[0] && middles[1]) drawn.push(...middles.map(middle => middle.slice(0, 2)));
@@ -106,7 +109,10 @@ function stand() {
   name.style.visibility = top && boxes.length === 1 ? 'visible' : 'hidden';
   if (!top) return;
   name.textContent = objects.names[marked[0]];
-  const x = Math.max(2, Math.min(W - name.offsetWidth - 2, top[0] - name.offsetWidth / 2)), y = Math.max(2, top[1] - name.offsetHeight - 4);
+  const {offsetWidth: w, offsetHeight: h} = name, others = standing();
+  const [x, y] = [[top[0], top[1] - h - 4], [low[0], low[1] + 4], [top[0], top[1] + 4]]
+    .map(([x, y]) => [Math.max(2, Math.min(W - w - 2, x - w / 2)), Math.max(2, Math.min(H - h - 2, y))])
+    .find(([x, y]) => others.every(other => !overlap([x, y, x + w, y + h], other))) ?? [2, 2];
   name.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`;
 }
 afterDrawing(stand);

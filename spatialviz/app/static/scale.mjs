@@ -3,7 +3,7 @@
 import {byId, calls, el, sceneHost} from './core.mjs';
 import {SVG, afterDrawing, project, sceneMatrix} from './scene.mjs';
 
-const LONGEST = 140;
+const LONGEST = 100;
 
 /* The longest of 1, 2, 5 times a power of ten that is not longer than `most`. */
 export function roundLength(most) {

@@ -36,7 +36,7 @@ export function inkOn(color) {
 
 /* ---- geometry: [x0, y0, x1, y1] in pixels of the host */
 
-const overlap = (a, b) => Math.max(0, Math.min(a[2], b[2]) - Math.max(a[0], b[0]))
+export const overlap = (a, b) => Math.max(0, Math.min(a[2], b[2]) - Math.max(a[0], b[0]))
   * Math.max(0, Math.min(a[3], b[3]) - Math.max(a[1], b[1]));
 const within = (v, low, high) => Math.max(low, Math.min(high, v));
 
@@ -204,7 +204,7 @@ function stand(tag) {
 }
 
 /* What else stands over the scene: tools, legend with scale, buttons, the inset picture. */
-function standing() {
+export function standing() {
   const {left, top} = layer.getBoundingClientRect();
   return [...document.querySelectorAll('#scene-tools>*, #scene-low, #scene-buttons>*, #scene~#picture')].map(e => e.getBoundingClientRect())
     .filter(r => r.width).map(r => [r.left - left - 2, r.top - top - 2, r.right - left + 2, r.bottom - top + 2]);
