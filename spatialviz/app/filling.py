@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from pipeline.datasets.base import has_moves, moves
-from spatialviz.app import answer, picture, sentences, stage_objects, stages, toolbar
+from spatialviz.app import answer, first_steps, picture, sentences, stage_objects, stages, toolbar
 from spatialviz.app.context import Context
 from spatialviz.app.markup import Child
 from spatialviz.app.state import State
@@ -40,6 +40,7 @@ REGIONS = (
     Region("where", "source", lambda ctx, state: toolbar.where_html(state, tuple(ctx.shared.store.sources))),
     Region("moves", "source frame_id", _moves),
     Region("suggestions", "loaded trace labels error offers text", _suggestions),
+    Region("needs", "source labels", lambda ctx, _: first_steps.needs_html(ctx), lambda state: state.labels is None),
     Region("tasks", "labels evaluating", lambda ctx, state: toolbar.tasks_html(state, bool(ctx.shared.journals))),
     Region("scene-tools", "loaded flags colors camera point_size", lambda _, state: toolbar.scene_tools_html(state)),
     Region("scene-buttons", "found trace pair picking", lambda _, state: toolbar.scene_buttons_html(state)),
@@ -92,6 +93,7 @@ class Filling:
         page.call("theme", "dark" if state.dark else "light")
         page.call("task", state.task)
         page.call("working", "")
+        page.call("hints", first_steps.is_demo(self._ctx))
         with page.together():
             self._fill((*REGIONS, *(LABELLED if state.labels else FOLLOWING)))
         page.call("selected", {"object": state.selected, "pair": self._rank(state)})

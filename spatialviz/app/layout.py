@@ -19,6 +19,7 @@ KEPT_CALLS = (
     "objects",
     "selected",
     "keys",
+    "hints",
     "theme",
     "task",
     "pixels",

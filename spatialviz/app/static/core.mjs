@@ -5,11 +5,13 @@ export const locals = {};  // name -> function(element, argument), by data-local
 export const fields = {};  // name -> {input, keydown, blur, focus}(event, element), by data-field
 
 let transmit = () => {};
+export const sent = [];    // functions called with each command
 export const connect = f => { transmit = f; };
 // "name", "name:argument", or a name with its arguments as JSON.
 export const send = (said, ...values) => {
   const [, name, argument] = said.match(/^([^:]*)(?::([^]*))?$/);
   transmit({type: 'command', name, arguments: argument === undefined ? values : [argument]});
+  for (const hear of sent) hear(said);
 };
 export const go = address => transmit({type: 'go', address});
 

@@ -5,6 +5,7 @@ import {showScene} from './frame.mjs';
 import './drawing.mjs';
 import './fields.mjs';
 import './frame_grid.mjs';
+import './hints.mjs';
 import './hover.mjs';
 import './pixels.mjs';
 import './rows.mjs';

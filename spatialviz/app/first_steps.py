@@ -1,0 +1,42 @@
+"""First steps of a newcomer: hints on the demo, and on a folder of one's own what each view needs."""
+
+from __future__ import annotations
+
+import shlex
+
+from pipeline.datasets.demo import demo_path
+from spatialviz.app.context import Context
+from spatialviz.app.evaluate_html import no_run_html
+from spatialviz.app.markup import Element, h, panel
+
+NEEDS = {
+    "Explain": "needs a detector that finds what you ask for:",
+    "Label": "needs nothing more: outline things and name them.",
+}
+
+
+def is_demo(ctx: Context) -> bool:
+    """True while the built-in demo is shown."""
+    return ctx.source.dataset.root.resolve() == demo_path().resolve()
+
+
+def needs_html(ctx: Context) -> Element | None:
+    """What each view needs, with commands; None where answers are judged by a run, labels or annotations."""
+    name, dataset, shared = ctx.state.source, ctx.source.dataset, ctx.shared
+    if name in shared.runs or name in shared.labels or dataset.class_names:
+        return None
+    command = f"spatialviz view {shlex.quote(str(dataset.root))} --detector yolo-seg --model FILE.onnx"
+    place = shared.journals.get(name)
+    labels = None if place is None or not place.labels.root.exists() else place.labels.root
+    explain = None if ctx.can_ask else (h.p(h.b("Explain "), NEEDS["Explain"]), h.pre(command, cls="file", tabindex=0))
+    label = h.p(h.b("Label "), NEEDS["Label"]) if place is not None else None
+    return panel(
+        h.details(
+            h.summary("No labels and no run are open: answers are not judged"),
+            explain,
+            label,
+            h.p(h.b("Evaluate")),
+            no_run_html(dataset.root, False, labels),
+        ),
+        cls="needs",
+    )
