@@ -18,7 +18,7 @@ from servers import Server
 DOCUMENT = Path(__file__).parents[2] / "docs" / "tasks.md"
 QUESTION = "mug left of the laptop"
 WHOLE = """() => {
-  const e = document.querySelector('#stages .sentence'), s = e && getComputedStyle(e);
+  const e = document.querySelector('#answer .why'), s = e && getComputedStyle(e);
   return e && e.textContent.trim().length > 20 && s.textOverflow !== 'ellipsis'
     && e.scrollWidth <= e.clientWidth + 1 && e.scrollHeight <= e.clientHeight + 1
     && e.getBoundingClientRect().bottom <= innerHeight && e.textContent;
@@ -66,7 +66,7 @@ def next_failure(c: Counted) -> None:
     was = c.tab.question
     c.press(".")
     c.tab.poll("was => document.getElementById('ask-text').value !== was", was)
-    assert "CORRECT" not in c.tab.see("#answer .verdict").inner_text()
+    c.tab.see("#answer .why:is(.bad, .doubt)")
 
 
 def read_why(c: Counted) -> None:
@@ -83,7 +83,7 @@ def ask(c: Counted) -> None:
     c.press("/")
     c.type(QUESTION)
     c.press("Enter")
-    c.tab.see("#answer .names", "left of")
+    c.tab.answers(*QUESTION.split(" left of the "))
 
 
 def share(c: Counted) -> None:

@@ -16,7 +16,7 @@ def looked_at(tab: Tab) -> dict[str, list[str]]:
 def shows_the_same(tab: Tab, wanted: dict[str, list[str]]) -> None:
     tab.words().drawn()
     tab.see("#head-srm[aria-expanded=true]")
-    tab.see("#answer .names", "right of")
+    tab.answers("laptop", "mug")
     tab.page.wait_for_timeout(1200)  # long enough for the scene to turn the camera again, which it must not
     found = looked_at(tab)
     cameras = [[float(n) for n in place.pop("camera")[0].split(",")] for place in (found, dict(wanted))]
@@ -41,7 +41,7 @@ def test_what_is_looked_at_comes_back(demo: Server, open_tab: OpenTab) -> None:
     tab = open_tab(demo.address).drawn()
     first = tab.frame
     tab.ask("laptop right of the mug")
-    tab.see("#answer .names", "right of")
+    tab.answers("laptop", "mug")
     tab.click("stage:SRM")
     tab.see("#head-srm[aria-expanded=true]")
     turn_the_camera(tab)
@@ -112,6 +112,7 @@ def test_what_a_view_string_names_is_opened_after_a_yes_alone(demo: Server, open
     tab.see(".toast.bad", "a dataset that is not open here")
     assert tab.page.url == before
     tab.ask(encode(replace(view, run="/nowhere/other")))
+    tab.drawer("Log")
     tab.poll("document.getElementById('log').textContent.includes('/nowhere/other, which is not open here')")
     network = "/nowhere/network.onnx"
     told = "name => ['log', 'toasts'].some(id => document.getElementById(id).textContent.includes(name))"
