@@ -7,6 +7,7 @@ import './fields.mjs';
 import './frame_grid.mjs';
 import './hints.mjs';
 import './hover.mjs';
+import './inset.mjs';
 import './pixels.mjs';
 import './rows.mjs';
 import './scale.mjs';
@@ -75,6 +76,7 @@ const address = ({query, title, push}) => {
     byId('side').scrollTop = 0;
     byId('answer').scrollIntoView({block: 'nearest'});
   }
+  if (now !== about) calls.answered();
   about = now;
   const wanted = '?' + query;
   if (location.search !== wanted) history[push ? 'pushState' : 'replaceState'](null, '', wanted);
@@ -253,7 +255,7 @@ let working = 0;
 calls.working = text => {
   clearTimeout(working);
   // Quick work does not flicker.
-  working = setTimeout(() => { byId('working').textContent = text; }, text ? 150 : 0);
+  working = setTimeout(() => byId('working').replaceChildren(...(text ? [el('span', '', text)] : [])), text ? 150 : 0);
 };
 
 // A dialog is open while its region holds one.
