@@ -119,7 +119,7 @@ def settle(c: Counted) -> None:
 
 def edit_box(c: Counted) -> None:
     c.drag(*drawn_edge(c.tab), 18, 0)
-    c.tab.see("#side .note", "3D box")
+    c.tab.see(".toast", "3D box")
 
 
 def fix_mask(c: Counted) -> None:

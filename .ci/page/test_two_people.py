@@ -76,7 +76,7 @@ class Person:
                 refused.locator(".close").first.evaluate("close => close.click()")
                 raise Refused
             self.tab.page.wait_for_timeout(100)
-        raise AssertionError(f"{self.name}: lost: {what}; {self.tab.page.locator('#side .note').all_inner_texts()}")
+        raise AssertionError(f"{self.name}: lost: {what}; {self.tab.page.locator('.toast').all_inner_texts()}")
 
     def keep(self, done: Done) -> None:
         self.done.append(done)
@@ -182,7 +182,9 @@ def journal_says(journal: Path, name: str) -> tuple[Counter[Done], Counter[Done]
         if first["field"] == "box":
             done = ("box", f"{first['frame']} {first['key']}", round(value["size"][0], 3) if value else -1.0)
         else:
-            done = ("accept", f"{first['frame']} {sorted(json.loads(first['key'])[2:4])}", 0.0)
+            # An undecided relation gets a state, where others are accepted as they are.
+            ends = json.loads(first["key"])[2:4] if first["kind"] == "review" else map(int, first["key"].split(","))
+            done = ("accept", f"{first['frame']} {sorted(ends)}", 0.0)
         (back if first["action"] == "undo" else saved)[done] += 1
     return saved, back, twice
 

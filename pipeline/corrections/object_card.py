@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -224,13 +224,25 @@ class ExpressionCard:
         return {self.target_object, self.reference_object} == set(pair)
 
 
-def expression_cards(frame: EffectiveFrame, pair: Iterable[int] = ()) -> tuple[ExpressionCard, ...]:
-    """Expressions of a frame: of the pair first, withdrawn last."""
+def expression_order(frame: EffectiveFrame, pair: Iterable[int] = ()) -> tuple[str, ...]:
+    """Ids of a frame's expressions: of the pair first, withdrawn last."""
+    chosen, withdrawn = set(pair), {w.id for w in frame.withdrawn}
+
+    def place(name: str) -> tuple[bool, bool]:
+        row = frame.expression(name) or {}
+        return {row.get("target_object"), row.get("reference_object")} != chosen, name in withdrawn
+
+    return tuple(sorted(frame.sentences, key=place))
+
+
+def expression_cards(
+    frame: EffectiveFrame, pair: Iterable[int] = (), names: Collection[str] | None = None
+) -> tuple[ExpressionCard, ...]:
+    """Expressions of a frame in this order, by default all: of the pair first, withdrawn last."""
     withdrawn = {w.id: w.reason for w in frame.withdrawn}
     statuses = statuses_of_items(frame.statuses)
-    cards = [_card(frame, name, withdrawn.get(name, ""), statuses) for name in frame.sentences]
-    chosen = tuple(pair)
-    return tuple(sorted(cards, key=lambda c: (not c.is_of(chosen), bool(c.withdrawn))))
+    order = expression_order(frame, pair) if names is None else names
+    return tuple(_card(frame, name, withdrawn.get(name, ""), statuses) for name in order)
 
 
 def expression_card(frame: EffectiveFrame, name: str) -> ExpressionCard:
@@ -285,6 +297,10 @@ def set_answer(frame: EffectiveFrame, name: str, number: int, certainty: Certain
     return set_answers(frame, name, *answers_with(card, number, certainty), reason)
 
 
+LISTED = 20
+"""Expressions listed around the selected one: those of the chosen pair come first."""
+
+
 @dataclass(frozen=True)
 class LabelView:
     """Labels of the shown frame, and what of them is selected."""
@@ -293,11 +309,10 @@ class LabelView:
     card: PairCard | None = None
     relation: str | None = None  # settled by the keys T, U and F
     item: ItemKey | None = None  # of the review queue
-    said: str = ""  # result of the last action
-    bad: bool = False  # not done
     expression: str | None = None  # id
     about: tuple[int, ...] = ()  # pair whose expressions are listed first
-    expressions: tuple[ExpressionCard, ...] = ()
+    order: tuple[str, ...] = ()  # of all expressions, by id
+    expressions: tuple[ExpressionCard, ...] = ()  # at most LISTED of them, with the selected one
     history: tuple[EventLine, ...] = ()
     author: str = ""
 
@@ -341,12 +356,16 @@ class LabelView:
         relation = self.relation if self.relation in found.relations else next(iter(found.relations), None)
         about = self.about if pair is None or (self.sentence is not None and self.sentence.is_of(pair)) else pair
         objects = () if number is None else (number,)
+        order = expression_order(self.frame, about)
+        at = order.index(self.expression) if self.expression in order else 0
+        start = max(0, min(at - LISTED // 2, len(order) - LISTED))
         history = editor.history(self.frame.frame, objects=objects, pair=pair, expression=self.expression)
         return replace(
             found,
             relation=relation,
             about=about,
-            expressions=expression_cards(self.frame, about),
+            order=order,
+            expressions=expression_cards(self.frame, names=order[start : start + LISTED]),
             history=history,
             author=editor.author,
         )

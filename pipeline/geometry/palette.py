@@ -35,7 +35,7 @@ ON_LIGHT: dict[Role, RGB] = {
 
 LINE_WIDTH: dict[Role, float] = {"other": 1.3, "reference": 3.0, "target": 3.0, "truth": 3.0, "edited": 3.0}
 """Of boxes in 3D, pixels; a dark halo of a pixel stands around lines of three."""
-FACE_OPACITY: dict[Role, float] = {"other": 0.035, "reference": 0.15, "target": 0.15}
+FACE_OPACITY: dict[Role, float] = {"other": 0.035, "reference": 0.15, "target": 0.15, "truth": 0.1}
 """Of boxes in 3D."""
 
 DROPPED: dict[Pixel, RGB] = {

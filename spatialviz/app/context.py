@@ -115,10 +115,10 @@ class Context:
         """Write a line of the log."""
         self.log = [*self.log, (datetime.now().strftime("%H:%M:%S"), text)][-LOG_LENGTH:]
 
-    def toast(self, title: str, text: str, bad: bool = False) -> None:
-        """Show a message in the corner of the page, and log it; errors stay until closed."""
-        self.note(f"{title}: {text}")
-        self.page.toast(title, text, bad)
+    def toast(self, title: str, text: str, bad: bool = False, undo: str = "") -> None:
+        """Show a message in the corner of the page, and log it; errors stay until closed. `undo` is a command."""
+        self.note(f"{title}: {text}" if text else title)
+        self.page.toast(title, text, bad, undo)
 
     def fail(self, error: InputError) -> None:
         """Show the reason of a failure."""

@@ -243,7 +243,8 @@ _FITS = h.div(
 )
 
 
-def object_html(card: ObjectCard, name: str, color: RGB) -> Element:
+def object_html(card: ObjectCard, name: str, color: RGB, named: bool) -> Element:
+    """Fields of a labelled object; `named` leaves out its class, which is named beside the question."""
     facts = [counted(card.points, "point"), *([] if card.distance is None else [f"{card.distance:.2f} m"])]
     asked = counted(card.expressions, "expression")
     counts = " ".join(f"{n} {state}" for state, n in card.states.items())
@@ -253,24 +254,26 @@ def object_html(card: ObjectCard, name: str, color: RGB) -> Element:
             heading(h.b(dot(color), name), " · ".join(facts)),
             h.div(f"relations {counts} · in {asked}{added}", cls="dim"),
         ),
-        label=row(
-            "Class",
-            h.input(
-                cls="find",
-                aria_label="Class",
-                spellcheck="false",
-                autocomplete="off",
-                value=card.label,
-                title="Enter saves it, Tab completes it (Shift+O)",
-                field="class",
-            ),
-        ),
+        label=None if named else row("Class", class_field(card.label)),
         concern=note(f"Not asked for: {card.concern}", DOUBT) if card.concern else None,
         box=h.div(
             _box_rows(card.numbers, box_command(card.frame, card.number), LENGTH_DIGITS, _FITS),
             h.div(f"Fitted {card.fit}.", cls="dim") if card.fit else None,
         ),
         sources=(heading("Where it comes from"), (_from(line, card) for line in card.fields)),
+    )
+
+
+def class_field(label: str) -> Element:
+    """Text field of a class, with completions."""
+    return h.input(
+        cls="find",
+        aria_label="Class",
+        spellcheck="false",
+        autocomplete="off",
+        value=label,
+        title="Enter saves it, Tab completes it (Shift+O)",
+        field="class",
     )
 
 

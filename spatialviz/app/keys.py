@@ -68,16 +68,16 @@ KEYS: Mapping[str, Rows] = {
 }
 
 LABEL_KEYS: Mapping[str, Rows] = {
-    "Relation labels": (
-        ("T", "Label: true", "settle:T"),
-        ("U", "Label: undecided", "settle:U"),
-        ("F", "Label: false", "settle:F"),
+    "Answers": (
+        ("Y", "Right", "decide:right"),
+        ("N", "Wrong", "decide:wrong"),
+        ("U", "Unsure", "decide:unsure"),
+        ("T", "Label the relation true", "settle:T"),
+        ("F", "Label the relation false", "settle:F"),
+        ("Shift+Y", "Wrong", "decide:wrong"),
+        ("Shift+U", "Leave it to somebody else", "unsure-item"),
         ("I", "Next relation of the pair", "next-row:1"),
         ("X", "The pair the other way round", "swap"),
-        ("Y", "Accept the item, or the selected object", "accept-item"),
-        ("N", "Reject it", "reject-item"),
-        ("Shift+Y", "Reject it", "reject-item"),
-        ("Shift+U", "Unsure of it", "unsure-item"),
         ("J", "Next item of the queue", "next-item:1"),
         ("K", "Previous item of the queue", "next-item:-1"),
     ),
@@ -104,8 +104,8 @@ LABEL_KEYS: Mapping[str, Rows] = {
         ("Alt+U", "The expression may be true of the selected object, or not", "true-of:likely"),
         ("Alt+B", "Several objects are an acceptable answer, or one", "ambiguous"),
         ("Alt+M", "Mark the expression: label wrong, box wrong, neither", "mark:next"),
-        ("Alt+Y", "Accept the expression", "expression-status:accepted"),
-        ("Alt+N", "Reject the expression", "expression-status:rejected"),
+        ("Alt+Y", "The expression is right", "expression-status:accepted"),
+        ("Alt+N", "The expression is wrong", "expression-status:rejected"),
     ),
     "Frames": (
         ("]", "Next frame", "next-frame:1"),
@@ -119,8 +119,6 @@ LABEL_KEYS: Mapping[str, Rows] = {
     ),
 }
 """Keys with another meaning while labels are shown."""
-
-KEYS_OF_ONE = "Of one object, or a sentence: Y accepts, N rejects, Shift+U is unsure"
 
 MOVE_KEYS: Rows = (
     ("7", "Turn left", "move:rotate_ccw"),

@@ -15,6 +15,7 @@ from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Event, Saved
 from pipeline.corrections.object_card import LabelView, back_to_automatic, bring_back, object_card
+from pipeline.corrections.review.decisions import UNNAMED
 from pipeline.corrections.scene import SideViews, drag_box, dragged, face_to_points, fit_to_points, side_views
 from pipeline.corrections.vocabulary import Vocabulary, completions, vocabulary_of
 from pipeline.diagnosis.whatif.edit_words import box_with, number_of
@@ -27,11 +28,11 @@ from pipeline.geometry.viewer import viewer_axes
 from pipeline.pictures.marks import edges_path
 from pipeline.system.errors import InputError, needed, require
 from spatialviz.app.context import Context, command
-from spatialviz.app.edit_panel import box_command, object_html, rejected_html
+from spatialviz.app.edit_panel import box_command, class_field, object_html, rejected_html, row
 from spatialviz.app.frames import jpeg_url
 from spatialviz.app.label_part import LabelPart
-from spatialviz.app.markup import Element, h, panel
-from spatialviz.app.review_html import UNNAMED, digits_row
+from spatialviz.app.markup import Element, button, h, panel
+from spatialviz.app.review_html import digits_row
 
 FARTHEST = 1000.0
 """Metres: limit of a typed side or place of a box, against slips."""
@@ -165,12 +166,12 @@ class LabelObject(LabelPart):
             return
         named = number is not None and (view.item is None or view.item.kind == "object")
         label = view.frame.objects[number]["label"] if named and number is not None else ""
-        page.show("digits", panel(digits_row(self.digits, label)) if named else None)
+        page.show("digits", panel(row("Class", class_field(label)), digits_row(self.digits, label)) if named else None)
         shown = panel(h.div(SELECT, cls="dim"))
         if number is not None and state.selected is not None:
-            color = palette(state.dark)[state.roles.get(state.selected, "other")]
+            color = palette(state.dark)["truth"]
             name = state.shown.names[state.selected]
-            shown = object_html(object_card(view.frame, number), name, color)
+            shown = object_html(object_card(view.frame, number), name, color, named)
         page.show("edit", shown, rejected_html(view.frame.left_out))
 
 
@@ -276,12 +277,18 @@ def crops(ctx: Context, view: LabelView) -> Element | None:
     names = [state.shown.names[k] for k in dict.fromkeys(places)]
     around = _around(np.array([e.bbox for e in entries]), frame)
     colors = palette(True)
-    now = [(e.mask, e.lifted.box, colors["target" if k == 0 else "reference"]) for k, e in enumerate(entries)]
+    now = [(e.mask, e.lifted.box, colors["truth"]) for e in entries]
     found = [_crop(" and ".join(names), "now", frame, around, now)]
     before = view.as_labelled(view.numbers[state.selected], (frame.height, frame.width))
     if before is not None:
         found.insert(0, _crop("before", "as labelled", frame, around, [(*before, colors["other"])]))
-    return h.div(found, cls="crops")
+    merge = state.pair is not None and state.pair[0] != state.pair[1]
+    tools = h.div(
+        button("Pixels", "px-tool:brush", "edit its pixels (Shift+I)"),
+        button("Merge", "px-merge", f"{' becomes a part of '.join(names)} (Shift+M)") if merge else None,
+        cls="crop-tools",
+    )
+    return h.div(found, tools, cls="crops")
 
 
 def _around(boxes: np.ndarray, frame: Frame) -> tuple[int, int, int, int]:

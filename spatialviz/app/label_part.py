@@ -66,10 +66,12 @@ class LabelPart(Part):
             return
         require(state.frame_id in editor, f"the labels have no frame {state.frame_id}")
         frame = editor.frame(state.frame_id)
-        view = LabelView(frame, said=editors.said[0], bad=editors.said[1])
+        view = LabelView(frame)
         numbers: list[int] = []
         if wanted.frame == frame.frame:
-            view = replace(view, relation=wanted.relation, item=wanted.item)
+            item = wanted.item
+            asked = item.what if item is not None and item.kind == "expression" else None
+            view = replace(view, relation=wanted.relation, item=item, expression=asked)
             numbers = [n for n in wanted.objects if n in frame.objects]
         self.state = _looking_at(state.unasked, view, numbers, numbers[0] if numbers else None)
         if wanted.frame != frame.frame and editor.disputed:
@@ -93,7 +95,8 @@ class LabelPart(Part):
         """Show the outcome of an action, with its consequences."""
         before = None if self.state.labels is None else self.state.labels.frame
         said, bad = outcome_text(outcome, verb, before)
-        self.tell(said, bad, None if isinstance(outcome, Conflict) else before)
+        undo = "" if bad or verb.startswith("taken") else "take-back"
+        self.tell(said, bad, None if isinstance(outcome, Conflict) else before, undo)
         if isinstance(outcome, Saved):
             for listener in self.ctx.editors.on_saved:
                 listener(outcome.events)
@@ -102,18 +105,16 @@ class LabelPart(Part):
         if isinstance(outcome, Conflict):
             self.ctx.handle(Command("conflict"))
 
-    def tell(self, said: str, bad: bool = False, before: EffectiveFrame | None = None) -> None:
-        """Set the message of outcomes, with the current labels, without drawing."""
+    def tell(self, said: str, bad: bool = False, before: EffectiveFrame | None = None, undo: str = "") -> None:
+        """Say what came of something, with the current labels, without drawing; `undo` is a command."""
         self.renew()
         view = self.state.labels
         if view is not None and before is not None and (followed := consequences(before, view.frame)):
             said = f"{said} · {followed}"
         self.ctx.editors.said = said, bad
-        if view is not None:
-            self.state = replace(self.state, labels=replace(view, said=said, bad=bad))
-        elif said:
-            self.ctx.page.toast("Labels", said)
-        self.ctx.note(said)
+        if said:
+            title, _, text = said.partition(": ")
+            self.ctx.toast(title[0].upper() + title[1:], text, bad and not self.editor.waiting, undo)
 
 
 def _looking_at(state: State, view: LabelView, pair: Sequence[int], selected: int | None) -> State:

@@ -85,9 +85,9 @@ class BrowserPage:
             if name in KEPT_CALLS:
                 self._calls[name] = data
 
-    def toast(self, title: str, text: str, bad: bool = False) -> None:
-        """Show a message in the corner of the page for some seconds; errors stay until closed."""
-        self.call("toast", {"title": title, "text": text, "bad": bad})
+    def toast(self, title: str, text: str, bad: bool = False, undo: str = "") -> None:
+        """Show a message in the corner of the page for some seconds; errors stay until closed. `undo` is a command."""
+        self.call("toast", {"title": title, "text": text, "bad": bad, "undo": undo})
 
     def download(self, name: str, data: bytes) -> None:
         """Save a file by the browser."""

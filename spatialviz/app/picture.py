@@ -54,7 +54,6 @@ def image_html(state: State) -> Element:
     frame = state.loaded.context.frame
     alt = (f"frame {frame.id}", *(f"{role} {state.shown.names[i]}" for i, role in state.roles.items()))
     return panel(
-        None if state.labels is None else pixel_row_html(state),
         h.div(
             h.img(src=_photo_url(state, state.loaded), alt=", ".join(alt), draggable="false", id="photo"),
             _svg(frame, _quiet_boxes(state, frame.width / 360), "boxes"),
@@ -295,39 +294,8 @@ def thumb(state: State, i: int) -> Element:
     return h.img(src=url, alt="", cls="thumb", loading="lazy") if url else h.span(cls="thumb")
 
 
-TOOLS = {
-    "brush": "paint pixels (Shift+I)",
-    "erase": "take pixels away",
-    "polygon": "corner by corner",
-    "rectangle": "between two corners",
-    "depth": "the surface around a click",
-    "cut": "split it in parts (Shift+X)",
-}
 PART_COLORS: tuple[RGB, ...] = (ON_DARK["edited"], ON_DARK["reference"], ON_DARK["target"], ON_DARK["truth"])
 """Colours of a draft's parts; a whole object has the first, the colour of edits."""
-
-
-def pixel_row_html(state: State) -> Element:
-    """Drawing tools above the picture, while labels are shown; each opens the large editor."""
-    hint = "select two objects, one after the other"
-    if state.pair is not None and state.pair[0] != state.pair[1]:
-        one, other = (state.shown.names[i] for i in state.pair[:2])
-        hint = f"{one} becomes a part of {other} (Shift+M)"
-    return h.div(
-        h.div(
-            (
-                _tool(name, f"px-tool:{name}", does, state.selected is not None or name != "cut")
-                for name, does in TOOLS.items()
-            ),
-            _tool("new object", "px-new", "drawn on the picture (Shift+N; Shift-drag on the picture)", cls="w2"),
-            _tool("merge", "px-merge", hint, state.pair is not None, cls="w2"),
-            cls="pxrow",
-        ),
-    )
-
-
-def _tool(name: str, do: str, hint: str, on: bool = True, cls: str = "") -> Element:
-    return h.button(name, cls=cls, do=do, title=hint, disabled=not on)
 
 
 def mask_url(parts: Sequence[np.ndarray]) -> str:

@@ -21,6 +21,7 @@ from pipeline.corrections.journal.edits import merge_objects, set_class
 from pipeline.corrections.journal.events import Conflict, Event
 from pipeline.corrections.journal.field_refs import same_value
 from pipeline.corrections.object_card import LabelView, paired
+from pipeline.corrections.review.decisions import UNNAMED
 from pipeline.corrections.vocabulary import vocabulary_of
 from pipeline.drawing.gestures import Canvas, Gesture, read_gesture
 from pipeline.geometry.palette import depth_colors, hex_color
@@ -31,7 +32,6 @@ from spatialviz.app.context import Context, command, there
 from spatialviz.app.frames import jpeg_url
 from spatialviz.app.label_part import LabelPart
 from spatialviz.app.picture import PART_COLORS, around, mask_url, outlined, told_of
-from spatialviz.app.review_html import UNNAMED
 from spatialviz.app.state import State
 
 Tool = Literal["select", "brush", "erase", "polygon", "rectangle", "depth", "cut"]
@@ -178,7 +178,7 @@ class Pixels(LabelPart):
         self._tell()
         if moved.at == draft.at:
             self.ctx.handle(Command(otherwise))
-            self._tell(self.view.said, self.view.bad)
+            self._tell(*self.ctx.editors.said)
         self.follow()
 
     # ---- saving -----------------------------------------------------------------------
@@ -199,7 +199,7 @@ class Pixels(LabelPart):
                 # Closed first: drawing the whole page takes longer than saving.
                 self.ctx.page.call("pixels", {"on": False})
             outcome = self.save(lambda _: made)
-            self._tell(self.view.said, self.view.bad)
+            self._tell(*self.ctx.editors.said)
         except InputError as error:
             self._drafts[self._key] = rebased(draft, view.frame)
             self._tell(str(error), True)

@@ -97,7 +97,9 @@ class RetrainPanel(LabelPart):
             corrections = 0 if journal is None else journal.count()
         training = place.jobs.training.seen
         state = _state(training, corrections, self.ctx.run is not None)
-        self.ctx.page.show("review-train", panel(heading("Retrain", _action(training, corrections)), state))
+        shown = panel(heading("Retrain", _action(training, corrections)), state)
+        nothing = corrections == 0 and not training.running and training.record is None
+        self.ctx.page.show("review-train", None if nothing else shown)
 
 
 STEPS = {
@@ -117,9 +119,8 @@ def _state(training: TrainingProgress, corrections: int | None, with_run: bool) 
         return note(f"Not trained: {training.problem}", BAD)
     if training.record is None:
         said = f"Learns the relations from the labels as they are now{', and makes the run again with it' * with_run}."
-        if not corrections:
-            unknown = "The journal cannot be read now: what was corrected is not known."
-            said = unknown if corrections is None else "Nothing corrected yet."
+        if corrections is None:
+            said = "The journal cannot be read now: what was corrected is not known."
         return h.div(said, cls="dim")
     record = training.record
     return _figures(record, training.seconds), _replayed(record), _install(record, training.installed)

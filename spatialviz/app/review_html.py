@@ -9,16 +9,15 @@ from typing import Any
 
 from pipeline.corrections.label_editor import LabelEditor
 from pipeline.corrections.object_card import LabelView
+from pipeline.corrections.review.decisions import Answer, Question, Word
 from pipeline.corrections.review.items import ItemKey
 from pipeline.corrections.review.label_jobs import CANCELLED, QueueProgress
 from pipeline.corrections.review.worklist import Worklist
 from pipeline.corrections.scene import PairCard, RelationLine
-from pipeline.geometry.palette import palette
 from pipeline.labels.by_hand import grows
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import F, T, U, letter
-from spatialviz.app.keys import KEYS_OF_ONE
 from spatialviz.app.markup import (
     BAD,
     DOUBT,
@@ -27,7 +26,6 @@ from spatialviz.app.markup import (
     Element,
     button,
     chosen,
-    dot,
     h,
     heading,
     note,
@@ -42,36 +40,17 @@ MARKS = {"auto": "", "human": "by hand", "recomputed": "recomputed", "stale": "s
 
 
 def review_head_html(state: State, opened: bool, desk: LabelEditor | None) -> Element:
-    """State of the labels: shown or not, author's name, outcome of the last edit, and unsaved edits."""
+    """Author's name, and edits that are not saved."""
     if not opened:
         return panel(h.div("No labels are open (--labels).", cls="dim hint"))
-    view = state.labels
-    show = button(
-        "show the labels" if view is None else "labels are shown",
-        "labels",
-        "Shift+L",
-        aria_pressed=str(view is not None).lower(),
-    )
     waiting, disputed = ((), ()) if desk is None else (desk.waiting, desk.disputed)
-    # Unsaved edits carry the reason.
-    said = note(view.said, BAD if view.bad else GOOD) if view and view.said and not (waiting and view.bad) else None
     kept = f"{counted(len(waiting), 'action')} not saved yet, kept here and tried again every few seconds: "
     decide = "Somebody was faster than you: nothing of yours is saved until you decide."
-    who = (
-        None
-        if desk is None
-        else h.label(
-            h.span("reviewer", cls="dim"),
-            h.input(cls="find", value=desk.author, maxlength=200, change="author"),
-            cls="who",
-            title="under whose name corrections are saved",
-        )
-    )
-    title = h.h2("Labelling", h.span("every action is saved at once", cls="dim"), cls="mode-title")
+    hint = "every answer is saved at once, under this name"
+    name = "" if desk is None else desk.author
+    who = h.input(cls="find", value=name, maxlength=200, change="author", aria_label="reviewer", title=hint)
     return panel(
-        None if view is None else title,
-        h.div(show, who, cls="nav"),
-        said,
+        None if state.labels is None else h.h2("Labelling as", who, cls="mode-title"),
         (note(kept + waiting[-1].problem, BAD), button("try again", "save-again", cls="go")) if waiting else None,
         (note(decide, BAD), button("decide", "conflict", cls="go")) if disputed else None,
     )
@@ -80,24 +59,19 @@ def review_head_html(state: State, opened: bool, desk: LabelEditor | None) -> El
 def pair_html(state: State) -> Element | None:
     """Every relation of the pair, each settled by T, U or F."""
     view = state.labels
-    if view is None:
+    if view is None or view.card is None:
         return None
     card, item = view.card, view.item
-    if card is None:
-        keys = None if state.selected is None else (h.br(), f"{KEYS_OF_ONE}.")
-        pair = "Select two objects, one after the other, or open an item of the queue."
-        # An item shows its own keys.
-        return panel(h.div(pair, keys, cls="dim")) if item is None else None
-    colors = palette(state.dark)
-    first = dot(colors["target"]), f"{card.names[0]}·{card.a}"
-    second = dot(colors["reference"]), f"{card.names[1]}·{card.b}"
-    head = heading(h.b(first, " … ", second), button("swap", "swap", "the other way round (X)"))
+    pair = f"{card.names[0]}·{card.a} … {card.names[1]}·{card.b}"
+    head = h.summary("All relations of ", h.b(pair))
     if card.why_none:
         return panel(head, note(f"Takes part in no relation: {card.why_none}"))
     # Pairs beside the open item are settled by a click on a row.
     beside = item is not None and item.kind == "relation" and (item.a, item.b) != (card.a, card.b)
     only = h.div("Only looked at: the keys act on the open item.", cls="dim") if beside else None
-    return panel(head, only, (_line(card, line, line.relation == view.relation) for line in card.lines))
+    swap = button("swap", "swap", "the other way round (X)")
+    rows = (_line(card, line, line.relation == view.relation) for line in card.lines)
+    return panel(h.details(head, swap, only, rows, open=item is None or beside, id=f"pair-{card.a}-{card.b}"))
 
 
 def _line(card: PairCard, line: RelationLine, focused: bool) -> Element:
@@ -163,13 +137,14 @@ def queue_html(
     bulk: Element | None = None,
 ) -> Element:
     """Sources of the queue, progress, filters, and the list from the current item on."""
-    again = "build again" if work is not None else "build"
     stop = button("stop", "stop-queue", "ends the asking; the queue that there is stays")
-    make = button(again, "make-queue", "ranks the labels by what is switched on here")
-    head = heading("Queue", stop if making.running else make).with_(id="queue-head")
+    make = button("rebuild" if work else "build", "make-queue", "ranks the labels by what is switched on here")
     hint = "beside the rules and the linter, networks that have not learnt from a label"
-    switch = button("with networks", "queue-networks", hint, role="switch", aria_checked=str(networks).lower())
-    parts = [head, h.div(switch, id="queue-asks", cls="asks"), h.div(_busy(making), id="queue-busy")]
+    switch = button("networks", "queue-networks", hint, role="switch", aria_checked=str(networks).lower())
+    parts = [
+        heading("Next", switch, stop if making.running else make).with_(id="queue-head"),
+        h.div(_busy(making), id="queue-busy"),
+    ]
     if work is None:
         return panel(parts, None if making.running else h.div("No queue yet.", cls="dim"))
     rows = [_row(work, place, names, item) for place in shown_places(work, kind, item)]
@@ -234,10 +209,8 @@ def said(row: Mapping[str, Any], names: Names) -> str:
 
 
 RULE = re.compile(r"^[a-z]+/[a-z-]+: ")
-UNNAMED = "unnamed"
-"""Class of an outlined object without a name."""
-SAYS = {T: "true", U: "undecided", F: "false"}
 Row = Mapping[str, Any]
+DECISIONS: dict[Answer, tuple[str, str]] = {"right": ("Right", "Y"), "wrong": ("Wrong", "N"), "unsure": ("Unsure", "U")}
 
 
 def plain_reason(reason: str) -> str:
@@ -245,91 +218,56 @@ def plain_reason(reason: str) -> str:
     return RULE.sub("", reason)
 
 
+def decision_bar(question: Question | None) -> Element:
+    """The three answers, always at the same place; each says what it does."""
+    buttons = (
+        h.button(
+            h.b(h.kbd(key), name),
+            h.small("" if question is None else question.choices[answer].does),
+            cls=answer,
+            do=f"decide:{answer}",
+            aria_keyshortcuts=key,
+            disabled=question is None,
+        )
+        for answer, (name, key) in DECISIONS.items()
+    )
+    return h.div(buttons, cls="decision", role="group", aria_label="Answer")
+
+
 def idle_card(queued: bool) -> Element:
     """Instructions without an open item or a selection."""
-    start = answer("Begin", "J", "next-item:1", "open the first item of the queue", "yes")
     return h.div(
         h.div("One label after the other" if queued else "The queue is being built", cls="claim"),
-        h.div("Each is asked with its reason; one key settles it and opens the next.", cls="dim"),
-        h.div(start, cls="answers") if queued else None,
+        h.div("Each is asked with its reason; one key answers it and opens the next.", cls="dim"),
+        h.div(answer("Begin", "J", "next-item:1", "open the first item of the queue"), cls="answers")
+        if queued
+        else None,
         cls="task-item",
     )
 
 
-def answer(name: str, key: str, do: str, hint: str, cls: str = "", **more: object) -> Element:
+def answer(name: str, key: str, do: str, hint: str) -> Element:
     """Large button with its key."""
     keys = h.span(h.kbd(part) for part in key.split("+"))
-    return h.button(h.span(name), keys, cls=cls, do=do, title=f"{hint} ({key})", aria_keyshortcuts=key, **more)
+    return h.button(h.span(name), keys, do=do, title=f"{hint} ({key})", aria_keyshortcuts=key)
 
 
-def small(name: str, key: str, do: str, hint: str) -> Element:
-    """Small button."""
-    return h.button(name, h.kbd(key), cls="try", do=do, title=hint, aria_keyshortcuts=key)
-
-
-def item_card(view: LabelView, item: ItemKey | None, row: Row | None, selected: int | None) -> Element | None:
-    """Open item, else the selected object; None without either."""
-    reasons = [] if row is None else list(row["reasons"])
-    match item:
-        case ItemKey(kind="relation") if item.b is not None:
-            return _relation(view, item, reasons)
-        case ItemKey(kind="expression"):
-            text = (view.frame.expression(item.what) or {}).get("text", "")
-            return _card("expression", f"“{text}”", "Is this sentence true of what is marked?", reasons)
-        case ItemKey() if item.a < 0:
-            label = "" if row is None else row["label"]
-            return _card("object", f"No {label} is labelled here", "Is there none?", reasons)
-    if selected is None or (labelled := view.frame.objects.get(selected)) is None:
-        return None
-    name = labelled["label"]
-    if name == UNNAMED:
-        return _card("object", "What is this?", "Name it: Shift+O, or the digit of its class.", reasons)
-    ask = "Are its name, its pixels and its box right?"
-    return _card("object", f"{name}·{selected}", ask, reasons)
-
-
-def _relation(view: LabelView, item: ItemKey, reasons: Sequence[str]) -> Element:
-    assert item.b is not None
-    one, other = (f"{(view.frame.object(n) or {}).get('label', 'object')}·{n}" for n in (item.a, item.b))
-    state = view.frame.pairs.state(item.a, item.b, item.what)
-    claim = f"{one} {PHRASE[item.what]} {other}"
-    kinds = ((T, "It is so", "T"), (U, "Undecided", "U"), (F, "It is not so", "F"))
-    answers = h.div(
-        (
-            answer(name, key, f"settle:{key}", f"label it {SAYS[s]}", aria_pressed=str(s == state).lower())
-            for s, name, key in kinds
-        ),
-        cls="answers",
+def item_card(question: Question, reasons: Sequence[str]) -> Element:
+    """What is asked, why, and where people differ what each of them said."""
+    why = h.ul((h.li(plain_reason(reason)) for reason in reasons), cls="because", aria_label="why it is asked")
+    words = h.div((_word(word) for word in question.words), cls="words", role="group", aria_label="who said what")
+    return h.div(
+        h.div(question.claim, cls="claim"),
+        h.div(question.ask, cls="dim"),
+        words if question.words else None,
+        why if reasons else None,
+        cls="task-item",
     )
-    labelled = "not labelled" if state is None else f"labelled {SAYS[state]}"
-    return _frame(claim, f"It is {labelled}. Is that right?", reasons, answers, "keep it as it is")
 
 
-def _card(kind: str, claim: str, ask: str, reasons: Sequence[str]) -> Element:
-    answers = h.div(
-        answer("Right", "Y", "accept-item", "accept it", "yes"),
-        answer("Wrong", "N", "reject-item", "leave it out" if kind == "object" else "it is not so", "no"),
-        answer("Unsure", "Shift+U", "unsure-item", "ask somebody else"),
-        cls="answers",
-    )
-    return _frame(claim, ask, reasons, answers, "")
-
-
-def _frame(claim: str, ask: str, reasons: Sequence[str], answers: Element, accept: str) -> Element:
-    why = (
-        h.ul((h.li(plain_reason(reason)) for reason in reasons), cls="because", aria_label="why it is asked")
-        if reasons
-        else None
-    )
-    lesser = h.div(
-        small("Accept", "Y", "accept-item", accept) if accept else None,
-        small("Unsure", "⇧U", "unsure-item", "ask somebody else") if accept else None,
-        small("Undo", "^Z", "take-back", "take the last action back"),
-        small("Skip", "J", "next-item:1", "the next item"),
-        small("Zoom", "⇧F", "focus", "look at it in the scene"),
-        cls="lesser",
-    )
-    return h.div(h.div(claim, cls="claim"), h.div(ask, cls="dim"), why, answers, lesser, cls="task-item")
+def _word(word: Word) -> Element:
+    when = word.time.astimezone().strftime("%d %b %H:%M")
+    return h.div(h.b(word.text), h.span(word.author), h.span(when, cls="dim"), cls="word")
 
 
 def digits_row(names: Sequence[str], label: str) -> Element | None:
@@ -366,15 +304,26 @@ def begin_card(view: LabelView, editor: LabelEditor) -> Element:
     )
 
 
-def pace_html(settled: int, items: int) -> Element | None:
-    """Progress through the queue."""
-    if not items:
-        return None
-    told = h.span(h.b(f"{settled:,}"), f" of {items:,} settled")
-    return h.div(told, progress("settled of the queue", settled, items), cls="pace", id="pace")
+def pace_html(counts: Mapping[str, int]) -> Element:
+    """Progress through the queue, steps in it, and the one pair of undo and redo."""
+    settled, items = counts["settled"], counts["items"]
+    return h.div(
+        h.span(h.b(f"{settled:,}"), f" of {items:,} settled", cls="done"),
+        _step("‹", "K", "next-item:-1", "the item before"),
+        _step("›", "J", "next-item:1", "skip it: the next item"),
+        _step("↶", "Ctrl+Z", "take-back", "undo"),
+        _step("↷", "Ctrl+Y", "bring-back", "redo"),
+        progress("settled of the queue", settled, items),
+        cls="pace",
+    )
 
 
-def bulk_html(find: str, found: int, all_items: int) -> Element:
+def _step(sign: str, key: str, do: str, name: str) -> Element:
+    shortcut = key.replace("Ctrl", "Control")
+    return h.button(sign, cls="try", do=do, title=f"{name} ({key})", aria_label=name, aria_keyshortcuts=shortcut)
+
+
+def bulk_html(find: str, found: int) -> Element:
     """Filter of the queue, and acceptance of all results."""
     field = h.input(
         cls="find",
@@ -386,10 +335,9 @@ def bulk_html(find: str, found: int, all_items: int) -> Element:
         id="queue-find",
     )
     accept = button(
-        f"Accept all {found:,}" if find or found < all_items else "Accept all …",
+        f"All {found:,} are right",
         "accept-found",
-        "as one step, which one undo takes back",
+        "as one step, which one undo takes back; filter first",
         disabled=not found or not find,
     )
-    told = counted(found, "open item") if find else "Filter first: then all that is found can be accepted at once."
-    return h.div(field, accept, h.span(told, cls="dim"), cls="bulk", id="queue-bulk")
+    return h.div(field, accept, cls="bulk", id="queue-bulk")

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 
 from pipeline.answering.frame_store import LoadedFrame
 from pipeline.answering.pipeline import Pipeline
-from pipeline.corrections.journal.edits import Edits, judge_relation, set_relation, set_status, settle
+from pipeline.corrections.journal.edits import Edits
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.events import Event, Saved
-from pipeline.corrections.journal.field_refs import FieldRef, object_ref, relation_ref
+from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.corrections.label_editor import Target
+from pipeline.corrections.review.decisions import (
+    OF_LETTER,
+    SAYS,
+    Answer,
+    Question,
+    edits_of_answer,
+    question_of,
+    state_edits,
+    words_of,
+)
 from pipeline.corrections.review.items import ItemKey, item_of
 from pipeline.corrections.review.label_jobs import CANCELLED, QueueJob, QueueProgress
 from pipeline.corrections.review.worklist import (
@@ -29,16 +39,16 @@ from pipeline.corrections.review.worklist import (
 from pipeline.corrections.scene import ASKED_BEYOND_M, labelled_objects, pair_card
 from pipeline.corrections.unsaved import JournalLocation
 from pipeline.language.counted import counted
-from pipeline.relations.relations import F, T, U
+from pipeline.relations.relations import letter
 from pipeline.system.errors import InputError, needed
 from spatialviz.app.channel import Command
 from spatialviz.app.context import Context, command, there
-from spatialviz.app.keys import KEYS_OF_ONE
 from spatialviz.app.label_part import NO_LABELS, LabelPart
 from spatialviz.app.markup import Element, h, panel
 from spatialviz.app.review_html import (
     begin_card,
     bulk_html,
+    decision_bar,
     doubt_html,
     idle_card,
     item_card,
@@ -47,7 +57,8 @@ from spatialviz.app.review_html import (
     said,
 )
 
-LETTERS = {"T": T, "U": U, "F": F}
+OF_KEYS: dict[str, Answer] = {"T": "right", "F": "wrong", "U": "unsure"}
+DECISION_KEYS: dict[Answer, str] = {"right": "Y", "wrong": "N", "unsure": "U"}
 DOUBT_TITLE = "Against geometry"
 
 
@@ -81,7 +92,7 @@ class ReviewQueue(LabelPart):
         }
         self._kind, self._find = "all", ""
         self._ahead: tuple[str, str] | None = None
-        self._doubted: tuple[str, str] | None = None
+        self._doubted: tuple[ItemKey, int] | None = None
         ctx.editors.on_saved.append(self._saved)
         ctx.leave += [
             queue.location.jobs.queue.listen(lambda queue=queue: ctx.post(lambda: self._made(queue)))
@@ -194,8 +205,8 @@ class ReviewQueue(LabelPart):
         """Accept all results of the filter, as a single step."""
         work = there(self._caught_up())
         items = [work.keys[k] for k in self._found(work)[:MOST] if self._find]
-        if items and isinstance(self.save(lambda _: accept_all(items, self.editor.frame, self.editor.author)), Saved):
-            self.ctx.toast("Accepted", f"{counted(len(items), 'item')}: one undo takes all of them back")
+        if items:
+            self.save(lambda _: accept_all(items, self.editor.frame, self.editor.author))
 
     @command("item")
     def open_row(self, place: int) -> None:
@@ -244,86 +255,83 @@ class ReviewQueue(LabelPart):
         self._prefetch(self._item)
         self.follow()
 
-    # ---- settling ---------------------------------------------------------------------
+    # ---- answering --------------------------------------------------------------------
+
+    @property
+    def _question(self) -> Question | None:
+        """Question of the open item, else of the chosen pair's relation, else of the selected object."""
+        view, item, queue = self.state.labels, self._item, self._queues.get(self.state.source)
+        if view is None or queue is None:
+            return None
+        frame = view.frame
+        if item is None and view.card is not None and view.relation is not None:
+            item = ItemKey(frame.frame, "relation", view.card.a, view.card.b, view.relation)
+        elif item is None and self.number is not None:
+            item = ItemKey(frame.frame, "object", self.number, None, "")
+        if item is None:
+            return None
+        work, missing, words = queue.work, "object", ()
+        if work is not None and item.plain in work.indices:
+            missing = work.row(item)["label"] or missing if item.a < 0 else missing
+            words = words_of(frame, self.editor.events(frame.frame), item) if work.state(item) == "unsure" else ()
+        return question_of(frame, item, missing, words)
+
+    @command("decide", "accept-item=right", "reject-item=wrong")
+    def decide(self, answer: Answer) -> None:
+        """Answer the question: right, wrong, or unsure."""
+        question, author = there(self._question), self.editor.author
+        state = question.choices[answer].state
+        if state is None or self._sure(question, state, DECISION_KEYS[answer]):
+            self._save(question, lambda frame: edits_of_answer(frame, question, answer, author))
 
     @command("settle")
-    def settle_relation(self, said: str, sure: bool = False) -> None:
-        """Settle a relation: "left:T" of the shown pair, "T" of the open item, or else of that pair.
-
-        Keys belong to the open item, whatever else is shown, and lead on to the next item. A contradiction of
-        decimetres with geometry is asked about before saving, unless `sure`.
-        """
-        view, item = self.view, self._item
-        *named, letter = said.split(":")
-        if letter not in LETTERS:
+    def settle_relation(self, said: str) -> None:
+        """Set a relation's state: "left:T" of the shown pair, "T" of what is asked; of others, T is right, F wrong."""
+        view, question = self.view, self._question
+        *named, key = said.split(":")
+        if key not in OF_LETTER:
             return
-        if item is not None and item.b is not None and not named and item.kind == "relation":
-            relation, ends = item.what, (item.a, item.b)
-        elif view.card is not None and (item is None or named):
-            relation, ends = named[0] if named else view.relation, (view.card.a, view.card.b)
-        else:
-            raise InputError(f"T, U and F are for the relation of two objects. {KEYS_OF_ONE}.")
         if named:
+            card = there(view.card)
             self.ctx.handle(Command("relation-row", (named[0],)))
-        card = pair_card(view.frame, *ends)
-        line = next((x for x in card.lines if x.relation == relation), None)
+            item = ItemKey(view.frame.frame, "relation", card.a, card.b, named[0])
+            asked = question is not None and question.item == item
+            question = question if asked else question_of(view.frame, item)
+        question = there(question)
+        if question.item.kind != "relation":
+            self.decide(OF_KEYS[key])
+        elif self._sure(question, OF_LETTER[key], key):
+            author, differ = self.editor.author, bool(question.words)
+            self._save(question, lambda frame: state_edits(frame, question.item, OF_LETTER[key], author, differ))
+
+    def _sure(self, question: Question, state: int, key: str) -> bool:
+        """False where another state contradicts geometry by decimetres: the same key confirms it."""
+        view, item = self.view, question.item
+        if state == view.frame.pairs.state(*item[2:]):
+            return True
+        card = pair_card(view.frame, item.a, needed(item.b, "no relation"))
+        line = next((x for x in card.lines if x.relation == item.what), None)
         line = needed(line, card.why_none or "the pair has no such relation")
-        # The same key pressed again confirms the question.
-        doubted, self._doubted = self._doubted, (view.frame.frame, said)
-        sure = sure or (self._doubted == doubted and self.ctx.dialog.title == DOUBT_TITLE)
-        if not sure and line.against(LETTERS[letter]) > ASKED_BEYOND_M:
-            save = h.button(f"Save {letter} all the same", do="settle-sure")
-            self.ctx.dialog.show(DOUBT_TITLE, doubt_html(card, line, LETTERS[letter]), save)
-            return
-        self._settle(ends, line.relation, LETTERS[letter])
-        if sure:
+        doubted, self._doubted = self._doubted, (item, state)
+        if line.against(state) <= ASKED_BEYOND_M or (doubted == (item, state) and self.ctx.dialog.title == DOUBT_TITLE):
             self.ctx.dialog.close()
-        own = item is not None and (item.what, item.a, item.b) == (relation, *ends)
-        if not own or item is None or not self._go_on(item):
-            self.ctx.draw()
+            return True
+        named = "" if item == self._item else f"{item.what}:"
+        do = f"settle:{named}{letter(state)}"
+        save = h.button(f"Save {SAYS[state]} all the same ({key})", do=do, aria_keyshortcuts=key)
+        self.ctx.dialog.show(DOUBT_TITLE, doubt_html(card, line, state), save)
+        return False
 
-    def _settle(self, ends: tuple[int, int], relation: str, state: int) -> None:
-        """Save the state of a relation.
+    @command("unsure-item")
+    def leave_open(self) -> None:
+        """Leave the question to somebody else."""
+        question, author = there(self._question), self.editor.author
+        self._save(question, lambda frame: say_of_item(frame, question.item, "unsure", author))
 
-        A label already right is accepted, under this person's name. Another person's decision stays, too: this person's
-        opinion is noted, and reviewers are told of a disagreement; a decision in a disagreement holds for everybody.
-        """
-        work, item, author = self._queue.work, self._item, self.editor.author
-        disputed = work is not None and item is not None and work.is_disputed(item)
-
-        def made(frame: EffectiveFrame) -> Edits:
-            is_so = frame.pairs.state(*ends, relation) == state
-            if disputed:
-                cell = relation_ref(frame.frame, *ends, f"{relation}.status")
-                return settle(frame, cell, "accepted" if is_so else "corrected", state=state)
-            origin = frame.origin(relation_ref(frame.frame, *ends, relation))
-            if is_so or (origin.source == "human" and origin.author != author):
-                return judge_relation(frame, *ends, relation, state, author)
-            return set_relation(frame, *ends, relation, state)
-
+    def _save(self, question: Question, made: Callable[[EffectiveFrame], Edits]) -> None:
         self.save(made, draw=False)
-
-    @command("settle-sure")
-    def _sure(self) -> None:
-        """Save the questioned judgement."""
-        self.ctx.dialog.close()
-        if self._doubted is not None and self._doubted[0] == self.view.frame.frame:
-            self.settle_relation(self._doubted[1], sure=True)
-
-    @command("accept-item=accepted", "reject-item=rejected", "unsure-item=unsure")
-    def say(self, status: str) -> None:
-        """Mark the open item, else the selected object, as right, wrong, or unclear."""
-        item, number, author = self._item, self.number, self.editor.author
-        if item is None and number is None:
-            return
-
-        def made(frame: EffectiveFrame) -> Edits:
-            if item is not None:
-                return say_of_item(frame, item, status, author)
-            return set_status(frame, object_ref(frame.frame, number or 0, "status"), status, author=author)
-
-        self.save(made, draw=False)
-        if item is None or not self._go_on(item):
+        item = self._item
+        if item is None or question.item.plain != item.plain or not self._go_on(item):
             self.ctx.draw()
 
     def _go_on(self, item: ItemKey) -> bool:
@@ -356,23 +364,29 @@ class ReviewQueue(LabelPart):
         if work is not None and self.ctx.reviewed is not work.frame_counts:
             self.ctx.reviewed = work.frame_counts
             self.ctx.post(lambda: self.ctx.handle(Command("timeline")))
-        bulk = None if work is None else bulk_html(self._find, len(self._found(work)), len(work))
-        rows = queue_html(work, queue.seen, queue.networks, self._kind, item, queue.names, bulk)
-        page.fill({"review-item": None if view is None else self._card(queue, item), "review-list": rows})
+        bulk = None if work is None else bulk_html(self._find, len(self._found(work)))
+        question = self._question
+        page.fill(
+            {
+                "review-item": None if view is None else self._card(queue, item, question),
+                "review-list": queue_html(work, queue.seen, queue.networks, self._kind, item, queue.names, bulk),
+                "pace": None if work is None or view is None else pace_html(work.counts),
+                "decide": None if view is None else decision_bar(question),
+            }
+        )
 
-    def _card(self, queue: SourceQueue, item: ItemKey | None) -> Element:
-        """Item with answers, and progress."""
+    def _card(self, queue: SourceQueue, item: ItemKey | None, question: Question | None) -> Element:
+        """Question with its reasons."""
         work, view = queue.work, self.view
         place = None if work is None or item is None else work.indices.get(item.plain)
-        row = None if work is None or place is None or work.gone[place] else work.queue.slice(place, 1).to_pylist()[0]
-        card = item_card(view, None if row is None else item, row, self.number)
-        if card is None:
+        known = work is not None and place is not None and not work.gone[place]
+        reasons = work.rows([place])[0]["reasons"] if known and work is not None and place is not None else ()
+        if question is not None:
+            card = item_card(question, reasons)
+        else:
             card = begin_card(view, self.editor) if not view.frame.objects else idle_card(work is not None)
-        counts = {} if work is None else work.counts
-        pace = pace_html(counts.get("settled", 0), counts.get("items", 0))
         # A new id for each card, so that the page scrolls to the card.
-        card = card.with_(id=f"card-{place}-{self.number}", data_shown=True)
-        return h.div(panel(card), None if pace is None else panel(pace))
+        return panel(card.with_(id=f"card-{place}-{self.number}", data_shown=True))
 
 
 def _answers(ref: FieldRef) -> bool:

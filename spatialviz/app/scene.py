@@ -84,9 +84,10 @@ class SceneView:
             return edge_lines([self._boxed[i] for i in chosen], open_sides=sides)
 
         with self._client.atomic():
-            for role in ("other", "reference", "target"):
+            for role in ("other", "reference", "target", "truth"):
                 members = [i for i in wanted if role_of[i] == role]
-                lines(f"/boxes/{role}", edges_of(members), colors[role], LINE_WIDTH[role])
+                name = "asked" if role == "truth" else role
+                lines(f"/boxes/{name}", edges_of(members), colors[role], LINE_WIDTH[role])
             chosen = [i for i in (state.selected,) if i in self._boxed and i not in state.roles]
             lines("/boxes/selected", edges_of(chosen), (255, 255, 255), LINE_WIDTH["target"])
             annotated = () if state.loaded is None or not flags.truth else state.loaded.context.frame.annotations

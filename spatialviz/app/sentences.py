@@ -13,7 +13,7 @@ from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict
 from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.corrections.label_editor import EventLine
-from pipeline.corrections.object_card import ExpressionCard, LabelView, paired, set_answer
+from pipeline.corrections.object_card import ExpressionCard, LabelView, expression_card, paired, set_answer
 from pipeline.corrections.unsaved import disputes
 from pipeline.corrections.wording import ref_text, value_text
 from pipeline.diagnosis.marks import MARKS
@@ -25,7 +25,7 @@ from spatialviz.app.context import command, there
 from spatialviz.app.label_part import LabelPart
 from spatialviz.app.markup import BAD, DOUBT, GOOD, Child, Element, button, chosen, dot, h, heading, joined, note, panel
 from spatialviz.app.state import State
-from spatialviz.app.toolbar import ground_chips
+from spatialviz.app.toolbar import up_chip
 
 NEXT_MARK = {None: "BAD_LABEL", "BAD_LABEL": "BAD_BOX", "BAD_BOX": None}
 
@@ -39,7 +39,8 @@ class Sentences(LabelPart):
     def select(self, name: str) -> None:
         """Show an expression, with its labelled pair and target."""
         view = self.view
-        card = there(next((c for c in view.expressions if c.id == name), None))
+        there(name if name in view.order else None)
+        card = expression_card(view.frame, name)
         pair = view.places(card.target_object, card.reference_object)
         relation = view.relation if pair is None else card.relation
         selected = view.place(card.target_object)
@@ -49,7 +50,7 @@ class Sentences(LabelPart):
     @command("next-expression")
     def step(self, step: int) -> None:
         """Show the next expression of the list."""
-        names, now = [c.id for c in self.view.expressions], self.view.expression
+        names, now = self.view.order, self.view.expression
         if names:
             self.select(names[(names.index(now) + step if now in names else 0) % len(names)])
 
@@ -143,14 +144,14 @@ class Conflicts(LabelPart):
             frame = self.editor.frame(conflict.rivals[0].edit.ref.frame)
         found = disputes(conflict, self.editor.corrector.setting)
         one = (
-            h.button("Mine instead (M)", do="decide:0", aria_keyshortcuts="M"),
-            h.button("Keep theirs (T)", do="decide:", aria_keyshortcuts="T"),
+            h.button("Mine instead (M)", do="resolve:0", aria_keyshortcuts="M"),
+            h.button("Keep theirs (T)", do="resolve:", aria_keyshortcuts="T"),
         )
-        buttons = one if len(found) == 1 else (h.button("Save as chosen", local="checked:decide:"),)
+        buttons = one if len(found) == 1 else (h.button("Save as chosen", local="checked:resolve:"),)
         self.ctx.dialog.show("Somebody was faster", conflict_html(found, frame), *buttons)
 
-    @command("decide")
-    def decide(self, mine: str) -> None:
+    @command("resolve")
+    def resolve(self, mine: str) -> None:
         """Save the author's own version in the named disputes: "0,2"."""
         self.ctx.dialog.close()
         if not self.editor.disputed:
@@ -215,20 +216,14 @@ def _when(time: datetime) -> str:
 
 ORIGINS = {"auto": "auto", "human": "by hand", "recomputed": "recomputed", "stale": "stale"}
 MARKED = {"BAD_LABEL": "label wrong", "BAD_BOX": "box wrong"}
-SHOWN, SHOWN_EVENTS = 200, 30
+SHOWN_EVENTS = 30
 
 
-def sentence_html(state: State, view: LabelView) -> Element:
-    """Current expression, with all actions."""
-    chip = h.div(h.span(), ground_chips(state), cls="under")
+def sentence_html(state: State, view: LabelView) -> Element | None:
+    """Current expression, with all actions; else a doubt of up."""
     card = view.sentence
     if card is None:
-        what = (
-            "Choose an expression below, or step through them with Alt+J."
-            if view.expressions
-            else "The labels have no expressions of this frame."
-        )
-        return panel(h.div(what, cls="dim hint"), chip)
+        return None if (chips := up_chip(state)) is None else panel(chips)
     colors = palette(state.dark)
     means = h.span(
         (dot(colors["target"]), f"{card.target}·{card.target_object} "),
@@ -253,7 +248,7 @@ def sentence_html(state: State, view: LabelView) -> Element:
             _verdicts(card, view.author),
             cls="sets",
         ),
-        chip,
+        up_chip(state),
     )
 
 
@@ -310,8 +305,8 @@ def _verdicts(card: ExpressionCard, author: str) -> Element:
     others = "".join(f" · {name}: {said}" for name, said in card.statuses.items() if name != author)
     accept, reject = (_hint(card, "status", key) + others for key in ("Alt+Y", "Alt+N"))
     return h.div(
-        _toggle(own == "accepted", GOOD, f"{status}accepted", "accepted", accept),
-        _toggle(own == "rejected", BAD, f"{status}rejected", "rejected", reject),
+        _toggle(own == "accepted", GOOD, f"{status}accepted", "right", accept),
+        _toggle(own == "rejected", BAD, f"{status}rejected", "wrong", reject),
         _toggle(card.ambiguous, DOUBT, "ambiguous", "ambiguous", _hint(card, "ambiguous", "Alt+B")),
         (
             _toggle(card.mark == mark, BAD, f"mark:{mark}", words, _hint(card, "mark", "Alt+M steps"))
@@ -336,16 +331,9 @@ def expressions_html(view: LabelView) -> Element | None:
     """Expressions of the frame, starting with the chosen pair's."""
     if not view.expressions:
         return None
-    left_out = sum(bool(c.withdrawn) for c in view.expressions)
-    count = f"{len(view.expressions)}" + (f", {left_out} left out" if left_out else "")
-    if len(view.expressions) > SHOWN:
-        count += f"; {SHOWN} are listed"
-    # In this order by `LabelView.detailed`.
-    rows = (_row(view, card) for card in view.expressions[:SHOWN])
-    return panel(
-        heading("Expressions", count).with_(id="expressions-head"),
-        h.div(rows, id="expressions-all", cls="scroll expressions"),
-    )
+    count = f"{len(view.expressions)} of {len(view.order)}, those of the pair first"
+    rows = h.div((_row(view, card) for card in view.expressions), id="expressions-all", cls="expressions")
+    return panel(heading("Sentences", count).with_(id="expressions-head"), rows)
 
 
 def _row(view: LabelView, card: ExpressionCard) -> Element:
@@ -365,10 +353,10 @@ def _row(view: LabelView, card: ExpressionCard) -> Element:
     )
 
 
-def history_html(view: LabelView) -> Element:
-    """History of the selected object, the chosen pair and the expression."""
+def history_html(view: LabelView) -> Element | None:
+    """History of the selected object, the chosen pair and the expression; None without any."""
     if not view.history:
-        return panel(heading("History"), h.div("Nobody has changed anything of what is selected.", cls="dim"))
+        return None
     more = f"newest {SHOWN_EVENTS} of {len(view.history)}" if len(view.history) > SHOWN_EVENTS else ""
     return panel(heading("History", more), (_event(view, line) for line in view.history[:SHOWN_EVENTS]))
 

@@ -16,6 +16,7 @@ from pipeline.diagnosis.suggestions import SuggestedQuestions
 from pipeline.diagnosis.whatif.answer_view import AnswerView
 from pipeline.diagnosis.whatif.state import CameraView
 from pipeline.evaluation.run_figures import Listing, Recorded, recorded_verdict
+from pipeline.geometry.palette import Role
 from pipeline.geometry.viewer import Measurement, measure
 
 CameraMode = Literal["pair", "sensor", "orbit", "top"]
@@ -214,6 +215,19 @@ class State(AnswerView):
             labels=None,
             stage="",
         )
+
+    @property
+    def roles(self) -> dict[int, Role]:
+        """Roles of an answer's pair; of labels, what is asked about is in one colour."""
+        if self.labels is None:
+            return super().roles
+        asked = self.pair or (() if self.selected is None else (self.selected,))
+        return dict.fromkeys(asked[:2], "truth")
+
+    @property
+    def pair_lines(self) -> list[tuple[int, int]]:
+        """Lines of an answer's pairs; labels have none."""
+        return super().pair_lines if self.labels is None else []
 
     @property
     def boxes_shown(self) -> bool:

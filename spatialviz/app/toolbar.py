@@ -76,10 +76,15 @@ def scene_buttons_html(state: State) -> list[Element]:
         title="metres between two surfaces that you click, here or in the picture (Shift+D; Escape ends)",
     )
     objects = f"Objects {len(state.shown.objects)}"
+    drawn = "outline something on the picture (Shift+N; Shift-drag on the picture)"
     return [
         measure,
+        *([] if state.labels is None else [button("New object", "px-new", drawn)]),
         h.button(
-            "What if", cls="try", local="tab:Edit", title="change a box, a score or a setting, and see the answer"
+            "What if" if state.labels is None else "Edit",
+            cls="try",
+            local="tab:Edit",
+            title="change a box, a score or a setting" + (", and see the answer" * (state.labels is None)),
         ),
         h.button(objects, cls="try", local="tab:Objects", title="all objects of this frame"),
     ]

@@ -210,7 +210,7 @@ calls.offer = ({typed, note, offers}) => {
 };
 
 calls.focusClass = () => {
-  calls.tab?.('Edit');
+  if (!fieldOf('class')?.checkVisibility()) calls.tab?.('Edit');
   setTimeout(() => focus(fieldOf('class')), 60);
 };
 

@@ -228,13 +228,15 @@ matchMedia('(prefers-color-scheme: light)').addEventListener('change', ({matches
 calls.task = name => {
   if (document.body.dataset.mode === name) return;
   document.body.dataset.mode = name;
-  // What a task is about is open.
-  if (name === 'label') locals.tab(null, 'Edit'); else shutDrawer();
+  shutDrawer();
 };
 calls.author = name => { kept('author', name); };
-calls.toast = ({title, text, bad}) => {
+calls.toast = ({title, text, bad, undo}) => {
   const note = el('div', 'toast' + (bad ? ' bad' : ''));
   note.append(el('strong', '', title), el('span', '', text));
+  // Only what was saved last can be undone.
+  document.querySelector('.toast:has(.undo)')?.remove();
+  if (undo) Object.assign(note.appendChild(el('button', 'try undo', 'Undo')), {type: 'button', title: 'Ctrl+Z'}).dataset.do = undo;
   const close = note.appendChild(el('button', 'close', '×'));
   close.type = 'button';
   close.setAttribute('aria-label', 'close');
@@ -242,7 +244,7 @@ calls.toast = ({title, text, bad}) => {
   byId('toasts').append(note);
   while (byId('toasts').children.length > 4) byId('toasts').firstChild.remove();
   // Why something was not done stays until it is closed; everything is in the log.
-  if (!bad) setTimeout(() => note.remove(), 4000 + 60 * text.length);
+  if (!bad) setTimeout(() => note.remove(), undo ? 6000 : 4000 + 60 * text.length);
 };
 calls.download = ({path, name}) => {
   const a = el('a');

@@ -1,7 +1,7 @@
 /* Three views of a labelled object, along the axes of its box: its points come once, its box follows the hand here,
 and goes to the server as one edit when it is let go (pipeline/corrections/side_views.py does the same to the box). */
 
-import {byId, calls, el, send} from './core.mjs';
+import {byId, calls, el, locals, send} from './core.mjs';
 
 /* Axes a, b, c of each view, to the right and up, and the one that it is looked along. */
 const VIEWS = [
@@ -232,7 +232,7 @@ const pressed = event => {
   else if (event.key === 'Escape') {
     taken();
     if (S.hand || S.timer) { clearTimeout(S.timer); S.timer = 0; dropped(); }
-    else byId('review-item').querySelector('button')?.focus() ?? bench.blur();
+    else byId('decide').querySelector('button:enabled')?.focus() ?? bench.blur();
   } else if (!S.data) return;
   else if (event.key === 'v' || event.key === 'V') { taken(); activate((S.active + 1) % views.length); }
   else if (arrow) {
@@ -292,6 +292,12 @@ const build = () => {
   activate(0);
   recolor();
   new MutationObserver(recolor).observe(document.documentElement, {attributeFilter: ['data-theme']});
+};
+
+/* In a narrow window the crop, the scene or the side views are shown. */
+locals.pane = (button, name) => {
+  byId('stage').dataset.pane = name;
+  for (const one of byId('panes').querySelectorAll('[role=radio]')) one.setAttribute('aria-checked', one === button);
 };
 
 /* What the views show: {key, name, size, points, around} as base64 of 16 bit millimetres; null for nothing. */
