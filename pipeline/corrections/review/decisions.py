@@ -10,9 +10,9 @@ from typing import Any, Literal
 from pipeline.corrections.journal.edits import Edits, judge_relation, set_relation, settle
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Event
-from pipeline.corrections.journal.field_refs import FieldRef, object_ref, relation_ref
+from pipeline.corrections.journal.field_refs import relation_ref
 from pipeline.corrections.review.items import ItemKey, State, judgements_of
-from pipeline.corrections.review.worklist import say_of_item
+from pipeline.corrections.review.worklist import say_of_item, status_ref
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import F, T, U, letter
 from pipeline.system.errors import needed
@@ -90,8 +90,8 @@ def question_of(
         text = (frame.expression(item.what) or {}).get("text", "")
         return Question(item, f"“{text}”", "Is this true of what is marked?", choices, words)
     if item.a < 0:
-        there = {"right": Choice("none is missing"), "wrong": Choice("one is missing"), "unsure": Choice(_OTHERS)}
-        return Question(item, f"No {missing} is labelled here", "Is there none?", there, words)
+        choices["right"], choices["wrong"] = Choice("none is missing"), Choice("one is missing")
+        return Question(item, f"No {missing} is labelled here", "Is there none?", choices, words)
     row = frame.object(item.a)
     if row is None:
         return None
@@ -112,9 +112,10 @@ def _of_relation(frame: EffectiveFrame, item: ItemKey, words: tuple[Word, ...]) 
         # What contradicts the label; "undecided" has an answer of its own.
         others = sorted({OF_LETTER[w.verdict] for w in words} - {first}, key=lambda state: state == U)
         second = others[0] if others else second
+    states: dict[Answer, int] = {"right": first, "wrong": second, "unsure": U}
     choices: dict[Answer, Choice] = {
         answer: _state_choice(now, state, tuple(w for w in words if OF_LETTER[w.verdict] == state))
-        for answer, state in (("right", first), ("wrong", second), ("unsure", U))
+        for answer, state in states.items()
     }
     labelled = "Not labelled yet." if now is None else f"Labelled {SAYS[now]}."
     return Question(item, claim if now in (T, F) else f"Is {one} {says} {other}?", labelled, choices, words)
@@ -158,15 +159,6 @@ def state_edits(frame: EffectiveFrame, item: ItemKey, state: int, author: str, d
     if is_so or (origin.source == "human" and origin.author != author):
         return judge_relation(frame, a, b, relation, state, author)
     return set_relation(frame, a, b, relation, state)
-
-
-def status_ref(item: ItemKey) -> FieldRef:
-    """Cell of an item's status."""
-    if item.kind == "relation":
-        return relation_ref(item.frame, item.a, needed(item.b, "no relation"), f"{item.what}.status")
-    if item.kind == "object":
-        return object_ref(item.frame, item.a, "status")
-    return FieldRef("expression", item.frame, item.what, "status")
 
 
 def question_record(question: Question) -> dict[str, Any]:

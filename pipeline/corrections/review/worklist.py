@@ -361,11 +361,17 @@ def say_of_item(frame: EffectiveFrame, item: ItemKey, status: str, author: str) 
     """Edits of a reviewer's word: "accepted", "rejected" or "unsure"; InputError for a rejected relation."""
     if item.kind == "relation":
         require(status != "rejected", "a relation is not rejected", expected="T, U or F")
-        ref = FieldRef("relation", item.frame, f"{item.a},{item.b}", f"{item.what}.status")
-        return judge_both_ways(frame, ref, status, author)
-    expression = FieldRef("expression", item.frame, item.what, "status")
-    ref = object_ref(item.frame, item.a, "status") if item.kind == "object" else expression
-    return set_status(frame, ref, status, author=author)
+        return judge_both_ways(frame, status_ref(item), status, author)
+    return set_status(frame, status_ref(item), status, author=author)
+
+
+def status_ref(item: ItemKey) -> FieldRef:
+    """Cell of an item's status."""
+    if item.kind == "relation":
+        return FieldRef("relation", item.frame, f"{item.a},{item.b}", f"{item.what}.status")
+    if item.kind == "object":
+        return object_ref(item.frame, item.a, "status")
+    return FieldRef("expression", item.frame, item.what, "status")
 
 
 def accept_all(items: Collection[ItemKey], frame_of: Callable[[str], EffectiveFrame], author: str) -> Edits:
