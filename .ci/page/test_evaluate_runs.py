@@ -200,3 +200,30 @@ def test_many_rows_scroll(large: Server, open_tab: OpenTab) -> None:
     tab.poll("document.querySelector('#rows .expr.at:not(.wait)')")
     tab.click("choose-all")
     tab.see("#found-bar .chosen", "selected")
+
+
+def test_what_the_second_run_broke_is_explained_by_its_own_answer(evaluate: Tab, compared: Server) -> None:
+    """D3: the first of the list opens on B; the switch shows A, and the address keeps the side."""
+    tab, second = evaluate, compared.folder / "second"
+    search(tab, "change:broken")
+    tab.poll(f"document.querySelectorAll('{FILLED}').length > 0")
+    tab.page.locator(FILLED).first.click()
+    tab.poll("document.body.dataset.mode === 'explain' && location.search.includes('run=b')")
+    said = json.loads(spatialviz("ask", "demo", tab.frame, tab.question, "--run", second, "--json", fails=True))
+    tab.see("#verdict", said["verdict"]["head"])
+    assert said["verdict"]["tone"] == "wrong"
+    assert tab.see("#answer .why.bad").inner_text() == said["verdict"]["said"]
+    names = tab.page.locator("#answer [data-do^='side:']").all_inner_texts()
+    assert names == ["A · relations by rel32 · K 5 ✓", "B · relations by rule · K 12 ✕", "both"], names
+    tab.click("side:a")
+    said = json.loads(spatialviz("ask", "demo", tab.frame, tab.question, "--run", "demo", "--json", fails=True))
+    tab.see("#verdict", said["verdict"]["head"])
+    tab.poll("!location.search.includes('run=')")
+    tab.click("side:both")
+    tab.see("#stages .other", "relations by rule")
+    tab.poll("location.search.includes('run=both')")
+    tab.page.go_back()
+    tab.see("#answer [data-do='side:a'][aria-checked=true]")
+    tab.page.go_back()
+    tab.see("#answer [data-do='side:b'][aria-checked=true]")
+    tab.see("#answer .why.bad")

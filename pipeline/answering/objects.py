@@ -76,6 +76,12 @@ class PreparedFrame:
         self._lifted: dict[tuple[str, int, bool], tuple[LiftedObject, np.ndarray]] = {}
         self.seconds = perf_counter() - start
 
+    def under(self, config: LiftConfig) -> PreparedFrame:
+        """Frame as prepared by another lifting; itself for its own."""
+        if config == self.config:
+            return self
+        return PreparedFrame(self.frame, config, boxes=self.boxes, up_doubt=self.viewer.up_doubt)
+
     def lift(self, proposals: Proposals, detector: Detector) -> tuple[SceneObject, ...]:
         """Lift proposals to 3D, each once."""
         fingerprint = detector.fingerprint()

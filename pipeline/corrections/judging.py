@@ -24,6 +24,7 @@ from pipeline.diagnosis.asking import annotated_truth, judge_refused, judge_trac
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif.answer_view import OtherAnswer
 from pipeline.evaluation.run_folder import Run
+from pipeline.evaluation.run_names import told_apart
 from pipeline.labels.cases import HIT, FrameCases
 from pipeline.labels.reading import Labels
 from pipeline.language.naming import same_class
@@ -37,7 +38,7 @@ class Judge:
     """Judgement of answers about frames of named sources; the truth of the last frame is kept.
 
     `runs` and `labels` are by source, labels of a run first; `others` are runs to compare with; `corrected` gives a
-    frame's corrected labels, or None.
+    frame's corrected labels, or None; `names`: of both runs of a source, so that they can be told apart.
     """
 
     def __init__(
@@ -48,6 +49,7 @@ class Judge:
         corrected: Callable[[str, str], EffectiveFrame | None],
     ) -> None:
         self._runs, self._labels, self._others, self._corrected = runs, labels, others, corrected
+        self.names = {name: told_apart(runs[name], other) for name, other in others.items() if name in runs}
         self._kept: tuple[tuple[str, str, bytes], EffectiveFrame | None, FrameCases | None] | None = None
 
     def labels(self, name: str) -> Labels | None:
@@ -97,7 +99,7 @@ class Judge:
             rejected = None if corrected is None or expression is None else withdrawn_by(corrected, expression)
             if rejected is not None:
                 return rejected
-            known = self.known(name, context.frame.id, truth, expression)
+            known = self.known(name, context.frame.id, truth, expression, source)
             case = known["case"] or labelled_case(truth, trace.query.text)
             if corrected is not None and case is not None:
                 known["case"] = answered_case(corrected, truth, case, trace)
@@ -111,16 +113,23 @@ class Judge:
         """Verdict on a labelled expression beyond asking; None for any other."""
         try:
             truth = self.truth(name, source, context)
-            known = self.known(name, context.frame.id, truth, expression)
+            known = self.known(name, context.frame.id, truth, expression, source)
             if truth is None or known["case"] is None:
                 return None
             return judge_refused(source, context, truth, known.pop("case"), problem, **known)
         except InputError as error:
             return str(error)
 
-    def known(self, name: str, frame: str, truth: FrameCases | None, expression: str | None) -> dict[str, Any]:
-        """Case, mark and confidence of a labelled expression in a run, as arguments of `judge_trace`."""
-        run, corrected = self._runs.get(name), self._corrected(name, frame)
+    def known(
+        self, name: str, frame: str, truth: FrameCases | None, expression: str | None, source: Pipeline | None = None
+    ) -> dict[str, Any]:
+        """Case, mark and confidence of a labelled expression in a run, as arguments of `judge_trace`.
+
+        `source`: of the run; by default the first.
+        """
+        second = self._others.get(name)
+        run = second if second is not None and second.source is source else self._runs.get(name)
+        corrected = self._corrected(name, frame)
         mark = None if run is None else run.spec.marks.get((frame, expression or ""))
         if corrected is not None and expression is not None:
             mark = effective_mark(corrected, expression, mark)
@@ -130,21 +139,26 @@ class Judge:
             "confidence": None if run is None else run.spec.confidence,
         }
 
-    def other(self, name: str, context: PreparedFrame, text: str, expression: str | None = None) -> OtherAnswer | None:
-        """Answer and verdict of the run to compare with, by the same truth; None for none."""
-        run = self._others.get(name)
-        if run is None:
+    def other(
+        self, name: str, context: PreparedFrame, text: str, expression: str | None = None, second: bool = True
+    ) -> OtherAnswer | None:
+        """Answer and verdict of the run to compare with, by the same truth; None for none.
+
+        `second`: the second run's, beside an answer of the first; else the other way round.
+        """
+        run = (self._others if second else self._runs).get(name)
+        if run is None or name not in self.names:
             return None
+        named, source = self.names[name][second], run.source
         try:
-            if run.source.config.lift != context.config:
-                context = PreparedFrame(context.frame, run.source.config.lift)
-            trace = run.source.ask(context, text)
+            context = context.under(source.config.lift)
+            trace = source.ask(context, text)
         except InputError as error:
-            return OtherAnswer(text, problem=str(error), name=run.name)
-        found = self.judge(name, run.source, context, trace, expression)
+            return OtherAnswer(text, problem=str(error), name=named)
+        found = self.judge(name, source, context, trace, expression)
         if isinstance(found, str):
-            return OtherAnswer(text, trace, unjudged=found, name=run.name)
-        return OtherAnswer(text, trace, diagnosis=found, name=run.name)
+            return OtherAnswer(text, trace, unjudged=found, name=named)
+        return OtherAnswer(text, trace, diagnosis=found, name=named)
 
 
 REASON = "this pair is right"

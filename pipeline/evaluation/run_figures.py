@@ -15,6 +15,7 @@ from pipeline.evaluation.browsing import RunRows, completions, labelled_boxes
 from pipeline.evaluation.comparing import Comparison, compare, shared_rows
 from pipeline.evaluation.confusion import Confusion, Standings, answer_standings, count_standings
 from pipeline.evaluation.run_folder import Run
+from pipeline.evaluation.run_names import told_apart
 from pipeline.evaluation.search import Field
 from pipeline.evaluation.slices import Slices, slice_by
 from pipeline.evaluation.summary import RunSummary, summarise_run
@@ -135,6 +136,11 @@ class RunFigures(Figures):
         return self._parts.get(
             rows.tobytes(), lambda: Figures(self.run, self.records.take(pa.array(rows)), self.second, standings)
         )
+
+    @cached_property
+    def names(self) -> tuple[str, str] | None:
+        """Names of the run and of the second one, so that they can be told apart; None for one alone."""
+        return None if self.second is None else told_apart(self.run, self.second)
 
     @cached_property
     def counts(self) -> dict[str, int]:

@@ -8,18 +8,17 @@ import numpy as np
 
 from pipeline.answering.answer_words import pair_words, why_no_answer, words_of_answer
 from pipeline.answering.ask import Trace
-from pipeline.answering.objects import SceneObject
 from pipeline.diagnosis.cards import Card, CardObject, cards_of
 from pipeline.diagnosis.story import unjudged_story
 from pipeline.diagnosis.story_words import TRUTHS, Story, capital
 from pipeline.diagnosis.verdict import MODULE_OF, Diagnosis, shown_detail, shown_verdict
-from pipeline.diagnosis.whatif.answer_view import BothAnswers, OtherAnswer
+from pipeline.diagnosis.whatif.answer_view import BothAnswers
 from pipeline.diagnosis.whatif.changes import each_edit
 from pipeline.evaluation.run_figures import Recorded, judged_by
-from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.palette import VERDICTS, hex_color, palette
 from pipeline.language.counted import counted
 from pipeline.language.glossary import glossary
+from spatialviz.app.compare_runs import both_html, switch_html
 from spatialviz.app.frames import thumb_url
 from spatialviz.app.markup import BAD, Child, Element, button, h, hint_of, joined, named, note, panel, term
 from spatialviz.app.state import State
@@ -55,6 +54,7 @@ def answer_html(state: State, can_ask: bool = True) -> Element:
     why = h.p(told.sentence if recorded is None else recorded.said, cls=f"why {TONES[told.tone]}")
     return panel(
         level_html(state),
+        switch_html(state, told.tone),
         _head(state, told, recorded),
         before,
         _cards(state),
@@ -62,7 +62,6 @@ def answer_html(state: State, can_ask: bool = True) -> Element:
         h.p(state.offers.words, cls="sub") if state.error and state.offers.names else None,
         None if recorded is None else _recorded(state),
         _mend(state, told) if recorded is None else None,
-        None if state.other is None or state.trace is None else _second(state.other, state.other_pair),
         doubts_html(state),
         cls="answer",
     )
@@ -219,7 +218,7 @@ def verdict_evidence(state: State, trace: Trace) -> list[Child]:
     judged = state.judged
     if not isinstance(judged, Diagnosis):
         return [h.p(UNKNOWN if judged is None else f"No verdict: {judged}.", cls="dim")]
-    return [None if state.other is None else _other(state, trace, state.other), *_oracles(judged)]
+    return [None if state.other is None else both_html(state, trace, state.other), *_oracles(judged)]
 
 
 def _oracles(d: Diagnosis) -> list[Child]:
@@ -248,42 +247,6 @@ def _oracle(d: Diagnosis, name: str, right: bool, margin: float) -> Element:
         cls="on" if name in (d.mends or d.repair) else "",
         title=glossary()[name].text if name else "the pipeline's own answer",
     )
-
-
-def _second(other: OtherAnswer, moved: str) -> Element:
-    """Verdict of the second run in a line with the difference; opens both answers."""
-    chip = None if other.diagnosis is None else verdict_chip_of(other.diagnosis)
-    what = (h.span("second run ", cls="dim"), chip, f" {moved or 'no answer'}")
-    return h.button(what, cls="plain", do="stage:LABEL", title=f"{other.name}: both answers")
-
-
-def _other(state: State, trace: Trace, other: OtherAnswer) -> list[Child]:
-    """Answer of the other run beside this answer, with the difference."""
-    mine = state.ranked[0] if state.ranked else None
-    if other.problem:
-        return [h.h3("The second run", h.span(other.name)), note(other.problem)]
-    rows = []
-    for name, pair, asked in (("first", mine, trace), ("second", next(iter(other.pairs), None), other.trace)):
-        cells: Child = h.td("no answer", colspan=4)
-        if pair is not None and asked is not None and pair.reference is not None:
-            names = " · ".join(_named_here(state, asked.objects[i]) for i in (pair.target, pair.reference))
-            factors = (pair.p_target, pair.p_reference, pair.p_relation)
-            cells = [h.td(names, cls="w", title=names), *(h.td(f"{p:.2f}", cls="n") for p in factors)]
-        rows.append(h.tr(h.th(name, scope="row"), cells))
-    head = h.tr(
-        h.td(), h.td(), (h.th(term(f"P({name})", name[:3]), cls="n") for name in ("target", "reference", "relation"))
-    )
-    return [
-        h.h3("The second run", h.span(f"{other.name}: {state.other_pair}" if state.other_pair else other.name)),
-        None if other.diagnosis is None else verdict_chip_of(other.diagnosis),
-        h.table(h.thead(head), h.tbody(rows), cls="other"),
-    ]
-
-
-def _named_here(state: State, entry: SceneObject) -> str:
-    """Name of an object on this page; its class where this run lacks the object."""
-    overlap = iou_2d(np.array([o.bbox for o in state.shown.objects]), entry.bbox)[:, 0]
-    return state.shown.names[int(overlap.argmax())] if overlap.max() >= 0.5 else entry.label
 
 
 def verdict_chip(verdict: str, detail: str | None = None, lucky: bool = False) -> Element:

@@ -102,6 +102,12 @@ class Context:
         return self.shared.store.sources[self.state.source]
 
     @property
+    def answering(self) -> Pipeline:
+        """Pipeline of the shown answer: of two runs that of the shown side."""
+        other = self.shared.others.get(self.state.source)
+        return self.source if other is None or self.state.side != "b" else other.source
+
+    @property
     def run(self) -> Run | None:
         """Run of the current pipeline."""
         return self.shared.runs.get(self.state.source)

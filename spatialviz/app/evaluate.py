@@ -28,7 +28,7 @@ from spatialviz.app.evaluate_html import (
 from spatialviz.app.figures_html import CUTS, Sample, comparison_html, confusion_html, slices_html, summary_html
 from spatialviz.app.frames import pictures_of
 from spatialviz.app.markup import Element
-from spatialviz.app.state import Place
+from spatialviz.app.state import Place, Side
 
 FIRST = (FAILURES, "")
 """Default searches, in order; the first with results is listed."""
@@ -39,6 +39,8 @@ LONGEST_SEARCH = 2000
 AT_ONCE = 400
 """Rows per message, at most."""
 FIGURES = ("run-summary", "run-compared", "run-slices", "run-confusion")
+SIDES: dict[str, Side] = {"broken": "b", "fixed": "a"}
+"""Run whose answer explains a change; of others the one that was shown last."""
 REGIONS = ("search", "offers", "filters", "facet-list", *FIGURES)
 """Regions of a run in the page."""
 FILLED = 4
@@ -221,8 +223,9 @@ class Evaluate(Part):
         if 0 <= place < listing.count:
             (row,) = listing.figures.rows.read(listing.found[place : place + 1])
             at = row["frame"], row["id"], row["text"]
+            side = SIDES.get(str(row.get("change")), self.state.side)
             self.state = replace(self.state, evaluating=False, listing=replace(listing, at=at))
-            self._go(Place(self.state.source, at[0], at[2]))
+            self._go(Place(self.state.source, at[0], at[2], side=side))
             self.ctx.draw()
 
     @command("next-failure")

@@ -22,7 +22,7 @@ class Region:
     wanted: Callable[[State], bool] = lambda _: True  # Else it is empty, and reads nothing
 
 
-ASKED = "loaded problem text trace found error stopped judged edits edited other pair"
+ASKED = "loaded problem text trace found error stopped judged edits edited other pair side"
 """An answer, and the pair that is looked at."""
 
 
@@ -68,7 +68,7 @@ FOLLOWING = (
     ),
     Region(
         "stages",
-        f"{ASKED} stage flags dark",
+        f"{ASKED} stage flags dark listing",
         lambda _, state: stages.stages_html(state, state.stage),
     ),
 )

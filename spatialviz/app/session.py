@@ -38,7 +38,7 @@ from spatialviz.app.labelling import Labelling
 from spatialviz.app.picture import overlay_marks
 from spatialviz.app.selection import Selection
 from spatialviz.app.stages import opened
-from spatialviz.app.state import Place
+from spatialviz.app.state import Place, Side
 
 RECENT = 12
 """Recent questions offered by Ask."""
@@ -201,6 +201,9 @@ class PageSession(Part):
             frame = here.frame_id if source == here.source else ids[0]
         if place.task is not None:
             self.state = replace(self.state, evaluating=place.task == "evaluate")
+        side = place.side or ("a" if restoring else here.side)
+        self.state = replace(self.state, side=side if source in self.ctx.shared.others else "a")
+        turned = self.state.side != here.side
         if restoring:
             self._runs.follow()
             self._runs.search(place.find)
@@ -211,7 +214,7 @@ class PageSession(Part):
             self.ctx.editors.wanted = Target(frame, place.item or ())
         elif restoring:
             here = self.state = replace(here, labels=None)
-        same = (source, frame) == (here.source, here.frame_id) and text in (None, here.text)
+        same = (source, frame) == (here.source, here.frame_id) and text in (None, here.text) and not turned
         if not (self._begun and same) or labelling:
             if source != here.source:
                 here = replace(here, source=source, text=here.text or DEMO_EXPRESSION)
@@ -350,13 +353,14 @@ class PageSession(Part):
         self.ctx.page.call("question", text)
         self._asked = tuple(dict.fromkeys((text, *self._asked)))[:RECENT]
         try:
-            trace = self.ctx.source.ask(loaded.context, text)
+            source = self.ctx.answering
+            trace = source.ask(loaded.context.under(source.config.lift), text)
         except InputError as error:
             shown = shown_objects(loaded, None, self._exact)
             # Names of the frame stand beside the field; the detector knows many more.
             said = error.what if isinstance(error, UnknownClass) else str(error)
             name, expression = self.state.source, self.state.expression_id(text)
-            judged = self._judge.judge_refused(name, self.ctx.source, loaded.context, error, expression)
+            judged = self._judge.judge_refused(name, self.ctx.answering, loaded.context, error, expression)
             stopped = "OPM" if isinstance(error, UnknownClass) else "PARSE"
             self.state = replace(self.state, error=said, stopped=stopped, judged=judged, found=shown, selected=None)
             self.ctx.note(f"“{text}”: {error}")
@@ -371,17 +375,22 @@ class PageSession(Part):
     def _judged(self, trace: Trace, rank: RankConfig | None = None) -> Diagnosis | str | None:
         """Verdict on an answer of the current frame; `rank` holds the weights of an edited answer."""
         state, expression = self.state, self.state.expression_id(trace.query.text)
-        return self._judge.judge(state.source, self.ctx.source, there(state.loaded).context, trace, expression, rank)
+        source = self.ctx.answering
+        context = there(state.loaded).context.under(source.config.lift)
+        return self._judge.judge(state.source, source, context, trace, expression, rank)
 
     def _answered(self, loaded: LoadedFrame, trace: Trace) -> None:
         """Take an answer into the state, with verdict and the other run's answer."""
         name, text = self.state.source, trace.query.text
+        other = self._judge.other(
+            name, loaded.context, text, self.state.expression_id(text), second=self.state.side != "b"
+        )
         self.state = replace(
             self.state,
             trace=trace,
             found=shown_objects(loaded, trace, trace.exact),
             judged=self._judged(trace),
-            other=self._judge.other(name, loaded.context, text, self.state.expression_id(text)),
+            other=other,
         )
         pair = next(map(self.state.at, self.state.ranked), None)
         self.state = replace(self.state, pair=pair, selected=None if pair is None else pair[0])
@@ -395,6 +404,14 @@ class PageSession(Part):
         if 0 <= number < len(trace.scores.relations):
             first, second = ends[::-1] if trace.inverse else ends
             self.ask(f"{first} {PHRASE[trace.scores.relations[number]]} the {second}")
+
+    @command("side")
+    def _turn_side(self, side: Side) -> None:
+        """Show the answer of the first or of the second run, or both in a table."""
+        if side != self.state.side and self.state.source in self._judge.names:
+            self.state = replace(self.state, side=side)
+            self.ask(self.state.text, draw=False)
+            self.ctx.show(stage="LABEL" if side == "both" else "")
 
     @command("again")
     def _ask_again(self) -> None:

@@ -23,6 +23,8 @@ CameraMode = Literal["pair", "sensor", "orbit", "top"]
 """Viewpoints of the scene."""
 Task = Literal["explain", "evaluate", "label"]
 """Tasks of the page: explain an answer, evaluate a run, or label."""
+Side = Literal["a", "b", "both"]
+"""Of two runs whose answer is shown: the first's, the second's, or the first's with a table of both."""
 STAGES = ("PARSE", "OPM", "LIFT", "SRM", "ATTRIBUTE", "PRM", "LABEL", "-")
 
 
@@ -41,6 +43,7 @@ class Place:
     camera: tuple[CameraView, float | None] | None = None
     pair: int | None = None  # Rank of the shown pair, from 1; None for the best
     look: CameraMode | None = None  # Viewpoint; None for the pair
+    side: Side | None = None
     missing: str = ""  # Dataset of an address that is not open here
 
     @classmethod
@@ -70,6 +73,7 @@ class Place:
             _camera(fields.get("camera", "")),
             int(pair) if pair.isdecimal() and len(pair) < 6 else None,
             look,
+            next((s for s in get_args(Side) if s == fields.get("run")), None),
         )
 
     def dead(self, frames: Collection[str]) -> str:
@@ -97,12 +101,13 @@ class Place:
             "camera": camera,
             "pair": self.pair,
             "look": self.look,
+            "run": self.side,
         }
         return urlencode({key: value for key, value in said.items() if value is not None}, safe="/,:")
 
     def same_view(self, other: Place) -> bool:
-        """True for equal frame, question and task: no step of Back."""
-        return all(getattr(self, name) == getattr(other, name) for name in ("source", "frame", "text", "task"))
+        """True for equal frame, question, task and side: no step of Back."""
+        return all(getattr(self, name) == getattr(other, name) for name in ("source", "frame", "text", "task", "side"))
 
 
 def _camera(text: str) -> tuple[CameraView, float | None] | None:
@@ -162,6 +167,7 @@ class State(AnswerView):
     point_size: float = 1.0  # Factor of the cloud's points
     evaluating: bool = False  # True while the run is shown, not an answer
     stage: str = ""  # Module with open evidence; "" by the answer, "-" for none
+    side: Side = "a"
     drawer: str = ""  # Open tab of the drawer
 
     @property
@@ -193,7 +199,7 @@ class State(AnswerView):
     def recorded(self) -> Recorded | None:
         """Verdict of the run on the current, unedited expression."""
         expression = self.expression_id(self.text)
-        if self.listing is None or expression is None or self.edited is not None:
+        if self.listing is None or expression is None or self.edited is not None or self.side == "b":
             return None
         rows = self.listing.figures.rows
         number = rows.number(self.frame_id, expression)
@@ -275,7 +281,14 @@ class State(AnswerView):
         look = None if self.camera == "pair" else self.camera
         pair = next((n for n, p in enumerate(self.ranked, 1) if self.at(p) == self.pair), 1)
         place = Place(
-            self.source, self.frame_id, self.text, self.task, self.stage, pair=None if pair == 1 else pair, look=look
+            self.source,
+            self.frame_id,
+            self.text,
+            self.task,
+            self.stage,
+            pair=None if pair == 1 else pair,
+            look=look,
+            side=None if self.side == "a" else self.side,
         )
         if self.labels is None:
             return place

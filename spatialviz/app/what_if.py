@@ -150,7 +150,7 @@ class WhatIf(Part):
         self._judge = judge
         self._baseline: Baseline | None = None
         self._judged: Diagnosis | str | None = None
-        self._of: tuple[str, str, str] | None = None
+        self._of: tuple[str, ...] | None = None
         self._undo: list[Edits] = []
         self._live_since: Edits | None = None
         self._held: str | None = None
@@ -176,9 +176,9 @@ class WhatIf(Part):
             self._judged = self.state.judged
             self._apply(self.state.edits)
 
-    def _asked(self) -> tuple[str, str, str] | None:
+    def _asked(self) -> tuple[str, ...] | None:
         state = self.state
-        return None if state.trace is None else (state.source, state.frame_id, state.trace.query.text)
+        return None if state.trace is None else (state.source, state.frame_id, state.trace.query.text, state.side)
 
     def _base(self) -> Baseline:
         """Question without edits, read once."""
@@ -186,7 +186,8 @@ class WhatIf(Part):
         if asked is None or state.loaded is None:
             raise InputError("nothing is asked: edits are of a question")
         if self._baseline is None or self._of != asked:
-            self._baseline, self._of = Baseline(self.ctx.source, state.loaded.context, asked[2]), asked
+            source = self.ctx.answering
+            self._baseline, self._of = Baseline(source, state.loaded.context.under(source.config.lift), asked[2]), asked
             # The shown answer is still without edits.
             self._judged = state.judged
         return self._baseline
@@ -197,7 +198,7 @@ class WhatIf(Part):
     def _edit(self, said: str, by: str) -> None:
         """Apply an edit such as "size:1:0.2"; live edits of a drag form a single step."""
         live = by == "edit-live"
-        self._try(lambda: edit_from_words(said, self.state, self.ctx.source, self.keys(self._base())), live)
+        self._try(lambda: edit_from_words(said, self.state, self.ctx.answering, self.keys(self._base())), live)
 
     def _try(self, change: Callable[[], Edits], live: bool = False) -> None:
         try:
@@ -346,4 +347,4 @@ class WhatIf(Part):
                 return
             hidden = selected is not None and f"#{state.shown.objects[selected].id}" in state.edits.hidden
             trace, editable = state.trace, candidate or hidden
-            self.ctx.page.show("edit", None if trace is None else edit_html(state, trace, self.ctx.source, editable))
+            self.ctx.page.show("edit", None if trace is None else edit_html(state, trace, self.ctx.answering, editable))

@@ -71,3 +71,20 @@ def test_a_second_run_answers_too_and_is_judged_by_the_same_truth(source: Pipeli
     assert refused is not None
     assert refused.problem
     assert (refused.trace, refused.pairs) == (None, ())
+
+
+def test_each_of_two_runs_is_the_other_one_of_the_other(source: Pipeline, tmp_path: Path) -> None:
+    """Beside an answer of the second run stands the first's, and what a person marked in a run is of that run."""
+    first = open_run(demo_run())
+    second = replace(first, spec=replace(first.spec, options={**first.spec.options, "srm": "rule"}, marks={}))
+    second = replace(second, manifest={**first.manifest, "scorer": "rule"})
+    judge, context = Judge({"demo": first}, {}, {"demo": second}, nobody), source.prepare(FRAME)
+    assert judge.names == {"demo": ("relations by rel32", "relations by rule")}
+    text = "mug left of the laptop"
+    beside = [judge.other("demo", context, text, second=which) for which in (True, False)]
+    assert [o.name for o in beside if o is not None] == ["relations by rule", "relations by rel32"]
+    assert [o.needed_trace().scorer for o in beside if o is not None] == ["rule", "rel32"]
+    (frame, expression), mark = next(iter(first.spec.marks.items()))
+    truth = judge.truth("demo", source, source.prepare(frame))
+    assert judge.known("demo", frame, truth, expression)["mark"] == mark
+    assert judge.known("demo", frame, truth, expression, second.source)["mark"] is None
