@@ -92,7 +92,7 @@ class SceneView:
             lines("/boxes/selected", edges_of(chosen), (255, 255, 255), LINE_WIDTH["target"])
             annotated = () if state.loaded is None or not flags.truth else state.loaded.context.frame.annotations
             truth = [self.shown_box(a.box) for a in annotated if a.box is not None]
-            lines("/boxes/truth", edge_lines(truth), colors["truth"], LINE_WIDTH["truth"])
+            lines("/boxes/truth", edge_lines(truth, dashes=True), colors["truth"], LINE_WIDTH["other"])
             self._draw_faces(wanted, role_of, colors)
             self._draw_pairs(state.pair_lines if flags.pairs else (), colors)
             tags = self._draw_axes(state) + self._draw_ghosts(state.ghosts if flags.ghosts else (), colors)

@@ -25,7 +25,7 @@ FLAGS = {
     "cloud": "cloud",
     "boxes": "boxes",
     "labels": "all names",
-    "pairs": "pairs",
+    "pairs": "pair lines",
     "ghosts": "labelled",
     "truth": "exact boxes",
     "axes": "axes",

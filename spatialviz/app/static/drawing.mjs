@@ -4,14 +4,14 @@ most a few pixels. */
 import {sceneWindow} from './core.mjs';
 import {beforeDrawing} from './scene.mjs';
 
-const HALO = 0x0b0d10, HALO_WIDTH = 1, HIDDEN = 0.35, THICK = 3;
+const HALO = 0x0b0d10, HALO_WIDTH = 1, HIDDEN = 0.45, THICK = 2.5;
 const LARGEST_POINT = 6;
 const GREATER_DEPTH = 6; // As three.js counts its tests of depth
 const SIZE = 'gl_PointSize = (scale / -world_pos.z);';
 
 /* The same lines once more, with another material. */
 function pass(line, order, given) {
-  const material = new line.material.constructor({...given, depthWrite: false});
+  const material = new line.material.constructor({...given, depthWrite: false, toneMapped: false});
   const made = new line.constructor(line.geometry, material);
   made.renderOrder = order;
   made.frustumCulled = false;
@@ -25,6 +25,8 @@ function passes(line) {
   old?.all.forEach(one => one.removeFromParent());
   const halo = pass(line, 1, {color: HALO}), hidden = pass(line, 2, {transparent: true, opacity: HIDDEN, depthFunc: GREATER_DEPTH});
   line.renderOrder = 3;
+  // The palette's own colours, as in the picture and in the legend.
+  Object.assign(line.material, {toneMapped: false, needsUpdate: true});
   line.parent.add(halo, hidden);
   return (line.parent.userData.passes = {line, halo, hidden, all: [halo, hidden]});
 }

@@ -47,6 +47,7 @@ const follow = () => {
   clearTimeout(waiting);
   const sum = some => some.reduce((n, [, count]) => n + count, 0), all = sum(parts), now = sum(parts.filter(there));
   byId('loading').hidden = now === all;
+  byId('loading').classList.toggle('none', !now);
   byId('loading').textContent = `${now.toLocaleString('en')} of ${all.toLocaleString('en')} points of this frame`;
   if (now < all) waiting = setTimeout(follow, 100);
 };
