@@ -158,6 +158,21 @@ def test_the_place_in_the_list_of_the_run(query: str, place: int | None, words: 
     assert listed_words(Listing(figures_of(opened()[0], None), query, found=np.arange(505)), place) == words
 
 
+def test_a_frame_is_opened_with_its_first_failure_that_is_listed() -> None:
+    """Of the search that is on; without one it keeps the question."""
+    desk, ids = Desk({"demo": opened()[0]}), opened()[1].dataset.frame_ids
+    done: list[Any] = []
+    desk.open_frame, desk.handle = done.append, done.append
+    listing = desk.state.listing
+    assert listing is not None
+    rows = listing.figures.rows
+    desk.state = replace(desk.state, listing=replace(listing, found=rows.find(f"{FAILURES} frame:{ids[4]}")))
+    desk.browse.open(4)
+    desk.browse.open(5)
+    desk.browse.open(900)
+    assert done == [Command("failure", (0,)), ids[5]]
+
+
 def test_ids_are_offered_by_what_is_typed_else_those_around() -> None:
     desk, ids = Desk({}), opened()[1].dataset.frame_ids
     desk.browse.complete("2/00")

@@ -6,7 +6,7 @@ import shlex
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -20,7 +20,7 @@ import numpy as np
 from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects, prepare_frame
 from pipeline.answering.pipeline import Pipeline
 from pipeline.datasets import Dataset
-from pipeline.datasets.base import load_picture, scene_of
+from pipeline.datasets.base import load_picture
 from pipeline.datasets.frame_reports import CameraPlan, camera_plan
 from pipeline.datasets.odd_frames import OddFrame, odd_frames
 from pipeline.datasets.plausible import depth_doubt
@@ -258,7 +258,7 @@ class FrameStore:
                     known.pop(key, None)
 
 
-KEPT_PICTURES, KEPT_PLANS = 600, 16
+KEPT_PICTURES = 600
 
 
 class BackgroundPictures:
@@ -271,7 +271,6 @@ class BackgroundPictures:
         self._sources, self._pause = sources, pause
         self._behind = ThreadPoolExecutor(2, "pictures")
         self._pictures: Recent[tuple[str, str, int], bytes] = Recent(KEPT_PICTURES)
-        self._plans: Recent[tuple[str, str], tuple[CameraPlan | None]] = Recent(KEPT_PLANS)
         self._timelines: dict[str, Timeline] = {}
         self._odd: dict[str, Future[tuple[OddFrame, ...]]] = {}
 
@@ -285,11 +284,12 @@ class BackgroundPictures:
             return jpeg(resized(load_picture(self._sources[source].dataset, frame_id).rgb, width))
         return b""
 
-    def plan(self, source: str, frame_id: str, then: Callable[[CameraPlan | None], object]) -> None:
-        """Find the cameras of a frame's scene, and call back."""
+    def plan(
+        self, source: str, frame_id: str, then: Callable[[CameraPlan | None], object], also: Collection[str] = ()
+    ) -> None:
+        """Find the cameras of a frame's scene, as `camera_plan`, and call back."""
         dataset = self._sources[source].dataset
-        key = (source, scene_of(dataset, frame_id))
-        self._behind.submit(lambda: then(self._plans.get(key, lambda: (camera_plan(dataset, frame_id),))[0]))
+        self._behind.submit(lambda: then(camera_plan(dataset, frame_id, also=also)))
 
     def timeline(self, source: str) -> Timeline:
         """Timeline of a source, made on first use."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -198,16 +198,18 @@ class CameraPlan:
     headings: np.ndarray  # (N, 2) float: Where they look, of length one; 0, 0 for one that looks straight up or down
 
 
-def camera_plan(dataset: Dataset, frame_id: str, most: int = MOST_CAMERAS) -> CameraPlan | None:
+def camera_plan(
+    dataset: Dataset, frame_id: str, most: int = MOST_CAMERAS, also: Collection[str] = ()
+) -> CameraPlan | None:
     """Plan of the cameras in a frame's scene; None with fewer than two poses.
 
     Up is what the frame declares, else what the scene's frames vote for, else what the cameras hold upwards. At most
-    `most` frames are asked for their poses.
+    `most` frames are asked for their poses, this one, and `also` these.
     """
     at, scene = dataset.frame_ids.index(frame_id), scene_of(dataset, frame_id)
     start = max(0, at - NEIGHBOURS)
     ids = [i for i in dataset.frame_ids[start : at + NEIGHBOURS] if scene_of(dataset, i) == scene]
-    chosen = {ids[k] for k in np.linspace(0, len(ids) - 1, min(most, len(ids))).astype(int)} | {frame_id}
+    chosen = {ids[k] for k in np.linspace(0, len(ids) - 1, min(most, len(ids))).astype(int)} | {frame_id, *also}
     found = {i: or_note([], "", load_pose, dataset, i) for i in ids if i in chosen}
     poses = {i: pose for i, pose in found.items() if pose is not None}
     if len(poses) < 2:

@@ -58,6 +58,11 @@ class Listing:
         """Index of the open expression among the matches."""
         return None if self.at is None else self.place_of(self.figures.rows.number(*self.at[:2]))
 
+    def first_of(self, frame: str) -> int | None:
+        """Index of the first match in a frame."""
+        keys = self.figures.rows.keys
+        return next((k for k, number in enumerate(self.found.tolist()) if keys[number][0] == frame), None)
+
     def place_of(self, number: int | None) -> int | None:
         """Index of a row of the run among the matches."""
         return None if number is None else next(iter(np.flatnonzero(self.found == number).tolist()), None)

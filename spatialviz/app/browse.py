@@ -6,7 +6,7 @@ The timeline is sent once, a byte a frame; a step from frame to frame sends only
 from __future__ import annotations
 
 from base64 import b64encode
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
 import numpy as np
@@ -19,12 +19,13 @@ from pipeline.datasets.timeline import UNKNOWN, Timeline, next_with_share, oddes
 from pipeline.evaluation.run_figures import Listing
 from pipeline.evaluation.search import FAILURES
 from pipeline.language.counted import counted
+from spatialviz.app.channel import Command
 from spatialviz.app.context import Context, Part, command
 from spatialviz.app.markup import Element, h
 from spatialviz.app.state import State
 
-MOST_ROWS, MOST_IDS = 400, 20
-"""Frames per request of the page, and ids offered for a typed one, at most."""
+MOST_ROWS, MOST_IDS, MOST_MARKED = 400, 20, 60
+"""Frames per request of the page, ids offered for a typed one, and odd frames of a plan, at most."""
 CHANGED = 0.1
 """Above this share of changed frames the timeline is sent anew."""
 Kind = Literal["wrong", "open", "depth"]
@@ -54,8 +55,16 @@ class Browse(Part):
     # ---- commands -------------------------------------------------------------------
 
     @command("frame")
-    def open_number(self, number: int) -> None:
-        """Show the frame of a number."""
+    def open(self, number: int) -> None:
+        """Show the frame of a number, with the first of its failures that are listed."""
+        ids, listing = self._timeline.frame_ids, None if self.state.labels else self.state.listing
+        place = listing.first_of(ids[number]) if listing is not None and 0 <= number < len(ids) else None
+        if place is None:
+            self._open_number(number)
+        else:
+            self.ctx.handle(Command("failure", (place,)))
+
+    def _open_number(self, number: int) -> None:
         ids = self._timeline.frame_ids
         if 0 <= number < len(ids):
             self.ctx.open_frame(ids[number])
@@ -63,12 +72,12 @@ class Browse(Part):
     @command("next-frame")
     def step(self, step: int) -> None:
         """Show the next frame, or the previous."""
-        self.open_number(self._at + step)
+        self._open_number(self._at + step)
 
     @command("next-open")
     def step_open(self, step: int) -> None:
         """Show the next frame with open items, or the previous."""
-        self.open_number(-1 if (at := next_with_share(self._shares, self._at, step)) is None else at)
+        self._open_number(-1 if (at := next_with_share(self._shares, self._at, step)) is None else at)
 
     @command("move")
     def move(self, move: str) -> None:
@@ -98,15 +107,20 @@ class Browse(Part):
 
     @command("frame-plan")
     def plan(self) -> None:
-        """Send the cameras of the scene from above, and odd frames, once found."""
-        state, indices = self.state, self._timeline.indices
+        """Send the cameras of the scene from above: at once, and with the odd ones once they are found."""
+        self._plan()
+        if self.state.source not in self._odd:
+            self._find_odd(self._plan)
+
+    def _plan(self) -> None:
+        source, line = self.state.source, self._timeline
 
         def found(plan: CameraPlan | None) -> None:
-            data = None if plan is None else _plan_data(plan, indices)
+            data = None if plan is None else _plan_data(plan, line.indices)
             self.ctx.post(lambda: self.ctx.page.call("plan", data))
 
-        self.ctx.shared.pictures.plan(state.source, state.frame_id, found)
-        self._find_odd()
+        odd = [line.frame_ids[k] for k, _ in oddest(self._odd.get(source, ()), MOST_MARKED)]
+        self.ctx.shared.pictures.plan(source, self.state.frame_id, found, odd)
 
     # ---- timeline -------------------------------------------------------------------
 
@@ -152,15 +166,15 @@ class Browse(Part):
         self._data |= {"shares": shares, "scenes": line.scenes}
         self.ctx.page.call("timeline", self._data)
 
-    def _find_odd(self) -> None:
-        """Find odd frames in the background, and draw them."""
+    def _find_odd(self, then: Callable[[], None] | None = None) -> None:
+        """Find odd frames in the background, and show them; by default on the timeline alone."""
         source = self.state.source
 
         def show(odd: tuple[OddFrame, ...]) -> None:
-            if source not in self._odd:
-                self._odd[source] = odd
-                self.follow()
+            self._odd[source] = odd
             self.ctx.page.call("oddFrames", {"name": source, "frames": oddest(odd)})
+            if source == self.state.source:
+                (then or self.follow)()
 
         self.ctx.shared.pictures.odd(source, lambda odd: self.ctx.post(lambda: show(odd)))
 

@@ -92,3 +92,7 @@ def test_a_long_scene_is_thinned_and_keeps_the_frame_that_is_shown():
     assert "a/7" in plan.frame_ids
     assert len(plan.frame_ids) <= 6
     assert set(read) == set(plan.frame_ids)
+    odd = camera_plan(data, "a/7", most=2, also=["a/3", "b/0"])
+    assert odd is not None
+    assert "a/3" in odd.frame_ids
+    assert len(odd.frame_ids) == 4

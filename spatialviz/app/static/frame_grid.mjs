@@ -116,6 +116,7 @@ const titled = () => {
 const filled = () => {
   choose();
   titled();
+  draw();
   move(at);
   drawPlan();
 };

@@ -53,8 +53,10 @@ const highest = k => {
   return [best, most];
 };
 const under = e => {
-  const b = bar.getBoundingClientRect();
-  return highest(Math.min(columns() - 1, Math.max(0, Math.floor((e.clientX - b.left) / b.width * columns()))))[0];
+  const b = bar.getBoundingClientRect(), near = n => Math.abs((columnOf(n) + .5) / columns() * b.width - e.clientX + b.left);
+  // Marks are wider than a column.
+  const marks = b.width / columns() < 8 ? [...frames.odd.keys()].filter(n => near(n) < 4).sort((m, n) => near(m) - near(n)) : [];
+  return marks[0] ?? highest(Math.min(columns() - 1, Math.max(0, Math.floor((e.clientX - b.left) / b.width * columns()))))[0];
 };
 
 /* Share of the full height: what is 2 % everywhere is seen, too. */
