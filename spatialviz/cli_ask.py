@@ -79,7 +79,8 @@ class AskCommand(Output):
     """A run folder: its detector, relation scorer and labels answer and judge, as in `view --run`. "demo" is the run of
     the built-in demo, which `view` opens."""
     save: Path | None = None
-    """Write the answer as a picture."""
+    """Picture to write: 1200 by 630, .png or .jpg; as .gif or .webp a film of two seconds, before and after the change
+    that would mend it."""
     try_mend: Annotated[Flag, arg(name="try")] = False
     """Try what would make a wrong answer right; with --run also what a setting of its kind does to the whole run."""
     labels: Truth = None

@@ -156,6 +156,8 @@ class FailuresCommand(Output):
     compare: Path | None = None
     """A second run on the same labels: what it fixed and broke is counted, and can be searched for by change:broken,
     change:fixed, change:other_reason, change:verdict, second_verdict:LIFT."""
+    sheet: Path | None = None
+    """Picture to write, .png or .jpg: up to twelve of those found, the clearest of each verdict in turn."""
     answers: Flag = False
     """With --compare: only answers that differ, side by side, without labels or verdicts; each of the two may be a file
     of `ask --json` too, such as of another detector."""

@@ -35,7 +35,8 @@ from pipeline.language.counted import counted, listed
 from pipeline.language.glossary import find_term, glossary, glossary_markdown
 from pipeline.language.relation_names import PHRASE, VOCABULARIES
 from pipeline.pictures.answer_card import answer_picture
-from pipeline.pictures.writing import write_picture
+from pipeline.pictures.film import mending_film
+from pipeline.pictures.writing import check_target, is_film, write_film, write_picture
 from pipeline.relations.relations import letter
 from pipeline.synthetic import render_dataset
 from pipeline.system.errors import require
@@ -62,6 +63,8 @@ def run_ask(command: AskCommand) -> int:
         "--save takes one frame and one expression",
         path=command.save,
     )
+    if command.save is not None:
+        check_target(command.save, films=True)
     answered = 0
     pipeline, labels, run = _opened(command)
     known = {} if run is None else {"marks": run.spec.marks, "confidence": run.spec.confidence}
@@ -76,8 +79,16 @@ def run_ask(command: AskCommand) -> int:
         if trace.missing and command.frame != ALL_FRAMES and not command.json:
             print_overlooked(missed_names(pipeline, trace))
         if command.save is not None:
-            write_picture(answer_picture(answer, dataset=pipeline.dataset.root.name), command.save)
+            save_answer(answer, pipeline.dataset.root.name, command.save)
     return FINE if answered else NO
+
+
+def save_answer(answer: Answer, dataset: str, path: Path) -> None:
+    """Write an answer as a picture or a film, by the file's ending."""
+    if is_film(path):
+        write_film(mending_film(answer, dataset, moving=path.suffix.lower() != ".gif"), path)
+    else:
+        write_picture(answer_picture(answer, dataset=dataset), path)
 
 
 def _opened(command: AskCommand) -> tuple[Pipeline, Labels | None, Run | None]:

@@ -32,6 +32,8 @@ from pipeline.language.counted import counted
 from pipeline.metrics.tables import latex, markdown
 from pipeline.paper.systems import Referring, Vlm
 from pipeline.paper.tables import tables_of_folder, tables_of_run
+from pipeline.pictures.sheet import failures_sheet
+from pipeline.pictures.writing import check_target, write_picture
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
 from pipeline.system.sql import QueryRows
@@ -199,6 +201,10 @@ def run_failures(command: FailuresCommand) -> int:
     require(command.limit >= 0, "--limit is a count", got=command.limit, expected="0 or more")
     if command.answers:
         return _differing_answers(command)
+    if command.sheet is not None:
+        check_target(command.sheet)
+        with rate_bar("drawing", "failures") as advance:
+            write_picture(failures_sheet(open_run(command.run_folder), command.search, advance), command.sheet)
     second = None if command.compare is None else read_records(command.compare)
     record, show = failures_of(command, read_records(command.run_folder), second)
     command.write(record, show)
@@ -209,7 +215,8 @@ def _differing_answers(command: FailuresCommand) -> int:
     """`failures --compare --answers`."""
     if command.compare is None:
         raise InputError("--answers needs --compare", expected="--compare RUN_OR_ANSWERS --answers")
-    require(not command.search and command.slices is None, "--answers takes no search and no --slices")
+    plain = not command.search and command.slices is None and command.sheet is None
+    require(plain, "--answers takes no search, no --slices and no --sheet")
     found = answer_differences(command.run_folder, command.compare)
     shown = {**found, "differ": len(found["answers"]), "answers": found["answers"][: command.limit]}
     command.write(shown, _print_differences)

@@ -242,11 +242,12 @@ def _place(image: np.ndarray, corners: np.ndarray, width: int, filled: Sequence[
         left - [width + 6, TAG / 2],
         (low + high - [width, TAG]) / 2,
     )
-    for start in starts:
-        x, y = (int(n) for n in np.clip(start, 6, np.maximum(6, [wide - width - 6, height - TAG - 6])))
-        if x + width <= wide and not any(_overlap((x, y, width, TAG), other) for other in filled):
-            return x, y, width, TAG
-    return None
+    limit = np.maximum(6, [wide - width - 6, height - TAG - 6])
+    places = [(int(x), int(y), width, TAG) for x, y in (np.clip(start, 6, limit) for start in starts)]
+    own = int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1])
+    beside = [at for at in places[:-1] if not _overlap(at, own)]
+    free = (at for at in (*beside, *places) if at[0] + width <= wide and not any(_overlap(at, o) for o in filled))
+    return next(free, None)
 
 
 def _ends(values: np.ndarray) -> tuple[int, int]:

@@ -27,14 +27,18 @@ class Film:
     milliseconds: tuple[int, ...]  # How long each is shown
 
 
+def check_target(path: Path, films: bool = False) -> None:
+    """Refuse, before it is drawn, a picture whose folder or kind of file is not known; `films`: a film will do, too."""
+    require(path.parent.is_dir(), "the folder for the picture does not exist", path=path.parent)
+    known = bool(path.suffix) and cv2.haveImageWriter(f"picture{path.suffix.lower()}")
+    expected = ".png or .jpg" + (f", or for a film {' or '.join(FILMS)}" if films else "")
+    require(known, "cannot write a picture of this kind", got=path.suffix, expected=expected, path=path)
+
+
 def write_picture(image: np.ndarray, path: Path) -> None:
     """Write a picture ((H, W, 3) uint8 RGB), whole or not at all; the format follows the file's ending."""
-    require(path.parent.is_dir(), "the folder for the picture does not exist", path=path.parent)
-    try:
-        ok, data = cv2.imencode(path.suffix or ".", np.ascontiguousarray(image[..., ::-1]))
-    except cv2.error:
-        ok, data = False, np.zeros(0, np.uint8)
-    require(ok, "cannot write a picture of this kind", got=path.suffix, expected=".png or .jpg", path=path)
+    check_target(path)
+    _, data = cv2.imencode(path.suffix.lower(), np.ascontiguousarray(image[..., ::-1]))
     write_whole(path, data.tobytes(), "the picture")
 
 
