@@ -16,8 +16,8 @@ from pipeline.diagnosis.asking import answer, frame_truth, judged, truth_or_reas
 from pipeline.diagnosis.cases.manifest import ExpectedRecord
 from pipeline.diagnosis.cases.replay import ReplayResult, find_cases, replay_all
 from pipeline.diagnosis.cases.saving import open_case, save_case
-from pipeline.diagnosis.story import change_words
 from pipeline.diagnosis.whatif import Baseline, Edits, Outcome, edits_record, load_edits, rerun, what_changed
+from pipeline.diagnosis.whatif.changes import became
 from pipeline.diagnosis.whatif.edit_words import edits_from_words
 from pipeline.diagnosis.whatif.region import asked_pair
 from pipeline.diagnosis.whatif.rerun import foreign_keys
@@ -66,7 +66,7 @@ def whatif_answer(baseline: Baseline, edits: Edits, labels: Labels | None) -> tu
     record = whatif_record(baseline, after, edits, (answers[0].verdict, answers[1].verdict))
     for when, found in zip(("before", "after"), answers, strict=True):
         record[when]["head"] = found.story.head
-    return record | {"said": change_words(record["changed"], answers[0].story, answers[1].story)}, answers[1]
+    return record | {"said": became(baseline.outcome, after, answers[0].story, answers[1].story)}, answers[1]
 
 
 def run_save_case(command: SaveCaseCommand) -> None:

@@ -96,7 +96,7 @@ def test_what_if_says_whether_the_answer_has_changed(demo: Server, open_tab: Ope
     tab.see("#verdict", "Right by luck")
     tab.drawer("Edit")
     tab.send("edit:set:k:9")
-    tab.see("#answer .before", "The answer is unchanged.")
+    tab.see("#answer .before", "Answer unchanged")
     tab.see("#answer .before .vd", "CORRECT lucky")
     tab.press("0")
     tab.poll("!document.querySelector('#answer .before')")

@@ -13,7 +13,7 @@ from pipeline.diagnosis.story import unjudged_story
 from pipeline.diagnosis.story_words import TRUTHS, Story, capital
 from pipeline.diagnosis.verdict import MODULE_OF, Diagnosis, shown_detail, shown_verdict
 from pipeline.diagnosis.whatif.answer_view import BothAnswers
-from pipeline.diagnosis.whatif.changes import each_edit
+from pipeline.diagnosis.whatif.changes import became, each_edit
 from pipeline.evaluation.run_figures import Recorded, judged_by
 from pipeline.geometry.palette import VERDICTS, hex_color, palette
 from pipeline.language.counted import counted
@@ -21,6 +21,7 @@ from pipeline.language.glossary import glossary
 from spatialviz.app.compare_runs import both_html, switch_html
 from spatialviz.app.frames import thumb_url
 from spatialviz.app.markup import BAD, Child, Element, button, h, hint_of, joined, named, note, panel, term
+from spatialviz.app.mend import mend_html
 from spatialviz.app.state import State
 from spatialviz.app.toolbar import depth_chip, level_html, up_chip
 
@@ -61,7 +62,7 @@ def answer_html(state: State, can_ask: bool = True) -> Element:
         why,
         h.p(state.offers.words, cls="sub") if state.error and state.offers.names else None,
         None if recorded is None else _recorded(state),
-        _mend(state, told) if recorded is None else None,
+        mend_html(state, told) if recorded is None else None,
         doubts_html(state),
         cls="answer",
     )
@@ -129,16 +130,6 @@ def _thing(state: State, card: Card, thing: CardObject) -> Element:
     return h.button(inner, do=f"object:{place}", hover=f"hover:{place}", id=f"card-{card.kind}-{thing.role}", **look)
 
 
-def _mend(state: State, told: Story) -> Element | None:
-    """Smallest change that would make the answer right, with a button that tries it."""
-    if not told.mend:
-        return None
-    if told.tone != "wrong":
-        return h.p(told.mend, cls="sub")
-    tries = None if told.change is None else h.button("Try it", cls="go", do="try-mend", title="answer again with it")
-    return h.div(h.div(h.h3("What would mend it"), h.p(told.mend)), tries, cls="fix")
-
-
 def doubts_html(state: State) -> Element | None:
     """Doubts of what all geometry rests on."""
     parts = [*filter(None, (up_chip(state), depth_chip(state)))]
@@ -158,7 +149,7 @@ def before_html(state: State, edited: BothAnswers) -> Element:
             *(named(colors["reference"], state.named(edited.before.keys[i])) for i in references),
         ]
     return h.div(
-        h.b(_became(state, edited)),
+        h.b(became(edited.before, edited.after, edited.story, story_of(state))),
         h.span("before", cls="dim"),
         h.span(answer, cls="said"),
         verdict_chip_of(edited.judged) if isinstance(edited.judged, Diagnosis) else None,
@@ -166,19 +157,6 @@ def before_html(state: State, edited: BothAnswers) -> Element:
         cls="before",
         css={"--c": hex_color(colors["edited"])},
     )
-
-
-def _became(state: State, edited: BothAnswers) -> str:
-    """Whether the edits have changed the answer, in a sentence."""
-    if not edited.changed:
-        return "The answer is unchanged."
-    if why_no_answer(edited.after.trace) is not None:
-        return "Now there is no answer."
-    verdicts = [d.verdict if isinstance(d, Diagnosis) else "" for d in (edited.judged, state.judged)]
-    right = [v == "CORRECT" for v in verdicts]
-    # Of an answer without a verdict, and of one beside the label, neither is said.
-    told = right[0] != right[1] and not {"", "LABEL"} & set(verdicts)
-    return "Another answer." if not told else "Now it is right." if right[1] else "Now it is wrong."
 
 
 def verdict_chip_of(judged: Diagnosis) -> Element:

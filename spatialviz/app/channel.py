@@ -27,7 +27,7 @@ WAITING_BYTES = 8 * 2**20
 """Limit of unread output; slower browsers are cut off, reconnect, and get the page anew."""
 MANY, REST_SECONDS = 10, 0.25
 """A page with more queued jobs pauses after each, so that other pages are answered."""
-LASTING = ("ask-typed", "edit-live", "frame-typed", "rows")
+LASTING = ("ask-typed", "edit-live", "frame-typed", "mend-live", "rows")
 """Commands replaced by a later command of the same name in the queue."""
 
 

@@ -37,7 +37,7 @@ def switch_html(state: State, tone: Tone) -> Element | None:
     }
     return h.div(
         segments("side", names | {"both": "both"}, state.side, "Answer of which run", hints),
-        h.span(f"The other run: {moved}.", cls="sub"),
+        h.p(f"The other run: {moved}.", cls="sub"),
         cls="sides-of-runs",
     )
 

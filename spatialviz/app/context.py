@@ -113,6 +113,12 @@ class Context:
         return self.shared.runs.get(self.state.source)
 
     @property
+    def answering_run(self) -> Run | None:
+        """Run of the shown answer."""
+        other = self.shared.others.get(self.state.source)
+        return self.run if other is None or self.state.side != "b" else other
+
+    @property
     def can_ask(self) -> bool:
         """True if the pipeline has a detector."""
         return self.source.detector is not None

@@ -63,7 +63,7 @@ REGIONS = (
 FOLLOWING = (
     Region(
         "answer",
-        f"{ASKED} offers listing labels dark picking source frame_id",
+        f"{ASKED} offers listing labels dark picking source frame_id tried tried_value mended",
         lambda ctx, state: answer.answer_html(state, ctx.can_ask),
     ),
     Region(

@@ -14,7 +14,9 @@ import numpy as np
 from pipeline.corrections.object_card import LabelView
 from pipeline.diagnosis.suggestions import SuggestedQuestions
 from pipeline.diagnosis.whatif.answer_view import AnswerView
+from pipeline.diagnosis.whatif.edits import Edits
 from pipeline.diagnosis.whatif.state import CameraView
+from pipeline.evaluation.mend_counts import MendCount, Setting
 from pipeline.evaluation.run_figures import Listing, Recorded, recorded_verdict
 from pipeline.geometry.palette import Role
 from pipeline.geometry.viewer import Measurement, measure
@@ -168,6 +170,11 @@ class State(AnswerView):
     evaluating: bool = False  # True while the run is shown, not an answer
     stage: str = ""  # Module with open evidence; "" by the answer, "-" for none
     side: Side = "a"
+    # Edits of the tried mend, and the number in place of the story's; what a setting of its kind does to the run, or
+    # the setting while that is counted
+    tried: Edits | None = None
+    tried_value: float | None = None
+    mended: MendCount | Setting | None = None
     drawer: str = ""  # Open tab of the drawer
 
     @property
@@ -218,6 +225,9 @@ class State(AnswerView):
             judged=None,
             other=None,
             edited=None,
+            tried=None,
+            tried_value=None,
+            mended=None,
             labels=None,
             stage="",
         )

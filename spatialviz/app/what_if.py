@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from threading import Lock
+from threading import Lock, Thread
 from time import perf_counter
 from typing import Any
 
@@ -20,6 +20,8 @@ from pipeline.diagnosis.whatif.changes import each_edit, without_edit
 from pipeline.diagnosis.whatif.edit_words import edit_from_words
 from pipeline.diagnosis.whatif.placement import pulled
 from pipeline.diagnosis.whatif.region import RegionPart, asked_pair
+from pipeline.diagnosis.whatif.try_mend import mend_edits
+from pipeline.evaluation.mend_counts import count_mends, mend_setting
 from pipeline.geometry.boxes import Box3D, edge_lines
 from pipeline.geometry.palette import RGB, palette
 from pipeline.language.counted import counted
@@ -139,6 +141,8 @@ def _matrix(handle: Retained) -> np.ndarray:
 
 
 UNDOS = 200
+COUNTING_SECONDS = 20.0
+"""Time in which a run is answered again."""
 Judge = Callable[[Trace, RankConfig | None], Diagnosis | str | None]
 
 
@@ -166,7 +170,7 @@ class WhatIf(Part):
         if self.state.edits:
             count = len(each_edit(self.state.edits))
             self.ctx.note(f"{counted(count, 'edit')} dropped: of “{self._of[2]}” in frame {self._of[1]}")
-        self.state = replace(self.state, edits=Edits(), edited=None)
+        self.state = replace(self.state, edits=Edits(), edited=None, tried=None, tried_value=None, mended=None)
         self._undo, self._of, self._baseline, self._live_since = [], None, None, None
 
     def answered(self) -> None:
@@ -212,6 +216,54 @@ class WhatIf(Part):
             self._live_since = None
             self.ctx.toast("Not edited", str(error), bad=True)
         self.ctx.draw(live)
+
+    # ---- the mend of a story --------------------------------------------------------
+
+    @command("try-mend")
+    def _try_mend(self) -> None:
+        """Answer under the change that the story names; a second press takes it back."""
+        if self.state.tried is not None and self.state.edits == self.state.tried:
+            self.state = replace(self.state, tried=None, tried_value=None)
+            self._try(Edits)
+        else:
+            self._mend(None, "mend-value")
+            self._count()
+
+    @command("mend-value", "mend-live")
+    def _mend(self, value: float | None, by: str) -> None:
+        """Apply the change with another number, live while a slider is dragged."""
+        self._base()
+        judged, change = self._judged, None if not isinstance(self._judged, Diagnosis) else self._judged.story.change
+        if change is None or not isinstance(judged, Diagnosis):
+            raise InputError("no change is known to mend this answer")
+        truth = judged.truth
+
+        def tried() -> Edits:
+            edits = mend_edits(self._base(), change, truth, value)
+            self.state = replace(self.state, tried=edits, tried_value=value)
+            return edits
+
+        self._try(tried, live=by == "mend-live")
+
+    def _count(self) -> None:
+        """Count what a setting of this kind does to the run, beside the page."""
+        run, judged, asked = self.ctx.answering_run, self._judged, self._asked()
+        setting = None if run is None or not isinstance(judged, Diagnosis) else mend_setting(run, judged)
+        if run is None or setting is None or not isinstance(judged, Diagnosis) or self.state.mended is not None:
+            return
+        expression = judged.truth.frame, judged.case.id
+
+        def count() -> None:
+            try:
+                found = count_mends(run, setting, expression, COUNTING_SECONDS)
+            except InputError as error:
+                told = str(error)
+                self.ctx.post(lambda: self.ctx.note(told))
+                return
+            self.ctx.post(lambda: self.ctx.show(mended=found) if asked == self._asked() else None)
+
+        self.ctx.show(mended=setting)
+        Thread(target=count, daemon=True, name="mends").start()
 
     @command("edit-remove")
     def _remove(self, id: str) -> None:

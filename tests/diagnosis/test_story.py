@@ -58,8 +58,8 @@ def test_every_kind_is_said_shortly_and_plainly(kind: str) -> None:
 
 def test_other_words_are_plain_too() -> None:
     for group in ("really", "ending", "faults", "mends", "factors", "truths", "done", "changes"):
-        for words in WORDS[group].values():
-            assert not FORBIDDEN.search(re.sub(r"\{\w+\}", "", words)), words
+        for kind, words in WORDS[group].items():
+            assert kind == "margin" or not FORBIDDEN.search(re.sub(r"\{\w+\}", "", words)), words
 
 
 CASES = [world(seed) for seed in range(40)]
@@ -143,14 +143,14 @@ def test_all_answers_of_the_demos_run_are_told(monkeypatch: pytest.MonkeyPatch) 
 @pytest.mark.parametrize(
     ("changed", "before", "after", "words"),
     [
-        (False, "right", "lucky.alone", "Answer unchanged."),
-        (True, "false", "right", "Now right."),
-        (True, "false", "label.another", "Now right."),
-        (True, "false", "label.text", "Another answer."),
-        (True, "right", "false", "Now wrong."),
-        (True, "right", "lucky.alone", "Another answer, also right."),
-        (True, "false", "ranked", "Another answer, still wrong."),
-        (True, "unjudged", "unjudged", "Another answer."),
+        (False, "right", "lucky.alone", "Answer unchanged"),
+        (True, "false", "right", "✓ Now right"),
+        (True, "false", "label.another", "✓ Now right"),
+        (True, "false", "label.text", "Another answer"),
+        (True, "right", "false", "✕ Now wrong"),
+        (True, "right", "lucky.alone", "✓ Another answer, also right"),
+        (True, "false", "ranked", "✕ Another answer, still wrong"),
+        (True, "unjudged", "unjudged", "Another answer"),
     ],
 )
 def test_what_edits_did_is_said_in_a_few_words(changed: bool, before: str, after: str, words: str) -> None:

@@ -81,7 +81,7 @@ def test_an_answer_is_tried_with_its_mend() -> None:
     failure = open_run(demo_run()).failures("verdict:OPM-TARGET")[0].answer
     tried = try_mend(failure)
     assert tried is not None
-    assert tried.said == "Now right."
+    assert tried.said == "✓ Now right"
     assert tried.answer.verdict == "CORRECT"
     assert read_edits(tried.record()["edits"]) == tried.edits
     assert try_mend(tried.answer) is None

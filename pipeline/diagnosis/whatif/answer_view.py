@@ -14,6 +14,7 @@ from pipeline.answering.frame_store import LoadedFrame
 from pipeline.answering.objects import PreparedFrame, SceneObject
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.answer import Answer
+from pipeline.diagnosis.story_words import UNTOLD, Story
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif.edits import Edits
 from pipeline.diagnosis.whatif.rerun import Outcome
@@ -116,6 +117,11 @@ class BothAnswers:
     after: Outcome
     judged: Diagnosis | str | None  # The verdict on the one before
     seconds: float  # What answering again took the core
+
+    @property
+    def story(self) -> Story:
+        """What is said of the answer before."""
+        return self.judged.story if isinstance(self.judged, Diagnosis) else UNTOLD
 
     @property
     def changed(self) -> bool:

@@ -11,6 +11,8 @@ import numpy as np
 
 from pipeline.answering.answer_words import stands, why_no_answer
 from pipeline.answering.json_records import present
+from pipeline.diagnosis.story import change_words
+from pipeline.diagnosis.story_words import Story, words
 from pipeline.diagnosis.whatif.edits import CHECKS, Edits
 from pipeline.diagnosis.whatif.rerun import Outcome, PairKeys
 from pipeline.language.relation_names import PHRASE
@@ -83,6 +85,16 @@ def what_changed(
             "went": sorted(set(before.keys) - set(after.keys)),
         },
     }
+
+
+def became(before: Outcome, after: Outcome, was: Story, now: Story) -> str:
+    """Whether the edits have changed the answer, and made it right, as a headline; `was`, `now`: stories of both."""
+    if before.winner != after.winner:
+        return words("changes", "nothing") if why_no_answer(after.trace) is not None else change_words(True, was, now)
+    margins = [f"{r.margin:.2f}" for r in (before.trace.ranking, after.trace.ranking) if r is not None]
+    if len(set(margins)) < 2:
+        return change_words(False, was, now)
+    return words("changes", "margin", before=margins[0], after=margins[1])
 
 
 def _answer(outcome: Outcome, verdict: str | None) -> Record:

@@ -10,8 +10,8 @@ import numpy as np
 
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.asking import judged
-from pipeline.diagnosis.story import change_words
 from pipeline.diagnosis.story_words import Change
+from pipeline.diagnosis.whatif.changes import became
 from pipeline.diagnosis.whatif.edits import Edits, edits_record
 from pipeline.diagnosis.whatif.rerun import Baseline, rerun
 from pipeline.geometry.boxes import Box3D
@@ -44,8 +44,7 @@ def try_mend(answered: Answer) -> Tried | None:
     edits = mend_edits(baseline, change, d.truth)
     outcome = rerun(baseline, edits)
     after = judged(outcome.trace, source, context, d.truth, case=d.case, confidence=d.evidence.confidence)
-    changed = outcome.winner != baseline.outcome.winner
-    return Tried(edits, after, change_words(changed, answered.story, after.story))
+    return Tried(edits, after, became(baseline.outcome, outcome, answered.story, after.story))
 
 
 def mend_edits(baseline: Baseline, change: Change, truth: FrameCases, value: float | None = None) -> Edits:
