@@ -82,7 +82,7 @@ def test_fields_and_handles_are_left(labelled: Tab) -> None:
     show_pair(tab)
     tab.press("Shift+E")
     tab.click("task:explain")
-    tab.see("#stages [data-do^=\"stage:\"]")
+    tab.see('#stages [data-do^="stage:"]')
     tab.drawer("Edit")
     handles(tab, "Off")
     for key in ("Enter", "Escape"):

@@ -107,6 +107,8 @@ def _part(points: np.ndarray, group: np.ndarray, start: int, size: float) -> Clo
 
 AROUND, NEAREST = 1.12, 0.55
 """A pair is seen from so much farther than would fill the view, and from no nearer than so many metres."""
+LEAST_ROOM = 0.2
+"""Of the width and the height of a view; in less no pair is shown."""
 NEAREST_SPACINGS = 250
 """Nor from nearer than so many times the spacing of its points on a surface that faces the sensor: they then lie 4
 pixels apart in a view 800 pixels high, and 8 on a surface at 60 degrees; on the page no point is larger than 6."""
@@ -118,12 +120,19 @@ Viewed = tuple[np.ndarray, np.ndarray, float]
 
 
 def viewpoint(
-    kind: str, points: np.ndarray, to_show: np.ndarray, camera: Camera, aspect: float, about: np.ndarray | None = None
+    kind: str,
+    points: np.ndarray,
+    to_show: np.ndarray,
+    camera: Camera,
+    aspect: float,
+    about: np.ndarray | None = None,
+    covered: tuple[float, float] = (0.0, 0.0),
 ) -> Viewed:
     """Viewpoint of a frame, by (N, 3) points and, for a pair, (M, 3) points `about`, shown frame, metres.
 
     `kind` is "sensor", "top", "pair", or another for all of the frame; without points it is always the sensor's.
-    `to_show`, (3, 3), turns the camera frame into the shown frame; `aspect` is width over height of the view.
+    `to_show`, (3, 3), turns the camera frame into the shown frame; `aspect` is width over height of the view;
+    `covered` are the shares of its width and height that something covers in its upper right corner.
     """
     middle = np.median(points, axis=0) if len(points) else np.array([0.0, 2.0, 0.0])
     if kind == "sensor" or not len(points):
@@ -137,11 +146,33 @@ def viewpoint(
         center, span = (low + high) / 2, float((high - low)[:2].max())
         return center + np.array([0.0, -0.02, span * 1.25]), center, TOP_FOV
     if kind == "pair" and about is not None:
-        eye, look, fov = fitting_viewpoint(about, aspect)
-        # What stands around the pair is in view, too.
-        distance = max(float(np.linalg.norm(eye - look)), 1e-6)
-        return look + (eye - look) * max(AROUND, nearest_distance(about, camera) / distance), look, fov
+        width, height = covered
+        rooms = ((0.0, 0.0, 1 - width, 1.0), (0.0, height, 1.0, 1.0))
+        least = nearest_distance(about, camera)
+        views = [fitting_viewpoint(about, aspect, room, least) for room in (WHOLE, *rooms) if _roomy(room)]
+        free = (v for v in views if not _covers(covered, about, v, aspect))
+        return min(free, key=lambda v: float(np.linalg.norm(v[0] - v[1])), default=views[0])
     return fitting_viewpoint(points, aspect)
+
+
+def _roomy(room: tuple[float, float, float, float]) -> bool:
+    x0, y0, x1, y1 = room
+    return min(x1 - x0, y1 - y0) > LEAST_ROOM
+
+
+def _covers(covered: tuple[float, float], points: np.ndarray, view: Viewed, aspect: float) -> bool:
+    """True where any of (N, 3) points is under what covers the upper right corner of a view."""
+    eye, look, fov = view
+    x, y, z = (_axes(look - eye) @ (points - eye).T) / np.array([[aspect], [1.0], [1 / np.tan(fov / 2)]])
+    return bool(((x / z > 1 - 2 * covered[0]) & (y / z > 1 - 2 * covered[1])).any())
+
+
+def _axes(toward: np.ndarray) -> np.ndarray:
+    """Right, up and ahead, (3, 3), of a view that is level."""
+    toward = toward / np.linalg.norm(toward)
+    across = np.cross(toward, [0.0, 0.0, 1.0])
+    across /= np.linalg.norm(across)
+    return np.stack([across, np.cross(across, toward), toward])
 
 
 def nearest_distance(points: np.ndarray, camera: Camera) -> float:
@@ -150,25 +181,39 @@ def nearest_distance(points: np.ndarray, camera: Camera) -> float:
     return max(NEAREST, NEAREST_SPACINGS * spacing)
 
 
-def fitting_viewpoint(points: np.ndarray, aspect: float) -> Viewed:
-    """Nearest viewpoint along TOWARD with nearly all of (N, 3) points in view, N > 0, shown frame."""
+WHOLE = (0.0, 0.0, 1.0, 1.0)
+
+
+def fitting_viewpoint(
+    points: np.ndarray,
+    aspect: float,
+    room: tuple[float, float, float, float] = WHOLE,
+    least: float | None = None,
+) -> Viewed:
+    """Nearest viewpoint along TOWARD with nearly all of (N, 3) points in a part of the view, N > 0, shown frame.
+
+    `room`: x0, y0, x1, y1 of that part, shares of the view from its upper left; `least`: a distance that is kept,
+    metres, with some air around the points.
+    """
     center = np.percentile(points, [2, 98], axis=0).mean(axis=0)
-    toward = TOWARD / np.linalg.norm(TOWARD)
-    across = np.cross(toward, [0.0, 0.0, 1.0])
-    across /= np.linalg.norm(across)
-    axes = np.stack([across, np.cross(across, toward), toward])
+    axes = _axes(TOWARD)
     sample = points[:: max(1, len(points) // 4000)]
     tangent = np.tan(FITTING_FOV / 2)
+    x0, y0, x1, y1 = room
+    wide, tall = tangent * aspect * (x1 - x0), tangent * (y1 - y0)
     distance = 1.0
     for _ in range(4):
         x, y, z = ((sample - center) @ axes.T).T
         # A point is in view from as far away as its offset over the tangent, less its own depth.
-        needed = np.maximum(np.abs(x) / (tangent * aspect), np.abs(y) / tangent) - z
+        needed = np.maximum(np.abs(x) / wide, np.abs(y) / tall) - z
         distance = max(float(np.percentile(needed, 99.3)) * 1.03, 0.2)
         seen = np.stack([x, y]) / np.maximum(distance + z, 0.05)
         shift = np.percentile(seen, [0.7, 99.3], axis=1).mean(axis=0) * distance
         center = center + axes[0] * shift[0] + axes[1] * shift[1]
-    return center - toward * distance, center, FITTING_FOV
+    distance = distance if least is None else max(AROUND * distance, least)
+    # The middle of the points comes to the middle of that part.
+    center = center - distance * tangent * (aspect * (x0 + x1 - 1) * axes[0] + (1 - y0 - y1) * axes[1])
+    return center - axes[2] * distance, center, FITTING_FOV
 
 
 FLOOR_NOISE = 0.06

@@ -216,6 +216,7 @@ class Viewpoint:
         self.untouched = True
         """True until a person turns the view."""
         self._about: np.ndarray | None = None
+        self._covered = (0.0, 0.0)
 
         @client.camera.on_update
         async def _(camera: viser.CameraHandle) -> None:
@@ -240,11 +241,18 @@ class Viewpoint:
         before, self._about = self._about, corners
         return before is not corners if before is None or corners is None else not np.array_equal(before, corners)
 
+    def cover(self, width: float, height: float) -> None:
+        """Keep a pair from under what covers these shares of the view, from its upper right corner."""
+        if (width, height) != self._covered:
+            self._covered = width, height
+            if self._placed is not None and self._placed[0] == "pair":
+                self.place("pair")
+
     def place(self, kind: str, steps: int = 1) -> None:
         """Move the camera to "pair", "sensor", "orbit" or "top", at once, or smoothly in steps."""
         # Repeated on a change of the page's shape until a person turns the view.
         points, lens = needed(self._points, "no cloud is shown"), needed(self._camera, "no cloud is shown")
-        eye, look, fov = viewpoint(kind, points, self._to_show, lens, self._aspect, self._about)
+        eye, look, fov = viewpoint(kind, points, self._to_show, lens, self._aspect, self._about, self._covered)
         # The sensor's own up in the sensor's view, as in the picture; the world's elsewhere.
         up = self._to_show @ np.array([0.0, -1.0, 0.0]) if kind == "sensor" else np.array([0.0, 0.0, 1.0])
         camera, self._placed = self._client.camera, None

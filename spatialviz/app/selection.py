@@ -151,6 +151,11 @@ class Selection(Part):
             self.ctx.show(camera=mode)
             self.ctx.scene.viewpoint.place(mode, FLIGHT)
 
+    @command("covered")
+    def cover(self, width: FiniteFloat, height: FiniteFloat) -> None:
+        """Keep a pair from under the picture or the drawer, by their shares of the scene's width and height."""
+        self.ctx.scene.viewpoint.cover(float(np.clip(width, 0, 1)), float(np.clip(height, 0, 1)))
+
     @command("flag")
     def toggle(self, flag: str) -> None:
         """Toggle a part of the scene."""

@@ -63,3 +63,17 @@ def test_from_above_one_looks_down_at_the_middle() -> None:
     eye, look, _ = viewpoint("top", POINTS, LEVEL, CAMERA, 1.3)
     assert eye[2] > POINTS[:, 2].max()
     np.testing.assert_allclose(look[:2], [0, 2], atol=0.1)
+
+
+@pytest.mark.parametrize("aspect", [0.8, 1.36, 2.0])
+@pytest.mark.parametrize("covered", [(0.33, 0.36), (0.44, 1.0)])
+def test_a_pair_does_not_stand_under_what_covers_the_view(aspect: float, covered: tuple[float, float]) -> None:
+    for pair in (POINTS[:2] * 0.3 + [0, 2, 0], np.array([[-0.9, 2.0, -0.5], [0.9, 2.4, 0.4]])):
+        eye, look, fov = viewpoint("pair", POINTS, LEVEL, CAMERA, aspect, pair, covered)
+        assert seen(pair, eye, look, fov, aspect).all()
+        forward = (look - eye) / np.linalg.norm(look - eye)
+        right = np.cross(forward, [0, 0, 1.0])
+        right /= np.linalg.norm(right)
+        x, y, z = ((pair - eye) @ np.stack([right, np.cross(right, forward), forward]).T).T
+        across, up = x / z / np.tan(fov / 2) / aspect, y / z / np.tan(fov / 2)
+        assert not ((across > 1 - 2 * covered[0]) & (up > 1 - 2 * covered[1])).any()

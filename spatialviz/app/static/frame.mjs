@@ -1,7 +1,7 @@
 /* The scene's frame: loaded once the words stand, with how much of its points is there; where the browser cannot draw it,
 the scene is a line that says what to do, and the picture takes its place. */
 
-import {byId, calls, locals, sceneWindow} from './core.mjs';
+import {byId, calls, locals, sceneWindow, send} from './core.mjs';
 
 const NONE = 'No 3D scene: this browser has no WebGL 2. Turn on its hardware acceleration.';
 const LOST = 'The browser has lost the 3D scene. Draw it again; if that fails, close other tabs that draw.';
@@ -35,6 +35,23 @@ byId('view').addEventListener('load', () => {
   sceneWindow().addEventListener('webglcontextrestored', () => without(''), true);
 });
 locals.redraw = load;
+
+// ---- what covers the upper right of the scene, as shares of it: the inset picture, or the drawer
+
+let covered = '0,0', telling = 0;
+const tell = () => {
+  const scene = byId('scene').getBoundingClientRect();
+  const parts = ['picture', 'drawer'].map(id => byId(id).getBoundingClientRect())
+    .filter(r => r.width && scene.width && r.left > scene.left && r.left < scene.right && r.top < scene.top + scene.height / 3 && r.right > scene.right - 40)
+    .map(r => [(scene.right - r.left) / scene.width, Math.min(1, (r.bottom - scene.top) / scene.height)]);
+  const now = [0, 1].map(k => Math.max(0, ...parts.map(part => part[k])).toFixed(2)).join();
+  if (now !== covered) send('covered', ...(covered = now).split(',').map(Number));
+};
+const watched = new ResizeObserver(() => {
+  clearTimeout(telling);
+  telling = setTimeout(tell, 150);
+});
+for (const id of ['scene', 'picture', 'drawer']) watched.observe(byId(id));
 
 // ---- points: how many of each part of the cloud there are to be, until they are there
 
