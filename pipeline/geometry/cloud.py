@@ -109,9 +109,10 @@ AROUND, NEAREST = 1.12, 0.55
 """A pair is seen from so much farther than would fill the view, and from no nearer than so many metres."""
 LEAST_ROOM = 0.2
 """Of the width and the height of a view; in less no pair is shown."""
-NEAREST_SPACINGS = 250
-"""Nor from nearer than so many times the spacing of its points on a surface that faces the sensor: they then lie 4
-pixels apart in a view 800 pixels high, and 8 on a surface at 60 degrees; on the page no point is larger than 6."""
+NEAREST_SPACINGS, NEAREST_BY_HAND = 300, 25
+"""Nor from nearer than so many times the spacing of its points on a surface that faces the sensor: they then lie 3
+pixels apart in a view 800 pixels high, and 6 on a surface at 60 degrees, the size that no point exceeds on the page. A
+person may come as near as the second."""
 TOWARD = np.array([-0.36, 0.84, -0.42])
 """Where one looks who sees all: from the right, above and behind the sensor."""
 FITTING_FOV, TOP_FOV = float(np.deg2rad(44)), float(np.deg2rad(50))
@@ -177,8 +178,12 @@ def _axes(toward: np.ndarray) -> np.ndarray:
 
 def nearest_distance(points: np.ndarray, camera: Camera) -> float:
     """Nearest distance, metres, at which the surface around (N, 3) points from the camera is seen as closed."""
-    spacing = stride_of(camera) * float(np.median(np.linalg.norm(points, axis=1))) / camera.fx
-    return max(NEAREST, NEAREST_SPACINGS * spacing)
+    return max(NEAREST, NEAREST_SPACINGS * spacing_at(points, camera))
+
+
+def spacing_at(points: np.ndarray, camera: Camera) -> float:
+    """Median spacing, metres, of a cloud's points around (N, 3) points from the camera, on surfaces that face it."""
+    return stride_of(camera) * float(np.median(np.linalg.norm(points, axis=1))) / camera.fx
 
 
 WHOLE = (0.0, 0.0, 1.0, 1.0)

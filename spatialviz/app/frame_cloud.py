@@ -13,7 +13,7 @@ from pipeline.answering.frame_store import LoadedFrame, frame_colors
 from pipeline.answering.objects import SceneObject
 from pipeline.datasets.scene_mesh import fuse_context
 from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.cloud import CloudPart, metre_grid
+from pipeline.geometry.cloud import NEAREST_BY_HAND, CloudPart, metre_grid, spacing_at
 from pipeline.geometry.palette import hex_color
 from pipeline.geometry.viewer import surface_point
 from pipeline.system.errors import FrameUnusable, MissingExtra
@@ -223,10 +223,13 @@ class SceneAids(Part):
         ends = [] if state.pair is None else [state.shown.objects[i].lifted.box for i in state.pair[:2]]
         centers = [self.ctx.scene.to_show @ box.center for box in ends if box is not None]
         if centers:
-            return {"center": _rounded(np.mean(centers, axis=0)), "name": "the pair"}
-        points = loaded.cloud.points
-        middle = np.median(points, axis=0) if len(points) else np.array([0.0, 2.0, 0.0])
-        return {"center": _rounded(middle), "name": "the middle"}
+            center, name = np.mean(centers, axis=0), "the pair"
+        else:
+            points = loaded.cloud.points
+            center = np.median(points, axis=0) if len(points) else np.array([0.0, 2.0, 0.0])
+            name = "the middle"
+        nearest = NEAREST_BY_HAND * spacing_at(center[None], loaded.context.frame.camera)
+        return {"center": _rounded(center), "name": name, "nearest": round(nearest, 3)}
 
     def _draw_grid(self, loaded: LoadedFrame | None, dark: bool) -> None:
         wanted = None if loaded is None or not len(loaded.cloud.points) else (loaded.cloud, dark)

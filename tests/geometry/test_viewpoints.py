@@ -47,7 +47,7 @@ def test_points_are_never_seen_so_near_that_they_come_apart(away: float) -> None
     assert distance >= max(NEAREST, NEAREST_SPACINGS * spacing) - 1e-6
     assert distance >= nearest_distance(small, CAMERA) - 1e-6
     # In pixels of a view of 800 rows: less than the size that the page allows a point.
-    assert spacing / distance * 400 / np.tan(fov / 2) <= 5
+    assert spacing / distance * 400 / np.tan(fov / 2) <= 4
 
 
 def test_the_sensors_view_holds_its_picture_and_stands_where_it_stood() -> None:

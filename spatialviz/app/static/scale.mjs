@@ -1,6 +1,6 @@
 /* Lengths over the scene: a scale bar at the depth of what is looked at, and the line between two measured points. */
 
-import {byId, calls, el, sceneHost} from './core.mjs';
+import {byId, calls, el, sceneHost, sceneWindow} from './core.mjs';
 import {SVG, afterDrawing, project, sceneMatrix} from './scene.mjs';
 
 const LONGEST = 100;
@@ -17,7 +17,9 @@ let looked = null, shown = '';
 
 function scale() {
   const host = sceneHost(), W = host.clientWidth, H = host.clientHeight, view = sceneMatrix();
-  const at = looked && view && W ? project(view, ...looked.center, W, H) : null;
+  const at = looked && view && W ? project(view, ...looked.center, W, H) : null, control = sceneWindow()?.__viserMutable?.cameraControl;
+  // Nearer there would be only points, each for itself.
+  if (control && looked) control.minDistance = looked.nearest;
   let said = '';
   if (at) {
     // The picture's height in metres at that depth, by the second row of the projection.

@@ -12,7 +12,7 @@ const GAP = 6, RINGS = [GAP, 26, 46], FARTHEST = 48;
 /* A line leads from tags that stand farther from the lines of their box. */
 const LEAD_FROM = GAP + 2;
 /* What places cost, in pixels squared of covered strong boxes: a ring farther out; a place other than the last. */
-const RING_COST = 400, MOVE_COST = 500, SIDE_COST = 15;
+const RING_COST = 400, MOVE_COST = 300, SIDE_COST = 15;
 /* A weak tag covers no more than this share of itself of a strong box, save of one that takes half of the scene. */
 const COVERED = 0.15;
 export const CORNERS = [0, 1, 2, 3, 4, 5, 6, 7].map(k => [k & 1 ? 1 : -1, k & 2 ? 1 : -1, k & 4 ? 1 : -1]);
@@ -206,7 +206,7 @@ function stand(tag) {
 /* What else stands over the scene: tools, legend with scale, buttons, the inset picture. */
 export function standing() {
   const {left, top} = layer.getBoundingClientRect();
-  return [...document.querySelectorAll('#scene-tools>*, #scene-low, #scene-buttons>*, #scene~#picture')].map(e => e.getBoundingClientRect())
+  return [...document.querySelectorAll('#scene-tools>*, #scene-low, #scene-buttons>*, #picture, #drawer')].map(e => e.getBoundingClientRect())
     .filter(r => r.width).map(r => [r.left - left - 2, r.top - top - 2, r.right - left + 2, r.bottom - top + 2]);
 }
 
