@@ -297,7 +297,7 @@ def set_answer(frame: EffectiveFrame, name: str, number: int, certainty: Certain
     return set_answers(frame, name, *answers_with(card, number, certainty), reason)
 
 
-LISTED = 20
+LISTED = 8
 """Expressions listed around the selected one: those of the chosen pair come first."""
 
 

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, reduce
+from operator import is_
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from pipeline.corrections.journal.field_refs import FieldRef, box_of, object_ref
 from pipeline.corrections.journal.replay import Origin
 from pipeline.diagnosis.whatif.placement import pulled
 from pipeline.geometry.boxes import Box3D, iou_2d
-from pipeline.geometry.camera import lift_pixels
+from pipeline.geometry.camera import lift_pixels, project
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftedObject, Quality, lift
 from pipeline.geometry.masks import decode_crop
@@ -41,10 +42,14 @@ _OF_THE_LABEL = ("text", "target", "reference", "targets", "acceptable")
 _OF_THE_BOX = ("bbox", "mask", "box")
 
 
-@lru_cache(maxsize=3)
 def labelled_objects(frame: EffectiveFrame) -> tuple[SceneObject, ...]:
-    """Standing objects by number, from their rows, without points."""
-    return tuple(_labelled(frame.objects[n], frame.size) for n in sorted(frame.objects))
+    """Standing objects by number, from their rows, without points; the same ones where no row is another."""
+    rows = tuple(row for _, row in sorted(frame.objects.items()))
+    known_rows, known = frame.shown
+    by_row = {id(row): entry for row, entry in zip(known_rows, known, strict=True)}
+    if len(rows) != len(known_rows) or not all(map(is_, rows, known_rows)):
+        frame.shown = rows, tuple(by_row.get(id(row)) or _labelled(row, frame.size) for row in rows)
+    return frame.shown[1]
 
 
 def labelled_box(row: dict[str, Any]) -> Box3D | None:
@@ -255,6 +260,8 @@ AROUND_M, AROUND_SHARE = 0.15, 0.35
 """How far around the box other points are shown: metres, and share of its longest side."""
 TRIMMED = (1.0, 99.0)
 """Percentiles of the points that a face is fitted to: as extents are, see `lifting.extents`."""
+NEAREST_M = 0.05
+"""Before the camera: what is nearer has no end in the picture."""
 FARTHEST_M = 20.0
 """A hand moves a face no farther."""
 MOST_MOVES = 12
@@ -296,7 +303,11 @@ def side_views(frame: Frame, viewer: ViewerAxes, box: Box3D, mask: np.ndarray, m
     """Points in and around a box (camera frame), thinned evenly to `most`, half from the mask (H, W) bool."""
     axes, reach = box_axes(box, viewer), AROUND_M + AROUND_SHARE * float(box.size.max())
     half = np.abs(axes @ box.R) @ box.size / 2 + reach
-    v, u = np.nonzero(frame.depth > 0)
+    # Only the part of the picture in which the views' points can be.
+    corners = box.center + np.stack(np.meshgrid(*[(-1, 1)] * 3), -1).reshape(-1, 3) * half @ axes
+    part = _seen_part(corners, frame)
+    v, u = np.nonzero(frame.depth[part] > 0)
+    v, u = v + part[0].start, u + part[1].start
     found = (lift_pixels(frame.depth[v, u], frame.camera, v, u) - box.center.astype(np.float32)) @ axes.T
     near = (np.abs(found) <= half).all(axis=1)
     own = mask[v, u]
@@ -304,6 +315,16 @@ def side_views(frame: Frame, viewer: ViewerAxes, box: Box3D, mask: np.ndarray, m
         [_thinned(np.flatnonzero(near & own), most // 2), _thinned(np.flatnonzero(near & ~own), most // 2)]
     )
     return SideViews(axes, box, np.rint(found[chosen] * 1000).clip(-32767, 32767).astype(np.int16), own[chosen])
+
+
+def _seen_part(corners: np.ndarray, frame: Frame) -> tuple[slice, slice]:
+    """Rows and columns of the picture in which points between corners (8, 3) are; all of it where some are behind."""
+    ends = project(corners, frame.camera)
+    if corners[:, 2].min() <= NEAREST_M:
+        return slice(0, frame.height), slice(0, frame.width)
+    (x0, y0), (x1, y1) = np.floor(ends.min(axis=0)) - 1, np.ceil(ends.max(axis=0)) + 2
+    (x0, x1), (y0, y1) = np.clip((x0, x1), 0, frame.width), np.clip((y0, y1), 0, frame.height)
+    return slice(int(y0), int(y1)), slice(int(x0), int(x1))
 
 
 def _thinned(indices: np.ndarray, most: int) -> np.ndarray:

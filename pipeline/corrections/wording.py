@@ -163,7 +163,8 @@ def consequences(before: EffectiveFrame, after: EffectiveFrame) -> str:
     old, new = before.objects, after.objects
     parts = [f"{_name(after, n)} added" for n in sorted(new.keys() - old.keys())]
     parts += [f"{_name(before, n)} left out" for n in sorted(old.keys() - new.keys())]
-    parts += [text for n in sorted(new) if (text := _box_followed(before, after, n))]
+    changed_rows = [n for n in sorted(new) if new[n] is not old.get(n)]
+    parts += [text for n in changed_rows if (text := _box_followed(before, after, n))]
     parts += [
         f"{_name(after, n)} is not asked for: {new[n]['reason']}"
         for n in sorted(new)

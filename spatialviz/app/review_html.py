@@ -115,7 +115,7 @@ def doubt_html(card: PairCard, line: RelationLine, state: int) -> Element:
     )
 
 
-ROWS, STEP = 40, 20
+ROWS, STEP = 16, 8
 STATUS_MARKS = {
     "unreviewed": ("", "inherit"),
     "accepted": ("✓", GOOD),
@@ -147,7 +147,8 @@ def queue_html(
     ]
     if work is None:
         return panel(parts, None if making.running else h.div("No queue yet.", cls="dim"))
-    rows = [_row(work, place, names, item) for place in shown_places(work, kind, item)]
+    places, at = shown_places(work, kind, item), None if item is None else work.indices.get(item.plain)
+    rows = [_row(place, row, names, place == at) for place, row in zip(places, work.rows(places), strict=True)]
     return panel(
         parts,
         segments("queue-kind", KINDS, kind, "Items of one kind"),
@@ -175,10 +176,8 @@ def shown_places(work: Worklist, kind: str, item: ItemKey | None) -> Sequence[in
     return list(islice(places, ROWS))
 
 
-def _row(work: Worklist, place: int, names: Names, item: ItemKey | None) -> Element:
-    key = work.keys[place]
-    row = work.queue.slice(place, 1).to_pylist()[0]
-    mark, color = STATUS_MARKS[work.state(key)]
+def _row(place: int, row: Row, names: Names, shown: bool) -> Element:
+    mark, color = STATUS_MARKS[row["state"]]
     reason = row["reasons"][0] if row["reasons"] else ""
     return h.div(
         h.i(css={"--v": f"{row['score']:.2f}"}),
@@ -187,7 +186,7 @@ def _row(work: Worklist, place: int, names: Names, item: ItemKey | None) -> Elem
         # Truncated at the left by right-to-left text; marks keep the ends in place.
         h.em(f"\u200e{row['frame']}\u200e"),
         id=f"item-{place}",
-        **chosen(item is not None and key == item.plain, "q"),
+        **chosen(shown, "q"),
         do=f"item:{place}",
         title=reason or None,
     )

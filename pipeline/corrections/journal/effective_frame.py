@@ -77,6 +77,8 @@ class EffectiveFrame:
     ulids: tuple[str, ...] = ()  # of all events
     said: dict[str, dict[FieldRef, list[Event]]] = field(default_factory=dict)  # events by kind and cell
     answers: Any = None  # of the expressions, by the pairs
+    # Rows of objects, and the objects made of them for display: see `scene.labelled_objects`.
+    shown: tuple[tuple[Row, ...], tuple[Any, ...]] = ((), ())
 
     @classmethod
     def untouched(cls, auto: FrameRows, setting: Setting) -> EffectiveFrame:

@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, Literal
 
 import numpy as np
@@ -44,26 +44,9 @@ class FieldRef:
     field: str
 
     def __post_init__(self) -> None:
-        require(self.kind in KINDS, "no such kind of entity", got=repr(self.kind), expected=" | ".join(KINDS))
-        if self.field not in FIELDS[self.kind]:
-            expected = ", ".join(FIELDS[self.kind])
-            raise InputError(f"a {self.kind} has no such field", got=repr(self.field)[:60], expected=expected)
-        plain_text(self.frame, "the frame's id", LONGEST_TEXT)
-        if self.kind in ("object", "relation"):
-            numbers = self.key.split(",")
-            require(
-                len(numbers) == (2 if self.kind == "relation" else 1) and all(map(_is_number, numbers)),
-                f"not the key of a {self.kind}",
-                got=Shown(self.key),
-            )
-        elif self.kind == "review":
-            require(
-                (judged_item(self.key)[0] == OF_ALL) == (self.field == "settled"),
-                "what is said has an author, what is settled has none",
-                got=Shown(self.key),
-            )
-        elif (self.kind == "frame") != (self.key == "") or len(self.key) > LONGEST_NAME:
-            raise InputError(f"not the key of a {self.kind}", got=repr(self.key)[:60])
+        # A frame has thousands of cells, of which each is named again and again.
+        texts = all(type(part) is str for part in (self.kind, self.frame, self.key, self.field))
+        (_check_ref if texts else _check_ref.__wrapped__)(self.kind, self.frame, self.key, self.field)
 
     @property
     def numbers(self) -> tuple[int, ...]:
@@ -86,6 +69,30 @@ class FieldRef:
         return f"{self.field} of {self.entity} in {self.frame}"
 
 
+@lru_cache(maxsize=1 << 14)
+def _check_ref(kind: str, frame: str, key: str, field: str) -> None:
+    require(kind in KINDS, "no such kind of entity", got=repr(kind), expected=" | ".join(KINDS))
+    if field not in FIELDS[kind]:
+        expected = ", ".join(FIELDS[kind])
+        raise InputError(f"a {kind} has no such field", got=repr(field)[:60], expected=expected)
+    plain_text(frame, "the frame's id", LONGEST_TEXT)
+    if kind in ("object", "relation"):
+        numbers = key.split(",")
+        require(
+            len(numbers) == (2 if kind == "relation" else 1) and all(map(_is_number, numbers)),
+            f"not the key of a {kind}",
+            got=Shown(key),
+        )
+    elif kind == "review":
+        require(
+            (judged_item(key)[0] == OF_ALL) == (field == "settled"),
+            "what is said has an author, what is settled has none",
+            got=Shown(key),
+        )
+    elif (kind == "frame") != (key == "") or len(key) > LONGEST_NAME:
+        raise InputError(f"not the key of a {kind}", got=repr(key)[:60])
+
+
 def object_ref(frame: str, number: int, field: str) -> FieldRef:
     """Cell of an object.
 
@@ -106,6 +113,11 @@ def relation_ref(frame: str, a: int, b: int, relation: str) -> FieldRef:
 
 def judged_item(key: str) -> tuple[str, str, int, int | None, str]:
     """Parse the key of a judgement to author, kind, a, b and what; InputError for any other text."""
+    return (_judged_item if type(key) is str else _judged_item.__wrapped__)(key)
+
+
+@lru_cache(maxsize=1 << 12)
+def _judged_item(key: str) -> tuple[str, str, int, int | None, str]:
     with as_input_error("not the key of a review", ValueError, TypeError, RecursionError, got=Shown(key)):
         author, kind, a, b, what = found = json.loads(key)
         written = judged_key(*found)
