@@ -310,6 +310,7 @@ class LabelView:
     relation: str | None = None  # settled by the keys T, U and F
     item: ItemKey | None = None  # of the review queue
     expression: str | None = None  # id
+    asked: tuple[int, ...] = ()  # places of the chosen pair, else of the selected object
     about: tuple[int, ...] = ()  # pair whose expressions are listed first
     order: tuple[str, ...] = ()  # of all expressions, by id
     expressions: tuple[ExpressionCard, ...] = ()  # at most LISTED of them, with the selected one
@@ -363,6 +364,7 @@ class LabelView:
         return replace(
             found,
             relation=relation,
+            asked=places[:2] if places else () if selected is None else (selected,),
             about=about,
             order=order,
             expressions=expression_cards(self.frame, names=order[start : start + LISTED]),

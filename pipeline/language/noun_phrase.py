@@ -178,10 +178,13 @@ def _recased(word: str, *, shouted: bool, titled: bool) -> str:
     return word.lower() if titled and is_title else word
 
 
+_same = lru_cache(maxsize=1 << 14)(same_class)
+
+
 def same_names(labels: Sequence[str]) -> np.ndarray:
     """Matrix, (N, N) bool, of objects with class names of the same meaning."""
     names = list(dict.fromkeys(labels))
-    alike = np.array([[a == b or same_class(a, b) for b in names] for a in names], np.bool_)
+    alike = np.array([[a == b or _same(*sorted((a, b))) for b in names] for a in names], np.bool_)
     alike = alike.reshape(len(names), len(names))
     index = np.array([names.index(label) for label in labels], np.int64)
     return alike[np.ix_(index, index)]

@@ -245,4 +245,4 @@ def read(text: str | bytes) -> Incoming:
 
 def write(message: Outgoing) -> str:
     """Encode a message to the browser."""
-    return json.dumps(asdict(message), ensure_ascii=False, separators=(",", ":"))
+    return json.dumps(vars(message), ensure_ascii=False, separators=(",", ":"), default=asdict)

@@ -43,17 +43,17 @@ REGIONS = (
     Region("needs", "source labels", lambda ctx, _: first_steps.needs_html(ctx), lambda state: state.labels is None),
     Region("tasks", "labels evaluating", lambda ctx, state: toolbar.tasks_html(state, bool(ctx.shared.journals))),
     Region("scene-tools", "loaded flags colors camera point_size", lambda _, state: toolbar.scene_tools_html(state)),
-    Region("scene-buttons", "found trace pair picking", lambda _, state: toolbar.scene_buttons_html(state)),
+    Region("scene-buttons", "found trace pair labels picking", lambda _, state: toolbar.scene_buttons_html(state)),
     Region("legend", f"{ASKED} colors flags dark labels", lambda _, state: picture.legend_html(state)),
     Region(
         "objects",
-        "loaded trace found pair dark",
+        "loaded trace found pair labels dark",
         lambda _, state: None if state.loaded is None else picture.objects_html(state, state.loaded),
         lambda state: state.drawer == "Objects",
     ),
     Region(
         "object",
-        "found trace pair selected dark",
+        "found trace pair selected labels dark",
         lambda _, state: stage_objects.object_html(state),
         lambda state: state.drawer == "Objects" and state.labels is None,
     ),
@@ -68,7 +68,7 @@ FOLLOWING = (
     ),
     Region(
         "stages",
-        f"{ASKED} stage flags dark listing",
+        f"{ASKED} labels stage flags dark listing",
         lambda _, state: stages.stages_html(state, state.stage),
     ),
 )

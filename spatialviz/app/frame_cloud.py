@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
+from operator import is_
 from typing import Any
 
 import numpy as np
 import viser.transforms as vtf
 
 from pipeline.answering.frame_store import LoadedFrame, frame_colors
-from pipeline.answering.objects import SceneObject
 from pipeline.datasets.scene_mesh import fuse_context
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.cloud import NEAREST_BY_HAND, CloudPart, metre_grid, spacing_at
@@ -169,7 +169,7 @@ class SceneAids(Part):
 
     def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
-        self._mapped: tuple[Sequence[SceneObject], str] = ((), "")
+        self._mapped: tuple[tuple[object, ...], dict[str, object]] = ((), {})
 
     def follow(self) -> list[Tag]:
         """Draw the aids for the state; returns the name tags to show."""
@@ -204,19 +204,25 @@ class SceneAids(Part):
     def _hoverable(self, state: State) -> dict[str, object] | None:
         """Names, boxes and places in the picture of all objects, for marking them in the browser."""
         objects = state.found.objects
-        if self._mapped[0] is not objects:
-            self._mapped = objects, index_map(objects) if objects else ""
         if not objects:
             return None
-        return {
-            "map": self._mapped[1],
-            "names": [name.replace("·", " ") for name in state.shown.names],
-            "boxes": [
-                None if o.lifted.box is None else _hover_box(self.ctx.scene.shown_box(o.lifted.box))
-                for o in state.shown.objects
-            ],
-            "rects": [np.round(o.bbox, 1).tolist() for o in objects],
-        }
+        drawn = (objects, state.shown.objects, state.shown.names, self.ctx.scene.to_show)
+        if len(self._mapped[0]) == len(drawn) and all(map(is_, self._mapped[0], drawn)):
+            return self._mapped[1]
+        known = self._mapped[1]["map"] if any(one is objects for one in self._mapped[0][:1]) else index_map(objects)
+        self._mapped = (
+            drawn,
+            {
+                "map": known,
+                "names": [name.replace("·", " ") for name in state.shown.names],
+                "boxes": [
+                    None if o.lifted.box is None else _hover_box(self.ctx.scene.shown_box(o.lifted.box))
+                    for o in state.shown.objects
+                ],
+                "rects": [np.round(o.bbox, 1).tolist() for o in objects],
+            },
+        )
+        return self._mapped[1]
 
     def _looked_at(self, state: State, loaded: LoadedFrame) -> dict[str, object]:
         """Point of the depth scale: the middle of the chosen pair, else of the cloud."""

@@ -62,6 +62,7 @@ class SceneView:
         self.viewpoint = Viewpoint(client)
         self._client = client
         self._boxed: dict[int, Box3D] = {}
+        self._boxes_of: tuple[object, object] = (), ()
         self.cloud: Cloud | None = None
         self.to_show = np.eye(3)
 
@@ -75,7 +76,9 @@ class SceneView:
         """Draw boxes and pair lines, and return the name tags."""
         colors, flags, lines = COLORS, state.flags, self._client.lines
         objects = state.shown.objects
-        self._boxed = {i: self.shown_box(o.lifted.box) for i, o in enumerate(objects) if o.lifted.box is not None}
+        if self._boxes_of[0] is not objects or self._boxes_of[1] is not self.to_show:
+            self._boxes_of = objects, self.to_show
+            self._boxed = {i: self.shown_box(o.lifted.box) for i, o in enumerate(objects) if o.lifted.box is not None}
         role_of: dict[int, Role] = {i: state.roles.get(i, "other") for i in self._boxed}
         wanted = [i for i in self._boxed if state.boxes_shown or role_of[i] != "other"]
 

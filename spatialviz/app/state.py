@@ -235,10 +235,7 @@ class State(AnswerView):
     @property
     def roles(self) -> dict[int, Role]:
         """Roles of an answer's pair; of labels, what is asked about is in one colour."""
-        if self.labels is None:
-            return super().roles
-        asked = self.pair or (() if self.selected is None else (self.selected,))
-        return dict.fromkeys(asked[:2], "truth")
+        return super().roles if self.labels is None else dict.fromkeys(self.labels.asked, "truth")
 
     @property
     def pair_lines(self) -> list[tuple[int, int]]:
