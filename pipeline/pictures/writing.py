@@ -38,8 +38,12 @@ def check_target(path: Path, films: bool = False) -> None:
 def write_picture(image: np.ndarray, path: Path) -> None:
     """Write a picture ((H, W, 3) uint8 RGB), whole or not at all; the format follows the file's ending."""
     check_target(path)
-    _, data = cv2.imencode(path.suffix.lower(), np.ascontiguousarray(image[..., ::-1]))
-    write_whole(path, data.tobytes(), "the picture")
+    write_whole(path, encoded_picture(image, path.suffix.lower()), "the picture")
+
+
+def encoded_picture(image: np.ndarray, ending: str = ".png") -> bytes:
+    """Bytes of a picture ((H, W, 3) uint8 RGB)."""
+    return cv2.imencode(ending, np.ascontiguousarray(image[..., ::-1]))[1].tobytes()
 
 
 def write_film(film: Film, path: Path) -> None:

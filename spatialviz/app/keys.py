@@ -54,6 +54,8 @@ KEYS: Mapping[str, Rows] = {
     ),
     "Keeping": (
         ("Ctrl+C", "Copy the address of this view, where no text is selected", ""),
+        ("Shift+C", "Copy the answer as a picture", "copy-picture"),
+        ("Shift+G", "Film of the answer before and after what would mend it", "copy-film"),
         ("Shift+K", "Save the answer as a case", "keep-case"),
         ("Shift+P", "Report of the answer as one page", "report"),
     ),

@@ -89,11 +89,11 @@ class BrowserPage:
         """Show a message in the corner of the page for some seconds; errors stay until closed. `undo` is a command."""
         self.call("toast", {"title": title, "text": text, "bad": bad, "undo": undo})
 
-    def download(self, name: str, data: bytes) -> None:
-        """Save a file by the browser."""
+    def download(self, name: str, data: bytes, copy: bool = False) -> None:
+        """Save a file by the browser; `copy`: a picture in PNG, into the clipboard if it may be."""
         key = secrets.token_urlsafe(16)
         self.downloads[key] = name, data
-        self.call("download", {"path": key, "name": name})
+        self.call("download", {"path": key, "name": name, "copy": copy})
 
     def say_address(self, query: str, title: str, push: bool) -> None:
         """Set the address and title."""

@@ -20,6 +20,9 @@ from pipeline.diagnosis.whatif import Edits, edits_record
 from pipeline.diagnosis.whatif.state import CameraView, Toggle, ViewState, decode, encode
 from pipeline.evaluation.leakage import shares_of_answer
 from pipeline.language.counted import counted
+from pipeline.pictures.answer_card import answer_picture
+from pipeline.pictures.film import answer_film, mending_film
+from pipeline.pictures.writing import encoded_film, encoded_picture
 from pipeline.relations.model import is_named
 from pipeline.system.errors import InputError, require
 from spatialviz.app.context import Context, Part, command
@@ -147,6 +150,37 @@ class Exports(Part):
         report = failure_page(answered, source, context, self._subject(answered), scene_html(answered, context))
         name = f"{case_folder(state.text, state.frame_id).name}.html"
         self.ctx.page.download(name, report.encode("utf-8", "replace"))
+
+    @command("copy-picture")
+    def copy_picture(self) -> None:
+        """Send the answer as a picture, for the clipboard."""
+        state, answered = self.state, self._shown()
+        assert state.loaded is not None
+        picture = answer_picture(answered, state.loaded.context.frame, state.source)
+        name = f"{case_folder(state.text, state.frame_id).name}.png"
+        self.ctx.page.download(name, encoded_picture(picture), copy=True)
+
+    @command("copy-film")
+    def copy_film(self) -> None:
+        """Send a film: the answer without and with the edits, without any before and after what would mend it."""
+        self.ctx.toast("Film", "It is being made.")
+        state, answered = self.state, self._shown()
+        if state.edits:
+            film = answer_film(self._shown(edited=False), answered, state.source, moving=False)
+        else:
+            film = mending_film(answered, state.source, moving=False)
+        self.ctx.page.download(f"{case_folder(state.text, state.frame_id).name}.gif", encoded_film(film))
+
+    def _shown(self, edited: bool = True) -> Answer:
+        """Answer that is shown, or the refusal; InputError without a question."""
+        state = self.state
+        if not state.text or state.loaded is None:
+            raise InputError("there is no answer to show", cause="ask something first")
+        source, context = self.ctx.source, state.loaded.context
+        given = self._given(source, context)
+        if not edited:
+            given.pop("edits", None)
+        return answer(source, context, state.text, **given)
 
     def _answered(self) -> tuple[Pipeline, PreparedFrame, State]:
         """Current pipeline, frame and state; InputError without a question."""

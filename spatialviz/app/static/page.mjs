@@ -11,7 +11,7 @@ import './inset.mjs';
 import './pixels.mjs';
 import './rows.mjs';
 import './scale.mjs';
-import './shot.mjs';
+import {copyPicture, saveFile} from './shot.mjs';
 import './sides.mjs';
 import './tags.mjs';
 import './timeline.mjs';
@@ -246,12 +246,7 @@ calls.toast = ({title, text, bad, undo}) => {
   // Why something was not done stays until it is closed; everything is in the log.
   if (!bad) setTimeout(() => note.remove(), undo ? 6000 : 4000 + 60 * text.length);
 };
-calls.download = ({path, name}) => {
-  const a = el('a');
-  a.href = `/app/file/${path}?id=${id}`;
-  a.download = name;
-  a.click();
-};
+calls.download = ({path, name, copy}) => (copy ? copyPicture : saveFile)(`/app/file/${path}?id=${id}`, name);
 
 let working = 0;
 calls.working = text => {

@@ -10,15 +10,31 @@ function fileName(kind) {
   return parts.filter(Boolean).map(part => part.trim().replace(/[^\p{L}\p{N}_.]+/gu, '-').replace(/^-|-$/g, '')).join('-').slice(0, 120) + '.png';
 }
 
-function keep(canvas, kind) {
-  canvas.toBlob(blob => {
-    const a = el('a');
-    a.href = URL.createObjectURL(blob);
-    a.download = fileName(kind);
-    a.click();
-    setTimeout(() => URL.revokeObjectURL(a.href), 10000);
-    calls.toast({title: 'Saved', text: a.download, bad: false});
-  }, 'image/png');
+export function saveFile(address, name) {
+  const a = el('a');
+  a.href = address;
+  a.download = name;
+  a.click();
+}
+
+function saveBlob(blob, name, why = '') {
+  const address = URL.createObjectURL(blob);
+  saveFile(address, name);
+  setTimeout(() => URL.revokeObjectURL(address), 10000);
+  calls.toast({title: 'Saved', text: name + why, bad: false});
+}
+
+const keep = (canvas, kind) => canvas.toBlob(blob => saveBlob(blob, fileName(kind)), 'image/png');
+
+/* A picture of the server's, into the clipboard; into a file where that is forbidden, as on plain http. */
+export async function copyPicture(address, name) {
+  const blob = new Blob([await (await fetch(address)).arrayBuffer()], {type: 'image/png'});
+  try {
+    await navigator.clipboard.write([new ClipboardItem({[blob.type]: blob})]);
+    calls.toast({title: 'Copied', text: 'the picture of this answer', bad: false});
+  } catch {
+    saveBlob(blob, name, ': the browser keeps the clipboard closed here');
+  }
 }
 
 /* ---- the scene: its own drawing, then what stands over it, as it is laid out */
