@@ -100,38 +100,38 @@ def _splats(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Colours, (H, W, 3) uint8, and distance ahead, (H, W) float32, infinite where nothing is."""
     width, height = view.size
-    side = np.clip(np.ceil(CLOSED * sizes * view.focal / np.maximum(seen[:, 2], 1e-6)), 1, LARGEST * FINER).astype(
-        np.int32
-    )
-    corner = np.floor(seen[:, :2] - (side[:, None] - 1) / 2).astype(np.int32)
-    inside = (seen[:, 2] > LEAST_DEPTH) & (corner >= 0).all(axis=1)
-    inside &= (corner[:, 0] + side <= width) & (corner[:, 1] + side <= height)
-    index = np.flatnonzero(inside)
     # The farthest first, so that what is nearer is written over it.
-    index = index[np.argsort(-seen[index, 2])]
-    side, first = side[index], corner[index, 1] * width + corner[index, 0]
+    index = np.argsort(-seen[:, 2])[: np.count_nonzero(seen[:, 2] > LEAST_DEPTH)]
+    u, v, depth = seen[index].T
+    side = np.clip(np.ceil(CLOSED * sizes[index] * view.focal / depth), 1, LARGEST * FINER)
+    left, top = np.floor(u - (side - 1) / 2), np.floor(v - (side - 1) / 2)
+    inside = np.flatnonzero((left >= 0) & (top >= 0) & (left + side <= width) & (top + side <= height))
+    index, side = index[inside], side[inside].astype(np.int32)
+    first = top[inside].astype(np.int32) * width + left[inside].astype(np.int32)
     count = side * side
     number = np.arange(count.sum(), dtype=np.int32) - np.repeat((np.cumsum(count) - count).astype(np.int32), count)
     wide = np.repeat(side, count)
     row = number // wide
     at = np.repeat(first, count) + row * width + (number - row * wide)
-    top = np.full(height * width, -1, np.int32)
-    top[at] = np.repeat(index.astype(np.int32), count)
-    image, ahead = np.full((height * width, 3), ground, np.uint8), np.full(height * width, np.inf, np.float32)
-    drawn = top >= 0
-    image[drawn], ahead[drawn] = colors[top[drawn]], seen[top[drawn], 2]
-    return _filled(image.reshape(height, width, 3), drawn.reshape(height, width)), ahead.reshape(height, width)
+    nearest = np.full(height * width, -1, np.int32)
+    nearest[at] = np.repeat(index.astype(np.int32), count)
+    drawn = np.flatnonzero(nearest >= 0)
+    image, ahead = np.zeros((height * width, 3), np.uint8), np.full(height * width, np.inf, np.float32)
+    image[drawn], ahead[drawn] = colors[nearest[drawn]], seen[nearest[drawn], 2]
+    shape = height, width
+    return _filled(image.reshape(*shape, 3), (nearest >= 0).reshape(shape), ground), ahead.reshape(shape)
 
 
-def _filled(image: np.ndarray, drawn: np.ndarray) -> np.ndarray:
-    """Picture with small holes between points filled from around them."""
-    holes = cv2.morphologyEx(drawn.view(np.uint8), cv2.MORPH_CLOSE, np.ones((HOLE, HOLE), np.uint8)).astype(np.bool_)
-    holes &= ~drawn
-    around, share = (
-        cv2.blur(a.astype(np.float32), (HOLE, HOLE), borderType=cv2.BORDER_CONSTANT)[holes]
-        for a in (image * drawn[..., None], drawn)
+def _filled(image: np.ndarray, drawn: np.ndarray, ground: RGB) -> np.ndarray:
+    """Picture, black where nothing is drawn, with small holes filled from around them, and the rest as the ground."""
+    closed = cv2.morphologyEx(drawn.view(np.uint8), cv2.MORPH_CLOSE, np.ones((HOLE, HOLE), np.uint8)).astype(np.bool_)
+    around, count = (
+        cv2.boxFilter(a, cv2.CV_32F, (HOLE, HOLE), normalize=False, borderType=cv2.BORDER_CONSTANT)
+        for a in (image, drawn.view(np.uint8))
     )
-    image[holes] = np.where(share[:, None] > 0, around / np.maximum(share[:, None], 1e-6), image[holes])
+    holes = closed & ~drawn & (count > 0)
+    image[holes] = around[holes] / count[holes, None]
+    image[~drawn & ~holes] = ground
     return image
 
 
