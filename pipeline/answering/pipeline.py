@@ -47,6 +47,7 @@ class Pipeline:
     reader: Reader = parse  # What reads expressions: the grammar, unless another was asked for
     predictions: Predictions | None = None  # Of another pipeline, which answers are read from
     line: Prediction | None = None  # Of these, the one expression that this pipeline is about
+    segmenter: Segmenter | None = None  # Makes masks for boxes, or for points
 
     def __repr__(self) -> str:
         name = self.dataset.root.resolve().name
@@ -222,17 +223,17 @@ def open_pipeline(
         return open_detector(replace(setup, min_score=min_score), dataset.class_names, table, dataset.frame_ids)
 
     found = make(min_score) if detector is None or isinstance(detector, str) else detector
-    if segmenter is not None:
-        masks = segmenter
-        if isinstance(masks, str):
-            masks = make_segmenter(masks, model=segmenter_model, synonyms=table)
+    masks = segmenter
+    if isinstance(masks, str):
+        masks = make_segmenter(masks, model=segmenter_model, synonyms=table)
+    if masks is not None:
         found = None if found is None else Segmented(found, masks)
     config = config or AskConfig()
     if config.score_calibration is not None and found is not None:
         config.score_calibration.check(found)
     scorer = make_scorer(srm, vectors) if isinstance(srm, str | Path) else srm
     read = make_reader(reader, reader_url, reader_model)
-    return Pipeline(dataset, found, scorer, config, table, lambda: make(0.0), read)
+    return Pipeline(dataset, found, scorer, config, table, lambda: make(0.0), read, segmenter=masks)
 
 
 def make_reader(reader: str | Reader, url: str | None, model: str | None) -> Reader:

@@ -113,6 +113,13 @@ def completions(typed: str, vocabulary: Vocabulary, most: int = MOST) -> tuple[C
     return tuple(completion for _, completion in ranked[:most])
 
 
+def by_digits(vocabulary: Vocabulary, here: Iterable[str], unnamed: str = "") -> list[str]:
+    """Nine most frequent classes, of the labels, then of a frame."""
+    often = (c.name for c in completions("", vocabulary, 18))
+    names = dict.fromkeys((*often, *(name for name, _ in Counter(here).most_common())))
+    return [name for name in names if name != unnamed][:9]
+
+
 def _how(wanted: str, spoken: str) -> int:
     """Rank of a name for the typed text: 0 the same, 1 to 3 its beginning, a word's or within; _NONE for no match.
 

@@ -17,10 +17,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from pipeline.answering.objects import PreparedFrame
 from pipeline.drawing.depth_region import LEAST, MOST, TOLERANCE, Surface, grown_region, surface_of
 from pipeline.proposals.depth_segmenter import DepthSegmenter
-from pipeline.system.errors import InputError, require
+from pipeline.proposals.segmenter import Segmenter, mask_at
+from pipeline.system.errors import InputError, needed, require
 from pipeline.system.reading import checked
 
-Kind = Literal["stroke", "polygon", "rectangle", "surface", "depth", "cut"]
+Kind = Literal["stroke", "polygon", "rectangle", "surface", "depth", "segment", "cut"]
 MOST_POINTS = 5000
 POINTS: dict[Kind, tuple[int, int]] = {
     "stroke": (1, MOST_POINTS),
@@ -28,10 +29,12 @@ POINTS: dict[Kind, tuple[int, int]] = {
     "rectangle": (2, 2),
     "surface": (2, 2),
     "depth": (1, MOST_POINTS),
+    "segment": (1, 16),
     "cut": (2, MOST_POINTS),
 }
 """Points that each kind needs, at least and at most. "rectangle" is all between two corners, "surface" what the depth
-segmenter finds there, "depth" the surfaces around points, "cut" a line across a mask, or around a part of it."""
+segmenter finds there, "depth" the surfaces around points, "segment" the
+things that the configured segmenter finds at points, "cut" a line across a mask, or around a part of it."""
 BEYOND = 1.0
 """A hand may leave the picture by as many times its size."""
 CLOSED = 0.12
@@ -88,6 +91,7 @@ class Canvas:
     """A frame to draw on; what it takes to follow its surfaces is worked out when it is first needed."""
 
     context: PreparedFrame
+    segmenter: Segmenter | None = None  # that takes points
 
     @cached_property
     def surface(self) -> Surface:
@@ -112,6 +116,10 @@ def drawn(gesture: Gesture, height: int, width: int, canvas: Canvas | None = Non
         raise InputError(f"a {gesture.kind} region needs the pictures", cause="name the dataset")
     elif gesture.kind == "surface":
         mask = canvas.inside(gesture.points)
+    elif gesture.kind == "segment":
+        expected = "--segmenter sam, sam2 or efficientsam"
+        segmenter = needed(canvas.segmenter, "no segmenter is open that takes points", expected=expected)
+        mask = mask_at(segmenter, canvas.context.frame, gesture.points)
     else:
         mask = grown_region(canvas.surface, gesture.points, gesture.tolerance)
     require(mask.any(), f"this {gesture.kind} holds no pixel")

@@ -12,7 +12,7 @@ import xxhash
 
 from pipeline.geometry.frame import Frame
 from pipeline.proposals.base import Detector, Proposals, detect_expression, lists_things, reads_annotations
-from pipeline.proposals.segmenter import Segmenter
+from pipeline.proposals.segmenter import Segmenter, takes_points
 from pipeline.system.paths import cache_folder
 from pipeline.system.recent import Recent
 from pipeline.system.whole_files import keep_whole
@@ -127,6 +127,7 @@ class CachedSegmenter:
 
     def __init__(self, segmenter: Segmenter, folder: Path | None = None) -> None:
         self.segmenter, self.name = segmenter, segmenter.name
+        self.takes_points = takes_points(segmenter)
         self.folder = (folder or cache_folder()) / "masks"
 
     def fingerprint(self) -> str:

@@ -41,9 +41,10 @@ _TOLERANCE = 1e-2
 
 
 class PromptedSegmenter:
-    """A box-prompted segmenter; masks do not depend on other boxes."""
+    """A segmenter prompted by boxes, or by points, which are boxes without extent; masks do not depend on others."""
 
     independent = True
+    takes_points = True
 
     def __init__(self, model: PairModel) -> None:
         self.model, self.name = model, model.name
@@ -121,8 +122,19 @@ def stretched(logits: np.ndarray, height: int, width: int) -> np.ndarray:
 
 
 def corners(boxes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Boxes as points: (N, 2, 2) float32 x, y of the corners, and (N, 2) float32 their labels, 2 and 3."""
-    return boxes.reshape(-1, 2, 2), np.tile(np.array([2.0, 3.0], np.float32), (len(boxes), 1))
+    """Boxes as points: (N, 2, 2) float32 x, y of the corners, and (N, 2) float32 their labels, 2 and 3.
+
+    A box without extent is a point of the thing: label 1, and a padding point, label -1.
+    """
+    points, labels = boxes.reshape(-1, 2, 2).copy(), np.tile(np.array([2.0, 3.0], np.float32), (len(boxes), 1))
+    single = are_points(boxes)
+    points[single, 1], labels[single] = 0, (1, -1)
+    return points, labels
+
+
+def are_points(boxes: np.ndarray) -> np.ndarray:
+    """Boxes without extent, (N,) bool."""
+    return np.asarray((boxes[:, :2] == boxes[:, 2:]).all(axis=1))
 
 
 def best_mask(masks: np.ndarray, scores: np.ndarray) -> np.ndarray:
@@ -278,6 +290,9 @@ class SamModel(PairModel):
             _, scores = self._run(features, boxes, height, width, padded=True)
             self._padded = scores.shape[-1] != ALL_MASKS
         masks, scores = self._run(features, boxes, height, width, self._padded)
+        if are_points(boxes).all() and masks.ndim == 4 and masks.shape[1] == ALL_MASKS:
+            # A point may mean a thing or a part of it: the first of four masks is for clear prompts.
+            return best_mask(masks[:, 1:], scores[:, 1:])
         return masks[:, 0] if masks.ndim == 4 and masks.shape[1] == ALL_MASKS else best_mask(masks, scores)
 
     def _run(
@@ -363,6 +378,8 @@ class Sam2Model(PairModel):
         boxes = boxes * np.array([self._side / width, self._side / height] * 2, np.float32)
         count = len(boxes)
         if self._takes_boxes:
+            refused = "this export of SAM 2 takes boxes and no points"
+            require(not are_points(boxes).any(), refused, path=self.decoder_path)
             feed = {
                 "input_points": np.zeros((1, count, 0, 2), np.float32),
                 "input_labels": np.zeros((1, count, 0), np.int64),

@@ -72,6 +72,17 @@ class Segmenter(Protocol):
         ...
 
 
+def takes_points(segmenter: Segmenter | None) -> bool:
+    """True for a segmenter that makes masks from points."""
+    return bool(getattr(segmenter, "takes_points", False))
+
+
+def mask_at(segmenter: Segmenter, frame: Frame, points: np.ndarray) -> np.ndarray:
+    """(H, W) bool: the things at points (N, 2), x, y in pixels."""
+    masks, has_mask = segmenter.segment(frame, np.tile(points, 2).astype(np.float32), [""] * len(points))
+    return (masks & has_mask[:, None, None]).any(axis=0)
+
+
 class Segmented:
     """A detector with masks from a segmenter for proposals without masks.
 

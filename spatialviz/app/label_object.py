@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
@@ -17,7 +16,7 @@ from pipeline.corrections.journal.events import Event, Saved
 from pipeline.corrections.object_card import LabelView, back_to_automatic, bring_back, object_card
 from pipeline.corrections.review.decisions import UNNAMED
 from pipeline.corrections.scene import SideViews, drag_box, dragged, face_to_points, fit_to_points, side_views
-from pipeline.corrections.vocabulary import Vocabulary, completions, vocabulary_of
+from pipeline.corrections.vocabulary import Vocabulary, by_digits, completions, vocabulary_of
 from pipeline.diagnosis.whatif.edit_words import box_with, number_of
 from pipeline.diagnosis.whatif.placement import SMALLEST_SIDE
 from pipeline.geometry.boxes import Box3D
@@ -106,10 +105,8 @@ class LabelObject(LabelPart):
     @property
     def digits(self) -> list[str]:
         """Classes chosen by digits."""
-        here = Counter(row["label"] for row in self.view.frame.objects.values())
-        often = (c.name for c in completions("", self._vocabulary(), 18))
-        names = dict.fromkeys((*often, *(name for name, _ in here.most_common())))
-        return [name for name in names if name != UNNAMED][:9]
+        here = (row["label"] for row in self.view.frame.objects.values())
+        return by_digits(self._vocabulary(), here, UNNAMED)
 
     def _learn(self, events: tuple[Event, ...]) -> None:
         """Add class names from this person's earlier edits to the completions."""

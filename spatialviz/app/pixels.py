@@ -22,10 +22,12 @@ from pipeline.corrections.journal.events import Conflict, Event
 from pipeline.corrections.journal.field_refs import same_value
 from pipeline.corrections.object_card import LabelView, paired
 from pipeline.corrections.review.decisions import UNNAMED
-from pipeline.corrections.vocabulary import vocabulary_of
+from pipeline.corrections.vocabulary import by_digits, vocabulary_of
 from pipeline.drawing.gestures import Canvas, Gesture, read_gesture
+from pipeline.geometry.masks import mask_box
 from pipeline.geometry.palette import depth_colors, hex_color
 from pipeline.pictures.marks import box_edges_2d
+from pipeline.proposals.segmenter import takes_points
 from pipeline.system.errors import InputError, as_input_error, needed, require
 from spatialviz.app.channel import Command
 from spatialviz.app.context import Context, command, there
@@ -34,7 +36,7 @@ from spatialviz.app.label_part import LabelPart
 from spatialviz.app.picture import PART_COLORS, around, mask_url, outlined, told_of
 from spatialviz.app.state import State
 
-Tool = Literal["select", "brush", "erase", "polygon", "rectangle", "depth", "cut"]
+Tool = Literal["select", "brush", "erase", "polygon", "rectangle", "depth", "segment", "cut"]
 
 
 class Pixels(LabelPart):
@@ -129,6 +131,8 @@ class Pixels(LabelPart):
     def drawn(self, number: NonNegativeInt, made: dict[str, Any]) -> None:
         """Add a stroke to the draft; the stroke's number is sent back as a receipt."""
         self._seen = number
+        if made.get("do") == "segment":
+            self.ctx.page.call("working", "segmenting")
         self._changed(lambda draft, canvas: with_gesture(draft, read_gesture(made, draft.height, draft.width), canvas))
 
     def _changed(self, change: Callable[[Draft, Canvas], Draft]) -> None:
@@ -166,7 +170,9 @@ class Pixels(LabelPart):
     def _canvas_now(self) -> Canvas:
         if self._canvas is None or self._canvas[0] != self._key:
             relifter = needed(self.editor.corrector.relifter, "the pictures are not at hand")
-            self._canvas = self._key, Canvas(relifter.context(self.state.frame_id))
+            segmenter = self.ctx.source.segmenter
+            context = relifter.context(self.state.frame_id)
+            self._canvas = self._key, Canvas(context, segmenter if takes_points(segmenter) else None)
         return self._canvas[1]
 
     @command("px-undo=take-back", "px-redo=bring-back")
@@ -284,6 +290,7 @@ class Pixels(LabelPart):
         lifted = lifted_draft(canvas, parts[0], label) if len(parts) == 1 else None
         box = None if lifted is None else lifted.box
         frame = canvas.context.frame
+        words = vocabulary_of(self.editor.labels, self.ctx.source.dataset) if fresh else None
         picture = frame.rgb if self._kind == "rgb" else depth_colors(frame.depth)
         self.ctx.page.call("pixelsPicture", {"kind": self._kind, "url": jpeg_url(picture, 92)})
         data: dict[str, Any] = {
@@ -297,7 +304,10 @@ class Pixels(LabelPart):
             "fresh": fresh,
             "label": self._label,
             "cuttable": not fresh,
-            "names": vocabulary_of(self.editor.labels, self.ctx.source.dataset).names if fresh else None,
+            "segments": canvas.segmenter is not None,
+            "names": words.names if words else None,
+            "digits": by_digits(words, (o.label for o in state.shown.objects), UNNAMED) if words else [],
+            "drawn": mask_box(parts[0]) if fresh and parts[0].any() else None,
             "color": hex_color(PART_COLORS[0]),
             "mask": mask_url(parts),
             "others": list(outlined(state.shown.objects, state.shown.names, draft.number)),

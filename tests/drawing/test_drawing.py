@@ -326,6 +326,30 @@ def test_fractions_are_of_the_picture() -> None:
     assert (found.radius, found.adds) == (4.0, False)
 
 
+class AtPoints:
+    """Finds what is as deep as a point."""
+
+    name, takes_points = "points", True
+
+    def fingerprint(self) -> str:
+        return "points"
+
+    def segment(self, frame: Frame, boxes: np.ndarray, labels: Any) -> tuple[np.ndarray, np.ndarray]:
+        np.testing.assert_array_equal(boxes[:, :2], boxes[:, 2:])
+        masks = np.stack([frame.depth == frame.depth[int(y), int(x)] for x, y, *_ in boxes])
+        return masks, masks.any(axis=(1, 2))
+
+
+def test_a_click_asks_the_segmenter_that_is_open() -> None:
+    depth = np.full((HEIGHT, WIDTH), 3.0)
+    depth[20:45, 30:60] = 1.5
+    context = PreparedFrame(frame_of(depth), LiftConfig())
+    click = read_gesture({"do": "segment", "at": [[40, 30]]}, HEIGHT, WIDTH, fractions=False)
+    np.testing.assert_array_equal(drawn(click, HEIGHT, WIDTH, Canvas(context, AtPoints())), depth == 1.5)
+    with pytest.raises(InputError, match="no segmenter is open that takes points"):
+        drawn(click, HEIGHT, WIDTH, Canvas(context))
+
+
 def test_what_follows_the_depth_needs_the_picture() -> None:
     seed = read_gesture({"do": "depth", "at": [[40, 30]]}, HEIGHT, WIDTH, fractions=False)
     with pytest.raises(InputError, match="pictures"):

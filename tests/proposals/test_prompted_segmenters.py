@@ -20,6 +20,7 @@ from pipeline.geometry import Frame
 from pipeline.proposals import CachedSegmenter, make_segmenter
 from pipeline.proposals.mismatch import SEGMENTERS
 from pipeline.proposals.prompted import EfficientSamModel, PairModel, PromptedSegmenter, Sam2Model, SamModel
+from pipeline.proposals.segmenter import mask_at, takes_points
 from pipeline.system import InputError
 
 
@@ -83,6 +84,20 @@ def test_sam_is_what_the_official_predictor_gives(
         reference, _, low_res = predictor.predict(box=box, multimask_output=False)
         logits = model.decode(segmenter._encoded(frame), box[None], *shape)[0]
         assert_same(mask, np.asarray(reference[0]), logits, np.asarray(low_res[0]))
+
+
+@pytest.mark.slow
+def test_a_point_is_what_the_official_predictor_makes_of_it(sam: Export, picture: Frame, tmp_path: Path) -> None:
+    from segment_anything import SamPredictor
+
+    frame = part(picture, 480, 640)
+    segmenter = CachedSegmenter(PromptedSegmenter(SamModel([sam.encoders["square"], sam.decoders["four"]])), tmp_path)
+    assert takes_points(segmenter)
+    point = np.array([[310.0, 200.0]])
+    predictor = SamPredictor(sam.model)
+    predictor.set_image(frame.rgb)
+    masks, scores, _ = predictor.predict(point_coords=point, point_labels=np.ones(1), multimask_output=True)
+    assert iou(mask_at(segmenter, frame, point), masks[scores.argmax()]) > 0.99
 
 
 @pytest.mark.slow

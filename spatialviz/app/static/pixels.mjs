@@ -14,6 +14,7 @@ const TOOLS = [
     'Click corners; Enter or double click closes (with Shift: removes); Backspace: one back.'],
   ['rectangle', 'Rectangle', 'r', 'Drag a rectangle; Shift removes. F: only the surface inside it.'],
   ['depth', 'Depth', 'd', 'Click a surface to add it; Shift removes. [ ]: how alike it must be.'],
+  ['segment', 'Segment', 'a', 'Click a thing: the segmenter outlines it; Shift removes it.'],
   ['cut', 'Cut', 'c', 'Draw a line across the object, or around a part of it.'],
 ];
 const HINTS = Object.fromEntries(TOOLS.map(([tool, , , hint]) => [tool, hint]));
@@ -25,7 +26,7 @@ const S = {
   base: null, pending: [], sent: 0, corners: [], hand: null, at: null, zoom: 1, x: 0, y: 0, fit: 'object', data: {},
   armed: false, picture: 'rgb', shift: false, space: false, said: '',
 };
-let box = null, canvas, room, tip, waiting = 0;
+let box = null, canvas, room, tip, classes, waiting = 0;
 
 const q = selector => box.querySelector(selector);
 const between = (v, low, high) => Math.min(high, Math.max(low, v));
@@ -83,7 +84,10 @@ function build() {
   tip = el('div', 'tip');
   tip.hidden = true;
   room = el('div', 'room');
-  room.append(canvas, tip);
+  classes = el('div', 'classes');
+  classes.setAttribute('role', 'group');
+  classes.setAttribute('aria-label', 'Class by its digit');
+  room.append(canvas, tip, classes);
   low.append(el('span', 'note'), el('span', 'hint'), el('span', 'grow'), el('span', 'info'));
   low.setAttribute('role', 'status');
   box.append(top, tools, room, low);
@@ -120,9 +124,10 @@ function show() {
     '.tol': tool === 'depth',
     '.surf': tool === 'rectangle',
     '.apart': tool === 'cut',
-    '.adding': ['polygon', 'rectangle', 'depth'].includes(tool),
+    '.adding': ['polygon', 'rectangle', 'depth', 'segment'].includes(tool),
   };
   for (const [selector, on] of Object.entries(seen)) q(selector).hidden = !on;
+  q('[data-k=segment]').hidden = !d.segments;
   q('.size input').value = Math.log(S.radius);
   q('.size output').textContent = `${(2 * Math.max(LEAST_RADIUS, S.radius * (d.w || 640))).toFixed(1)} px`;
   q('.tol input').value = Math.log(S.tol);
@@ -189,6 +194,24 @@ function apply(stay) {
   send('px-apply', Boolean(stay), label);
 }
 
+/* A new thing is named by a digit, beside what was drawn of it. */
+function nameBy(digit) {
+  const name = S.data.drawn && S.data.digits[digit - 1];
+  if (!name) return false;
+  q('.cls').value = name;
+  apply(false);
+  return true;
+}
+
+function besideDrawn() {
+  const at = S.data.drawn, {w, h} = S.data;
+  classes.hidden = !at;
+  if (!at) return;
+  const low = (v, most) => between(v, 4, Math.max(4, most - 4));
+  const x = Math.min(at[2], w) * S.zoom + S.x + 12, y = Math.max(0, Math.min(at[1], h)) * S.zoom + S.y;
+  classes.style.translate = `${low(x, room.clientWidth - classes.offsetWidth)}px ${low(y, room.clientHeight - classes.offsetHeight)}px`;
+}
+
 function cancel() {
   const undone = S.data.kept ? 0 : S.data.steps;
   if (S.hand || S.corners.length) {
@@ -225,7 +248,8 @@ function keydown(event) {
     taken();
     if (own) active.blur();
     cancel();
-  } else if (own) event.stopImmediatePropagation();
+  } else if (/^[1-9]$/.test(key) && (!own || !active.value) && nameBy(+key)) taken();
+  else if (own) event.stopImmediatePropagation();
   else if (event.ctrlKey || event.metaKey) {
     const undoes = {z: event.shiftKey ? 'px-redo' : 'px-undo', y: 'px-redo'}[key];
     if (!undoes) return;
@@ -243,7 +267,7 @@ function keydown(event) {
 }
 
 function drawingKey(event, key) {
-  const found = TOOLS.find(([, , hot]) => hot === key);
+  const found = TOOLS.find(([tool, , hot]) => hot === key && (tool !== 'segment' || S.data.segments));
   if (found) take(found[0]);
   else if (key === 'backspace' && S.corners.length) {
     S.corners.pop();
@@ -313,6 +337,7 @@ function down(event) {
   if (event.button || S.space) S.hand = {pan: [event.clientX - S.x, event.clientY - S.y]};
   else if (tool === 'select') send(`px-select:${p.join(',')}`);
   else if (tool === 'polygon') S.corners.push(p);
+  else if (tool === 'segment') gesture({do: 'segment', at: [p], add: S.adds !== event.shiftKey});
   else if (tool === 'depth') {
     const inside = p.every(v => v >= 0 && v < 1);
     if (inside) gesture({do: 'depth', at: [p], add: S.adds !== event.shiftKey, tolerance: +S.tol.toFixed(5)});
@@ -357,6 +382,7 @@ function redraw(event) {
     waiting = 0;
     if (!S.on || !S.image) return;
     place();
+    besideDrawn();
     const over = S.at && inCanvas({clientX: S.at[0], clientY: S.at[1]});
     const named = draw(canvas, S, over);
     tip.hidden = !named;
@@ -413,6 +439,15 @@ calls.pixels = data => {
     names.replaceChildren(...data.names.map(name => Object.assign(el('option'), {value: name})));
   }
   Object.assign(S, {data, tool: data.tool});
+  const offered = (data.drawn ? data.digits : []).join();
+  if (classes.dataset.of !== offered) {
+    classes.dataset.of = offered;
+    classes.replaceChildren(...(data.drawn ? data.digits : []).map((name, k) => {
+      const one = button('try', '', `it is a ${name}`, () => nameBy(k + 1));
+      one.append(el('kbd', '', k + 1), name);
+      return one;
+    }));
+  }
   S.pending = S.pending.filter(({k}) => k > data.seen);
   picture(data.mask, image => {
     if (S.data !== data) return;
