@@ -162,7 +162,7 @@ def test_many_frames(long: Server, open_tab: OpenTab) -> None:
     tab.see("#timeline[data-kind=depth]", f"Frame 1 of {LONG:,}")
     tab.see("#timeline .legend", "of the depth missing")
     tab.page.mouse.move(*across(tab, 0.5))
-    tab.see(".passing figcaption", "the most of")
+    tab.see(".passing figcaption", "the highest of")
     tab.page.mouse.move(300, 300)
     tab.see(BAR).focus()
     tab.page.keyboard.press("End")

@@ -239,7 +239,7 @@ class Evaluate(Part):
     def _from_here(self, step: int) -> int:
         """Position in the list of the next expression, or the previous, from the current frame on."""
         listing, indices = self._listing, self.ctx.shared.pictures.timeline(self.state.source).indices
-        frames = np.array([indices[listing.figures.rows.keys[k][0]] for k in listing.found.tolist()])
+        frames = np.array([indices.get(listing.figures.rows.keys[k][0], 0) for k in listing.found.tolist()])
         ahead = (frames - indices[self.state.frame_id]) * step % len(indices)
         return int(np.flatnonzero(ahead == ahead.min())[0 if step > 0 else -1])
 

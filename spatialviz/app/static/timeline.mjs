@@ -136,7 +136,7 @@ const show = n => {
   preview.dataset.frame = n;
   const lines = [el('b', '', row ? row[1] : `frame ${n + 1}`), el('span', '', row ? told(n) : '…')];
   if (odd) lines.push(el('span', 'odd', `▾ ${odd}`));
-  lines.push(el('span', 'dim', `frame ${(n + 1).toLocaleString('en')} of ${frames.count.toLocaleString('en')}` + (to - from > 1 ? `, the most of ${to - from} here` : '')));
+  lines.push(el('span', 'dim', `frame ${(n + 1).toLocaleString('en')} of ${frames.count.toLocaleString('en')}` + (to - from > 1 ? `, the highest of ${to - from} here` : '')));
   caption.replaceChildren(...lines);
   preview.hidden = false;
   const wide = preview.offsetWidth, x = b.left + (columnOf(n) + .5) * b.width / columns();
@@ -147,13 +147,19 @@ const show = n => {
     if (picture.getAttribute('src') !== wanted) { preview.classList.remove('broken'); picture.src = wanted; }
   }, PICTURE_MS);
 };
-const hide = () => {
+const hide = (to = -1) => {
   clearTimeout(timer);
   preview.hidden = true;
-  cursor = -1;
+  cursor = to;
   marked();
 };
-const open = n => { hide(); if (n !== frames.at) send('frame:' + n); };
+const leave = () => { if (!preview.hidden) hide(); };
+/* The mark stays where one is going until the server is there. */
+const open = n => {
+  const other = n !== frames.at;
+  hide(other ? n : -1);
+  if (other) send('frame:' + n);
+};
 picture.addEventListener('error', () => preview.classList.add('broken'));
 
 let held = false;
@@ -171,7 +177,7 @@ bar.addEventListener('pointerdown', e => {
   marked();
 });
 bar.addEventListener('pointerup', e => { if (held) { held = false; open(under(e)); } });
-for (const kind of ['pointercancel', 'pointerleave']) bar.addEventListener(kind, () => { if (kind === 'pointercancel') held = false; if (!held) hide(); });
+for (const kind of ['pointercancel', 'pointerleave']) bar.addEventListener(kind, () => { if (kind === 'pointercancel') held = false; if (!held) leave(); });
 
 // A key goes on, and what it rests on is opened.
 bar.addEventListener('keydown', e => {
@@ -190,7 +196,7 @@ bar.addEventListener('keydown', e => {
   e.preventDefault();
   e.stopPropagation();
 });
-bar.addEventListener('blur', hide);
+bar.addEventListener('blur', leave);
 
 // ---- what the server says
 
@@ -230,6 +236,7 @@ calls.frameRows = rows => {
 };
 calls.frameAt = at => {
   frames.at = at;
+  if (preview.hidden) cursor = -1;
   marked();
   for (const follow of watching) follow();
 };
