@@ -126,6 +126,7 @@ class RunFigures(Figures):
         )
         self.rows = RunRows(run.records, run.folder, None if second is None else second.records)
         self._frames: Recent[str, np.ndarray] = Recent(FRAMES)
+        self._recorded: Recent[int, tuple[Recorded | None]] = Recent(FRAMES)
         self._parts: Recent[bytes, Figures] = Recent(PARTS)
 
     def of(self, found: np.ndarray) -> Figures:
@@ -171,6 +172,10 @@ class RunFigures(Figures):
     @cached_property
     def _labelled(self) -> np.ndarray | str:
         return _or_why(lambda: labelled_boxes(self.run.records, self.run.labels))
+
+    def recorded(self, number: int) -> Recorded | None:
+        """Verdict of a row; None for a row without."""
+        return self._recorded.get(number, lambda: (recorded_verdict(self.rows.read(np.array([number]))[0]),))[0]
 
     def colors(self, frame_id: str) -> np.ndarray:
         """(H, W, 3) uint8 of a frame of the run; InputError for a broken frame."""

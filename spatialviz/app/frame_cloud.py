@@ -25,6 +25,8 @@ from spatialviz.app.state import State
 
 CLOUD = "/cloud/"
 """Prefix of the cloud's nodes."""
+LIT = f"{CLOUD}lit/"
+"""Of the points that are not dimmed: all others keep their colours from pair to pair."""
 
 
 class FrameCloud(Part):
@@ -35,6 +37,8 @@ class FrameCloud(Part):
         self._loaded: LoadedFrame | None = None
         self._painted: tuple[Any, ...] = ()
         self._points = np.zeros((0, 3), np.uint8)
+        self._lit: dict[int, str] = {}
+        """Nodes of points in their own colours, by their mask."""
         self.place_anew = False
 
     def follow(self) -> None:
@@ -48,12 +52,13 @@ class FrameCloud(Part):
             scene.cloud = None
             self.ctx.client.clear(CLOUD)
             self.ctx.client.clear("/camera")
+            self._lit = {}
         elif self._painted != state.paint_key or loaded is not was:
             self._painted = state.paint_key
-            look, frame = (state.roles, state.dark, state.spotlit), loaded.context.frame
-            self._points = loaded.painted(
-                state.paint_key, lambda: frame_colors(state.colors, frame, loaded.objects, *look)
-            )
+            frame = loaded.context.frame
+            none = None if state.spotlit is None else np.zeros(frame.depth.shape, np.bool_)
+            look = state.colors, frame, loaded.objects, state.roles, state.dark, none
+            self._points = loaded.painted(state.paint_key, lambda: frame_colors(*look))
             with self.ctx.client.atomic():
                 if loaded is not was:
                     self._show(loaded)
@@ -63,11 +68,31 @@ class FrameCloud(Part):
                 if anew:
                     viewpoint.place(state.camera)
                 self.ctx.post(lambda: self._complete(loaded))
+        self._spotlight(state.spotlit or ())
         # A refused question has no pair to look at.
         if other and not state.error and state.camera == "pair" and viewpoint.untouched and loaded is not None:
             viewpoint.place("pair")
         self.dress()
         self._show_room(state)
+
+    def _spotlight(self, masks: Sequence[np.ndarray]) -> None:
+        """Show points of masks ((H, W) bool each) in their own colours; those of a mask are sent once for a frame."""
+        loaded, client = self._loaded, self.ctx.client
+        wanted = {hash(np.packbits(mask).tobytes()): mask for mask in masks}
+        if loaded is None or (not wanted and not self._lit):
+            return
+        cloud, rgb = loaded.cloud, loaded.context.frame.rgb
+        with client.atomic():
+            for key in wanted.keys() - self._lit.keys():
+                at = np.flatnonzero(wanted[key][cloud.v, cloud.u])
+                colors, ends = rgb[cloud.v[at], cloud.u[at]], np.searchsorted(at, [p.at.start for p in cloud.parts])
+                self._lit[key] = f"{LIT}{len(self._lit)}/"
+                for part, first, last in zip(cloud.parts, ends, [*ends[1:], len(at)], strict=True):
+                    here = slice(int(first), int(last))
+                    self._put(self._lit[key], part, part.offsets[at[here] - part.at.start], colors[here])
+            shown = {root for key, root in self._lit.items() if key in wanted} if self.state.flags.cloud else set[str]()
+            for name in [name for name in client.nodes if name.startswith(LIT)]:
+                client.change(name, visible=f"{name.rpartition('/')[0]}/" in shown)
 
     def dress(self) -> None:
         """Show the points at the chosen size, and the camera."""
@@ -77,6 +102,8 @@ class FrameCloud(Part):
         with client.atomic():
             for part in parts:
                 client.change(CLOUD + part.name, visible=state.flags.cloud, point_size=part.size * factor)
+                for root in self._lit.values():
+                    client.change(root + part.name, point_size=part.size * factor)
             client.change("/camera", visible=state.flags.camera)
         self.ctx.page.call("cloud", {CLOUD + part.name: len(part.offsets) for part in parts if state.flags.cloud})
 
@@ -86,6 +113,7 @@ class FrameCloud(Part):
         scene.to_show, scene.cloud = np.stack([viewer.right, viewer.forward, viewer.up]), loaded.cloud
         scene.viewpoint.set_frame(loaded.cloud.points, scene.to_show, frame.camera)
         self.ctx.client.clear(CLOUD)
+        self._lit = {}
         # Old tags would pile up over frames.
         self.ctx.client.clear("/tags/")
         self._add(part for part in loaded.cloud.parts if part.first)
@@ -111,12 +139,17 @@ class FrameCloud(Part):
 
     def _add(self, parts: Iterable[CloudPart]) -> None:
         for part in parts:
+            self._put(CLOUD, part, part.offsets, self._points[part.at])
+
+    def _put(self, root: str, part: CloudPart, offsets: np.ndarray, colors: np.ndarray) -> None:
+        """Send points of a part: (M, 3) float16 from its centre, metres, and (M, 3) uint8."""
+        if len(offsets):
             self.ctx.client.put(
                 "point_cloud",
-                CLOUD + part.name,
-                points=part.offsets,
-                colors=self._points[part.at],
-                point_size=part.size * self.state.point_size * (2 if part.first else 1),
+                root + part.name,
+                points=offsets,
+                colors=colors,
+                point_size=part.size * self.state.point_size * (2 if part.first and root == CLOUD else 1),
                 precision="float16",
                 point_shading="flat",
                 point_shape="square",

@@ -27,7 +27,7 @@ from pipeline.geometry.palette import (
     instance_colors,
     palette,
 )
-from pipeline.pictures.marks import edges_path, tinted
+from pipeline.pictures.marks import TINT, edges_path
 from spatialviz.app.frames import IMAGES, jpeg_url, png_url, thumb_url
 from spatialviz.app.markup import (
     Child,
@@ -83,20 +83,19 @@ _photos_lock = Lock()
 
 def _photo_url(state: State, loaded: LoadedFrame) -> str:
     """Address of the frame's picture in the chosen colours; the last few are not made again."""
-    frame, masks = loaded.context.frame, [state.shown.objects[i].mask for i in state.roles]
-    key = (id(loaded), state.colors, state.dark, *state.roles.items(), *map(id, masks))
+    frame, plain = loaded.context.frame, state.colors == "rgb"
+    key = (id(loaded), state.colors, *(() if plain else (state.dark, *state.roles.items())))
     with _photos_lock:
         # What the key names is kept with the address.
         _, url = _photos.get(key, (None, ""))
     if not url or IMAGES.get(url.rpartition("/")[2]) is None:
-        if state.colors == "rgb":
-            picture = tinted(frame.rgb, state.shown.objects, state.roles)
-        else:
+        picture = frame.rgb
+        if not plain:
             picture = frame_colors(state.colors, frame, loaded.objects, state.roles, state.dark)
         step = max(1, round(frame.width / IMAGE_WIDTH))
         url = jpeg_url(picture[::step, ::step])
         with _photos_lock:
-            _photos[key] = ((loaded, masks), url)
+            _photos[key] = (loaded, url)
             while len(_photos) > PHOTOS:
                 _photos.popitem(last=False)
     return url
@@ -130,6 +129,11 @@ def overlay_marks(state: State) -> list[Element]:
         (i for i in range(len(state.shown.objects)) if i in roles or i == state.selected),
         key=lambda i: i == state.selected,
     )
+    for i in order if state.colors == "rgb" else ():
+        if i in roles:
+            lines = (f"M{'L'.join(f'{x:g} {y:g}' for x, y in line)}Z" for line in outlines(state.shown.objects[i].mask))
+            color = hex_color(colors[roles[i]])
+            marks.append(h.path(d="".join(lines), fill=color, fill_opacity=TINT, stroke=color, stroke_width=0.5 * unit))
     for i in order:
         entry = state.shown.objects[i]
         box, sides = entry.lifted.box, entry.lifted.open_sides

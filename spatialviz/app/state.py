@@ -17,7 +17,7 @@ from pipeline.diagnosis.whatif.answer_view import AnswerView
 from pipeline.diagnosis.whatif.edits import Edits
 from pipeline.diagnosis.whatif.state import CameraView
 from pipeline.evaluation.mend_counts import MendCount, Setting
-from pipeline.evaluation.run_figures import Listing, Recorded, recorded_verdict
+from pipeline.evaluation.run_figures import Listing, Recorded
 from pipeline.geometry.palette import Role
 from pipeline.geometry.viewer import Measurement, measure
 
@@ -208,9 +208,8 @@ class State(AnswerView):
         expression = self.expression_id(self.text)
         if self.listing is None or expression is None or self.edited is not None or self.side == "b":
             return None
-        rows = self.listing.figures.rows
-        number = rows.number(self.frame_id, expression)
-        return None if number is None else recorded_verdict(rows.read(np.array([number]))[0])
+        number = self.listing.figures.rows.number(self.frame_id, expression)
+        return None if number is None else self.listing.figures.recorded(number)
 
     @property
     def unasked(self) -> State:
@@ -273,12 +272,11 @@ class State(AnswerView):
     def paint_key(self) -> tuple[object, ...]:
         """Cache key of the cloud's colours."""
         roles = tuple(sorted(self.roles.items())) if self.colors == "objects" else ()
-        lit = None if self.spotlit is None else np.packbits(self.spotlit).tobytes()
-        return (self.source, self.frame_id, self.colors, self.dark, roles, lit)
+        return (self.source, self.frame_id, self.colors, self.dark, roles, self.spotlit is not None)
 
     @property
-    def spotlit(self) -> np.ndarray | None:
-        """(H, W) bool: pixels that the cloud is dimmed around: those of an answer, in the picture's own colours."""
+    def spotlit(self) -> list[np.ndarray] | None:
+        """(H, W) bool each: masks that the cloud is dimmed around, of an answer in the picture's own colours."""
         dims = self.flags.dim and self.colors == "rgb" and self.labels is None
         return self.lit if dims and (self.roles or self.ghosts) else None
 

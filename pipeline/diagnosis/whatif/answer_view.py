@@ -241,12 +241,12 @@ class AnswerView:
         return frozenset(role for role, holds in right.items() if holds)
 
     @cached_property
-    def lit(self) -> np.ndarray:
-        """(H, W) bool: pixels of the chosen pair's objects, and of the labelled ones."""
+    def lit(self) -> list[np.ndarray]:
+        """(H, W) bool each: masks of the chosen pair's objects, and of the labelled ones."""
         masks = [self.shown.objects[i].mask for i in self.roles]
         if isinstance(self.judged, Diagnosis):
             masks += map(self.judged.evidence.objects.mask, self.judged.labelled.values())
-        return np.logical_or.reduce(masks)
+        return masks
 
     @property
     def ghosts(self) -> list[ExtraBox]:

@@ -66,6 +66,8 @@ beforeDrawing(() => {
     } else if (name.startsWith('/cloud/')) {
       const points = node.getObjectByProperty('isPoints', true);
       if (points) limit(points.material, ratio);
+      // Points in their own colours stand where dimmed ones do.
+      if (points && name.startsWith('/cloud/lit/')) points.renderOrder = 1;
     }
   }
 });
