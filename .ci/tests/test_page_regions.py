@@ -37,7 +37,7 @@ def states() -> list[tuple[Context, Watched]]:
     run = open_run(demo_run())
     source = run.source
     store = FrameStore({"demo": source})
-    shared = SimpleNamespace(store=store, journals={"demo": None})
+    shared = SimpleNamespace(store=store, journals={"demo": None}, runs={}, labels={})
     ctx = cast(Context, SimpleNamespace(shared=shared, source=source, can_ask=True, log=[("12:00:00", "said")]))
     made: list[tuple[Context, Watched]] = []
     for search in ("verdict:OPM-CONF", "verdict:CORRECT", "verdict:LABEL", "verdict:PARSE", "verdict:OPM-TARGET"):

@@ -296,7 +296,7 @@ def row_html(row: Mapping[str, Any], view: str, columns: Sequence[str]) -> Eleme
     """Expression as a card of the grid, or as a row of the table."""
     head = h.div(h.i(GLYPHS[row["tone"]], cls=row["tone"].replace(" ", "-")), row["head"], cls="head")
     # What a card has no room for is in its words.
-    detail = () if view == "grid" else (row["detail"], bool(row["lucky"]))
+    detail: tuple[str | None, bool] = (None, False) if view == "grid" else (row["detail"], bool(row["lucky"]))
     verdict = verdict_chip(row["verdict"], *detail)
     marks = [h.span(f"#{name}", cls="tagged") for name in row[MARKS]]
     image = h.img(alt="", decoding="async", draggable="false")

@@ -31,6 +31,10 @@ def _suggestions(_: Context, state: State) -> Child:
     return None if asked else toolbar.suggestions_html(state, state.offers.questions)
 
 
+def _needs(ctx: Context, state: State) -> Child:
+    return None if state.labels is not None else first_steps.needs_html(ctx, state.source)
+
+
 def _moves(ctx: Context, state: State) -> Child:
     dataset = ctx.source.dataset
     return toolbar.moves_html(moves(dataset, state.frame_id)) if has_moves(dataset) else None
@@ -40,7 +44,7 @@ REGIONS = (
     Region("where", "source", lambda ctx, state: toolbar.where_html(state, tuple(ctx.shared.store.sources))),
     Region("moves", "source frame_id", _moves),
     Region("suggestions", "loaded trace labels error offers text", _suggestions),
-    Region("needs", "source labels", lambda ctx, _: first_steps.needs_html(ctx), lambda state: state.labels is None),
+    Region("needs", "source labels", _needs),
     Region("tasks", "labels evaluating", lambda ctx, state: toolbar.tasks_html(state, bool(ctx.shared.journals))),
     Region("scene-tools", "loaded flags colors camera point_size", lambda _, state: toolbar.scene_tools_html(state)),
     Region("scene-buttons", "found trace pair labels picking", lambda _, state: toolbar.scene_buttons_html(state)),

@@ -20,9 +20,9 @@ def is_demo(ctx: Context) -> bool:
     return ctx.source.dataset.root.resolve() == demo_path().resolve()
 
 
-def needs_html(ctx: Context) -> Element | None:
-    """What each view needs, with commands; None where answers are judged by a run, labels or annotations."""
-    name, dataset, shared = ctx.state.source, ctx.source.dataset, ctx.shared
+def needs_html(ctx: Context, name: str) -> Element | None:
+    """What each view of a dataset needs, with commands; None where a run, labels or annotations judge answers."""
+    dataset, shared = ctx.source.dataset, ctx.shared
     if name in shared.runs or name in shared.labels or dataset.class_names:
         return None
     command = f"spatialviz view {shlex.quote(str(dataset.root))} --detector yolo-seg --model FILE.onnx"
