@@ -4,6 +4,8 @@ from collections.abc import Iterator
 
 from browser import Tab
 
+MENUS = {"Share": "#tools .menu:first-child", "More": "#tools .menu:last-child", "Show": "#show"}
+
 
 def explained(tab: Tab) -> Iterator[str]:
     """Brings the page into one state of Explain after the other, and names it."""
@@ -18,15 +20,18 @@ def explained(tab: Tab) -> Iterator[str]:
     yield "what if"
     tab.drawer("Objects")
     tab.ask("unicorn left of the mug")
-    tab.see("#ask-problem", "unicorn")
+    tab.see("#answer", "unicorn")
     yield "refusal"
     tab.press("x")
     tab.poll("document.getElementById('ask-text').value === ''")
     tab.poll("!document.querySelector('#answer .heads')")
     yield "no question"
-    tab.see(".menu>summary").click()
-    yield "menu"
-    tab.page.keyboard.press("Escape")
+    tab.press("Escape")
+    tab.poll("document.getElementById('drawer').classList.contains('closed')")
+    for name, menu in MENUS.items():
+        tab.see(f"{menu}>summary").click()
+        yield f"menu {name}"
+        tab.page.keyboard.press("Escape")
     tab.press("h")
     tab.see("#dialog-window")
     yield "keys"
@@ -34,7 +39,7 @@ def explained(tab: Tab) -> Iterator[str]:
     tab.closed()
     tab.press("Shift+W")
     tab.see("#frame-grid .shot")
-    tab.see("#frame-grid .camera")
+    tab.poll("!!document.querySelector('#frame-grid .camera')")
     yield "all frames"
     tab.see("[data-local='framesOf:with failures']").click()
     yield "frames with failures"

@@ -30,7 +30,7 @@ from spatialviz.app import (
     view_strings,
     what_if,
 )
-from spatialviz.app.answer import answer_in_words
+from spatialviz.app.answer import answer_in_words, story_of
 from spatialviz.app.browse import Browse
 from spatialviz.app.channel import Command, Hello, Incoming, Scene
 from spatialviz.app.context import Context, Idle, Part, Shared, command, commands_of, there
@@ -364,11 +364,13 @@ class PageSession(Part):
             stopped = "OPM" if isinstance(error, UnknownClass) else "PARSE"
             self.state = replace(self.state, error=said, stopped=stopped, judged=judged, found=shown, selected=None)
             self.ctx.note(f"“{text}”: {error}")
+            said = ""
         else:
             self._answered(loaded, trace)
             said = answer_in_words(self.state, trace)
             self.ctx.note(said)
-            self.ctx.page.call("announce", said)
+        told = story_of(self.state)
+        self.ctx.page.call("announce", f"{said} {told.head}. {told.sentence}")
         if draw:
             self.draw()
 
