@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import pytest
 from command_line import misused, spatialviz
+from PIL import Image
 
 from pipeline import __version__
 
@@ -39,7 +40,22 @@ def test_an_answer_is_printed_and_saved_as_a_picture(tmp_path: Path) -> None:
     answer = spatialviz(0, "ask", "demo", 0, TEXT, "--json").record["answer"]
     assert answer["target"]["label"] == "mug"
     spatialviz(0, "ask", "demo", 0, TEXT, "--save", tmp_path / "answer.png")
-    assert cv2.imread(str(tmp_path / "answer.png")) is not None
+    picture = cv2.imread(str(tmp_path / "answer.png"))
+    assert picture is not None
+    assert picture.shape == (630, 1200, 3)
+    misused("ask", "demo", 0, TEXT, "--save", tmp_path / "answer.txt")
+    misused("ask", "demo", 0, TEXT, "--save", tmp_path / "nowhere" / "answer.png")
+    misused("ask", "demo", 0, TEXT, "--save", tmp_path / "right.gif")
+    assert [p.name for p in tmp_path.iterdir()] == ["answer.png"]
+
+
+def test_an_answer_is_saved_as_a_film_of_what_would_mend_it(tmp_path: Path) -> None:
+    text = "which potted plant is on the left side of a shelf?"
+    for name in ("film.gif", "film.webp"):
+        spatialviz(0, "ask", "demo", 0, text, "--run", "demo", "--save", tmp_path / name)
+        with Image.open(tmp_path / name) as film:
+            assert film.size == (1200, 630)
+            assert film.n_frames >= 2  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def test_a_run_answers_in_the_shell_as_in_the_page() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import cv2
 import pytest
 from command_line import Folder, label_three_frames, misused, spatialviz
 
@@ -66,6 +67,16 @@ def test_failures_are_searched_and_cut(run: Path) -> None:
     spatialviz(0, "failures", run, "verdict:OPM-TARGET sort:margin", "--json")
     spatialviz(0, "failures", run, "--slices", "relation,class")
     assert "verdikt" in spatialviz(2, "failures", run, "verdikt:SRM").err
+
+
+def test_failures_are_drawn_on_a_sheet(run: Path, tmp_path: Path) -> None:
+    spatialviz(0, "failures", run, "verdict:OPM-CONF", "--sheet", tmp_path / "sheet.png", "--json")
+    sheet = cv2.imread(str(tmp_path / "sheet.png"))
+    assert sheet is not None
+    assert sheet.shape[1] > 2400
+    misused("failures", run, "--sheet", tmp_path / "sheet.txt")
+    misused("failures", run, "class:nosuchclass", "--sheet", tmp_path / "none.png")
+    assert [p.name for p in tmp_path.iterdir()] == ["sheet.png"]
 
 
 def test_failures_are_compared_with_those_of_another_run(run: Path, with_one_proposal: Path) -> None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.cards import Card, cards_of
-from pipeline.diagnosis.story_words import Tone
+from pipeline.diagnosis.story_words import Story, Tone, capital
 from pipeline.diagnosis.verdict import shown_verdict
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.palette import ON_DARK, RGB, Role
@@ -80,8 +81,8 @@ def answer_picture(
     look = Look(answer, frame, None if beside is None else Look(beside, None))
     image = np.full((SIZE[1], SIZE[0], 3), BACK, np.uint8)
     _draw_question(image, answer)
-    y = _draw_story(image, answer)
-    _draw_cards(image, look, y)
+    y = _draw_story(image, told := _told(answer))
+    _draw_cards(image, look, told.mend, y)
     _draw_stage(image, look, caption)
     _draw_foot(image, look, dataset)
     return image
@@ -100,18 +101,26 @@ def _draw_question(image: np.ndarray, answer: Answer) -> None:
 
 def _question(answer: Answer) -> Text:
     spans = () if answer.trace is None else answer.trace.query.spans
+    ends = 2 if answer.pairs and answer.pairs[0].second_reference is not None else 1
     colors = [WORDS] * len(answer.text)
     for span in spans:
-        if span.role in SPAN_COLORS and (span.role == "target" or span.index == 1):
+        if span.role in SPAN_COLORS and (span.role == "target" or span.index <= ends):
             colors[span.start : span.end] = [SPAN_COLORS[span.role]] * (span.end - span.start)
     parts = tuple((letter if letter.isprintable() else " ", c) for letter, c in zip(answer.text, colors, strict=False))
     clean = on_one_line(answer.text)
     return Text(parts) if "".join(t for t, _ in parts) == clean else plain(answer.text, WORDS)
 
 
-def _draw_story(image: np.ndarray, answer: Answer) -> int:
-    """Mark, head, sentence; returns where they end."""
+def _told(answer: Answer) -> Story:
+    """Story of an answer; without a verdict it is the answer itself."""
     told = answer.story
+    if answer.diagnosis is not None or not answer.pairs:
+        return told
+    return replace(told, sentence=f"{capital(answer.sentence.replace('·', ' '))}.", mend=told.sentence)
+
+
+def _draw_story(image: np.ndarray, told: Story) -> int:
+    """Mark, head, sentence; returns where they end."""
     fill, ink, lines = MARKS[told.tone]
     y = STAGE[1]
     face, head = fitted(plain(told.head or "Answered", WORDS), (34, 30, 26), True, LEFT - 60, 2)
@@ -130,20 +139,20 @@ def _draw_story(image: np.ndarray, answer: Answer) -> int:
     return y + 18
 
 
-def _draw_cards(image: np.ndarray, look: Look, y: int) -> None:
+def _draw_cards(image: np.ndarray, look: Look, mend: str, y: int) -> None:
     """Cards of the answer and of what it should be, and what would mend it."""
     answer, bottom = look.answer, STAGE[1] + STAGE[3]
     cards = cards_of(answer.trace, answer.diagnosis, next(iter(answer.pairs), None), look.name)
-    mend = wrapped(plain(answer.story.mend, DIM), font(15), LEFT, 3)
+    below = wrapped(plain(mend, DIM), font(15), LEFT, 3)
     rows = max((len(card.objects) for card in cards), default=0)
-    row = int(np.clip((bottom - y - 46 - 21 * len(mend)) / max(rows, 1), 58, 76))
+    row = int(np.clip((bottom - y - 46 - 21 * len(below)) / max(rows, 1), 58, 76))
     height = 38 + row * rows
     top = min(y, bottom - height)
     for number, card in enumerate(cards):
         width = (LEFT - 12 * (len(cards) - 1)) // len(cards)
         _draw_card(image, (EDGE + number * (width + 12), top, width, height), row, card, look)
     y = top + height + 10 if cards else y
-    for line in mend[: max(0, (bottom + 4 - y) // 21)]:
+    for line in below[: max(0, (bottom + 4 - y) // 21)]:
         y += 21
         draw_text(image, line, (EDGE, y - 4), font(15))
 

@@ -202,14 +202,14 @@ TAG, TAG_SIZE, WIDEST_TAG = 26, 14, 230
 
 
 def draw_names(image: np.ndarray, placed: Placed, taken: Sequence[Box] = ()) -> None:
-    """Draw names at boxes, none over another or over what is taken."""
-    filled = [*taken]
+    """Draw names at boxes, none over another or over what is taken, nor over a small box where there is room."""
+    filled, small = [*taken], [own for own in (_around(corners) for _, corners in placed) if own[2] < LARGE]
     face = font(TAG_SIZE, True)
     for named, corners in reversed(placed):
         name = shortened(plain(named.name, INK), face, WIDEST_TAG - 34)
         mark = 20 if named.right else 0
         width = round(width_of(name, face)) + mark + 18
-        where = _place(image, corners, width, filled)
+        where = _place(image, corners, width, filled, small)
         if where is None:
             continue
         filled.append(where)
@@ -224,7 +224,9 @@ LARGE = 200
 """Boxes that are as wide have their name at a corner, and others at the middle of a side, pixels."""
 
 
-def _place(image: np.ndarray, corners: np.ndarray, width: int, filled: Sequence[Box]) -> Box | None:
+def _place(
+    image: np.ndarray, corners: np.ndarray, width: int, filled: Sequence[Box], small: Sequence[Box]
+) -> Box | None:
     """Place of a tag at a box: above it, below, at its sides or in it, else nowhere."""
     height, wide = image.shape[:2]
     inside = (corners >= 0).all(axis=1) & (corners <= [wide, height]).all(axis=1)
@@ -244,10 +246,17 @@ def _place(image: np.ndarray, corners: np.ndarray, width: int, filled: Sequence[
     )
     limit = np.maximum(6, [wide - width - 6, height - TAG - 6])
     places = [(int(x), int(y), width, TAG) for x, y in (np.clip(start, 6, limit) for start in starts)]
-    own = int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1])
+    own = _around(corners)
     beside = [at for at in places[:-1] if not _overlap(at, own)]
-    free = (at for at in (*beside, *places) if at[0] + width <= wide and not any(_overlap(at, o) for o in filled))
-    return next(free, None)
+    clear = [at for at in beside if not any(_overlap(at, box) for box in small)]
+    tries = (*clear, *beside, *places)
+    return next((at for at in tries if at[0] + width <= wide and not any(_overlap(at, o) for o in filled)), None)
+
+
+def _around(corners: np.ndarray) -> Box:
+    """Rectangle around corners."""
+    (x0, y0), (x1, y1) = corners.min(axis=0), corners.max(axis=0)
+    return int(x0), int(y0), int(x1 - x0), int(y1 - y0)
 
 
 def _ends(values: np.ndarray) -> tuple[int, int]:

@@ -111,6 +111,17 @@ def test_an_answer_without_any_truth(row: Frame, truth: AnnotationDetector) -> N
         checked(answer_picture(Answer(text, ask(row, text, truth))))
 
 
+@pytest.mark.parametrize(("width", "height"), [(24, 18), (40, 400), (1600, 40)])
+def test_frames_of_any_shape(width: int, height: int) -> None:
+    rgb = np.random.default_rng(0).integers(0, 255, (height, width, 3), np.uint8)
+    masks = np.zeros((2, height, width), np.bool_)
+    masks[0, :, : width // 3], masks[1, :, -width // 3 :] = True, True
+    K = np.array([[width, 0, width / 2], [0, width, height / 2], [0, 0, 1.0]])
+    depth = np.full((height, width), 1.5, np.float32)
+    frame = Frame.of_arrays(rgb, depth, K, masks=masks, names=["mug", "laptop"], up=(0, -1, 0))
+    checked(answer_picture(open_dataset(frame).ask(0, "mug left of the laptop")))
+
+
 def test_a_question_that_was_refused() -> None:
     frame = open_dataset("demo").frames[0]
     refused = Answer("what is this", problem="'what is this' cannot be read")
