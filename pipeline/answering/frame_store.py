@@ -322,19 +322,18 @@ def frame_colors(
     objects: Sequence[SceneObject],
     roles: Mapping[int, Role],
     dark: bool,
-    lit: np.ndarray | None = None,
+    dim: bool = False,
 ) -> np.ndarray:
     """(H, W, 3) uint8 colours of a frame's pixels.
 
     `mode`: "rgb", "objects" (masks in colours, the larger below), "depth" or "evidence" (what was cleaned away, and
     why); `objects`: without any, "objects" and "evidence" are the picture itself; `roles`: mapping of int to Role:
-    places in `objects` that have the colour of a role; `lit`: (H, W) bool: pixels that the picture is
-    dimmed around; None for none.
+    places in `objects` that have the colour of a role; `dim`: "rgb" is dimmed.
     """
     if mode == "depth":
         return depth_colors(frame.depth)
     if mode == "rgb" or not objects:
-        return frame.rgb if lit is None else dimmed(frame.rgb, lit, dark)
+        return dimmed(frame.rgb, dark) if dim else frame.rgb
     grey = np.repeat(frame.rgb.mean(axis=2, keepdims=True), 3, axis=2)
     image = (grey * 0.55 + (20 if dark else 110)).astype(np.uint8)
     order = sorted(range(len(objects)), key=lambda i: -int(objects[i].lifted.quality.mask_pixels))

@@ -98,14 +98,13 @@ SATURATION, LIGHTNESS = 0.45, 0.7
 LUMA = (0.2126, 0.7152, 0.0722)
 
 
-def dimmed(rgb: np.ndarray, lit: np.ndarray, dark: bool = True) -> np.ndarray:
-    """Picture ((H, W, 3) uint8), dimmed toward a dark or light ground outside the pixels `lit` ((H, W) bool)."""
+def dimmed(rgb: np.ndarray, dark: bool = True) -> np.ndarray:
+    """Picture ((H, W, 3) uint8), dimmed toward a dark or a light ground."""
     import cv2
 
     grey = (1 - SATURATION) * np.tile(LUMA, (3, 1))
     turn = LIGHTNESS * (grey + SATURATION * np.eye(3))
-    image = cv2.transform(rgb, np.column_stack([turn, np.full(3, 0.0 if dark else 255 * (1 - LIGHTNESS))]))
-    return cv2.copyTo(rgb, lit.view(np.uint8), image)
+    return cv2.transform(rgb, np.column_stack([turn, np.full(3, 0.0 if dark else 255 * (1 - LIGHTNESS))]))
 
 
 VERDICTS: dict[str, RGB] = {

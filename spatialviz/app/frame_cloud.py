@@ -55,9 +55,8 @@ class FrameCloud(Part):
             self._lit = {}
         elif self._painted != state.paint_key or loaded is not was:
             self._painted = state.paint_key
-            frame = loaded.context.frame
-            none = None if state.spotlit is None else np.zeros(frame.depth.shape, np.bool_)
-            look = state.colors, frame, loaded.objects, state.roles, state.dark, none
+            dim, frame = state.spotlit is not None, loaded.context.frame
+            look = state.colors, frame, loaded.objects, state.roles, state.dark, dim
             self._points = loaded.painted(state.paint_key, lambda: frame_colors(*look))
             with self.ctx.client.atomic():
                 if loaded is not was:

@@ -38,9 +38,9 @@ class Tag:
     detail: str
     color: str  # "#rrggbb"
     strong: bool
-    # Middle and half sizes of the named thing, from the node, metres; a point without an extent
-    center: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    # Half sizes of the named thing around the node, metres, along the columns of a rotation; a point without an extent
     extent: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    R: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
     mark: str = ""  # Glyph of a role, "T" or "R"
     right: bool = False  # A right answer
     dashed: bool = False  # Of a labelled box, which is dashed
@@ -112,7 +112,7 @@ class SceneView:
             box, color = self.shown_box(ghost.box), hex_color(colors[ghost.role])
             anchor = self._client.anchor(f"/tags/ghost-{ghost.key}", box.center)
             mark = MARKS[ghost.key.removeprefix("other-")]
-            tags.append(Tag(anchor, ghost.text, "", color, True, extent=extent(box), mark=mark, dashed=True))
+            tags.append(Tag(anchor, ghost.text, "", color, True, **_shape(box), mark=mark, dashed=True))
         return tags
 
     def shown_box(self, box: Box3D) -> Box3D:
@@ -187,7 +187,7 @@ class SceneView:
                 anchor, color = self._client.anchor(f"/tags/{place}", box.center), hex_color(colors[role])
                 mark, right = MARKS.get(role, ""), role in state.right_roles
                 name = state.shown.names[i].replace("·", " ")
-                tags.append(Tag(anchor, name, "", color, strong, extent=extent(box), mark=mark, right=right))
+                tags.append(Tag(anchor, name, "", color, strong, **_shape(box), mark=mark, right=right))
         # The answer's tags come last, on top of others.
         return sorted(tags, key=lambda t: t.strong)
 
@@ -197,9 +197,9 @@ def plain_color(dark: bool) -> RGB:
     return (245, 247, 250) if dark else (24, 26, 30)
 
 
-def extent(box: Box3D) -> tuple[float, float, float]:
-    """Half extents of a shown box along the axes of the scene, metres."""
-    return triple(np.round(box.half_extent, 4))
+def _shape(box: Box3D) -> dict[str, Any]:
+    """Extent and rotation of a box's tag."""
+    return {"extent": triple(np.round(box.size / 2, 4)), "R": tuple(np.round(box.R, 4).ravel().tolist())}
 
 
 SAMPLE, FLIGHT = 20_000, 12

@@ -124,13 +124,8 @@ def test_a_small_part_is_no_violet() -> None:
 
 def test_what_is_beside_the_point_is_dimmed() -> None:
     rgb = np.full((4, 6, 3), (200, 80, 40), np.uint8)
-    lit = np.zeros((4, 6), bool)
-    lit[1:3, 2:4] = True
-    image = dimmed(rgb, lit)
-    assert (image[lit] == rgb[lit]).all()
-    light = dimmed(rgb, lit, dark=False)
-    assert (light[lit] == rgb[lit]).all()
-    assert (light[0, 0] > image[0, 0]).all()
+    image = dimmed(rgb)
+    assert (dimmed(rgb, dark=False) > image).all()
     before, after = rgb[0, 0].astype(float), image[0, 0].astype(float)
     luma = np.array([0.2126, 0.7152, 0.0722])
     assert after @ luma == pytest.approx(LIGHTNESS * (before @ luma), abs=1)

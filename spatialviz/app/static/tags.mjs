@@ -110,10 +110,13 @@ function look(tag, view, W, H) {
   const node = tag.nodes[tag.node];
   if (!node?.matrixWorld) return false;
   node.updateWorldMatrix(true, false);
-  const m = times(view, node.matrixWorld.elements), [cx, cy, cz] = tag.center, [ex, ey, ez] = tag.extent;
-  const middle = project(m, cx, cy, cz, W, H);
+  const m = times(view, node.matrixWorld.elements), {extent, R} = tag;
+  const middle = project(m, 0, 0, 0, W, H);
   if (!middle) return false;
-  tag.corners = CORNERS.map(([i, j, k]) => project(m, cx + i * ex, cy + j * ey, cz + k * ez, W, H) ?? middle);
+  tag.corners = CORNERS.map(signs => {
+    const along = signs.map((sign, k) => sign * extent[k]), [x, y, z] = [0, 3, 6].map(row => along.reduce((sum, v, k) => sum + R[row + k] * v, 0));
+    return project(m, x, y, z, W, H) ?? middle;
+  });
   const xs = tag.corners.map(p => p[0]), ys = tag.corners.map(p => p[1]);
   tag.box = [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
   tag.far = middle[2];
@@ -150,15 +153,17 @@ function layers() {
   }).observe(host);
 }
 
-/* `list`: {node, text, detail, color, strong, center, extent, mark, right, dashed}, center and half sizes in the node's
-   coordinates. */
+/* `list`: {node, text, detail, color, strong, extent, R, mark, right, dashed}, half sizes and rotation of a box around
+   the node. */
 calls.tags = list => {
   layers();
-  const known = new Map(tags.map(tag => [tag.node, tag]));
+  const known = new Map(tags.map(tag => [tag.node, tag])), texts = some => some.filter(tag => tag.strong).map(tag => tag.text).join('|');
+  // Of another answer they choose their places anew.
+  const another = texts(tags) !== texts(list);
   tags = list.map(one => {
     const old = known.get(one.node);
     const same = old && ['text', 'detail', 'color', 'strong', 'mark', 'right', 'dashed'].every(name => old[name] === one[name]);
-    const tag = {place: -1, shown: false, center: [0, 0, 0], extent: [0, 0, 0], ...old, ...one};
+    const tag = {shown: false, ...old, place: another ? -1 : old?.place ?? -1, ...one};
     if (!same) [tag.div, tag.line, tag.w] = [...element(one), 0];
     return tag;
   });
