@@ -227,13 +227,18 @@ def chosen(is_so: bool, cls: str = "") -> dict[str, object]:
 def segments(
     kind: str, options: Mapping[str, str], chosen: str, name: str = "", hints: Mapping[str, str] | None = None
 ) -> Element:
-    """Choice of an option: a press sends "kind:key"; `name` is the accessible name, `hints` default to the glossary."""
+    """Choice of an option: a press sends "kind:key"; `name` is the accessible name, `hints` default to the glossary.
+
+    Tab stops at one of them; arrows go on from there.
+    """
+    stop = chosen if chosen in options else next(iter(options), "")
     return h.div(
         (
             h.button(
                 label,
                 role="radio",
                 aria_checked=str(key == chosen).lower(),
+                tabindex=0 if key == stop else -1,
                 do=f"{kind}:{key}",
                 title=hint_of(label) if hints is None else hints[key],
             )

@@ -49,7 +49,9 @@ def stages_html(state: State, open_stage: str = "") -> Element:
     """Row of stages, and below it the evidence of one; `open_stage` is as `State.stage`."""
     open_stage, stages = open_stage or opened(state), _stages(state)
     shown = next((stage for stage in stages if stage.name == open_stage), None)
-    steps = h.div((_step(stage, stage is shown) for stage in stages), cls="steps", role="group", aria_label="stages")
+    stop = shown or stages[0]
+    buttons = (_step(stage, stage is shown, stage is stop) for stage in stages)
+    steps = h.div(buttons, cls="steps", role="toolbar", aria_label="stages")
     return h.div(steps, None if shown is None else _evidence(state, shown), cls="stages")
 
 
@@ -62,13 +64,14 @@ def _names(stage: Stage) -> tuple[Element, str]:
     return h.i(SIGNS[stage.mark], cls=stage.mark), STEPS[stage.name]
 
 
-def _step(stage: Stage, shown: bool) -> Element:
+def _step(stage: Stage, shown: bool, stop: bool) -> Element:
     key, code = stage.name.lower(), hint_of(stage.name) or stage.name
     return h.button(
         *_names(stage),
         cls=f"step {stage.mark}",
         do=f"stage:{stage.name}",
         id=f"head-{key}",
+        tabindex=0 if stop else -1,
         aria_expanded=str(shown).lower(),
         aria_controls=f"evidence-{key}",
         title=" · ".join(filter(None, (f"{code} {stage.words}", stage.cost))),

@@ -188,17 +188,19 @@ const pressed = e => {
 };
 window.addEventListener('keydown', pressed);
 
-// One of several is chosen by the arrows, too.
+// Tab stops once at a group; its other members are reached, and chosen, by the arrows.
 document.addEventListener('keydown', e => {
   const step = {ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1}[e.key];
-  const group = e.target.matches('button:is([role=radio], [role=tab])') && e.target.closest('[role=radiogroup], [role=tablist]');
+  const group = e.target.matches('button') && e.target.closest('[role=radiogroup], [role=tablist], [role=toolbar]');
   if (!step || !group) return;
-  const all = [...group.querySelectorAll('[role=radio], [role=tab]')].filter(one => one.checkVisibility() && !one.disabled);
+  const all = [...group.querySelectorAll('button')].filter(one => one.checkVisibility() && !one.disabled);
   const next = all[(all.indexOf(e.target) + step + all.length) % all.length];
   e.preventDefault();
+  for (const one of all) one.tabIndex = one === next ? 0 : -1;
   next.focus();
   next.click();
 });
+locals.skip = () => (document.body.dataset.mode === 'evaluate' ? byId('rows') : document.querySelector('#scene-tools [tabindex="0"]'))?.focus();
 // A menu is open until something of it is taken, or something else is done.
 const shut = menu => { menu.open = false; menu.querySelector('summary').focus(); };
 for (const kind of ['click', 'focusin']) {
