@@ -102,32 +102,41 @@ def _head(state: State, told: Story, recorded: Recorded | None) -> Element:
 
 
 def _cards(state: State) -> Element | None:
-    """The answer beside what is right, each thing with its crop."""
-    pair = state.chosen or next(iter(state.ranked), None)
-    found = cards_of(state.trace, state.judged, pair, lambda i: state.name_of(i).replace("·", " "))
+    """The answer beside what is right, each thing with its crop; below, another pair that is looked at."""
+    best, pair = next(iter(state.ranked), None), state.chosen
+
+    def name(i: int) -> str:
+        return state.name_of(i).replace("·", " ")
+
+    found = cards_of(state.trace, state.judged, best, name)
     if not found or state.loaded is None:
         return None
-    rank = next((n for n, p in enumerate(state.ranked, 1) if p is pair), 1)
-    titles = [
-        f"Pair {rank} of {len(state.ranked)}" if card.kind == "answer" and rank > 1 else card.title for card in found
-    ]
-    return h.div((_card(state, card, title) for card, title in zip(found, titles, strict=True)), cls="duel")
+    looked = None
+    if pair is not None and pair is not best:
+        rank = next(n for n, p in enumerate(state.ranked, 1) if p is pair)
+        ends = " · ".join(name(i) for i in (pair.target, pair.reference) if i is not None)
+        looked = h.p(f"Looked at: pair {rank} of {len(state.ranked)}, {ends}", cls="sub", id="looked-at")
+    return h.div(h.div((_card(state, card) for card in found), cls="duel"), looked)
 
 
-def _card(state: State, card: Card, title: str) -> Element:
-    return h.div(h.h3(title), (_thing(state, card, thing) for thing in card.objects), cls=f"pair-card of-{card.kind}")
+def _card(state: State, card: Card) -> Element:
+    """Card of a pair; one that is among the ranked pairs is looked at by a click."""
+    ends = [thing.index for thing in card.objects]
+    rank = next((k for k, p in enumerate(state.ranked) if [p.target, p.reference][: len(ends)] == ends), None)
+    inner = (h.span(card.title, cls="title"), (_thing(state, thing) for thing in card.objects))
+    look = {"cls": f"pair-card of-{card.kind}", "id": f"card-{card.kind}"}
+    if rank is None:
+        return h.div(inner, **look)
+    places = ",".join(str(state.shown.place[i]) for i in ends if i is not None)
+    return h.button(inner, do=f"pair:{rank}", hover=f"hover:{places}", title="look at this pair", **look)
 
 
-def _thing(state: State, card: Card, thing: CardObject) -> Element:
-    """Thing of a card; one that was detected is selected by a click."""
-    place = None if thing.index is None else state.shown.place.get(thing.index)
+def _thing(state: State, thing: CardObject) -> Element:
+    """Thing of a card, with its crop."""
     url = "" if state.loaded is None else thumb_url(state.loaded, thing.bbox)
     picture = h.img(src=url, alt="", cls="thumb") if url else h.span(cls="thumb")
-    inner = (picture, h.span(h.b(thing.name), h.small(thing.note) if thing.note else None))
-    look = {"cls": f"thing {thing.role}", "title": f"{thing.role}: {thing.name}"}
-    if place is None:
-        return h.div(inner, **look)
-    return h.button(inner, do=f"object:{place}", hover=f"hover:{place}", id=f"card-{card.kind}-{thing.role}", **look)
+    words = h.span(h.b(thing.name), h.small(thing.note) if thing.note else None)
+    return h.span(picture, words, cls=f"thing {thing.role}")
 
 
 def doubts_html(state: State) -> Element | None:

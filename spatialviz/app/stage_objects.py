@@ -73,6 +73,8 @@ def _candidates(state: State, judged: Diagnosis | None, name: str, found: Candid
                 id=f"candidate-{name}-{i}",
                 do=f"object:{place}",
                 hover=f"hover:{place}",
+                # Keys reach the objects in the drawer.
+                tabindex=-1,
                 cls="r",
             )
         )
@@ -80,7 +82,7 @@ def _candidates(state: State, judged: Diagnosis | None, name: str, found: Candid
         rows.append(h.tr(h.td(_missed(judged.missed, name), colspan=5), cls="missed"))
     if not rows:
         rows = [h.tr(h.td("nothing of this name was found", cls="dim", colspan=5))]
-    return h.table(h.caption(f"“{name}”, by ", term("score")), h.tbody(rows), cls="candidates")
+    return h.table(h.caption(f"“{name}”, by score"), h.tbody(rows), cls="candidates")
 
 
 def _mark(judged: Diagnosis, i: int) -> tuple[str, str]:
