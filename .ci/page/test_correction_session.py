@@ -126,7 +126,7 @@ def test_the_journal_tells_what_was_done(labelled: Tab, corrected: Server) -> No
     show_pair(tab)
     assert state(tab, "left") == flipped
     assert tab.page.locator("#label-left").get_by_text("by hand").count() == 1
-    assert tab.page.locator("#review-pair summary", has_text=f"bottle·{MUG}").count()
+    assert tab.page.locator("#review-pair summary", has_text=f"bottle {MUG}").count()
 
     number = {"T": 1, "U": 0, "F": -1}
     pair, mirror = f"{MUG},{LAPTOP}", f"{LAPTOP},{MUG}"

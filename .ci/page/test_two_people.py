@@ -93,7 +93,7 @@ class Person:
         while (now := self.tab.poll(ITEM)) != was:
             was = now
             self.tab.page.wait_for_timeout(300)
-        frame, item = self.tab.frame, sorted(map(int, re.findall(r"·(\d+)", self.tab.poll(CLAIM))))
+        frame, item = self.tab.frame, sorted(map(int, re.findall(r" (\d+)\b", self.tab.poll(CLAIM))))
         self.tab.press("y")
         yield
         self.tab.poll(f"was => {ITEM} !== was", was)
@@ -118,7 +118,7 @@ class Person:
         name = page.evaluate(EDITED)
         entry.press("Enter")
         yield
-        done = ("box", f"{self.tab.frame} {name.partition('·')[2]}", width)
+        done = ("box", f"{self.tab.frame} {name.rpartition(' ')[2]}", width)
 
         def wanted(e: Event) -> bool:
             return e.ref.field == "box" and bool(e.after) and abs(e.after["size"][0] - width) < 1e-6

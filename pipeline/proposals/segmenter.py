@@ -80,7 +80,7 @@ def takes_points(segmenter: Segmenter | None) -> bool:
 def mask_at(segmenter: Segmenter, frame: Frame, points: np.ndarray) -> np.ndarray:
     """(H, W) bool: the things at points (N, 2), x, y in pixels."""
     masks, has_mask = segmenter.segment(frame, np.tile(points, 2).astype(np.float32), [""] * len(points))
-    return (masks & has_mask[:, None, None]).any(axis=0)
+    return np.asarray((masks & has_mask[:, None, None]).any(axis=0))
 
 
 class Segmented:

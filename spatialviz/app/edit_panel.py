@@ -353,7 +353,7 @@ def rejected_html(left_out: Mapping[int, Mapping[str, Any]]) -> Element | None:
         return None
     rows = (
         h.div(
-            h.span(f"{row['label']}·{number}"),
+            h.span(f"{row['label']} {number}"),
             button("bring back", f"object-back:{number}", "unreviewed again"),
             cls="gone",
         )

@@ -252,7 +252,7 @@ class SidePanel(LabelPart):
             return
         try:
             up = viewer_axes(np.array(view.frame.row["up"]))
-            self._told(key, side_views(loaded.context.frame, up, box, entry.mask), f"{entry.label}·{number}")
+            self._told(key, side_views(loaded.context.frame, up, box, entry.mask), f"{entry.label} {number}")
         except InputError as error:
             self.ctx.note(f"no side views: {error}")
             self._told("", None)

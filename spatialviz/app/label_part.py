@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -113,7 +114,7 @@ class LabelPart(Part):
             said = f"{said} · {followed}"
         self.ctx.editors.said = said, bad
         if said:
-            title, _, text = said.partition(": ")
+            title, _, text = re.sub(r"\b·\b", " ", said).partition(": ")
             self.ctx.toast(title[0].upper() + title[1:], text, bad and not self.editor.waiting, undo)
 
 
@@ -123,7 +124,7 @@ def _looking_at(state: State, view: LabelView, pair: Sequence[int], selected: in
     return replace(
         state,
         labels=view,
-        found=ShownObjects(objects, tuple(f"{o.label}·{o.id}" for o in objects), {}),
+        found=ShownObjects(objects, tuple(f"{o.label} {o.id}" for o in objects), {}),
         pair=view.places(*pair) if len(pair) > 1 else None,
         selected=None if selected is None else view.place(selected),
     )

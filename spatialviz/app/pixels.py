@@ -300,7 +300,7 @@ class Pixels(LabelPart):
             "tool": self._tool,
             "w": draft.width,
             "h": draft.height,
-            "title": "new object" if row is None else f"{row['label']}·{draft.number}",
+            "title": "new object" if row is None else f"{row['label']} {draft.number}",
             "fresh": fresh,
             "label": self._label,
             "cuttable": not fresh,

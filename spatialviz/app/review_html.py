@@ -62,7 +62,7 @@ def pair_html(state: State) -> Element | None:
     if view is None or view.card is None:
         return None
     card, item = view.card, view.item
-    pair = f"{card.names[0]}·{card.a} … {card.names[1]}·{card.b}"
+    pair = f"{card.names[0]} {card.a} … {card.names[1]} {card.b}"
     head = h.summary("All relations of ", h.b(pair))
     if card.why_none:
         return panel(head, note(f"Takes part in no relation: {card.why_none}"))
@@ -105,7 +105,7 @@ def _line(card: PairCard, line: RelationLine, focused: bool) -> Element:
 
 def doubt_html(card: PairCard, line: RelationLine, state: int) -> Element:
     """Geometric objection to a judgement, as a question before saving."""
-    a, b = f"{card.names[0]}·{card.a}", f"{card.names[1]}·{card.b}"
+    a, b = f"{card.names[0]} {card.a}", f"{card.names[1]} {card.b}"
     says, said = letter(F if state == T else T), letter(state)
     return h.div(
         h.div(h.b(a), f" {PHRASE[line.relation]} ", h.b(b), f": {said}?", cls="what"),
@@ -197,7 +197,7 @@ def said(row: Mapping[str, Any], names: Names) -> str:
     frame, kind = row["frame"], row["kind"]
 
     def named(number: int) -> str:
-        return f"{names.get((frame, number), 'object')}·{number}"
+        return f"{names.get((frame, number), 'object')} {number}"
 
     match kind:
         case "relation":
@@ -207,13 +207,13 @@ def said(row: Mapping[str, Any], names: Names) -> str:
     return f"“{row['label']}”"
 
 
-RULE = re.compile(r"^[a-z]+/[a-z-]+: ")
+RULE = re.compile(r"^([a-z]+/[a-z-]+: )?('.*?': )?")
 Row = Mapping[str, Any]
 DECISIONS: dict[Answer, tuple[str, str]] = {"right": ("Right", "Y"), "wrong": ("Wrong", "N"), "unsure": ("Unsure", "U")}
 
 
 def plain_reason(reason: str) -> str:
-    """Reason without the name of its rule."""
+    """Reason without the name of its rule, and without the sentence that it is about."""
     return RULE.sub("", reason)
 
 
@@ -253,8 +253,10 @@ def answer(name: str, key: str, do: str, hint: str) -> Element:
 
 def item_card(question: Question, reasons: Sequence[str]) -> Element:
     """What is asked, why, and where people differ what each of them said."""
-    why = h.ul((h.li(plain_reason(reason)) for reason in reasons), cls="because", aria_label="why it is asked")
     words = h.div((_word(word) for word in question.words), cls="words", role="group", aria_label="who said what")
+    # What the cards of people who differ say is no reason beside them.
+    reasons = [r for r in reasons if not (question.words and r.startswith("reviewers disagree"))]
+    why = h.ul((h.li(plain_reason(reason)) for reason in reasons), cls="because", aria_label="why it is asked")
     return h.div(
         h.div(question.claim, cls="claim"),
         h.div(question.ask, cls="dim"),

@@ -226,9 +226,9 @@ def sentence_html(state: State, view: LabelView) -> Element | None:
         return None if (chips := up_chip(state)) is None else panel(chips)
     colors = palette(state.dark)
     means = h.span(
-        (dot(colors["target"]), f"{card.target}·{card.target_object} "),
+        (dot(colors["target"]), f"{card.target} {card.target_object} "),
         h.span(PHRASE.get(card.relation, card.relation), cls="dim"),
-        (" ", dot(colors["reference"]), f"{card.reference}·{card.reference_object}"),
+        (" ", dot(colors["reference"]), f"{card.reference} {card.reference_object}"),
     )
     text = h.input(
         cls="sent",
@@ -245,7 +245,7 @@ def sentence_html(state: State, view: LabelView) -> Element | None:
         h.div(
             (h.span("true of", cls="label"), _answers(state, view, card)),
             (h.span("selected", cls="label"), _selected(state, view, card)),
-            _verdicts(card, view.author),
+            _verdicts(card, view.author, view.item is not None and view.item.what == card.id),
             cls="sets",
         ),
         up_chip(state),
@@ -271,7 +271,7 @@ def _chip(state: State, view: LabelView, card: ExpressionCard, number: int) -> E
         "gone": view.place(number) is None,
         "at": state.selected is not None and view.numbers[state.selected] == number,
     }
-    name = f"{card.names.get(number) or 'gone'}·{number}"
+    name = f"{card.names.get(number) or 'gone'} {number}"
     said = "true of it" if sure else "may be true of it"
     drop = h.button(
         "×", cls="drop", do=f"true-of:no:{number}", title="not true of it", aria_label=f"{name}: not true of it"
@@ -300,13 +300,16 @@ def _toggle(on: bool, color: str, do: str, words: str, title: str) -> Element:
     return h.button(words, aria_pressed=str(on).lower(), css={"--c": color}, do=do, title=title)
 
 
-def _verdicts(card: ExpressionCard, author: str) -> Element:
-    status, own = "expression-status:", card.statuses.get(author, card.status)
+def _verdicts(card: ExpressionCard, author: str, asked: bool) -> Element:
+    """Marks of an expression; where it is not `asked` below, its answers, too."""
+    own = card.statuses.get(author, card.status)
     others = "".join(f" · {name}: {said}" for name, said in card.statuses.items() if name != author)
-    accept, reject = (_hint(card, "status", key) + others for key in ("Alt+Y", "Alt+N"))
+    answers = (("accepted", GOOD, "right", "Alt+Y"), ("rejected", BAD, "wrong", "Alt+N"))
     return h.div(
-        _toggle(own == "accepted", GOOD, f"{status}accepted", "right", accept),
-        _toggle(own == "rejected", BAD, f"{status}rejected", "wrong", reject),
+        (
+            _toggle(own == status, color, f"expression-status:{status}", word, _hint(card, "status", key) + others)
+            for status, color, word, key in (() if asked else answers)
+        ),
         _toggle(card.ambiguous, DOUBT, "ambiguous", "ambiguous", _hint(card, "ambiguous", "Alt+B")),
         (
             _toggle(card.mark == mark, BAD, f"mark:{mark}", words, _hint(card, "mark", "Alt+M steps"))

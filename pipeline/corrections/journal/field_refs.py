@@ -70,7 +70,7 @@ class FieldRef:
 
 
 @lru_cache(maxsize=1 << 14)
-def _check_ref(kind: str, frame: str, key: str, field: str) -> None:
+def _check_ref(kind: Kind, frame: str, key: str, field: str) -> None:
     require(kind in KINDS, "no such kind of entity", got=repr(kind), expected=" | ".join(KINDS))
     if field not in FIELDS[kind]:
         expected = ", ".join(FIELDS[kind])

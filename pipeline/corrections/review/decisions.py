@@ -97,14 +97,14 @@ def question_of(
         return None
     if row["label"] == UNNAMED:
         return Question(item, "What is this?", "Name it: Shift+O, or the digit of its class.", choices, words)
-    claim = f"{row['label']}·{item.a}"
+    claim = f"{row['label']} {item.a}"
     return Question(item, claim, "Are its name, its pixels and its box right?", choices, words)
 
 
 def _of_relation(frame: EffectiveFrame, item: ItemKey, words: tuple[Word, ...]) -> Question:
     assert item.b is not None
     now = frame.pairs.state(item.a, item.b, item.what)
-    one, other = (f"{(frame.object(n) or {}).get('label', 'object')}·{n}" for n in (item.a, item.b))
+    one, other = (f"{(frame.object(n) or {}).get('label', 'object')} {n}" for n in (item.a, item.b))
     says = PHRASE[item.what]
     claim = f"{one} is {says} {other}" if now == T else f"{one} is not {says} {other}"
     first, second = (F, T) if now == F else (T, F)
