@@ -230,11 +230,10 @@ def depth_bar(state: State) -> Element | None:
 def legend_html(state: State) -> list[Child]:
     """Legend of the scene: roles that are drawn, and the paint."""
     drawn = {ghost.role for ghost in state.ghosts} if state.flags.ghosts else set()
-    right = "truth" in drawn or state.right_roles
     roles: tuple[tuple[Role, str, object], ...] = (
         ("target", "target", "target" in state.roles.values()),
         ("reference", "reference", "reference" in state.roles.values()),
-        ("truth", "right by the labels" if "truth" in drawn else "✓ right by the labels", right),
+        ("truth", "right by the labels", "truth" in drawn),
         ("edited", "" if state.other is None else state.other.name, "edited" in drawn),
     )
     return [
@@ -243,6 +242,7 @@ def legend_html(state: State) -> list[Child]:
             for role, text, shown in roles
             if shown
         ),
+        h.span("✓ right by the labels") if state.right_roles and "truth" not in drawn else None,
         *(h.span(dot(color), term(words(reason))) for reason, color in DROPPED.items() if state.colors == "evidence"),
         depth_bar(state),
     ]

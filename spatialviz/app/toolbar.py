@@ -31,7 +31,7 @@ FLAGS = {
     "axes": "axes",
     "region": "region",
     "context": "room",
-    "camera": "camera",
+    "camera": "cameras",
     "grid": "metre grid",
     "dim": "dim the rest",
 }
