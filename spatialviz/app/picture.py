@@ -142,7 +142,7 @@ def overlay_marks(state: State) -> list[Element]:
     for i in order:
         x0, y0 = _name_place(state, i)
         color = hex_color(colors[roles.get(i, "other")])
-        marks += name_tag(state.shown.names[i], x0, y0 - 14 * unit, shape, unit, color)
+        marks += name_tag(state.shown.names[i].replace("·", " "), x0, y0 - 14 * unit, shape, unit, color)
     ends = [(u + 0.5, v + 0.5) for u, v in state.marks]
     marks += [h.circle(cx=u, cy=v, r=2.2 * unit, cls="measured", stroke_width=0.8 * unit) for u, v in ends]
     if state.measured is not None:

@@ -89,6 +89,7 @@ function stand() {
     layer.setAttribute('class', 'hovered');
     layer.setAttribute('aria-hidden', 'true');
     name = el('div', 'tag weak hovering');
+    name.setAttribute('aria-hidden', 'true');
     sceneHost().append(layer, name);
   }
   const view = marked.length && sceneMatrix(), {clientWidth: W, clientHeight: H} = sceneHost(), drawn = [];
