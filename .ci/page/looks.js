@@ -31,7 +31,7 @@ const cut = () => {
     }
   }
   for (const scroller of document.querySelectorAll('#bar, #side, #stage, #scene-tools, #drawer-tabs, #drawer-body > *, #picture')) {
-    if (scroller.checkVisibility() && scroller.scrollWidth > scroller.clientWidth + 1) found.push(`scrolls sideways: ${name(scroller).slice(0, 60)}`);
+    if (scroller.checkVisibility() && !scroller.querySelector('.menu[open]') && scroller.scrollWidth > scroller.clientWidth + 1) found.push(`scrolls sideways: ${name(scroller).slice(0, 60)}`);
   }
   if (document.documentElement.scrollWidth > innerWidth) found.push('the page scrolls sideways');
   return [...new Set(found)];
@@ -49,6 +49,8 @@ const overlap = () => {
     }
     return box;
   };
+  // What lies over the rest on a ground of its own: the drawer, a hint, the bar of a decision.
+  const over = e => e.closest('#drawer, #hint, .decide');
   const groups = [
     [...document.querySelectorAll('button, input, select, textarea, summary, [data-do]')].filter(e => !e.closest('#toasts, #tags, #ask-problem')),
   ];
@@ -58,7 +60,7 @@ const overlap = () => {
       .filter(([, b]) => b[2] - b[0] > 1 && b[3] - b[1] > 1);
     shown.forEach(([e, a], i) => {
       for (const [f, b] of shown.slice(i + 1)) {
-        if (!e.contains(f) && !f.contains(e) && !(e.closest('#side .sticky') || f.closest('#side .sticky')) && common(a, b) > 6) {
+        if (!e.contains(f) && !f.contains(e) && over(e) === over(f) && common(a, b) > 6) {
           found.push(`${name(e)} on ${name(f)}`);
         }
       }
@@ -68,6 +70,7 @@ const overlap = () => {
 };
 // A name in the scene covers neither what it names (unless that fills the scene) nor another name, legend or button.
 const tagged = async () => {
+  if (!document.getElementById('scene').checkVisibility()) return [];
   const tags = (await import('/app/tags.mjs')).shownTags(), {left, top, width, height} = document.getElementById('tags').getBoundingClientRect();
   const others = [...document.querySelectorAll('#scene-tools>*, #scene-low, #scene-buttons>*, #moves .moves')].map(e => [e, e.getBoundingClientRect()])
     .filter(([, b]) => b.width).map(([e, b]) => [e.id || e.className || e.tagName, [b.left - left, b.top - top, b.right - left, b.bottom - top]]);
