@@ -159,7 +159,7 @@ class Tab:
 
     def other_frame(self, than: str) -> str:
         """The frame that the page is at as soon as that is another one."""
-        now = "document.querySelector('#timeline .frame-id').value"
+        now = "document.querySelector('#timeline .frame-id')?.value"
         return self.poll(f"was => {now} !== was && {now}", than)
 
     def press(self, key: str) -> None:

@@ -117,7 +117,7 @@ def test_refusals_are_plain_words(demo: Server, open_tab: OpenTab) -> None:
     field.fill("kitchen")
     field.press("Enter")
     tab.see(".toast.bad", "no frame 'kitchen'")
-    tab.poll("before => document.querySelector('#timeline .frame-id').value === before", before)
+    tab.poll("before => document.querySelector('#timeline .frame-id')?.value === before", before)
     tab.ask("sv1:noview")
     tab.see(".toast.bad", "state string is damaged")
     tab.ask("laptop right of the mug")

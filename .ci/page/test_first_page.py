@@ -101,7 +101,7 @@ def test_what_if_says_whether_the_answer_has_changed(demo: Server, open_tab: Ope
     tab.press("0")
     tab.poll("!document.querySelector('#answer .before')")
     tab.send("edit:hide")
-    tab.see("#answer .before", "Now there is no answer.")
+    tab.see("#answer .before", "Now there is no answer")
     tab.press("0")
     tab.ask("which potted plant is on the left side of a shelf?")
     tab.see("#verdict", "Wrong potted plant")

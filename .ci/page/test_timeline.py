@@ -68,7 +68,7 @@ def test_failures_are_stepped_through_from_where_one_is(demo: Server, open_tab: 
     tab.see(BAR).focus()
     tab.page.keyboard.press("End")
     tab.poll(f"{HERE} === 12")
-    tab.poll("document.querySelector('#timeline .frame-id').value === '000004/000002'")
+    tab.poll("document.querySelector('#timeline .frame-id')?.value === '000004/000002'")
     tab.press(".")
     tab.poll("/^Failure (4[89]|50)/.test(document.querySelector('#frame-steps b').textContent)")
     assert tab.frame == "000004/000002"
@@ -136,7 +136,7 @@ def test_a_camera_of_the_plan_opens_its_frame(demo: Server, open_tab: OpenTab) -
     other = tab.see("#frame-grid .plan .camera:not(.here)")
     name = other.locator("title").text_content()
     other.locator("circle").click(force=True)
-    tab.poll("name => document.querySelector('#timeline .frame-id').value === name", name)
+    tab.poll("name => document.querySelector('#timeline .frame-id')?.value === name", name)
 
 
 def test_a_choice_of_frames(demo: Server, open_tab: OpenTab) -> None:
@@ -167,7 +167,7 @@ def test_many_frames(long: Server, open_tab: OpenTab) -> None:
     tab.see(BAR).focus()
     tab.page.keyboard.press("End")
     tab.page.keyboard.press("Enter")
-    tab.poll("document.querySelector('#timeline .frame-id').value.endsWith('4999')")
+    tab.poll("document.querySelector('#timeline .frame-id')?.value.endsWith('4999')")
     tab.press("Shift+W")
     tab.poll("document.querySelectorAll('#frame-grid .shot').length > 5")
     assert tab.page.locator("#frame-grid .shot").count() < 60

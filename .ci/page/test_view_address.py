@@ -69,12 +69,12 @@ def test_what_is_looked_at_comes_back(demo: Server, open_tab: OpenTab) -> None:
             break
         tab.page.go_back()
         tab.still(
-            "location.search + document.querySelector('#timeline .frame-id').value"
+            "location.search + document.querySelector('#timeline .frame-id')?.value"
             " + document.getElementById('ask-text').value"
         )
     assert (tab.frame, tab.question) == (first, "laptop right of the mug"), (tab.frame, tab.question)
     tab.page.go_forward()
-    tab.poll("moved => document.querySelector('#timeline .frame-id').value === moved", moved)
+    tab.poll("moved => document.querySelector('#timeline .frame-id')?.value === moved", moved)
 
 
 def test_a_dead_link_says_so(demo: Server, open_tab: OpenTab) -> None:
