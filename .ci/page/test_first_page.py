@@ -106,7 +106,7 @@ def test_what_if_says_whether_the_answer_has_changed(demo: Server, open_tab: Ope
     tab.ask("which potted plant is on the left side of a shelf?")
     tab.see("#verdict", "Wrong potted plant")
     tab.send("edit:hide")
-    tab.see("#answer .before", "Another answer.")
+    tab.see("#answer .before", "Another answer")
     tab.press("0")
 
 

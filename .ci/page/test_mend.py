@@ -19,7 +19,11 @@ def test_try_it_makes_the_answer_right_and_counts_the_run(demo: Server, open_tab
     tab.see("#verdict", said["tried"]["head"])
     tab.see("#answer .before", "✓ Now right")
     assert tab.see("#try-mend").inner_text() == "Take it back"
-    tab.see("#over-run", said["over_run"]["said"])
+    # A busy machine looks at fewer in its time.
+    setting = said["over_run"]["said"].partition(":")[0]
+    counts = tab.see("#over-run", "mended").inner_text()
+    assert counts.startswith(f"Over the run {setting}: "), counts
+    assert "looked at" in counts or counts.endswith(said["over_run"]["said"]), counts
     slider = tab.page.locator("#slide-mend input")
     slider.fill("0.05")
     tab.see("#answer .before", "Answer unchanged")

@@ -30,11 +30,12 @@ from pipeline.labels.plan import LabelConfig
 from pipeline.labels.profiles import open_second_opinion
 from pipeline.labels.reading import Labels
 from pipeline.language.naming import match, spelt
+from pipeline.language.relation_names import PHRASE
 from pipeline.language.tree import Query
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.relations.model import OnnxScorer, is_named
 from pipeline.relations.relations import T, U
-from pipeline.system.errors import InputError, ServerError, require
+from pipeline.system.errors import InputError, ServerError, Unsupported, require
 
 
 def frame_truth(pipeline: Pipeline, context: PreparedFrame, labels: Labels | None = None) -> FrameCases | None:
@@ -151,6 +152,19 @@ def answer(
     if edits:
         trace, rank = edited_trace(pipeline, context, text, edits)
     return judged(trace, pipeline, context, truth, rank, case=case, mark=mark, confidence=confidence)
+
+
+def why_refused(pipeline: Pipeline, text: str, error: InputError) -> str:
+    """Reason of a refused question in one short sentence: how it was read, or what is understood."""
+    if isinstance(error, Unsupported | ServerError):
+        return error.what
+    try:
+        e = pipeline.read(text).expression
+    except InputError as unread:
+        near = str(unread).partition("(did you mean ")[2].partition("?)")[0]
+        return f"{unread.what}; did you mean {near}?" if near else f"{unread.what}; “X RELATION Y” is understood"
+    # What it was read as tells why a word was taken for a name.
+    return error.what if e is None else f"Read as “{e.target} {PHRASE[e.relation]} {e.reference}”: {error.what}"
 
 
 def judge_refused(

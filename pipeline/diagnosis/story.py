@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.answering.answer_words import why_no_answer
+from pipeline.answering.answer_words import best_pair, stands, why_no_answer
 from pipeline.answering.ask import Trace
 from pipeline.answering.pair_table import HOLDS, ScoredPair
 from pipeline.diagnosis.minimal_repair import FactorRepair, threshold
@@ -75,6 +75,8 @@ def unjudged_story(trace: Trace | None, problem: str | None, unjudged: str | Non
         return story("unseen", target=" and no ".join(trace.missing))
     if (reason := why_no_answer(trace)) is not None:
         return story("unanswered", reason=reason)
+    if trace.answered is None and (pair := best_pair(trace)) is not None and stands(trace, pair) is False:
+        return story("nearest")
     return story("unjudged", reason=(unjudged or WORDS["no truth"]).rstrip("."))
 
 
@@ -194,11 +196,12 @@ def _several(d: Diagnosis, winner: ScoredPair, right: ScoredPair, phrase: str | 
         return "several.unseen", {}
     change = mend(d)[1]
     name, ours, theirs = _lead(d, winner, right, of="" if change is None else change.name)
-    values = {"phrase": phrase, "name": name, "times": _times(ours, theirs)}
-    brief = {"SRM": "SRM.short", "CONF": "CONF.short"}
-    short = [brief.get(part, part) for part in d.repair]
-    known = {"SRM": phrase, "CONF": values["times"]}
-    long = [part if known.get(part, "") is not None else brief[part] for part in d.repair]
+    box = _worst_box(d, winner, right)
+    values = {"phrase": phrase, "name": name, "times": _times(ours, theirs), "metres": box["metres"]}
+    values["box"] = f"{box['whose']} {box['name']}"
+    known = {"SRM": phrase, "CONF": values["times"], "LIFT": box["metres"]}
+    short = [f"{part}.short" if part in known else part for part in d.repair]
+    long = [part if known.get(part, "") is not None else f"{part}.short" for part in d.repair]
     long, short = (_joined([words("faults", kind, **values) for kind in kinds], ", and ") for kinds in (long, short))
     return "several", {"Number": NUMBERS[len(d.repair)], "faults": long, "short": short}
 
@@ -207,12 +210,9 @@ def _false(d: Diagnosis, winner: ScoredPair, right: ScoredPair) -> Kind:
     case = d.case
     if d.false_target and d.false_reference:
         mine, beside = really(d, winner.target, case.target_object), _beside(d, winner)
-        ends = distinct_digits(winner.p_reference, right.p_reference)
-        return "false.nothing" if mine == beside == words("really", "nothing") else "false.both", {
-            "beside": beside,
-            **dict(zip(("p_target", "right_target"), distinct_digits(winner.p_target, right.p_target), strict=True)),
-            **dict(zip(("p_reference", "right_reference"), ends, strict=True)),
-        }
+        times = _times(winner.p_target * winner.p_reference, right.p_target * right.p_reference)
+        kind = "false.nothing" if mine == beside == words("really", "nothing") else "false.both"
+        return kind, {"beside": beside, "times": times}
     false = case.target if d.false_target else case.reference
     name, ours, theirs = _lead(d, winner, right, of=false)
     shown = dict(zip(("ours", "theirs"), distinct_digits(ours, theirs), strict=True)) | {"times": _times(ours, theirs)}
@@ -347,7 +347,8 @@ def _found(d: Diagnosis, missed: Missed) -> tuple[str, Change | None]:
     needed, done = d.needed_score, words("done", missed.kind)
     if needed is None:
         others = [part for part in d.repair if part != "RECALL"]
-        faults = _joined([words("faults", {"SRM": "SRM.short", "CONF": "CONF.short"}.get(p, p)) for p in others])
+        short = (f"{part}.short" if part in ("LIFT", "SRM", "CONF") else part for part in others)
+        faults = _joined([words("faults", kind, name="thing") for kind in short])
         kind = "found.more" if others else "found"
         return words("mends", kind, name=d.missed_name, done=done, faults=faults) if d.repair else "", None
     names = _joined(list(dict.fromkeys(name for name, _ in needed.missing)))

@@ -15,6 +15,7 @@ from pipeline.corrections.judging import Judge
 from pipeline.corrections.label_editor import ANYTHING, Target
 from pipeline.datasets.base import dataset_notes, named_frame
 from pipeline.datasets.demo import DEMO_EXPRESSION
+from pipeline.diagnosis.asking import why_refused
 from pipeline.diagnosis.suggestions import SuggestedQuestions, completions, first_answered, suggest_questions
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif.answer_view import NOTHING, shown_objects
@@ -357,8 +358,8 @@ class PageSession(Part):
             trace = source.ask(loaded.context.under(source.config.lift), text)
         except InputError as error:
             shown = shown_objects(loaded, None, self._exact)
-            # Names of the frame stand beside the field; the detector knows many more.
-            said = error.what if isinstance(error, UnknownClass) else str(error)
+            # Names of the frame stand below; the detector knows many more.
+            said = why_refused(self.ctx.answering, text, error)
             name, expression = self.state.source, self.state.expression_id(text)
             judged = self._judge.judge_refused(name, self.ctx.answering, loaded.context, error, expression)
             stopped = "OPM" if isinstance(error, UnknownClass) else "PARSE"

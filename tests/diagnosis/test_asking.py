@@ -12,7 +12,7 @@ import pytest
 from pipeline.answering import Pipeline, open_pipeline
 from pipeline.answering.ranking import RankConfig
 from pipeline.diagnosis import Baseline, Edits, ask_and_judge, asking
-from pipeline.diagnosis.asking import case_of
+from pipeline.diagnosis.asking import case_of, why_refused
 from pipeline.diagnosis.whatif import rerun
 from pipeline.geometry import Frame
 from pipeline.labels import Labels, SourceSpec, label_dataset, open_labels
@@ -144,3 +144,17 @@ def test_an_edit_that_hides_the_right_object_changes_the_verdict(demo: Pipeline)
     bare = changed(demo, annotations=lambda frame: ())
     nothing = asking.truth_or_reason(bare, next(asking.contexts(bare, 0)), None)
     assert asking.judged(after.trace, bare, context, nothing, RankConfig()).verdict is None
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("mug left of left", "Read as “mug left of left”: the dataset does not know the class 'left'"),
+        ("laptop, the one left", "'the' is not a known relation; “X RELATION Y” is understood"),
+        ("mug facing the door", "'facing the' asks for another view than the camera's"),
+    ],
+)
+def test_a_refusal_is_one_short_sentence(demo: Pipeline, text: str, why: str) -> None:
+    with pytest.raises(InputError) as error:
+        demo.ask(demo.prepare(0), text)
+    assert why_refused(demo, text, error.value) == why
