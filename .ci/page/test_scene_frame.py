@@ -82,6 +82,12 @@ def test_names_stand_beside_their_boxes(demo: Server, open_tab: OpenTab) -> None
     """With the glyph of a role and no score; of those without a role at most eight."""
     tab = open_tab(demo.address).drawn()
     tab.poll("document.querySelectorAll('#tags .tag:not(.hovering)').length > 2")
+    picture, host = (tab.see(name).bounding_box() for name in ("#picture", "#scene"))
+    assert picture is not None
+    assert host is not None
+    right, low = picture["x"] - host["x"], picture["y"] + picture["height"] - host["y"]
+    named = tab.still(TAGS)
+    assert not [tag for tag in named if tag["box"][2] > right + 4 and tag["box"][1] < low - 4], "under the picture"
     tab.send("flag:labels")
     tab.poll("document.querySelectorAll('#tags .weak:not(.hovering)').length > 8")
     tags = tab.still(TAGS)

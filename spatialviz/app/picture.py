@@ -230,17 +230,14 @@ def depth_bar(state: State) -> Element | None:
 def legend_html(state: State) -> list[Child]:
     """Legend of the scene: roles that are drawn, and the paint."""
     drawn = {ghost.role for ghost in state.ghosts} if state.flags.ghosts else set()
-    roles: tuple[tuple[Role, str, object], ...] = (
-        ("target", "target", "target" in state.roles.values()),
-        ("reference", "reference", "reference" in state.roles.values()),
-        ("truth", "right by the labels", "truth" in drawn),
-        ("edited", "" if state.other is None else state.other.name, "edited" in drawn),
-    )
+    other = "" if state.other is None else state.other.name
+    rows: list[tuple[Role, str, bool]] = [("target", "target", False), ("reference", "reference", False)]
+    rows += [("truth", "asked about", False), ("truth", "right by the labels", True), ("edited", other, True)]
+    shown = [row for row in rows if row[0] in (drawn if row[2] else state.roles.values())]
     return [
         *(
-            h.span(h.i(cls=f"line {role}", css={"--c": hex_color(ON_DARK[role])}), text)
-            for role, text, shown in roles
-            if shown
+            h.span(h.i(cls=f"line{' dashed' * dashed}", css={"--c": hex_color(ON_DARK[role])}), text)
+            for role, text, dashed in shown
         ),
         h.span("✓ right by the labels") if state.right_roles and "truth" not in drawn else None,
         *(h.span(dot(color), term(words(reason))) for reason, color in DROPPED.items() if state.colors == "evidence"),
