@@ -29,7 +29,7 @@ SEEN_BEHIND = 0.35
 BEHIND = 0.03
 """A line is behind points that are nearer by this share of the distance."""
 HALO: RGB = (8, 10, 12)
-FARTHER, COARSE = 1.04, 2.6
+FARTHER, COARSE = 1.1, 2.6
 """The eye is so much farther away than a viewpoint says, and far enough for neighbours to be no more pixels apart."""
 PIECE, DASH, DASHED = 6.0, 11.0, 0.6
 """Length of what is either in front or behind, and of a dash with its gap, pixels; the share of the dash in it."""
