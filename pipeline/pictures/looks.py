@@ -10,9 +10,12 @@ import cv2
 import numpy as np
 
 from pipeline.answering.ask import Trace
+from pipeline.answering.coordinate_conventions import pixel_scale
+from pipeline.answering.imported import file_of, line_of
 from pipeline.answering.objects import SceneObject
 from pipeline.diagnosis.answer import Answer
-from pipeline.geometry.boxes import edge_lines
+from pipeline.diagnosis.imported_answers import answered_box
+from pipeline.geometry.boxes import Box3D, Side, edge_lines
 from pipeline.geometry.cloud import cloud_of, viewpoint
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.palette import ON_DARK, RGB, Role
@@ -24,16 +27,35 @@ from pipeline.pictures.text import draw_text, font, plain, shortened, width_of
 GROUND: RGB = (9, 11, 14)
 INK: RGB = (18, 20, 24)
 
+SPOT = 0.012
+"""Half the side of the box around a point, as a share of the frame's width."""
+
 
 @dataclass(frozen=True)
 class Named:
     """Object of an answer, or of its truth."""
 
-    entry: SceneObject
+    bbox: np.ndarray  # (4,) float64: x0, y0, x1, y1, pixels of the frame
     role: Role  # "target" or "reference"
     name: str
     right: bool  # By the labels
     given: bool  # Of the answer
+    entry: SceneObject | None = None  # None for what an imported answer points at
+
+    @staticmethod
+    def of(entry: SceneObject, role: Role, name: str, right: bool, given: bool) -> Named:
+        """Detected or labelled object."""
+        return Named(np.asarray(entry.bbox, np.float64), role, name, right, given, entry)
+
+    @property
+    def box(self) -> Box3D | None:
+        """3D box, camera frame; None without one."""
+        return None if self.entry is None else self.entry.box
+
+    @property
+    def open_sides(self) -> Sequence[Side]:
+        """Sides of its box on which it may go on; of what is labelled none is told."""
+        return () if self.entry is None or not self.given else self.entry.lifted.open_sides or ()
 
     @property
     def color(self) -> RGB:
@@ -65,12 +87,12 @@ class Look:
         """Objects of the answer, the target first."""
         trace = self.trace
         if trace is None:
-            return ()
+            return self._pointed_at()
         roles = sorted(roles_of(self.answer.pairs[0]).items(), key=lambda item: item[1] != "target")
         true = {(role, k) for k, (role, _) in self.known.truth.items()}
         right = self.answer.diagnosis is not None and self.answer.diagnosis.correct
         return tuple(
-            Named(
+            Named.of(
                 trace.objects[k],
                 role,
                 self.name(k),
@@ -79,6 +101,19 @@ class Look:
             )
             for k, role in roles
         )
+
+    def _pointed_at(self) -> tuple[Named, ...]:
+        """Answer of an imported line that is among no detections: a box, or around a point."""
+        d, frame = self.answer.diagnosis, self.frame
+        source = None if d is None else d.evidence.answers.source
+        if d is None or source is None or source.line is None or frame is None:
+            return ()
+        line, predictions = line_of(source), file_of(source)
+        box, spot = answered_box(line, predictions, frame), None if line.answer is None else line.answer.point
+        if box is None and spot is not None:
+            at = np.array(spot) * pixel_scale(predictions.header, frame.width, frame.height)
+            box = np.concatenate([at, at]) + SPOT * frame.width * np.array([-1, -1, 1, 1])
+        return () if box is None else (Named(box, "target", "answer", d.correct, True),)
 
     @cached_property
     def missed(self) -> tuple[Named, ...]:
@@ -89,7 +124,7 @@ class Look:
             else {(role, self.known.labelled.get(k)) for k, role in roles_of(self.answer.pairs[0]).items()}
         )
         return tuple(
-            Named(entry, role, self._label(k, entry), True, False)
+            Named.of(entry, role, self._label(k, entry), True, False)
             for k, (role, entry) in self.known.truth.items()
             if (role, k) not in answered
         )
@@ -136,7 +171,7 @@ def frame_shown(look: Look, size: tuple[int, int]) -> tuple[np.ndarray, Placed]:
     wide: Stroke = "thick" if size[0] > 400 else "thin"
     placed = []
     for named in look.all:
-        box = np.asarray(named.entry.bbox, np.float64) * scale + [x, y, x, y]
+        box = named.bbox * scale + [x, y, x, y]
         draw_outline(image, box, named.color, wide if named.given else "dashed")
         placed.append((named, box[[0, 1, 2, 1, 2, 3, 0, 3]].reshape(4, 2)))
     return image, placed
@@ -152,21 +187,18 @@ def scene_shown(look: Look, size: tuple[int, int]) -> tuple[np.ndarray, Placed, 
         return None
     frame, axes = trace.frame, trace.viewer
     to_show = np.stack([axes.right, axes.forward, axes.up])
-    boxed = [(n, n.entry.lifted.box.turned(to_show, 0.0)) for n in look.all if n.entry.lifted.box is not None]
+    boxed = [(n, n.box.turned(to_show, 0.0)) for n in look.all if n.box is not None]
     cloud = cloud_of(frame, axes)
     if not boxed or not len(cloud.points):
         return None
-    also = () if look.beside is None else (n.entry.lifted.box for n in look.beside.all)
+    also = () if look.beside is None else (n.box for n in look.beside.all)
     every = [*(box.corners for _, box in boxed), *(box.turned(to_show, 0.0).corners for box in also if box)]
     about = np.concatenate(every)
     spacing = float(np.median(np.linalg.norm(about, axis=1))) / frame.camera.fx
     view = View.at(viewpoint("pair", cloud.points, to_show, frame.camera, size[0] / size[1], about), size, spacing)
-    masks = [n.entry.mask for n in look.all if n.entry.mask.shape == frame.depth.shape]
+    masks = [n.entry.mask for n, _ in boxed if n.entry is not None and n.entry.mask.shape == frame.depth.shape]
     loud = np.any([np.zeros(frame.depth.shape, np.bool_), *masks], axis=0)[cloud.v, cloud.u]
-    wires = [
-        Wire(edge_lines([box], GROWN, [n.entry.lifted.open_sides if n.given else ()]), n.color, not n.given)
-        for n, box in boxed
-    ]
+    wires = [Wire(edge_lines([box], GROWN, [n.open_sides]), n.color, not n.given) for n, box in boxed]
     image = scene_picture(cloud, quiet_colors(cloud.painted(frame.rgb), loud), wires, view, GROUND)
     seen = [view.seen(corners)[:, :2].astype(np.float64) for corners in every]
     return image, [(n, corners) for (n, _), corners in zip(boxed, seen, strict=False)], seen

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 from test_ask import row, truth
 
-from pipeline import Answer, open_run
+from pipeline import Answer, import_records, open_run
 from pipeline import open as open_dataset
 from pipeline.answering.ask import ask
-from pipeline.datasets.demo import demo_run
+from pipeline.datasets import demo_labels, demo_run
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.run_folder import Run
 from pipeline.geometry.frame import Frame
@@ -109,6 +111,18 @@ def test_names_of_forty_letters(row: Frame) -> None:
 def test_an_answer_without_any_truth(row: Frame, truth: AnnotationDetector) -> None:
     for text in ("mug right of the laptop", "mug between the book and the laptop", "lamp left of the mug", "mug"):
         checked(answer_picture(Answer(text, ask(row, text, truth))))
+
+
+@pytest.mark.filterwarnings("ignore:the file has lines for 1")
+@pytest.mark.parametrize("answered", [{"point": [320, 240]}, {"box": [300, 200, 380, 300]}])
+def test_what_an_imported_answer_points_at_is_drawn(answered: dict[str, list[int]], tmp_path: Path) -> None:
+    row = run().failures("verdict:OPM-CONF")[0].row
+    lines = [{"spatialviz_predictions": 1}, {"frame": row["frame"], "text": row["text"], "answer": answered}]
+    (tmp_path / "lines.jsonl").write_text("\n".join(map(json.dumps, lines)))
+    import_records(tmp_path / "lines.jsonl", "demo", demo_labels(), tmp_path / "run", plots=False)
+    image = checked(answer_picture(open_run(tmp_path / "run").failures()[0].answer))
+    x, y, width, height = STAGE
+    assert has(image[y : y + height, x : x + width], ON_DARK["target"])
 
 
 @pytest.mark.parametrize(("width", "height"), [(24, 18), (40, 400), (1600, 40)])
