@@ -99,15 +99,21 @@ class Person:
         self.tab.poll(f"was => {ITEM} !== was", was)
         self.keep(("accept", f"{frame} {item}", 0.0))
 
+    def number(self, row: int) -> int:
+        """Number of a labelled object of the frame that is shown."""
+        rows = self.location.labels.objects.select(["frame", "object"]).to_pylist()
+        frame = self.tab.frame
+        return sorted(r["object"] for r in rows if r["frame"] == frame)[row]
+
     def resize(self, row: int) -> Iterator[None]:
         page = self.tab.page
-        entry, name_of = page.locator(WIDTH), "row => document.querySelector(`#object-${row} b`)?.textContent"
-        while page.evaluate(EDITED) != (name := self.tab.poll(name_of, row)) or not entry.count():
-            # Choosing what the next item chooses at this moment takes it off again.
-            self.tab.send(f"object:{row}")
+        entry = page.locator(WIDTH)
+        while not (page.evaluate(EDITED) or "").endswith(end := f" {self.number(row)}") or not entry.count():
+            # What the next item chooses at this moment takes its place again.
+            self.tab.send(f"number:{end.strip()}")
             for _ in range(100):
                 page.wait_for_timeout(100)
-                if page.evaluate(EDITED) == name and entry.count():
+                if (page.evaluate(EDITED) or "").endswith(end) and entry.count():
                     break
         now = float(entry.input_value())
         # The number that stands there already is no edit.
