@@ -91,7 +91,8 @@ def _head(state: State, told: Story, recorded: Recorded | None) -> Element:
         AREAS.get(MODULE_OF.get(verdict, "")),
         shown_verdict(verdict, detail, lucky) if verdict else None,
     ]
-    alike = 0 if listing is None or not verdict or verdict == "CORRECT" else listing.figures.counts.get(verdict, 0)
+    known = listing is not None and verdict not in ("", "CORRECT") and state.side != "b"
+    alike = 0 if not known or listing is None else listing.figures.counts.get(verdict, 0)
     said = h.span(joined([part for part in parts if part]), title=hint_of(verdict) if verdict else None)
     many = h.button(f"1 of {alike:,} like it", do=f"alike:{verdict}", cls="link", title="list them") if alike else None
     return h.div(
@@ -162,7 +163,8 @@ def before_html(state: State, edited: BothAnswers) -> Element:
         h.span("before", cls="dim"),
         h.span(answer, cls="said"),
         verdict_chip_of(edited.judged) if isinstance(edited.judged, Diagnosis) else None,
-        button("Take back", "edit-reset", f"{counted(count, 'edit')} (0)"),
+        # What is tried is taken back where it was tried.
+        None if state.edits == state.tried else button("Take back", "edit-reset", f"{counted(count, 'edit')} (0)"),
         cls="before",
         css={"--c": hex_color(colors["edited"])},
     )
