@@ -231,8 +231,13 @@ def legend_html(state: State) -> list[Child]:
     """Legend of the scene: roles that are drawn, and the paint."""
     drawn = {ghost.role for ghost in state.ghosts} if state.flags.ghosts else set()
     other = "" if state.other is None else state.other.name
-    rows: list[tuple[Role, str, bool]] = [("target", "target", False), ("reference", "reference", False)]
-    rows += [("truth", "asked about", False), ("truth", "right by the labels", True), ("edited", other, True)]
+    rows: Sequence[tuple[Role, str, bool]] = (
+        ("target", "target", False),
+        ("reference", "reference", False),
+        ("truth", "asked about", False),
+        ("truth", "right by the labels", True),
+        ("edited", other, True),
+    )
     shown = [row for row in rows if row[0] in (drawn if row[2] else state.roles.values())]
     return [
         *(
