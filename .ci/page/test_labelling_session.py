@@ -3,6 +3,7 @@
 What the page did is what the journal tells: it is read by the command line.
 """
 
+import re
 from collections import Counter
 from pathlib import Path
 
@@ -149,23 +150,32 @@ def judge(tab: Tab, frame: str, fails: bool) -> str:
     tab.poll("frame => document.title.includes(` ${frame} `)", frame)
     tab.poll("!document.getElementById('working').textContent")
     # Names of the shown answer count twice.
-    things = tab.page.evaluate("[...document.querySelectorAll('#objects b, #answer .names b')].map(e => e.textContent)")
+    if not tab.page.locator("#objects b:visible").count():
+        tab.drawer("Objects")
+        tab.see("#objects b")
+    of = "[...document.querySelectorAll('#objects b, #answer .thing b')].map(e => e.textContent)"
+    things = [re.sub(r"[· ][0-9]+$", "", thing) for thing in tab.still(of)]
     # The most frequent name may mean several things, the next one fewer.
-    names = [name for name, _ in Counter(t.partition("·")[0] for t in things if "·" in t).most_common()]
+    names = [name for name, _ in Counter(things).most_common()]
     tab.ask(f"{names[0]} left of the {names[1]}")
     offered = tab.page.locator('[data-do="right-pair"]')
     tab.poll("document.querySelector('[data-do=\"right-pair\"]') || document.querySelector('#ask-problem .note')")
     if not offered.count():
         return "no pair"
+    if fails and not tab.page.locator("tr[id^=pair-]").count():
+        tab.send("stage:PRM")
+        tab.see("tr[id^=pair-]")
     targets = tab.page.locator("tr[id^=pair-] .w>div:first-child").all_inner_texts() if fails else []
     # The first pair with another target.
     other = next((k for k, target in enumerate(targets) if target != targets[0]), 0)
     for _ in range(other):
         tab.press("j")
-    tab.poll("k => document.querySelector(`#pair-${k}[aria-current]`)", str(other))
+    if fails:
+        tab.poll("k => document.querySelector(`#pair-${k}[aria-current]`)", str(other))
     offered.click()
-    tab.see("#right-pair", "kept as true")
-    verdict = tab.see("#answer .verdict").inner_text().split()[0]
+    tab.see("#right-pair", "kept as right")
+    told = tab.see("#answer .sub").inner_text()
+    verdict = "CORRECT" if "CORRECT" in told else told
     assert (verdict == "CORRECT") == (not other), (frame, targets, verdict)
     return verdict
 
