@@ -142,22 +142,22 @@ def overlay_marks(state: State) -> list[Element]:
     for i in order:
         x0, y0 = _name_place(state, i)
         color = hex_color(colors[roles.get(i, "other")])
-        marks += name_tag(state.shown.names[i].replace("·", " "), x0, y0 - 14 * unit, shape, unit, color)
+        marks.append(name_tag(state.shown.names[i].replace("·", " "), x0, y0 - 14 * unit, shape, unit, color))
     ends = [(u + 0.5, v + 0.5) for u, v in state.marks]
     marks += [h.circle(cx=u, cy=v, r=2.2 * unit, cls="measured", stroke_width=0.8 * unit) for u, v in ends]
     if state.measured is not None:
         (x0, y0), (x1, y1) = ends
         marks.append(h.path(d=f"M{x0:.1f} {y0:.1f}L{x1:.1f} {y1:.1f}", cls="measured", stroke_width=1.2 * unit))
         text = f"{state.measured.distance:.3f} m"
-        marks += name_tag(text, (x0 + x1) / 2, (y0 + y1) / 2 + 3 * unit, shape, unit, "#f5f7fa")
+        marks.append(name_tag(text, (x0 + x1) / 2, (y0 + y1) / 2 + 3 * unit, shape, unit, "#f5f7fa"))
     return marks
 
 
-def name_tag(text: str, x: float, y: float, shape: tuple[int, ...], unit: float, color: str) -> tuple[Element, Element]:
+def name_tag(text: str, x: float, y: float, shape: tuple[int, ...], unit: float, color: str) -> Element:
     """Name tag in the picture with the upper left corner at (x, y), or at the nearest place within `shape`."""
     width, height = (len(text) * 6.2 + 8) * unit, 14 * unit
     x, y = max(min(x, shape[1] - width), 0), min(max(y, 0), shape[0] - height)
-    return (
+    return h.g(
         h.rect(
             x=f"{x:.1f}", y=f"{y:.1f}", width=f"{width:.1f}", height=f"{height:.1f}", rx=f"{2 * unit:.1f}", fill=color
         ),
@@ -170,6 +170,7 @@ def name_tag(text: str, x: float, y: float, shape: tuple[int, ...], unit: float,
             fill=ink(color),
             font_family="system-ui,sans-serif",
         ),
+        cls="name-tag",
     )
 
 
