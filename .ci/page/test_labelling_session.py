@@ -159,7 +159,8 @@ def judge(tab: Tab, frame: str, fails: bool) -> str:
     names = [name for name, _ in Counter(things).most_common()]
     tab.ask(f"{names[0]} left of the {names[1]}")
     offered = tab.page.locator('[data-do="right-pair"]')
-    tab.poll("document.querySelector('[data-do=\"right-pair\"]') || document.querySelector('#ask-problem .note')")
+    refused = "document.getElementById('verdict')?.textContent.startsWith('Could not')"
+    tab.poll(f"document.querySelector('[data-do=right-pair]') || {refused}")
     if not offered.count():
         return "no pair"
     if fails and not tab.page.locator("tr[id^=pair-]").count():

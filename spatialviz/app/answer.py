@@ -188,7 +188,7 @@ def mend_button(state: State) -> Element | None:
     """Button leading to the labels of the verdict."""
     if not state.correctable or not state.text:
         return None
-    return button("Label is wrong…", "mend", "the labelled pair and its expression, to correct them (Shift+M)", "mend")
+    return button("Correct it…", "mend", "the labelled pair and its expression, to correct them (Shift+M)", "mend")
 
 
 def answer_in_words(state: State, trace: Trace) -> str:

@@ -215,10 +215,9 @@ def steps_html(state: State, kind: Kind, at: int, shares: np.ndarray) -> Element
         autocomplete="off",
         spellcheck="false",
     )
-    every = h.button("All frames", cls="try", local="frames", title="all frames as pictures (Shift+W)")
     return h.div(
         h.div(back, h.b(words), on, cls="frame-row"),
-        h.div(None if ends else h.span(frame, cls="dim"), field, every, cls="frame-row"),
+        h.div(None if ends else h.span(frame, cls="dim"), field, cls="frame-row"),
     )
 
 

@@ -191,7 +191,13 @@ class Labelling(LabelPart):
                 told += f" None is kept of this answer: {why}. Outline things under Label."
         if not any((wrong, made, told)):
             return None
-        return h.div(wrong, made, h.span(told, cls="sub") if told else None, cls="rightpair panel")
+        ways: Element | None = wrong or made
+        if wrong and made and not told:
+            choices = h.div(wrong.with_(cls=""), made.with_(cls=""))
+            ways = h.details(h.summary("Label is wrong"), choices, cls="menu up")
+        elif told:
+            ways = h.span(wrong, made, cls="chips")
+        return h.div(h.span(told, cls="sub") if told else None, ways, cls="rightpair panel")
 
 
 PERIOD_SECONDS = 2.0
