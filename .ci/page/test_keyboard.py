@@ -172,11 +172,3 @@ def test_keys_go_as_one_reads(demo: Server, open_tab: OpenTab) -> None:
     page.keyboard.press("Escape")
     tab.closed()
     assert page.evaluate("document.activeElement.tagName") == "SUMMARY", "the focus is not where it was"
-    tab.click("task:label")
-    tab.see("#split").focus()
-    before = page.locator("#view").bounding_box()
-    page.keyboard.press("ArrowRight")
-    after = page.locator("#view").bounding_box()
-    assert before is not None
-    assert after is not None
-    assert after["width"] > before["width"]

@@ -49,7 +49,7 @@ KEYS: Mapping[str, Rows] = {
         ("Shift+S", "Show or hide the metre grid on the floor", "flag:grid"),
         ("-", "Smaller points", "point-size:less"),
         ("=", "Larger points", "point-size:more"),
-        ("Escape", "Stop measuring, and leave the large view", "pick:"),
+        ("Escape", "Stop measuring, close the drawer, the scene large again", "pick:"),
         ("M", "Dark or light", "theme"),
     ),
     "Keeping": (

@@ -60,12 +60,6 @@ def image_html(state: State) -> Element:
             _svg(frame, _ghost_marks(state, frame), "ghosts"),
             _svg(frame, overlay_marks(state), "overlay"),
             _svg(frame, None, "marked"),
-            h.button(
-                cls="large",
-                local="maximise:picture",
-                title="only the picture, or both again (Esc)",
-                aria_label="enlarge the picture, or show both",
-            ),
             cls="pic",
             css={"--wh": f"{frame.width / frame.height:.3f}"},
             point="image:",

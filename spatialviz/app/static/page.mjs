@@ -177,10 +177,10 @@ const pressed = e => {
     if (!f.matches('a, button, summary, select')) { e.preventDefault(); act(f, e); }
     return;
   }
-  const name = named(e), large = byId('stage').dataset.max, menu = document.querySelector('.menu[open]');
+  const name = named(e), menu = document.querySelector('.menu[open]');
   if (name === 'Escape' && menu) { shut(menu); return; }
   if (name === 'Escape') shutDrawer();
-  if (name === 'Escape' && large) locals.maximise(null, large);
+  if (name === 'Escape') byId('stage').removeAttribute('data-swap');
   if (e.key === '/') { e.preventDefault(); byId('ask-text').focus(); byId('ask-text').select(); }
   else if (e.key === '?') { e.preventDefault(); send('help'); }
   // viser's own keys, which move its camera, are without Shift.
@@ -292,10 +292,6 @@ locals.tab = (_, name) => {
 locals.swap = () => byId('stage').toggleAttribute('data-swap');
 calls.tab = name => locals.tab(null, name);
 locals.drawer = shutDrawer;
-locals.maximise = (_, which) => {
-  const stage = byId('stage');
-  if (stage.dataset.max === which) delete stage.dataset.max; else stage.dataset.max = which;
-};
 const toldCopied = () => calls.toast({title: 'Copied', text: 'the address of this view'});
 locals.share = () => navigator.clipboard?.writeText(location.href).then(toldCopied, () => {});
 // Where no text is selected, what is copied is the view.
@@ -312,27 +308,5 @@ calls.question = text => {
   field.dataset.asked = text;
   if (document.activeElement !== field) field.value = text;
 };
-
-// ---- the bar between scene and picture
-
-const split = byId('split');
-const shared = share => {
-  const held = Math.min(.85, Math.max(.25, share));
-  byId('views').style.setProperty('--share', held);
-  split.setAttribute('aria-valuenow', Math.round(100 * held));
-};
-split.addEventListener('keydown', e => {
-  const step = {ArrowRight: 5, ArrowDown: 5, ArrowLeft: -5, ArrowUp: -5}[e.key];
-  if (step) { e.preventDefault(); shared((+split.getAttribute('aria-valuenow') + step) / 100); }
-});
-split.addEventListener('pointerdown', e => {
-  split.setPointerCapture(e.pointerId);
-  const move = e => {
-    const b = byId('views').getBoundingClientRect(), stacked = getComputedStyle(split).cursor === 'row-resize';
-    shared(stacked ? (e.clientY - b.top) / b.height : (e.clientX - b.left) / b.width);
-  };
-  split.addEventListener('pointermove', move);
-  split.addEventListener('pointerup', () => split.removeEventListener('pointermove', move), {once: true});
-});
 
 open();
