@@ -65,7 +65,6 @@ def image_html(state: State) -> Element:
             point="image:",
             band="edit:mask:rectangle:" if state.labels is None else "px-new:",
         ),
-        depth_bar(state),
         cls="picture",
     )
 
