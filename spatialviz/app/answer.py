@@ -121,15 +121,17 @@ def _cards(state: State) -> Element | None:
 
 
 def _card(state: State, card: Card) -> Element:
-    """Card of a pair; one that is among the ranked pairs is looked at by a click."""
+    """Card of a pair; a ranked pair that is not looked at already is by a click."""
     ends = [thing.index for thing in card.objects]
     rank = next((k for k, p in enumerate(state.ranked) if [p.target, p.reference][: len(ends)] == ends), None)
     inner = (h.span(card.title, cls="title"), (_thing(state, thing) for thing in card.objects))
     look = {"cls": f"pair-card of-{card.kind}", "id": f"card-{card.kind}"}
     if rank is None:
         return h.div(inner, **look)
-    places = ",".join(str(state.shown.place[i]) for i in ends if i is not None)
-    return h.button(inner, do=f"pair:{rank}", hover=f"hover:{places}", title="look at this pair", **look)
+    look["hover"] = f"hover:{','.join(str(state.shown.place[i]) for i in ends if i is not None)}"
+    if state.ranked[rank] is (state.chosen or state.ranked[0]):
+        return h.div(inner, aria_current="true", **look)
+    return h.button(inner, do=f"pair:{rank}", title="look at this pair", **look)
 
 
 def _thing(state: State, thing: CardObject) -> Element:
