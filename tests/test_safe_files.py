@@ -66,6 +66,7 @@ OWN = {
     "answering/predictions.py open": "written to",
     "corrections/journal/": "the journal, which has checks of its own",
     "datasets/depth/estimator.py np.load": "the cache",
+    "diagnosis/story_words.py": "comes with the program",
     "diagnosis/whatif/changes.py": "keys that were made here",
     "evaluation/importing.py .open": "written to",
     "evaluation/importing.py json.loads": "settings that were made here",

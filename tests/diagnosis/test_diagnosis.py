@@ -254,7 +254,7 @@ def test_words_name_the_numbers(diagnosed: Diagnosed) -> None:
             assert f"{d.winner.p_relation:.2f}" in said
         elif d.verdict in ("PRM", "OPM-CONF") and not (d.false_target and d.false_reference):
             ends = ((d.winner.p_target, d.right.p_target), (d.winner.p_reference, d.right.p_reference))
-            ratios = [f"{ours / theirs:.0f} times surer" for ours, theirs in ends]
+            ratios = [f"{ours / theirs:.0f} times as high" for ours, theirs in ends]
             assert any(f"{ours:.2f}" in said and f"{theirs:.2f}" in said for ours, theirs in ends) or any(
                 ratio in said for ratio in ratios
             )

@@ -27,18 +27,21 @@ def said(verdict: str, winner: ScoredPair | None, right: ScoredPair | None, **mo
 
 
 def test_a_degenerate_answer_is_told_from_none() -> None:
-    assert (
-        said("PRM", None, None) == "All that was found for “book” and “shelf” is one thing, so no pair of two is left."
-    )
+    alone = said("PRM", None, None)
+    assert alone.startswith("All that was found for “book” and “shelf” is one thing, so no pair of two is left.")
     assert said("PRM", WINNER, None).startswith("The right book and shelf were found as one thing")
 
 
 @pytest.mark.parametrize(
     ("target", "reference", "words"),
     [
-        (True, False, "The “book” is really {}, and this shelf has 0.50, the right one 0.30."),
-        (False, True, "The “shelf” is really {}; the detector gave it 0.50, and the right one 0.30."),
-        (True, True, "The “book” (0.60) is {}, the “shelf” (0.50) {}; the right ones had 0.40, 0.30."),
+        (True, False, "What was taken for the book is {}; the shelf found with it scored 0.50, the right shelf 0.30."),
+        (False, True, "What was taken for the shelf is {}; the detector scored it 0.50, and the right shelf 0.30."),
+        (
+            True,
+            True,
+            "The answer's “book” is {}, the “shelf” is {}; together they scored 2 times as high as the right pair.",
+        ),
     ],
 )
 def test_what_a_box_really_is_is_said(target: bool, reference: bool, words: str) -> None:
@@ -48,7 +51,7 @@ def test_what_a_box_really_is_is_said(target: bool, reference: bool, words: str)
 
 def test_a_score_that_is_many_times_higher_is_said_so() -> None:
     text = said("OPM-CONF", WINNER, replace(RIGHT, p_target=0.035), false_target=True)
-    assert "the detector was 17 times surer of it than of the right one" in text
+    assert "the detector scored it 17 times as high as the right book" in text
 
 
 @pytest.mark.parametrize("verdict", ["LIFT", "SRM"])
@@ -117,13 +120,14 @@ def test_an_answer_that_the_labels_call_right_and_do_not_list_makes_the_label_su
 
 def test_a_right_pair_whose_relation_is_not_believed_is_told_as_the_nearest() -> None:
     weak = replace(RIGHT, p_relation=0.1)
-    assert said("CORRECT", WINNER, WINNER) == "This is the book that was meant; “on” has 0.90 for it and the shelf."
-    assert "only 0.10, so it is given as the nearest pair" in said("CORRECT", weak, weak)
+    believed = said("CORRECT", WINNER, WINNER)
+    assert believed == "This is the book that was meant; “on the shelf” has a probability of 0.90."
+    assert "but only as the nearest" in said("CORRECT", weak, weak)
 
 
 def test_a_box_that_is_off_by_estimated_depth_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "estimated" not in said("LIFT", WINNER, RIGHT)
     frame = SimpleNamespace(depth_source="estimated by a network")
     monkeypatch.setattr(EVIDENCE.answers, "context", SimpleNamespace(frame=frame))
-    assert said("LIFT", WINNER, RIGHT).startswith("A 3D box is off by estimated depth: ")
+    assert said("LIFT", WINNER, RIGHT).startswith("A 3D box is off by estimated depth, ")
     assert "estimated" not in said("SRM", WINNER, RIGHT)

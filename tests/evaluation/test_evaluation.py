@@ -19,11 +19,12 @@ from slow_cases import mostly_slow
 
 from pipeline.answering import AskConfig, FrameAnswers, PreparedFrame, alone, open_pipeline
 from pipeline.datasets import demo_path
-from pipeline.evaluation import EvalSpec, compare, evaluate_dataset, evaluate_labels, read_records
+from pipeline.evaluation import EvalSpec, compare, evaluate_dataset, evaluate_labels, read_records, spec_record
 from pipeline.evaluation.grounding_tables import make_tables, problem_warnings
 from pipeline.evaluation.job import CHANGED
 from pipeline.evaluation.records import COLUMNS, records_schema
 from pipeline.evaluation.run import Evaluator, table_of
+from pipeline.evaluation.run_folder import _read_spec
 from pipeline.geometry import iou_2d
 from pipeline.labels import HIT, SourceSpec, label_dataset, open_labels, read_cases
 from pipeline.language import PHRASE
@@ -399,3 +400,11 @@ def test_scoring_only_what_is_asked_changes_nothing_of_it(srm: str) -> None:
     for relation in ("left", "above"):
         np.testing.assert_array_equal(whole.of(relation), part.of(relation))
     np.testing.assert_array_equal(source.score(context, objects, ("left", "on")).of("on"), whole.of("on"))
+
+
+def test_a_run_names_both_files_of_a_segmenter(tmp_path: Path) -> None:
+    files = (tmp_path / "models/a.onnx", tmp_path / "models/b.onnx")
+    spec = EvalSpec("demo", str(tmp_path / "labels"), {"segmenter": "sam", "segmenter_model": files})
+    record = json.loads(json.dumps(spec_record(spec, tmp_path)))
+    assert record["options"]["segmenter_model"] == ["models/a.onnx", "models/b.onnx"]
+    assert _read_spec(record, tmp_path).options["segmenter_model"] == files

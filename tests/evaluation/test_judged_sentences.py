@@ -177,7 +177,7 @@ def test_what_failed_is_named_by_module(source: Pipeline, tmp_path: Path) -> Non
     ]
     rows = [json.loads(line) for line in (tmp_path / "out" / "sentences.jsonl").read_text("utf-8").splitlines()]
     assert rows[1]["verdict"]["repair"] == ["ATTRIBUTE"]
-    assert rows[1]["verdict"]["said"].startswith("“red” has")
+    assert rows[1]["verdict"]["said"].startswith("“red” got")
     assert "tie" in rows[5]["verdict_reason"] or "equally" in rows[5]["verdict_reason"]
     assert rows[4]["verdict"] is rows[6]["verdict"] is None
     record = json.loads(json.dumps(found.record(), allow_nan=False))

@@ -14,8 +14,6 @@ from sam_exports import SAM2_SIDE, Export, export_sam, export_sam2, save
 
 from pipeline.answering import open_pipeline
 from pipeline.datasets import Dataset
-from pipeline.evaluation import EvalSpec, spec_record
-from pipeline.evaluation.run_folder import _read_spec
 from pipeline.geometry import Frame
 from pipeline.proposals import CachedSegmenter, make_segmenter
 from pipeline.proposals.mismatch import SEGMENTERS
@@ -444,14 +442,6 @@ def test_a_question_is_answered_with_masks_of_sam(sam: Export, tmp_path: Path, p
     assert trace.timings["masks"] > 0
     assert {o.lifted.quality.mask_source for o in trace.objects} == {"segmenter"}
     assert trace.detector == "recorded+sam"
-
-
-def test_a_run_names_both_files(tmp_path: Path) -> None:
-    files = (tmp_path / "models/a.onnx", tmp_path / "models/b.onnx")
-    spec = EvalSpec("demo", str(tmp_path / "labels"), {"segmenter": "sam", "segmenter_model": files})
-    record = json.loads(json.dumps(spec_record(spec, tmp_path)))
-    assert record["options"]["segmenter_model"] == ["models/a.onnx", "models/b.onnx"]
-    assert _read_spec(record, tmp_path).options["segmenter_model"] == files
 
 
 def test_every_contract_says_what_it_is() -> None:
