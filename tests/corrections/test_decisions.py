@@ -55,7 +55,8 @@ def test_a_relation_claims_what_its_label_says(
         "wrong": wrong,
         "unsure": U,
     }
-    for answer, wanted in (("wrong", wrong), ("unsure", U)):
+    answers: tuple[tuple[Answer, int], ...] = (("wrong", wrong), ("unsure", U))
+    for answer, wanted in answers:
         saved(journal, edits_of_answer(frame(), question, answer, "ann"))
         assert frame().pairs.state(a, b, "left") == wanted
 

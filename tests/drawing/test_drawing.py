@@ -337,7 +337,7 @@ class AtPoints:
     def segment(self, frame: Frame, boxes: np.ndarray, labels: Any) -> tuple[np.ndarray, np.ndarray]:
         np.testing.assert_array_equal(boxes[:, :2], boxes[:, 2:])
         masks = np.stack([frame.depth == frame.depth[int(y), int(x)] for x, y, *_ in boxes])
-        return masks, masks.any(axis=(1, 2))
+        return masks, np.asarray(masks.any(axis=(1, 2)))
 
 
 def test_a_click_asks_the_segmenter_that_is_open() -> None:
