@@ -89,10 +89,15 @@ def stages_of(
         _attribute(trace, pair),
         _prm(trace),
     )
-    return tuple(
-        replace(s, mark="bad" if s.name in failed else "good" if right and s.name != "LABEL" else s.mark)
-        for s in (*filter(None, made), _label(judged, len(trace.frame.annotations)))
-    )
+    every = (*filter(None, made), _label(judged, len(trace.frame.annotations)))
+    # A wrong thing among the answer's is the detector's doing, whatever is to blame; what was not found is not lifted.
+    marks: dict[str, Mark] = dict.fromkeys(("LIFT", "SRM"), "idle") if trace.missing else {}
+    if isinstance(judged, Diagnosis) and (judged.false_target or judged.false_reference):
+        marks["OPM"] = "doubt"
+    if isinstance(judged, Diagnosis) and (judged.verdict, judged.detail) == ("PRM", "DEGENERATE"):
+        marks["OPM"] = "doubt"
+    marks |= dict.fromkeys(failed, "bad")
+    return tuple(replace(s, mark=marks.get(s.name, "good" if right and s.name != "LABEL" else s.mark)) for s in every)
 
 
 def _ms(trace: Trace, stage: str) -> str:

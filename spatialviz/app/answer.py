@@ -94,7 +94,9 @@ def _head(state: State, told: Story, recorded: Recorded | None) -> Element:
     known = listing is not None and verdict not in ("", "CORRECT") and state.side != "b"
     alike = 0 if not known or listing is None else listing.figures.counts.get(verdict, 0)
     said = h.span(joined([part for part in parts if part]), title=hint_of(verdict) if verdict else None)
-    many = h.button(f"1 of {alike:,} like it", do=f"alike:{verdict}", cls="link", title="list them") if alike else None
+    many = (
+        h.button(f"{alike:,} such in this run", do=f"alike:{verdict}", cls="link", title="list them") if alike else None
+    )
     return h.div(
         h.span(MARKS[told.tone], cls="mark", aria_hidden="true"),
         h.div(h.h2(head, id="verdict"), h.p(said, " · " if alike else None, many, cls="sub")),

@@ -235,7 +235,9 @@ class AnswerView:
         if "LIFT" in judged.repair or judged.evidence.answers.objects is not self.trace.objects:
             return frozenset()
         case, match = judged.case, judged.evidence.match
-        right = {"target": match[chosen.target] in case.acceptable}
+        # Beside a label that names another the answer is right, too, but not by it.
+        targets = [case.target_object] if judged.verdict == "LABEL" else case.acceptable
+        right = {"target": match[chosen.target] in targets}
         if chosen.reference is not None:
             right["reference"] = match[chosen.reference] == case.reference_object
         return frozenset(role for role, holds in right.items() if holds)

@@ -100,7 +100,7 @@ const draw = () => {
 /* Scenes by their ids, as far as there is room; what the colours mean. */
 const named = () => {
   const wide = bar.clientWidth, ends = [...frames.scenes.slice(1).map(([n]) => n), frames.count], {bad} = NAMES[frames.kind];
-  const keys = frames.kind === 'depth' && !frames.read ? ['looking at the depth of all frames …'] : [el('i'), `0–${100 * scaleTop} % ${bad}`];
+  const keys = frames.kind === 'depth' && !frames.read ? ['looking at the depth of all frames …'] : [el('i'), `full bar: ${100 * scaleTop} % ${bad}`];
   legend.replaceChildren(...(frames.odd.size ? [`▾ ${frames.odd.size} odd`] : []), ...keys);
   const room = wide - legend.offsetWidth - 16;
   let free = 0;
