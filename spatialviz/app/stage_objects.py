@@ -107,7 +107,7 @@ def _missed(missed: Missed, name: str) -> str:
 
 
 def lift_evidence(state: State, trace: Trace) -> list[Child]:
-    """Objects of the chosen pair; remarks on an assumed up or estimated depth."""
+    """Objects of the chosen pair, those to blame first; remarks on an assumed up or estimated depth."""
     doubt = "" if state.loaded is None else state.loaded.doubt
     said = (
         (trace.viewer.up_source == "assumed", "The up vector is assumed."),
@@ -116,7 +116,9 @@ def lift_evidence(state: State, trace: Trace) -> list[Child]:
         (doubt, f"{doubt[:1].upper()}{doubt[1:]}"),
     )
     doubts: list[Child] = [note(text) for holds, text in said if holds]
-    places = dict.fromkeys(state.pair or ())
+    right = state.judged.right if isinstance(state.judged, Diagnosis) and state.judged.verdict == "LIFT" else None
+    blamed = [] if right is None else [right.target, *([] if right.reference is None else [right.reference])]
+    places = dict.fromkeys((*(state.shown.place[i] for i in blamed if i in state.shown.place), *(state.pair or ())))
     return [*doubts, *(_own(state, i) for i in places)] if places else [*doubts, h.p("No object is chosen.", cls="dim")]
 
 
