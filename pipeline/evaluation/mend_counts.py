@@ -32,7 +32,7 @@ SETTINGS = {
 
 
 @dataclass(frozen=True)
-class Setting:
+class SettingChange:
     """Setting of a whole pipeline."""
 
     name: str  # One of SETTINGS
@@ -48,7 +48,7 @@ class Setting:
 class MendCount:
     """What became of a run's expressions under another setting."""
 
-    setting: Setting
+    setting: SettingChange
     mended: int
     broken: int
     looked: int  # Of how many: all of the run, or so many as there was time for
@@ -67,7 +67,7 @@ class MendCount:
         return {**asdict(self), "said": self.said}
 
 
-def mend_setting(run: Run, d: Diagnosis) -> Setting | None:
+def mend_setting(run: Run, d: Diagnosis) -> SettingChange | None:
     """Setting to try against a failure of a run; None where no setting is of its kind, or the answers were imported.
 
     An object below the minimum score: the minimum just below its score. One beyond K: K as its rank. A pair that was
@@ -80,24 +80,26 @@ def mend_setting(run: Run, d: Diagnosis) -> Setting | None:
     if d.missed is not None:
         score, rank = d.missed.score, d.missed.rank
         if d.missed.kind == "THRESHOLD" and score:
-            return Setting("min_score", run.spec.options.get("min_score"), _below(score))
+            return SettingChange("min_score", run.spec.options.get("min_score"), _below(score))
         known = d.missed.kind == "RANK" and rank is not None and not d.missed.suppressed
-        return Setting("k", source.config.k, rank) if known and rank is not None and rank > source.config.k else None
+        return (
+            SettingChange("k", source.config.k, rank) if known and rank is not None and rank > source.config.k else None
+        )
     if d.verdict == "SRM" and d.detail is None:
         rule = source.scorer.name == "rule"
-        return Setting("srm", source.scorer.name, "trained" if rule else "rule")
+        return SettingChange("srm", source.scorer.name, "trained" if rule else "rule")
     if d.verdict in ("OPM-CONF", "PRM") and d.winner is not None and d.right is not None:
         return _weight(source, d.winner, d.right)
     return None
 
 
-def _weight(source: Pipeline, winner: ScoredPair, right: ScoredPair) -> Setting | None:
+def _weight(source: Pipeline, winner: ScoredPair, right: ScoredPair) -> SettingChange | None:
     """Weight of the relation with which the right pair wins, in tenths."""
     now, behind = source.config.rank.relation_weight, winner.log_score - right.log_score
     gain = right.log_factors["relation"] - winner.log_factors["relation"]
     needed = now + behind / gain if gain > 0 else np.inf
     after = floor(10 * needed + 1) / 10 if needed < HEAVIEST else HEAVIEST
-    return Setting("relation_weight", now, after) if after < HEAVIEST else None
+    return SettingChange("relation_weight", now, after) if after < HEAVIEST else None
 
 
 def _below(score: float) -> float:
@@ -106,7 +108,7 @@ def _below(score: float) -> float:
     return round((ceil(score / step) - 1) * step, 12)
 
 
-def under(run: Run, setting: Setting) -> Evaluator:
+def under(run: Run, setting: SettingChange) -> Evaluator:
     """Evaluator of a run's expressions under another setting, without verdicts."""
     options = dict(run.spec.options)
     config: AskConfig = options.get("config") or AskConfig()
@@ -121,7 +123,7 @@ def under(run: Run, setting: Setting) -> Evaluator:
 
 
 @lru_cache(maxsize=64)
-def _counts(run: Run, setting: Setting, seconds: float) -> dict[tuple[str, str], int]:
+def _counts(run: Run, setting: SettingChange, seconds: float) -> dict[tuple[str, str], int]:
     """By frame and expression 1 for mended, -1 for broken, 0 for neither, of as many as there was time for."""
     start, evaluator = perf_counter(), under(run, setting)
     columns = (run.records.column(name).to_pylist() for name in ("frame", "id", "set_correct"))
@@ -142,7 +144,7 @@ def _counts(run: Run, setting: Setting, seconds: float) -> dict[tuple[str, str],
 
 
 def count_mends(
-    run: Run, setting: Setting, asked: tuple[str, str] | None = None, seconds: float = SECONDS
+    run: Run, setting: SettingChange, asked: tuple[str, str] | None = None, seconds: float = SECONDS
 ) -> MendCount:
     """Answer a run's expressions again under a setting, frame by frame while there is time; kept for the next call.
 

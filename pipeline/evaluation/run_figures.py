@@ -68,7 +68,7 @@ class Listing:
         return None if number is None else next(iter(np.flatnonzero(self.found == number).tolist()), None)
 
 
-class Figures:
+class FoundFigures:
     """Figures of some expressions of a run; each is made when it is first read, or says why it cannot be."""
 
     def __init__(
@@ -108,7 +108,7 @@ class Figures:
         return found if isinstance(found, str) else count_standings(found)
 
 
-class RunFigures(Figures):
+class RunFigures(FoundFigures):
     """The figures of one run, with its rows.
 
     `second`: to compare with.
@@ -127,9 +127,9 @@ class RunFigures(Figures):
         self.rows = RunRows(run.records, run.folder, None if second is None else second.records)
         self._frames: Recent[str, np.ndarray] = Recent(FRAMES)
         self._recorded: Recent[int, tuple[Recorded | None]] = Recent(FRAMES)
-        self._parts: Recent[bytes, Figures] = Recent(PARTS)
+        self._parts: Recent[bytes, FoundFigures] = Recent(PARTS)
 
-    def of(self, found: np.ndarray) -> Figures:
+    def of(self, found: np.ndarray) -> FoundFigures:
         """Figures of some of its rows ((F,) int64, in any order)."""
         rows = np.sort(found)
         if len(rows) == self.records.num_rows:
@@ -140,7 +140,7 @@ class RunFigures(Figures):
             return found if isinstance(found, str) else found.take(rows)
 
         return self._parts.get(
-            rows.tobytes(), lambda: Figures(self.run, self.records.take(pa.array(rows)), self.second, standings)
+            rows.tobytes(), lambda: FoundFigures(self.run, self.records.take(pa.array(rows)), self.second, standings)
         )
 
     @cached_property

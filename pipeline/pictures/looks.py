@@ -20,7 +20,7 @@ from pipeline.geometry.cloud import cloud_of, viewpoint
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.palette import ON_DARK, RGB, Role
 from pipeline.pictures.marks import AnswerRoles, Stroke, answer_roles, draw_outline, roles_of, tinted
-from pipeline.pictures.scene_view import View, Wire, quiet_colors, scene_picture
+from pipeline.pictures.scene_view import PictureView, Wire, quiet_colors, scene_picture
 from pipeline.pictures.shapes import CHECK, Box, paste, strokes
 from pipeline.pictures.text import draw_text, font, plain, shortened, width_of
 
@@ -195,7 +195,9 @@ def scene_shown(look: Look, size: tuple[int, int]) -> tuple[np.ndarray, Placed, 
     every = [*(box.corners for _, box in boxed), *(box.turned(to_show, 0.0).corners for box in also if box)]
     about = np.concatenate(every)
     spacing = float(np.median(np.linalg.norm(about, axis=1))) / frame.camera.fx
-    view = View.at(viewpoint("pair", cloud.points, to_show, frame.camera, size[0] / size[1], about), size, spacing)
+    view = PictureView.at(
+        viewpoint("pair", cloud.points, to_show, frame.camera, size[0] / size[1], about), size, spacing
+    )
     masks = [n.entry.mask for n, _ in boxed if n.entry is not None and n.entry.mask.shape == frame.depth.shape]
     loud = np.any([np.zeros(frame.depth.shape, np.bool_), *masks], axis=0)[cloud.v, cloud.u]
     wires = [Wire(edge_lines([box], GROWN, [n.open_sides]), n.color, not n.given) for n, box in boxed]

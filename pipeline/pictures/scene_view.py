@@ -36,7 +36,7 @@ PIECE, DASH, DASHED = 6.0, 11.0, 0.6
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class PictureView:
     """Eye on the shown frame."""
 
     eye: np.ndarray  # (3,) float64, metres
@@ -45,7 +45,7 @@ class View:
     size: tuple[int, int]  # Width and height, pixels
 
     @staticmethod
-    def at(viewed: Viewed, size: tuple[int, int], spacing: float = 0.0) -> View:
+    def at(viewed: Viewed, size: tuple[int, int], spacing: float = 0.0) -> PictureView:
         """View of a viewpoint, with up upwards; farther away where `spacing`, metres, would be more than COARSE."""
         eye, look, fov = viewed
         least = size[1] / 2 / np.tan(fov / 2) * spacing / COARSE
@@ -53,7 +53,7 @@ class View:
         ahead = (look - eye) / max(float(np.linalg.norm(look - eye)), 1e-9)
         right = np.cross(ahead, [0.0, 0.0, 1.0])
         right /= max(float(np.linalg.norm(right)), 1e-9)
-        return View(eye, np.stack([right, np.cross(ahead, right), ahead]), size[1] / 2 / np.tan(fov / 2), size)
+        return PictureView(eye, np.stack([right, np.cross(ahead, right), ahead]), size[1] / 2 / np.tan(fov / 2), size)
 
     def seen(self, points: np.ndarray) -> np.ndarray:
         """Column, row and distance ahead, (..., 3) float32, of points, (..., 3), shown frame."""
@@ -79,13 +79,15 @@ def quiet_colors(colors: np.ndarray, loud: np.ndarray) -> np.ndarray:
     return np.where(loud[:, None], colors, quiet.astype(np.uint8))
 
 
-def scene_picture(cloud: Cloud, colors: np.ndarray, wires: Sequence[Wire], view: View, ground: RGB) -> np.ndarray:
+def scene_picture(
+    cloud: Cloud, colors: np.ndarray, wires: Sequence[Wire], view: PictureView, ground: RGB
+) -> np.ndarray:
     """Picture of a cloud and lines, (H, W, 3) uint8.
 
     `colors`: (N, 3) uint8 of the cloud's points; `ground`: where nothing is.
     """
     width, height = view.size
-    fine = View(view.eye, view.axes, view.focal * FINER, (width * FINER, height * FINER))
+    fine = PictureView(view.eye, view.axes, view.focal * FINER, (width * FINER, height * FINER))
     sizes = np.concatenate([np.zeros(0, np.float32)] + [np.full(p.at.stop - p.at.start, p.size) for p in cloud.parts])
     image, ahead = _splats(fine.seen(cloud.points), colors, sizes, fine, ground)
     image = cv2.resize(image, view.size, interpolation=cv2.INTER_AREA)
@@ -96,7 +98,7 @@ def scene_picture(cloud: Cloud, colors: np.ndarray, wires: Sequence[Wire], view:
 
 
 def _splats(
-    seen: np.ndarray, colors: np.ndarray, sizes: np.ndarray, view: View, ground: RGB
+    seen: np.ndarray, colors: np.ndarray, sizes: np.ndarray, view: PictureView, ground: RGB
 ) -> tuple[np.ndarray, np.ndarray]:
     """Colours, (H, W, 3) uint8, and distance ahead, (H, W) float32, infinite where nothing is."""
     width, height = view.size
@@ -135,7 +137,7 @@ def _filled(image: np.ndarray, drawn: np.ndarray, ground: RGB) -> np.ndarray:
     return image
 
 
-def _draw_wire(image: np.ndarray, ahead: np.ndarray, wire: Wire, view: View) -> None:
+def _draw_wire(image: np.ndarray, ahead: np.ndarray, wire: Wire, view: PictureView) -> None:
     height, width = image.shape[:2]
     seen = view.seen(_before_eye(wire.lines, view)).astype(np.float64)
     seen[..., 2] = 1 / seen[..., 2]  # On the picture, this is what changes evenly along a line.
@@ -152,7 +154,7 @@ def _draw_wire(image: np.ndarray, ahead: np.ndarray, wire: Wire, view: View) -> 
         image[:] = cv2.addWeighted(over, strength, image, 1 - strength, 0)
 
 
-def _before_eye(lines: np.ndarray, view: View) -> np.ndarray:
+def _before_eye(lines: np.ndarray, view: PictureView) -> np.ndarray:
     """Lines before the eye, (M, 2, 3) float64, those that pass it cut."""
     ahead = (lines - view.eye) @ view.axes[2]
     keep = (ahead > LEAST_DEPTH).any(axis=1)

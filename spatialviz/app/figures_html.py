@@ -14,7 +14,7 @@ from pipeline.evaluation.comparing import CHANGES
 from pipeline.evaluation.confusion import NO_ANSWER, OTHERS, Confusion
 from pipeline.evaluation.leakage import Share, title_of
 from pipeline.evaluation.plots import LOSS_COLORS
-from pipeline.evaluation.run_figures import STANDS_IN, Figures, doubts_of
+from pipeline.evaluation.run_figures import STANDS_IN, FoundFigures, doubts_of
 from pipeline.evaluation.search import FAILURES, narrowed, quote
 from pipeline.evaluation.slices import Slice, Slices
 from pipeline.evaluation.summary import SHORT, RunSummary, cost_words, residual_words
@@ -45,7 +45,7 @@ AXIS = 10
 class Sample:
     """Expressions that figures are of: all of a run, or those that a search finds."""
 
-    figures: Figures
+    figures: FoundFigures
     query: str = ""  # Empty for the whole run
     found: int = 0  # How many the search finds
 

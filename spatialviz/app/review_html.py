@@ -9,7 +9,7 @@ from typing import Any
 
 from pipeline.corrections.label_editor import LabelEditor
 from pipeline.corrections.object_card import LabelView
-from pipeline.corrections.review.decisions import Answer, Question, Word
+from pipeline.corrections.review.decisions import Answer, Opinion, ReviewQuestion
 from pipeline.corrections.review.items import ItemKey
 from pipeline.corrections.review.label_jobs import CANCELLED, QueueProgress
 from pipeline.corrections.review.worklist import Worklist
@@ -217,7 +217,7 @@ def plain_reason(reason: str) -> str:
     return RULE.sub("", reason)
 
 
-def decision_bar(question: Question | None) -> Element:
+def decision_bar(question: ReviewQuestion | None) -> Element:
     """The three answers, always at the same place; each says what it does."""
     buttons = (
         h.button(
@@ -251,7 +251,7 @@ def answer(name: str, key: str, do: str, hint: str) -> Element:
     return h.button(h.span(name), keys, do=do, title=f"{hint} ({key})", aria_keyshortcuts=key)
 
 
-def item_card(question: Question, reasons: Sequence[str]) -> Element:
+def item_card(question: ReviewQuestion, reasons: Sequence[str]) -> Element:
     """What is asked, why, and where people differ what each of them said."""
     words = h.div((_word(word) for word in question.words), cls="words", role="group", aria_label="who said what")
     # What the cards of people who differ say is no reason beside them.
@@ -266,7 +266,7 @@ def item_card(question: Question, reasons: Sequence[str]) -> Element:
     )
 
 
-def _word(word: Word) -> Element:
+def _word(word: Opinion) -> Element:
     when = word.time.astimezone().strftime("%d %b %H:%M")
     return h.div(h.b(word.text), h.span(word.author), h.span(when, cls="dim"), cls="word")
 

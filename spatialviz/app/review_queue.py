@@ -18,7 +18,7 @@ from pipeline.corrections.review.decisions import (
     OF_LETTER,
     SAYS,
     Answer,
-    Question,
+    ReviewQuestion,
     edits_of_answer,
     question_of,
     state_edits,
@@ -258,7 +258,7 @@ class ReviewQueue(LabelPart):
     # ---- answering --------------------------------------------------------------------
 
     @property
-    def _question(self) -> Question | None:
+    def _question(self) -> ReviewQuestion | None:
         """Question of the open item, else of the chosen pair's relation, else of the selected object."""
         view, item, queue = self.state.labels, self._item, self._queues.get(self.state.source)
         if view is None or queue is None:
@@ -304,7 +304,7 @@ class ReviewQueue(LabelPart):
             author, differ = self.editor.author, bool(question.words)
             self._save(question, lambda frame: state_edits(frame, question.item, OF_LETTER[key], author, differ))
 
-    def _sure(self, question: Question, state: int, key: str) -> bool:
+    def _sure(self, question: ReviewQuestion, state: int, key: str) -> bool:
         """False where another state contradicts geometry by decimetres: the same key confirms it."""
         view, item = self.view, question.item
         if state == view.frame.pairs.state(*item[2:]):
@@ -328,7 +328,7 @@ class ReviewQueue(LabelPart):
         question, author = there(self._question), self.editor.author
         self._save(question, lambda frame: say_of_item(frame, question.item, "unsure", author))
 
-    def _save(self, question: Question, made: Callable[[EffectiveFrame], Edits]) -> None:
+    def _save(self, question: ReviewQuestion, made: Callable[[EffectiveFrame], Edits]) -> None:
         self.save(made, draw=False)
         item = self._item
         if item is None or question.item.plain != item.plain or not self._go_on(item):
@@ -375,7 +375,7 @@ class ReviewQueue(LabelPart):
             }
         )
 
-    def _card(self, queue: SourceQueue, item: ItemKey | None, question: Question | None) -> Element:
+    def _card(self, queue: SourceQueue, item: ItemKey | None, question: ReviewQuestion | None) -> Element:
         """Question with its reasons."""
         work, view = queue.work, self.view
         place = None if work is None or item is None else work.indices.get(item.plain)

@@ -16,7 +16,7 @@ from pipeline.diagnosis.suggestions import SuggestedQuestions
 from pipeline.diagnosis.whatif.answer_view import AnswerView
 from pipeline.diagnosis.whatif.edits import Edits
 from pipeline.diagnosis.whatif.state import CameraView
-from pipeline.evaluation.mend_counts import MendCount, Setting
+from pipeline.evaluation.mend_counts import MendCount, SettingChange
 from pipeline.evaluation.run_figures import Listing, Recorded
 from pipeline.geometry.palette import Role
 from pipeline.geometry.viewer import Measurement, measure
@@ -174,7 +174,7 @@ class State(AnswerView):
     # the setting while that is counted
     tried: Edits | None = None
     tried_value: float | None = None
-    mended: MendCount | Setting | None = None
+    mended: MendCount | SettingChange | None = None
     drawer: str = ""  # Open tab of the drawer
 
     @property

@@ -14,7 +14,7 @@ from pipeline.corrections.journal import edits as actions
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.review.decisions import (
     Answer,
-    Question,
+    ReviewQuestion,
     edits_of_answer,
     question_of,
     question_record,
@@ -28,7 +28,7 @@ from pipeline.relations import F, T, U
 Frame = Callable[[], EffectiveFrame]
 
 
-def asked(frame: EffectiveFrame, item: ItemKey, journal: Journal | None = None) -> Question:
+def asked(frame: EffectiveFrame, item: ItemKey, journal: Journal | None = None) -> ReviewQuestion:
     words = () if journal is None else words_of(frame, journal.events(frame=FRAME), item)
     question = question_of(frame, item, "mug", words)
     assert question is not None

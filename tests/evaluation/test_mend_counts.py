@@ -7,11 +7,11 @@ import pytest
 from pipeline.datasets import demo_run
 from pipeline.evaluation import evaluate_labels, open_run
 from pipeline.evaluation.comparing import changes, shared_rows
-from pipeline.evaluation.mend_counts import Setting, count_mends, mend_setting, under
+from pipeline.evaluation.mend_counts import SettingChange, count_mends, mend_setting, under
 from pipeline.system.arrow import pa
 
 
-def setting_of(search: str) -> Setting | None:
+def setting_of(search: str) -> SettingChange | None:
     run = open_run(demo_run())
     found = run.failures(search)[0].answer.diagnosis
     assert found is not None
@@ -19,16 +19,16 @@ def setting_of(search: str) -> Setting | None:
 
 
 def test_each_kind_has_the_setting_that_one_would_try() -> None:
-    assert setting_of("verdict:OPM-TARGET detail:THRESHOLD") == Setting("min_score", 0.015, 0.009)
-    assert setting_of("verdict:OPM-TARGET detail:RANK") == Setting("k", 5, 6)
-    assert setting_of("verdict:SRM") == Setting("srm", "rel32", "rule")
-    assert setting_of("verdict:PRM -detail:DEGENERATE") == Setting("relation_weight", 1.0, 4.6)
+    assert setting_of("verdict:OPM-TARGET detail:THRESHOLD") == SettingChange("min_score", 0.015, 0.009)
+    assert setting_of("verdict:OPM-TARGET detail:RANK") == SettingChange("k", 5, 6)
+    assert setting_of("verdict:SRM") == SettingChange("srm", "rel32", "rule")
+    assert setting_of("verdict:PRM -detail:DEGENERATE") == SettingChange("relation_weight", 1.0, 4.6)
     for nothing in ("detail:ABSENT", "detail:LOCALISATION", "verdict:LIFT", "detail:DEGENERATE"):
         assert setting_of(nothing) is None
 
 
 def test_counts_are_those_of_an_evaluation_under_the_setting() -> None:
-    run, setting = open_run(demo_run()), Setting("min_score", 0.015, 0.009)
+    run, setting = open_run(demo_run()), SettingChange("min_score", 0.015, 0.009)
     failure = run.failures("verdict:OPM-TARGET detail:THRESHOLD")[0]
     found = count_mends(run, setting, (failure.row["frame"], failure.row["id"]))
     again = pa.concat_tables(evaluate_labels(under(run, setting).spec))
@@ -43,7 +43,7 @@ def test_counts_are_those_of_an_evaluation_under_the_setting() -> None:
 
 
 def test_without_time_so_many_are_looked_at() -> None:
-    found = count_mends(open_run(demo_run()), Setting("k", 5, 6), seconds=0.0)
+    found = count_mends(open_run(demo_run()), SettingChange("k", 5, 6), seconds=0.0)
     assert 0 < found.looked < found.total
     assert found.said.endswith(f"of {found.looked} looked at.")
     assert found.this is None
@@ -52,5 +52,5 @@ def test_without_time_so_many_are_looked_at() -> None:
 @pytest.mark.parametrize("name", ["min_score", "k"])
 def test_the_run_stays_as_it_was(name: str) -> None:
     run = open_run(demo_run())
-    under(run, Setting(name, None, 7 if name == "k" else 0.5))
+    under(run, SettingChange(name, None, 7 if name == "k" else 0.5))
     assert run.spec == open_run(demo_run()).spec

@@ -8,12 +8,12 @@ import pytest
 from pipeline.geometry.boxes import Box3D, edge_lines
 from pipeline.geometry.cloud import Cloud, CloudPart
 from pipeline.geometry.palette import RGB
-from pipeline.pictures.scene_view import View, Wire, quiet_colors, scene_picture
+from pipeline.pictures.scene_view import PictureView, Wire, quiet_colors, scene_picture
 
 EYE, AHEAD = np.zeros(3), np.array([0.0, 1.0, 0.0])
 RED, BLUE, GREEN = (255, 0, 0), (0, 0, 255), (0, 255, 0)
 GROUND = (9, 9, 9)
-VIEW = View.at((EYE, AHEAD, np.deg2rad(60)), (120, 90))
+VIEW = PictureView.at((EYE, AHEAD, np.deg2rad(60)), (120, 90))
 
 
 def wall(distance: float, half: float, step: float = 0.02) -> np.ndarray:
@@ -71,7 +71,7 @@ def test_boxes_anywhere_are_drawn_as_far_as_they_are_seen(center: tuple[float, f
 
 def test_the_eye_steps_back_where_points_would_be_squares() -> None:
     look = AHEAD * 0.3
-    near, far = (View.at((EYE, look, 0.8), (700, 470), spacing) for spacing in (0.0, 0.01))
+    near, far = (PictureView.at((EYE, look, 0.8), (700, 470), spacing) for spacing in (0.0, 0.01))
     assert np.linalg.norm(far.eye - look) > 3 * np.linalg.norm(near.eye - look)
     np.testing.assert_allclose(far.axes, near.axes, atol=1e-9)
 

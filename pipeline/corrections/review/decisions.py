@@ -28,7 +28,7 @@ _OTHERS = "ask another"
 
 
 @dataclass(frozen=True)
-class Word:
+class Opinion:
     """Word of one person on an item."""
 
     author: str
@@ -42,26 +42,26 @@ class Word:
 
 
 @dataclass(frozen=True)
-class Choice:
+class ReviewChoice:
     """Consequence of an answer."""
 
     does: str  # in few words
     state: int | None = None  # T, U or F that a relation gets
-    whose: tuple[Word, ...] = ()  # words of people that it follows
+    whose: tuple[Opinion, ...] = ()  # words of people that it follows
 
 
 @dataclass(frozen=True)
-class Question:
+class ReviewQuestion:
     """Claim of an item, and its three answers."""
 
     item: ItemKey
     claim: str
     ask: str
-    choices: dict[Answer, Choice]
-    words: tuple[Word, ...] = ()  # of people who differ
+    choices: dict[Answer, ReviewChoice]
+    words: tuple[Opinion, ...] = ()  # of people who differ
 
 
-def words_of(frame: EffectiveFrame, events: Sequence[Event], item: ItemKey) -> tuple[Word, ...]:
+def words_of(frame: EffectiveFrame, events: Sequence[Event], item: ItemKey) -> tuple[Opinion, ...]:
     """Words of people who differ on an item, oldest first; none where nobody does. `events` are all of the frame."""
     ignored = {u.event.ulid for u in frame.unapplied if u.kind != "agreed"}
     found = judgements_of(events, automatic=lambda k: frame.auto.pairs.state(k.a, k.b, k.what), ignored=ignored)
@@ -69,39 +69,39 @@ def words_of(frame: EffectiveFrame, events: Sequence[Event], item: ItemKey) -> t
         return ()
     time = {e.id: e.time for e in events}
     said = sorted(found.words.get(item.plain, {}).values(), key=lambda w: w.at)
-    return tuple(Word(w.author, w.verdict, time[w.at]) for w in said if w.status not in ("unreviewed", "unsure"))
+    return tuple(Opinion(w.author, w.verdict, time[w.at]) for w in said if w.status not in ("unreviewed", "unsure"))
 
 
 def question_of(
-    frame: EffectiveFrame, item: ItemKey, missing: str = "object", words: tuple[Word, ...] = ()
-) -> Question | None:
+    frame: EffectiveFrame, item: ItemKey, missing: str = "object", words: tuple[Opinion, ...] = ()
+) -> ReviewQuestion | None:
     """Ask about an item; None for an object that is gone. `missing` is the class of one that may be missing."""
     if item.kind == "relation":
         return _of_relation(frame, item, words)
     keep, drop = (
         tuple(w for w in words if (w.verdict == "rejected") == out and w.verdict != "unsure") for out in (False, True)
     )
-    choices: dict[Answer, Choice] = {
-        "right": Choice(_told(keep) or "keep it", whose=keep),
-        "wrong": Choice(_told(drop) or "leave it out", whose=drop),
-        "unsure": Choice(_OTHERS),
+    choices: dict[Answer, ReviewChoice] = {
+        "right": ReviewChoice(_told(keep) or "keep it", whose=keep),
+        "wrong": ReviewChoice(_told(drop) or "leave it out", whose=drop),
+        "unsure": ReviewChoice(_OTHERS),
     }
     if item.kind == "expression":
         text = (frame.expression(item.what) or {}).get("text", "")
-        return Question(item, f"“{text}”", "Is this true of what is marked?", choices, words)
+        return ReviewQuestion(item, f"“{text}”", "Is this true of what is marked?", choices, words)
     if item.a < 0:
-        choices["right"], choices["wrong"] = Choice("none is missing"), Choice("one is missing")
-        return Question(item, f"No {missing} is labelled here", "Is there none?", choices, words)
+        choices["right"], choices["wrong"] = ReviewChoice("none is missing"), ReviewChoice("one is missing")
+        return ReviewQuestion(item, f"No {missing} is labelled here", "Is there none?", choices, words)
     row = frame.object(item.a)
     if row is None:
         return None
     if row["label"] == UNNAMED:
-        return Question(item, "What is this?", "Name it: Shift+O, or the digit of its class.", choices, words)
+        return ReviewQuestion(item, "What is this?", "Name it: Shift+O, or the digit of its class.", choices, words)
     claim = f"{row['label']} {item.a}"
-    return Question(item, claim, "Are its name, its pixels and its box right?", choices, words)
+    return ReviewQuestion(item, claim, "Are its name, its pixels and its box right?", choices, words)
 
 
-def _of_relation(frame: EffectiveFrame, item: ItemKey, words: tuple[Word, ...]) -> Question:
+def _of_relation(frame: EffectiveFrame, item: ItemKey, words: tuple[Opinion, ...]) -> ReviewQuestion:
     assert item.b is not None
     now = frame.pairs.state(item.a, item.b, item.what)
     one, other = (f"{(frame.object(n) or {}).get('label', 'object')} {n}" for n in (item.a, item.b))
@@ -113,25 +113,25 @@ def _of_relation(frame: EffectiveFrame, item: ItemKey, words: tuple[Word, ...]) 
         others = sorted({OF_LETTER[w.verdict] for w in words} - {first}, key=lambda state: state == U)
         second = others[0] if others else second
     states: dict[Answer, int] = {"right": first, "wrong": second, "unsure": U}
-    choices: dict[Answer, Choice] = {
+    choices: dict[Answer, ReviewChoice] = {
         answer: _state_choice(now, state, tuple(w for w in words if OF_LETTER[w.verdict] == state))
         for answer, state in states.items()
     }
     labelled = "Not labelled yet." if now is None else f"Labelled {SAYS[now]}."
-    return Question(item, claim if now in (T, F) else f"Is {one} {says} {other}?", labelled, choices, words)
+    return ReviewQuestion(item, claim if now in (T, F) else f"Is {one} {says} {other}?", labelled, choices, words)
 
 
-def _state_choice(now: int | None, state: int, whose: tuple[Word, ...]) -> Choice:
+def _state_choice(now: int | None, state: int, whose: tuple[Opinion, ...]) -> ReviewChoice:
     does = f"stays {SAYS[state]}" if now == state else SAYS[state] if state == U else f"make it {SAYS[state]}"
-    return Choice(_told(whose) or does, state, whose)
+    return ReviewChoice(_told(whose) or does, state, whose)
 
 
-def _told(words: Sequence[Word]) -> str:
+def _told(words: Sequence[Opinion]) -> str:
     """Who says so, and what: "ann: true"."""
     return f"{', '.join(w.author for w in words)}: {words[-1].text}" if words else ""
 
 
-def edits_of_answer(frame: EffectiveFrame, question: Question, answer: Answer, author: str) -> Edits:
+def edits_of_answer(frame: EffectiveFrame, question: ReviewQuestion, answer: Answer, author: str) -> Edits:
     """Edits of an answer under a person's name; where people differ, it settles the item for all of them."""
     item, choice = question.item, question.choices[answer]
     if item.kind != "relation":
@@ -161,7 +161,7 @@ def state_edits(frame: EffectiveFrame, item: ItemKey, state: int, author: str, d
     return set_relation(frame, a, b, relation, state)
 
 
-def question_record(question: Question) -> dict[str, Any]:
+def question_record(question: ReviewQuestion) -> dict[str, Any]:
     """JSON record of a question."""
     words = [{"author": w.author, "said": w.text, "time": w.time.isoformat()} for w in question.words]
     answers = {answer: choice.does for answer, choice in question.choices.items()}
