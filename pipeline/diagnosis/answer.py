@@ -96,6 +96,8 @@ def stages_of(
         marks["OPM"] = "doubt"
     if isinstance(judged, Diagnosis) and (judged.verdict, judged.detail) == ("PRM", "DEGENERATE"):
         marks["OPM"] = "doubt"
+    if isinstance(judged, Diagnosis) and judged.verdict == "LABEL" and trace.missing:
+        marks["OPM"] = "doubt"
     marks |= dict.fromkeys(failed, "bad")
     return tuple(replace(s, mark=marks.get(s.name, "good" if right and s.name != "LABEL" else s.mark)) for s in every)
 

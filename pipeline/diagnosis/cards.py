@@ -60,13 +60,21 @@ def cards_of(
         found.append(Card("answer", tuple(things)))
     if d is None or (d.correct and not d.lucky):
         return tuple(found)
-    kind = "label" if d.verdict == "LABEL" else "right"
+    kind, case = "label" if d.verdict == "LABEL" else "right", d.case
     right = d.right if d.gold and kind == "right" else None
-    case = d.case
-    things = [_right(d, "target", case.target, case.target_object, right and (right.target, right.p_target), name)]
+    answer = d.winner if d.gold and kind == "right" else None
+    match, missed = d.evidence.match, d.missed is not None and d.verdict
+    seen = right and (right.target, right.p_target)
+    # What was answered rightly is what it should be, too.
+    if answer is not None and match[answer.target] in case.acceptable:
+        seen = answer.target, answer.p_target
+    things = [_right(d, "target", case.target, case.target_object, seen, missed == "OPM-TARGET", name)]
     if case.reference:
         seen = right and (right.reference, right.p_reference)
-        things.append(_right(d, "reference", case.reference, case.reference_object, seen, name))
+        if answer is not None and answer.reference is not None and match[answer.reference] == case.reference_object:
+            seen = answer.reference, answer.p_reference
+        lost = missed == "OPM-REF"
+        things.append(_right(d, "reference", case.reference, case.reference_object, seen, lost, name))
     return (*found, Card(kind, tuple(things)))
 
 
@@ -96,12 +104,13 @@ def _right(
     label: str,
     example: int,
     seen: tuple[int | None, float] | None,
+    lost: bool,
     name: Callable[[int], str],
 ) -> CardObject:
-    """Right thing of a role: as it was detected, else as it is labelled."""
-    box, missed = d.truth.boxes[example], d.missed
-    index, score = (None, None) if seen is None else seen
-    if index is None and d.gold and not (missed is not None and d.missed_name == label):
+    """Right thing of a role: as it was detected, else, or where it is the one that was `lost`, as it is labelled."""
+    box, missed = d.truth.boxes[example], d.missed if lost else None
+    index, score = (None, None) if seen is None or lost else seen
+    if index is None and d.gold and not lost:
         # It may have been seen without being in a pair that could win.
         here = np.flatnonzero(d.evidence.match == example)
         named = d.evidence.answers.candidates.get(label)
@@ -112,7 +121,7 @@ def _right(
     if index is not None and index < d.evidence.detections:
         note = "" if score is None or score >= 1 else words("cards", "scored", score=f"{score:.2f}")
         return CardObject(role, name(index), note, np.asarray(d.evidence.answers.boxes[index], np.float64), index)
-    note = _unseen(missed) if missed is not None and d.missed_name == label else words("cards", "labelled")
+    note = words("cards", "labelled") if missed is None else _unseen(missed)
     return CardObject(role, label, note, np.asarray(box, np.float64), None)
 
 

@@ -55,10 +55,16 @@ def _kind(row: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
     if row["verdict"] == "PARSE":
         return "misread.refused" if row["problem"] else "misread", names
     if row["verdict"] in ("OPM-TARGET", "OPM-REF"):
-        missed = names["target" if row["verdict"] == "OPM-TARGET" else "reference"]
+        role = "target" if row["verdict"] == "OPM-TARGET" else "reference"
         on_it = max(TOUCHES, (row["missed_overlap"] or 0) - 1e-6) <= (row["set_iou"] or 0)
-        loose = detail == "LOCALISATION" and row["verdict"] == "OPM-TARGET" and row["reference_box"] is not None
-        return "missed.loose" if loose and on_it else "missed.rank", {"name": row["missed_name"] or missed}
+        loose = on_it and role == "target" and row["reference_box"] is not None
+        kinds = {
+            "THRESHOLD": f"{role}.threshold",
+            "RANK": "missed.suppressed" if "over it" in (row["said"] or "") else "missed.rank",
+            "LOCALISATION": "missed.loose" if loose else "missed.localisation",
+        }
+        kind, name = kinds.get(detail, f"{role}.absent"), row["missed_name"] or names[role]
+        return kind, {"name": name, "target": name, "reference": name}
     if row["verdict"] == "UNEXPLAINED":
         return "level.3", {"Wrong": "Wrong" if answered else "Not answered"}
     if row["reference_box"] is None and row["reference"]:

@@ -149,9 +149,10 @@ class RunFigures(FoundFigures):
         return None if self.second is None else told_apart(self.run, self.second)
 
     @cached_property
-    def counts(self) -> dict[str, int]:
-        """Number of answers by verdict."""
-        return self.run.verdicts
+    def counts(self) -> dict[tuple[str, str | None], int]:
+        """Number of answers by verdict and detail."""
+        told = self.run.records.group_by(["verdict", "detail"]).aggregate([([], "count_all")]).to_pylist()
+        return {(row["verdict"], row["detail"]): row["count_all"] for row in told}
 
     @cached_property
     def standings(self) -> Standings | str:

@@ -47,7 +47,11 @@ def answer_html(state: State, can_ask: bool = True) -> Element:
     if state.problem:
         return panel(note(f"This frame is broken: {state.problem}", BAD), cls="answer")
     if state.trace is None and not state.error:
-        return panel(level_html(state), h.p(HINT if can_ask else NOTHING_TO_ASK, cls="dim"), doubts_html(state))
+        head = h.div(
+            h.div(h.h2("Nothing is asked" if can_ask else "Nothing to ask yet", id="verdict")), cls="verd idle"
+        )
+        hint = h.p(HINT if can_ask else NOTHING_TO_ASK, cls="sub")
+        return panel(level_html(state), head, hint, doubts_html(state), cls="answer")
     told, recorded = story_of(state), state.recorded
     if recorded is not None and recorded.is_that(state.judged):
         recorded = None
@@ -92,14 +96,16 @@ def _head(state: State, told: Story, recorded: Recorded | None) -> Element:
         shown_verdict(verdict, detail, lucky) if verdict else None,
     ]
     known = listing is not None and verdict not in ("", "CORRECT") and state.side != "b"
-    alike = 0 if not known or listing is None else listing.figures.counts.get(verdict, 0)
+    alike = 0 if not known or listing is None else listing.figures.counts.get((verdict, detail or None), 0)
     said = h.span(joined([part for part in parts if part]), title=hint_of(verdict) if verdict else None)
-    many = (
-        h.button(f"{alike:,} such in this run", do=f"alike:{verdict}", cls="link", title="list them") if alike else None
-    )
+    many = None
+    if alike:
+        kind = f"{verdict} {detail or ''}".strip()
+        listed = h.button(f"{alike:,} such in this run", do=f"alike:{kind}", cls="link", title="list them")
+        many = h.span(" · ", listed, cls="together")
     return h.div(
         h.span(MARKS[told.tone], cls="mark", aria_hidden="true"),
-        h.div(h.h2(head, id="verdict"), h.p(said, " · " if alike else None, many, cls="sub")),
+        h.div(h.h2(head, id="verdict"), h.p(said, many, cls="sub")),
         cls=f"verd {TONES[told.tone]}",
     )
 

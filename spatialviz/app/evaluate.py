@@ -109,10 +109,11 @@ class Evaluate(Part):
         self._say_address()
 
     @command("alike")
-    def list_alike(self, verdict: str) -> None:
-        """List the answers of a verdict."""
+    def list_alike(self, kind: str) -> None:
+        """List the answers of a verdict and its detail, apart by a space."""
+        verdict, _, detail = kind.partition(" ")
         self.state = replace(self.state, evaluating=True)
-        self.search(f"verdict:{verdict}")
+        self.search(f"verdict:{verdict}" + (f" detail:{detail}" if detail else ""))
         self.ctx.draw()
 
     def search(self, query: str | None) -> None:

@@ -43,7 +43,7 @@ def _moves(ctx: Context, state: State) -> Child:
 REGIONS = (
     Region("where", "source", lambda ctx, state: toolbar.where_html(state, tuple(ctx.shared.store.sources))),
     Region("moves", "source frame_id", _moves),
-    Region("suggestions", "loaded trace labels error offers text", _suggestions),
+    Region("suggestions", "loaded trace labels error offers text judged", _suggestions),
     Region("needs", "source labels", _needs),
     Region("tasks", "labels evaluating", lambda ctx, state: toolbar.tasks_html(state, bool(ctx.shared.journals))),
     Region("scene-tools", "loaded flags colors camera point_size", lambda _, state: toolbar.scene_tools_html(state)),

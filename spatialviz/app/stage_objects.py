@@ -10,6 +10,7 @@ from pipeline.answering.answer_words import link_words, probability
 from pipeline.answering.ask import Trace
 from pipeline.answering.evidence import Factor
 from pipeline.answering.objects import SceneObject
+from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.ranking import Candidates
 from pipeline.diagnosis.verdict import Diagnosis, Missed
 from pipeline.diagnosis.whatif.region import AskedPair, asked_pair
@@ -200,11 +201,21 @@ def relations_evidence(state: State, trace: Trace) -> list[Child]:
         bars.append(_bar(state, trace.relation, pair.p_relation))
     links, asked = pair.links if len(pair.links) > 1 else (), asked_pair(trace, pair, state.edits)
     return [
+        _beside_right(state, trace, pair),
         h.h3(f"{state.name_of(a)} → {state.name_of(b)}", h.span(f"by {_scored_by(trace.scores, trace.scorer, ours)}")),
         bars,
         (h.p(f"{link_words(link, state.name_of)}: {probability(link.probability)}") for link in links),
         None if asked is None else _placement(state, asked),
     ]
+
+
+def _beside_right(state: State, trace: Trace, pair: ScoredPair) -> Element | None:
+    """Asked relation of the right pair, where the one that is looked at is another."""
+    right = state.judged.right if isinstance(state.judged, Diagnosis) and state.judged.gold else None
+    if right is None or right.reference is None or (right.target, right.reference) == (pair.target, pair.reference):
+        return None
+    ends = f"{state.name_of(right.target)} {trace.phrase} {state.name_of(right.reference)}"
+    return h.p("Of the right pair: ", ends, " ", h.b(probability(right.p_relation)), cls="sub")
 
 
 def _scored_by(scores: RelationScores, scorer: str, ours: Collection[str]) -> str:

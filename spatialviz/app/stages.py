@@ -82,7 +82,9 @@ def _evidence(state: State, stage: Stage, head: Element | None = None) -> Elemen
     """Outcome of a stage in words, and what it rests on."""
     told = None if state.trace is None else EVIDENCE[stage.name](state, state.trace)
     look = {"id": f"evidence-{stage.name.lower()}", "role": "region", "aria_label": f"evidence of {STEPS[stage.name]}"}
-    return h.div(head, h.p(stage.words, cls="sub"), told, cls=f"evidence {stage.mark}", **look)
+    # The numbers of PRM's evidence say as much.
+    said = None if stage.name == "PRM" and head is None and state.ranked else h.p(stage.words, cls="sub")
+    return h.div(head, said, told, cls=f"evidence {stage.mark}", **look)
 
 
 def _stages(state: State) -> tuple[Stage, ...]:
@@ -226,8 +228,10 @@ def _row(state: State, i: int, pair: ScoredPair, fit: bool) -> Element:
         )
         for k, p in enumerate(factors)
     ]
+    judged = state.judged
+    right = isinstance(judged, Diagnosis) and pair is judged.right
     return h.tr(
-        cell(i + 1, None if rank in (None, i + 1) else f"was rank {rank}", "n dim"),
+        cell(f"{i + 1} ✓" if right else i + 1, None if rank in (None, i + 1) else f"was rank {rank}", "n dim"),
         h.td(
             h.div(named(colors["target"], state.name_of(pair.target))),
             None
@@ -240,7 +244,7 @@ def _row(state: State, i: int, pair: ScoredPair, fit: bool) -> Element:
         id=f"pair-{i}",
         do=f"pair:{i}",
         hover="hover:" + ",".join(map(str, dict.fromkeys(state.at(pair)))),
-        cls="r",
+        cls="r ok" if right else "r",
     )
 
 

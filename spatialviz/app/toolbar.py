@@ -6,7 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
 from pipeline.datasets.settings import ASSUMED, SOURCES
+from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.geometry.camera import UpSource
+from pipeline.language.relation_names import PHRASE
 from spatialviz.app.keys import KEYS, MOVE_KEYS
 from spatialviz.app.markup import DOUBT, IDLE, Element, button, h, hint_of, note, panel, segments
 from spatialviz.app.state import State
@@ -126,9 +128,14 @@ def suggestions_html(state: State, suggestions: Sequence[str]) -> Element | None
     """Suggested questions on the frame; None without any."""
     if state.loaded is not None and state.labels is None and state.loaded.context.viewer.up_source == "assumed":
         return panel(h.p("No example: it would rest on an assumed up.", cls="dim"))
-    if not suggestions:
+    judged = state.judged
+    rows = [h.li(button(t, f"try:{i}", cls="on" if t == state.text else "")) for i, t in enumerate(suggestions)]
+    if isinstance(judged, Diagnosis) and judged.verdict == "PARSE" and judged.case.relation in PHRASE:
+        # What was meant comes first.
+        meant = f"{judged.case.target} {PHRASE[judged.case.relation]} the {judged.case.reference}"
+        rows.insert(0, h.li(button(meant, f"ask:{meant}", "what was meant", "go")))
+    if not rows:
         return None
-    rows = (h.li(button(t, f"try:{i}", cls="on" if t == state.text else "")) for i, t in enumerate(suggestions))
     return panel(h.ul(rows, cls="suggestions"))
 
 
