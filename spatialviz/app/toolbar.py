@@ -165,8 +165,8 @@ MADE_WITH = "The labels were made with it."
 HOW = "Click here (Shift+U), then a surface that is level: up is then known."
 
 
-def up_chip(state: State, quiet: bool = False) -> Element | None:
-    """Doubt of an assumed or implausible up; `quiet` also names a sound one. A click asks for a level surface."""
+def up_chip(state: State) -> Element | None:
+    """Doubt of an assumed or implausible up, or one that was said. A click asks for a level surface."""
     # Shown labels have the up of their making, unchanged by clicks.
     if state.loaded is None:
         return None
@@ -175,7 +175,7 @@ def up_chip(state: State, quiet: bool = False) -> Element | None:
     viewer = state.loaded.context.viewer
     doubt = viewer.up_doubt if viewer.up_source == source else ""
     loud = source == "assumed" or bool(doubt)
-    if source is None or not (loud or quiet or state.loaded.up_hint is not None):
+    if source is None or not (loud or state.loaded.up_hint is not None):
         return None
     said = f"{ASSUMED[0].upper()}{ASSUMED[1:]}." if source == "assumed" else f"Up: {SOURCES[source]}."
     said += f" It may be wrong: {doubt}." if doubt else ""
@@ -198,11 +198,6 @@ def depth_chip(state: State) -> Element | None:
         return None
     title = f"The depth is {source}." if source else f"{doubt[0].upper()}{doubt[1:]}"
     return h.span(f"depth {'estimated' if source else 'odd'}", cls="upchip loud", css={"--c": DOUBT}, title=title)
-
-
-def ground_chips(state: State) -> Element:
-    """Assumptions under all geometry."""
-    return h.span(up_chip(state, quiet=True), depth_chip(state), cls="upchips")
 
 
 def level_html(state: State) -> Element | None:
