@@ -97,6 +97,11 @@ class Person:
         self.tab.press("y")
         yield
         self.tab.poll(f"was => {ITEM} !== was", was)
+        if (faster := self.tab.page.locator(".toast.bad", has_text="was faster")).count():
+            # Both answered at once, and the page says whose answer is not kept.
+            faster.locator(".close").first.evaluate("close => close.click()")
+            self.told["refused"] += 1
+            return
         self.keep(("accept", f"{frame} {item}", 0.0))
 
     def number(self, row: int) -> int:

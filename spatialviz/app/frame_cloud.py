@@ -27,6 +27,8 @@ CLOUD = "/cloud/"
 """Prefix of the cloud's nodes."""
 LIT = f"{CLOUD}lit/"
 """Of the points that are not dimmed: all others keep their colours from pair to pair."""
+FINE, COARSE = 1500, "-coarse/"
+"""A thing of more points is shown by one in four of them; end of the name of its nodes."""
 
 
 class FrameCloud(Part):
@@ -67,7 +69,9 @@ class FrameCloud(Part):
                 if anew:
                     viewpoint.place(state.camera)
                 self.ctx.post(lambda: self._complete(loaded))
-        self._spotlight(state.spotlit or ())
+        # The answer's own points come with the rest of a frame's, which are sent first.
+        if loaded is None or all(CLOUD + part.name in self.ctx.client.nodes for part in loaded.cloud.parts):
+            self._spotlight(state.spotlit or ())
         # A refused question has no pair to look at.
         if other and not state.error and state.camera == "pair" and viewpoint.untouched and loaded is not None:
             viewpoint.place("pair")
@@ -85,10 +89,13 @@ class FrameCloud(Part):
             for key in wanted.keys() - self._lit.keys():
                 at = np.flatnonzero(wanted[key][cloud.v, cloud.u])
                 colors, ends = rgb[cloud.v[at], cloud.u[at]], np.searchsorted(at, [p.at.start for p in cloud.parts])
-                self._lit[key] = f"{LIT}{len(self._lit)}/"
+                # Of a large thing one point in four, twice as large, says as much.
+                few = len(at) > FINE
+                self._lit[key] = f"{LIT}{len(self._lit)}{COARSE if few else '/'}"
                 for part, first, last in zip(cloud.parts, ends, [*ends[1:], len(at)], strict=True):
                     here = slice(int(first), int(last))
-                    self._put(self._lit[key], part, part.offsets[at[here] - part.at.start], colors[here])
+                    if part.first or not few:
+                        self._put(self._lit[key], part, part.offsets[at[here] - part.at.start], colors[here])
             shown = {root for key, root in self._lit.items() if key in wanted} if self.state.flags.cloud else set[str]()
             for name in [name for name in client.nodes if name.startswith(LIT)]:
                 client.change(name, visible=f"{name.rpartition('/')[0]}/" in shown)
@@ -102,7 +109,8 @@ class FrameCloud(Part):
             for part in parts:
                 client.change(CLOUD + part.name, visible=state.flags.cloud, point_size=part.size * factor)
                 for root in self._lit.values():
-                    client.change(root + part.name, point_size=part.size * factor)
+                    coarse = 2 if root.endswith(COARSE) else 1
+                    client.change(root + part.name, point_size=part.size * factor * coarse)
             client.change("/camera", visible=state.flags.camera)
         self.ctx.page.call("cloud", {CLOUD + part.name: len(part.offsets) for part in parts if state.flags.cloud})
 
@@ -134,6 +142,7 @@ class FrameCloud(Part):
         if loaded is self._loaded:
             with self.ctx.client.atomic():
                 self._add(part for part in loaded.cloud.parts if not part.first)
+                self._spotlight(self.state.spotlit or ())
                 self.dress()
 
     def _add(self, parts: Iterable[CloudPart]) -> None:
@@ -148,7 +157,9 @@ class FrameCloud(Part):
                 root + part.name,
                 points=offsets,
                 colors=colors,
-                point_size=part.size * self.state.point_size * (2 if part.first and root == CLOUD else 1),
+                point_size=part.size
+                * self.state.point_size
+                * (2 if (part.first and root == CLOUD) or root.endswith(COARSE) else 1),
                 precision="float16",
                 point_shading="flat",
                 point_shape="square",
