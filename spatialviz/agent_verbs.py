@@ -25,8 +25,9 @@ from pipeline.system.errors import InputError, needed, require
 from pipeline.system.sql import QueryDatabase
 from spatialviz import cli_runs
 from spatialviz.options import JournalOptions, SourceOptions
+from spatialviz.query_rows import row_records
 from spatialviz.run_cases import replay_record, whatif_answer
-from spatialviz.run_eval import failures_of, row_records
+from spatialviz.run_eval import failures_of
 
 Thing = TypeVar("Thing")
 MOST = 1000

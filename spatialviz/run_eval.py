@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import fields
-from itertools import islice
 from pathlib import Path
 from typing import Any, Literal
 
@@ -36,7 +34,6 @@ from pipeline.pictures.sheet import failures_sheet
 from pipeline.pictures.writing import check_target, write_picture
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
-from pipeline.system.sql import QueryRows
 from spatialviz.cli_runs import (
     EvalCommand,
     FailuresCommand,
@@ -45,9 +42,8 @@ from spatialviz.cli_runs import (
 )
 from spatialviz.options import FINE, NO, print_json, warn
 from spatialviz.printing import print_rows, print_table, rate_bar, rows_record, say, say_lines, table_record
+from spatialviz.query_rows import plain, print_answer, print_json_rows
 
-MOST_SHOWN = 1000
-"""Rows of SQL on the terminal."""
 MOST_ROWS = 15
 """Of a slice on the terminal."""
 SHOWN = (
@@ -366,51 +362,6 @@ def run_record(report: RunReport) -> dict[str, Any]:
         "rows": rows_record(report.tables),
         "comparison": None if report.comparison is None else report.comparison.record(),
     }
-
-
-def print_answer(answer: QueryRows) -> int:
-    """Print the first rows as a table; returns their number."""
-    rows = list(islice(answer.rows, MOST_SHOWN + 1))
-
-    kinds = [{type(value) for value in column} for column in zip(*rows, strict=True)] or [set()] * len(answer.columns)
-    columns = (f">{n}" if kind and kind <= {int, float} else n for n, kind in zip(answer.columns, kinds, strict=True))
-    print_rows(columns, (map(_shown, row) for row in rows[:MOST_SHOWN]))
-    if len(rows) > MOST_SHOWN:
-        say(f"only the first {MOST_SHOWN:,} rows are shown; --json prints them all", style="dim")
-    return len(rows)
-
-
-def print_json_rows(answer: QueryRows) -> int:
-    """Rows as JSON objects, a line each; how many."""
-    count = 0
-    for row in row_records(answer):
-        print_json(row)
-        count += 1
-    return count
-
-
-def row_records(answer: QueryRows) -> Iterator[dict[str, Any]]:
-    """Rows as records of `query --json`, streamed."""
-    return (dict(zip(answer.columns, map(plain, row), strict=True)) for row in answer.rows)
-
-
-def plain(value: Any) -> Any:
-    """Convert a value of a database to JSON; NaN and infinity become null."""
-    if value is None or isinstance(value, (str, bool, int)):
-        return value
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(v) for v in value]
-    return str(value)
-
-
-def _shown(value: Any) -> str:
-    if value is None:
-        return "–"
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def print_failures(

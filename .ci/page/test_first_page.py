@@ -29,6 +29,7 @@ def test_the_page_says_what_the_command_line_says(demo: Server, open_tab: OpenTa
     verdict = said["verdict"]
     assert verdict["verdict"] != "CORRECT", verdict
     assert head == verdict["head"], (head, verdict)
+    assert verdict["verdict"] in tab.see("#answer .verd .sub").inner_text(), verdict
     assert tab.see("#answer .why.bad").inner_text() == verdict["said"], verdict
     assert tab.see("#answer .fix p").inner_text() == verdict["mend"]["said"], verdict
     tab.click("stage:PRM")

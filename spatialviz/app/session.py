@@ -20,7 +20,6 @@ from pipeline.diagnosis.suggestions import SuggestedQuestions, completions, firs
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif.answer_view import NOTHING, shown_objects
 from pipeline.language.counted import counted
-from pipeline.language.relation_names import PHRASE
 from pipeline.system.errors import InputError, UnknownClass, require
 from spatialviz.app import (
     depth_check,
@@ -37,6 +36,7 @@ from spatialviz.app.channel import Command, Hello, Incoming, Scene
 from spatialviz.app.context import Context, Idle, Part, Shared, command, commands_of, there
 from spatialviz.app.labelling import Labelling
 from spatialviz.app.picture import overlay_marks
+from spatialviz.app.questions import Questions
 from spatialviz.app.selection import Selection
 from spatialviz.app.stages import opened
 from spatialviz.app.state import Place, Side
@@ -84,6 +84,7 @@ class PageSession(Part):
         parts = (
             self,
             self._selection,
+            Questions(ctx, self.ask),
             self._runs,
             self._what_if,
             self._exports,
@@ -399,15 +400,6 @@ class PageSession(Part):
         self.state = replace(self.state, pair=pair, selected=None if pair is None else pair[0])
         self._what_if.answered()
 
-    @command("relation")
-    def _ask_relation(self, number: int) -> None:
-        """Ask the same names with another relation."""
-        trace = there(self.state.trace)
-        ends = trace.query.target, there(trace.asked).nodes[0].label
-        if 0 <= number < len(trace.scores.relations):
-            first, second = ends[::-1] if trace.inverse else ends
-            self.ask(f"{first} {PHRASE[trace.scores.relations[number]]} the {second}")
-
     @command("side")
     def _turn_side(self, side: Side) -> None:
         """Show the answer of the first or of the second run, or both in a table."""
@@ -415,15 +407,6 @@ class PageSession(Part):
             self.state = replace(self.state, side=side)
             self.ask(self.state.text, draw=False)
             self.ctx.show(stage="LABEL" if side == "both" else "")
-
-    @command("again")
-    def _ask_again(self) -> None:
-        self.ask(self.state.text)
-
-    @command("try")
-    def _try(self, number: int) -> None:
-        if 0 <= number < len(self.state.offers.questions):
-            self.ask(self.state.offers.questions[number])
 
     @command("clear")
     def _clear(self) -> None:
