@@ -98,6 +98,7 @@ calls.selected = now => {
 };
 
 export const patch = parts => {
+  const typed = document.activeElement, changed = typed.dataset?.change && typed.value !== typed.defaultValue;
   for (const [id, html] of parts) {
     const old = byId(id), made = parsed(html).firstElementChild;
     if (!old || !made) continue;
@@ -107,6 +108,8 @@ export const patch = parts => {
     // The item that is judged stays in sight, above the queue that it is from.
     if (now && now !== shown && !now.closest('#review-list')) now.scrollIntoView({block: 'nearest'});
   }
+  // Where its field goes, what was typed is sent, and the server says what became of it.
+  if (changed && !typed.isConnected) send(`${typed.dataset.change}:${typed.value}`);
   mark();
 };
 
