@@ -346,11 +346,11 @@ class Evaluate(Part):
 
     def _show_bar(self) -> None:
         listing, numbers, marks = self._listing, np.flatnonzero(self._selected), dict[str, int]()
-        rows, second = listing.figures.rows, listing.figures.second is not None
+        rows = listing.figures.rows
         if len(numbers):
             of_mark = rows.records.column(MARKS).take(numbers).combine_chunks().flatten().value_counts()
             marks = {c["values"]: c["counts"] for c in of_mark.to_pylist()}
-        self.ctx.page.show("found-bar", bar_html(listing, self._view, second, len(numbers), marks, rows.notes))
+        self.ctx.page.show("found-bar", bar_html(listing, self._view, len(numbers), marks, rows.notes))
 
     # ---- figures --------------------------------------------------------------------
 

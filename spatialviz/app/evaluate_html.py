@@ -13,11 +13,10 @@ from pipeline.evaluation.comparing import CHANGES
 from pipeline.evaluation.run_figures import Listing
 from pipeline.evaluation.run_notes import MARKS, Notes
 from pipeline.geometry.palette import VERDICTS as COLORS
-from pipeline.geometry.palette import hex_color
 from pipeline.language.glossary import glossary
 from spatialviz.app.answer import verdict_chip
 from spatialviz.app.frames import STROKES
-from spatialviz.app.markup import BAD, Child, Element, button, h, note, panel, segments
+from spatialviz.app.markup import BAD, Child, Element, button, h, note, panel, segments, sign, text_field
 
 SHOWN_VALUES, FEW_VALUES = 7, 11
 """Values of a folded facet; up to so many are never folded."""
@@ -69,58 +68,37 @@ def facets_html(facets: Sequence[Facet], opened: Collection[str], error: str) ->
 
 
 def _facet(facet: Facet, opened: bool, most: int) -> Element:
-    asked = [v for v in facet.values if v.state]
-    few = len(facet.values) <= FEW_VALUES
-    shown = facet.values if opened or few else facet.values[:SHOWN_VALUES]
-    shown = (*shown, *(v for v in asked if v not in shown))
+    name, few = f"facet-{facet.name}", len(facet.values) <= FEW_VALUES
+    shown = [v for k, v in enumerate(facet.values) if opened or few or k < SHOWN_VALUES or v.state]
     rest = len(facet.values) - len(shown)
-    more = None
-    if rest or (opened and not few):
-        more = h.button(
-            f"{rest} more" if rest else "fewer",
-            cls="more",
-            do=f"facet-more:{facet.name}",
-            aria_expanded=str(not rest).lower(),
-        )
-    name = f"facet-{facet.name}"
+    more = h.button(
+        f"{rest} more" if rest else "fewer", cls="more", do=f"facet-more:{facet.name}", aria_expanded=not rest
+    )
     return h.section(
         h.h2(TITLES.get(facet.name, facet.title), id=f"{name}-name", title=hint("facet")),
         h.div((_value(facet, v, most) for v in shown), role="group", aria_labelledby=f"{name}-name"),
-        more,
+        more if rest or (opened and not few) else None,
         id=name,
         cls="facet",
     )
 
 
 def _value(facet: Facet, value: FacetValue, most: int) -> Element:
-    name, color = value.name, COLORS.get(value.name)
-    if facet.name == "change":
-        name = CHANGES.get(name, name)
-    said = hint(name) if name in glossary() and facet.name in EXPLAINED else name
-    on = {1: "true", -1: "mixed"}.get(value.state, "false")
-    css = {"--v": f"{value.count / most:.3f}"} | ({} if color is None else {"--c": hex_color(color)})
+    name = CHANGES.get(value.name, value.name) if facet.name == "change" else value.name
     row = h.button(
         h.span(cls="box"),
         h.span(name, cls="which"),
         h.span(f"{value.count:,}", cls="n"),
         do=f"facet:{value.term}",
         role="checkbox",
-        aria_checked=on,
-        css=css,
-        title=said,
+        aria_checked={1: "true", -1: "mixed"}.get(value.state, "false"),
+        css={"--v": f"{value.count / most:.3f}"},
+        color=COLORS.get(value.name),
+        title=hint(name) if name in glossary() and facet.name in EXPLAINED else name,
         cls="value",
     )
-    leave = None
-    if not facet.ranges:
-        leave = h.button(
-            "−",
-            cls="not",
-            do=f"facet-not:{value.term}",
-            title=f"without {name}",
-            aria_label=f"without {name}",
-            aria_pressed=str(value.state < 0).lower(),
-        )
-    return h.div(row, leave, cls="valuerow")
+    leave = sign("−", f"facet-not:{value.term}", f"without {name}", "not", aria_pressed=value.state < 0)
+    return h.div(row, None if facet.ranges else leave, cls="valuerow")
 
 
 # ---- the search and what is done with what it finds
@@ -128,16 +106,9 @@ def _value(facet: Facet, value: FacetValue, most: int) -> Element:
 
 def search_html(query: str, tried: Sequence[str]) -> Element:
     """Field of the search, and terms to try."""
-    field = h.input(
-        cls="find runs",
-        field="find",
-        value=query,
-        title=SYNTAX_HINT,
-        spellcheck="false",
-        autocomplete="off",
-        placeholder="search, such as verdict:SRM class:chair margin<0.1   ( / )",
-        aria_label="Search the expressions of the run",
-    )
+    example = "search, such as verdict:SRM class:chair margin<0.1   ( / )"
+    name = "Search the expressions of the run"
+    field = text_field(name, SYNTAX_HINT, "find runs", field="find", value=query, placeholder=example)
     terms = (h.button(term, do=f"facet:{term}", title="add to the search, or take away") for term in tried)
     return h.div(field, h.div("try", terms, cls="tried", role="group", aria_label="Terms to try", title=SYNTAX_HINT))
 
@@ -147,7 +118,7 @@ def offers_html(offered: Sequence[str]) -> Element | None:
     if not offered:
         return None
     words = (
-        h.button(word, role="option", aria_selected=str(not k).lower(), tabindex="-1", local=f"take:{word}")
+        h.button(word, role="option", aria_selected=not k, tabindex="-1", local=f"take:{word}")
         for k, word in enumerate(offered)
     )
     return h.div(
@@ -159,96 +130,65 @@ def offers_html(offered: Sequence[str]) -> Element | None:
 
 def filters_html(listing: Listing, notes: Notes, first: str, view: str) -> Element:
     """Saved searches, common searches, and the choice of view."""
-    second = listing.figures.second is not None
-    ready = {"failures": first, "all": ""} | ({"what the second run broke": "change:broken"} if second else {})
+    ready = {"failures": first, "all": ""}
+    if listing.figures.second is not None:
+        ready["what the second run broke"] = "change:broken"
     chips = [_filter(name, query, listing.query) for name, query in ready.items()]
     for name, query in notes.filters.items():
-        drop = h.button(
-            "×", cls="drop", do=f"filter-drop:{name}", title=f"forget “{name}”", aria_label=f"forget {name}"
-        )
+        drop = sign("×", f"filter-drop:{name}", f"forget “{name}”")
         chips.append(h.span(_filter(name, query, listing.query), drop, cls="kept"))
-    known = listing.query in (*ready.values(), *notes.filters.values())
-    keep = (
-        None
-        if known or listing.error
-        else h.input(
-            cls="naming",
-            field="naming",
-            enter="filter-keep",
-            value="",
-            placeholder="keep as …",
-            maxlength=40,
-            autocomplete="off",
-            aria_label="Keep this search under a name",
-            title="a name, then Enter: kept with the run",
-        )
-    )
-    shown_as = segments("rows-view", VIEWS, view, "Show as")
+    known = listing.error or listing.query in (*ready.values(), *notes.filters.values())
+    keep = _naming("keep as …", "filter-keep", "Keep this search under a name", "a name, then Enter: kept with the run")
     return h.div(
-        h.div(chips, keep, cls="filters", role="group", aria_label="Kept searches"),
+        h.div(chips, None if known else keep, cls="filters", role="group", aria_label="Kept searches"),
         h.span(cls="grow"),
-        shown_as,
+        segments("rows-view", VIEWS, view, "Show as"),
         cls="filtersrow",
     )
 
 
 def _filter(name: str, query: str, now: str) -> Element:
-    return h.button(
-        name, cls="try", title=query or "every expression", aria_pressed=str(query == now).lower(), **searches(query)
-    )
+    return h.button(name, cls="try", title=query or "every expression", aria_pressed=query == now, **searches(query))
 
 
-def bar_html(
-    listing: Listing, view: str, second: bool, selected: int, marks: Mapping[str, int], notes: Notes
-) -> Element:
+def _naming(example: str, do: str, name: str, hint: str, **more: object) -> Element:
+    """Small field of a name."""
+    given = {"field": "naming", "enter": do, "value": "", "placeholder": example, "maxlength": 40}
+    return text_field(name, hint, "naming", **given, **more)
+
+
+def bar_html(listing: Listing, view: str, selected: int, marks: Mapping[str, int], notes: Notes) -> Element:
     """Number of results, choice of view, and actions on the selected rows."""
-    total = listing.figures.rows.records.num_rows
-    found = h.h2(h.span(h.b(f"{listing.count:,}"), f" of {total:,} found", role="status"), cls="count")
+    total, count = listing.figures.rows.records.num_rows, f"{listing.count:,}"
+    found = h.h2(h.span(h.b(count), f" of {total:,} found", role="status"), cls="count")
     if listing.error:
         return h.div(note(listing.error, BAD), cls="foundbar")
-    legend = (
-        h.span(h.i(cls=f"stroke {style}{' wrong' * (name == 'wrong target')}", css={"--c": hex_color(color)}), name)
-        for name, (color, style) in STROKES.items()
-        if second or name != "second run"
-    )
-    own: Child = (
-        h.div(legend, cls="lines") if view == "grid" else None,
-        button(f"select all {listing.count:,}", "choose-all", "all that the search finds (Ctrl+A in the list)")
-        if listing.count
-        else None,
-    )
     if selected:
-        own = h.div(
+        own: Child = h.div(
             h.b(f"{selected:,} selected"),
-            h.input(
-                cls="naming",
-                field="naming",
-                enter="mark-rows",
-                value="",
-                placeholder="mark as …",
-                maxlength=40,
-                list="known-marks",
-                aria_label="Mark the selected",
-                title="one word, then Enter",
-                autocomplete="off",
-            ),
+            _naming("mark as …", "mark-rows", "Mark the selected", "one word, then Enter", list="known-marks"),
             h.datalist((h.option(value=name) for name in notes.marks), id="known-marks"),
-            (
-                button(
-                    f"#{name} ×",
-                    f"unmark-rows:{name}",
-                    f"take the mark from the selected: {n:,} have it",
-                    aria_label=f"take the mark {name} from the selected",
-                )
-                for name, n in marks.items()
-            ),
+            (_unmark(name, n) for name, n in marks.items()),
             button("make cases", "row-cases", "keep each of the selected as a small folder that `replay` runs again"),
             button("none", "choose-none", "select nothing (Escape)"),
             cls="chosen",
             role="group",
             aria_label="The selected",
         )
+    else:
+        every = button(f"select all {count}", "choose-all", "all that the search finds (Ctrl+A in the list)")
+        legend = (
+            h.span(h.i(cls=f"stroke {style}{' wrong' * (name == 'wrong target')}", color=color), name)
+            for name, (color, style) in STROKES.items()
+            if listing.figures.second is not None or name != "second run"
+        )
+        own = h.div(legend, cls="lines") if view == "grid" else None, every if listing.count else None
     return h.div(found, h.span(cls="grow"), own, cls="foundbar")
+
+
+def _unmark(name: str, count: int) -> Element:
+    hint, said = f"take the mark from the selected: {count:,} have it", f"take the mark {name} from the selected"
+    return button(f"#{name} ×", f"unmark-rows:{name}", hint, aria_label=said)
 
 
 # ---- rows
@@ -272,20 +212,17 @@ def heads_html(query: str, columns: Sequence[str]) -> Element:
     words = query.split()
     plain = [word for word in words if not word.startswith("sort:")]
     now = next((word for word in words if word.startswith("sort:")), "")
-    cells = [
-        h.div(h.span(label, cls="unseen"), role="columnheader", cls=f"c-{name}")
-        for name, label in (("tick", "selected"), ("shot", "picture"))
-    ]
+    fixed = (("tick", "selected"), ("shot", "picture"))
+    cells = [h.div(h.span(label, cls="unseen"), role="columnheader", cls=f"c-{name}") for name, label in fixed]
     for name in columns:
         title, said = COLUMNS[name]
         up, down = f"sort:{name}", f"sort:-{name}"
         then, order, mark = {up: (down, "ascending", " ↑"), down: ("", "descending", " ↓")}.get(now, (up, "none", ""))
         press = h.button(f"{title}{mark}", title=said or title, **searches(" ".join([*plain, then]).strip()))
+        # Marks have no order.
+        shown, order = (title, None) if name == MARKS else (press, order)
         numeric = " n" if name in NUMBERS else ""
-        if name == MARKS:
-            cells.append(h.div(title, role="columnheader", cls="c-marks"))
-        else:
-            cells.append(h.div(press, role="columnheader", aria_sort=order, cls=f"c-{name}{numeric}"))
+        cells.append(h.div(shown, role="columnheader", aria_sort=order, cls=f"c-{name}{numeric}"))
     return h.div(h.div(cells, role="row", aria_rowindex="1", cls="expr"), role="rowgroup", cls="columns")
 
 
@@ -296,8 +233,8 @@ def row_html(row: Mapping[str, Any], view: str, columns: Sequence[str]) -> Eleme
     """Expression as a card of the grid, or as a row of the table."""
     head = h.div(h.i(GLYPHS[row["tone"]], cls=row["tone"].replace(" ", "-")), row["head"], cls="head")
     # What a card has no room for is in its words.
-    detail: tuple[str | None, bool] = (None, False) if view == "grid" else (row["detail"], bool(row["lucky"]))
-    verdict = verdict_chip(row["verdict"], *detail)
+    detail, lucky = (None, False) if view == "grid" else (row["detail"], bool(row["lucky"]))
+    verdict = verdict_chip(row["verdict"], detail, lucky)
     marks = [h.span(f"#{name}", cls="tagged") for name in row[MARKS]]
     image = h.img(alt="", decoding="async", draggable="false")
     second, change = _second(row), row.get("change", "same")

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.diagnosis.oracles import shown_oracle
+from pipeline.diagnosis.story_words import capital
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.comparing import CHANGES
 from pipeline.evaluation.confusion import NO_ANSWER, OTHERS, Confusion
@@ -18,8 +19,8 @@ from pipeline.evaluation.run_figures import STANDS_IN, FoundFigures, doubts_of
 from pipeline.evaluation.search import FAILURES, narrowed, quote
 from pipeline.evaluation.slices import Slice, Slices
 from pipeline.evaluation.summary import SHORT, RunSummary, cost_words, residual_words
+from pipeline.evaluation.summary import Share as Count
 from pipeline.geometry.palette import VERDICTS as COLORS
-from pipeline.geometry.palette import hex_color
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.metrics.intervals import Estimate
@@ -27,16 +28,8 @@ from spatialviz.app.answer import verdict_chip
 from spatialviz.app.evaluate_html import hint, searches
 from spatialviz.app.markup import Child, Element, h, heading, note, panel, segments
 
-CUTS = {
-    "relation": "relation",
-    "class": "class",
-    "distance": "distance",
-    "size": "size",
-    "occlusion": "occlusion",
-    "same_class": "same class",
-}
+CUTS = {name: name.replace("_", " ") for name in ("relation", "class", "distance", "size", "occlusion", "same_class")}
 """Dimensions for slicing a run, with titles."""
-NOT_TOLD = "not worked out"
 AXIS = 10
 """Start of the scale, rounded to a multiple, percent."""
 
@@ -70,9 +63,8 @@ def summary_html(of: Sample) -> Element:
         choice = segments("figures-of", choices, "found" if of.query else "all", "Figures of")
     name = h.div(h.h2(h.b(run.name), title=run.folder.name), choice, cls="runhead")
     shares = [shares_html(run.shares), *map(note, doubts_of(run))]
-    if isinstance(summary, str):
-        return panel(name, shares, note(summary))
-    return panel(name, shares, _waterfall(of, summary), _verdicts(of, summary))
+    told = note(summary) if isinstance(summary, str) else (_waterfall(of, summary), _verdicts(of, summary))
+    return panel(name, shares, told)
 
 
 def shares_html(shares: Sequence[Share]) -> Element | None:
@@ -81,9 +73,8 @@ def shares_html(shares: Sequence[Share]) -> Element | None:
         return None
     told = "\n".join(share.sentence for share in shares)
     title = title_of(shares)
-    if title:
-        return note(title[:1].upper() + title[1:]).with_(title=told)
-    return h.div(shares[0].sentence, cls="small dim oneline", title=told)
+    line = note(capital(title)) if title else h.div(shares[0].sentence, cls="small dim oneline")
+    return line.with_(title=told)
 
 
 def percent(e: Estimate) -> str:
@@ -110,57 +101,44 @@ def _along(start: float, width: float) -> dict[str, str]:
 
 def _waterfall(of: Sample, summary: RunSummary) -> tuple[Child, ...]:
     """Bars from the accuracy as measured, module by module, to 100, each starting at the end of the previous."""
+    lead = h.p(cost_words(summary), cls="lead", title=f"{hint('accuracy')} {residual_words(summary)}.")
     if summary.deltas is None:
-        return heading("Where the accuracy goes", ""), _in_words(summary)
+        return heading("Where the accuracy goes"), lead
     shares = {name: e for name, e in summary.loss.items() if name != "accuracy"}
     alone = {name: e for name, e in {"PARSE": summary.parse, **summary.deltas.single}.items() if name in shares}
     base = summary.accuracy.value
     low = math.floor(max(0.0, base + min(0.0, *(e.value for e in alone.values())) - 0.02) * 100 / AXIS) * AXIS / 100
     span = 1 - low
 
-    def scaled(start: float, stop: float) -> dict[str, str]:
+    def bar(start: float, stop: float, cls: str) -> Element:
         a, b = sorted(((start - low) / span, (stop - low) / span))
-        return _along(a, max(b - a, 0.004))
+        return h.i(css=_along(a, max(b - a, 0.004)), cls=cls)
 
-    first = h.div(
-        h.span(h.b("as it is"), " ", between(summary.accuracy), cls="module"),
-        h.b(percent(summary.accuracy), cls="n"),
-        h.span(),
-        h.span(h.i(css=scaled(low, base), cls="base"), cls="track"),
-        cls="fall",
-        title=f"{hint('accuracy')}\n{between(summary.accuracy)}: {hint('interval')}",
-    )
-    rows, at = [first], base
+    track = h.span(bar(low, base, "base"), cls="track")
+    said = f"{hint('accuracy')}\n{between(summary.accuracy)}: {hint('interval')}"
+    rows = [_fall(h.div, "as it is", between(summary.accuracy), percent(summary.accuracy), track, title=said)]
+    at, causes = base, ",".join(dict.fromkeys(verdict for verdict, _ in summary.residual_causes))
+    queries = {
+        "PARSE": "verdict:PARSE",
+        "residual": f"verdict:{causes or 'LABEL'}",
+        "unknown": f"{FAILURES} -untold:none" if "untold" in of.figures.records.column_names else FAILURES,
+    }
     for name, e in shares.items():
-        single = alone.get(name)
-        mark = None if single is None else h.u(css={"left": f"{(base + single.value - low) / span:.2%}"})
-        bar = h.i(css=scaled(at, at + e.value), cls="less" if e.value < 0 else "")
-        reached = h.span("" if single is None else f"{100 * (base + single.value):.1f}", cls="n dim")
-        word = NOT_TOLD if name == "unknown" else name
-        said = f"{_named(name)}: {hint(word)}\nFair share {e.formatted(signed=True)} points."
-        if single is not None:
-            said += f" With it alone {100 * (base + single.value):.1f} in place of {100 * base:.1f}."
-        told = "untold" in of.figures.records.column_names
-        unknown = f"{FAILURES} -untold:none" if told else FAILURES
-        query = {"PARSE": "verdict:PARSE", "residual": _causes(summary), "unknown": unknown}.get(
-            name, f"{FAILURES} mends:{name}"
-        )
-        rows.append(
-            h.button(
-                h.span(h.b(_named(name)), " ", SHORT[name], cls="module"),
-                h.b(signed(e.value), cls="n"),
-                reached,
-                h.span(bar, mark, cls="track", css={"--c": LOSS_COLORS[name]}),
-                cls="fall",
-                title=said,
-                **of.finds(query),
-            )
-        )
+        said = f"{_named(name)}: {hint(_named(name) if name == 'unknown' else name)}"
+        said += f"\nFair share {e.formatted(signed=True)} points."
+        reached, mark = h.span(), None
+        if name in alone:
+            value = base + alone[name].value
+            reached = h.span(f"{100 * value:.1f}", cls="n dim")
+            mark = h.u(css={"left": f"{(value - low) / span:.2%}"})
+            said += f" With it alone {reached.text} in place of {100 * base:.1f}."
+        track = h.span(bar(at, at + e.value, "less" * (e.value < 0)), mark, cls="track", color=LOSS_COLORS[name])
+        found = of.finds(queries.get(name, f"{FAILURES} mends:{name}"))
+        rows.append(_fall(h.button, _named(name), SHORT[name], signed(e.value), reached, track, title=said, **found))
         at += e.value
     for name, why in summary.untold.items():
-        label = h.span(h.b(_named(name)), " ", SHORT[name], cls="module")
         why = f"{_named(name)}: what it costs cannot be worked out: {why}"
-        rows.append(h.div(label, h.b("–", cls="n"), h.span(), h.span(), cls="fall", title=why))
+        rows.append(_fall(h.div, _named(name), SHORT[name], "–", title=why))
     ends = (h.span(f"{100 * (low + part * span):.0f}") for part in (0, 0.5, 1))
     axis = h.div(
         h.span(),
@@ -169,64 +147,51 @@ def _waterfall(of: Sample, summary: RunSummary) -> tuple[Child, ...]:
         h.span(ends, cls="track"),
         cls="fall axis",
     )
+    explained = "Each bar is a module's fair share of what is lost; all add up to 100. "
+    alone_said = " the accuracy with this module alone replaced by the truth."
     return (
         heading("Where the accuracy goes", f"% of {of.said}"),
-        _in_words(summary),
+        lead,
         h.div(axis, rows, cls="falls"),
-        h.p(
-            "Each bar is a module's fair share of what is lost; all add up to 100. ",
-            h.u(cls="key"),
-            " the accuracy with this module alone replaced by the truth.",
-            cls="small dim",
-        ),
+        h.p(explained, h.u(cls="key"), alone_said, cls="small dim"),
     )
 
 
-def _in_words(summary: RunSummary) -> Element:
-    """Figure in a sentence."""
-    return h.p(cost_words(summary), cls="lead", title=f"{hint('accuracy')} {residual_words(summary)}.")
+def _fall(make: Callable[..., Element], name: str, words: str, value: str, *more: Child, **look: object) -> Element:
+    """Row of the losses."""
+    return make(h.span(h.b(name), " ", words, cls="module"), h.b(value, cls="n"), more, cls="fall", **look)
 
 
 def _named(name: str) -> str:
     """Name of a bar: the verdicts as listed."""
-    return NOT_TOLD if name == "unknown" else shown_oracle(name)
-
-
-def _causes(summary: RunSummary) -> str:
-    """Search for failures not repaired by all oracles together."""
-    verdicts = dict.fromkeys(v for v, _ in summary.residual_causes)
-    return f"verdict:{','.join(verdicts)}" if verdicts else "verdict:LABEL"
+    return "not worked out" if name == "unknown" else shown_oracle(name)
 
 
 def _verdicts(of: Sample, summary: RunSummary) -> tuple[Child, ...]:
-    rows = []
-    for verdict, share in summary.verdicts.items():
-        if not share.count:
-            continue
-        e = share.estimate
-        whisker = h.u(css=_along(e.low, e.high - e.low)) if math.isfinite(e.low + e.high) else None
-        said = f"{hint(verdict)}\n{e.formatted()} %, 95 % interval over {summary.unit}s"
-        details = ", ".join(
-            f"{d.lower().replace('_', ' ')} {s.count}" for (v, d), s in summary.details.items() if v == verdict
-        )
-        if verdict == "CORRECT" and summary.lucky.count:
-            details = f"lucky {summary.lucky.count}: {hint('lucky')}"
-        said += f"\n{details}" if details else ""
-        bar = h.span(h.i(css={"width": f"{e.value:.2%}"}), whisker, cls="t", css={"--c": hex_color(COLORS[verdict])})
-        rows.append(
-            h.button(
-                verdict_chip(verdict),
-                bar,
-                h.span(share.count, cls="n dim"),
-                h.span(h.b(percent(e)), cls="n"),
-                h.span(between(e), cls="n dim"),
-                cls="vrow",
-                title=said,
-                **of.finds(f"verdict:{verdict}"),
-            )
-        )
+    shown = ((verdict, share) for verdict, share in summary.verdicts.items() if share.count)
     unit = h.span(f"% of {of.said} · 95 % over {summary.unit}s", title=hint("interval"))
-    return heading("Verdicts", unit), rows
+    return heading("Verdicts", unit), (_verdict(of, summary, *one) for one in shown)
+
+
+def _verdict(of: Sample, summary: RunSummary, verdict: str, share: Count) -> Element:
+    e = share.estimate
+    whisker = h.u(css=_along(e.low, e.high - e.low)) if math.isfinite(e.low + e.high) else None
+    details = ", ".join(
+        f"{d.lower().replace('_', ' ')} {s.count}" for (v, d), s in summary.details.items() if v == verdict
+    )
+    if verdict == "CORRECT" and summary.lucky.count:
+        details = f"lucky {summary.lucky.count}: {hint('lucky')}"
+    said = f"{hint(verdict)}\n{e.formatted()} %, 95 % interval over {summary.unit}s"
+    return h.button(
+        verdict_chip(verdict),
+        h.span(h.i(css={"width": f"{e.value:.2%}"}), whisker, cls="t", color=COLORS[verdict]),
+        h.span(share.count, cls="n dim"),
+        h.span(h.b(percent(e)), cls="n"),
+        h.span(between(e), cls="n dim"),
+        cls="vrow",
+        title="\n".join(filter(None, (said, details))),
+        **of.finds(f"verdict:{verdict}"),
+    )
 
 
 # ---- a second run
@@ -252,17 +217,14 @@ def comparison_html(of: Sample) -> Element | None:
         for name in ("fixed", "broken", "verdict", "other_reason")
     )
     gained, test = found.differences[found.measure], found.tests[found.measure]
-    few = [
-        counted(n, "expression") + which
-        for n, which in ((found.only_before, " only in the first"), (found.only_after, " only in the second"))
-        if n
-    ]
+    only = {"first": found.only_before, "second": found.only_after}
+    few = ", ".join(f"{counted(n, 'expression')} only in the {which}" for which, n in only.items() if n)
     said = h.p(
         "Accuracy ",
         h.b(f"{gained.formatted(signed=True)} points"),
         f" on {counted(found.shared, 'shared expression')}; ",
         h.span(_by_chance(test.p_value), title=f"p = {test.p_value:.2g}. {hint('chance')}"),
-        f". {', '.join(few)}." if few else ".",
+        f". {few}." if few else ".",
     )
     return panel(title, said, h.div(boxes, cls="changes"))
 
@@ -288,15 +250,7 @@ def slices_html(of: Sample, cut: str) -> Element:
 
 
 def _slice(of: Sample, s: Slice, found: Slices) -> Element:
-    parts = []
-    for verdict in VERDICTS:
-        count = s.counts.get(verdict, 0)
-        if not count:
-            continue
-        told = f"{verdict}: {count} of {s.n} ({s.verdicts[verdict].value:.1%})"
-        way = {} if s.query is None else of.finds(f"{s.query} verdict:{verdict}")
-        style = {"--c": hex_color(COLORS[verdict]), "width": f"{count / s.n:.2%}"}
-        parts.append(h.i(css=style, title=told, **way, tabindex="-1", aria_hidden="true"))
+    parts = (_part(of, s, verdict) for verdict in VERDICTS if s.counts.get(verdict))
     told = f"{s.name}: accuracy {s.set_correct.formatted()} over {found.unit}s"
     name: Child = s.name
     if s.query is not None:
@@ -309,6 +263,15 @@ def _slice(of: Sample, s: Slice, found: Slices) -> Element:
     )
 
 
+def _part(of: Sample, s: Slice, verdict: str) -> Element:
+    """Part of a slice's bar."""
+    count = s.counts[verdict]
+    told = f"{verdict}: {count} of {s.n} ({s.verdicts[verdict].value:.1%})"
+    way = {} if s.query is None else of.finds(f"{s.query} verdict:{verdict}")
+    look = {"color": COLORS[verdict], "css": {"width": f"{count / s.n:.2%}"}}
+    return h.i(title=told, **look, **way, tabindex="-1", aria_hidden="true")
+
+
 def confusion_html(of: Sample) -> Element:
     """Confusion of asked and answered relations, as a heat map."""
     found = of.figures.confusion
@@ -317,15 +280,11 @@ def confusion_html(of: Sample) -> Element:
     shown = [k for k, name in enumerate(found.columns) if name not in OTHERS or found.counts[:, k].any()]
     heads = (h.th(h.span(_phrase(found.columns[k])), scope="col", title=_phrase(found.columns[k])) for k in shown)
     body = (_line(of, found, r, shown) for r in range(len(found.rows)) if found.counts[r].any())
+    key = "Expressions, shaded by their share of the row. Green: the asked relation holds of the answer's two objects."
     return panel(
         heading("Relations", "asked ↓ · the answer stands in →"),
         h.div(h.table(h.tr(h.td(), heads), body), cls="cmx"),
-        h.div(
-            "Expressions, shaded by their share of the row. Green: the asked relation holds of the answer's two "
-            "objects.",
-            cls="small dim",
-            title=found.note,
-        ),
+        h.div(key, cls="small dim", title=found.note),
     )
 
 
@@ -334,19 +293,19 @@ def _phrase(name: str) -> str:
 
 
 def _line(of: Sample, found: Confusion, r: int, shown: list[int]) -> Element:
-    total = max(1, int(np.sum(found.counts[r])))
-    row, cells = found.rows[r], []
-    for k in shown:
-        count, name = int(found.counts[r, k]), found.columns[k]
-        if not count:
-            cells.append(h.td("·", cls="o"))
-            continue
-        kind = "g" if name == row else "q" if name in OTHERS and name != NO_ANSWER else "b"
-        told = f"asked {_phrase(row)}, stands in {_phrase(name)}: {count} of {total} ({count / total:.1%})"
-        press = h.button(_few(count), title=told, **of.finds(f"relation:{row} {STANDS_IN}={quote(name)}"))
-        cells.append(h.td(press, cls=f"c {kind}", css={"--a": f"{0.12 + 0.8 * count / total:.2f}"}))
+    row, total = found.rows[r], max(1, int(np.sum(found.counts[r])))
+    cells = (_cell(of, row, found.columns[k], int(found.counts[r, k]), total) for k in shown)
     ask = h.button(_phrase(row), cls="plain", **of.finds(f"relation:{row}"))
     return h.tr(h.th(ask, cls="a", scope="row"), cells)
+
+
+def _cell(of: Sample, asked: str, stands: str, count: int, total: int) -> Element:
+    if not count:
+        return h.td("·", cls="o")
+    kind = "g" if stands == asked else "q" if stands in OTHERS and stands != NO_ANSWER else "b"
+    told = f"asked {_phrase(asked)}, stands in {_phrase(stands)}: {count} of {total} ({count / total:.1%})"
+    press = h.button(_few(count), title=told, **of.finds(f"relation:{asked} {STANDS_IN}={quote(stands)}"))
+    return h.td(press, cls=f"c {kind}", css={"--a": f"{0.12 + 0.8 * count / total:.2f}"})
 
 
 def _few(count: int) -> str:

@@ -14,6 +14,7 @@ script or a style, as the page's content policy forbids both. Actions of an elem
 `hover`          "hover:3", or of a pair "hover:3,7": the objects that hover or focus marks everywhere
 `field`          a text field with a list of its own: a name of `static/fields.mjs`
 `css`            custom properties and styles of this element alone
+`color`          its colour, a hex text or RGB: the custom property `--c`
 ===============  =======================================================================================
 """
 
@@ -24,7 +25,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TypeAlias
+from typing import TypeAlias, cast
 
 from pipeline.geometry.lifting import Pixel
 from pipeline.geometry.palette import RGB, hex_color
@@ -70,7 +71,14 @@ class Element:
 
 def _attributes(name: str, given: Mapping[str, object]) -> tuple[tuple[str, str], ...]:
     made: dict[str, str] = {}
+    given = dict(given)
+    color = given.pop("color", None)
+    if color is not None:
+        own = {"--c": color if isinstance(color, str) else hex_color(cast(RGB, color))}
+        given["css"] = own | cast(dict[str, str], given.get("css") or {})
     for key, value in given.items():
+        if key.startswith("aria_") and isinstance(value, bool):
+            value = str(value).lower()
         if value is None or value is False or (key == "cls" and not value):
             continue
         key = f"data-{key}" if key in DATA else "class" if key == "cls" else key.replace("_", "-")
@@ -107,7 +115,8 @@ def _element(name: str, /, *children: Child, **attributes: object) -> Element:
 class Tags:
     """Makes elements by name: `h.div("text", h.span("more"), cls="row", do="pair:3")`.
 
-    Attributes of None or False are left out, True stands by its name; `cls` is the class; `_` stands for `-`.
+    Attributes of None or False are left out, True stands by its name, but ARIA's are "true" or "false"; `cls` is the
+    class; `_` stands for `-`.
     """
 
     def __getattr__(self, name: str) -> Callable[..., Element]:
@@ -170,7 +179,7 @@ def hint_of(label: str, key_hint: str = "") -> str | None:
 
 def dot(color: RGB) -> Element:
     """Filled square in a role's colour."""
-    return h.span(cls="dot", css={"--c": hex_color(color)})
+    return h.span(cls="dot", color=color)
 
 
 def named(color: RGB, name: str) -> Element:
@@ -195,12 +204,23 @@ def heading(text: Child, *aside: Child) -> Element:
 
 def note(text: Child, color: str = DOUBT) -> Element:
     """Remark with a coloured edge."""
-    return h.div(text, cls="note", css={"--c": color})
+    return h.div(text, cls="note", color=color)
 
 
 def button(label: Child, do: str, title: str = "", cls: str = "", **more: object) -> Element:
     """Small button: label, command, and tooltip."""
     return h.button(label, cls=f"try {cls}".strip(), do=do, title=title or None, **more)
+
+
+def sign(mark: str, do: str, name: str, cls: str = "drop", **more: object) -> Element:
+    """Button of a single sign; its name is the tooltip, too."""
+    return h.button(mark, cls=cls, do=do, aria_label=name, **{"title": name, **more})
+
+
+def text_field(name: str, hint: str = "", cls: str = "find", **more: object) -> Element:
+    """Text field without the browser's own completions and spelling."""
+    plain = {"spellcheck": "false", "autocomplete": "off", "title": hint or None}
+    return h.input(cls=cls, aria_label=name, **(plain | more))
 
 
 def progress(name: str, done: float, of: float) -> Element:
@@ -237,7 +257,7 @@ def segments(
             h.button(
                 label,
                 role="radio",
-                aria_checked=str(key == chosen).lower(),
+                aria_checked=key == chosen,
                 tabindex=0 if key == stop else -1,
                 do=f"{kind}:{key}",
                 title=hint_of(label) if hints is None else hints[key],
