@@ -159,7 +159,7 @@ def test_up_is_what_is_clicked(demo: Server, open_tab: OpenTab) -> None:
 
 def _is_text(tab: Tab, question: str) -> None:
     tab.ask(question)
-    tab.see("#answer", "a character that cannot be read")
+    tab.see("#answer", "a character that cannot be read: '<'")
     assert tab.question == question, tab.question
     tab.drawer("Log")
     tab.poll("text => document.getElementById('log').textContent.includes(text)", question)

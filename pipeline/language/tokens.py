@@ -228,7 +228,7 @@ def check_text(text: object) -> str:
         if not unicodedata.category(found[0]).startswith("M"):
             control = unicodedata.category(found[0])[0] in "CZ"
             what = "a control character" if control else "a character that cannot be read"
-            raise InputError(f"the expression holds {what}", got=f"{found[0]!a} at position {found.start()}")
+            raise InputError(f"the expression holds {what}: {found[0]!a} at position {found.start()}")
     return text
 
 
