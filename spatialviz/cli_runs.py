@@ -87,7 +87,7 @@ class EvalCommand(WritesRun):
     others: tuple[Path, ...] = ()
     """Runs on the same labels whose systems become rows too."""
     compare: Path | None = None
-    """A run to compare with: what was fixed, what was broken, what is right for another reason."""
+    """A run to compare with: what was fixed, what was broken, what is correct for another reason."""
     show: int = 5
     """Expressions shown of each kind with --compare."""
 

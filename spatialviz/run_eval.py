@@ -79,7 +79,7 @@ def run_eval(command: EvalCommand) -> None:
         return
     if command.labels is None or command.out is None:
         raise InputError(
-            "nothing says what is asked and right", expected="--labels LABELS --out RUN, or --sentences FILE"
+            "nothing says what is asked and what is correct", expected="--labels LABELS --out RUN, or --sentences FILE"
         )
     vlm = None
     if command.vlm_url is not None and command.vlm_model is not None:
@@ -325,7 +325,7 @@ def print_comparison(found: Comparison, show: int) -> None:
     say(f"compared on {counted(found.shared, 'expression')}", style="bold")
     tests = ((name, estimate, found.tests[name]) for name, estimate in found.differences.items())
     print_rows(
-        ("measure", ">difference", ">only now right", ">only before right", ">McNemar p"),
+        ("measure", ">difference", ">only now correct", ">only before correct", ">McNemar p"),
         ((name, e.formatted(signed=True), str(test.b), str(test.c), f"{test.p_value:.2g}") for name, e, test in tests),
     )
     if found.verdicts is not None:
@@ -341,7 +341,7 @@ def print_comparison(found: Comparison, show: int) -> None:
     for title, entries in (
         ("fixed", found.fixed),
         ("broken", found.broken),
-        ("right for another reason", found.other_reason),
+        ("correct for another reason", found.other_reason),
     ):
         say(f"{title}: {len(entries)}")
         say_lines((f"  {entry['frame']}  {entry['text']}  ({entry['id']})" for entry in entries[:show]), "dim")

@@ -171,7 +171,7 @@ def print_audit(report: AuditReport, command: AuditCommand) -> None:
     shown = report.suspicious[: command.limit]
     if shown:
         print_rows(
-            (">wrong", "item", "frame", "sentence", "said right", "seems right", "evidence"),
+            (">wrong", "item", "frame", "sentence", "said correct", "seems correct", "evidence"),
             (
                 (f"{i.score:.2f}", i.id, i.frame, i.text, i.truth, i.seems or "-", "; ".join(e.text for e in i.reasons))
                 for i in shown

@@ -159,7 +159,7 @@ def print_retraining(done: RetrainingRun) -> None:
     found = done.retraining
     print_table(found.table())
     for title, count, cells in zip(
-        ("became right", "became wrong"), found.flips["all"], (found.better, found.worse), strict=True
+        ("became correct", "became wrong"), found.flips["all"], (found.better, found.worse), strict=True
     ):
         say(f"{title}: {count} held-out cells", style="bold")
         say_lines(
@@ -174,7 +174,7 @@ def print_retraining(done: RetrainingRun) -> None:
         if run is not None:
             gain = run.differences[run.measure]
             say(
-                f"{title}: {len(run.fixed)} answers became right, {len(run.broken)} wrong, of {run.shared} "
+                f"{title}: {len(run.fixed)} answers became correct, {len(run.broken)} wrong, of {run.shared} "
                 f"({gain.value * 100:+.1f} points [{gain.low * 100:.1f}, {gain.high * 100:.1f}])"
             )
     say(f"-> {done.folder}; spatialviz models --install {done.network} --name NAME takes it into use", style="dim")

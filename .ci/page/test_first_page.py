@@ -94,7 +94,7 @@ def test_a_new_answer_is_read_from_its_head(demo: Server, open_tab: OpenTab) -> 
 def test_what_if_says_whether_the_answer_has_changed(demo: Server, open_tab: OpenTab) -> None:
     tab = open_tab(demo.address, "absent")
     tab.ask("mug on the left of another mug")
-    tab.see("#verdict", "Right by luck")
+    tab.see("#verdict", "Correct by luck")
     tab.drawer("Edit")
     tab.send("edit:set:k:9")
     tab.see("#answer .before", "Answer unchanged")

@@ -144,7 +144,7 @@ def test_evaluate_says_what_it_needs(bare: Server, open_tab: OpenTab) -> None:
 
 
 def judge(tab: Tab, frame: str, fails: bool) -> str:
-    """*This pair is right* under an answer gives its verdict at once; where it `fails`, another pair is right."""
+    """*This pair is correct* under an answer gives its verdict at once; where it `fails`, another pair is right."""
     tab.page.locator("#timeline .frame-id").fill(frame)
     tab.page.locator("#timeline .frame-id").press("Enter")
     tab.poll("frame => document.title.includes(` ${frame} `)", frame)
@@ -175,7 +175,7 @@ def judge(tab: Tab, frame: str, fails: bool) -> str:
         tab.poll("k => document.querySelector(`#pair-${k}[aria-current]`)", str(other))
     # Where a truth is known it is one of two ways in a menu.
     offered.evaluate("e => e.click()")
-    tab.see("#right-pair", "kept as right")
+    tab.see("#right-pair", "kept as correct")
     told = tab.see("#answer .sub").inner_text()
     verdict = "CORRECT" if "CORRECT" in told else told
     assert (verdict == "CORRECT") == (not other), (frame, targets, verdict)

@@ -13,11 +13,11 @@ FRAME, QUESTION = "000002/000001", "where is a bowl on the left side of a basket
 def test_try_it_makes_the_answer_right_and_counts_the_run(demo: Server, open_tab: OpenTab) -> None:
     tab = open_tab(f"{demo.address}/?frame={FRAME}&ask={quote(QUESTION)}")
     said = json.loads(spatialviz("ask", "demo", FRAME, QUESTION, "--run", "demo", "--try", "--json", fails=True))
-    assert said["tried"]["said"] == "✓ Now right"
+    assert said["tried"]["said"] == "✓ Now correct"
     head = tab.see("#verdict", said["verdict"]["head"]).inner_text()
     tab.click("try-mend")
     tab.see("#verdict", said["tried"]["head"])
-    tab.see("#answer .before", "✓ Now right")
+    tab.see("#answer .before", "✓ Now correct")
     assert tab.see("#try-mend").inner_text() == "Take it back"
     # A busy machine looks at fewer in its time.
     setting = said["over_run"]["said"].partition(":")[0]

@@ -135,7 +135,7 @@ def test_the_commands_review_and_retrain(
     assert main(["correct", before, "--edits", str(tmp_path / "edits.json"), "--author", "ann", *journal]) == 0
     told = ["--epochs", "1", "--batch", "128", "--out", str(tmp_path / "again")]
     assert main(["retrain", before, *told, *journal]) == 0
-    assert "became right" in capsys.readouterr().out
+    assert "became correct" in capsys.readouterr().out
     assert np.isfinite(OnnxScorer(tmp_path / "again" / "network.onnx").contract.mean).all()
     assert main(["review", str(tmp_path)]) == 2
     assert main(["review", before, "--limit", "-1"]) == 2

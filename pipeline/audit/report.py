@@ -132,7 +132,7 @@ def _of_region(question: Question) -> list[Evidence]:
         text = f"{outside:.0%} of the answer's points lie outside its mask (IoU of the two {iou:.2f})"
         return [Evidence("region", APART * outside + 0.1, text, figures)]
     if iou < SAME_REGION:
-        text = f"the polygon that is scored overlaps the mask by an IoU of {iou:.2f}: right points count as wrong"
+        text = f"the polygon that is scored overlaps the mask by an IoU of {iou:.2f}: correct points count as wrong"
         return [Evidence("region", 0.1 + APART * (SAME_REGION - iou), text, figures)]
     return [Evidence("region", HOLDS, f"the points lie in the mask (IoU {iou:.2f})", figures)]
 

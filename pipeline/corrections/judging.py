@@ -161,7 +161,7 @@ class Judge:
         return OtherAnswer(text, trace, diagnosis=found, name=named)
 
 
-REASON = "this pair is right"
+REASON = "this pair is correct"
 
 
 def right_pair(editor: LabelEditor, trace: Trace, pair: ScoredPair) -> Edits:

@@ -47,7 +47,7 @@ from pipeline.diagnosis.imported_answers import (
 )
 from pipeline.diagnosis.minimal_repair import FactorRepair, factor_repairs
 from pipeline.diagnosis.missed import not_proposed
-from pipeline.diagnosis.needed_score import needed_score
+from pipeline.diagnosis.needed_score import needed_box, needed_score
 from pipeline.diagnosis.oracles import (
     ATTRIBUTE,
     CONF,
@@ -143,8 +143,15 @@ def _decided(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | No
     mends = tuple(name for bit in flips for name in names_of(bit))
     moved = any(n.right_above is not None or n.winner_below is not None for n in diagnosis.needed)
     together = None if moved or not lost else needed_score(evidence, case, found, missed=False)
+    box = needed_box(evidence, case, found) if verdict == "LIFT" and lost else None
     return replace(
-        diagnosis, verdict=verdict, detail=detail, repair=names_of(repair), mends=mends, needed_score=together
+        diagnosis,
+        verdict=verdict,
+        detail=detail,
+        repair=names_of(repair),
+        mends=mends,
+        needed_score=together,
+        needed_box=box,
     )
 
 

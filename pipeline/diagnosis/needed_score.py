@@ -1,4 +1,4 @@
-"""Score with which the objects of the right pair, found where they were missed, would make the answer right."""
+"""What would make an answer right: a score of what was missed or scored too low, or one labelled 3D box."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.answering.pair_table import MIN_SCORE
 from pipeline.diagnosis.frame_evidence import FrameEvidence
-from pipeline.diagnosis.oracles import RECALL, OracleScores
+from pipeline.diagnosis.oracles import RECALL, OracleScores, margins_of
 from pipeline.labels.cases import HIT, Case
 
 Named = tuple[tuple[str, int], ...]
@@ -86,3 +86,24 @@ def loose_candidate(evidence: FrameEvidence, name: str, objects: np.ndarray, lea
     overlap = evidence.overlap[np.ix_(index, objects)].max(axis=1, initial=0.0)
     k = int(overlap.argmax()) if len(overlap) else -1
     return int(index[k]) if k >= 0 and least <= overlap[k] < HIT else None
+
+
+def needed_box(evidence: FrameEvidence, case: Case, found: OracleScores) -> tuple[int, int] | None:
+    """Detection (place in the list) of the answer or the best right pair that with its labelled 3D box would make a
+    right pair win, and the labelled object (index); of several the one that makes it win most clearly, None for none.
+
+    Exact on the table of all pairs.
+    """
+    if case.meant is not None or not evidence.asked_again or found.best_acceptable is None:
+        return None
+    plain, roles, p = found.plain, (found.target, found.reference), evidence.probabilities(case.relation)
+    pairs = (found.best_acceptable, divmod(int(found.winners[0]), found.covered.shape[1]))
+    ways: list[tuple[float, int, int]] = []
+    for place, k in {(int(r.index[n]), int(r.shape_of[n])) for pair in pairs for r, n in zip(roles, pair, strict=True)}:
+        if k >= 0:
+            index = [np.where(role.index == place, evidence.detections + k, role.index) for role in roles]
+            moved = p[index[0][:, None], index[1]].reshape(plain.p_relation.shape)
+            table = plain.with_relation(np.where(np.isfinite(moved), moved, plain.p_relation))
+            ways.append((float(margins_of(table, found.covered)[0]), place, k))
+    best = max(ways, default=(0.0, 0, 0))
+    return best[1:] if best[0] > 0 else None

@@ -16,7 +16,7 @@ from pipeline.diagnosis.needed_score import NeededScore
 from pipeline.diagnosis.story_words import TRUTHS, WORDS, Change, Story, capital, story, words
 from pipeline.diagnosis.verdict import Diagnosis, Missed
 from pipeline.geometry.masks import decode_run_length
-from pipeline.labels.cases import HIT
+from pipeline.labels.cases import HIT, Case
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.language.tree import Query
@@ -63,7 +63,7 @@ def judged_story(
     }.get(d.verdict, _lost)
     kind, more = told(d, query=query, problem=problem, unknown=unknown)
     found = story(kind, **values | more)
-    words, change = ("", None) if d.verdict in ("CORRECT", "LABEL", "PARSE", "UNEXPLAINED") else mend(d)
+    words, change = ("", None) if d.verdict in ("CORRECT", "LABEL", "UNEXPLAINED") else mend(d)
     return Story(found.kind, found.tone, found.head, found.sentence, words, change)
 
 
@@ -130,8 +130,7 @@ def _label(d: Diagnosis, **_: Any) -> Kind:
 
 
 def _misread(d: Diagnosis, query: Query | None, problem: InputError | None, **_: Any) -> Kind:
-    case = d.case
-    meant = {"meant": " ".join(filter(None, (case.target, PHRASE.get(case.relation), case.reference)))}
+    meant = {"meant": _meant(d.case)}
     if query is None:
         return "misread.refused", meant | {"problem": None if problem is None else problem.what}
     if len(query.readings) > 1:
@@ -139,6 +138,10 @@ def _misread(d: Diagnosis, query: Query | None, problem: InputError | None, **_:
     e = query.expression
     read = query.default.description if e is None else f"{e.target} {PHRASE.get(e.relation, e.relation)} {e.reference}"
     return "misread", meant | {"read": read}
+
+
+def _meant(case: Case) -> str:
+    return " ".join(filter(None, (case.target, PHRASE.get(case.relation), case.reference)))
 
 
 def _missed(d: Diagnosis, unknown: Collection[str], **_: Any) -> Kind:
@@ -311,7 +314,7 @@ def _worst_box(d: Diagnosis, winner: ScoredPair, right: ScoredPair) -> dict[str,
     case, evidence = d.case, d.evidence
     true = d.truth.geometry
     found: list[tuple[float, str, str | None]] = [(0.0, case.target, None)]
-    for pair, whose in ((right, "right"), (winner, "answered")) if "lo" in true else ():
+    for pair, whose in ((right, "correct"), (winner, "answered")) if "lo" in true else ():
         for index, name in ((pair.target, case.target), (pair.reference, case.reference)):
             if index is None or (k := int(evidence.match[index])) < 0 or not evidence.objects.known[k]:
                 continue
@@ -324,8 +327,17 @@ def _worst_box(d: Diagnosis, winner: ScoredPair, right: ScoredPair) -> dict[str,
 
 def mend(d: Diagnosis) -> tuple[str, Change | None]:
     """Smallest change to make the answer right, in words and as a what-if can try it."""
+    if d.verdict == "PARSE":
+        # Of a sentence with more than a relation, these words would leave out some of what was meant.
+        asked = None if d.case.meant is not None or not d.case.relation else _meant(d.case)
+        return ("", None) if asked is None else (words("mends", "asked", meant=asked), Change("question", asked))
     if d.missed is not None:
         return _found(d, d.missed)
+    if d.needed_box is not None:
+        place, k = d.needed_box
+        name = d.case.target if place in [p.target for p in (d.right, d.winner) if p] else d.case.reference
+        labelled = ((name, int(d.truth.numbers[k])),)
+        return words("mends", "box", name=name), Change("boxes", name, (place,), labelled=labelled)
     rise = next(((n, n.right_above) for n in d.needed if n.right_above is not None), None)
     if rise is not None:
         return _moved(d, rise[0], "right", rise[0].right, rise[1], d.right)

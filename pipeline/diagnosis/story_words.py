@@ -31,11 +31,12 @@ TRUTHS: dict[str, str] = WORDS["truths"]
 class Change:
     """Smallest change that makes an answer right, as a what-if can try it."""
 
-    field: str  # Of the edits of a what-if: "relations", "confidences"; of an object that was missed "added", "masks"
+    field: str  # Of the edits of a what-if: "relations", "confidences", "boxes"; of an object that was missed "added", "masks";
+    # "question": `name` is asked instead
     name: str  # The relation, or the class name
-    objects: tuple[int, ...]  # Places in the trace's objects: a pair, or one, or both of a pair with one score
-    before: float | None  # The number that changes; None where there was none
-    after: float | None  # None where nothing but a box changes
+    objects: tuple[int, ...] = ()  # Places in the trace's objects: a pair, or one, or both of a pair with one score
+    before: float | None = None  # The number that changes; None where there was none
+    after: float | None = None  # None where nothing but a box changes
     # Of objects that were missed: names with the numbers of the labelled objects that are to be found by them
     labelled: tuple[tuple[str, int], ...] = ()
     names: tuple[str, ...] = ()  # Of each of `objects`, where they have several

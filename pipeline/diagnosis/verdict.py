@@ -114,6 +114,8 @@ class Diagnosis:
     needed: tuple[FactorRepair, ...] = ()
     # What would have to be found, or scored together, where no factor of `needed` is enough
     needed_score: NeededScore | None = None
+    # With LIFT: the detection that its labelled 3D box alone would mend, and the labelled object (indices)
+    needed_box: tuple[int, int] | None = None
     story: Story = UNTOLD  # What is said of it, once it is decided
     # Of imported predictions: the oracles that cannot be put in place by what the file gives, and why; what
     # `right_with` says of subsets with these counts nowhere

@@ -52,7 +52,7 @@ FACETS = (
     Dimension("mends", "one oracle that alone mends it", "mends"),
     Dimension("lucky", "correct by luck", "lucky"),
     Dimension("parse_ok", "read as it was meant", "parse_ok"),
-    Dimension("ambiguous", "several right answers", "ambiguous"),
+    Dimension("ambiguous", "several correct answers", "ambiguous"),
     DIMENSIONS["distance"],
     DIMENSIONS["size"],
     DIMENSIONS["occlusion"],

@@ -1,4 +1,4 @@
-"""Two runs on the same expressions: what the second fixed, what it broke, and what is right for another reason."""
+"""Two runs on the same expressions: what the second fixed, what it broke, and what is correct for another reason."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MEASURES = ("correct", "strict_correct", "set_correct", "reference_correct", "pa
 CHANGES = {
     "fixed": "fixed",
     "broken": "broken",
-    "other_reason": "right for another reason",
+    "other_reason": "correct for another reason",
     "verdict": "changed verdict",
     "same": "the same",
 }

@@ -59,7 +59,7 @@ class MendCount:
     def said(self) -> str:
         """Counts in words."""
         of = "" if self.looked == self.total else f" of {self.looked:,} looked at"
-        here = {None: "", True: " This answer is right, too.", False: " This answer stays wrong."}[self.this]
+        here = {None: "", True: " This answer is correct, too.", False: " This answer stays wrong."}[self.this]
         return f"{self.setting}: {self.mended:,} mended, {self.broken:,} broken{of}.{here}"
 
     def record(self) -> dict[str, Any]:

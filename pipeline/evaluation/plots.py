@@ -191,7 +191,7 @@ def _verdicts(summaries: Mapping[str, RunSummary], path: Path, caveat: str) -> N
     kinds = shown_verdicts({v for s in summaries.values() for v in s.verdicts})
     note = (
         "Share of expressions, which sums to 100 %, with 95 % intervals. CORRECT is the labelled target; LABEL is "
-        "mostly another right answer."
+        "mostly another correct answer."
     )
     size, height = (FULL, 90 + 34 * len(kinds) * len(summaries)), 0.8 / len(summaries)
     with picture(path, size, "Verdicts on every expression", caveat, note) as figure:

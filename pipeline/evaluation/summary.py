@@ -336,7 +336,7 @@ def verdict_table(systems: Mapping[str, RunSummary]) -> Table:
         tuple(rows),
         "Percent of expressions. Each has one verdict, so that these sum to 100; rows after a colon are part of the "
         "verdict before it. CORRECT: the labelled target; LUCKY: with a pair of which the expression is not true; "
-        "LABEL: AMBIGUOUS is another right answer, SUSPECT one that only the labels' relations call right. "
+        "LABEL: AMBIGUOUS is another correct answer, SUSPECT one that only the labels' relations call correct. "
         f"{''.join(f'{name}: {untold_words(s)} ' for name, s in systems.items() if s.deltas is None)}"
         f"Brackets: 95 % bootstrap intervals over {found[0].unit}s.",
     )

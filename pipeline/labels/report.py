@@ -49,7 +49,7 @@ def summary_lines(labels: Labels, statistics: dict[str, Any]) -> list[str]:
         f"{counted(counts['pairs'], 'pair')}{held}, {share_text(cells['pairs_without_T_share'])} have none; "
         f"{share_text(cells['u_share'])} of labels undecided",
         f"{counted(counts['expressions'], 'expression')}{of}, {counted(text['sentences'], 'sentence')} for "
-        f"{counted(text['questions'], 'question')}; {share_text(ambiguity['share'])} have several right answers",
+        f"{counted(text['questions'], 'question')}; {share_text(ambiguity['share'])} have several correct answers",
         *(f"{what}: {who}" for what, who in makers_of(labels.manifest).lines().items()),
     ]
 
@@ -84,7 +84,7 @@ def summary_tables(statistics: dict[str, Any]) -> tuple[Table, ...]:
         Table("relations", "Relations", heads, tuple(relations)),
         Table("classes", "Classes", ("objects", "usable", "target", "reference"), tuple(rows)),
         Table("distance", "Distance from the camera", ("objects", "targets", "U %"), tuple(distances)),
-        Table("answers", "Right answers of an expression", ("expressions", "share %"), tuple(answers)),
+        Table("answers", "Correct answers of an expression", ("expressions", "share %"), tuple(answers)),
     )
 
 
@@ -146,7 +146,7 @@ def _sentences(manifest: Manifest) -> str:
         return ""
     rows = "".join(f"| {kind} | {count} |\n" for kind, count in manifest.sentences.items())
     return f"""\
-Besides the expressions, `{SENTENCES_FILE}` has sentences for `spatialviz eval --sentences`, each with all its right \
+Besides the expressions, `{SENTENCES_FILE}` has sentences for `spatialviz eval --sentences`, each with all its correct \
 answers among the labelled objects. What the labels leave undecided is in none of them.
 
 | kind of sentence | sentences |

@@ -50,7 +50,7 @@ STAGE: Box = (464, 92, 704, 474)
 """Where the scene is."""
 INSET = 264, 212
 """Width and height of the picture over the scene at most."""
-LEGEND: dict[Role, str] = {"target": "target", "reference": "reference", "truth": "right by the labels"}
+LEGEND: dict[Role, str] = {"target": "target", "reference": "reference", "truth": "correct by the labels"}
 SPAN_COLORS = {"target": ON_DARK["target"], "reference": ON_DARK["reference"]}
 
 

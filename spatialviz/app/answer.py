@@ -241,7 +241,7 @@ def _oracle(d: Diagnosis, name: str, right: bool, margin: float) -> Element:
     return h.tr(
         h.th(term(name) if name else "none", scope="row"),
         h.td(words),
-        h.td("✓ right" if right else "✗ wrong", cls="right" if right else "wrong"),
+        h.td("✓ correct" if right else "✗ wrong", cls="right" if right else "wrong"),
         h.td(f"{margin:+.2f}" if np.isfinite(margin) else "–", cls="n"),
         cls="on" if name in (d.mends or d.repair) else "",
         title=glossary()[name].text if name else "the pipeline's own answer",

@@ -244,7 +244,7 @@ def slices_html(of: Sample, cut: str) -> Element:
     chosen = h.div(segments("cut", CUTS, cut, "Cut the run by"), cls="cuts")
     if isinstance(found, str):
         return panel(heading("Slices"), chosen, note(found))
-    head = h.tr(h.td(), h.th("n", cls="n"), h.th("right", cls="n", title=hint("accuracy")), h.td())
+    head = h.tr(h.td(), h.th("n", cls="n"), h.th("correct", cls="n", title=hint("accuracy")), h.td())
     table = h.table(head, (_slice(of, s, found) for s in found.slices), cls="slices")
     return panel(heading("Slices", f"by {found.dimension.title}"), chosen, table)
 

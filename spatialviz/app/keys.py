@@ -71,7 +71,7 @@ KEYS: Mapping[str, Rows] = {
 
 LABEL_KEYS: Mapping[str, Rows] = {
     "Answers": (
-        ("Y", "Right", "decide:right"),
+        ("Y", "Correct", "decide:right"),
         ("N", "Wrong", "decide:wrong"),
         ("U", "Unsure", "decide:unsure"),
         ("T", "Label the relation true", "settle:T"),
@@ -106,7 +106,7 @@ LABEL_KEYS: Mapping[str, Rows] = {
         ("Alt+U", "The expression may be true of the selected object, or not", "true-of:likely"),
         ("Alt+B", "Several objects are an acceptable answer, or one", "ambiguous"),
         ("Alt+M", "Mark the expression: label wrong, box wrong, neither", "mark:next"),
-        ("Alt+Y", "The expression is right", "expression-status:accepted"),
+        ("Alt+Y", "The expression is correct", "expression-status:accepted"),
         ("Alt+N", "The expression is wrong", "expression-status:rejected"),
     ),
     "Frames": (

@@ -1,6 +1,6 @@
 """Labels of a client: composition of the parts, choice of pairs, undo.
 
-Polls for other people's edits. *This pair is right*, under any answer, immediately becomes the truth of that answer.
+Polls for other people's edits. *This pair is correct*, under any answer, immediately becomes the truth of that answer.
 """
 
 from __future__ import annotations
@@ -161,7 +161,7 @@ class Labelling(LabelPart):
             outcome = editor.save(right_pair(editor, there(state.trace), there(pair)))
             said, bad = outcome_text(outcome, "kept as true", editor.frame(state.frame_id))
             self._kept = (state.frame_id, state.text) if isinstance(outcome, Saved) else ("", "")
-            self.ctx.toast("Not saved" if bad else "This pair is right", said, bad)
+            self.ctx.toast("Not saved" if bad else "This pair is correct", said, bad)
             self._ask(state.text)
 
     @command("right-undo")
@@ -180,13 +180,16 @@ class Labelling(LabelPart):
             return None
         wrong, made, told = mend_button(state), None, None
         if self._kept == (state.frame_id, state.text):
-            told, made = "This pair is kept as right.", button("Undo", "right-undo", "this pair is not right after all")
+            told, made = (
+                "This pair is kept as correct.",
+                button("Undo", "right-undo", "this pair is not correct after all"),
+            )
         elif state.trace is not None and pair is not None:
             known, why = state.judged is not None, why_not_kept(state.trace.root)
             told = None if known else "No truth is known here yet."
             if not why and pair.reference is not None:
                 hint = "it is kept as true, with its objects, and the answer is judged by it at once"
-                made = button("This pair is right", "right-pair", hint, cls="" if known else "go")
+                made = button("This pair is correct", "right-pair", hint, cls="" if known else "go")
             elif told and why:
                 told += f" None is kept of this answer: {why}. Outline things under Label."
         if not any((wrong, made, told)):

@@ -19,7 +19,8 @@ def mend_html(state: State, told: Story) -> Element | None:
     button: Child = None
     if told.change is not None:
         label, hint = ("Take it back", "as it was") if tried else ("Try it", "answer again with this change")
-        button = h.button(label, cls="try" if tried else "go", do="try-mend", title=hint, id="try-mend")
+        do = f"ask:{told.change.name}" if told.change.field == "question" else "try-mend"
+        button = h.button(label, cls="try" if tried else "go", do=do, title=hint, id="try-mend")
     return h.div(
         h.div(h.h3("What would mend it"), h.p(told.mend)),
         button,

@@ -229,7 +229,7 @@ def legend_html(state: State) -> list[Child]:
         ("target", "target", False),
         ("reference", "reference", False),
         ("truth", "asked about", False),
-        ("truth", "right by the labels", True),
+        ("truth", "correct by the labels", True),
         ("edited", other, True),
     )
     shown = [row for row in rows if row[0] in (drawn if row[2] else state.roles.values())]
@@ -238,7 +238,7 @@ def legend_html(state: State) -> list[Child]:
             h.span(h.i(cls=f"line{' dashed' * dashed}", css={"--c": hex_color(ON_DARK[role])}), text)
             for role, text, dashed in shown
         ),
-        h.span("✓ right by the labels") if state.right_roles and "truth" not in drawn else None,
+        h.span("✓ correct by the labels") if state.right_roles and "truth" not in drawn else None,
         *(h.span(dot(color), term(words(reason))) for reason, color in DROPPED.items() if state.colors == "evidence"),
         depth_bar(state),
     ]

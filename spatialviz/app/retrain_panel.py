@@ -166,7 +166,7 @@ def _figures(record: Mapping[str, Any], seconds: float) -> Child:
     return (
         h.div(f"{counts} · {seconds:.0f} s", cls="dim"),
         h.table(head, rows, cls="slices"),
-        h.div(f"{right} held-out cells became right, {wrong} wrong; gain {interval}", cls="dim"),
+        h.div(f"{right} held-out cells became correct, {wrong} wrong; gain {interval}", cls="dim"),
     )
 
 
@@ -187,7 +187,7 @@ def _replayed(record: Mapping[str, Any]) -> Child:
         parts.append(
             h.div(
                 h.b(title),
-                h.span(f"{len(fixed)} became right", cls="good"),
+                h.span(f"{len(fixed)} became correct", cls="good"),
                 h.span(f"{len(broken)} became wrong", cls="bad"),
                 h.span(interval, cls="dim"),
                 cls="vrow2",

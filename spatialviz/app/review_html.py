@@ -209,7 +209,11 @@ def said(row: Mapping[str, Any], names: Names) -> str:
 
 RULE = re.compile(r"^([a-z]+/[a-z-]+: )?('.*?': )?")
 Row = Mapping[str, Any]
-DECISIONS: dict[Answer, tuple[str, str]] = {"right": ("Right", "Y"), "wrong": ("Wrong", "N"), "unsure": ("Unsure", "U")}
+DECISIONS: dict[Answer, tuple[str, str]] = {
+    "right": ("Correct", "Y"),
+    "wrong": ("Wrong", "N"),
+    "unsure": ("Unsure", "U"),
+}
 
 
 def plain_reason(reason: str) -> str:
@@ -336,7 +340,7 @@ def bulk_html(find: str, found: int) -> Element:
         id="queue-find",
     )
     accept = button(
-        f"All {found:,} are right",
+        f"All {found:,} are correct",
         "accept-found",
         "as one step, which one undo takes back; filter first",
         disabled=not found or not find,

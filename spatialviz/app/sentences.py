@@ -304,7 +304,7 @@ def _verdicts(card: ExpressionCard, author: str, asked: bool) -> Element:
     """Marks of an expression; where it is not `asked` below, its answers, too."""
     own = card.statuses.get(author, card.status)
     others = "".join(f" · {name}: {said}" for name, said in card.statuses.items() if name != author)
-    answers = (("accepted", GOOD, "right", "Alt+Y"), ("rejected", BAD, "wrong", "Alt+N"))
+    answers = (("accepted", GOOD, "correct", "Alt+Y"), ("rejected", BAD, "wrong", "Alt+N"))
     return h.div(
         (
             _toggle(own == status, color, f"expression-status:{status}", word, _hint(card, "status", key) + others)

@@ -94,7 +94,7 @@ def _mark(judged: Diagnosis, i: int) -> tuple[str, str]:
         return "no labelled object", "low"
     if labelled in (case.target_object, case.reference_object):
         return f"labelled {'target' if labelled == case.target_object else 'reference'}", "ok"
-    return ("right, too", "ok") if labelled in case.acceptable else (f"labelled {judged.truth.labels[labelled]}", "")
+    return ("correct, too", "ok") if labelled in case.acceptable else (f"labelled {judged.truth.labels[labelled]}", "")
 
 
 def _missed(missed: Missed, name: str) -> str:
@@ -104,7 +104,7 @@ def _missed(missed: Missed, name: str) -> str:
         "" if missed.rank is None else f"place {missed.rank} by score",
         "suppressed by a better-scored box" if missed.suppressed else "",
     )
-    return f"missed: the right {name} ({', '.join(filter(None, facts))})"
+    return f"missed: the correct {name} ({', '.join(filter(None, facts))})"
 
 
 def lift_evidence(state: State, trace: Trace) -> list[Child]:
@@ -215,7 +215,7 @@ def _beside_right(state: State, trace: Trace, pair: ScoredPair) -> Element | Non
     if right is None or right.reference is None or (right.target, right.reference) == (pair.target, pair.reference):
         return None
     ends = f"{state.name_of(right.target)} {trace.phrase} {state.name_of(right.reference)}"
-    return h.p("Of the right pair: ", ends, " ", h.b(probability(right.p_relation)), cls="sub")
+    return h.p("Of the correct pair: ", ends, " ", h.b(probability(right.p_relation)), cls="sub")
 
 
 def _scored_by(scores: RelationScores, scorer: str, ours: Collection[str]) -> str:

@@ -277,13 +277,13 @@ def _against(state: State) -> list[Child]:
     head = h.tr(
         h.td(),
         h.th("answer", cls="n"),
-        h.th("right", cls="n"),
-        h.th("right · answer", title="which of the two the factor favours"),
+        h.th("correct", cls="n"),
+        h.th("correct · answer", title="which of the two the factor favours"),
         h.th(term("Δ log"), cls="n"),
     )
     return [
-        h.h3("Answer against the right pair"),
-        h.dl(h.dt("answer"), _ends(state, d.winner), h.dt("right"), _ends(state, d.right), cls="facts"),
+        h.h3("Answer against the correct pair"),
+        h.dl(h.dt("answer"), _ends(state, d.winner), h.dt("correct"), _ends(state, d.right), cls="facts"),
         h.table(h.thead(head), h.tbody(rows), cls="against"),
     ]
 

@@ -148,7 +148,7 @@ def where_html(state: State, sources: Sequence[str]) -> Element:
 
 
 TASK_HINTS = {
-    "explain": "one answer, and why it is right or wrong",
+    "explain": "one answer, and why it is correct or wrong",
     "evaluate": "all answers of a run: which fail, and where the accuracy goes",
     "label": "review and correct labels, one item at a time",
 }

@@ -77,7 +77,7 @@ def _makers(trace: Trace) -> str:
 
 
 def _contributions(judged: Diagnosis, shares: Mapping[str, float]) -> Element | None:
-    """Gains of the answer over the best right pair, factor by factor; nothing for a right answer."""
+    """Gains of the answer over the best correct pair, factor by factor; nothing for a right answer."""
     if judged.winner == judged.right:
         return None
     widest = max(map(abs, shares.values())) or 1.0
@@ -90,7 +90,9 @@ def _contributions(judged: Diagnosis, shares: Mapping[str, float]) -> Element | 
         )
         for factor, share in shares.items()
     ]
-    return _table(("factor", "answer", "best right pair", "Δ ln product", "red for the answer, green against it"), rows)
+    return _table(
+        ("factor", "answer", "best correct pair", "Δ ln product", "red for the answer, green against it"), rows
+    )
 
 
 def _failure(failure: Failure) -> Element:

@@ -166,7 +166,7 @@ def _facts(answered: Answer, source: Pipeline, context: PreparedFrame, subject: 
         case = judged.case
         meant = f"{case.target} {wording(case.relation)} {case.reference}" if case.meant is None else case.text
         right = f"{len(case.strict)} beyond doubt, {len(case.acceptable)} with the undecided"
-        facts += [("meant", meant), ("right answers", right)]
+        facts += [("meant", meant), ("correct answers", right)]
         facts += [("judged by", share.sentence) for share in subject.shares]
     return [*facts, *subject.facts]
 

@@ -1,4 +1,4 @@
-"""This pair is right: objects, relation and sentence in one action, by which the answer is judged."""
+"""This pair is correct: objects, relation and sentence in one action, by which the answer is judged."""
 
 from __future__ import annotations
 

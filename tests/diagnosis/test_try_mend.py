@@ -48,7 +48,7 @@ def test_every_change_that_a_story_names_makes_the_answer_right(frame: int) -> N
         after = judged(rerun(baseline, edits).trace, run.source, context, truth, **known)
         assert after.story.tone in RIGHT, (case.text, before.story, after.story)
         tried[change.field] += 1
-    assert tried.keys() <= {"added", "masks", "confidences", "relations"}
+    assert tried.keys() <= {"added", "boxes", "masks", "confidences", "relations"}
     assert sum(untried.values()) <= 0.1 * sum(tried.values()), (tried, untried)
 
 
@@ -81,10 +81,31 @@ def test_an_answer_is_tried_with_its_mend() -> None:
     failure = open_run(demo_run()).failures("verdict:OPM-TARGET")[0].answer
     tried = try_mend(failure)
     assert tried is not None
-    assert tried.said == "✓ Now right"
+    assert tried.said == "✓ Now correct"
     assert tried.answer.verdict == "CORRECT"
     assert read_edits(tried.record()["edits"]) == tried.edits
     assert try_mend(tried.answer) is None
+
+
+def test_a_box_that_is_off_is_mended_by_the_labelled_one() -> None:
+    """Of both pairs the one box is named that alone makes the answer right, as a rerun with it does."""
+    failures = open_run(demo_run()).failures("verdict:LIFT")
+    changes = [f.answer.story.change for f in failures[:4] if f.answer.story.kind == "box"]
+    assert {change.field for change in changes if change} == {"boxes"}
+    tried = try_mend(failures[0].answer)
+    assert tried is not None
+    assert len(tried.edits.boxes) == 1
+    assert tried.answer.story.tone in RIGHT
+
+
+def test_a_misread_question_is_asked_as_it_was_meant() -> None:
+    for failure in open_run(demo_run()).failures("verdict:PARSE")[:3]:
+        tried, change = try_mend(failure.answer), failure.answer.story.change
+        assert tried is not None
+        assert change is not None
+        assert failure.answer.story.sentence.endswith(f"meant was “{change.name}”.")
+        assert not tried.edits
+        assert tried.answer.verdict != "PARSE"
 
 
 def test_a_change_of_another_answer_is_refused() -> None:

@@ -29,18 +29,22 @@ def said(verdict: str, winner: ScoredPair | None, right: ScoredPair | None, **mo
 def test_a_degenerate_answer_is_told_from_none() -> None:
     alone = said("PRM", None, None)
     assert alone.startswith("All that was found for “book” and “shelf” is one thing, so no pair of two is left.")
-    assert said("PRM", WINNER, None).startswith("The right book and shelf were found as one thing")
+    assert said("PRM", WINNER, None).startswith("The correct book and shelf were found as one thing")
 
 
 @pytest.mark.parametrize(
     ("target", "reference", "words"),
     [
-        (True, False, "What was taken for the book is {}; the shelf found with it scored 0.50, the right shelf 0.30."),
-        (False, True, "What was taken for the shelf is {}; the detector scored it 0.50, and the right shelf 0.30."),
+        (
+            True,
+            False,
+            "What was taken for the book is {}; the shelf found with it scored 0.50, the correct shelf 0.30.",
+        ),
+        (False, True, "What was taken for the shelf is {}; the detector scored it 0.50, and the correct shelf 0.30."),
         (
             True,
             True,
-            "The answer's “book” is {}, the “shelf” is {}; together they scored 2 times as high as the right pair.",
+            "The answer's “book” is {}, the “shelf” is {}; together they scored 2 times as high as the correct pair.",
         ),
     ],
 )
@@ -51,7 +55,7 @@ def test_what_a_box_really_is_is_said(target: bool, reference: bool, words: str)
 
 def test_a_score_that_is_many_times_higher_is_said_so() -> None:
     text = said("OPM-CONF", WINNER, replace(RIGHT, p_target=0.035), false_target=True)
-    assert "the detector scored it 17 times as high as the right book" in text
+    assert "the detector scored it 17 times as high as the correct book" in text
 
 
 @pytest.mark.parametrize("verdict", ["LIFT", "SRM"])
@@ -64,7 +68,7 @@ def test_no_network_is_blamed_where_a_rule_scores(verdict: str) -> None:
 
 def test_luck_says_what_the_reference_really_is() -> None:
     found = said("CORRECT", WINNER, None, lucky=True, false_reference=True)
-    assert found.startswith("The book is right, but what was called “shelf” is ")
+    assert found.startswith("The book is correct, but what was called “shelf” is ")
     assert "another shelf" in said("CORRECT", WINNER, None, lucky=True)
     assert "as one thing" in said("CORRECT", None, None, lucky=True)
 

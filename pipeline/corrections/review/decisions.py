@@ -23,7 +23,7 @@ UNNAMED = "unnamed"
 SAYS = {T: "true", U: "undecided", F: "false"}
 OF_LETTER = {letter(state): state for state in SAYS}
 _STATUS: dict[Answer, State] = {"right": "accepted", "wrong": "rejected", "unsure": "unsure"}
-_WORDS = {"accepted": "right", "corrected": "right, as corrected", "rejected": "wrong", "unsure": "unsure"}
+_WORDS = {"accepted": "correct", "corrected": "correct, as corrected", "rejected": "wrong", "unsure": "unsure"}
 _OTHERS = "ask another"
 
 
@@ -98,7 +98,7 @@ def question_of(
     if row["label"] == UNNAMED:
         return ReviewQuestion(item, "What is this?", "Name it: Shift+O, or the digit of its class.", choices, words)
     claim = f"{row['label']} {item.a}"
-    return ReviewQuestion(item, claim, "Are its name, its pixels and its box right?", choices, words)
+    return ReviewQuestion(item, claim, "Are its name, its pixels and its box correct?", choices, words)
 
 
 def _of_relation(frame: EffectiveFrame, item: ItemKey, words: tuple[Opinion, ...]) -> ReviewQuestion:

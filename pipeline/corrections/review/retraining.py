@@ -68,12 +68,12 @@ class Retraining:
     gain: RelationEstimates
     """`gain` is after less before, paired."""
     flips: dict[str, tuple[int, int]]
-    """By relation, and "all": how many held-out cells became right, became wrong."""
+    """By relation, and "all": how many held-out cells became correct, became wrong."""
     changed: dict[str, dict[str, int]]
     """Labels that differ, by part of the split ("train", "validation", "test", "dropped") and relation."""
     better: tuple[dict[str, Any], ...]
     worse: tuple[dict[str, Any], ...]
-    """Held-out cells that became right, became wrong: frame, a, b, relation, label, before, after (probabilities)."""
+    """Held-out cells that became correct, became wrong: frame, a, b, relation, label, before, after (probabilities)."""
     split: dict[str, Any]
     """See `SplitPlan.record`."""
     cluster: str
@@ -85,7 +85,7 @@ class Retraining:
 
     def table(self) -> Table:
         """F1 before and after, relation by relation and together."""
-        columns = ("F1 before", "F1 after", "gain", "became right", "became wrong", "labels changed")
+        columns = ("F1 before", "F1 after", "gain", "became correct", "became wrong", "labels changed")
         estimates = self.before, self.after, self.gain
         changed = {r: sum(part.get(r, 0) for part in self.changed.values()) for r in self.relations}
         rows = [

@@ -168,7 +168,7 @@ def _compare(
         if one.detail != other.detail:
             warnings.append(f"detail of the verdict: {one.detail} -> {other.detail}")
         if one.lucky != other.lucky:
-            warnings.append("right by luck now" if other.lucky else "right and no longer by luck")
+            warnings.append("correct by luck now" if other.lucky else "correct and no longer by luck")
     return changes, warnings
 
 

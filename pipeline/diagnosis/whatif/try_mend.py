@@ -10,6 +10,7 @@ import numpy as np
 
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.asking import judged
+from pipeline.diagnosis.story import change_words
 from pipeline.diagnosis.story_words import Change
 from pipeline.diagnosis.whatif.changes import became
 from pipeline.diagnosis.whatif.edits import Edits, edits_record
@@ -40,10 +41,14 @@ def try_mend(answered: Answer) -> Tried | None:
     if d is None or change is None:
         return None
     source, context = d.evidence.answers.source, d.evidence.answers.context
+    known: Any = {"case": d.case, "confidence": d.evidence.confidence}
+    if change.field == "question":
+        after = judged(source.ask(context, change.name), source, context, d.truth, **known)
+        return Tried(Edits(), after, change_words(True, answered.story, after.story))
     baseline = Baseline(source, context, answered.text)
     edits = mend_edits(baseline, change, d.truth)
     outcome = rerun(baseline, edits)
-    after = judged(outcome.trace, source, context, d.truth, case=d.case, confidence=d.evidence.confidence)
+    after = judged(outcome.trace, source, context, d.truth, **known)
     return Tried(edits, after, became(baseline.outcome, outcome, answered.story, after.story))
 
 
@@ -73,6 +78,9 @@ def mend_edits(baseline: Baseline, change: Change, truth: FrameCases, value: flo
             return edits.with_relation(change.name, a, b, p or 0.0)
         case "confidences":
             return _with_scores(edits, change.names or (change.name,), keys, p)
+        case "boxes":
+            box = _labelled_box(truth, _at(truth, change.labelled[0][1]))
+            return edits if box is None else edits.with_box(keys[0], box)
         case "masks":
             k = _at(truth, change.labelled[0][1])
             edits = _shaped(replace(edits, masks={keys[0]: _mask(baseline, truth, k)}), keys[0], truth, k)
@@ -116,7 +124,11 @@ def _mask(baseline: Baseline, truth: FrameCases, k: int) -> RunLength:
 
 def _shaped(edits: Edits, key: str, truth: FrameCases, k: int) -> Edits:
     """Edits with the labelled 3D box where there are no labelled pixels to make one of."""
-    row = {name: truth.geometry[name][k] for name in ("center", "R", "size")}
-    if truth.masks[k] is not None or not all(np.isfinite(part).all() for part in row.values()):
-        return edits
-    return edits.with_box(key, Box3D(row["center"], row["R"].reshape(3, 3), row["size"]))
+    box = _labelled_box(truth, k) if truth.masks[k] is None else None
+    return edits if box is None else edits.with_box(key, box)
+
+
+def _labelled_box(truth: FrameCases, k: int) -> Box3D | None:
+    """Labelled 3D box of an object; None where there is none."""
+    center, R, size = (truth.geometry[name][k] for name in ("center", "R", "size"))
+    return Box3D(center, R.reshape(3, 3), size) if all(np.isfinite(part).all() for part in (center, R, size)) else None

@@ -4,7 +4,7 @@ elements. */
 import {byId, calls, el, locals, send} from './core.mjs';
 import {address, frames, told, want, watch} from './timeline.mjs';
 
-const KINDS = {wrong: ['with failures', 'all right'], open: ['open', 'settled']};
+const KINDS = {wrong: ['with failures', 'all correct'], open: ['open', 'settled']};
 const WIDE = 264, HIGH = 218, UNKNOWN = 255;
 const grid = byId('frame-grid'), top = el('div', 'grid-head'), shots = el('div', 'shots'), room = shots.appendChild(el('div', 'room')), host = el('div', 'plan');
 let which = 'all', listed = [], at = 0, items = new Map(), waiting = 0, plan = null, back = null;
