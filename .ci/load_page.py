@@ -32,8 +32,8 @@ PORT = 8233
 SERVED_WITHIN, ANSWERED_WITHIN = 60.0, 60.0
 QUIET_SECONDS = 0.5
 """Nothing more comes after so long."""
-MOST_FRAME, MOST_FIRST, MOST_SELECTION = 2_900_000, 800_000, 20_000
-"""Bytes; the first selection of a thing in a frame sends its points in their own colours, up to 17 kB."""
+MOST_FRAME, MOST_FIRST, MOST_SELECTION = 2_800_000, 800_000, 4_000
+"""Bytes."""
 CAMERA = {
     "type": "ViewerCameraMessage", "wxyz": [1.0, 0.0, 0.0, 0.0], "position": [1.0, 1.0, 1.0], "fov": 0.8,
     "near": 0.01, "far": 100.0, "image_height": 600, "image_width": 800, "look_at": [0.0, 0.0, 0.0],

@@ -1,12 +1,17 @@
 """The scene's frame: the page's ground while it loads, how much of it is there, and a browser that cannot draw it."""
 
 import io
+import json
+from typing import Any
 
 import numpy as np
 from browser import OpenTab, Tab
 from PIL import Image
 from playwright.sync_api import Route
 from servers import Server
+
+from pipeline.answering import LoadedFrame, open_pipeline
+from pipeline.geometry import decode_run_length
 
 NO_WEBGL = """const given = HTMLCanvasElement.prototype.getContext;
 HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
@@ -61,14 +66,61 @@ def test_without_webgl_the_picture_takes_the_place(demo: Server, open_tab: OpenT
     tab.see("#answer", "mug")
 
 
+LIT = """(() => {
+  const nodes = document.getElementById('view').contentWindow?.__viserMutable?.nodeRefFromName ?? {}, lit = {};
+  for (const [name, node] of Object.entries(nodes)) {
+    const points = name.startsWith('/cloud/') && node?.getObjectByProperty('isPoints', true);
+    if (!points) continue;
+    const {position, isLit} = points.geometry.attributes, dimming = points.material.uniforms.dimming?.value;
+    lit.count = (lit.count ?? 0) + (isLit?.array.reduce((sum, one) => sum + one, 0) ?? NaN);
+    lit.of = (lit.of ?? 0) + position.count;
+    lit.dims = (lit.dims ?? true) && dimming?.[0] < 1;
+  }
+  return document.getElementById('loading').hidden && lit;
+})()"""
+
+
+def test_the_answers_points_keep_their_colors(demo: Server, open_tab: OpenTab) -> None:
+    """All other points are dimmed, in the browser: exactly those that the server means, in each frame."""
+    tab, calls = open_tab(), list[dict[str, Any]]()
+
+    def heard(text: str | bytes) -> None:
+        message = json.loads(text) if isinstance(text, str) else {}
+        if message.get("name") == "lit":
+            calls.append(message["data"])
+
+    tab.page.on("websocket", lambda socket: socket.on("framereceived", heard) if "/app/" in socket.url else None)
+    tab.open(demo.address).drawn()
+    source, asked = open_pipeline("demo"), None
+    for number in (0, 1):
+        if number:
+            asked = len(calls)
+            tab.send(f"frame:{number}")
+            tab.ask("a book left of a chair")
+            tab.poll("document.querySelectorAll('.pair-card.of-answer .thing').length")
+        context = source.prepare(number)
+        cloud = LoadedFrame(context, ()).cloud
+        seen = tab.still(LIT, 2)
+        assert asked is None or len(calls) > asked
+        mask = decode_run_length(calls[-1]["size"], calls[-1]["counts"])
+        assert seen == {"count": int(mask[cloud.v, cloud.u].sum()), "of": len(cloud.u), "dims": True}
+        assert seen["count"] > 500
+    tab.ask("the unicorn left of the mug")
+    tab.poll(f"(lit => lit && !lit.dims)({LIT})")
+    tab.ask("a book left of a chair")
+    tab.poll(f"(lit => lit.count === {seen['count']} && lit.dims)({LIT})")
+
+
 def test_a_scene_that_is_lost_is_drawn_again(demo: Server, open_tab: OpenTab) -> None:
     tab = open_tab(demo.address).drawn()
+    before = tab.still(LIT, 1)
     tab.page.evaluate(LOSE)
     tab.see("#sceneless", "has lost the 3D scene")
     tab.see("#sceneless button").click()
     tab.poll("document.getElementById('sceneless').hidden")
     tab.drawn()
     tab.poll("document.getElementById('loading').hidden")
+    assert tab.still(LIT, 1) == before
 
 
 TAGS = """(async () => {

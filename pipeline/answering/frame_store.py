@@ -30,7 +30,7 @@ from pipeline.datasets.up import with_frame_up
 from pipeline.geometry.cloud import Cloud, cloud_of
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import Pixel
-from pipeline.geometry.palette import DROPPED, ON_DARK, Role, depth_colors, dimmed, instance_colors
+from pipeline.geometry.palette import DROPPED, ON_DARK, Role, depth_colors, instance_colors
 from pipeline.system.encoded_pictures import jpeg, resized, thumbnail
 from pipeline.system.errors import InputError
 from pipeline.system.freed_memory import trim
@@ -322,18 +322,17 @@ def frame_colors(
     objects: Sequence[SceneObject],
     roles: Mapping[int, Role],
     dark: bool,
-    dim: bool = False,
 ) -> np.ndarray:
     """(H, W, 3) uint8 colours of a frame's pixels.
 
     `mode`: "rgb", "objects" (masks in colours, the larger below), "depth" or "evidence" (what was cleaned away, and
     why); `objects`: without any, "objects" and "evidence" are the picture itself; `roles`: mapping of int to Role:
-    places in `objects` that have the colour of a role; `dim`: "rgb" is dimmed.
+    places in `objects` that have the colour of a role.
     """
     if mode == "depth":
         return depth_colors(frame.depth)
     if mode == "rgb" or not objects:
-        return dimmed(frame.rgb, dark) if dim else frame.rgb
+        return frame.rgb
     grey = np.repeat(frame.rgb.mean(axis=2, keepdims=True), 3, axis=2)
     image = (grey * 0.55 + (20 if dark else 110)).astype(np.uint8)
     order = sorted(range(len(objects)), key=lambda i: -int(objects[i].lifted.quality.mask_pixels))

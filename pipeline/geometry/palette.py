@@ -94,17 +94,15 @@ def depth_colors(depth: np.ndarray, ends: tuple[float, float] | None = None) -> 
 
 
 SATURATION, LIGHTNESS = 0.45, 0.7
-"""Shares that are kept of a dimmed pixel's; on a light ground LIGHTNESS is of what it lacks to white."""
+"""Shares that are kept of a dimmed point's; on a light ground LIGHTNESS is of what it lacks to white."""
 LUMA = (0.2126, 0.7152, 0.0722)
 
 
-def dimmed(rgb: np.ndarray, dark: bool = True) -> np.ndarray:
-    """Picture ((H, W, 3) uint8), dimmed toward a dark or a light ground."""
-    import cv2
-
+def dimming(dark: bool) -> np.ndarray:
+    """Matrix (3, 4) of dimming toward a dark or a light ground: it turns a colour (r, g, b, 1), 0 to 1."""
     grey = (1 - SATURATION) * np.tile(LUMA, (3, 1))
     turn = LIGHTNESS * (grey + SATURATION * np.eye(3))
-    return cv2.transform(rgb, np.column_stack([turn, np.full(3, 0.0 if dark else 255 * (1 - LIGHTNESS))]))
+    return np.column_stack([turn, np.full(3, 0.0 if dark else 1 - LIGHTNESS)])
 
 
 VERDICTS: dict[str, RGB] = {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from operator import is_
 from typing import Any
@@ -13,8 +13,10 @@ import viser.transforms as vtf
 from pipeline.answering.frame_store import LoadedFrame, frame_colors
 from pipeline.datasets.scene_mesh import fuse_context
 from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.cloud import NEAREST_BY_HAND, CloudPart, metre_grid, spacing_at
-from pipeline.geometry.palette import hex_color
+from pipeline.geometry.camera import intrinsics
+from pipeline.geometry.cloud import NEAREST_BY_HAND, CloudPart, metre_grid, spacing_at, stride_of
+from pipeline.geometry.masks import encode_run_length
+from pipeline.geometry.palette import dimming, hex_color
 from pipeline.geometry.viewer import surface_point
 from pipeline.system.errors import FrameUnusable, MissingExtra
 from spatialviz.app.context import Context, Part
@@ -25,10 +27,6 @@ from spatialviz.app.state import State
 
 CLOUD = "/cloud/"
 """Prefix of the cloud's nodes."""
-LIT = f"{CLOUD}lit/"
-"""Of the points that are not dimmed: all others keep their colours from pair to pair."""
-FINE, COARSE = 1500, "-coarse/"
-"""A thing of more points is shown by one in four of them; end of the name of its nodes."""
 
 
 class FrameCloud(Part):
@@ -39,8 +37,7 @@ class FrameCloud(Part):
         self._loaded: LoadedFrame | None = None
         self._painted: tuple[Any, ...] = ()
         self._points = np.zeros((0, 3), np.uint8)
-        self._lit: dict[int, str] = {}
-        """Nodes of points in their own colours, by their mask."""
+        self._lit: tuple[tuple[object, ...], dict[str, object] | None] = ((), None)
         self.place_anew = False
 
     def follow(self) -> None:
@@ -54,11 +51,9 @@ class FrameCloud(Part):
             scene.cloud = None
             self.ctx.client.clear(CLOUD)
             self.ctx.client.clear("/camera")
-            self._lit = {}
         elif self._painted != state.paint_key or loaded is not was:
             self._painted = state.paint_key
-            dim, frame = state.spotlit is not None, loaded.context.frame
-            look = state.colors, frame, loaded.objects, state.roles, state.dark, dim
+            look = state.colors, loaded.context.frame, loaded.objects, state.roles, state.dark
             self._points = loaded.painted(state.paint_key, lambda: frame_colors(*look))
             with self.ctx.client.atomic():
                 if loaded is not was:
@@ -69,36 +64,38 @@ class FrameCloud(Part):
                 if anew:
                     viewpoint.place(state.camera)
                 self.ctx.post(lambda: self._complete(loaded))
-        # The answer's own points come with the rest of a frame's, which are sent first.
-        if loaded is None or all(CLOUD + part.name in self.ctx.client.nodes for part in loaded.cloud.parts):
-            self._spotlight(state.spotlit or ())
         # A refused question has no pair to look at.
         if other and not state.error and state.camera == "pair" and viewpoint.untouched and loaded is not None:
             viewpoint.place("pair")
         self.dress()
+        self.ctx.page.call("lit", self._spotlight(state))
         self._show_room(state)
 
-    def _spotlight(self, masks: Sequence[np.ndarray]) -> None:
-        """Show points of masks ((H, W) bool each) in their own colours; those of a mask are sent once for a frame."""
-        loaded, client = self._loaded, self.ctx.client
-        wanted = {hash(np.packbits(mask).tobytes()): mask for mask in masks}
-        if loaded is None or (not wanted and not self._lit):
-            return
-        cloud, rgb = loaded.cloud, loaded.context.frame.rgb
-        with client.atomic():
-            for key in wanted.keys() - self._lit.keys():
-                at = np.flatnonzero(wanted[key][cloud.v, cloud.u])
-                colors, ends = rgb[cloud.v[at], cloud.u[at]], np.searchsorted(at, [p.at.start for p in cloud.parts])
-                # Of a large thing one point in four, twice as large, says as much.
-                few = len(at) > FINE
-                self._lit[key] = f"{LIT}{len(self._lit)}{COARSE if few else '/'}"
-                for part, first, last in zip(cloud.parts, ends, [*ends[1:], len(at)], strict=True):
-                    here = slice(int(first), int(last))
-                    if part.first or not few:
-                        self._put(self._lit[key], part, part.offsets[at[here] - part.at.start], colors[here])
-            shown = {root for key, root in self._lit.items() if key in wanted} if self.state.flags.cloud else set[str]()
-            for name in [name for name in client.nodes if name.startswith(LIT)]:
-                client.change(name, visible=f"{name.rpartition('/')[0]}/" in shown)
+    def _spotlight(self, state: State) -> dict[str, object] | None:
+        """Pixels that the browser dims the cloud around, and how it finds those of points; None dims nothing."""
+        loaded, masks = state.loaded, state.spotlit
+        if loaded is None or masks is None:
+            return None
+        drawn = (loaded, state.dark, self.ctx.scene.to_show, *masks)
+        if len(drawn) != len(self._lit[0]) or not all(map(is_, drawn, self._lit[0])):
+            camera = loaded.context.frame.camera
+            step = stride_of(camera)
+            lit = np.logical_or.reduce([mask[::step, ::step] for mask in masks]) if masks else None
+            to_pixel = (
+                intrinsics(camera.fx, camera.fy, camera.cx, camera.cy)
+                @ self.ctx.scene.to_show.T
+                / [[step], [step], [1]]
+            )
+            self._lit = (
+                drawn,
+                {
+                    "size": [-(-side // step) for side in (camera.height, camera.width)],
+                    "counts": "" if lit is None else encode_run_length(lit),
+                    "toPixel": to_pixel.ravel().tolist(),
+                    "dim": dimming(state.dark).ravel().tolist(),
+                },
+            )
+        return self._lit[1]
 
     def dress(self) -> None:
         """Show the points at the chosen size, and the camera."""
@@ -108,9 +105,6 @@ class FrameCloud(Part):
         with client.atomic():
             for part in parts:
                 client.change(CLOUD + part.name, visible=state.flags.cloud, point_size=part.size * factor)
-                for root in self._lit.values():
-                    coarse = 2 if root.endswith(COARSE) else 1
-                    client.change(root + part.name, point_size=part.size * factor * coarse)
             client.change("/camera", visible=state.flags.camera)
         self.ctx.page.call("cloud", {CLOUD + part.name: len(part.offsets) for part in parts if state.flags.cloud})
 
@@ -120,7 +114,6 @@ class FrameCloud(Part):
         scene.to_show, scene.cloud = np.stack([viewer.right, viewer.forward, viewer.up]), loaded.cloud
         scene.viewpoint.set_frame(loaded.cloud.points, scene.to_show, frame.camera)
         self.ctx.client.clear(CLOUD)
-        self._lit = {}
         # Old tags would pile up over frames.
         self.ctx.client.clear("/tags/")
         self._add(part for part in loaded.cloud.parts if part.first)
@@ -142,24 +135,16 @@ class FrameCloud(Part):
         if loaded is self._loaded:
             with self.ctx.client.atomic():
                 self._add(part for part in loaded.cloud.parts if not part.first)
-                self._spotlight(self.state.spotlit or ())
                 self.dress()
 
     def _add(self, parts: Iterable[CloudPart]) -> None:
         for part in parts:
-            self._put(CLOUD, part, part.offsets, self._points[part.at])
-
-    def _put(self, root: str, part: CloudPart, offsets: np.ndarray, colors: np.ndarray) -> None:
-        """Send points of a part: (M, 3) float16 from its centre, metres, and (M, 3) uint8."""
-        if len(offsets):
             self.ctx.client.put(
                 "point_cloud",
-                root + part.name,
-                points=offsets,
-                colors=colors,
-                point_size=part.size
-                * self.state.point_size
-                * (2 if (part.first and root == CLOUD) or root.endswith(COARSE) else 1),
+                CLOUD + part.name,
+                points=part.offsets,
+                colors=self._points[part.at],
+                point_size=part.size * self.state.point_size * (2 if part.first else 1),
                 precision="float16",
                 point_shading="flat",
                 point_shape="square",

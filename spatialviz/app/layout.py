@@ -27,6 +27,7 @@ KEPT_CALLS = (
     "asking",
     "scale",
     "cloud",
+    "lit",
     "measure",
     "found",
     "chosen",

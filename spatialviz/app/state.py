@@ -272,7 +272,9 @@ class State(AnswerView):
     def paint_key(self) -> tuple[object, ...]:
         """Cache key of the cloud's colours."""
         roles = tuple(sorted(self.roles.items())) if self.colors == "objects" else ()
-        return (self.source, self.frame_id, self.colors, self.dark, roles, self.spotlit is not None)
+        # The picture and depth look the same on any ground.
+        dark = self.dark and self.colors not in ("rgb", "depth")
+        return (self.source, self.frame_id, self.colors, dark, roles)
 
     @property
     def spotlit(self) -> list[np.ndarray] | None:

@@ -9,7 +9,7 @@ import pytest
 
 from pipeline.geometry import RGB, depth_colors, hex_color, ink
 from pipeline.geometry.lifting import Pixel
-from pipeline.geometry.palette import DROPPED, LIGHTNESS, ON_DARK, SATURATION, VERDICTS, dimmed, palette
+from pipeline.geometry.palette import DROPPED, LIGHTNESS, ON_DARK, SATURATION, VERDICTS, dimming, palette
 
 LEAST = 19.0
 """Of the distances in CIE Lab (CIE76): some eight times what two patches that touch need to be told apart."""
@@ -123,13 +123,12 @@ def test_a_small_part_is_no_violet() -> None:
 
 
 def test_what_is_beside_the_point_is_dimmed() -> None:
-    rgb = np.full((4, 6, 3), (200, 80, 40), np.uint8)
-    image = dimmed(rgb)
-    assert (dimmed(rgb, dark=False) > image).all()
-    before, after = rgb[0, 0].astype(float), image[0, 0].astype(float)
+    before = np.array([200, 80, 40]) / 255
+    after, on_light = (dimming(dark) @ [*before, 1] for dark in (True, False))
+    assert (on_light > after).all()
     luma = np.array([0.2126, 0.7152, 0.0722])
-    assert after @ luma == pytest.approx(LIGHTNESS * (before @ luma), abs=1)
-    assert after.max() - after.min() == pytest.approx(LIGHTNESS * SATURATION * (before.max() - before.min()), abs=1)
+    assert after @ luma == pytest.approx(LIGHTNESS * (before @ luma))
+    assert np.ptp(after) == pytest.approx(LIGHTNESS * SATURATION * np.ptp(before))
 
 
 @pytest.mark.parametrize("seen", SEEN)

@@ -2,6 +2,7 @@
 most a few pixels. */
 
 import {sceneWindow} from './core.mjs';
+import {light} from './lit.mjs';
 import {beforeDrawing} from './scene.mjs';
 
 const HALO = 0x0b0d10, HALO_WIDTH = 1, HIDDEN = 0.45, THICK = 2.5;
@@ -65,9 +66,9 @@ beforeDrawing(() => {
       if (line) dress(line);
     } else if (name.startsWith('/cloud/')) {
       const points = node.getObjectByProperty('isPoints', true);
-      if (points) limit(points.material, ratio);
-      // Points in their own colours stand where dimmed ones do.
-      if (points && name.startsWith('/cloud/lit/')) points.renderOrder = 1;
+      if (!points) continue;
+      limit(points.material, ratio);
+      light(name, node, points);
     }
   }
 });

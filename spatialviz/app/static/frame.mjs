@@ -60,6 +60,7 @@ const there = ([name, count]) => {
   const node = sceneWindow()?.__viserMutable?.nodeRefFromName?.[name];
   return node?.getObjectByProperty('isPoints', true)?.geometry.attributes.position?.count === count;
 };
+export const isThere = name => parts.some(part => part[0] === name && there(part));
 const follow = () => {
   clearTimeout(waiting);
   const sum = some => some.reduce((n, [, count]) => n + count, 0), all = sum(parts), now = sum(parts.filter(there));
