@@ -19,9 +19,9 @@ from pipeline.geometry.palette import VERDICTS, hex_color, palette
 from pipeline.language.counted import counted
 from pipeline.language.glossary import glossary
 from spatialviz.app.compare_runs import both_html, switch_html
-from spatialviz.app.frames import thumb_url
 from spatialviz.app.markup import BAD, Child, Element, button, h, hint_of, joined, named, note, panel, term
 from spatialviz.app.mend import mend_html
+from spatialviz.app.picture import thumb
 from spatialviz.app.state import State
 from spatialviz.app.toolbar import depth_chip, level_html, up_chip
 
@@ -144,10 +144,8 @@ def _card(state: State, card: Card) -> Element:
 
 def _thing(state: State, thing: CardObject) -> Element:
     """Thing of a card, with its crop."""
-    url = "" if state.loaded is None else thumb_url(state.loaded, thing.bbox)
-    picture = h.img(src=url, alt="", cls="thumb") if url else h.span(cls="thumb")
     words = h.span(h.b(thing.name), h.small(thing.note) if thing.note else None)
-    return h.span(picture, words, cls=f"thing {thing.role}")
+    return h.span(thumb(state.loaded, thing.bbox), words, cls=f"thing {thing.role}")
 
 
 def doubts_html(state: State) -> Element | None:

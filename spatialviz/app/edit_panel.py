@@ -32,6 +32,7 @@ from spatialviz.app.markup import (
     note,
     panel,
     segments,
+    slider,
 )
 from spatialviz.app.state import State
 
@@ -94,7 +95,7 @@ def _object(state: State, trace: Trace, editable: bool) -> Child:
     if i is None or i >= len(state.shown.objects):
         return heading("Object"), h.div("Select one: click its row, its pixels or its box.", cls="dim")
     entry = state.shown.objects[i]
-    name = h.b(dot(palette(state.dark)[state.roles.get(i, "other")]), state.shown.names[i])
+    name = h.b(dot(state.color(i)), state.shown.names[i])
     if not editable:
         return heading(name), h.div("Not a candidate of this question: nothing depends on it.", cls="dim")
     hidden = f"#{entry.id}" in state.edits.hidden
@@ -206,19 +207,9 @@ def field(kind: str, value: float, *, hint: str, step: str, name: str, digits: i
 
 def _slider(kind: str, label: str, value: float, hint: str) -> Element:
     """Probability slider; the answer follows the drag."""
-    shown = f"{value:.4f}"
     return h.label(
         h.span(label),
-        h.input(
-            type="range",
-            min=0,
-            max=1,
-            step="0.01",
-            value=shown,
-            css={"--v": shown},
-            live=f"edit-live:{kind}",
-            change=f"edit:{kind}",
-        ),
+        slider(value, live=f"edit-live:{kind}", change=f"edit:{kind}"),
         h.output(f"{value:.2f}"),
         id=f"slide-{kind}",
         cls="slide",

@@ -202,6 +202,11 @@ def heading(text: Child, *aside: Child) -> Element:
     return h.h2(text, h.span(*aside))
 
 
+def more(what: str) -> Element:
+    """Switch between the first few rows of what follows it and all of it."""
+    return h.details(h.summary(what), cls="more")
+
+
 def note(text: Child, color: str = DOUBT) -> Element:
     """Remark with a coloured edge."""
     return h.div(text, cls="note", color=color)
@@ -221,6 +226,12 @@ def text_field(name: str, hint: str = "", cls: str = "find", **more: object) -> 
     """Text field without the browser's own completions and spelling."""
     plain = {"spellcheck": "false", "autocomplete": "off", "title": hint or None}
     return h.input(cls=cls, aria_label=name, **(plain | more))
+
+
+def slider(value: float, low: float = 0, high: float = 1, step: str = "0.01", **more: object) -> Element:
+    """Slider of a number; `--v` is how far along it stands."""
+    along, value = (value - low) / (high - low), round(value, 4)
+    return h.input(type="range", min=low, max=high, step=step, value=value, css={"--v": f"{along:.4f}"}, **more)
 
 
 def progress(name: str, done: float, of: float) -> Element:

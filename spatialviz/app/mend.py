@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pipeline.diagnosis.story_words import Change, Story
 from pipeline.evaluation.mend_counts import MendCount
-from spatialviz.app.markup import Child, Element, h
+from spatialviz.app.markup import Child, Element, h, slider
 from spatialviz.app.state import State
 
 
@@ -36,19 +36,10 @@ def _slider(change: Change, state: State) -> Element | None:
     if change.after is None or after is None:
         return None
     low = "" if change.before is None else f"{change.before:.2f} → "
+    step = "0.001" if change.after < 0.05 else "0.01"
     return h.label(
         h.span(f"{low}{after:.2f}"),
-        h.input(
-            type="range",
-            min=0,
-            max=1,
-            step="0.001" if change.after < 0.05 else "0.01",
-            value=f"{after:.4f}",
-            css={"--v": f"{after:.4f}"},
-            live="mend-live",
-            change="mend-value",
-            aria_label="The number that changes",
-        ),
+        slider(after, step=step, live="mend-live", change="mend-value", aria_label="The number that changes"),
         cls="slide whole",
         id="slide-mend",
     )

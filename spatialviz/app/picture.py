@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Iterator, Sequence
-from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -28,20 +26,10 @@ from pipeline.geometry.palette import (
     palette,
 )
 from pipeline.pictures.marks import TINT, edges_path
-from spatialviz.app.frames import IMAGES, jpeg_url, png_url, thumb_url
-from spatialviz.app.markup import (
-    Child,
-    Element,
-    detector_score,
-    dot,
-    h,
-    heading,
-    named,
-    note,
-    panel,
-    term,
-    words,
-)
+from pipeline.system.encoded_pictures import jpeg
+from pipeline.system.recent import Recent
+from spatialviz.app.frames import IMAGES, png_url, thumb_url
+from spatialviz.app.markup import Child, Element, detector_score, dot, h, heading, named, note, panel, term, words
 from spatialviz.app.state import State
 
 IMAGE_WIDTH = 720
@@ -52,11 +40,13 @@ def image_html(state: State) -> Element:
     if state.loaded is None:
         return panel(note(state.problem or "no frame"), cls="picture")
     frame = state.loaded.context.frame
+    unit = frame.width / 360
+    quiet = "".join(_rectangle(entry.bbox) for entry in state.shown.objects) if state.boxes_shown else ""
     alt = (f"frame {frame.id}", *(f"{role} {state.shown.names[i]}" for i, role in state.roles.items()))
     return panel(
         h.div(
             h.img(src=_photo_url(state, state.loaded), alt=", ".join(alt), draggable="false", id="photo"),
-            _svg(frame, _quiet_boxes(state, frame.width / 360), "boxes"),
+            _svg(frame, _path(quiet, palette(True)["other"], 0.7 * unit, opacity=".75") if quiet else None, "boxes"),
             _svg(frame, _ghost_marks(state, frame), "ghosts"),
             _svg(frame, overlay_marks(state), "overlay"),
             _svg(frame, None, "marked"),
@@ -69,29 +59,21 @@ def image_html(state: State) -> Element:
     )
 
 
-PHOTOS = 8
-_photos: OrderedDict[tuple[object, ...], tuple[object, str]] = OrderedDict()
-_photos_lock = Lock()
+_photos = Recent[tuple[object, ...], tuple[LoadedFrame, bytes]](8)
+"""Pictures as JPEG; what a key names is kept with its picture."""
 
 
 def _photo_url(state: State, loaded: LoadedFrame) -> str:
     """Address of the frame's picture in the chosen colours; the last few are not made again."""
     frame, plain = loaded.context.frame, state.colors == "rgb"
     key = (id(loaded), state.colors, *(() if plain else (state.dark, *state.roles.items())))
-    with _photos_lock:
-        # What the key names is kept with the address.
-        _, url = _photos.get(key, (None, ""))
-    if not url or IMAGES.get(url.rpartition("/")[2]) is None:
-        picture = frame.rgb
-        if not plain:
-            picture = frame_colors(state.colors, frame, loaded.objects, state.roles, state.dark)
+
+    def make() -> tuple[LoadedFrame, bytes]:
+        colors = frame_colors(state.colors, frame, loaded.objects, state.roles, state.dark)
         step = max(1, round(frame.width / IMAGE_WIDTH))
-        url = jpeg_url(picture[::step, ::step])
-        with _photos_lock:
-            _photos[key] = (loaded, url)
-            while len(_photos) > PHOTOS:
-                _photos.popitem(last=False)
-    return url
+        return loaded, jpeg(colors[::step, ::step])
+
+    return IMAGES.url(_photos.get(key, make)[1], "jpg")
 
 
 def _svg(frame: Frame, marks: Child, name: str) -> Element:
@@ -99,15 +81,8 @@ def _svg(frame: Frame, marks: Child, name: str) -> Element:
     return h.svg(marks, viewBox=size, preserveAspectRatio="none", aria_hidden="true", id=name)
 
 
-def _quiet_boxes(state: State, unit: float) -> Element | None:
-    """2D boxes of all objects, independent of the choice."""
-    if not state.boxes_shown:
-        return None
-    drawn = "".join(_rectangle(entry.bbox) for entry in state.shown.objects)
-    return _path(drawn, hex_color(palette(True)["other"]), 0.7 * unit, opacity=".75")
-
-
-def _path(drawn: str, color: str, width: float, **look: str) -> Element:
+def _path(drawn: str, color: RGB | str, width: float, **look: str) -> Element:
+    color = color if isinstance(color, str) else hex_color(color)
     return h.path(d=drawn, fill="none", stroke=color, stroke_width=f"{width:.2f}", **look)
 
 
@@ -118,10 +93,8 @@ def overlay_marks(state: State) -> list[Element]:
     frame, colors, roles = state.loaded.context.frame, palette(True), state.roles
     unit, shape = frame.width / 360, (frame.height, frame.width)
     marks: list[Element] = []
-    order = sorted(
-        (i for i in range(len(state.shown.objects)) if i in roles or i == state.selected),
-        key=lambda i: i == state.selected,
-    )
+    places = (i for i in range(len(state.shown.objects)) if i in roles or i == state.selected)
+    order = sorted(places, key=lambda i: i == state.selected)
     for i in order if state.colors == "rgb" else ():
         if i in roles:
             lines = (f"M{'L'.join(f'{x:g} {y:g}' for x, y in line)}Z" for line in outlines(state.shown.objects[i].mask))
@@ -131,9 +104,9 @@ def overlay_marks(state: State) -> list[Element]:
         entry = state.shown.objects[i]
         box, sides = entry.lifted.box, entry.lifted.open_sides
         drawn = _rectangle(entry.bbox) if box is None else edges_path(box, frame.camera, sides)
-        marks.append(_path(drawn, hex_color(colors[roles[i]]) if i in roles else "#ffffff", 1.3 * unit))
+        marks.append(_path(drawn, colors[roles[i]] if i in roles else "#ffffff", 1.3 * unit))
     for i in order:
-        x0, y0 = _name_place(state, i)
+        x0, y0, *_ = state.shown.objects[i].bbox.tolist()
         color = hex_color(colors[roles.get(i, "other")])
         marks.append(name_tag(state.shown.names[i].replace("·", " "), x0, y0 - 14 * unit, shape, unit, color))
     ends = [(u + 0.5, v + 0.5) for u, v in state.marks]
@@ -150,21 +123,14 @@ def name_tag(text: str, x: float, y: float, shape: tuple[int, ...], unit: float,
     """Name tag in the picture with the upper left corner at (x, y), or at the nearest place within `shape`."""
     width, height = (len(text) * 6.2 + 8) * unit, 14 * unit
     x, y = max(min(x, shape[1] - width), 0), min(max(y, 0), shape[0] - height)
-    return h.g(
-        h.rect(
-            x=f"{x:.1f}", y=f"{y:.1f}", width=f"{width:.1f}", height=f"{height:.1f}", rx=f"{2 * unit:.1f}", fill=color
-        ),
-        h.text(
-            text,
-            x=f"{x + 4 * unit:.1f}",
-            y=f"{y + 10.4 * unit:.1f}",
-            font_size=f"{10.5 * unit:.1f}",
-            font_weight=600,
-            fill=ink(color),
-            font_family="system-ui,sans-serif",
-        ),
-        cls="name-tag",
-    )
+    corner = {"x": x, "y": y, "width": width, "height": height, "rx": 2 * unit}
+    start = {"x": x + 4 * unit, "y": y + 10.4 * unit, "font_size": 10.5 * unit}
+    look = {"font_weight": 600, "fill": ink(color), "font_family": "system-ui,sans-serif"}
+    return h.g(h.rect(**_digits(corner), fill=color), h.text(text, **_digits(start), **look), cls="name-tag")
+
+
+def _digits(numbers: dict[str, float]) -> dict[str, str]:
+    return {name: f"{number:.1f}" for name, number in numbers.items()}
 
 
 def _ghost_marks(state: State, frame: Frame) -> Iterator[Element]:
@@ -172,18 +138,12 @@ def _ghost_marks(state: State, frame: Frame) -> Iterator[Element]:
     unit, colors = frame.width / 360, palette(True)
     for ghost in state.ghosts if state.flags.ghosts else ():
         drawn, dashes = edges_path(ghost.box, frame.camera), f"{3 * unit:.1f} {2 * unit:.1f}"
-        yield _path(drawn, hex_color(colors[ghost.role]), 1.1 * unit, stroke_dasharray=dashes)
+        yield _path(drawn, colors[ghost.role], 1.1 * unit, stroke_dasharray=dashes)
 
 
 def _rectangle(bbox: np.ndarray) -> str:
     x0, y0, x1, y1 = (float(v) for v in bbox)
     return f"M{x0:.1f} {y0:.1f}H{x1:.1f}V{y1:.1f}H{x0:.1f}Z"
-
-
-def _name_place(state: State, i: int) -> tuple[float, float]:
-    """Place of an object's name, at the 2D box."""
-    x, y, *_ = state.shown.objects[i].bbox
-    return float(x), float(y)
 
 
 def smallest_at(objects: Sequence[SceneObject], pixel: tuple[int, int] | None) -> int | None:
@@ -234,10 +194,7 @@ def legend_html(state: State) -> list[Child]:
     )
     shown = [row for row in rows if row[0] in (drawn if row[2] else state.roles.values())]
     return [
-        *(
-            h.span(h.i(cls=f"line{' dashed' * dashed}", css={"--c": hex_color(ON_DARK[role])}), text)
-            for role, text, dashed in shown
-        ),
+        *(h.span(h.i(cls=f"line{' dashed' * dashed}", color=ON_DARK[role]), text) for role, text, dashed in shown),
         h.span("✓ correct by the labels") if state.right_roles and "truth" not in drawn else None,
         *(h.span(dot(color), term(words(reason))) for reason, color in DROPPED.items() if state.colors == "evidence"),
         depth_bar(state),
@@ -268,19 +225,16 @@ def objects_html(state: State, loaded: LoadedFrame) -> Element:
 
 
 def _row(state: State, i: int) -> Element:
-    entry, color = state.shown.objects[i], palette(state.dark)[state.roles.get(i, "other")]
+    entry = state.shown.objects[i]
     box, quality = entry.lifted.box, entry.lifted.quality
     size = "no depth" if box is None else " × ".join(f"{s * 100:.0f}" for s in box.size) + " cm"
     doubts = "; ".join(quality.concerns)
+    doubt = h.span("!", cls="low", title=doubts, aria_label=doubts) if doubts else ""
     return h.tr(
-        h.td(thumb(state, i)),
-        h.td(named(color, state.shown.names[i]), h.div(size, cls="dim"), cls="w"),
+        h.td(thumb(state.loaded, entry.bbox, loading="lazy")),
+        h.td(named(state.color(i), state.shown.names[i]), h.div(size, cls="dim"), cls="w"),
         h.td("" if box is None else f"{quality.distance:.1f} m", cls="n dim"),
-        h.td(
-            detector_score(entry.score),
-            h.span("!", cls="low", title=doubts, aria_label=doubts) if doubts else "",
-            cls="n",
-        ),
+        h.td(detector_score(entry.score), doubt, cls="n"),
         id=f"object-{i}",
         do=f"object:{i}",
         hover=f"hover:{i}",
@@ -288,10 +242,10 @@ def _row(state: State, i: int) -> Element:
     )
 
 
-def thumb(state: State, i: int) -> Element:
+def thumb(loaded: LoadedFrame | None, bbox: np.ndarray, **look: str) -> Element:
     """Object's thumbnail, or an empty placeholder."""
-    url = "" if state.loaded is None else thumb_url(state.loaded, state.shown.objects[i].bbox)
-    return h.img(src=url, alt="", cls="thumb", loading="lazy") if url else h.span(cls="thumb")
+    url = "" if loaded is None else thumb_url(loaded, bbox)
+    return h.img(src=url, alt="", cls="thumb", **look) if url else h.span(cls="thumb")
 
 
 PART_COLORS: tuple[RGB, ...] = (ON_DARK["edited"], ON_DARK["reference"], ON_DARK["target"], ON_DARK["truth"])

@@ -8,7 +8,6 @@ from itertools import islice
 from typing import Any
 
 from pipeline.corrections.label_editor import LabelEditor
-from pipeline.corrections.object_card import LabelView
 from pipeline.corrections.review.decisions import Answer, Opinion, ReviewQuestion
 from pipeline.corrections.review.items import ItemKey
 from pipeline.corrections.review.label_jobs import CANCELLED, QueueProgress
@@ -22,6 +21,7 @@ from spatialviz.app.markup import (
     BAD,
     DOUBT,
     GOOD,
+    IDLE,
     Child,
     Element,
     button,
@@ -32,10 +32,12 @@ from spatialviz.app.markup import (
     panel,
     progress,
     segments,
+    sign,
+    text_field,
 )
 from spatialviz.app.state import State
 
-STATES = {T: ("T", GOOD, "true"), U: ("U", DOUBT, "undecided"), F: ("F", "#8a919c", "false")}
+STATES = {T: (GOOD, "true"), U: (DOUBT, "undecided"), F: (IDLE, "false")}
 MARKS = {"auto": "", "human": "by hand", "recomputed": "recomputed", "stale": "stale"}
 
 
@@ -46,9 +48,8 @@ def review_head_html(state: State, opened: bool, desk: LabelEditor | None) -> El
     waiting, disputed = ((), ()) if desk is None else (desk.waiting, desk.disputed)
     kept = f"{counted(len(waiting), 'action')} not saved yet, kept here and tried again every few seconds: "
     decide = "Somebody was faster than you: nothing of yours is saved until you decide."
-    hint = "every answer is saved at once, under this name"
-    name = "" if desk is None else desk.author
-    who = h.input(cls="find", value=name, maxlength=200, change="author", aria_label="reviewer", title=hint)
+    hint, name = "every answer is saved at once, under this name", "" if desk is None else desk.author
+    who = text_field("reviewer", hint, value=name, maxlength=200, change="author")
     return panel(
         None if state.labels is None else h.h2("Labelling as", who, cls="mode-title"),
         (note(kept + waiting[-1].problem, BAD), button("try again", "save-again", cls="go")) if waiting else None,
@@ -62,44 +63,42 @@ def pair_html(state: State) -> Element | None:
     if view is None or view.card is None:
         return None
     card, item = view.card, view.item
-    pair = f"{card.names[0]} {card.a} … {card.names[1]} {card.b}"
-    head = h.summary("All relations of ", h.b(pair))
+    head = h.summary("All relations of ", h.b(f"{card.names[0]} {card.a} … {card.names[1]} {card.b}"))
     if card.why_none:
         return panel(head, note(f"Takes part in no relation: {card.why_none}"))
     # Pairs beside the open item are settled by a click on a row.
     beside = item is not None and item.kind == "relation" and (item.a, item.b) != (card.a, card.b)
     only = h.div("Only looked at: the keys act on the open item.", cls="dim") if beside else None
     swap = button("swap", "swap", "the other way round (X)")
-    rows = (_line(card, line, line.relation == view.relation) for line in card.lines)
+    rows = (_line(line, view.relation) for line in card.lines)
     return panel(h.details(head, swap, only, rows, open=item is None or beside, id=f"pair-{card.a}-{card.b}"))
 
 
-def _line(card: PairCard, line: RelationLine, focused: bool) -> Element:
+def _line(line: RelationLine, focused: str | None) -> Element:
     cells = (
         h.button(
-            name,
-            aria_pressed=str(line.state == state).lower(),
-            css={"--c": color},
-            do=f"settle:{line.relation}:{name}",
-            title=f"{word} ({name})",
+            letter(state),
+            aria_pressed=line.state == state,
+            color=color,
+            do=f"settle:{line.relation}:{letter(state)}",
+            title=f"{word} ({letter(state)})",
         )
-        for state, (name, color, word) in STATES.items()
+        for state, (color, word) in STATES.items()
     )
     # A person's judgement against the rule has no margin: 0 is not a distance then.
     overruled = line.origin.source == "human" and line.margin == 0
     margin = "" if line.margin is None or overruled else f"{line.margin * 100:+.1f} cm"
     mark = MARKS[line.origin.source] + (f" · {line.status}" if line.status else "")
-    now = "none" if line.state is None else letter(line.state)
     return h.div(
         h.span(PHRASE[line.relation]),
         h.span(cells, cls="tuf"),
         h.span(margin, cls="n dim"),
         h.span(mark, cls="dim"),
         id=f"label-{line.relation}",
-        **chosen(focused, "lab"),
+        **chosen(line.relation == focused, "lab"),
         role="group",
         do=f"relation-row:{line.relation}",
-        title=f"{now}: {line.origin}",
+        title=f"{'none' if line.state is None else letter(line.state)}: {line.origin}",
     )
 
 
@@ -120,7 +119,7 @@ STATUS_MARKS = {
     "unreviewed": ("", "inherit"),
     "accepted": ("✓", GOOD),
     "corrected": ("✎", GOOD),
-    "rejected": ("✗", "#8a919c"),
+    "rejected": ("✗", IDLE),
     "unsure": ("?", DOUBT),
 }
 KINDS = {"all": "all", "relation": "relations", "object": "objects", "expression": "sentences"}
@@ -140,7 +139,7 @@ def queue_html(
     stop = button("stop", "stop-queue", "ends the asking; the queue that there is stays")
     make = button("rebuild" if work else "build", "make-queue", "ranks the labels by what is switched on here")
     hint = "beside the rules and the linter, networks that have not learnt from a label"
-    switch = button("networks", "queue-networks", hint, role="switch", aria_checked=str(networks).lower())
+    switch = button("networks", "queue-networks", hint, role="switch", aria_checked=networks)
     parts = [
         heading("Next", switch, stop if making.running else make).with_(id="queue-head"),
         h.div(_busy(making), id="queue-busy"),
@@ -208,17 +207,13 @@ def said(row: Mapping[str, Any], names: Names) -> str:
 
 
 RULE = re.compile(r"^([a-z]+/[a-z-]+: )?('.*?': )?")
+"""Name of a reason's rule, and the sentence that it is about."""
 Row = Mapping[str, Any]
 DECISIONS: dict[Answer, tuple[str, str]] = {
     "right": ("Correct", "Y"),
     "wrong": ("Wrong", "N"),
     "unsure": ("Unsure", "U"),
 }
-
-
-def plain_reason(reason: str) -> str:
-    """Reason without the name of its rule, and without the sentence that it is about."""
-    return RULE.sub("", reason)
 
 
 def decision_bar(question: ReviewQuestion | None) -> Element:
@@ -237,16 +232,16 @@ def decision_bar(question: ReviewQuestion | None) -> Element:
     return h.div(buttons, cls="decision", role="group", aria_label="Answer")
 
 
+def _card(claim: str, ask: str, *more: Child, cls: str = "task-item") -> Element:
+    return h.div(h.div(claim, cls="claim"), h.div(ask, cls="dim"), more, cls=cls)
+
+
 def idle_card(queued: bool) -> Element:
     """Instructions without an open item or a selection."""
-    return h.div(
-        h.div("One label after the other" if queued else "The queue is being built", cls="claim"),
-        h.div("Each is asked with its reason; one key answers it and opens the next.", cls="dim"),
-        h.div(answer("Begin", "J", "next-item:1", "open the first item of the queue"), cls="answers")
-        if queued
-        else None,
-        cls="task-item",
-    )
+    begin = h.div(answer("Begin", "J", "next-item:1", "open the first item of the queue"), cls="answers")
+    claim = "One label after the other" if queued else "The queue is being built"
+    ask = "Each is asked with its reason; one key answers it and opens the next."
+    return _card(claim, ask, begin if queued else None)
 
 
 def answer(name: str, key: str, do: str, hint: str) -> Element:
@@ -260,14 +255,8 @@ def item_card(question: ReviewQuestion, reasons: Sequence[str]) -> Element:
     words = h.div((_word(word) for word in question.words), cls="words", role="group", aria_label="who said what")
     # What the cards of people who differ say is no reason beside them.
     reasons = [r for r in reasons if not (question.words and r.startswith("reviewers disagree"))]
-    why = h.ul((h.li(plain_reason(reason)) for reason in reasons), cls="because", aria_label="why it is asked")
-    return h.div(
-        h.div(question.claim, cls="claim"),
-        h.div(question.ask, cls="dim"),
-        words if question.words else None,
-        why if reasons else None,
-        cls="task-item",
-    )
+    why = h.ul((h.li(RULE.sub("", reason)) for reason in reasons), cls="because", aria_label="why it is asked")
+    return _card(question.claim, question.ask, words if question.words else None, why if reasons else None)
 
 
 def _word(word: Opinion) -> Element:
@@ -278,35 +267,24 @@ def _word(word: Opinion) -> Element:
 def digits_row(names: Sequence[str], label: str) -> Element | None:
     """Classes chosen by digits."""
     chips = (
-        h.button(
-            h.kbd(str(k)),
-            name,
-            cls="try",
-            do=f"digit:{k}",
-            aria_pressed=str(name == label).lower(),
-            title=f"it is a {name} ({k})",
-        )
+        button((h.kbd(k), name), f"digit:{k}", f"it is a {name} ({k})", aria_pressed=name == label)
         for k, name in enumerate(names, 1)
     )
     return h.div(chips, cls="digits", role="group", aria_label="Class by its digit") if names else None
 
 
-def begin_card(view: LabelView, editor: LabelEditor) -> Element:
+def begin_card(editor: LabelEditor) -> Element:
     """Instructions for a frame without labels."""
-    where = f"Saved from the first stroke, in {editor.labels.root}" if grows(editor.labels) else None
+    where = f"Saved from the first stroke, in {editor.labels.root}"
     tools = h.div(
         answer("Rectangle", "Shift+N", "px-new", "drag a rectangle: the surface inside it"),
         answer("Brush", "Shift+W", "px-new:brush", "paint it"),
         answer("Depth", "Shift+Q", "px-new:depth", "click it: the surface around the click"),
         cls="answers",
     )
-    return h.div(
-        h.div("Nothing is labelled in this frame", cls="claim"),
-        h.div("Outline a thing, then type its name: its 3D box and its relations follow.", cls="dim"),
-        tools,
-        None if where is None else h.div(where, cls="dim hint"),
-        cls="task-item begin",
-    )
+    ask = "Outline a thing, then type its name: its 3D box and its relations follow."
+    place = h.div(where, cls="dim hint") if grows(editor.labels) else None
+    return _card("Nothing is labelled in this frame", ask, tools, place, cls="task-item begin")
 
 
 def pace_html(counts: Mapping[str, int]) -> Element:
@@ -323,26 +301,15 @@ def pace_html(counts: Mapping[str, int]) -> Element:
     )
 
 
-def _step(sign: str, key: str, do: str, name: str) -> Element:
+def _step(mark: str, key: str, do: str, name: str) -> Element:
     shortcut = key.replace("Ctrl", "Control")
-    return h.button(sign, cls="try", do=do, title=f"{name} ({key})", aria_label=name, aria_keyshortcuts=shortcut)
+    return sign(mark, do, name, "try", title=f"{name} ({key})", aria_keyshortcuts=shortcut)
 
 
 def bulk_html(find: str, found: int) -> Element:
     """Filter of the queue, and acceptance of all results."""
-    field = h.input(
-        cls="find",
-        value=find,
-        live="queue-find:",
-        placeholder="filter: left, mug, 000002 …",
-        spellcheck="false",
-        aria_label="Only items whose words or reasons hold this",
-        id="queue-find",
-    )
-    accept = button(
-        f"All {found:,} are correct",
-        "accept-found",
-        "as one step, which one undo takes back; filter first",
-        disabled=not found or not find,
-    )
+    given = {"value": find, "live": "queue-find:", "placeholder": "filter: left, mug, 000002 …", "id": "queue-find"}
+    field = text_field("Only items whose words or reasons hold this", **given)
+    hint = "as one step, which one undo takes back; filter first"
+    accept = button(f"All {found:,} are correct", "accept-found", hint, disabled=not found or not find)
     return h.div(field, accept, cls="bulk", id="queue-bulk")

@@ -46,6 +46,7 @@ from spatialviz.app.context import Context, command, there
 from spatialviz.app.label_part import NO_LABELS, LabelPart
 from spatialviz.app.markup import Element, h, panel
 from spatialviz.app.review_html import (
+    DECISIONS,
     begin_card,
     bulk_html,
     decision_bar,
@@ -58,7 +59,6 @@ from spatialviz.app.review_html import (
 )
 
 OF_KEYS: dict[str, Answer] = {"T": "right", "F": "wrong", "U": "unsure"}
-DECISION_KEYS: dict[Answer, str] = {"right": "Y", "wrong": "N", "unsure": "U"}
 DOUBT_TITLE = "Against geometry"
 
 
@@ -281,7 +281,7 @@ class ReviewQueue(LabelPart):
         """Answer the question: right, wrong, or unsure."""
         question, author = there(self._question), self.editor.author
         state = question.choices[answer].state
-        if state is None or self._sure(question, state, DECISION_KEYS[answer]):
+        if state is None or self._sure(question, state, DECISIONS[answer][1]):
             self._save(question, lambda frame: edits_of_answer(frame, question, answer, author))
 
     @command("settle")
@@ -384,7 +384,7 @@ class ReviewQueue(LabelPart):
         if question is not None:
             card = item_card(question, reasons)
         else:
-            card = begin_card(view, self.editor) if not view.frame.objects else idle_card(work is not None)
+            card = begin_card(self.editor) if not view.frame.objects else idle_card(work is not None)
         # A new id for each card, so that the page scrolls to the card.
         return panel(card.with_(id=f"card-{place}-{self.number}", data_shown=True))
 

@@ -10,20 +10,37 @@ from typing import Literal
 
 from pipeline.corrections.journal.edits import Edits, set_ambiguous, set_mark, set_status, set_text
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.events import Conflict
+from pipeline.corrections.journal.events import Conflict, Rival
 from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.corrections.label_editor import EventLine
 from pipeline.corrections.object_card import ExpressionCard, LabelView, expression_card, paired, set_answer
 from pipeline.corrections.unsaved import disputes
 from pipeline.corrections.wording import ref_text, value_text
-from pipeline.diagnosis.marks import MARKS
+from pipeline.diagnosis.marks import MARKS as KINDS
 from pipeline.diagnosis.verdict import Diagnosis
-from pipeline.geometry.palette import hex_color, palette
+from pipeline.geometry.palette import palette
 from pipeline.language.relation_names import PHRASE
 from pipeline.system.errors import InputError, needed
 from spatialviz.app.context import command, there
 from spatialviz.app.label_part import LabelPart
-from spatialviz.app.markup import BAD, DOUBT, GOOD, Child, Element, button, chosen, dot, h, heading, joined, note, panel
+from spatialviz.app.markup import (
+    BAD,
+    DOUBT,
+    GOOD,
+    Child,
+    Element,
+    button,
+    chosen,
+    dot,
+    h,
+    heading,
+    joined,
+    note,
+    panel,
+    sign,
+    text_field,
+)
+from spatialviz.app.review_html import MARKS
 from spatialviz.app.state import State
 from spatialviz.app.toolbar import up_chip
 
@@ -103,7 +120,7 @@ class Sentences(LabelPart):
     @command("mark")
     def mark(self, mark: str) -> None:
         """Mark the expression BAD_LABEL or BAD_BOX; a repeated mark is removed; "next" steps through marks."""
-        wanted = mark if mark in MARKS else None
+        wanted = mark if mark in KINDS else None
 
         def made(frame: EffectiveFrame, card: ExpressionCard) -> Edits:
             now = NEXT_MARK[card.mark] if mark == "next" else None if card.mark == wanted else wanted
@@ -167,37 +184,30 @@ class Conflicts(LabelPart):
 
 def conflict_html(found: tuple[Conflict, ...], frame: EffectiveFrame | None) -> Element:
     """Disputed fields: author, change and time, beside this person's version."""
-    rows = []
-    for k, dispute in enumerate(found):
-        rival = dispute.rivals[0]
-        event, cell, edit = rival.event, rival.edit.ref, rival.edit
-        what = ref_text(cell, frame)
-        if event is None:
-            theirs, who = "not what you saw", "It was taken back in the meantime"
-        else:
-            theirs = value_text(cell, event.after, frame)
-            reason = f" · {event.reason}" if event.reason else ""
-            who = (h.b(event.author), f" changed it {_when(event.time)}{reason}")
-        values = (
-            ("you saw", value_text(cell, edit.before, frame)),
-            ("theirs", theirs),
-            ("yours", value_text(cell, edit.after, frame)),
-        )
-        rows.append(
-            h.div(
-                h.div(what, cls="what"),
-                h.div(who, cls="dim"),
-                h.div(((h.span(whose), h.b(value)) for whose, value in values), cls="two"),
-                _choice(k, what) if len(found) > 1 else None,
-                cls="dispute",
-            )
-        )
-    said = (
-        "Nothing of yours was saved, and nothing of theirs is lost."
-        if len(found) == 1
-        else ("Nothing of yours was saved yet, and nothing of theirs is lost. Choose for each field.")
+    one = "Nothing of yours was saved, and nothing of theirs is lost."
+    several = "Nothing of yours was saved yet, and nothing of theirs is lost. Choose for each field."
+    rows = (_dispute(dispute.rivals[0], frame, k if len(found) > 1 else None) for k, dispute in enumerate(found))
+    return h.div(h.div(several if len(found) > 1 else one), rows, cls="conflict")
+
+
+def _dispute(rival: Rival, frame: EffectiveFrame | None, number: int | None) -> Element:
+    event, edit = rival.event, rival.edit
+    what = ref_text(edit.ref, frame)
+    if event is None:
+        theirs, who = "not what you saw", "It was taken back in the meantime"
+    else:
+        theirs = value_text(edit.ref, event.after, frame)
+        reason = f" · {event.reason}" if event.reason else ""
+        who = (h.b(event.author), f" changed it {_when(event.time)}{reason}")
+    saw, yours = (value_text(edit.ref, value, frame) for value in (edit.before, edit.after))
+    values = (("you saw", saw), ("theirs", theirs), ("yours", yours))
+    return h.div(
+        h.div(what, cls="what"),
+        h.div(who, cls="dim"),
+        h.div(((h.span(whose), h.b(value)) for whose, value in values), cls="two"),
+        None if number is None else _choice(number, what),
+        cls="dispute",
     )
-    return h.div(h.div(said), rows, cls="conflict")
 
 
 def _choice(k: int, what: str) -> Element:
@@ -214,7 +224,6 @@ def _when(time: datetime) -> str:
     return f"{seconds:.0f} s ago ({clock})" if 0 <= seconds < 120 else f"at {clock}"
 
 
-ORIGINS = {"auto": "auto", "human": "by hand", "recomputed": "recomputed", "stale": "stale"}
 MARKED = {"BAD_LABEL": "label wrong", "BAD_BOX": "box wrong"}
 SHOWN_EVENTS = 30
 
@@ -224,23 +233,18 @@ def sentence_html(state: State, view: LabelView) -> Element | None:
     card = view.sentence
     if card is None:
         return None if (chips := up_chip(state)) is None else panel(chips)
-    colors = palette(state.dark)
+    colors, origin = palette(state.dark), card.origins["text"]
     means = h.span(
         (dot(colors["target"]), f"{card.target} {card.target_object} "),
         h.span(PHRASE.get(card.relation, card.relation), cls="dim"),
         (" ", dot(colors["reference"]), f"{card.reference} {card.reference_object}"),
     )
-    text = h.input(
-        cls="sent",
-        value=card.text,
-        spellcheck="true",
-        title="Enter saves, Escape leaves it (Alt+I)",
-        aria_label="text of the expression",
-        enter="expression-text",
-    )
+    given = {"value": card.text, "spellcheck": "true", "enter": "expression-text"}
+    text = text_field("text of the expression", "Enter saves, Escape leaves it (Alt+I)", "sent", **given)
+    by = f" · {origin.author}" if origin.author and origin.source == "human" else ""
     return panel(
         text,
-        h.div(means, h.span(_origin(card, "text"), cls="dim", title=card.origins["text"]), cls="means"),
+        h.div(means, h.span(MARKS[origin.source] or "auto", by, cls="dim", title=origin), cls="means"),
         note(f"Left out of the labels: {card.withdrawn}", DOUBT) if card.withdrawn else None,
         h.div(
             (h.span("true of", cls="label"), _answers(state, view, card)),
@@ -256,31 +260,22 @@ def _answers(state: State, view: LabelView, card: ExpressionCard) -> Element:
     """Objects meeting an expression."""
     numbers = [*card.targets, *(n for n in card.acceptable if n not in card.targets)]
     chips = [_chip(state, view, card, n) for n in numbers]
-    marks = {ORIGINS[card.origins[name].source] for name in ("targets", "acceptable")} - {"auto"}
-    title = "; ".join(str(card.origins[name]) for name in ("targets", "acceptable"))
-    told = (h.span(mark, cls="dim", title=title) for mark in sorted(marks))
+    origins = [card.origins[name] for name in ("targets", "acceptable")]
+    title = "; ".join(map(str, origins))
+    told = (h.span(mark, cls="dim", title=title) for mark in sorted({MARKS[o.source] for o in origins} - {""}))
     return h.div(chips or h.span("nothing", cls="dim"), told, cls="obs")
 
 
 def _chip(state: State, view: LabelView, card: ExpressionCard, number: int) -> Element:
-    color = palette(state.dark)["target" if number == card.target_object else "other"]
-    sure = card.certainty(number) == "sure"
-    kinds = {
-        "ob": True,
-        "maybe": not sure,
-        "gone": view.place(number) is None,
-        "at": state.selected is not None and view.numbers[state.selected] == number,
-    }
+    sure, place = card.certainty(number) == "sure", view.place(number)
+    kinds = {"maybe": not sure, "gone": place is None, "at": place is not None and place == state.selected}
     name = f"{card.names.get(number) or 'gone'} {number}"
-    said = "true of it" if sure else "may be true of it"
-    drop = h.button(
-        "×", cls="drop", do=f"true-of:no:{number}", title="not true of it", aria_label=f"{name}: not true of it"
-    )
+    said = f"{'true of it' if sure else 'may be true of it'}; click selects"
     return h.span(
-        h.button(name, do=f"number:{number}", title=f"{said}; click selects"),
-        drop,
-        cls=" ".join(kind for kind, holds in kinds.items() if holds),
-        css={"--c": hex_color(color)},
+        h.button(name, do=f"number:{number}", title=said),
+        sign("×", f"true-of:no:{number}", f"{name}: not true of it", title="not true of it"),
+        cls=" ".join(["ob", *(kind for kind, holds in kinds.items() if holds)]),
+        color=palette(state.dark)["target" if number == card.target_object else "other"],
     )
 
 
@@ -297,7 +292,7 @@ def _selected(state: State, view: LabelView, card: ExpressionCard) -> Element:
 
 
 def _toggle(on: bool, color: str, do: str, words: str, title: str) -> Element:
-    return h.button(words, aria_pressed=str(on).lower(), css={"--c": color}, do=do, title=title)
+    return h.button(words, aria_pressed=on, color=color, do=do, title=title)
 
 
 def _verdicts(card: ExpressionCard, author: str, asked: bool) -> Element:
@@ -324,12 +319,6 @@ def _hint(card: ExpressionCard, field: str, key: str) -> str:
     return key if origin.source == "auto" else f"{key} · {origin}"
 
 
-def _origin(card: ExpressionCard, field: str) -> str:
-    origin = card.origins[field]
-    by = f" · {origin.author}" if origin.author and origin.source == "human" else ""
-    return f"{ORIGINS[origin.source]}{by}"
-
-
 def expressions_html(view: LabelView) -> Element | None:
     """Expressions of the frame, starting with the chosen pair's."""
     if not view.expressions:
@@ -343,8 +332,8 @@ def _row(view: LabelView, card: ExpressionCard) -> Element:
     marks = [(MARKED[card.mark], BAD)] if card.mark is not None else []
     marks += [(status, GOOD) for status in sorted({*card.statuses.values()} - {"rejected"})]
     marks += [("ambiguous", DOUBT)] if card.ambiguous else []
-    origins = {ORIGINS[o.source] for f, o in card.origins.items() if f not in ("mark", "status")} - {"auto"}
-    tags = [*(h.b(word, css={"--c": color}) for word, color in marks), *sorted(origins)]
+    origins = {MARKS[o.source] for f, o in card.origins.items() if f not in ("mark", "status")} - {""}
+    tags = [*(h.b(word, color=color) for word, color in marks), *sorted(origins)]
     return h.div(
         h.div(h.span(card.text, cls="say"), h.span(joined(tags), cls="tags")),
         h.div(card.withdrawn, cls="dim") if card.withdrawn else None,

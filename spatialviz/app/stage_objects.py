@@ -9,13 +9,13 @@ import numpy as np
 from pipeline.answering.answer_words import link_words, probability
 from pipeline.answering.ask import Trace
 from pipeline.answering.evidence import Factor
-from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.ranking import Candidates
+from pipeline.diagnosis.story_words import capital
 from pipeline.diagnosis.verdict import Diagnosis, Missed
 from pipeline.diagnosis.whatif.region import AskedPair, asked_pair
 from pipeline.geometry.lifting import Pixel
-from pipeline.geometry.palette import DROPPED, RGB, hex_color, palette
+from pipeline.geometry.palette import DROPPED, RGB, palette
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import letter
 from pipeline.relations.scorer import RelationScores
@@ -26,6 +26,7 @@ from spatialviz.app.markup import (
     detector_score,
     dot,
     h,
+    more,
     named,
     note,
     panel,
@@ -38,8 +39,7 @@ from spatialviz.app.state import State
 from spatialviz.app.what_if import REGION_COLORS
 
 KEPT: RGB = (53, 169, 107)
-
-
+NOT_ASKED: RGB = (125, 136, 150)
 FEW = 6
 """Candidates that are shown before more are wanted."""
 
@@ -53,7 +53,7 @@ def candidates_evidence(state: State, trace: Trace) -> list[Child]:
     names = sorted(trace.candidates, key=lambda name: name != blamed)
     tables = [_candidates(state, judged, name, trace.candidates[name]) for name in names]
     count = sum(len(found.index) for found in trace.candidates.values())
-    return [h.details(h.summary(f"all {count} candidates"), cls="more") if count > FEW else None, *tables]
+    return [more(f"all {count} candidates") if count > FEW else None, *tables]
 
 
 def _candidates(state: State, judged: Diagnosis | None, name: str, found: Candidates) -> Element:
@@ -63,10 +63,9 @@ def _candidates(state: State, judged: Diagnosis | None, name: str, found: Candid
         i, score = int(found.index[k]), float(found.scores[k])
         place = state.shown.place[i]
         mark, cls = ("", "") if judged is None or not judged.gold else _mark(judged, i)
-        color = palette(state.dark)[state.roles.get(place, "other")]
         rows.append(
             h.tr(
-                h.td(named(color, state.name_of(i)), cls="w"),
+                h.td(named(state.color(place), state.name_of(i)), cls="w"),
                 h.td(mark, cls=f"mark {cls}".strip(), title=mark or None),
                 h.td(h.span(h.i(css={"width": f"{min(score, 1):.0%}"}), cls="score")),
                 h.td(detector_score(score), cls="n"),
@@ -114,35 +113,24 @@ def lift_evidence(state: State, trace: Trace) -> list[Child]:
         (trace.viewer.up_source == "assumed", "The up vector is assumed."),
         (trace.viewer.up_doubt, f"Up may be wrong: {trace.viewer.up_doubt}."),
         (trace.frame.depth_source, f"The depth is {trace.frame.depth_source}."),
-        (doubt, f"{doubt[:1].upper()}{doubt[1:]}"),
+        (doubt, capital(doubt)),
     )
     doubts: list[Child] = [note(text) for holds, text in said if holds]
     right = state.judged.right if isinstance(state.judged, Diagnosis) and state.judged.verdict == "LIFT" else None
     blamed = [] if right is None else [right.target, *([] if right.reference is None else [right.reference])]
     places = dict.fromkeys((*(state.shown.place[i] for i in blamed if i in state.shown.place), *(state.pair or ())))
-    return [*doubts, *(_own(state, i) for i in places)] if places else [*doubts, h.p("No object is chosen.", cls="dim")]
+    return [*doubts, *([_facts(state, i) for i in places] or [h.p("No object is chosen.", cls="dim")])]
 
 
 def object_html(state: State) -> Element | None:
     i = state.selected
-    return None if i is None or i >= len(state.shown.objects) else panel(_own(state, i))
+    return None if i is None or i >= len(state.shown.objects) else panel(_facts(state, i))
 
 
-def _named(state: State, i: int) -> Element:
-    return named(palette(state.dark)[state.roles.get(i, "other")], state.shown.names[i])
-
-
-def _own(state: State, i: int) -> Element:
-    return _facts(state.shown.objects[i], _named(state, i))
-
-
-def _score(entry: SceneObject) -> str:
-    return f"score {said}" if (said := detector_score(entry.score)) else ""
-
-
-def _facts(entry: SceneObject, title: Child) -> Element:
+def _facts(state: State, i: int) -> Element:
     """Size, place, and outcome of every mask pixel of an object."""
-    lifted, quality = entry.lifted, entry.lifted.quality
+    entry = state.shown.objects[i]
+    lifted, quality, score = entry.lifted, entry.lifted.quality, detector_score(entry.score)
     facts: dict[str, Child] = {}
     if lifted.box is not None:
         width, height, depth = lifted.box.size
@@ -156,24 +144,19 @@ def _facts(entry: SceneObject, title: Child) -> Element:
     cleaned: list[Child] = []
     if lifted.evidence is not None and quality.mask_pixels:
         counts = lifted.evidence.counts()
-        shares = [
-            (words(reason), color, share / quality.mask_pixels)
-            for reason, color in {Pixel.KEPT: KEPT, **DROPPED}.items()
-            if (share := counts[reason.name.lower()])
-        ]
-        bar = (h.i(css={"--c": hex_color(c), "width": f"{p:.1%}"}, title=f"{name} {p:.0%}") for name, c, p in shares)
+        colors = {Pixel.KEPT: KEPT, **DROPPED}
+        shares = [(words(r), c, counts[r.name.lower()] / quality.mask_pixels) for r, c in colors.items()]
+        shares = [share for share in shares if share[2]]
+        bar = (h.i(color=c, css={"width": f"{p:.1%}"}, title=f"{name} {p:.0%}") for name, c, p in shares)
         legend = (h.span(dot(color), h.span(term(name), f" {p:.0%}")) for name, color, p in shares)
         cleaned = [h.div(bar, cls="stack"), h.div(legend, cls="legend")]
     return h.article(
-        h.h3(title, h.span(_score(entry))),
+        h.h3(named(state.color(i), state.shown.names[i]), h.span(f"score {score}" if score else None)),
         cleaned,
         h.dl(((h.dt(name), h.dd(value)) for name, value in facts.items()), cls="facts"),
         note("; ".join(quality.concerns)) if quality.concerns else None,
         cls="object",
     )
-
-
-NOT_ASKED: RGB = (125, 136, 150)
 
 
 def relations_evidence(state: State, trace: Trace) -> list[Child]:
@@ -185,18 +168,12 @@ def relations_evidence(state: State, trace: Trace) -> list[Child]:
     a, b = (pair.reference, pair.target) if trace.inverse else (pair.target, pair.reference)
     # Imported relations are marked as given or worked out; the rule's opinion is no part of them.
     ours = trace.scores.worked_out(a, b)
-    marks = letter if trace.scores.given is None else None
-    bars = [
-        _bar(
-            state,
-            relation,
-            float(trace.scores.probabilities[a, b, n]),
-            marks(trace.scores.states[a, b, n]) if marks else "worked out" if relation in ours else "given",
-            None if state.edited is None else state.edited.relation_before(a, b, relation),
-            n,
-        )
-        for n, relation in enumerate(trace.scores.relations)
-    ]
+    bars = []
+    for n, relation in enumerate(trace.scores.relations):
+        told = "worked out" if relation in ours else "given"
+        mark = letter(trace.scores.states[a, b, n]) if trace.scores.given is None else told
+        before = None if state.edited is None else state.edited.relation_before(a, b, relation)
+        bars.append(_bar(state, relation, float(trace.scores.probabilities[a, b, n]), mark, before, n))
     if trace.relation and trace.relation not in trace.scores.relations:
         bars.append(_bar(state, trace.relation, pair.p_relation))
     links, asked = pair.links if len(pair.links) > 1 else (), asked_pair(trace, pair, state.edits)
@@ -233,7 +210,6 @@ def _bar(
 ) -> Element:
     """Probability from 0 to 1; a button if the scorer has a `number` for the relation."""
     asked = state.trace is not None and relation == state.trace.relation
-    color = palette(state.dark)["target"] if asked else NOT_ASKED
     hint = was(p, before)
     title = f"{PHRASE[relation]}: {p:.3f}" + (f" ({mark}); click to ask it" if mark else "")
     return h.button(
@@ -242,7 +218,7 @@ def _bar(
         h.span(mark, cls="s"),
         h.span(f"{p:.2f}", cls="n chg" if hint else "n"),
         cls="bar on" if asked else "bar",
-        css={"--c": hex_color(color)},
+        color=palette(state.dark)["target"] if asked else NOT_ASKED,
         title=f"{title}; {hint}" if hint else title,
         do=None if number is None else f"relation:{number}",
         disabled=number is None,
@@ -258,12 +234,9 @@ def level(p: float) -> Element:
 def _placement(state: State, asked: AskedPair) -> list[Child]:
     """Position of the chosen target in the relation's region, by the rule, with the reason."""
     a, b = map(state.name_of, asked.ends)
-    pressed = str(state.flags.region).lower()
-    toggle = button("region", "flag:region", "show it in the scene (Shift+R)", aria_pressed=pressed)
-    legend = (
-        h.span(dot(color), f"{'holds' if label == 'T' else 'undecided'} ({label})")
-        for label, color in REGION_COLORS.items()
-    )
+    toggle = button("region", "flag:region", "show it in the scene (Shift+R)", aria_pressed=state.flags.region)
+    meanings = {"T": "holds", "U": "undecided"}
+    legend = (h.span(dot(color), f"{meanings[label]} ({label})") for label, color in REGION_COLORS.items())
     return [
         h.h3("By the rule", h.span(toggle)),
         h.p(f"{a} {PHRASE[asked.trace.relation]} {b}", cls="dim"),
@@ -282,10 +255,9 @@ def attributes_evidence(state: State, trace: Trace) -> list[Child]:
 
 
 def _factor(state: State, factor: Factor, place: int) -> Element:
-    color = palette(state.dark)[state.roles.get(place, "other")]
     return h.tr(
         h.td(h.b(factor.text), h.span(f" {factor.kind}", cls="dim")),
-        h.td(_named(state, place), cls="w"),
-        h.td(level(factor.probability), css={"--c": hex_color(color)}),
+        h.td(named(state.color(place), state.shown.names[place]), cls="w"),
+        h.td(level(factor.probability), color=state.color(place)),
         h.td(f"{factor.probability:.2f}", cls="n" if factor.holds else "n low"),
     )

@@ -17,7 +17,7 @@ from pipeline.geometry.palette import hex_color, palette
 from pipeline.language.lexicon import wording
 from pipeline.language.tree import Attachment, Node, Span
 from spatialviz.app.answer import verdict_evidence
-from spatialviz.app.markup import Child, Element, cell, h, hint_of, joined, named, term, was, with_terms
+from spatialviz.app.markup import Child, Element, cell, h, hint_of, joined, more, named, term, was, with_terms
 from spatialviz.app.stage_objects import attributes_evidence, candidates_evidence, lift_evidence, relations_evidence
 from spatialviz.app.state import State
 
@@ -183,11 +183,6 @@ def _numbers_of(state: State, trace: Trace) -> list[Child]:
     fails = f"not so: {'; '.join(answer.fails)}" if answer.fails else None
     below = with_terms(answer.below, "posterior", "margin")
     return [h.p(joined(part for part in (*numbers, below, fails) if part), cls="sub", id="answer-numbers")]
-
-
-def more(what: str) -> Element:
-    """Switch between the first few rows of what follows it and all of it."""
-    return h.details(h.summary(what), cls="more")
 
 
 def _ranked(state: State) -> list[Child]:

@@ -18,7 +18,7 @@ from pipeline.diagnosis.whatif.edits import Edits
 from pipeline.diagnosis.whatif.state import CameraView
 from pipeline.evaluation.mend_counts import MendCount, SettingChange
 from pipeline.evaluation.run_figures import Listing, Recorded
-from pipeline.geometry.palette import Role
+from pipeline.geometry.palette import RGB, Role, palette
 from pipeline.geometry.viewer import Measurement, measure
 
 CameraMode = Literal["pair", "sensor", "orbit", "top"]
@@ -235,6 +235,10 @@ class State(AnswerView):
     def roles(self) -> dict[int, Role]:
         """Roles of an answer's pair; of labels, what is asked about is in one colour."""
         return super().roles if self.labels is None else dict.fromkeys(self.labels.asked, "truth")
+
+    def color(self, place: int) -> RGB:
+        """Colour of an object's role, by the theme."""
+        return palette(self.dark)[self.roles.get(place, "other")]
 
     @property
     def pair_lines(self) -> list[tuple[int, int]]:

@@ -6,11 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
 from pipeline.datasets.settings import ASSUMED, SOURCES
+from pipeline.diagnosis.story_words import capital
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.geometry.camera import UpSource
 from pipeline.language.relation_names import PHRASE
 from spatialviz.app.keys import KEYS, MOVE_KEYS
-from spatialviz.app.markup import DOUBT, IDLE, Element, button, h, hint_of, note, panel, segments
+from spatialviz.app.markup import DOUBT, IDLE, Element, button, h, hint_of, note, panel, segments, slider
 from spatialviz.app.state import State
 
 COLORS = {"rgb": "Colour", "objects": "Objects", "depth": "Depth", "evidence": "Cleaning"}
@@ -51,16 +52,17 @@ def scene_tools_html(state: State) -> list[Element]:
             label,
             cls="toggle",
             do=f"flag:{key}",
-            aria_pressed=str(flags[key]).lower(),
+            aria_pressed=flags[key],
             title=hint_of(label, HINTS.get(f"flag:{key}", "")),
         )
         for key, label in FLAGS.items()
         if key != "truth" or exact
     )
+    size = {"live": "point-size", "id": "point-size", "title": "how large points are drawn (- and =)"}
     menu = h.div(
         segments("color", COLORS, state.colors, "paint"),
         h.div(toggles, cls="toggles", role="group", aria_label="shown in the scene"),
-        _point_size(state),
+        h.label("points", slider(state.point_size, LEAST_POINT, LARGEST_POINT, "0.05", **size), cls="points"),
     )
     return [
         segments("camera", CAMERAS, state.camera, "look from"),
@@ -70,45 +72,16 @@ def scene_tools_html(state: State) -> list[Element]:
 
 def scene_buttons_html(state: State) -> list[Element]:
     """Buttons at the lower edge of the scene."""
-    measure = h.button(
-        "Measure",
-        cls="try",
-        do="pick:measure",
-        aria_pressed=str(state.picking == "measure").lower(),
-        title="metres between two surfaces that you click, here or in the picture (Shift+D; Escape ends)",
-    )
-    objects = f"Objects {len(state.shown.objects)}"
+    metres = "metres between two surfaces that you click, here or in the picture (Shift+D; Escape ends)"
     drawn = "outline something on the picture (Shift+N; Shift-drag on the picture)"
+    edit, change = ("What if", ", and see the answer") if state.labels is None else ("Edit", "")
+    change, objects = f"change a box, a score or a setting{change}", f"Objects {len(state.shown.objects)}"
     return [
-        measure,
+        button("Measure", "pick:measure", metres, aria_pressed=state.picking == "measure"),
         *([] if state.labels is None else [button("New object", "px-new", drawn)]),
-        h.button(
-            "What if" if state.labels is None else "Edit",
-            cls="try",
-            local="tab:Edit",
-            title="change a box, a score or a setting" + (", and see the answer" * (state.labels is None)),
-        ),
+        h.button(edit, cls="try", local="tab:Edit", title=change),
         h.button(objects, cls="try", local="tab:Objects", title="all objects of this frame"),
     ]
-
-
-def _point_size(state: State) -> Element:
-    part = (state.point_size - LEAST_POINT) / (LARGEST_POINT - LEAST_POINT)
-    return h.label(
-        "points",
-        h.input(
-            type="range",
-            min=LEAST_POINT,
-            max=LARGEST_POINT,
-            step="0.05",
-            value=f"{state.point_size:.2f}",
-            live="point-size",
-            id="point-size",
-            css={"--v": f"{part:.3f}"},
-            title="how large points are drawn (- and =)",
-        ),
-        cls="points",
-    )
 
 
 def moves_html(leads: Mapping[str, str]) -> Element:
@@ -134,9 +107,7 @@ def suggestions_html(state: State, suggestions: Sequence[str]) -> Element | None
         # What was meant comes first.
         meant = f"{judged.case.target} {PHRASE[judged.case.relation]} the {judged.case.reference}"
         rows.insert(0, h.li(button(meant, f"ask:{meant}", "what was meant", "go")))
-    if not rows:
-        return None
-    return panel(h.ul(rows, cls="suggestions"))
+    return panel(h.ul(rows, cls="suggestions")) if rows else None
 
 
 def where_html(state: State, sources: Sequence[str]) -> Element:
@@ -170,34 +141,29 @@ def up_chip(state: State) -> Element | None:
     # Shown labels have the up of their making, unchanged by clicks.
     if state.loaded is None:
         return None
-    labels = state.labels
-    source: UpSource | None = state.loaded.context.viewer.up_source if labels is None else labels.frame.row["up_source"]
-    viewer = state.loaded.context.viewer
+    labels, viewer = state.labels, state.loaded.context.viewer
+    source: UpSource | None = viewer.up_source if labels is None else labels.frame.row["up_source"]
     doubt = viewer.up_doubt if viewer.up_source == source else ""
     loud = source == "assumed" or bool(doubt)
     if source is None or not (loud or state.loaded.up_hint is not None):
         return None
-    said = f"{ASSUMED[0].upper()}{ASSUMED[1:]}." if source == "assumed" else f"Up: {SOURCES[source]}."
-    said += f" It may be wrong: {doubt}." if doubt else ""
-    chip = h.button if labels is None else h.span
-    return chip(
-        f"up {source}",
-        cls=f"upchip{' loud' if loud else ''}",
-        css={"--c": DOUBT if loud else IDLE},
-        title=f"{hint_of('up')} {said} {HOW if labels is None else MADE_WITH}",
-        do="pick:level" if labels is None else None,
-        aria_pressed=str(state.picking == "level").lower() if labels is None else None,
-    )
+    said = capital(ASSUMED) if source == "assumed" else f"Up: {SOURCES[source]}"
+    said += f". It may be wrong: {doubt}." if doubt else "."
+    look = {"cls": f"upchip{' loud' * loud}", "color": DOUBT if loud else IDLE}
+    if labels is not None:
+        return h.span(f"up {source}", title=f"{hint_of('up')} {said} {MADE_WITH}", **look)
+    look["title"], pressed = f"{hint_of('up')} {said} {HOW}", state.picking == "level"
+    return h.button(f"up {source}", do="pick:level", aria_pressed=pressed, **look)
 
 
 def depth_chip(state: State) -> Element | None:
     """Warning of estimated or implausible depth; None for measured depth plausible in a room."""
-    source = "" if state.loaded is None else state.loaded.context.frame.depth_source
-    doubt = "" if state.loaded is None else state.loaded.doubt
-    if not source and not doubt:
+    if state.loaded is None:
         return None
-    title = f"The depth is {source}." if source else f"{doubt[0].upper()}{doubt[1:]}"
-    return h.span(f"depth {'estimated' if source else 'odd'}", cls="upchip loud", css={"--c": DOUBT}, title=title)
+    source, doubt = state.loaded.context.frame.depth_source, capital(state.loaded.doubt)
+    title = f"The depth is {source}." if source else doubt
+    kind = "estimated" if source else "odd"
+    return h.span(f"depth {kind}", cls="upchip loud", color=DOUBT, title=title) if title else None
 
 
 def level_html(state: State) -> Element | None:
