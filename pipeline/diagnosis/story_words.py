@@ -31,8 +31,9 @@ TRUTHS: dict[str, str] = WORDS["truths"]
 class Change:
     """Smallest change that makes an answer right, as a what-if can try it."""
 
-    field: str  # Of the edits of a what-if: "relations", "confidences", "boxes"; of an object that was missed "added", "masks";
+    # Of the edits of a what-if: "relations", "confidences", "boxes"; of an object that was missed "added", "masks";
     # "question": `name` is asked instead
+    field: str
     name: str  # The relation, or the class name
     objects: tuple[int, ...] = ()  # Places in the trace's objects: a pair, or one, or both of a pair with one score
     before: float | None = None  # The number that changes; None where there was none
