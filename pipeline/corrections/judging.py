@@ -108,7 +108,7 @@ class Judge:
             return str(error)
 
     def judge_refused(
-        self, name: str, source: Pipeline, context: PreparedFrame, problem: InputError, expression: str | None
+        self, name: str, source: Pipeline, context: PreparedFrame, expression: str | None
     ) -> Diagnosis | str | None:
         """Verdict on a labelled expression beyond asking; None for any other."""
         try:
@@ -116,7 +116,7 @@ class Judge:
             known = self.known(name, context.frame.id, truth, expression, source)
             if truth is None or known["case"] is None:
                 return None
-            return judge_refused(source, context, truth, known.pop("case"), problem, **known)
+            return judge_refused(source, context, truth, known.pop("case"), **known)
         except InputError as error:
             return str(error)
 

@@ -147,7 +147,7 @@ def answer(
     except InputError as error:
         found = None
         if truth is not None and case is not None:
-            found = judge_refused(pipeline, context, truth, case, error, mark=mark, confidence=confidence)
+            found = judge_refused(pipeline, context, truth, case, mark=mark, confidence=confidence)
         return Answer(text, problem=str(error), diagnosis=found)
     if edits:
         trace, rank = edited_trace(pipeline, context, text, edits)
@@ -172,20 +172,19 @@ def judge_refused(
     context: PreparedFrame,
     truth: FrameCases,
     case: Case,
-    problem: InputError,
     *,
     mark: str | None = None,
     confidence: float | None = None,
 ) -> Diagnosis:
     """Verdict on a labelled expression that could not be asked: PARSE, or OPM where the detector lacks a name.
 
-    Parameters as for `judge_trace`; `problem` is the reason.
+    Parameters as for `judge_trace`.
     """
     with suppress(InputError):  # A file without a line for it.
         pipeline = pipeline.asked(context.frame.id, case.text)
     query, unread = read_query(case, pipeline.dataset.class_names, pipeline.reader)
     answers = FrameAnswers(pipeline, context, (case.target, case.reference), (case.relation,))
-    return judge_answers(answers, truth, case, query, mark=mark, confidence=confidence, problem=unread or problem)
+    return judge_answers(answers, truth, case, query, mark=mark, confidence=confidence, problem=unread)
 
 
 def edited_trace(pipeline: Pipeline, context: PreparedFrame, text: str, edits: Edited) -> tuple[Trace, RankConfig]:
@@ -335,11 +334,14 @@ def judge_trace(
     if rank is not None:
         pipeline = replace(pipeline, config=replace(pipeline.config, rank=rank))
     names = [name for name, _ in truth.roles(case)]
-    if is_gold(trace.query, case) and all(name in trace.candidates for name in names):
+    query = trace.query
+    if is_gold(query, case) and all(name in trace.candidates for name in names):
         answers = FrameAnswers.of_trace(pipeline, context, trace)
     else:
         answers = FrameAnswers(pipeline, context, names, case.relations)
-    return judge_answers(answers, truth, case, trace.query, mark=mark, confidence=confidence)
+        # What the detector does not know was read all the same.
+        query = read_query(case, pipeline.dataset.class_names, pipeline.reader)[0] or query
+    return judge_answers(answers, truth, case, query, mark=mark, confidence=confidence)
 
 
 def judge_sentence(
@@ -362,7 +364,7 @@ def judge_answers(
     confidence: float | None = None,
     problem: InputError | None = None,
 ) -> Diagnosis:
-    """Verdict on an expression by the detections of its frame; `problem`: reason for not reading or asking it."""
+    """Verdict on an expression by the detections of its frame; `problem`: reason for not reading it."""
     evidence = FrameEvidence(truth, answers, DEFAULT_CONFIDENCE if confidence is None else confidence, (case,))
     gold = query is not None and is_gold(query, case)
     return diagnose(evidence, case, parse_ok=gold, mark=mark, query=query, problem=problem)

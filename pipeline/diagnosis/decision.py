@@ -90,7 +90,7 @@ def diagnose(
     query : Query, optional
         What the parser read.
     problem : InputError, optional
-        Why it could not be read, or could not be asked.
+        Why it could not be read.
     """
     found = _decided(evidence, case, parse_ok, mark)
     if found.verdict == "PARSE":

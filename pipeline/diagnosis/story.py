@@ -39,7 +39,7 @@ def judged_story(
 ) -> Story:
     """Story of a verdict.
 
-    `query`: what the parser read; `problem`: why it could not be read, or could not be asked; `unknown`: names that the
+    `query`: what the parser read; `problem`: why it could not be read; `unknown`: names that the
     detector does not know.
     """
     case, plain = d.case, d.case.meant is None and bool(d.case.relation)

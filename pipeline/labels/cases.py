@@ -297,7 +297,7 @@ def read_query(
 
 
 def misread(query: Query | None, case: Case, problem: InputError | None = None) -> Unread:
-    """Reason for reading an expression otherwise than meant; `problem` is the error of reading or asking."""
+    """Reason for reading an expression otherwise than meant; `problem` is the error of reading."""
     if problem is not None:
         return why_unread(problem)
     if query is None:

@@ -362,7 +362,7 @@ class PageSession(Part):
             # Names of the frame stand below; the detector knows many more.
             said = why_refused(self.ctx.answering, text, error)
             name, expression = self.state.source, self.state.expression_id(text)
-            judged = self._judge.judge_refused(name, self.ctx.answering, loaded.context, error, expression)
+            judged = self._judge.judge_refused(name, self.ctx.answering, loaded.context, expression)
             stopped = "OPM" if isinstance(error, UnknownClass) else "PARSE"
             self.state = replace(self.state, error=said, stopped=stopped, judged=judged, found=shown, selected=None)
             self.ctx.note(f"“{text}”: {error}")

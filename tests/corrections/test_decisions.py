@@ -96,7 +96,7 @@ def test_two_people_differ_on_an_object(frame: Any, journal: Journal) -> None:
     for author, answer in (("ann", "right"), ("bob", "wrong")):
         journal.append(edits_of_answer(frame(), asked(frame(), item), answer, author), author)  # pyright: ignore
     question = asked(frame(), item, journal)
-    assert [choice.does for choice in question.choices.values()] == ["ann: right", "bob: wrong", "ask another"]
+    assert [choice.does for choice in question.choices.values()] == ["ann: correct", "bob: wrong", "ask another"]
     saved(journal, edits_of_answer(frame(), question, "right", "ann"))
     assert state_of(frame, journal, item) == "accepted"
     assert number in frame().objects
