@@ -10,10 +10,12 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from pipeline.datasets.base import load_picture
+from pipeline.diagnosis.story_words import Tone
 from pipeline.diagnosis.verdict import RULES_VERSION, Diagnosis
 from pipeline.evaluation.browsing import RunRows, completions, labelled_boxes
 from pipeline.evaluation.comparing import Comparison, compare, shared_rows
 from pipeline.evaluation.confusion import Confusion, Standings, answer_standings, count_standings
+from pipeline.evaluation.row_stories import row_head
 from pipeline.evaluation.run_folder import Run
 from pipeline.evaluation.run_names import told_apart
 from pipeline.evaluation.search import Field
@@ -223,7 +225,9 @@ class Recorded:
     verdict: str
     detail: str | None
     lucky: bool
-    said: str
+    tone: Tone
+    head: str
+    sentence: str
 
     def is_that(self, judged: Diagnosis | str | None) -> bool:
         """Compare with a verdict of now."""
@@ -238,7 +242,8 @@ def recorded_verdict(row: Mapping[str, Any]) -> Recorded | None:
     """Verdict of a row of a run's records; None without a verdict."""
     if row.get("verdict") is None:
         return None
-    return Recorded(row["verdict"], row.get("detail"), bool(row.get("lucky")), row.get("said") or "")
+    lucky, said = bool(row.get("lucky")), row.get("said") or ""
+    return Recorded(row["verdict"], row.get("detail"), lucky, *row_head(row), said)
 
 
 def judged_by(manifest: Mapping[str, Any]) -> str:

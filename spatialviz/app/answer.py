@@ -56,11 +56,12 @@ def answer_html(state: State, can_ask: bool = True) -> Element:
     if recorded is not None and recorded.is_that(state.judged):
         recorded = None
     before = None if state.edited is None else before_html(state, state.edited)
-    why = h.p(told.sentence if recorded is None else recorded.said, cls=f"why {TONES[told.tone]}")
+    said = recorded or told
+    why = h.p(said.sentence, cls=f"why {TONES[said.tone]}")
     return panel(
         level_html(state),
         switch_html(state, told.tone),
-        _head(state, told, recorded),
+        _head(state, said, recorded or (state.judged if isinstance(state.judged, Diagnosis) else None)),
         before,
         _cards(state),
         why,
@@ -85,28 +86,22 @@ def story_of(state: State) -> Story:
     return replace(told, sentence=f"{capital(answer)}.", mend=told.sentence)
 
 
-def _head(state: State, told: Story, recorded: Recorded | None) -> Element:
+def _head(state: State, shown: Story | Recorded, judged: Diagnosis | Recorded | None) -> Element:
     """Verdict in words; below it the blamed step, and how many answers of the run are like it."""
-    judged, listing = state.judged, state.listing
-    verdict = recorded.verdict if recorded else judged.verdict if isinstance(judged, Diagnosis) else ""
-    detail, lucky = (recorded or judged).detail if verdict else None, bool(verdict and (recorded or judged).lucky)  # type: ignore[union-attr]
-    head = shown_verdict(verdict, detail, lucky) if recorded else told.head
-    parts: list[Child] = [
-        AREAS.get(MODULE_OF.get(verdict, "")),
-        shown_verdict(verdict, detail, lucky) if verdict else None,
-    ]
-    known = listing is not None and verdict not in ("", "CORRECT") and state.side != "b"
-    alike = 0 if not known or listing is None else listing.figures.counts.get((verdict, detail or None), 0)
-    said = h.span(joined([part for part in parts if part]), title=hint_of(verdict) if verdict else None)
-    many = None
-    if alike:
-        kind = f"{verdict} {detail or ''}".strip()
-        listed = h.button(f"{alike:,} such in this run", do=f"alike:{kind}", cls="link", title="list them")
-        many = h.span(" · ", listed, cls="together")
+    below, listing = None, state.listing
+    if judged is not None:
+        verdict, detail = judged.verdict, judged.detail
+        code = shown_verdict(verdict, detail, judged.lucky)
+        known = listing is not None and verdict != "CORRECT" and state.side != "b"
+        alike = listing.figures.counts.get((verdict, detail or None), 0) if known and listing is not None else 0
+        do = f"alike:{verdict} {detail or ''}".strip()
+        listed = h.button(f"{alike:,} such in this run", do=do, cls="link", title="list them") if alike else None
+        said = h.span(joined(filter(None, (AREAS.get(MODULE_OF.get(verdict, "")), code))), title=hint_of(verdict))
+        below = h.p(said, h.span(" · ", listed, cls="together") if listed else None, cls="sub")
     return h.div(
-        h.span(MARKS[told.tone], cls="mark", aria_hidden="true"),
-        h.div(h.h2(head, id="verdict"), h.p(said, many, cls="sub")),
-        cls=f"verd {TONES[told.tone]}",
+        h.span(MARKS[shown.tone], cls="mark", aria_hidden="true"),
+        h.div(h.h2(shown.head, id="verdict"), below),
+        cls=f"verd {TONES[shown.tone]}",
     )
 
 
