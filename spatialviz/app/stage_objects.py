@@ -17,7 +17,7 @@ from pipeline.diagnosis.whatif.region import AskedPair, asked_pair
 from pipeline.geometry.lifting import Pixel
 from pipeline.geometry.palette import DROPPED, RGB, palette
 from pipeline.language.relation_names import PHRASE
-from pipeline.relations.relations import letter
+from pipeline.relations.relations import F, T, U
 from pipeline.relations.scorer import RelationScores
 from spatialviz.app.markup import (
     Child,
@@ -159,6 +159,9 @@ def _facts(state: State, i: int) -> Element:
     )
 
 
+BY_GEOMETRY = {T: "yes", F: "no", U: "unsure"}
+
+
 def relations_evidence(state: State, trace: Trace) -> list[Child]:
     """Relations of the chosen pair, in fixed order; a click asks with that relation."""
     pair = state.chosen
@@ -171,15 +174,18 @@ def relations_evidence(state: State, trace: Trace) -> list[Child]:
     bars = []
     for n, relation in enumerate(trace.scores.relations):
         told = "worked out" if relation in ours else "given"
-        mark = letter(trace.scores.states[a, b, n]) if trace.scores.given is None else told
+        mark = BY_GEOMETRY[int(trace.scores.states[a, b, n])] if trace.scores.given is None else told
         before = None if state.edited is None else state.edited.relation_before(a, b, relation)
         bars.append(_bar(state, relation, float(trace.scores.probabilities[a, b, n]), mark, before, n))
     if trace.relation and trace.relation not in trace.scores.relations:
         bars.append(_bar(state, trace.relation, pair.p_relation))
+    by = _scored_by(trace.scores, trace.scorer, ours) + (
+        "; yes or no by geometry" if trace.scores.given is None else ""
+    )
     links, asked = pair.links if len(pair.links) > 1 else (), asked_pair(trace, pair, state.edits)
     return [
         _beside_right(state, trace, pair),
-        h.h3(f"{state.name_of(a)} → {state.name_of(b)}", h.span(f"by {_scored_by(trace.scores, trace.scorer, ours)}")),
+        h.h3(f"{state.name_of(a)} → {state.name_of(b)}", h.span(f"by {by}")),
         bars,
         (h.p(f"{link_words(link, state.name_of)}: {probability(link.probability)}") for link in links),
         None if asked is None else _placement(state, asked),
