@@ -202,7 +202,7 @@ def comparison_html(of: Sample) -> Element | None:
     found, run, second = of.figures.comparison, of.figures.run, of.figures.second
     if found is None or second is None:
         return None
-    names = f"first {run.name} → second {second.name}"
+    names = "first {} → second {}".format(*of.figures.names or (run.name, second.name))
     title = heading("Second run", h.span(names, title=names))
     if isinstance(found, str):
         return panel(title, note(found))
