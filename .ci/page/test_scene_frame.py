@@ -3,6 +3,7 @@
 import io
 import json
 from typing import Any
+from urllib.parse import urlencode
 
 import numpy as np
 from browser import OpenTab, Tab
@@ -10,7 +11,9 @@ from PIL import Image
 from playwright.sync_api import Route
 from servers import Server
 
+from pipeline import open_run
 from pipeline.answering import LoadedFrame, open_pipeline
+from pipeline.datasets.demo import demo_run
 from pipeline.geometry import decode_run_length
 
 NO_WEBGL = """const given = HTMLCanvasElement.prototype.getContext;
@@ -126,7 +129,9 @@ def test_a_scene_that_is_lost_is_drawn_again(demo: Server, open_tab: OpenTab) ->
 TAGS = """(async () => {
   const {shownTags} = await import('/app/tags.mjs');
   const gap = ([a, b, c, d], [x, y, X, Y]) => Math.hypot(Math.max(x - c, a - X, 0), Math.max(y - d, b - Y, 0));
-  return shownTags().map(({text, strong, rect, box}) => ({text, strong, gap: gap(rect, box), box}));
+  const {clientWidth: W, clientHeight: H} = document.getElementById('scene');
+  return shownTags().map(({text, detail, strong, rect, box, apart}) => ({text, detail, strong, gap: gap(rect, box), box,
+    apart, inside: rect[0] >= 0 && rect[1] >= 0 && rect[2] <= W && rect[3] <= H}));
 })()"""
 
 
@@ -147,8 +152,19 @@ def test_names_stand_beside_their_boxes(demo: Server, open_tab: OpenTab) -> None
     assert {"T", "R"} <= set(tab.page.locator("#tags .tag b").all_inner_texts())
     assert len(strong) >= 2
     assert 0 < len(weak) <= 8
-    assert not [tag for tag in tags if tag["gap"] > 48]
+    assert not [tag for tag in tags if tag["gap"] > 48 or tag["apart"] > 48 or not tag["inside"]]
     assert not [tag for tag in tags if "·" in tag["text"] or "0." in tag["text"]]
+
+
+def test_two_boxes_of_one_thing_have_one_name(demo: Server, open_tab: OpenTab) -> None:
+    """The found box, which is to blame, and the labelled one."""
+    row = open_run(demo_run()).failures("verdict:LIFT")[0].row
+    query = urlencode({"data": "demo", "frame": row["frame"], "ask": row["text"]})
+    tab = open_tab(f"{demo.address}/?{query}").drawn()
+    tab.poll("[...document.querySelectorAll('#tags .tag i')].some(i => i.textContent === 'as found')")
+    named = {(tag["text"], tag["detail"]) for tag in tab.still(TAGS)}
+    twice = {text for text, detail in named if detail == "as found"}
+    assert twice == {text for text, detail in named if detail == "as labelled"}
 
 
 def marked(tab: Tab, number: int) -> None:

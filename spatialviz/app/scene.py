@@ -7,7 +7,7 @@ floor is level at any camera pitch.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -98,11 +98,12 @@ class SceneView:
             lines("/boxes/truth", edge_lines(truth, dashes=True), colors["truth"], LINE_WIDTH["other"])
             self._draw_faces(wanted, role_of, colors)
             self._draw_pairs(state.pair_lines if flags.pairs else (), colors)
-            tags = self._draw_axes(state) + self._draw_ghosts(state.ghosts if flags.ghosts else (), colors)
-            return tags + self._draw_tags(state, role_of, colors)
+            ghosts = state.ghosts if flags.ghosts else ()
+            tags = self._draw_axes(state) + self._draw_ghosts(ghosts, state, colors)
+            return tags + self._draw_tags(state, role_of, colors, {ghost.of for ghost in ghosts})
 
-    def _draw_ghosts(self, ghosts: Sequence[ExtraBox], colors: Mapping[Role, RGB]) -> list[Tag]:
-        """Extra boxes beside the answer's, slightly larger and in dashes."""
+    def _draw_ghosts(self, ghosts: Sequence[ExtraBox], state: State, colors: Mapping[Role, RGB]) -> list[Tag]:
+        """Extra boxes beside the answer's, slightly larger and in dashes; one of the same thing has the same name."""
         tags = []
         for role in ("truth", "edited"):
             members = [self.shown_box(ghost.box) for ghost in ghosts if ghost.role == role]
@@ -112,7 +113,8 @@ class SceneView:
             box, color = self.shown_box(ghost.box), hex_color(colors[ghost.role])
             anchor = self._client.anchor(f"/tags/ghost-{ghost.key}", box.center)
             mark = MARKS[ghost.key.removeprefix("other-")]
-            tags.append(Tag(anchor, ghost.text, "", color, True, **_shape(box), mark=mark, dashed=True))
+            text, detail = (ghost.text, "") if ghost.of is None else (_name(state, ghost.of), "as labelled")
+            tags.append(Tag(anchor, text, detail, color, True, **_shape(box), mark=mark, dashed=True))
         return tags
 
     def shown_box(self, box: Box3D) -> Box3D:
@@ -176,7 +178,10 @@ class SceneView:
             tags.append(Tag(self._client.anchor(f"/axes/tip-{name}", tip), name, "", "#5b6472", False))
         return tags
 
-    def _draw_tags(self, state: State, role_of: Mapping[int, Role], colors: Mapping[Role, RGB]) -> list[Tag]:
+    def _draw_tags(
+        self, state: State, role_of: Mapping[int, Role], colors: Mapping[Role, RGB], twice: Set[int | None]
+    ) -> list[Tag]:
+        """Name tags of boxes; those of `twice` have a labelled box as well."""
         tags = []
         for i, box in self._boxed.items():
             role = role_of[i]
@@ -186,10 +191,14 @@ class SceneView:
                 place = "target" if role == "target" else i
                 anchor, color = self._client.anchor(f"/tags/{place}", box.center), hex_color(colors[role])
                 mark, right = MARKS.get(role, ""), role in state.right_roles
-                name = state.shown.names[i].replace("·", " ")
-                tags.append(Tag(anchor, name, "", color, strong, **_shape(box), mark=mark, right=right))
+                detail = "as found" if i in twice else ""
+                tags.append(Tag(anchor, _name(state, i), detail, color, strong, **_shape(box), mark=mark, right=right))
         # The answer's tags come last, on top of others.
         return sorted(tags, key=lambda t: t.strong)
+
+
+def _name(state: State, place: int) -> str:
+    return state.shown.names[place].replace("·", " ")
 
 
 def plain_color(dark: bool) -> RGB:

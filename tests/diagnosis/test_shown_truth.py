@@ -48,6 +48,25 @@ def test_a_box_that_is_to_blame_is_not_called_right(run: Run) -> None:
     assert {ghost.key for ghost in view.ghosts} == {"target", "reference"}
 
 
+def test_a_labelled_box_names_the_found_one_of_the_same_thing(run: Run) -> None:
+    """Both boxes are of one thing where the answer has the right object; not so beside another object."""
+    place = {}
+    for search in ("verdict:LIFT", "verdict:OPM-CONF"):
+        answer, view = seen(run, search)
+        judged = needed(answer.diagnosis, "no verdict")
+        for ghost in view.ghosts:
+            best = judged.evidence.match[getattr(view.ranked[0], ghost.key)]
+            same = best == judged.labelled[ghost.key]
+            place[search, same] = ghost.of
+            assert ghost.of == (needed(view.pair, "no pair")[ghost.key == "reference"] if same else None)
+    assert {same for _, same in place} == {True, False}
+
+
+def test_where_nothing_is_judged_no_box_is_of_the_same_thing(run: Run) -> None:
+    _, view = seen(run, "verdict:LIFT")
+    assert [ghost.of for ghost in replace(view, pair=None).ghosts] == [None, None]
+
+
 def test_pixels_of_the_pair_and_of_the_labelled_one_are_lit(run: Run) -> None:
     answer, view = seen(run, "verdict:OPM-CONF")
     judged = needed(answer.diagnosis, "no verdict")

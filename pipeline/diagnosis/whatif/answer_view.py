@@ -100,6 +100,7 @@ class ExtraBox:
     text: str
     box: Box3D  # Camera frame
     role: Role  # "truth" for the label's, "edited" for the other run's
+    of: int | None = None  # The same thing as found, in `shown.objects`: in another box
 
 
 def same_thing(trace: Trace | None, place: int | None, other: SceneObject) -> bool:
@@ -227,20 +228,26 @@ class AnswerView:
         return [ends for ends in (chosen, *(o for o in others if o != chosen)) if ends[0] != ends[1]]
 
     @cached_property
-    def right_roles(self) -> frozenset[str]:
-        """Roles of the chosen pair that a right object fills, in a box that is not to blame."""
+    def _matched(self) -> dict[str, int]:
+        """Labelled objects in the roles of the chosen pair, -1 for none; empty where nothing judges this answer."""
         judged, chosen = self.judged, self.chosen
         if not isinstance(judged, Diagnosis) or self.trace is None or chosen is None:
+            return {}
+        if judged.evidence.answers.objects is not self.trace.objects:
+            return {}
+        ends = {"target": chosen.target, "reference": chosen.reference}
+        return {role: int(judged.evidence.match[end]) for role, end in ends.items() if end is not None}
+
+    @cached_property
+    def right_roles(self) -> frozenset[str]:
+        """Roles of the chosen pair that a right object fills, in a box that is not to blame."""
+        judged, matched = self.judged, self._matched
+        if not isinstance(judged, Diagnosis) or not matched or "LIFT" in judged.repair:
             return frozenset()
-        if "LIFT" in judged.repair or judged.evidence.answers.objects is not self.trace.objects:
-            return frozenset()
-        case, match = judged.case, judged.evidence.match
         # Beside a label that names another the answer is right, too, but not by it.
-        targets = [case.target_object] if judged.verdict == "LABEL" else case.acceptable
-        right = {"target": match[chosen.target] in targets}
-        if chosen.reference is not None:
-            right["reference"] = match[chosen.reference] == case.reference_object
-        return frozenset(role for role, holds in right.items() if holds)
+        targets = [judged.case.target_object] if judged.verdict == "LABEL" else judged.case.acceptable
+        right = {"target": targets, "reference": [judged.case.reference_object]}
+        return frozenset(role for role, found in matched.items() if found in right[role])
 
     @cached_property
     def lit(self) -> list[np.ndarray]:
@@ -258,17 +265,22 @@ class AnswerView:
             # Another answer may be right beside the labelled one.
             before = "label:" if self.judged.verdict == "LABEL" else "should be"
             names = {role: self.judged.truth.labels[k] for role, k in self.judged.labelled.items()}
-            boxes = self.judged.labelled_boxes().items()
-            found = [ExtraBox(r, f"{before} {names[r]}", b, "truth") for r, b in boxes if r not in self.right_roles]
+            ends: dict[str, int] = dict(zip(("target", "reference"), self.pair or (), strict=False))
+            same = {role: ends[role] for role, k in self.judged.labelled.items() if self._matched.get(role) == k}
+            found = [
+                ExtraBox(role, f"{before} {names[role]}", box, "truth", same.get(role))
+                for role, box in self.judged.labelled_boxes().items()
+                if role not in self.right_roles
+            ]
         other, mine = self.other, self.ranked[0] if self.ranked else None
         if other is None or not other.pairs:
             return found
         best = other.pairs[0]
-        ends = (
+        others = (
             ("target", best.target, None if mine is None else mine.target),
             ("reference", best.reference, None if mine is None else mine.reference),
         )
-        for name, place, own in ends:
+        for name, place, own in others:
             entry = None if place is None else other.objects[place]
             if entry is not None and entry.lifted.box is not None and not same_thing(self.trace, own, entry):
                 found.append(ExtraBox(f"other-{name}", f"{other.name}: {entry.label}", entry.lifted.box, "edited"))

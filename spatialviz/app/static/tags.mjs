@@ -11,8 +11,9 @@ const MOST_WEAK = 8;
 const GAP = 6, RINGS = [GAP, 26, 46], FARTHEST = 48;
 /* A line leads from tags that stand farther from the lines of their box. */
 const LEAD_FROM = GAP + 2;
-/* What places cost, in pixels squared of covered strong boxes: a ring farther out; a place other than the last. */
-const RING_COST = 400, MOVE_COST = 300, SIDE_COST = 15;
+/* What places cost, in pixels squared of covered strong boxes: a ring farther out; a place other than the last; a pixel
+between tag and lines of the box. */
+const RING_COST = 400, MOVE_COST = 300, SIDE_COST = 15, APART_COST = 20;
 /* A weak tag covers no more than this share of itself of a strong box, save of one that takes half of the scene. */
 const COVERED = 0.15;
 export const CORNERS = [0, 1, 2, 3, 4, 5, 6, 7].map(k => [k & 1 ? 1 : -1, k & 2 ? 1 : -1, k & 4 ? 1 : -1]);
@@ -40,17 +41,54 @@ export const overlap = (a, b) => Math.max(0, Math.min(a[2], b[2]) - Math.max(a[0
   * Math.max(0, Math.min(a[3], b[3]) - Math.max(a[1], b[1]));
 const within = (v, low, high) => Math.max(low, Math.min(high, v));
 
-/* The places around a box for a tag of (w, h): eight on the inner ring, four on each farther one. */
-function candidates([x0, y0, x1, y1], w, h, W, H) {
+/* What of a line is in the scene: its ends, or null. */
+function clipped([ax, ay], [bx, by], W, H) {
+  let first = 0, last = 1;
+  for (const [from, step, most] of [[ax, bx - ax, W], [ay, by - ay, H]]) {
+    if (!step && (from < 0 || from > most)) return null;
+    if (!step) continue;
+    const [a, b] = [-from / step, (most - from) / step];
+    first = Math.max(first, Math.min(a, b));
+    last = Math.min(last, Math.max(a, b));
+  }
+  const at = along => [ax + along * (bx - ax), ay + along * (by - ay)];
+  return first <= last ? [at(first), at(last)] : null;
+}
+
+/* The point of lines that is nearest to a point; null without any. */
+function nearest(edges, x, y) {
+  let best = null, least = Infinity;
+  for (const [[ax, ay], [bx, by]] of edges) {
+    const dx = bx - ax, dy = by - ay, along = within(((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy || 1), 0, 1);
+    const px = ax + along * dx, py = ay + along * dy, far = (px - x) ** 2 + (py - y) ** 2;
+    if (far < least) [best, least] = [[px, py], far];
+  }
+  return best;
+}
+
+/* From lines to a tag: the nearest point of them, and that of the tag; null without any. */
+function leader([x0, y0, x1, y1], edges) {
+  const from = nearest(edges, (x0 + x1) / 2, (y0 + y1) / 2);
+  return from && [from, [within(from[0], x0, x1), within(from[1], y0, y1)]];
+}
+function apart(rect, edges) {
+  const ends = leader(rect, edges);
+  return ends ? Math.hypot(ends[0][0] - ends[1][0], ends[0][1] - ends[1][1]) : 0;
+}
+
+/* The places around a box for a tag of (w, h): eight on the inner ring with four beside its outermost corners, four on each
+farther one. */
+function candidates([x0, y0, x1, y1], ends, w, h, W, H) {
   const found = [];
   RINGS.forEach((gap, ring) => {
     const midX = (x0 + x1 - w) / 2, midY = (y0 + y1 - h) / 2;
     const above = y0 - gap - h, below = y1 + gap, left = x0 - gap - w, right = x1 + gap;
     const sides = [[midX, above], [right, midY], [left, midY], [midX, below]];
     const corners = [[x1 - w / 3, above], [x0 - (2 * w) / 3, above], [x1 - w / 3, below], [x0 - (2 * w) / 3, below]];
-    [...sides, ...(ring ? [] : corners)].forEach(([x, y], side) => {
+    const outermost = ends.map(([x, y], side) => [[x - w / 2, above], [right, y - h / 2], [left, y - h / 2], [x - w / 2, below]][side]);
+    [...sides, ...(ring ? [] : [...outermost, ...corners])].forEach(([x, y], side) => {
       // Along its side a tag may slide to stay in the scene, so that it still stands beside its box.
-      const vertical = side === 1 || side === 2;
+      const vertical = [1, 2, 5, 6].includes(side);
       const tx = vertical ? x : within(x, 2, W - w - 2), ty = vertical ? within(y, 2, H - h - 2) : y;
       found.push({ring, side, rect: [tx, ty, tx + w, ty + h]});
     });
@@ -58,23 +96,22 @@ function candidates([x0, y0, x1, y1], w, h, W, H) {
   return found;
 }
 
-/* The place that covers least of other tags, on a grid over a box and what is near it: for a strong tag without a place
-   around it. */
-function anywhere([x0, y0, x1, y1], w, h, W, H, covered) {
+/* The place that covers least, on a grid over a box and what is near it: for a strong tag without a place around it. */
+function anywhere({box: [x0, y0, x1, y1], w, h, edges}, W, H, covered) {
   let best = null, least = Infinity;
   const left = within(x0 - FARTHEST - w, 2, W - w - 2), right = within(x1 + FARTHEST, 2, W - w - 2);
   const top = within(y0 - FARTHEST - h, 2, H - h - 2), bottom = within(y1 + FARTHEST, 2, H - h - 2);
   for (let y = top; y <= bottom; y += h / 2) {
     for (let x = left; x <= right; x += 12) {
-      const rect = [x, y, x + w, y + h], dx = Math.max(x0 - rect[2], x - x1, 0), dy = Math.max(y0 - rect[3], y - y1, 0);
-      const cost = Math.hypot(dx, dy) > FARTHEST ? Infinity : 100 * covered(rect) + overlap(rect, [x0, y0, x1, y1]) + dx + dy;
+      const rect = [x, y, x + w, y + h], far = apart(rect, edges);
+      const cost = far > FARTHEST ? Infinity : covered(rect) + APART_COST * far;
       if (cost < least) [best, least] = [rect, cost];
     }
   }
   return best;
 }
 
-/* Chooses where tags stand: items ({box, w, h, strong, place}) in the order in which they may choose, changed in
+/* Chooses where tags stand: items ({box, edges, ends, w, h, strong, place}) in the order in which they may choose, changed in
    place: `rect` (null: hidden) and `place`, the candidate that was taken, which is kept while it is free. */
 export function arrange(items, W, H, taken = []) {
   const put = [...taken], strong = items.filter(item => item.strong).map(item => item.box);
@@ -84,10 +121,12 @@ export function arrange(items, W, H, taken = []) {
       && !overlap(rect, item.box) && put.every(other => !overlap(rect, other));
     let least = Infinity;
     item.rect = null;
-    candidates(item.box, item.w, item.h, W, H).forEach(({ring, side, rect}, place) => {
+    candidates(item.box, item.ends, item.w, item.h, W, H).forEach(({ring, side, rect}, place) => {
       const covers = box => overlap(rect, box) > COVERED * item.w * item.h;
       if (!free(rect) || (!item.strong && kept.some(covers))) return;
-      let cost = ring * RING_COST + side * SIDE_COST + (place === item.place ? 0 : MOVE_COST);
+      const far = apart(rect, item.edges);
+      if (far > FARTHEST) return;
+      let cost = ring * RING_COST + side * SIDE_COST + APART_COST * Math.max(0, far - GAP) + (place === item.place ? 0 : MOVE_COST);
       for (const box of strong) if (box !== item.box) cost += overlap(rect, box);
       if (cost >= least) return;
       least = cost;
@@ -95,7 +134,8 @@ export function arrange(items, W, H, taken = []) {
       item.next = place;
     });
     if (!item.rect && item.strong) {
-      item.rect = anywhere(item.box, item.w, item.h, W, H, rect => put.reduce((sum, other) => sum + overlap(rect, other), 0));
+      const over = (rect, boxes) => boxes.reduce((sum, other) => sum + overlap(rect, other), 0);
+      item.rect = anywhere(item, W, H, rect => 100 * over(rect, put) + over(rect, kept));
       item.next = -1;
     }
     item.place = item.rect ? item.next : -1;
@@ -117,22 +157,14 @@ function look(tag, view, W, H) {
     const along = signs.map((sign, k) => sign * extent[k]), [x, y, z] = [0, 3, 6].map(row => along.reduce((sum, v, k) => sum + R[row + k] * v, 0));
     return project(m, x, y, z, W, H) ?? middle;
   });
+  tag.edges = BOX_EDGES.map(([i, j]) => clipped(tag.corners[i], tag.corners[j], W, H)).filter(Boolean);
+  const points = tag.edges.length ? tag.edges.flat() : [middle];
+  // Topmost, rightmost, leftmost, lowest.
+  tag.ends = [p => p[1], p => -p[0], p => p[0], p => -p[1]].map(of => points.reduce((a, b) => (of(b) < of(a) ? b : a)));
   const xs = tag.corners.map(p => p[0]), ys = tag.corners.map(p => p[1]);
   tag.box = [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
   tag.far = middle[2];
   return tag.box[0] < W && tag.box[2] > 0 && tag.box[1] < H && tag.box[3] > 0;
-}
-
-/* The point of a box's drawn edges that is nearest to a point. */
-function nearest(corners, x, y) {
-  let best = corners[0], least = Infinity;
-  for (const [i, j] of BOX_EDGES) {
-    const [ax, ay] = corners[i], dx = corners[j][0] - ax, dy = corners[j][1] - ay;
-    const along = within(((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy || 1), 0, 1);
-    const px = ax + along * dx, py = ay + along * dy, far = (px - x) ** 2 + (py - y) ** 2;
-    if (far < least) [best, least] = [[px, py], far];
-  }
-  return best;
 }
 
 /* ---- elements */
@@ -192,10 +224,8 @@ function hide(tag) {
 }
 
 function stand(tag) {
-  const [x0, y0, x1, y1] = tag.rect, at = `translate(${x0.toFixed(1)}px, ${y0.toFixed(1)}px)`;
-  const [bx, by] = nearest(tag.corners, (x0 + x1) / 2, (y0 + y1) / 2);
-  const tx = within(bx, x0, x1), ty = within(by, y0, y1);
-  const leads = Math.hypot(bx - tx, by - ty) > LEAD_FROM;
+  const [x0, y0] = tag.rect, at = `translate(${x0.toFixed(1)}px, ${y0.toFixed(1)}px)`;
+  const ends = leader(tag.rect, tag.edges), leads = apart(tag.rect, tag.edges) > LEAD_FROM;
   if (tag.at !== at) {
     tag.at = at;
     tag.div.style.transform = at;
@@ -203,6 +233,7 @@ function stand(tag) {
   }
   tag.line.style.visibility = leads ? 'visible' : 'hidden';
   if (!leads) return;
+  const [[bx, by], [tx, ty]] = ends;
   for (const [name, value] of [['x1', tx], ['y1', ty], ['x2', bx], ['y2', by]]) {
     tag.line.setAttribute(name, value.toFixed(1));
   }
@@ -240,5 +271,6 @@ function place() {
 
 afterDrawing(place);
 
-/* The tags that are shown, with the boxes that they name: for what checks the page. */
-export const shownTags = () => tags.filter(tag => tag.shown).map(({text, strong, rect, box}) => ({text, strong, rect, box}));
+/* The tags that are shown, with the boxes that they name and how far from their lines: for what checks the page. */
+export const shownTags = () => tags.filter(tag => tag.shown)
+  .map(({text, detail, strong, rect, box, edges}) => ({text, detail, strong, rect, box, apart: apart(rect, edges)}));
