@@ -97,7 +97,7 @@ class Filling:
         page.call("theme", "dark" if state.dark else "light")
         page.call("task", state.task)
         page.call("working", "")
-        page.call("hints", first_steps.is_demo(self._ctx))
+        page.call("hints", first_steps.is_demo(self._ctx.source.dataset.root))
         with page.together():
             self._fill((*REGIONS, *(LABELLED if state.labels else FOLLOWING)))
         page.call("selected", {"object": state.selected, "pair": self._rank(state)})

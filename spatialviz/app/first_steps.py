@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shlex
+from functools import lru_cache
+from pathlib import Path
 
 from pipeline.datasets.demo import demo_path
 from spatialviz.app.context import Context
@@ -15,9 +17,10 @@ NEEDS = {
 }
 
 
-def is_demo(ctx: Context) -> bool:
-    """True while the built-in demo is shown."""
-    return ctx.source.dataset.root.resolve() == demo_path().resolve()
+@lru_cache(maxsize=16)
+def is_demo(root: Path) -> bool:
+    """True for the folder of the built-in demo."""
+    return root.resolve() == demo_path().resolve()
 
 
 def needs_html(ctx: Context, name: str) -> Element | None:

@@ -231,7 +231,7 @@ class State(AnswerView):
             stage="",
         )
 
-    @property
+    @cached_property
     def roles(self) -> dict[int, Role]:
         """Roles of an answer's pair; of labels, what is asked about is in one colour."""
         return super().roles if self.labels is None else dict.fromkeys(self.labels.asked, "truth")

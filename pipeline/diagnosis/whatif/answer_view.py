@@ -201,12 +201,12 @@ class AnswerView:
         ends = (pair.target, pair.target if pair.reference is None else pair.reference, pair.second_reference)
         return tuple(self.found.place[i] for i in ends if i is not None)
 
-    @property
+    @cached_property
     def chosen(self) -> ScoredPair | None:
         """Chosen ranked pair."""
         return next((p for p in self.ranked if self.at(p) == self.pair), None)
 
-    @property
+    @cached_property
     def roles(self) -> dict[int, Role]:
         """Roles of the chosen pair's objects, as places in `shown.objects`."""
         if self.pair is None:
