@@ -8,7 +8,7 @@ from itertools import islice
 from typing import Any
 
 from pipeline.corrections.label_editor import LabelEditor
-from pipeline.corrections.review.decisions import Answer, Opinion, ReviewQuestion
+from pipeline.corrections.review.decisions import Answer, GivenAnswer, ReviewQuestion
 from pipeline.corrections.review.items import ItemKey
 from pipeline.corrections.review.label_jobs import CANCELLED, QueueProgress
 from pipeline.corrections.review.worklist import Worklist
@@ -259,7 +259,7 @@ def item_card(question: ReviewQuestion, reasons: Sequence[str]) -> Element:
     return _card(question.claim, question.ask, words if question.words else None, why if reasons else None)
 
 
-def _word(word: Opinion) -> Element:
+def _word(word: GivenAnswer) -> Element:
     when = word.time.astimezone().strftime("%d %b %H:%M")
     return h.div(h.b(word.text), h.span(word.author), h.span(when, cls="dim"), cls="word")
 

@@ -28,7 +28,7 @@ _OTHERS = "ask another"
 
 
 @dataclass(frozen=True)
-class Opinion:
+class GivenAnswer:
     """Word of one person on an item."""
 
     author: str
@@ -47,7 +47,7 @@ class ReviewChoice:
 
     does: str  # in few words
     state: int | None = None  # T, U or F that a relation gets
-    whose: tuple[Opinion, ...] = ()  # words of people that it follows
+    whose: tuple[GivenAnswer, ...] = ()  # words of people that it follows
 
 
 @dataclass(frozen=True)
@@ -58,10 +58,10 @@ class ReviewQuestion:
     claim: str
     ask: str
     choices: dict[Answer, ReviewChoice]
-    words: tuple[Opinion, ...] = ()  # of people who differ
+    words: tuple[GivenAnswer, ...] = ()  # of people who differ
 
 
-def words_of(frame: EffectiveFrame, events: Sequence[Event], item: ItemKey) -> tuple[Opinion, ...]:
+def words_of(frame: EffectiveFrame, events: Sequence[Event], item: ItemKey) -> tuple[GivenAnswer, ...]:
     """Words of people who differ on an item, oldest first; none where nobody does. `events` are all of the frame."""
     ignored = {u.event.ulid for u in frame.unapplied if u.kind != "agreed"}
     found = judgements_of(events, automatic=lambda k: frame.auto.pairs.state(k.a, k.b, k.what), ignored=ignored)
@@ -69,11 +69,11 @@ def words_of(frame: EffectiveFrame, events: Sequence[Event], item: ItemKey) -> t
         return ()
     time = {e.id: e.time for e in events}
     said = sorted(found.words.get(item.plain, {}).values(), key=lambda w: w.at)
-    return tuple(Opinion(w.author, w.verdict, time[w.at]) for w in said if w.status not in ("unreviewed", "unsure"))
+    return tuple(GivenAnswer(w.author, w.verdict, time[w.at]) for w in said if w.status not in ("unreviewed", "unsure"))
 
 
 def question_of(
-    frame: EffectiveFrame, item: ItemKey, missing: str = "object", words: tuple[Opinion, ...] = ()
+    frame: EffectiveFrame, item: ItemKey, missing: str = "object", words: tuple[GivenAnswer, ...] = ()
 ) -> ReviewQuestion | None:
     """Ask about an item; None for an object that is gone. `missing` is the class of one that may be missing."""
     if item.kind == "relation":
@@ -101,7 +101,7 @@ def question_of(
     return ReviewQuestion(item, claim, "Are its name, its pixels and its box correct?", choices, words)
 
 
-def _of_relation(frame: EffectiveFrame, item: ItemKey, words: tuple[Opinion, ...]) -> ReviewQuestion:
+def _of_relation(frame: EffectiveFrame, item: ItemKey, words: tuple[GivenAnswer, ...]) -> ReviewQuestion:
     assert item.b is not None
     now = frame.pairs.state(item.a, item.b, item.what)
     one, other = (f"{(frame.object(n) or {}).get('label', 'object')} {n}" for n in (item.a, item.b))
@@ -121,12 +121,12 @@ def _of_relation(frame: EffectiveFrame, item: ItemKey, words: tuple[Opinion, ...
     return ReviewQuestion(item, claim if now in (T, F) else f"Is {one} {says} {other}?", labelled, choices, words)
 
 
-def _state_choice(now: int | None, state: int, whose: tuple[Opinion, ...]) -> ReviewChoice:
+def _state_choice(now: int | None, state: int, whose: tuple[GivenAnswer, ...]) -> ReviewChoice:
     does = f"stays {SAYS[state]}" if now == state else SAYS[state] if state == U else f"make it {SAYS[state]}"
     return ReviewChoice(_told(whose) or does, state, whose)
 
 
-def _told(words: Sequence[Opinion]) -> str:
+def _told(words: Sequence[GivenAnswer]) -> str:
     """Who says so, and what: "ann: true"."""
     return f"{', '.join(w.author for w in words)}: {words[-1].text}" if words else ""
 
