@@ -16,7 +16,7 @@ from pipeline.geometry.palette import VERDICTS as COLORS
 from pipeline.language.glossary import glossary
 from spatialviz.app.answer import verdict_chip
 from spatialviz.app.frames import STROKES
-from spatialviz.app.markup import BAD, Child, Element, button, h, note, panel, segments, sign, text_field
+from spatialviz.app.markup import BAD, Child, Element, button, h, note, panel, segments, sign, text_field, toggle
 
 SHOWN_VALUES, FEW_VALUES = 7, 11
 """Values of a folded facet; up to so many are never folded."""
@@ -35,11 +35,6 @@ SYNTAX_HINT = (
 def hint(word: str) -> str:
     """Glossary entry of a word."""
     return glossary()[word].hint
-
-
-def searches(query: str) -> dict[str, str]:
-    """Attributes of an element listing a search's results on click."""
-    return {"do": f"find:{query}"}
 
 
 def no_run_html(dataset: Path, annotated: bool, labels: Path | None) -> Element:
@@ -148,7 +143,7 @@ def filters_html(listing: Listing, notes: Notes, first: str, view: str) -> Eleme
 
 
 def _filter(name: str, query: str, now: str) -> Element:
-    return h.button(name, cls="try", title=query or "every expression", aria_pressed=query == now, **searches(query))
+    return toggle(name, f"find:{query}", query == now, query or "every expression", cls="try")
 
 
 def _naming(example: str, do: str, name: str, hint: str, **more: object) -> Element:
@@ -218,7 +213,7 @@ def heads_html(query: str, columns: Sequence[str]) -> Element:
         title, said = COLUMNS[name]
         up, down = f"sort:{name}", f"sort:-{name}"
         then, order, mark = {up: (down, "ascending", " ↑"), down: ("", "descending", " ↓")}.get(now, (up, "none", ""))
-        press = h.button(f"{title}{mark}", title=said or title, **searches(" ".join([*plain, then]).strip()))
+        press = h.button(f"{title}{mark}", title=said or title, do=f"find:{' '.join([*plain, then]).strip()}")
         # Marks have no order.
         shown, order = (title, None) if name == MARKS else (press, order)
         numeric = " n" if name in NUMBERS else ""
@@ -239,6 +234,10 @@ def row_html(row: Mapping[str, Any], view: str, columns: Sequence[str]) -> Eleme
     image = h.img(alt="", decoding="async", draggable="false")
     second, change = _second(row), row.get("change", "same")
     changed = None if change in (None, "same") else h.i(CHANGES[change], cls=f"change {change}")
+    lead = "" if row["margin"] is None else f"Margin {row['margin']:+.2f}.".replace("-", "−")
+    told = " ".join(filter(None, (row["said"], lead)))
+    if row.get("second_said") and change != "same":
+        told += f"\nSecond run: {row['second_said']}"
     if view == "grid":
         return h.div(
             h.div(image, h.span(cls="tick"), h.span(marks, cls="marks"), cls="snap"),
@@ -247,7 +246,7 @@ def row_html(row: Mapping[str, Any], view: str, columns: Sequence[str]) -> Eleme
             h.div(changed, verdict, second or h.span(row["frame"], cls="dim"), cls="says"),
             cls="expr tile",
             role="option",
-            title=_hint(row),
+            title=told,
             aria_label=_label(row),
         )
     other = (changed, " ", second) if second else h.span(CHANGES["same"], cls="dim")
@@ -265,7 +264,7 @@ def row_html(row: Mapping[str, Any], view: str, columns: Sequence[str]) -> Eleme
         (h.div(cell, role="gridcell", cls=f"c-{name}{looks.get(name, '')}") for name, cell in shown.items()),
         cls="expr",
         role="row",
-        title=_hint(row),
+        title=told,
     )
 
 
@@ -276,13 +275,6 @@ def _second(row: Mapping[str, Any]) -> Element | None:
     if row["second_verdict"] is None:
         return h.span("not in the second run", cls="dim")
     return h.span("→ ", verdict_chip(row["second_verdict"], row["second_detail"], bool(row["second_lucky"])))
-
-
-def _hint(row: Mapping[str, Any]) -> str:
-    other = row.get("second_said")
-    lead = "" if row["margin"] is None else f"Margin {row['margin']:+.2f}.".replace("-", "−")
-    told = " ".join(filter(None, (row["said"], lead)))
-    return f"{told}\nSecond run: {other}" if other and row.get("change") != "same" else told
 
 
 def _label(row: Mapping[str, Any]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,19 +13,18 @@ from pipeline.diagnosis.story_words import capital
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.comparing import CHANGES
 from pipeline.evaluation.confusion import NO_ANSWER, OTHERS, Confusion
-from pipeline.evaluation.leakage import Share, title_of
+from pipeline.evaluation.leakage import title_of
 from pipeline.evaluation.plots import LOSS_COLORS
 from pipeline.evaluation.run_figures import STANDS_IN, FoundFigures, doubts_of
 from pipeline.evaluation.search import FAILURES, narrowed, quote
 from pipeline.evaluation.slices import Slice, Slices
-from pipeline.evaluation.summary import SHORT, RunSummary, cost_words, residual_words
-from pipeline.evaluation.summary import Share as Count
+from pipeline.evaluation.summary import SHORT, RunSummary, Share, cost_words, residual_words
 from pipeline.geometry.palette import VERDICTS as COLORS
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.metrics.intervals import Estimate
 from spatialviz.app.answer import verdict_chip
-from spatialviz.app.evaluate_html import hint, searches
+from spatialviz.app.evaluate_html import hint
 from spatialviz.app.markup import Child, Element, h, heading, note, panel, segments
 
 CUTS = {name: name.replace("_", " ") for name in ("relation", "class", "distance", "size", "occlusion", "same_class")}
@@ -50,7 +49,7 @@ class Sample:
 
     def finds(self, query: str) -> dict[str, str]:
         """Attributes of an element listing a search's results among these on click."""
-        return searches(narrowed(self.query, query) if self.query else query)
+        return {"do": f"find:{narrowed(self.query, query) if self.query else query}"}
 
 
 def summary_html(of: Sample) -> Element:
@@ -62,19 +61,14 @@ def summary_html(of: Sample) -> Element:
         choices = {"all": f"all {total:,}", "found": f"{of.found:,} found"}
         choice = segments("figures-of", choices, "found" if of.query else "all", "Figures of")
     name = h.div(h.h2(h.b(run.name), title=run.folder.name), choice, cls="runhead")
-    shares = [shares_html(run.shares), *map(note, doubts_of(run))]
+    limits = None
+    if run.shares:
+        # In a line; in full as a tooltip.
+        title, full = title_of(run.shares), "\n".join(share.sentence for share in run.shares)
+        limits = note(capital(title)) if title else h.div(run.shares[0].sentence, cls="small dim oneline")
+        limits = limits.with_(title=full)
     told = note(summary) if isinstance(summary, str) else (_waterfall(of, summary), _verdicts(of, summary))
-    return panel(name, shares, told)
-
-
-def shares_html(shares: Sequence[Share]) -> Element | None:
-    """Limits of the figures below, in a line; in full as a tooltip."""
-    if not shares:
-        return None
-    told = "\n".join(share.sentence for share in shares)
-    title = title_of(shares)
-    line = note(capital(title)) if title else h.div(shares[0].sentence, cls="small dim oneline")
-    return line.with_(title=told)
+    return panel(name, limits, map(note, doubts_of(run)), told)
 
 
 def percent(e: Estimate) -> str:
@@ -87,16 +81,6 @@ def between(e: Estimate) -> str:
     # Whole percents are too coarse for a share of a few.
     digits = 1 if e.value < 0.02 else 0
     return f"[{100 * e.low:.{digits}f}, {100 * e.high:.{digits}f}]" if math.isfinite(e.low + e.high) else ""
-
-
-def signed(value: float) -> str:
-    """Percentage points with sign."""
-    return f"{100 * value:+.1f}".replace("-", "−")
-
-
-def _along(start: float, width: float) -> dict[str, str]:
-    """Styles of a mark on a scale from 0 to 1."""
-    return {"left": f"{start:.2%}", "width": f"{width:.2%}"}
 
 
 def _waterfall(of: Sample, summary: RunSummary) -> tuple[Child, ...]:
@@ -112,7 +96,7 @@ def _waterfall(of: Sample, summary: RunSummary) -> tuple[Child, ...]:
 
     def bar(start: float, stop: float, cls: str) -> Element:
         a, b = sorted(((start - low) / span, (stop - low) / span))
-        return h.i(css=_along(a, max(b - a, 0.004)), cls=cls)
+        return h.i(css={"left": f"{a:.2%}", "width": f"{max(b - a, 0.004):.2%}"}, cls=cls)
 
     track = h.span(bar(low, base, "base"), cls="track")
     said = f"{hint('accuracy')}\n{between(summary.accuracy)}: {hint('interval')}"
@@ -134,7 +118,8 @@ def _waterfall(of: Sample, summary: RunSummary) -> tuple[Child, ...]:
             said += f" With it alone {reached.text} in place of {100 * base:.1f}."
         track = h.span(bar(at, at + e.value, "less" * (e.value < 0)), mark, cls="track", color=LOSS_COLORS[name])
         found = of.finds(queries.get(name, f"{FAILURES} mends:{name}"))
-        rows.append(_fall(h.button, _named(name), SHORT[name], signed(e.value), reached, track, title=said, **found))
+        points = f"{100 * e.value:+.1f}".replace("-", "−")
+        rows.append(_fall(h.button, _named(name), SHORT[name], points, reached, track, title=said, **found))
         at += e.value
     for name, why in summary.untold.items():
         why = f"{_named(name)}: what it costs cannot be worked out: {why}"
@@ -173,9 +158,10 @@ def _verdicts(of: Sample, summary: RunSummary) -> tuple[Child, ...]:
     return heading("Verdicts", unit), (_verdict(of, summary, *one) for one in shown)
 
 
-def _verdict(of: Sample, summary: RunSummary, verdict: str, share: Count) -> Element:
+def _verdict(of: Sample, summary: RunSummary, verdict: str, share: Share) -> Element:
     e = share.estimate
-    whisker = h.u(css=_along(e.low, e.high - e.low)) if math.isfinite(e.low + e.high) else None
+    spread = {"left": f"{e.low:.2%}", "width": f"{e.high - e.low:.2%}"}
+    whisker = h.u(css=spread) if math.isfinite(e.low + e.high) else None
     details = ", ".join(
         f"{d.lower().replace('_', ' ')} {s.count}" for (v, d), s in summary.details.items() if v == verdict
     )

@@ -217,6 +217,11 @@ def button(label: Child, do: str, title: str = "", cls: str = "", **more: object
     return h.button(label, cls=f"try {cls}".strip(), do=do, title=title or None, **more)
 
 
+def toggle(label: Child, do: str, on: bool, title: str | None, **look: object) -> Element:
+    """Button that stays pressed while something is `on`."""
+    return h.button(label, do=do, aria_pressed=on, title=title, **look)
+
+
 def sign(mark: str, do: str, name: str, cls: str = "drop", **more: object) -> Element:
     """Button of a single sign; its name is the tooltip, too."""
     return h.button(mark, cls=cls, do=do, aria_label=name, **{"title": name, **more})

@@ -34,6 +34,7 @@ from spatialviz.app.markup import (
     segments,
     sign,
     text_field,
+    toggle,
 )
 from spatialviz.app.state import State
 
@@ -75,15 +76,10 @@ def pair_html(state: State) -> Element | None:
 
 
 def _line(line: RelationLine, focused: str | None) -> Element:
+    settle = f"settle:{line.relation}:"
     cells = (
-        h.button(
-            letter(state),
-            aria_pressed=line.state == state,
-            color=color,
-            do=f"settle:{line.relation}:{letter(state)}",
-            title=f"{word} ({letter(state)})",
-        )
-        for state, (color, word) in STATES.items()
+        toggle(letter(t), settle + letter(t), line.state == t, f"{word} ({letter(t)})", color=color)
+        for t, (color, word) in STATES.items()
     )
     # A person's judgement against the rule has no margin: 0 is not a distance then.
     overruled = line.origin.source == "human" and line.margin == 0
@@ -177,7 +173,6 @@ def shown_places(work: Worklist, kind: str, item: ItemKey | None) -> Sequence[in
 
 def _row(place: int, row: Row, names: Names, shown: bool) -> Element:
     mark, color = STATUS_MARKS[row["state"]]
-    reason = row["reasons"][0] if row["reasons"] else ""
     return h.div(
         h.i(css={"--v": f"{row['score']:.2f}"}),
         h.span(said(row, names)),
@@ -187,7 +182,7 @@ def _row(place: int, row: Row, names: Names, shown: bool) -> Element:
         id=f"item-{place}",
         **chosen(shown, "q"),
         do=f"item:{place}",
-        title=reason or None,
+        title=next(iter(row["reasons"]), None),
     )
 
 

@@ -39,6 +39,7 @@ from spatialviz.app.markup import (
     panel,
     sign,
     text_field,
+    toggle,
 )
 from spatialviz.app.review_html import MARKS
 from spatialviz.app.state import State
@@ -230,9 +231,9 @@ SHOWN_EVENTS = 30
 
 def sentence_html(state: State, view: LabelView) -> Element | None:
     """Current expression, with all actions; else a doubt of up."""
-    card = view.sentence
+    card, up = view.sentence, up_chip(state)
     if card is None:
-        return None if (chips := up_chip(state)) is None else panel(chips)
+        return panel(up) if up else None
     colors, origin = palette(state.dark), card.origins["text"]
     means = h.span(
         (dot(colors["target"]), f"{card.target} {card.target_object} "),
@@ -245,14 +246,14 @@ def sentence_html(state: State, view: LabelView) -> Element | None:
     return panel(
         text,
         h.div(means, h.span(MARKS[origin.source] or "auto", by, cls="dim", title=origin), cls="means"),
-        note(f"Left out of the labels: {card.withdrawn}", DOUBT) if card.withdrawn else None,
+        note(f"Left out of the labels: {card.withdrawn}") if card.withdrawn else None,
         h.div(
             (h.span("true of", cls="label"), _answers(state, view, card)),
             (h.span("selected", cls="label"), _selected(state, view, card)),
             _verdicts(card, view.author, view.item is not None and view.item.what == card.id),
             cls="sets",
         ),
-        up_chip(state),
+        up,
     )
 
 
@@ -285,14 +286,10 @@ def _selected(state: State, view: LabelView, card: ExpressionCard) -> Element:
     doubt = card.certainty(view.numbers[state.selected])
     return h.div(
         h.b(state.shown.names[state.selected]),
-        _toggle(doubt == "sure", GOOD, "true-of:sure", "true of it", "Alt+T (again: not true of it)"),
-        _toggle(doubt == "likely", DOUBT, "true-of:likely", "maybe", "Alt+U (again: not true of it)"),
+        toggle("true of it", "true-of:sure", doubt == "sure", "Alt+T (again: not true of it)", color=GOOD),
+        toggle("maybe", "true-of:likely", doubt == "likely", "Alt+U (again: not true of it)", color=DOUBT),
         cls="acts",
     )
-
-
-def _toggle(on: bool, color: str, do: str, words: str, title: str) -> Element:
-    return h.button(words, aria_pressed=on, color=color, do=do, title=title)
 
 
 def _verdicts(card: ExpressionCard, author: str, asked: bool) -> Element:
@@ -300,23 +297,23 @@ def _verdicts(card: ExpressionCard, author: str, asked: bool) -> Element:
     own = card.statuses.get(author, card.status)
     others = "".join(f" · {name}: {said}" for name, said in card.statuses.items() if name != author)
     answers = (("accepted", GOOD, "correct", "Alt+Y"), ("rejected", BAD, "wrong", "Alt+N"))
+
+    def hint(field: str, key: str) -> str:
+        origin = card.origins[field]
+        return key if origin.source == "auto" else f"{key} · {origin}"
+
     return h.div(
         (
-            _toggle(own == status, color, f"expression-status:{status}", word, _hint(card, "status", key) + others)
+            toggle(word, f"expression-status:{status}", own == status, hint("status", key) + others, color=color)
             for status, color, word, key in (() if asked else answers)
         ),
-        _toggle(card.ambiguous, DOUBT, "ambiguous", "ambiguous", _hint(card, "ambiguous", "Alt+B")),
+        toggle("ambiguous", "ambiguous", card.ambiguous, hint("ambiguous", "Alt+B"), color=DOUBT),
         (
-            _toggle(card.mark == mark, BAD, f"mark:{mark}", words, _hint(card, "mark", "Alt+M steps"))
+            toggle(words, f"mark:{mark}", card.mark == mark, hint("mark", "Alt+M steps"), color=BAD)
             for mark, words in MARKED.items()
         ),
         cls="acts all",
     )
-
-
-def _hint(card: ExpressionCard, field: str, key: str) -> str:
-    origin = card.origins[field]
-    return key if origin.source == "auto" else f"{key} · {origin}"
 
 
 def expressions_html(view: LabelView) -> Element | None:
@@ -329,13 +326,15 @@ def expressions_html(view: LabelView) -> Element | None:
 
 
 def _row(view: LabelView, card: ExpressionCard) -> Element:
-    marks = [(MARKED[card.mark], BAD)] if card.mark is not None else []
-    marks += [(status, GOOD) for status in sorted({*card.statuses.values()} - {"rejected"})]
-    marks += [("ambiguous", DOUBT)] if card.ambiguous else []
     origins = {MARKS[o.source] for f, o in card.origins.items() if f not in ("mark", "status")} - {""}
-    tags = [*(h.b(word, color=color) for word, color in marks), *sorted(origins)]
+    tags = [
+        h.b(MARKED[card.mark], color=BAD) if card.mark is not None else None,
+        *(h.b(status, color=GOOD) for status in sorted({*card.statuses.values()} - {"rejected"})),
+        h.b("ambiguous", color=DOUBT) if card.ambiguous else None,
+        *sorted(origins),
+    ]
     return h.div(
-        h.div(h.span(card.text, cls="say"), h.span(joined(tags), cls="tags")),
+        h.div(h.span(card.text, cls="say"), h.span(joined(filter(None, tags)), cls="tags")),
         h.div(card.withdrawn, cls="dim") if card.withdrawn else None,
         id=f"expression-{card.id}",
         **chosen(card.id == view.expression, "ex out" if card.withdrawn else "ex"),
@@ -357,18 +356,16 @@ def _event(view: LabelView, line: EventLine) -> Element:
     event = line.event
     before, after = (value_text(event.ref, value, view.frame) for value in (event.before, event.after))
     what = ref_text(event.ref, view.frame)
-    told: list[Child] = [event.author, event.time.astimezone().strftime("%d %b %H:%M:%S")]
-    told += [event.reason] if event.reason else []
+    told: list[Child] = [event.author, event.time.astimezone().strftime("%d %b %H:%M:%S"), event.reason or None]
     if line.waiting:
         told.append(h.b("not saved yet", cls="bad"))
     elif line.undone is not None:
         told.append(f"undone by {line.undone.author}")
     mine = line.group and not line.waiting and line.undone is None
-    undo = button("undo", f"undo-group:{line.group}", "take this action back") if mine else None
     return h.div(
         h.div(f"{what}: {before} → ", h.b(after), cls="" if line.undone is None else "gone"),
-        undo,
-        h.div(joined(told), cls="dim"),
+        button("undo", f"undo-group:{line.group}", "take this action back") if mine else None,
+        h.div(joined(filter(None, told)), cls="dim"),
         cls="ev",
         title=f"{what}: {before} -> {after}",
     )

@@ -11,7 +11,7 @@ from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.geometry.camera import UpSource
 from pipeline.language.relation_names import PHRASE
 from spatialviz.app.keys import KEYS, MOVE_KEYS
-from spatialviz.app.markup import DOUBT, IDLE, Element, button, h, hint_of, note, panel, segments, slider
+from spatialviz.app.markup import DOUBT, IDLE, Element, button, h, hint_of, note, panel, segments, slider, toggle
 from spatialviz.app.state import State
 
 COLORS = {"rgb": "Colour", "objects": "Objects", "depth": "Depth", "evidence": "Cleaning"}
@@ -48,13 +48,7 @@ def scene_tools_html(state: State) -> list[Element]:
     flags = asdict(state.flags)
     exact = state.loaded is not None and any(a.box is not None for a in state.loaded.context.frame.annotations)
     toggles = (
-        h.button(
-            label,
-            cls="toggle",
-            do=f"flag:{key}",
-            aria_pressed=flags[key],
-            title=hint_of(label, HINTS.get(f"flag:{key}", "")),
-        )
+        toggle(label, f"flag:{key}", flags[key], hint_of(label, HINTS.get(f"flag:{key}", "")), cls="toggle")
         for key, label in FLAGS.items()
         if key != "truth" or exact
     )
