@@ -5,7 +5,7 @@ from importlib import resources
 
 import pytest
 
-from pipeline.geometry.palette import hex_color, palette
+from pipeline.geometry.palette import dimming, hex_color, palette
 
 CSS = (resources.files("spatialviz.app") / "static" / "theme.css").read_text("utf-8")
 GROUNDS = ("bg", "panel", "raised", "hover", "field")
@@ -58,6 +58,17 @@ def test_every_text_is_read_on_every_ground(dark):
     }
     assert not low
     assert contrast("#ffffff", "#767676") == pytest.approx(4.54, abs=0.01)
+
+
+def test_what_is_dimmed_is_seen_on_a_light_ground() -> None:
+    """White, too, whose form shows by its own shades."""
+    page = colors(False)
+    white, black = (
+        hex_color(tuple((255 * dimming(False) @ [*color, 1]).round().astype(int))) for color in ([1] * 3, [0] * 3)
+    )
+    assert contrast(white, page["ground"]) > 1.3
+    assert contrast(black, page["ground"]) > 7
+    assert luminance(page["ground"]) < luminance(page["bg"])
 
 
 @pytest.mark.parametrize("dark", [True, False])

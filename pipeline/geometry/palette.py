@@ -93,16 +93,18 @@ def depth_colors(depth: np.ndarray, ends: tuple[float, float] | None = None) -> 
     return colors
 
 
-SATURATION, LIGHTNESS = 0.45, 0.7
-"""Shares that are kept of a dimmed point's; on a light ground LIGHTNESS is of what it lacks to white."""
+SATURATION = 0.45
+TOWARD = {True: (0.7, 0.0), False: (0.6, 0.45)}
+"""Of dimmed points: the share of saturation that is kept; on a dark and a light ground the share of lightness, and the
+grey that the rest is of. White stays darker than a light ground, so that what is dimmed keeps its form."""
 LUMA = (0.2126, 0.7152, 0.0722)
 
 
 def dimming(dark: bool) -> np.ndarray:
-    """Matrix (3, 4) of dimming toward a dark or a light ground: it turns a colour (r, g, b, 1), 0 to 1."""
-    grey = (1 - SATURATION) * np.tile(LUMA, (3, 1))
-    turn = LIGHTNESS * (grey + SATURATION * np.eye(3))
-    return np.column_stack([turn, np.full(3, 0.0 if dark else 1 - LIGHTNESS)])
+    """Matrix (3, 4) of dimming on a dark or a light ground: it turns a colour (r, g, b, 1), 0 to 1."""
+    kept, grey = TOWARD[dark]
+    turn = (1 - SATURATION) * np.tile(LUMA, (3, 1)) + SATURATION * np.eye(3)
+    return np.column_stack([kept * turn, np.full(3, (1 - kept) * grey)])
 
 
 VERDICTS: dict[str, RGB] = {

@@ -165,7 +165,7 @@ class FrameCloud(Part):
             self.ctx.show(flags=replace(state.flags, context=False))
             return
         if len(mesh.faces):
-            dimmed = (mesh.colors * 0.45 + (20 if state.dark else 250) * 0.55).astype(np.uint8)
+            dimmed = (mesh.colors * 0.45 + (20 if state.dark else 190) * 0.55).astype(np.uint8)
             data = unlit_glb(mesh.vertices @ self.ctx.scene.to_show.T.astype(np.float32), mesh.faces, dimmed)
             self.ctx.client.put("glb", "/context", glb_data=data, cast_shadow=False, receive_shadow=False)
 
@@ -188,7 +188,7 @@ def _unlit(tree: dict[str, Any]) -> None:
             primitive["material"] = 0
 
 
-GRID_COLORS = {True: ((118, 126, 140), (70, 76, 86)), False: ((150, 158, 170), (200, 205, 212))}
+GRID_COLORS = {True: ((118, 126, 140), (70, 76, 86)), False: ((140, 148, 160), (184, 190, 198))}
 TAG = "/tags/measured"
 
 

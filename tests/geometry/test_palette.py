@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 import pytest
 
 from pipeline.geometry import RGB, depth_colors, hex_color, ink
 from pipeline.geometry.lifting import Pixel
-from pipeline.geometry.palette import DROPPED, LIGHTNESS, ON_DARK, SATURATION, VERDICTS, dimming, palette
+from pipeline.geometry.palette import DROPPED, ON_DARK, SATURATION, TOWARD, VERDICTS, dimming, palette
 
 LEAST = 19.0
 """Of the distances in CIE Lab (CIE76): some eight times what two patches that touch need to be told apart."""
@@ -122,13 +122,20 @@ def test_a_small_part_is_no_violet() -> None:
     assert min(np.linalg.norm(seen - other) for other in others) > 30
 
 
-def test_what_is_beside_the_point_is_dimmed() -> None:
-    before = np.array([200, 80, 40]) / 255
-    after, on_light = (dimming(dark) @ [*before, 1] for dark in (True, False))
-    assert (on_light > after).all()
-    luma = np.array([0.2126, 0.7152, 0.0722])
-    assert after @ luma == pytest.approx(LIGHTNESS * (before @ luma))
-    assert np.ptp(after) == pytest.approx(LIGHTNESS * SATURATION * np.ptp(before))
+@pytest.mark.parametrize("dark", [True, False])
+def test_what_is_beside_the_point_is_dimmed(dark: bool) -> None:
+    before, (kept, grey) = np.array([200, 80, 40]) / 255, TOWARD[dark]
+    after, luma = dimming(dark) @ [*before, 1], np.array([0.2126, 0.7152, 0.0722])
+    assert after @ luma == pytest.approx(kept * (before @ luma) + (1 - kept) * grey)
+    assert np.ptp(after) == pytest.approx(kept * SATURATION * np.ptp(before))
+
+
+@pytest.mark.parametrize("dark", [True, False])
+def test_roles_stand_out_of_what_is_dimmed(dark: bool) -> None:
+    shades = (dimming(dark) @ [*color, 1] for color in product(np.linspace(0, 1, 5), repeat=3))
+    seen = [lab(linear(tuple(255 * shade))) for shade in shades]
+    for role in ("target", "reference", "truth"):
+        assert min(ciede2000(lab(linear(ON_DARK[role])), one) for one in seen) > 10, role
 
 
 @pytest.mark.parametrize("seen", SEEN)

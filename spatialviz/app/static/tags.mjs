@@ -242,7 +242,7 @@ function stand(tag) {
 /* What else stands over the scene: tools, legend with scale, buttons, the inset picture. */
 export function standing() {
   const {left, top} = layer.getBoundingClientRect();
-  return [...document.querySelectorAll('#scene-tools>*, #scene-low, #scene-buttons>*, #picture, #drawer')].map(e => e.getBoundingClientRect())
+  return [...document.querySelectorAll('#scene-tools>*, #hint, #scene-low, #scene-buttons>*, #picture, #drawer')].map(e => e.getBoundingClientRect())
     .filter(r => r.width).map(r => [r.left - left - 2, r.top - top - 2, r.right - left + 2, r.bottom - top + 2]);
 }
 
