@@ -6,7 +6,7 @@ import {light} from './lit.mjs';
 import {beforeDrawing} from './scene.mjs';
 
 const HALO = 0x0b0d10, HALO_WIDTH = 1, HIDDEN = 0.45, THICK = 2.5;
-const LARGEST_POINT = 6;
+const LARGEST_POINT = 6, USUAL_HEIGHT = 800;
 const GREATER_DEPTH = 6; // As three.js counts its tests of depth
 const SIZE = 'gl_PointSize = (scale / -world_pos.z);';
 
@@ -50,15 +50,18 @@ function dress(line) {
 }
 
 /* A point is told its size by the vertex shader: nothing else of viser bounds it. */
-function limit(material, ratio) {
-  if (material.userData.limited || !material.vertexShader?.includes(SIZE)) return;
-  material.userData.limited = true;
-  material.vertexShader = material.vertexShader.replace(SIZE, `gl_PointSize = min(scale / -world_pos.z, ${(LARGEST_POINT * ratio).toFixed(2)});`);
+const largest = {value: LARGEST_POINT};
+function limit(material) {
+  if (material.uniforms.largest || !material.vertexShader.includes(SIZE)) return;
+  material.uniforms.largest = largest;
+  material.vertexShader = `uniform float largest;\n${material.vertexShader.replace(SIZE, 'gl_PointSize = min(scale / -world_pos.z, largest);')}`;
   material.needsUpdate = true;
 }
 
 beforeDrawing(() => {
-  const {nodeRefFromName: nodes} = sceneWindow().__viserMutable, ratio = sceneWindow().devicePixelRatio;
+  const {__viserMutable: {nodeRefFromName: nodes}, devicePixelRatio, innerHeight} = sceneWindow();
+  // A taller view spreads the same points farther.
+  largest.value = LARGEST_POINT * devicePixelRatio * Math.max(1, innerHeight / USUAL_HEIGHT);
   for (const [name, node] of Object.entries(nodes)) {
     if (!node) continue;
     if (name.startsWith('/boxes/') || name.startsWith('/edit/')) {
@@ -67,7 +70,7 @@ beforeDrawing(() => {
     } else if (name.startsWith('/cloud/')) {
       const points = node.getObjectByProperty('isPoints', true);
       if (!points) continue;
-      limit(points.material, ratio);
+      limit(points.material);
       light(name, node, points);
     }
   }
