@@ -4,13 +4,13 @@ frame's camera. The colours that are sent stay as they are. */
 import {calls, sceneWindow} from './core.mjs';
 import {isThere} from './frame.mjs';
 
+/* Of viser's vertex shader, and what it becomes. */
 const COLOR = 'vColor = color;';
-/* Names of the mask, and of what turns a colour into a dimmed one. */
 const DIMMED = 'vColor = isLit > 0.5 ? color : (dimming * vec4(color, 1.0)).rgb;';
 const DECLARED = 'attribute float isLit;\nuniform mat4 dimming;\n';
 const PLAIN = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
 
-/* Lit pixels, column by column, and where the shown frame's points lie among them; null where nothing is dimmed. */
+/* `mask`: lit pixels, column by column; `toPixel`: from a point to its pixel, 3 x 3; null where nothing is dimmed. */
 let lit = null;
 const dimming = {value: PLAIN};
 
