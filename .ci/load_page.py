@@ -175,10 +175,10 @@ def steps(number: int):
         yield "frame", f"frame:{frame % 12}"
         yield "question", f"ask:{next(asked)}"
         yield "selection", "next-pair:1"
-        yield "edit", f"edit:k:{3 + frame % 5}"
+        yield "edit", f"edit:set:k:{3 + frame % 5}"
         yield "selection", f"object:{frame % 7}"
         yield "question", f"ask:{next(asked)}"
-        yield "edit", f"edit:k:{4 + frame % 5}"
+        yield "edit", f"edit:set:k:{4 + frame % 5}"
         yield "selection", f"object:{(frame + 3) % 7}"
 
 
