@@ -86,6 +86,11 @@ class FoundFigures:
         return _or_why(lambda: summarise_run(self.records))
 
     @cached_property
+    def names(self) -> tuple[str, str] | None:
+        """Names of the run and of the second one, so that they can be told apart; None for one alone."""
+        return None if self.second is None else told_apart(self.run, self.second)
+
+    @cached_property
     def comparison(self) -> Comparison | str | None:
         """Changes by the second run."""
         other = self.second
@@ -144,11 +149,6 @@ class RunFigures(FoundFigures):
         return self._parts.get(
             rows.tobytes(), lambda: FoundFigures(self.run, self.records.take(pa.array(rows)), self.second, standings)
         )
-
-    @cached_property
-    def names(self) -> tuple[str, str] | None:
-        """Names of the run and of the second one, so that they can be told apart; None for one alone."""
-        return None if self.second is None else told_apart(self.run, self.second)
 
     @cached_property
     def counts(self) -> dict[tuple[str, str | None], int]:

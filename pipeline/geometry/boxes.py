@@ -100,11 +100,6 @@ class Box3D:
         """Box in other axes: R is (3, 3), rows the new axes in the old; then shifted, metres."""
         return Box3D(R @ self.center + shift, R @ self.R, self.size)
 
-    @property
-    def half_extent(self) -> np.ndarray:
-        """Half extent along the axes of the box's frame, (3,), metres."""
-        return np.ptp(self.corners, axis=0) / 2
-
 
 def drawn_edges(box: Box3D, open_sides: Sequence[Side] | None = None) -> np.ndarray:
     """Edges of a box to draw, (N, 2, 3) float64: twelve, those of open sides with a gap in their middle."""

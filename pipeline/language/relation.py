@@ -33,8 +33,6 @@ class Relation:
     # The vocabularies that it is in, besides "all" (every pairwise one) and SEMANTIC_ABSTRACTION
     vocabularies: tuple[str, ...] = ()
     coarser: str | None = None  # Stand-in in a vocabulary that lacks it
-    # View of diagrams of its pairs: from above ("plan") or from the viewer's position ("side")
-    seen_from: Literal["plan", "side"] = "plan"
     color: tuple[int, int, int] = (110, 110, 110)  # Colour in pictures of statistics
     since: str = "1.0.0"  # The version of the labels' schema that brought its columns; labels of an older one have none
 
@@ -86,7 +84,6 @@ DECLARED: tuple[Relation, ...] = (
         inverse="below",
         axis=(1, 1),
         vocabularies=("avd",),
-        seen_from="side",
         color=(17, 119, 51),
     ),
     Relation(
@@ -106,7 +103,6 @@ DECLARED: tuple[Relation, ...] = (
         inverse="above",
         axis=(1, -1),
         vocabularies=("avd",),
-        seen_from="side",
         color=(68, 170, 153),
     ),
     Relation(
@@ -193,7 +189,6 @@ DECLARED: tuple[Relation, ...] = (
         swapped_phrase="supporting",
         swapped_reads=("supporting", "supports", "holding", "holds", "carrying", "carries"),
         coarser="above",
-        seen_from="side",
         color=(153, 153, 51),
     ),
     Relation(
@@ -214,7 +209,6 @@ DECLARED: tuple[Relation, ...] = (
         says=("in", "inside", "inside of", "within"),
         swapped_phrase="containing",
         swapped_reads=("containing", "contains", "enclosing", "encloses"),
-        seen_from="side",
         color=(221, 204, 119),
     ),
     Relation(

@@ -185,11 +185,11 @@ def _verdict(of: Sample, summary: RunSummary, verdict: str, share: Share) -> Ele
 
 def comparison_html(of: Sample) -> Element | None:
     """Failures fixed and introduced by the second run; each number lists its expressions."""
-    found, run, second = of.figures.comparison, of.figures.run, of.figures.second
-    if found is None or second is None:
+    found, names = of.figures.comparison, of.figures.names
+    if found is None or names is None:
         return None
-    names = "first {} → second {}".format(*of.figures.names or (run.name, second.name))
-    title = heading("Second run", h.span(names, title=names))
+    both = f"first {names[0]} → second {names[1]}"
+    title = heading("Second run", h.span(both, title=both))
     if isinstance(found, str):
         return panel(title, note(found))
     boxes = (

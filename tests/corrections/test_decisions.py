@@ -17,7 +17,6 @@ from pipeline.corrections.review.decisions import (
     ReviewQuestion,
     edits_of_answer,
     question_of,
-    question_record,
     state_edits,
     words_of,
 )
@@ -68,7 +67,7 @@ def test_the_same_three_answers_are_for_objects_and_sentences(frame: Any, journa
         for answer, state in states.items():
             saved(journal, edits_of_answer(frame(), asked(frame(), item), answer, "ann"))
             assert state_of(frame, journal, item) == state
-        assert question_record(asked(frame(), item))["answers"]["wrong"] == "leave it out"
+        assert asked(frame(), item).choices["wrong"].does == "leave it out"
     assert number not in frame().objects
     assert spoken not in frame().expressions
 

@@ -47,8 +47,9 @@ def test_what_people_said_is_in_the_queue_and_its_figures(
     assert last == mark_of(journal.events())
     top = work.next_item()
     assert top is not None
-    assert work.is_disputed(top)
-    assert not work.is_disputed(work.keys[-1])
+    assert work.disputed[work.indices[top.plain]]
+    assert work.state(top) == "unsure"
+    assert not work.disputed[-1]
     first = [(k.frame, k.a, k.b, k.what) for k in item_keys(queue)[:2]]
     assert set(first) == {(FRAME, a, b, "left"), (FRAME, b, a, "right")}
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any, Literal
+from typing import Literal
 
 from pipeline.corrections.journal.edits import Edits, judge_relation, set_relation, settle
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
@@ -159,10 +159,3 @@ def state_edits(frame: EffectiveFrame, item: ItemKey, state: int, author: str, d
     if is_so or (origin.source == "human" and origin.author != author):
         return judge_relation(frame, a, b, relation, state, author)
     return set_relation(frame, a, b, relation, state)
-
-
-def question_record(question: ReviewQuestion) -> dict[str, Any]:
-    """JSON record of a question."""
-    words = [{"author": w.author, "said": w.text, "time": w.time.isoformat()} for w in question.words]
-    answers = {answer: choice.does for answer, choice in question.choices.items()}
-    return {"claim": question.claim, "ask": question.ask, "answers": answers, "words": words}

@@ -91,11 +91,6 @@ class Worklist:
         """The state of an item; InputError where the queue has no such item."""
         return STATES[self.codes[self._index(key)]]
 
-    def is_disputed(self, key: ItemKey) -> bool:
-        """Tell items with differing judgements and no settlement since."""
-        index = self.indices.get(key.plain)
-        return index is not None and bool(self.disputed[index]) and self.codes[index] == _UNSURE
-
     def row(self, key: ItemKey) -> dict[str, Any]:
         """Row of the item in the queue; InputError if absent."""
         return self.rows([self._index(key)])[0]
