@@ -14,6 +14,7 @@ from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.answer import Answer
 from pipeline.geometry.boxes import Box3D, Side, dashed, drawn_edges
 from pipeline.geometry.camera import Camera, project
+from pipeline.geometry.masks import outlines
 from pipeline.geometry.palette import ON_DARK, RGB, Role
 
 TINT = 0.45
@@ -70,6 +71,11 @@ def edges_path(
     edges = box_edges_2d(box, camera, open_sides) - np.array(origin)
     edges = np.clip(edges[np.isfinite(edges).all(axis=(1, 2))], -reach, reach)
     return "".join(f"M{a[0]:.1f} {a[1]:.1f}L{b[0]:.1f} {b[1]:.1f}" for a, b in edges)
+
+
+def outline_path(mask: np.ndarray) -> str:
+    """SVG path of the outlines of a mask."""
+    return "".join("M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in line.tolist()) + "Z" for line in outlines(mask))
 
 
 @dataclass(frozen=True)

@@ -21,10 +21,9 @@ from pipeline.diagnosis.whatif.edit_words import box_with, number_of
 from pipeline.diagnosis.whatif.placement import SMALLEST_SIDE
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.masks import outlines
 from pipeline.geometry.palette import RGB, hex_color, palette
 from pipeline.geometry.viewer import viewer_axes
-from pipeline.pictures.marks import edges_path
+from pipeline.pictures.marks import edges_path, outline_path
 from pipeline.system.errors import InputError, needed, require
 from spatialviz.app.context import Context, command
 from spatialviz.app.edit_panel import box_command, class_field, object_html, rejected_html, row
@@ -310,7 +309,8 @@ def _crop(
     picture = jpeg_url(np.ascontiguousarray(frame.rgb[y0:y1, x0:x1]), 90)
     marks: list[Element] = []
     for mask, box, color in things:
-        line = _outline(mask[y0:y1, x0:x1]) + ("" if box is None else edges_path(box, frame.camera, origin=(x0, y0)))
+        edges = "" if box is None else edges_path(box, frame.camera, origin=(x0, y0))
+        line = outline_path(mask[y0:y1, x0:x1]) + edges
         # A dark line under the coloured line, visible on any ground.
         marks += [h.path(d=line, cls="mask under"), h.path(d=line, cls="mask", stroke=hex_color(color))]
     return h.figure(
@@ -327,7 +327,3 @@ def _crop(
         ),
         cls="crop",
     )
-
-
-def _outline(mask: np.ndarray) -> str:
-    return "".join("M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in line.tolist()) + "Z" for line in outlines(mask))

@@ -296,6 +296,6 @@ def cell(content: Child, hint: str | None = None, cls: str = "n") -> Element:
     return h.td(content, cls=f"{cls} chg".strip() if hint else cls, title=hint)
 
 
-def detector_score(value: float) -> str:
+def score_text(value: float) -> str:
     """Detector's score; "" for the dataset's own objects."""
     return "" if value >= 0.9995 else f"{value:.2f}"

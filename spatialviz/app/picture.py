@@ -13,23 +13,12 @@ from pipeline.corrections.draft import Draft
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.masks import decode_crop, outlines
-from pipeline.geometry.palette import (
-    DROPPED,
-    ON_DARK,
-    RGB,
-    Role,
-    depth_colors,
-    depth_ends,
-    hex_color,
-    ink,
-    instance_colors,
-    palette,
-)
-from pipeline.pictures.marks import TINT, edges_path
+from pipeline.geometry.palette import DROPPED, ON_DARK, RGB, depth_colors, depth_ends, hex_color, ink, instance_colors
+from pipeline.pictures.marks import TINT, edges_path, outline_path
 from pipeline.system.encoded_pictures import jpeg
 from pipeline.system.recent import Recent
 from spatialviz.app.frames import IMAGES, png_url, thumb_url
-from spatialviz.app.markup import Child, Element, detector_score, dot, h, heading, named, note, panel, term, words
+from spatialviz.app.markup import Child, Element, dot, h, heading, named, note, panel, score_text, term, words
 from spatialviz.app.state import State
 
 IMAGE_WIDTH = 720
@@ -46,7 +35,7 @@ def image_html(state: State) -> Element:
     return panel(
         h.div(
             h.img(src=_photo_url(state, state.loaded), alt=", ".join(alt), draggable="false", id="photo"),
-            _svg(frame, _path(quiet, palette(True)["other"], 0.7 * unit, opacity=".75") if quiet else None, "boxes"),
+            _svg(frame, _path(quiet, ON_DARK["other"], 0.7 * unit, opacity=".75") if quiet else None, "boxes"),
             _svg(frame, _ghost_marks(state, frame), "ghosts"),
             _svg(frame, overlay_marks(state), "overlay"),
             _svg(frame, None, "marked"),
@@ -90,24 +79,22 @@ def overlay_marks(state: State) -> list[Element]:
     """SVG boxes and names of the chosen objects over the picture, in pixels of the frame."""
     if state.loaded is None:
         return []
-    frame, colors, roles = state.loaded.context.frame, palette(True), state.roles
+    frame, roles = state.loaded.context.frame, state.roles
     unit, shape = frame.width / 360, (frame.height, frame.width)
     marks: list[Element] = []
     places = (i for i in range(len(state.shown.objects)) if i in roles or i == state.selected)
     order = sorted(places, key=lambda i: i == state.selected)
-    for i in order if state.colors == "rgb" else ():
-        if i in roles:
-            lines = (f"M{'L'.join(f'{x:g} {y:g}' for x, y in line)}Z" for line in outlines(state.shown.objects[i].mask))
-            color = hex_color(colors[roles[i]])
-            marks.append(h.path(d="".join(lines), fill=color, fill_opacity=TINT, stroke=color, stroke_width=0.5 * unit))
+    for i in [i for i in order if i in roles] if state.colors == "rgb" else ():
+        drawn, color = outline_path(state.shown.objects[i].mask), hex_color(ON_DARK[roles[i]])
+        marks.append(h.path(d=drawn, fill=color, fill_opacity=TINT, stroke=color, stroke_width=0.5 * unit))
     for i in order:
         entry = state.shown.objects[i]
         box, sides = entry.lifted.box, entry.lifted.open_sides
         drawn = _rectangle(entry.bbox) if box is None else edges_path(box, frame.camera, sides)
-        marks.append(_path(drawn, colors[roles[i]] if i in roles else "#ffffff", 1.3 * unit))
+        marks.append(_path(drawn, ON_DARK[roles[i]] if i in roles else "#ffffff", 1.3 * unit))
     for i in order:
         x0, y0, *_ = state.shown.objects[i].bbox.tolist()
-        color = hex_color(colors[roles.get(i, "other")])
+        color = hex_color(ON_DARK[roles.get(i, "other")])
         marks.append(name_tag(state.shown.names[i].replace("·", " "), x0, y0 - 14 * unit, shape, unit, color))
     ends = [(u + 0.5, v + 0.5) for u, v in state.marks]
     marks += [h.circle(cx=u, cy=v, r=2.2 * unit, cls="measured", stroke_width=0.8 * unit) for u, v in ends]
@@ -123,26 +110,21 @@ def name_tag(text: str, x: float, y: float, shape: tuple[int, ...], unit: float,
     """Name tag in the picture with the upper left corner at (x, y), or at the nearest place within `shape`."""
     width, height = (len(text) * 6.2 + 8) * unit, 14 * unit
     x, y = max(min(x, shape[1] - width), 0), min(max(y, 0), shape[0] - height)
-    corner = {"x": x, "y": y, "width": width, "height": height, "rx": 2 * unit}
-    start = {"x": x + 4 * unit, "y": y + 10.4 * unit, "font_size": 10.5 * unit}
-    look = {"font_weight": 600, "fill": ink(color), "font_family": "system-ui,sans-serif"}
-    return h.g(h.rect(**_digits(corner), fill=color), h.text(text, **_digits(start), **look), cls="name-tag")
-
-
-def _digits(numbers: dict[str, float]) -> dict[str, str]:
-    return {name: f"{number:.1f}" for name, number in numbers.items()}
+    look = {"font_size": 10.5, "font_weight": 600, "fill": ink(color), "font_family": "system-ui,sans-serif"}
+    tag = h.rect(width=f"{width / unit:.1f}", height=14, rx=2, fill=color), h.text(text, x=4, y=10.4, **look)
+    return h.g(h.g(*tag, transform=f"translate({x:.1f} {y:.1f}) scale({unit:.3f})"), cls="name-tag")
 
 
 def _ghost_marks(state: State, frame: Frame) -> Iterator[Element]:
     """Extra boxes beside the answer's, independent of the choice."""
-    unit, colors = frame.width / 360, palette(True)
+    unit = frame.width / 360
     for ghost in state.ghosts if state.flags.ghosts else ():
         drawn, dashes = edges_path(ghost.box, frame.camera), f"{3 * unit:.1f} {2 * unit:.1f}"
-        yield _path(drawn, colors[ghost.role], 1.1 * unit, stroke_dasharray=dashes)
+        yield _path(drawn, ON_DARK[ghost.role], 1.1 * unit, stroke_dasharray=dashes)
 
 
 def _rectangle(bbox: np.ndarray) -> str:
-    x0, y0, x1, y1 = (float(v) for v in bbox)
+    x0, y0, x1, y1 = bbox.tolist()
     return f"M{x0:.1f} {y0:.1f}H{x1:.1f}V{y1:.1f}H{x0:.1f}Z"
 
 
@@ -185,20 +167,19 @@ def legend_html(state: State) -> list[Child]:
     """Legend of the scene: roles that are drawn, and the paint."""
     drawn = {ghost.role for ghost in state.ghosts} if state.flags.ghosts else set()
     other = "" if state.other is None else state.other.name
-    rows: Sequence[tuple[Role, str, bool]] = (
-        ("target", "target", False),
-        ("reference", "reference", False),
-        ("truth", "asked about", False),
-        ("truth", "correct by the labels", True),
-        ("edited", other, True),
-    )
-    shown = [row for row in rows if row[0] in (drawn if row[2] else state.roles.values())]
+    solid = {"target": "target", "reference": "reference", "truth": "asked about"}
+    dashed = {"truth": "correct by the labels", "edited": other}
     return [
-        *(h.span(h.i(cls=f"line{' dashed' * dashed}", color=ON_DARK[role]), text) for role, text, dashed in shown),
+        *(_line(c, solid[role]) for role, c in ON_DARK.items() if role in solid and role in state.roles.values()),
+        *(_line(c, dashed[role], " dashed") for role, c in ON_DARK.items() if role in dashed and role in drawn),
         h.span("✓ correct by the labels") if state.right_roles and "truth" not in drawn else None,
         *(h.span(dot(color), term(words(reason))) for reason, color in DROPPED.items() if state.colors == "evidence"),
         depth_bar(state),
     ]
+
+
+def _line(color: RGB, text: str, look: str = "") -> Element:
+    return h.span(h.i(cls=f"line{look}", color=color), text)
 
 
 def index_map(objects: Sequence[SceneObject], step: int = 4) -> str:
@@ -206,13 +187,11 @@ def index_map(objects: Sequence[SceneObject], step: int = 4) -> str:
 
     The low byte is red, the high byte green.
     """
-    height, width = objects[0].mask.shape
-    places = np.zeros((-(-height // step), -(-width // step)), np.uint16)
+    places = np.zeros_like(objects[0].mask[::step, ::step], np.uint16)
     for i in sorted(range(len(objects)), key=lambda i: -objects[i].lifted.quality.mask_pixels):
         places[objects[i].mask[::step, ::step]] = i + 1
-    return png_url(
-        np.stack([np.zeros_like(places), places >> 8, places & 255, np.full_like(places, 255)], 2).astype(np.uint8)
-    )
+    channels = np.zeros_like(places), places >> 8, places & 255, np.full_like(places, 255)
+    return png_url(np.stack(channels, 2).astype(np.uint8))
 
 
 def objects_html(state: State, loaded: LoadedFrame) -> Element:
@@ -234,7 +213,7 @@ def _row(state: State, i: int) -> Element:
         h.td(thumb(state.loaded, entry.bbox, loading="lazy")),
         h.td(named(state.color(i), state.shown.names[i]), h.div(size, cls="dim"), cls="w"),
         h.td("" if box is None else f"{quality.distance:.1f} m", cls="n dim"),
-        h.td(detector_score(entry.score), doubt, cls="n"),
+        h.td(score_text(entry.score), doubt, cls="n"),
         id=f"object-{i}",
         do=f"object:{i}",
         hover=f"hover:{i}",
@@ -254,8 +233,7 @@ PART_COLORS: tuple[RGB, ...] = (ON_DARK["edited"], ON_DARK["reference"], ON_DARK
 
 def mask_url(parts: Sequence[np.ndarray]) -> str:
     """Address of masks ((H, W) bool each) as a transparent picture, each part in its colour."""
-    height, width = parts[0].shape
-    image = np.zeros((height, width, 4), np.uint8)
+    image = np.zeros((*parts[0].shape, 4), np.uint8)
     colors = [*PART_COLORS, *instance_colors(max(len(parts) - len(PART_COLORS), 0) or 1)]
     for part, (r, g, b) in zip(parts, colors, strict=False):
         image[part] = b, g, r, 255

@@ -19,22 +19,7 @@ from pipeline.geometry.palette import DROPPED, RGB, palette
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import F, T, U
 from pipeline.relations.scorer import RelationScores
-from spatialviz.app.markup import (
-    Child,
-    Element,
-    button,
-    detector_score,
-    dot,
-    h,
-    more,
-    named,
-    note,
-    panel,
-    term,
-    was,
-    with_terms,
-    words,
-)
+from spatialviz.app.markup import Child, Element, button, dot, h, more, named, note, panel, score_text, term, was, words
 from spatialviz.app.state import State
 from spatialviz.app.what_if import REGION_COLORS
 
@@ -68,7 +53,7 @@ def _candidates(state: State, judged: Diagnosis | None, name: str, found: Candid
                 h.td(named(state.color(place), state.name_of(i)), cls="w"),
                 h.td(mark, cls=f"mark {cls}".strip(), title=mark or None),
                 h.td(h.span(h.i(css={"width": f"{min(score, 1):.0%}"}), cls="score")),
-                h.td(detector_score(score), cls="n"),
+                h.td(score_text(score), cls="n"),
                 None if raw is None else h.td(f"{raw[k]:.2f}", cls="n dim", title="as the detector gave it"),
                 id=f"candidate-{name}-{i}",
                 do=f"object:{place}",
@@ -117,8 +102,9 @@ def lift_evidence(state: State, trace: Trace) -> list[Child]:
     )
     doubts: list[Child] = [note(text) for holds, text in said if holds]
     right = state.judged.right if isinstance(state.judged, Diagnosis) and state.judged.verdict == "LIFT" else None
-    blamed = [] if right is None else [right.target, *([] if right.reference is None else [right.reference])]
-    places = dict.fromkeys((*(state.shown.place[i] for i in blamed if i in state.shown.place), *(state.pair or ())))
+    ends = () if right is None else (right.target, right.reference)
+    blamed = (state.shown.place[i] for i in ends if i is not None and i in state.shown.place)
+    places = dict.fromkeys((*blamed, *(state.pair or ())))
     return [*doubts, *([_facts(state, i) for i in places] or [h.p("No object is chosen.", cls="dim")])]
 
 
@@ -130,12 +116,12 @@ def object_html(state: State) -> Element | None:
 def _facts(state: State, i: int) -> Element:
     """Size, place, and outcome of every mask pixel of an object."""
     entry = state.shown.objects[i]
-    lifted, quality, score = entry.lifted, entry.lifted.quality, detector_score(entry.score)
+    lifted, quality, score = entry.lifted, entry.lifted.quality, score_text(entry.score)
     facts: dict[str, Child] = {}
     if lifted.box is not None:
         width, height, depth = lifted.box.size
         facts["size"] = f"{width:.2f} wide × {height:.2f} high × {depth:.2f} deep m"
-        facts["distance"] = with_terms(f"{quality.distance:.2f} m · yaw confidence {lifted.yaw_confidence:.2f}", "yaw")
+        facts["distance"] = f"{quality.distance:.2f} m · ", term("yaw"), f" confidence {lifted.yaw_confidence:.2f}"
     if lifted.open_sides:
         sides = term("open sides", ", ".join(lifted.open_sides))
         facts["may go on"] = h.span(sides, h.span(" (edges with a gap)", cls="dim"))
@@ -179,9 +165,8 @@ def relations_evidence(state: State, trace: Trace) -> list[Child]:
         bars.append(_bar(state, relation, float(trace.scores.probabilities[a, b, n]), mark, before, n))
     if trace.relation and trace.relation not in trace.scores.relations:
         bars.append(_bar(state, trace.relation, pair.p_relation))
-    by = _scored_by(trace.scores, trace.scorer, ours) + (
-        "; yes or no by geometry" if trace.scores.given is None else ""
-    )
+    by = _scored_by(trace.scores, trace.scorer, ours)
+    by += "; yes or no by geometry" if trace.scores.given is None else ""
     links, asked = pair.links if len(pair.links) > 1 else (), asked_pair(trace, pair, state.edits)
     return [
         _beside_right(state, trace, pair),
