@@ -163,8 +163,8 @@ def _roomy(room: tuple[float, float, float, float]) -> bool:
 
 def _covers(covered: tuple[float, float], points: np.ndarray, view: Viewed, aspect: float) -> bool:
     """True where any of (N, 3) points is under what covers the upper right corner of a view."""
-    eye, look, fov = view
-    x, y, z = (_axes(look - eye) @ (points - eye).T) / np.array([[aspect], [1.0], [1 / np.tan(fov / 2)]])
+    eye, _, fov = view
+    x, y, z = (_AXES @ (points - eye).T) / np.array([[aspect], [1.0], [1 / np.tan(fov / 2)]])
     return bool(((x / z > 1 - 2 * covered[0]) & (y / z > 1 - 2 * covered[1])).any())
 
 
@@ -174,6 +174,9 @@ def _axes(toward: np.ndarray) -> np.ndarray:
     across = np.cross(toward, [0.0, 0.0, 1.0])
     across /= np.linalg.norm(across)
     return np.stack([across, np.cross(across, toward), toward])
+
+
+_AXES = _axes(TOWARD)
 
 
 def nearest_distance(points: np.ndarray, camera: Camera) -> float:
@@ -200,25 +203,24 @@ def fitting_viewpoint(
     `room`: x0, y0, x1, y1 of that part, shares of the view from its upper left; `least`: a distance that is kept,
     metres, with some air around the points.
     """
-    axes = _axes(TOWARD)
     sample = points[:: max(1, len(points) // 4000)]
-    center = _percentiles(sample.T, 2, 98).mean(axis=1)
+    # Both along the axes of the view.
+    center, sample = _AXES @ _percentiles(sample.T, 2, 98).mean(axis=1), sample @ _AXES.T
     tangent = np.tan(FITTING_FOV / 2)
     x0, y0, x1, y1 = room
     wide, tall = tangent * aspect * (x1 - x0), tangent * (y1 - y0)
     distance = 1.0
     for _ in range(4):
-        x, y, z = ((sample - center) @ axes.T).T
+        x, y, z = (sample - center).T
         # A point is in view from as far away as its offset over the tangent, less its own depth.
         needed = np.maximum(np.abs(x) / wide, np.abs(y) / tall) - z
         distance = max(float(_percentiles(needed, 99.3)[0]) * 1.03, 0.2)
         seen = np.stack([x, y]) / np.maximum(distance + z, 0.05)
-        shift = _percentiles(seen, 0.7, 99.3).mean(axis=1) * distance
-        center = center + axes[0] * shift[0] + axes[1] * shift[1]
+        center[:2] += _percentiles(seen, 0.7, 99.3).mean(axis=1) * distance
     distance = distance if least is None else max(AROUND * distance, least)
     # The middle of the points comes to the middle of that part.
-    center = center - distance * tangent * (aspect * (x0 + x1 - 1) * axes[0] + (1 - y0 - y1) * axes[1])
-    return center - axes[2] * distance, center, FITTING_FOV
+    center[:2] -= distance * tangent * np.array([aspect * (x0 + x1 - 1), 1 - y0 - y1])
+    return (center - [0, 0, distance]) @ _AXES, center @ _AXES, FITTING_FOV
 
 
 def _percentiles(values: np.ndarray, *wanted: float) -> np.ndarray:

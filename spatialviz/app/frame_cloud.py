@@ -197,7 +197,8 @@ class SceneAids(Part):
 
     def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
-        self._mapped: tuple[tuple[object, ...], dict[str, object]] = ((), {})
+        self._mapped: tuple[tuple[Any, ...], dict[str, object]] = ((), {})
+        self._boxes: list[Box3D | None] = []
 
     def follow(self) -> list[Tag]:
         """Draw the aids for the state; returns the name tags to show."""
@@ -237,19 +238,19 @@ class SceneAids(Part):
         drawn = (objects, state.shown.objects, state.shown.names, self.ctx.scene.to_show)
         if len(self._mapped[0]) == len(drawn) and all(map(is_, self._mapped[0], drawn)):
             return self._mapped[1]
-        known = self._mapped[1]["map"] if any(one is objects for one in self._mapped[0][:1]) else index_map(objects)
-        self._mapped = (
-            drawn,
-            {
-                "map": known,
-                "names": [name.replace("·", " ") for name in state.shown.names],
-                "boxes": [
-                    None if o.lifted.box is None else _hover_box(self.ctx.scene.shown_box(o.lifted.box))
-                    for o in state.shown.objects
-                ],
+        of, known = self._mapped
+        if not of or of[0] is not objects:
+            known: dict[str, object] = {
+                "map": index_map(objects),
                 "rects": [np.round(o.bbox, 1).tolist() for o in objects],
-            },
-        )
+            }
+        boxes = [o.lifted.box for o in state.shown.objects]
+        # Another pair has other names, and seldom other boxes.
+        same = "boxes" in known and of[3] is drawn[3] and len(boxes) == len(self._boxes)
+        if not same or not all(map(is_, boxes, self._boxes)):
+            shown = [None if box is None else _hover_box(self.ctx.scene.shown_box(box)) for box in boxes]
+            self._boxes, known = boxes, known | {"boxes": shown}
+        self._mapped = drawn, known | {"names": [name.replace("·", " ") for name in state.shown.names]}
         return self._mapped[1]
 
     def _looked_at(self, state: State, loaded: LoadedFrame) -> dict[str, object]:

@@ -22,6 +22,7 @@ from pipeline.geometry.camera import Camera
 from pipeline.geometry.cloud import Cloud, nearest_distance, viewpoint
 from pipeline.geometry.palette import FACE_OPACITY, LINE_WIDTH, RGB, Role, hex_color, palette
 from pipeline.system.errors import needed
+from pipeline.system.recent import Recent
 from spatialviz.app.scene_client import SceneClient, triple
 from spatialviz.app.state import State
 
@@ -63,6 +64,7 @@ class SceneView:
         self._client = client
         self._boxed: dict[int, Box3D] = {}
         self._boxes_of: tuple[object, object] = (), ()
+        self._turned = Recent[tuple[int, int], tuple[Box3D, np.ndarray, Box3D]](1000)
         self.cloud: Cloud | None = None
         self.to_show = np.eye(3)
 
@@ -119,7 +121,8 @@ class SceneView:
 
     def shown_box(self, box: Box3D) -> Box3D:
         """Box of the camera frame, in the shown frame."""
-        return box.turned(self.to_show)
+        key = id(box), id(self.to_show)
+        return self._turned.get(key, lambda: (box, self.to_show, box.turned(self.to_show)))[2]
 
     def camera_box(self, box: Box3D) -> Box3D:
         """Shown box, in the camera frame."""
