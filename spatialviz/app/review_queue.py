@@ -276,7 +276,7 @@ class ReviewQueue(LabelPart):
             words = words_of(frame, self.editor.events(frame.frame), item) if work.state(item) == "unsure" else ()
         return question_of(frame, item, missing, words)
 
-    @command("decide", "accept-item=right", "reject-item=wrong")
+    @command("decide")
     def decide(self, answer: Answer) -> None:
         """Answer the question: right, wrong, or unsure."""
         question, author = there(self._question), self.editor.author
