@@ -19,7 +19,7 @@ from pipeline.geometry.palette import VERDICTS, hex_color, palette
 from pipeline.language.counted import counted
 from pipeline.language.glossary import glossary
 from spatialviz.app.compare_runs import both_html, switch_html
-from spatialviz.app.markup import BAD, Child, Element, button, h, hint_of, joined, named, note, panel, term
+from spatialviz.app.markup import Child, Element, button, h, hint_of, joined, named, note, panel, term
 from spatialviz.app.mend import mend_html
 from spatialviz.app.picture import thumb
 from spatialviz.app.state import State
@@ -45,7 +45,7 @@ AREAS = {
 def answer_html(state: State, can_ask: bool = True) -> Element:
     """Story of the answer: right or wrong, what was answered and what it should be, why, and what would mend it."""
     if state.problem:
-        return panel(note(f"This frame is broken: {state.problem}", BAD), cls="answer")
+        return panel(note(f"This frame is broken: {state.problem}", "bad"), cls="answer")
     if state.trace is None and not state.error:
         head = h.div(
             h.div(h.h2("Nothing is asked" if can_ask else "Nothing to ask yet", id="verdict")), cls="verd idle"

@@ -20,20 +20,7 @@ from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.model import installed_networks
 from pipeline.relations.relations import Profile
-from spatialviz.app.markup import (
-    DOUBT,
-    GOOD,
-    Child,
-    Element,
-    button,
-    dot,
-    h,
-    heading,
-    note,
-    panel,
-    segments,
-    slider,
-)
+from spatialviz.app.markup import Child, Element, button, dot, h, heading, note, panel, segments, sign, slider, textbox
 from spatialviz.app.state import State
 
 MODES = {"off": "Off", "move": "Move", "turn": "Turn", "resize": "Resize"}
@@ -220,10 +207,10 @@ def _slider(kind: str, label: str, value: float, hint: str) -> Element:
 LENGTH_DIGITS, TURN_DIGITS = 3, 1
 FIELD_NAMES = {"label": "class", "status": "status", "mask": "mask", "bbox": "2D box", "box": "3D box"}
 SOURCES = {
-    "auto": ("auto", "#8a919c", False),
-    "human": ("", GOOD, True),
+    "auto": ("auto", "idle", False),
+    "human": ("", "good", True),
     "recomputed": ("recomputed", "#4c8dd6", True),
-    "stale": ("stale", DOUBT, True),
+    "stale": ("stale", "doubt", True),
 }
 """By source: word, colour of the mark, and filled or not."""
 
@@ -246,7 +233,7 @@ def object_html(card: ObjectCard, name: str, color: RGB, named: bool) -> Element
             h.div(f"relations {counts} · in {asked}{added}", cls="dim"),
         ),
         label=None if named else row("Class", class_field(card.label)),
-        concern=note(f"Not asked for: {card.concern}", DOUBT) if card.concern else None,
+        concern=note(f"Not asked for: {card.concern}") if card.concern else None,
         box=h.div(
             _box_rows(card.numbers, box_command(card.frame, card.number), LENGTH_DIGITS, _FITS),
             h.div(f"Fitted {card.fit}.", cls="dim") if card.fit else None,
@@ -257,15 +244,7 @@ def object_html(card: ObjectCard, name: str, color: RGB, named: bool) -> Element
 
 def class_field(label: str) -> Element:
     """Text field of a class, with completions."""
-    return h.input(
-        cls="find",
-        aria_label="Class",
-        spellcheck="false",
-        autocomplete="off",
-        value=label,
-        title="Enter saves it, Tab completes it (Shift+O)",
-        field="class",
-    )
+    return textbox("Class", "Enter saves it, Tab completes it (Shift+O)", value=label, field="class")
 
 
 def _box_rows(numbers: BoxNumbers | None, sends: str, digits: int, *more: Child) -> Child:
@@ -313,11 +292,11 @@ def _from(line: FieldLine, card: ObjectCard) -> Element:
     back = h.span()
     if line.settled:
         as_it_was = "as its points make it" if line.field == "box" else f"back to the labeller's: {line.automatic}"
-        back = h.button("↺", cls="x", do=f"field-back:{line.field}", title=as_it_was, aria_label=as_it_was)
+        back = sign("↺", f"field-back:{line.field}", as_it_was, "x")
     return h.div(
         h.span(FIELD_NAMES[line.field]),
         h.span(_short(line, card), cls="v"),
-        h.span(f"{said}{more}", cls="m", css={"--c": color, "--f": color if filled else "transparent"}),
+        h.span(f"{said}{more}", cls="m", color=color, css={"--f": "var(--c)" if filled else "transparent"}),
         back,
         id=f"from-{line.field}",
         cls="from",

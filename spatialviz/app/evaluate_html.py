@@ -16,7 +16,7 @@ from pipeline.geometry.palette import VERDICTS as COLORS
 from pipeline.language.glossary import glossary
 from spatialviz.app.answer import verdict_chip
 from spatialviz.app.frames import STROKES
-from spatialviz.app.markup import BAD, Child, Element, button, h, note, panel, segments, sign, text_field, toggle
+from spatialviz.app.markup import Child, Element, button, h, note, panel, segments, sign, textbox, toggle
 
 SHOWN_VALUES, FEW_VALUES = 7, 11
 """Values of a folded facet; up to so many are never folded."""
@@ -103,7 +103,7 @@ def search_html(query: str, tried: Sequence[str]) -> Element:
     """Field of the search, and terms to try."""
     example = "search, such as verdict:SRM class:chair margin<0.1   ( / )"
     name = "Search the expressions of the run"
-    field = text_field(name, SYNTAX_HINT, "find runs", field="find", value=query, placeholder=example)
+    field = textbox(name, SYNTAX_HINT, "find runs", field="find", value=query, placeholder=example)
     terms = (h.button(term, do=f"facet:{term}", title="add to the search, or take away") for term in tried)
     return h.div(field, h.div("try", terms, cls="tried", role="group", aria_label="Terms to try", title=SYNTAX_HINT))
 
@@ -149,7 +149,7 @@ def _filter(name: str, query: str, now: str) -> Element:
 def _naming(example: str, do: str, name: str, hint: str, **more: object) -> Element:
     """Small field of a name."""
     given = {"field": "naming", "enter": do, "value": "", "placeholder": example, "maxlength": 40}
-    return text_field(name, hint, "naming", **given, **more)
+    return textbox(name, hint, "naming", **given, **more)
 
 
 def bar_html(listing: Listing, view: str, selected: int, marks: Mapping[str, int], notes: Notes) -> Element:
@@ -157,7 +157,7 @@ def bar_html(listing: Listing, view: str, selected: int, marks: Mapping[str, int
     total, count = listing.figures.rows.records.num_rows, f"{listing.count:,}"
     found = h.h2(h.span(h.b(count), f" of {total:,} found", role="status"), cls="count")
     if listing.error:
-        return h.div(note(listing.error, BAD), cls="foundbar")
+        return h.div(note(listing.error, "bad"), cls="foundbar")
     if selected:
         own: Child = h.div(
             h.b(f"{selected:,} selected"),

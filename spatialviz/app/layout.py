@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from spatialviz.app.channel import Call, Outgoing, PageAddress, Patch
-from spatialviz.app.markup import BAD, Child, Element, button, changed, h, note
+from spatialviz.app.markup import Child, Element, button, changed, h, note
 
 KEPT_CALLS = (
     "timeline",
@@ -131,7 +131,7 @@ class Dialog:
     def refuse(self, problem: str) -> None:
         """Show a problem in the open dialog, else in the corner of the page."""
         if self.title:
-            self._draw(note(problem, BAD))
+            self._draw(note(problem, "bad"))
         else:
             self._page.toast("Not possible", problem, bad=True)
 

@@ -14,7 +14,7 @@ script or a style, as the page's content policy forbids both. Actions of an elem
 `hover`          "hover:3", or of a pair "hover:3,7": the objects that hover or focus marks everywhere
 `field`          a text field with a list of its own: a name of `static/fields.mjs`
 `css`            custom properties and styles of this element alone
-`color`          its colour, a hex text or RGB: the custom property `--c`
+`color`          its colour, RGB, hex text or a name of `TONES`: the custom property `--c`
 ===============  =======================================================================================
 """
 
@@ -74,7 +74,7 @@ def _attributes(name: str, given: Mapping[str, object]) -> tuple[tuple[str, str]
     given = dict(given)
     color = given.pop("color", None)
     if color is not None:
-        own = {"--c": color if isinstance(color, str) else hex_color(cast(RGB, color))}
+        own = {"--c": TONES.get(color, color) if isinstance(color, str) else hex_color(cast(RGB, color))}
         given["css"] = own | cast(dict[str, str], given.get("css") or {})
     for key, value in given.items():
         if key.startswith("aria_") and isinstance(value, bool):
@@ -155,7 +155,8 @@ def _alike(before: Element, after: Element) -> bool:
     return True
 
 
-GOOD, DOUBT, BAD, IDLE = "#35a96b", "#e0982e", "#e5484d", "#8a919c"
+TONES = {"good": "#35a96b", "doubt": "#e0982e", "bad": "#e5484d", "idle": "#8a919c"}
+"""Colours by name."""
 CHANGED = 0.005
 """Numbers are shown with two digits; smaller differences are equal."""
 
@@ -207,7 +208,7 @@ def more(what: str) -> Element:
     return h.details(h.summary(what), cls="more")
 
 
-def note(text: Child, color: str = DOUBT) -> Element:
+def note(text: Child, color: str = "doubt") -> Element:
     """Remark with a coloured edge."""
     return h.div(text, cls="note", color=color)
 
@@ -227,7 +228,7 @@ def sign(mark: str, do: str, name: str, cls: str = "drop", **more: object) -> El
     return h.button(mark, cls=cls, do=do, aria_label=name, **{"title": name, **more})
 
 
-def text_field(name: str, hint: str = "", cls: str = "find", **more: object) -> Element:
+def textbox(name: str, hint: str = "", cls: str = "find", **more: object) -> Element:
     """Text field without the browser's own completions and spelling."""
     plain = {"spellcheck": "false", "autocomplete": "off", "title": hint or None}
     return h.input(cls=cls, aria_label=name, **(plain | more))

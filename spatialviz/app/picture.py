@@ -31,12 +31,17 @@ def image_html(state: State) -> Element:
     frame = state.loaded.context.frame
     unit = frame.width / 360
     quiet = "".join(_rectangle(entry.bbox) for entry in state.shown.objects) if state.boxes_shown else ""
+    dashes = f"{3 * unit:.1f} {2 * unit:.1f}"
+    ghosts = (
+        _path(edges_path(ghost.box, frame.camera), ON_DARK[ghost.role], 1.1 * unit, stroke_dasharray=dashes)
+        for ghost in (state.ghosts if state.flags.ghosts else ())
+    )
     alt = (f"frame {frame.id}", *(f"{role} {state.shown.names[i]}" for i, role in state.roles.items()))
     return panel(
         h.div(
             h.img(src=_photo_url(state, state.loaded), alt=", ".join(alt), draggable="false", id="photo"),
             _svg(frame, _path(quiet, ON_DARK["other"], 0.7 * unit, opacity=".75") if quiet else None, "boxes"),
-            _svg(frame, _ghost_marks(state, frame), "ghosts"),
+            _svg(frame, ghosts, "ghosts"),
             _svg(frame, overlay_marks(state), "overlay"),
             _svg(frame, None, "marked"),
             cls="pic",
@@ -108,19 +113,11 @@ def overlay_marks(state: State) -> list[Element]:
 
 def name_tag(text: str, x: float, y: float, shape: tuple[int, ...], unit: float, color: str) -> Element:
     """Name tag in the picture with the upper left corner at (x, y), or at the nearest place within `shape`."""
-    width, height = (len(text) * 6.2 + 8) * unit, 14 * unit
-    x, y = max(min(x, shape[1] - width), 0), min(max(y, 0), shape[0] - height)
+    width = len(text) * 6.2 + 8
+    x, y = max(min(x, shape[1] - width * unit), 0), min(max(y, 0), shape[0] - 14 * unit)
     look = {"font_size": 10.5, "font_weight": 600, "fill": ink(color), "font_family": "system-ui,sans-serif"}
-    tag = h.rect(width=f"{width / unit:.1f}", height=14, rx=2, fill=color), h.text(text, x=4, y=10.4, **look)
+    tag = h.rect(width=f"{width:.1f}", height=14, rx=2, fill=color), h.text(text, x=4, y=10.4, **look)
     return h.g(h.g(*tag, transform=f"translate({x:.1f} {y:.1f}) scale({unit:.3f})"), cls="name-tag")
-
-
-def _ghost_marks(state: State, frame: Frame) -> Iterator[Element]:
-    """Extra boxes beside the answer's, independent of the choice."""
-    unit = frame.width / 360
-    for ghost in state.ghosts if state.flags.ghosts else ():
-        drawn, dashes = edges_path(ghost.box, frame.camera), f"{3 * unit:.1f} {2 * unit:.1f}"
-        yield _path(drawn, ON_DARK[ghost.role], 1.1 * unit, stroke_dasharray=dashes)
 
 
 def _rectangle(bbox: np.ndarray) -> str:

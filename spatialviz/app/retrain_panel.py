@@ -18,7 +18,7 @@ from pipeline.system.errors import InputError
 from spatialviz.app.channel import Command
 from spatialviz.app.context import Context, command, there
 from spatialviz.app.label_part import LabelPart
-from spatialviz.app.markup import BAD, DOUBT, GOOD, Child, Element, h, heading, note, panel, progress
+from spatialviz.app.markup import Child, Element, h, heading, note, panel, progress
 
 
 class RetrainPanel(LabelPart):
@@ -116,7 +116,7 @@ def _state(training: TrainingProgress, corrections: int | None, with_run: bool) 
         what, done, of = training.step
         return progress("Training", done, of), h.div(f"{STEPS.get(what, what)} · {training.seconds:.0f} s", cls="dim")
     if training.problem and training.problem != CANCELLED:
-        return note(f"Not trained: {training.problem}", BAD)
+        return note(f"Not trained: {training.problem}", "bad")
     if training.record is None:
         said = f"Learns the relations from the labels as they are now{', and makes the run again with it' * with_run}."
         if corrections is None:
@@ -200,14 +200,14 @@ def _install(record: Mapping[str, Any], installed: str) -> Child:
     # Truncated at the left by right-to-left text; `bdi` keeps the ends in place.
     where = h.div(h.bdi(record["folder"]), cls="dim path", title=record["folder"])
     if installed:
-        return note(f"Installed: --srm {installed}; in the Edit tab it answers any question.", GOOD), where
+        return note(f"Installed: --srm {installed}; in the Edit tab it answers any question.", "good"), where
     in_use, warning = record["in_use"], None
     if in_use is not None:
         now, new = (in_use[k]["micro_f1"]["value"] for k in ("before", "after"))
         if None not in (now, new) and new < now:
             said = f"The network in use has {now * 100:.1f} on these pairs, more than the new one ({new * 100:.1f})."
             said += "".join(f" {caveat.removeprefix('before: ')}." for caveat in in_use.get("caveats", ()))
-            warning = note(said, DOUBT)
+            warning = note(said, "doubt")
     field = h.input(
         cls="find name", placeholder="name", maxlength=64, enter="install", aria_label="Name of the network"
     )

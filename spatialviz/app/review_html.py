@@ -8,7 +8,7 @@ from itertools import islice
 from typing import Any
 
 from pipeline.corrections.label_editor import LabelEditor
-from pipeline.corrections.review.decisions import Answer, GivenAnswer, ReviewQuestion
+from pipeline.corrections.review.decisions import Answer, ReviewQuestion
 from pipeline.corrections.review.items import ItemKey
 from pipeline.corrections.review.label_jobs import CANCELLED, QueueProgress
 from pipeline.corrections.review.worklist import Worklist
@@ -18,10 +18,6 @@ from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import F, T, U, letter
 from spatialviz.app.markup import (
-    BAD,
-    DOUBT,
-    GOOD,
-    IDLE,
     Child,
     Element,
     button,
@@ -33,12 +29,12 @@ from spatialviz.app.markup import (
     progress,
     segments,
     sign,
-    text_field,
+    textbox,
     toggle,
 )
 from spatialviz.app.state import State
 
-STATES = {T: (GOOD, "true"), U: (DOUBT, "undecided"), F: (IDLE, "false")}
+STATES = {T: ("good", "true"), U: ("doubt", "undecided"), F: ("idle", "false")}
 MARKS = {"auto": "", "human": "by hand", "recomputed": "recomputed", "stale": "stale"}
 
 
@@ -50,11 +46,11 @@ def review_head_html(state: State, opened: bool, desk: LabelEditor | None) -> El
     kept = f"{counted(len(waiting), 'action')} not saved yet, kept here and tried again every few seconds: "
     decide = "Somebody was faster than you: nothing of yours is saved until you decide."
     hint, name = "every answer is saved at once, under this name", "" if desk is None else desk.author
-    who = text_field("reviewer", hint, value=name, maxlength=200, change="author")
+    who = textbox("reviewer", hint, value=name, maxlength=200, change="author")
     return panel(
         None if state.labels is None else h.h2("Labelling as", who, cls="mode-title"),
-        (note(kept + waiting[-1].problem, BAD), button("try again", "save-again", cls="go")) if waiting else None,
-        (note(decide, BAD), button("decide", "conflict", cls="go")) if disputed else None,
+        (note(kept + waiting[-1].problem, "bad"), button("try again", "save-again", cls="go")) if waiting else None,
+        (note(decide, "bad"), button("decide", "conflict", cls="go")) if disputed else None,
     )
 
 
@@ -112,11 +108,11 @@ def doubt_html(card: PairCard, line: RelationLine, state: int) -> Element:
 
 ROWS, STEP = 16, 8
 STATUS_MARKS = {
-    "unreviewed": ("", "inherit"),
-    "accepted": ("✓", GOOD),
-    "corrected": ("✎", GOOD),
-    "rejected": ("✗", IDLE),
-    "unsure": ("?", DOUBT),
+    "unreviewed": ("", None),
+    "accepted": ("✓", "good"),
+    "corrected": ("✎", "good"),
+    "rejected": ("✗", "idle"),
+    "unsure": ("?", "doubt"),
 }
 KINDS = {"all": "all", "relation": "relations", "object": "objects", "expression": "sentences"}
 Names = Mapping[tuple[str, int], str]
@@ -157,7 +153,7 @@ def _busy(making: QueueProgress) -> Child:
     if not making.running:
         failed = making.problem and making.problem != CANCELLED
         stays = "was not made" if making.work is None else "stays as it is"
-        return note(f"The queue {stays}: {making.problem}", BAD) if failed else None
+        return note(f"The queue {stays}: {making.problem}", "bad") if failed else None
     _, done, of = making.step or ("", 0, 0)
     what = f"asking network {done + 1} of {of}" if done < of else "ranking the labels"
     return progress(what, done, of), h.div(what, cls="dim")
@@ -176,7 +172,7 @@ def _row(place: int, row: Row, names: Names, shown: bool) -> Element:
     return h.div(
         h.i(css={"--v": f"{row['score']:.2f}"}),
         h.span(said(row, names)),
-        h.b(mark, css={"color": color}),
+        h.b(mark, color=color),
         # Truncated at the left by right-to-left text; marks keep the ends in place.
         h.em(f"\u200e{row['frame']}\u200e"),
         id=f"item-{place}",
@@ -247,16 +243,15 @@ def answer(name: str, key: str, do: str, hint: str) -> Element:
 
 def item_card(question: ReviewQuestion, reasons: Sequence[str]) -> Element:
     """What is asked, why, and where people differ what each of them said."""
-    words = h.div((_word(word) for word in question.words), cls="words", role="group", aria_label="who said what")
+    said = (
+        h.div(h.b(w.text), h.span(w.author), h.span(f"{w.time.astimezone():%d %b %H:%M}", cls="dim"), cls="word")
+        for w in question.words
+    )
+    words = h.div(said, cls="words", role="group", aria_label="who said what")
     # What the cards of people who differ say is no reason beside them.
     reasons = [r for r in reasons if not (question.words and r.startswith("reviewers disagree"))]
     why = h.ul((h.li(RULE.sub("", reason)) for reason in reasons), cls="because", aria_label="why it is asked")
     return _card(question.claim, question.ask, words if question.words else None, why if reasons else None)
-
-
-def _word(word: GivenAnswer) -> Element:
-    when = word.time.astimezone().strftime("%d %b %H:%M")
-    return h.div(h.b(word.text), h.span(word.author), h.span(when, cls="dim"), cls="word")
 
 
 def digits_row(names: Sequence[str], label: str) -> Element | None:
@@ -304,7 +299,7 @@ def _step(mark: str, key: str, do: str, name: str) -> Element:
 def bulk_html(find: str, found: int) -> Element:
     """Filter of the queue, and acceptance of all results."""
     given = {"value": find, "live": "queue-find:", "placeholder": "filter: left, mug, 000002 …", "id": "queue-find"}
-    field = text_field("Only items whose words or reasons hold this", **given)
+    field = textbox("Only items whose words or reasons hold this", **given)
     hint = "as one step, which one undo takes back; filter first"
     accept = button(f"All {found:,} are correct", "accept-found", hint, disabled=not found or not find)
     return h.div(field, accept, cls="bulk", id="queue-bulk")

@@ -23,24 +23,7 @@ from pipeline.language.relation_names import PHRASE
 from pipeline.system.errors import InputError, needed
 from spatialviz.app.context import command, there
 from spatialviz.app.label_part import LabelPart
-from spatialviz.app.markup import (
-    BAD,
-    DOUBT,
-    GOOD,
-    Child,
-    Element,
-    button,
-    chosen,
-    dot,
-    h,
-    heading,
-    joined,
-    note,
-    panel,
-    sign,
-    text_field,
-    toggle,
-)
+from spatialviz.app.markup import Element, button, chosen, dot, h, heading, joined, note, panel, sign, textbox, toggle
 from spatialviz.app.review_html import MARKS
 from spatialviz.app.state import State
 from spatialviz.app.toolbar import up_chip
@@ -241,7 +224,7 @@ def sentence_html(state: State, view: LabelView) -> Element | None:
         (" ", dot(colors["reference"]), f"{card.reference} {card.reference_object}"),
     )
     given = {"value": card.text, "spellcheck": "true", "enter": "expression-text"}
-    text = text_field("text of the expression", "Enter saves, Escape leaves it (Alt+I)", "sent", **given)
+    text = textbox("text of the expression", "Enter saves, Escape leaves it (Alt+I)", "sent", **given)
     by = f" · {origin.author}" if origin.author and origin.source == "human" else ""
     return panel(
         text,
@@ -286,8 +269,8 @@ def _selected(state: State, view: LabelView, card: ExpressionCard) -> Element:
     doubt = card.certainty(view.numbers[state.selected])
     return h.div(
         h.b(state.shown.names[state.selected]),
-        toggle("true of it", "true-of:sure", doubt == "sure", "Alt+T (again: not true of it)", color=GOOD),
-        toggle("maybe", "true-of:likely", doubt == "likely", "Alt+U (again: not true of it)", color=DOUBT),
+        toggle("true of it", "true-of:sure", doubt == "sure", "Alt+T (again: not true of it)", color="good"),
+        toggle("maybe", "true-of:likely", doubt == "likely", "Alt+U (again: not true of it)", color="doubt"),
         cls="acts",
     )
 
@@ -296,7 +279,7 @@ def _verdicts(card: ExpressionCard, author: str, asked: bool) -> Element:
     """Marks of an expression; where it is not `asked` below, its answers, too."""
     own = card.statuses.get(author, card.status)
     others = "".join(f" · {name}: {said}" for name, said in card.statuses.items() if name != author)
-    answers = (("accepted", GOOD, "correct", "Alt+Y"), ("rejected", BAD, "wrong", "Alt+N"))
+    answers = (("accepted", "good", "correct", "Alt+Y"), ("rejected", "bad", "wrong", "Alt+N"))
 
     def hint(field: str, key: str) -> str:
         origin = card.origins[field]
@@ -307,9 +290,9 @@ def _verdicts(card: ExpressionCard, author: str, asked: bool) -> Element:
             toggle(word, f"expression-status:{status}", own == status, hint("status", key) + others, color=color)
             for status, color, word, key in (() if asked else answers)
         ),
-        toggle("ambiguous", "ambiguous", card.ambiguous, hint("ambiguous", "Alt+B"), color=DOUBT),
+        toggle("ambiguous", "ambiguous", card.ambiguous, hint("ambiguous", "Alt+B"), color="doubt"),
         (
-            toggle(words, f"mark:{mark}", card.mark == mark, hint("mark", "Alt+M steps"), color=BAD)
+            toggle(words, f"mark:{mark}", card.mark == mark, hint("mark", "Alt+M steps"), color="bad")
             for mark, words in MARKED.items()
         ),
         cls="acts all",
@@ -328,9 +311,9 @@ def expressions_html(view: LabelView) -> Element | None:
 def _row(view: LabelView, card: ExpressionCard) -> Element:
     origins = {MARKS[o.source] for f, o in card.origins.items() if f not in ("mark", "status")} - {""}
     tags = [
-        h.b(MARKED[card.mark], color=BAD) if card.mark is not None else None,
-        *(h.b(status, color=GOOD) for status in sorted({*card.statuses.values()} - {"rejected"})),
-        h.b("ambiguous", color=DOUBT) if card.ambiguous else None,
+        h.b(MARKED[card.mark], color="bad") if card.mark is not None else None,
+        *(h.b(status, color="good") for status in sorted({*card.statuses.values()} - {"rejected"})),
+        h.b("ambiguous", color="doubt") if card.ambiguous else None,
         *sorted(origins),
     ]
     return h.div(
@@ -356,11 +339,9 @@ def _event(view: LabelView, line: EventLine) -> Element:
     event = line.event
     before, after = (value_text(event.ref, value, view.frame) for value in (event.before, event.after))
     what = ref_text(event.ref, view.frame)
-    told: list[Child] = [event.author, event.time.astimezone().strftime("%d %b %H:%M:%S"), event.reason or None]
-    if line.waiting:
-        told.append(h.b("not saved yet", cls="bad"))
-    elif line.undone is not None:
-        told.append(f"undone by {line.undone.author}")
+    became = f"undone by {line.undone.author}" if line.undone is not None else ""
+    became = h.b("not saved yet", cls="bad") if line.waiting else became
+    told = event.author, f"{event.time.astimezone():%d %b %H:%M:%S}", event.reason, became
     mine = line.group and not line.waiting and line.undone is None
     return h.div(
         h.div(f"{what}: {before} → ", h.b(after), cls="" if line.undone is None else "gone"),

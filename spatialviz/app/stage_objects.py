@@ -8,7 +8,6 @@ import numpy as np
 
 from pipeline.answering.answer_words import link_words, probability
 from pipeline.answering.ask import Trace
-from pipeline.answering.evidence import Factor
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.ranking import Candidates
 from pipeline.diagnosis.story_words import capital
@@ -65,9 +64,8 @@ def _candidates(state: State, judged: Diagnosis | None, name: str, found: Candid
         )
     if judged is not None and judged.missed is not None and judged.missed_name == name:
         rows.append(h.tr(h.td(_missed(judged.missed, name), colspan=5), cls="missed"))
-    if not rows:
-        rows = [h.tr(h.td("nothing of this name was found", cls="dim", colspan=5))]
-    return h.table(h.caption(f"“{name}”, by score"), h.tbody(rows), cls="candidates")
+    none = h.tr(h.td("nothing of this name was found", cls="dim", colspan=5))
+    return h.table(h.caption(f"“{name}”, by score"), h.tbody(rows or none), cls="candidates")
 
 
 def _mark(judged: Diagnosis, i: int) -> tuple[str, str]:
@@ -240,15 +238,14 @@ def attributes_evidence(state: State, trace: Trace) -> list[Child]:
     """Attributes of each object of the chosen pair, with probabilities."""
     factors = () if state.chosen is None else state.chosen.factors
     head = h.tr(h.th("said"), h.th("of"), h.td(), h.th("P", cls="n"))
-    rows = (_factor(state, factor, state.shown.place[factor.object]) for factor in factors)
+    rows = (
+        h.tr(
+            h.td(h.b(factor.text), h.span(f" {factor.kind}", cls="dim")),
+            h.td(named(state.color(place), state.shown.names[place]), cls="w"),
+            h.td(level(factor.probability), color=state.color(place)),
+            h.td(f"{factor.probability:.2f}", cls="n" if factor.holds else "n low"),
+        )
+        for factor, place in ((factor, state.shown.place[factor.object]) for factor in factors)
+    )
     table = h.table(h.thead(head), h.tbody(rows), cls="factors")
     return [table if factors else h.p("No pair is chosen.", cls="dim")]
-
-
-def _factor(state: State, factor: Factor, place: int) -> Element:
-    return h.tr(
-        h.td(h.b(factor.text), h.span(f" {factor.kind}", cls="dim")),
-        h.td(named(state.color(place), state.shown.names[place]), cls="w"),
-        h.td(level(factor.probability), color=state.color(place)),
-        h.td(f"{factor.probability:.2f}", cls="n" if factor.holds else "n low"),
-    )

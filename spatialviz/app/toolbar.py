@@ -11,7 +11,7 @@ from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.geometry.camera import UpSource
 from pipeline.language.relation_names import PHRASE
 from spatialviz.app.keys import KEYS, MOVE_KEYS
-from spatialviz.app.markup import DOUBT, IDLE, Element, button, h, hint_of, note, panel, segments, slider, toggle
+from spatialviz.app.markup import Element, button, h, hint_of, note, panel, segments, slider, toggle
 from spatialviz.app.state import State
 
 COLORS = {"rgb": "Colour", "objects": "Objects", "depth": "Depth", "evidence": "Cleaning"}
@@ -143,7 +143,7 @@ def up_chip(state: State) -> Element | None:
         return None
     said = capital(ASSUMED) if source == "assumed" else f"Up: {SOURCES[source]}"
     said += f". It may be wrong: {doubt}." if doubt else "."
-    look = {"cls": f"upchip{' loud' * loud}", "color": DOUBT if loud else IDLE}
+    look = {"cls": f"upchip{' loud' * loud}", "color": "doubt" if loud else "idle"}
     if labels is not None:
         return h.span(f"up {source}", title=f"{hint_of('up')} {said} {MADE_WITH}", **look)
     look["title"], pressed = f"{hint_of('up')} {said} {HOW}", state.picking == "level"
@@ -157,7 +157,7 @@ def depth_chip(state: State) -> Element | None:
     source, doubt = state.loaded.context.frame.depth_source, capital(state.loaded.doubt)
     title = f"The depth is {source}." if source else doubt
     kind = "estimated" if source else "odd"
-    return h.span(f"depth {kind}", cls="upchip loud", color=DOUBT, title=title) if title else None
+    return h.span(f"depth {kind}", cls="upchip loud", color="doubt", title=title) if title else None
 
 
 def level_html(state: State) -> Element | None:

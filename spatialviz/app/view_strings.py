@@ -26,7 +26,7 @@ from pipeline.pictures.writing import encoded_film, encoded_picture
 from pipeline.relations.model import is_named
 from pipeline.system.errors import InputError, require
 from spatialviz.app.context import Context, Part, command
-from spatialviz.app.markup import BAD, h, note
+from spatialviz.app.markup import h, note
 from spatialviz.app.state import ColorMode, Place, State
 from spatialviz.app.toolbar import LARGEST_POINT, LEAST_POINT
 from spatialviz.report.page import Subject, failure_page, scene_html
@@ -233,7 +233,7 @@ class Exports(Part):
             (
                 h.p(f"{counted(len(saved), 'case')} saved{f', {there} were there already' if there else ''}."),
                 h.pre("\n".join(saved), cls="file") if saved else None,
-                [note(reason, BAD) for reason in refused[:TOLD]],
+                [note(reason, "bad") for reason in refused[:TOLD]],
             ),
         )
 
