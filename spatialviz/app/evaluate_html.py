@@ -20,7 +20,6 @@ from spatialviz.app.markup import Child, Element, button, h, note, panel, segmen
 
 SHOWN_VALUES, FEW_VALUES = 7, 11
 """Values of a folded facet; up to so many are never folded."""
-VIEWS = {"grid": "Grid", "table": "Table"}
 EXPLAINED = ("change", "verdict", "second_verdict", "mends")
 """Facets with glossary words as values."""
 TITLES = {"mends": "mended by one module alone"}
@@ -137,7 +136,7 @@ def filters_html(listing: Listing, notes: Notes, first: str, view: str) -> Eleme
     return h.div(
         h.div(chips, None if known else keep, cls="filters", role="group", aria_label="Kept searches"),
         h.span(cls="grow"),
-        segments("rows-view", VIEWS, view, "Show as"),
+        segments("rows-view", {"grid": "Grid", "table": "Table"}, view, "Show as"),
         cls="filtersrow",
     )
 
