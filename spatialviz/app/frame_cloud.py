@@ -198,7 +198,6 @@ class SceneAids(Part):
     def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
         self._mapped: tuple[tuple[Any, ...], dict[str, object]] = ((), {})
-        self._boxes: list[Box3D | None] = []
 
     def follow(self) -> list[Tag]:
         """Draw the aids for the state; returns the name tags to show."""
@@ -211,6 +210,7 @@ class SceneAids(Part):
             return []
         self.ctx.page.call("scale", self._looked_at(state, loaded))
         self.ctx.page.call("objects", self._hoverable(state))
+        self.ctx.page.call("names", [name.replace("·", " ") for name in state.shown.names])
         frame = loaded.context.frame
         ends = [self.ctx.scene.to_show @ surface_point(frame.depth, frame.camera, mark) for mark in state.marks]
         self.ctx.page.call("measure", {"on": state.picking == "measure", "points": [_rounded(end) for end in ends]})
@@ -231,26 +231,17 @@ class SceneAids(Part):
         ]
 
     def _hoverable(self, state: State) -> dict[str, object] | None:
-        """Names, boxes and places in the picture of all objects, for marking them in the browser."""
-        objects = state.found.objects
+        """Boxes and places in the picture of all objects, for marking them in the browser."""
+        objects, (of, known) = state.found.objects, self._mapped
         if not objects:
             return None
-        drawn = (objects, state.shown.objects, state.shown.names, self.ctx.scene.to_show)
-        if len(self._mapped[0]) == len(drawn) and all(map(is_, self._mapped[0], drawn)):
-            return self._mapped[1]
-        of, known = self._mapped
-        if not of or of[0] is not objects:
-            known: dict[str, object] = {
-                "map": index_map(objects),
-                "rects": [np.round(o.bbox, 1).tolist() for o in objects],
-            }
         boxes = [o.lifted.box for o in state.shown.objects]
-        # Another pair has other names, and seldom other boxes.
-        same = "boxes" in known and of[3] is drawn[3] and len(boxes) == len(self._boxes)
-        if not same or not all(map(is_, boxes, self._boxes)):
+        drawn = (objects, self.ctx.scene.to_show, *boxes)
+        if len(of) != len(drawn) or not all(map(is_, of, drawn)):
+            if not of or of[0] is not objects:
+                known = {"map": index_map(objects), "rects": [np.round(o.bbox, 1).tolist() for o in objects]}
             shown = [None if box is None else _hover_box(self.ctx.scene.shown_box(box)) for box in boxes]
-            self._boxes, known = boxes, known | {"boxes": shown}
-        self._mapped = drawn, known | {"names": [name.replace("·", " ") for name in state.shown.names]}
+            self._mapped = drawn, {**known, "boxes": shown}
         return self._mapped[1]
 
     def _looked_at(self, state: State, loaded: LoadedFrame) -> dict[str, object]:

@@ -17,6 +17,7 @@ KEPT_CALLS = (
     "oddFrames",
     "tags",
     "objects",
+    "names",
     "selected",
     "keys",
     "hints",

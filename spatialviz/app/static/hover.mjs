@@ -6,12 +6,13 @@ import {byId, calls, el, sceneHost, sceneWindow} from './core.mjs';
 import {SVG, afterDrawing, project, sceneMatrix} from './scene.mjs';
 import {BOX_EDGES, CORNERS, overlap, standing} from './tags.mjs';
 
-/* By number: names; boxes of the scene {center, R, half, volume} or null; rectangles in the picture. `map`: pixels of a
+/* By number: boxes of the scene {center, R, half, volume} or null; rectangles in the picture. `map`: pixels of a
 small picture of the frame, in which each pixel is 1 + the number of the smallest object there. */
-let objects = {names: [], boxes: [], rects: []}, map = null, marked = [];
+let objects = {boxes: [], rects: []}, names = [], map = null, marked = [];
 
+calls.names = list => { names = list; };
 calls.objects = data => {
-  objects = data ?? {names: [], boxes: [], rects: []};
+  objects = data ?? {boxes: [], rects: []};
   map = null;
   mark([]);
   if (!data) return;
@@ -69,7 +70,7 @@ document.adoptedStyleSheets.push(rows);
 let layer = null, name = null;
 
 function mark(numbers) {
-  const now = numbers.filter(i => i < objects.names.length);
+  const now = numbers.filter(i => i < objects.boxes.length);
   if (now.join() === marked.join()) return;
   marked = now;
   rows.replaceSync(now.length ? `[data-hover="hover:${now.join()}"]{background:var(--hover);outline:2px solid var(--accent);outline-offset:-2px}` : '');
@@ -109,7 +110,7 @@ function stand() {
   layer.innerHTML = path && `<path d="${path}"/><path d="${path}"/>`;
   name.style.visibility = top && boxes.length === 1 ? 'visible' : 'hidden';
   if (!top) return;
-  name.textContent = objects.names[marked[0]];
+  name.textContent = names[marked[0]];
   const {offsetWidth: w, offsetHeight: h} = name, others = standing();
   const [x, y] = [[top[0], top[1] - h - 4], [low[0], low[1] + 4], [top[0], top[1] + 4]]
     .map(([x, y]) => [Math.max(2, Math.min(W - w - 2, x - w / 2)), Math.max(2, Math.min(H - h - 2, y))])
