@@ -90,7 +90,7 @@ SMALL = frozenset({"of", "with", "and", "for", "in", "on", "without", "from"})
 """Words of a name that say nothing alone."""
 GROUND = frozenset({"floor", "ground"})
 """Where it is no thing of the dataset, what is on it is lower than its like; the word stays among the unused."""
-STRANGER = "no name that the detector knows has it"
+STRANGER = "in no name that the detector knows"
 
 
 def without_strangers(query: Query, detector: Detector, synonyms: Synonyms | None = None) -> Query:

@@ -107,6 +107,8 @@ def _part(points: np.ndarray, group: np.ndarray, start: int, size: float) -> Clo
 
 AROUND, NEAREST = 1.12, 0.55
 """A pair is seen from so much farther than would fill the view, and from no nearer than so many metres."""
+TOOLS, LEGEND = 0.05, 0.08
+"""Of the height of a view, at its top and its bottom: no pair is put under what stands there."""
 LEAST_ROOM = 0.2
 """Of the width and the height of a view; in less no pair is shown."""
 NEAREST_SPACINGS, NEAREST_BY_HAND = 300, 25
@@ -148,9 +150,10 @@ def viewpoint(
         return center + np.array([0.0, -0.02, span * 1.25]), center, TOP_FOV
     if kind == "pair" and about is not None:
         width, height = covered
-        rooms = ((0.0, 0.0, 1 - width, 1.0), (0.0, height, 1.0, 1.0))
+        rooms = ((0.0, 0.0, 1.0, 1.0), (0.0, 0.0, 1 - width, 1.0), (0.0, height, 1.0, 1.0))
+        rooms = [(x0, max(y0, TOOLS), x1, y1 - LEGEND) for x0, y0, x1, y1 in rooms]
         least = nearest_distance(about, camera)
-        views = [fitting_viewpoint(about, aspect, room, least) for room in (WHOLE, *rooms) if _roomy(room)]
+        views = [fitting_viewpoint(about, aspect, room, least) for room in rooms if _roomy(room)]
         free = (v for v in views if not _covers(covered, about, v, aspect))
         return min(free, key=lambda v: float(np.linalg.norm(v[0] - v[1])), default=views[0])
     return fitting_viewpoint(points, aspect)

@@ -97,10 +97,15 @@ def overlay_marks(state: State) -> list[Element]:
         box, sides = entry.lifted.box, entry.lifted.open_sides
         drawn = _rectangle(entry.bbox) if box is None else edges_path(box, frame.camera, sides)
         marks.append(_path(drawn, ON_DARK[roles[i]] if i in roles else "#ffffff", 1.3 * unit))
+    placed: list[tuple[float, float]] = []
     for i in order:
-        x0, y0, *_ = state.shown.objects[i].bbox.tolist()
-        color = hex_color(ON_DARK[roles.get(i, "other")])
-        marks.append(name_tag(state.shown.names[i].replace("·", " "), x0, y0 - 14 * unit, shape, unit, color))
+        name, color = state.shown.names[i].replace("·", " "), hex_color(ON_DARK[roles.get(i, "other")])
+        x0, y0 = state.shown.objects[i].bbox[:2].tolist()
+        # A name under another is moved below it.
+        while near := [y for x, y in placed if abs(y - y0) < 14 * unit and abs(x - x0) < 60 * unit]:
+            y0 = max(near) + 14.5 * unit
+        placed.append((x0, y0))
+        marks.append(name_tag(name, x0, y0 - 14 * unit, shape, unit, color))
     ends = [(u + 0.5, v + 0.5) for u, v in state.marks]
     marks += [h.circle(cx=u, cy=v, r=2.2 * unit, cls="measured", stroke_width=0.8 * unit) for u, v in ends]
     if state.measured is not None:
@@ -165,7 +170,8 @@ def legend_html(state: State) -> list[Child]:
     drawn = {ghost.role for ghost in state.ghosts} if state.flags.ghosts else set()
     other = "" if state.other is None else state.other.name
     solid = {"target": "target", "reference": "reference", "truth": "asked about"}
-    dashed = {"truth": "correct by the labels", "edited": other}
+    labelled = "by the label" if state.label_blamed else "correct by the labels"
+    dashed = {"truth": labelled, "edited": other, "other": "as found"}
     return [
         *(_line(c, solid[role]) for role, c in ON_DARK.items() if role in solid and role in state.roles.values()),
         *(_line(c, dashed[role], " dashed") for role, c in ON_DARK.items() if role in dashed and role in drawn),

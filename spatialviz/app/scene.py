@@ -107,14 +107,14 @@ class SceneView:
     def _draw_ghosts(self, ghosts: Sequence[ExtraBox], state: State, colors: Mapping[Role, RGB]) -> list[Tag]:
         """Extra boxes beside the answer's, slightly larger and in dashes; one of the same thing has the same name."""
         tags = []
-        for role in ("truth", "edited"):
+        for role in ("truth", "edited", "other"):
             members = [self.shown_box(ghost.box) for ghost in ghosts if ghost.role == role]
             lines = edge_lines(members, GHOST_GROWTH, dashes=True)
-            self._client.lines(f"/boxes/ghosts-{role}", lines, colors[role], LINE_WIDTH[role])
+            self._client.lines(f"/boxes/ghosts-{role}", lines, colors[role], LINE_WIDTH["truth"])
         for ghost in ghosts:
             box, color = self.shown_box(ghost.box), hex_color(colors[ghost.role])
             anchor = self._client.anchor(f"/tags/ghost-{ghost.key}", box.center)
-            mark = MARKS[ghost.key.removeprefix("other-")]
+            mark = MARKS[ghost.key.rpartition("-")[2]]
             text, detail = (ghost.text, "") if ghost.of is None else (_name(state, ghost.of), "as labelled")
             tags.append(Tag(anchor, text, detail, color, True, **_shape(box), mark=mark, dashed=True))
         return tags

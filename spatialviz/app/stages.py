@@ -28,8 +28,8 @@ def failed(state: State) -> tuple[str, ...]:
 
 
 def opened(state: State) -> str:
-    """Stage with open evidence: the chosen stage, else the failed, else the pairs."""
-    return state.stage or next(iter(failed(state)), "PRM")
+    """Stage with open evidence: the chosen stage, else the one to blame, else the pairs."""
+    return state.stage or next(iter(failed(state)), "LABEL" if state.label_blamed else "PRM")
 
 
 STEPS = {
@@ -257,7 +257,9 @@ def _against(state: State) -> list[Child]:
     for name, share in shares.items():
         above, right = needed.get(name), getattr(d.right, f"p_{name}")
         css = {"--c": hex_color(colors["bad" if share > 0 else "truth"]), "width": f"{abs(share) / scale / 2:.1%}"}
-        wanted = None if above is None else h.div(f"> {threshold(above, right)[0]}", cls="dim", title=hint_of("needed"))
+        wanted = (
+            None if above is None else h.div(f"needs {threshold(above, right)[0]}", cls="dim", title=hint_of("needed"))
+        )
         rows.append(
             h.tr(
                 h.th(name, scope="row"),

@@ -21,8 +21,8 @@ def run() -> Run:
     return open_run(demo_run())
 
 
-def seen(run: Run, search: str) -> tuple[Answer, AnswerView]:
-    answer = run.failures(search)[0].answer
+def seen(run: Run, search: str, number: int = 0) -> tuple[Answer, AnswerView]:
+    answer = run.failures(search)[number].answer
     trace, judged = needed(answer.trace, "no answer"), needed(answer.diagnosis, "no verdict")
     loaded = LoadedFrame(judged.evidence.answers.context, ())
     view = AnswerView(loaded=loaded, trace=trace, found=shown_objects(loaded, trace, trace.exact), judged=judged)
@@ -76,3 +76,16 @@ def test_pixels_of_the_pair_and_of_the_labelled_one_are_lit(run: Run) -> None:
     assert lit.dtype == np.bool_
     assert all(lit[mask].all() for mask in masks)
     assert lit.sum() <= sum(int(mask.sum()) for mask in masks)
+
+
+def test_a_box_that_is_blamed_is_shown_as_found_beside_the_answers(run: Run) -> None:
+    """Of LIFT, where it is of neither object of the chosen pair; of the right pair it is one of the pair's own."""
+    shown = 0
+    for number in range(len(run.failures("verdict:LIFT"))):
+        answer, view = seen(run, "verdict:LIFT", number)
+        box = needed(answer.diagnosis, "no verdict").needed_box
+        own = [ghost.text for ghost in view.ghosts if ghost.role == "other"]
+        beside = box is not None and view.found.place[box[0]] not in (view.pair or ())
+        assert own == ([f"{view.name_of(box[0]).replace('·', ' ')} as found"] if box and beside else [])
+        shown += beside
+    assert shown

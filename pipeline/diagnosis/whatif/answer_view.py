@@ -94,12 +94,12 @@ class OtherAnswer(Answer):
 
 @dataclass(frozen=True)
 class ExtraBox:
-    """Extra box in a view: of the label, or of another run's answer."""
+    """Extra box in a view: of the label, of another run's answer, or to blame."""
 
     key: str
     text: str
     box: Box3D  # Camera frame
-    role: Role  # "truth" for the label's, "edited" for the other run's
+    role: Role  # "truth" for the label's, "edited" for the other run's, "other" for a blamed one as found
     of: int | None = None  # The same thing as found, in `shown.objects`: in another box
 
 
@@ -238,6 +238,11 @@ class AnswerView:
         ends = {"target": chosen.target, "reference": chosen.reference}
         return {role: int(judged.evidence.match[end]) for role, end in ends.items() if end is not None}
 
+    @property
+    def label_blamed(self) -> bool:
+        """True where nothing failed but the label."""
+        return isinstance(self.judged, Diagnosis) and self.judged.verdict == "LABEL"
+
     @cached_property
     def right_roles(self) -> frozenset[str]:
         """Roles of the chosen pair that a right object fills, in a box that is not to blame."""
@@ -272,6 +277,8 @@ class AnswerView:
                 for role, box in self.judged.labelled_boxes().items()
                 if role not in self.right_roles
             ]
+            if (blamed := self._blamed(self.judged)) is not None:
+                found.append(blamed)
         other, mine = self.other, self.ranked[0] if self.ranked else None
         if other is None or not other.pairs:
             return found
@@ -285,6 +292,17 @@ class AnswerView:
             if entry is not None and entry.lifted.box is not None and not same_thing(self.trace, own, entry):
                 found.append(ExtraBox(f"other-{name}", f"{other.name}: {entry.label}", entry.lifted.box, "edited"))
         return found
+
+    def _blamed(self, judged: Diagnosis) -> ExtraBox | None:
+        """Box that LIFT blames, as found, where it is of neither object of the chosen pair."""
+        objects, needed = judged.evidence.answers.objects, judged.needed_box
+        if needed is None or not self._matched or judged.right is None:
+            return None
+        place, box = needed[0], objects[needed[0]].lifted.box
+        if box is None or self.found.place[place] in (self.pair or ()):
+            return None
+        role = "target" if place == judged.right.target else "reference"
+        return ExtraBox(f"found-{role}", f"{self.name_of(place).replace('·', ' ')} as found", box, "other")
 
     @property
     def other_pair(self) -> str:

@@ -21,6 +21,8 @@ const place = () => {
   if (!waiting || !boxes.length || !width || performance.now() - since < STILL) return;
   waiting = false;
   const cost = corner => {
+    // The hint stands there.
+    if (corner === 'left top' && !byId('hint').hidden) return Infinity;
     const x = corner.startsWith('right') ? W - width - EDGE : EDGE;
     const y = corner === 'right top' ? EDGE : corner === 'left top' ? ROW : H - height - ROW;
     const hidden = box => overlap(box, [x, y, x + width, y + height]) / Math.max(1, (box[2] - box[0]) * (box[3] - box[1]));

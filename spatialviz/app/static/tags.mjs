@@ -224,7 +224,7 @@ function hide(tag) {
 }
 
 function stand(tag) {
-  const [x0, y0] = tag.rect, at = `translate(${x0.toFixed(1)}px, ${y0.toFixed(1)}px)`;
+  const [x0, y0] = tag.rect, at = `translate(${Math.round(x0)}px, ${Math.round(y0)}px)`;
   const ends = leader(tag.rect, tag.edges), leads = apart(tag.rect, tag.edges) > LEAD_FROM;
   if (tag.at !== at) {
     tag.at = at;
