@@ -4,20 +4,7 @@ on top of it. It lies over the scene. */
 
 import {calls, el, sceneHost, send} from './core.mjs';
 import {button, choice, hotName, range} from './controls.mjs';
-import {LEAST_RADIUS, draw} from './pixels_draw.mjs';
-
-const TOOLS = [
-  ['select', 'Select', 's', 'Click an object to draw on it.'],
-  ['brush', 'Brush', 'b', 'Drag to paint; Shift erases. [ ] or Shift+wheel: size.'],
-  ['erase', 'Erase', 'e', 'Drag to erase; Shift paints. [ ] or Shift+wheel: size.'],
-  ['polygon', 'Polygon', 'p',
-    'Click corners; Enter or double click closes (with Shift: removes); Backspace: one back.'],
-  ['rectangle', 'Rectangle', 'r', 'Drag a rectangle; Shift removes. F: only the surface inside it.'],
-  ['depth', 'Depth', 'd', 'Click a surface to add it; Shift removes. [ ]: how alike it must be.'],
-  ['segment', 'Segment', 'a', 'Click a thing: the segmenter outlines it; Shift removes it.'],
-  ['cut', 'Cut', 'c', 'Draw a line across the object, or around a part of it.'],
-];
-const HINTS = Object.fromEntries(TOOLS.map(([tool, , , hint]) => [tool, hint]));
+import {HINTS, LEAST_RADIUS, TOOLS, draw} from './pixels_draw.mjs';
 
 /* radius and tol as fractions of the picture's width and of the depth; corners and hands as fractions of the picture;
    x, y, zoom: where the picture lies in the canvas. */

@@ -1,4 +1,17 @@
-/* Drawing of the editor of pixels: the picture, the mask with what is not answered yet, outlines, the hand's line. */
+/* Tools and drawing of the editor of pixels: the picture, the mask with what is not answered yet, outlines, the hand's line. */
+
+export const TOOLS = [
+  ['select', 'Select', 's', 'Click an object to draw on it.'],
+  ['brush', 'Brush', 'b', 'Drag to paint; Shift erases. [ ] or Shift+wheel: size.'],
+  ['erase', 'Erase', 'e', 'Drag to erase; Shift paints. [ ] or Shift+wheel: size.'],
+  ['polygon', 'Polygon', 'p',
+    'Click corners; Enter or double click closes (with Shift: removes); Backspace: one back.'],
+  ['rectangle', 'Rectangle', 'r', 'Drag a rectangle; Shift removes. F: only the surface inside it.'],
+  ['depth', 'Depth', 'd', 'Click a surface to add it; Shift removes. [ ]: how alike it must be.'],
+  ['segment', 'Segment', 'a', 'Click a thing: the segmenter outlines it; Shift removes it.'],
+  ['cut', 'Cut', 'c', 'Draw a line across the object, or around a part of it.'],
+];
+export const HINTS = Object.fromEntries(TOOLS.map(([tool, , , hint]) => [tool, hint]));
 
 const draft = document.createElement('canvas'), outline = document.createElement('canvas');
 
