@@ -140,11 +140,11 @@ def test_a_camera_of_the_plan_opens_its_frame(demo: Server, open_tab: OpenTab) -
 
 
 def test_a_choice_of_frames(demo: Server, open_tab: OpenTab) -> None:
-    """Frames with failures alone; none that is all right says so; in Label the counts are of the review."""
+    """Frames with failures alone; none that is all correct says so; in Label the counts are of the review."""
     tab = open_tab(demo.address, "absent")
     tab.press("Shift+W")
-    tab.see("[data-local='framesOf:all right']").click()
-    tab.poll("document.querySelector('#grid-list').dataset.empty.includes('all right')")
+    tab.see("[data-local='framesOf:all correct']").click()
+    tab.poll("document.querySelector('#grid-list').dataset.empty.includes('all correct')")
     tab.see("[data-local='framesOf:with failures']").click()
     tab.see("#frame-grid .shot .foot", "of 150 wrong")
     tab.page.keyboard.press("Escape")

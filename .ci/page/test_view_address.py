@@ -68,10 +68,11 @@ def test_what_is_looked_at_comes_back(demo: Server, open_tab: OpenTab) -> None:
         if tab.frame == first:
             break
         tab.page.go_back()
-        tab.still(
-            "location.search + document.querySelector('#timeline .frame-id')?.value"
-            " + document.getElementById('ask-text').value"
+        # The address is the one before at once, the page as soon as the server has heard of it.
+        tab.poll(
+            "new URLSearchParams(location.search).get('frame') === document.querySelector('#timeline .frame-id').value"
         )
+        tab.still("location.search + document.getElementById('ask-text').value")
     assert (tab.frame, tab.question) == (first, "laptop right of the mug"), (tab.frame, tab.question)
     tab.page.go_forward()
     tab.poll("moved => document.querySelector('#timeline .frame-id')?.value === moved", moved)
