@@ -82,7 +82,8 @@ shots.tabIndex = 0;
 shots.setAttribute('role', 'listbox');
 shots.setAttribute('aria-label', 'Frames');
 shots.addEventListener('scroll', draw, {passive: true});
-new ResizeObserver(draw).observe(shots);
+// The plan comes later, and takes some of the width: the chosen picture stays in sight.
+new ResizeObserver(() => (listed.length ? move(at) : draw())).observe(shots);
 shots.addEventListener('click', e => { const item = e.target.closest('.shot'); if (item) open(listed[item.id.slice(5)]); });
 shots.addEventListener('keydown', e => {
   const n = across(), page = n * Math.max(1, Math.floor(shots.clientHeight / size().h));
