@@ -130,6 +130,18 @@ def test_the_grid_by_keys_alone(demo: Server, open_tab: OpenTab) -> None:
     tab.poll(f"{HERE} === 11")
 
 
+def test_a_picture_that_is_gone_to_stays_in_sight_as_the_plan_comes(demo: Server, open_tab: OpenTab) -> None:
+    """The plan takes some of the width: the pictures stand in more rows then."""
+    tab = open_tab(demo.address, "absent")
+    later = "m => { const plan = m.calls.plan; m.calls.plan = data => setTimeout(() => plan(data), 700); }"
+    tab.page.evaluate(f"import('/app/core.mjs').then({later})")
+    tab.press("Shift+W")
+    tab.poll("document.activeElement.id === 'grid-list'")
+    tab.page.keyboard.press("End")
+    tab.see("#frame-grid .plan svg")
+    tab.poll("document.getElementById('grid-11')?.querySelector('img').src")
+
+
 def test_a_camera_of_the_plan_opens_its_frame(demo: Server, open_tab: OpenTab) -> None:
     tab = open_tab(demo.address, "absent")
     tab.press("Shift+W")

@@ -72,6 +72,8 @@ const dress = (item, k, {w, h}) => {
 const move = to => {
   at = Math.min(Math.max(0, to), listed.length - 1);
   const {h} = size(), y = Math.floor(at / across()) * h;
+  // As high as it is now it can be scrolled so far.
+  draw();
   if (y < shots.scrollTop || y + h > shots.scrollTop + shots.clientHeight) shots.scrollTop = y - (shots.clientHeight - h) / 2;
   draw();
   shots.setAttribute('aria-activedescendant', `grid-${at}`);
