@@ -121,6 +121,8 @@ def stated_in_files(paths: Iterable[Path], known: bool = False) -> Stated:
     units: float | None = None
     for path in paths:
         stated = or_note([], "", read_stated, path) or NOTHING
+        if stated.K is None and stated.units_per_metre is None:
+            safe_files.without_use(path)
         units = units or stated.units_per_metre
         found += [stated] if stated.K is not None else []
     if not found:

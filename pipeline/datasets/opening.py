@@ -29,12 +29,13 @@ from pipeline.datasets.files import listed_once, readable
 from pipeline.datasets.pairing import COLOR_SUFFIXES, role_of
 from pipeline.datasets.parquet import is_lerobot_depth, lerobot_features
 from pipeline.datasets.settings import OR_ESTIMATED, GivenUp, read_settings
+from pipeline.datasets.unread import naming_unread, say_unread
 from pipeline.datasets.up import with_given_up
 from pipeline.language.counted import counted
 from pipeline.system.errors import UnknownFormat, require
 from pipeline.system.plugins import load_plugins
 from pipeline.system.remote import local_path
-from pipeline.system.safe_files import enter
+from pipeline.system.safe_files import enter, watched
 
 FORMATS: tuple[DatasetFormat, ...] = (
     saved_case.FORMAT,
@@ -143,7 +144,9 @@ def open_dataset(
     with listed_once():
         for candidate in formats:
             if candidate.recognises(root):
-                dataset = candidate.open(root, settings)
+                with watched() as seen, naming_unread(root, seen):
+                    dataset = candidate.open(root, settings)
+                    say_unread(dataset, seen)
                 if settings.pose_shift:
                     dataset = ShiftedPoses(dataset, settings.pose_shift)
                 if model is not None:
@@ -229,6 +232,10 @@ def _folder(root: Path, recognised: Callable[[Path], bool]) -> tuple[str, str]:
             f"{counted(pictures, 'picture')}{where} and no depth",
             f"a depth file for each, such as {depth}, {OR_ESTIMATED}",
         )
+    if depths and not pictures and kinds["video"]:
+        video = next(name for name in files if kind_of(name) == "video")
+        unpack = f"its frames: mkdir color && ffmpeg -i {video} -start_number 0 color/%06d.png"
+        return f"depth ({depths[0]}) and colour in a video, {video}", unpack
     if depths and not pictures:
         return f"depth ({depths[0]}) without colour", LAYOUT
     for kind in ("video", "array file", "point cloud", "archive"):

@@ -108,6 +108,13 @@ class Recording:
         stated = self._listed(frame_id, []).stated.units_per_metre
         return self._settings.depth_scale or stated or self.rule.units_per_metre or 1.0
 
+    def look_through(self, frame_id: str) -> list[Path]:
+        """Read what stands beside the pictures of a frame, and name these, which are not decoded."""
+        found = self._listed(frame_id, [])
+        if found.annotate is not None:
+            found.annotate((1, 1), [])
+        return [blob for blob in (found.color, found.depth) if isinstance(blob, Path)]
+
     def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         """Files and facts of a frame (subclasses); remarks are appended to `notes`."""
         raise NotImplementedError
