@@ -97,6 +97,7 @@ class SceneFolder:
     pairs: list[Pair]
     stated: Stated = NOTHING  # What a file for all frames says of the camera
     cameras: Mapping[Key, str] = field(default_factory=dict)
+    valid: Mapping[Key, str] = field(default_factory=dict)
     labels: Mapping[Key, str] = field(default_factory=dict)  # Files of single frames, relative to the folder
     poses: Mapping[Key, PoseText] = field(default_factory=dict)
     pose_problem: str | None = None  # Why there are none although there is a file
@@ -113,12 +114,12 @@ class SceneFolder:
         pairs = pair_files(naming, colors, depths, root)
         require(pairs, "there is neither a colour picture nor depth", cause="was it unpacked to the end?", path=root)
         keys = {pair.key for pair in pairs}
-        each = {role: {naming(name): name for name in files.of(role)} for role in ("camera", "label")}
+        each = {role: {naming(name): name for name in files.of(role)} for role in ("camera", "label", "valid")}
         stated = NOTHING
         if not keys & each["camera"].keys():
             stated = stated_in_files((root / name for name in files.of("camera")[:MOST_CAMERA_FILES]), known)
         poses, problem = _poses(files, naming, [pair.key for pair in pairs])
-        return cls(files, pairs, stated, each["camera"], each["label"], poses, problem, keyed)
+        return cls(files, pairs, stated, each["camera"], each["valid"], each["label"], poses, problem, keyed)
 
     def camera(self, key: Key) -> Stated:
         """Camera facts of a frame."""
@@ -169,6 +170,8 @@ class FolderDataset(Recording):
         if any(scene.labels for scene in self._scenes.values()):
             self._names = read_label_names(root) or self.names
             self.class_names = tuple(dict.fromkeys(self._names.values())) or ("object",)
+        if valid := next((name for scene in self._scenes.values() for name in scene.valid.values()), None):
+            self.notes += (f"depth counts only where {valid} and its like are not 0",)
         self._check()
 
     def _naming(self) -> Naming | None:
@@ -217,7 +220,8 @@ class FolderDataset(Recording):
         stated = NOTHING if self._known else self._camera(scene, pair)
         label = scene.labels.get(pair.key)
         annotate = None if label is None else partial(label_annotations, scene.files.root / label, self._names)
-        return Listed(color, depth, stated, pose, annotate, self._up(pose))
+        valid = scene.files.root / scene.valid[pair.key] if pair.key in scene.valid else None
+        return Listed(color, depth, stated, pose, annotate, self._up(pose), valid)
 
     @property
     def _known(self) -> bool:

@@ -18,6 +18,7 @@ SUFFIXES = {
     "depth": DEPTH_SUFFIXES,
     "label": (".png",),
     "pose": (".txt",),
+    "valid": (".npy", ".png"),
     "camera": CAMERA_SUFFIXES,
     "color": COLOR_SUFFIXES,
 }
@@ -35,7 +36,12 @@ _ROLES = re.compile(
     r")(?:(?=crop)|(?![a-z]))",
     re.IGNORECASE,
 )
-_ORDER = ("other", "depth", "label", "pose", "camera", "color")
+_VALIDITY = re.compile(
+    r"(?<![a-z])(?:depth[-_ ]?(?:valid(?:ity)?|masks?)(?:[-_ ]?masks?)?|(?:valid(?:ity)?|masks?)[-_ ]?depth)(?![a-z])",
+    re.IGNORECASE,
+)
+"""A name of what tells where depth counts, which is no depth."""
+_ORDER = ("other", "valid", "depth", "label", "pose", "camera", "color")
 
 Key = tuple[str, ...]
 Naming = Callable[[str], Key]
@@ -50,7 +56,9 @@ def role_of(name: str) -> tuple[str, str]:
         found.add(match.lastgroup or "")
         return ""
 
-    rest = _ROLES.sub(take, name)
+    left = _VALIDITY.sub("", name)
+    found |= {"valid"} if left != name else set()
+    rest = _ROLES.sub(take, left)
     role = next((role for role in _ORDER if role in found), "")
     return role, re.sub(r"[-_. ]{2,}", "_", rest).strip("-_. ")
 
@@ -85,7 +93,7 @@ def files_by_role(root: Path, depth: bool = True) -> Files | None:
         return Files(root, True, own)
     if not ({"color", "depth"} if depth else {"color"}) <= roles:
         return None
-    wanted = ("color", "depth", "label", "pose", "camera")
+    wanted = ("color", "depth", "label", "pose", "camera", "valid")
     found = {role: _inside(root, folders, role) for role in wanted if depth or role != "depth"}
     found["camera"] = [*own.get("camera", ()), *found["camera"]]
     return Files(root, False, found)

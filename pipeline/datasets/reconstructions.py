@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -36,6 +37,7 @@ from pipeline.system.errors import InputError, needed, require
 OPENCV_OF_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 """From OpenCV's camera frame to OpenGL's: y and z are turned round."""
 TRANSFORMS = "transforms.json"
+INTEGER_DEPTH = "integer_depth_scale"
 MODEL_FOLDERS = ("", "sparse", "sparse/0", "colmap/sparse/0", "colmap/text", "colmap_text", "dense/sparse")
 FOCALS = {"SIMPLE_PINHOLE": 1, "SIMPLE_RADIAL": 1, "RADIAL": 1, "SIMPLE_RADIAL_FISHEYE": 1, "RADIAL_FISHEYE": 1}
 """How many focal lengths a camera model of COLMAP has, where it is not two; then cx cy and the lens follow."""
@@ -128,10 +130,29 @@ class NerfstudioDataset(PosedPictures):
             T = frame.get("transform_matrix")
             pose = None if T is None else partial(_opengl_pose, T, self.source)
             found[frame_id] = PosedPicture(color, depth, partial(_nerfstudio_camera, table, self.source), pose)
+        units = _integer_depth({**shared, **next((f for f in frames if isinstance(f, Mapping)), {})}, self.source)
+        if units is not None and self._settings.depth_scale is None:
+            # The maker's own unit is for files that state none.
+            self.notes = (f"the depth's unit is that of {INTEGER_DEPTH}, {units:g} to a metre of the poses",)
         return found if any(entry.depth for entry in found.values()) else self._with_depths(found)
 
 
+def _integer_depth(table: Mapping[str, Any], source: Path) -> float | None:
+    """Depth units in a metre of the poses by `integer_depth_scale`, what a stored whole number is multiplied with; see
+    https://github.com/NVlabs/instant-ngp/blob/master/docs/nerf_dataset_tips.md."""
+    scale = table.get(INTEGER_DEPTH)
+    if scale is None:
+        return None
+    (value,) = as_floats(scale, 1, source, INTEGER_DEPTH)
+    require(0 < value < np.inf, f"{INTEGER_DEPTH} must be positive", got=value, path=source)
+    return 1 / float(value)
+
+
 def _nerfstudio_camera(table: Mapping[str, Any], source: Path, picture: Path) -> Stated:
+    return replace(_pinhole_of(table, source, picture), units_per_metre=_integer_depth(table, source))
+
+
+def _pinhole_of(table: Mapping[str, Any], source: Path, picture: Path) -> Stated:
     stated = stated_in(dict(flat_numbers(table)), source)
     size = stated.size or picture_size(picture)
     if stated.K is not None:

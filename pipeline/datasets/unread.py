@@ -64,7 +64,7 @@ def naming_unread(root: Path, seen: set[str]) -> Iterator[None]:
 def unread_note(dataset: Recording, seen: set[str]) -> str:
     """The note of the files in the dataset's folder that were not used; "" where there are none."""
     pictures: list[Path] = []
-    for frame_id in dict.fromkeys((dataset.frame_ids[:1] + dataset.frame_ids[-1:])):
+    for frame_id in dict.fromkeys(dataset.frame_ids[:1] + dataset.frame_ids[-1:]):
         with suppress(InputError):
             pictures += dataset.look_through(frame_id)
     if not pictures:
