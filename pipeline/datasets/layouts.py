@@ -364,6 +364,7 @@ class YcbVideoDataset(FolderDataset):
     """
 
     format = "ycb-video"
+    again = r"(.*/)?[0-9]+-box\.txt"
     names: ClassVar = {number: name[4:].replace("_", " ") for number, name in enumerate(OBJECTS, start=1)}
 
     def _folders(self, root: Path) -> dict[str, Path]:

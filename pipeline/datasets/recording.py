@@ -67,6 +67,8 @@ class Recording:
 
     format = ""
     rule = DepthRule()
+    again = ""
+    """Pattern of files of the format that say what others say, by their paths: they need not be read."""
     one_size = False
     """Whether colour has the size of the depth, and is never resized to it."""
     documented: tuple[float, float, float, float] | None = None
@@ -217,9 +219,7 @@ class Recording:
         if np.isfinite(rule.farthest):
             metres[metres > rule.farthest] = 0
         elif notes is not None and (share := _cut_off(metres)):
-            notes.append(
-                f"{share:.0%} of the pixels lie at {metres.max():g} m, the farthest: is that where depth is cut?"
-            )
+            notes.append(f"{share:.0%} of the pixels lie at {metres.max():g} m, the farthest: is depth cut there?")
         return metres, unknown
 
     def _resized(self, rgb: np.ndarray, metres: np.ndarray, found: Listed, notes: list[str], first: bool) -> np.ndarray:

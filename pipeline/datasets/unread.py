@@ -73,6 +73,7 @@ def unread_note(dataset: Recording, seen: set[str]) -> str:
     used = {_relative(path, dataset.root) for path in (*seen, *map(str, pictures))}
     told: dict[str, bool] = {}
     for folder, names in _unused(dataset.root, used, parts):
+        names = [name for name in names if not re.fullmatch(dataset.again, name)]
         whole = bool(folder) and len(names) > MOST_OF_A_FOLDER
         label = [f"{folder}/ ({counted(len(names), 'file')})"] if whole else names
         told |= {name: _may_tell(dataset.root, one) for name, one in zip(label, names, strict=False)}
