@@ -146,7 +146,7 @@ def open_dataset(
             if candidate.recognises(root):
                 with watched() as seen, naming_unread(root, seen):
                     dataset = candidate.open(root, settings)
-                    say_unread(dataset, seen)
+                    say_unread(dataset, seen, settings)
                 if settings.pose_shift:
                     dataset = ShiftedPoses(dataset, settings.pose_shift)
                 if model is not None:

@@ -14,7 +14,7 @@ from pipeline.datasets.files import readable
 from pipeline.datasets.images import DEPTH_SUFFIXES
 from pipeline.datasets.pairing import COLOR_SUFFIXES, role_of
 from pipeline.datasets.recording import Recording
-from pipeline.datasets.settings import FILE_NAME
+from pipeline.datasets.settings import FILE_NAME, Settings
 from pipeline.language.counted import counted
 from pipeline.system.errors import InputError
 
@@ -39,10 +39,15 @@ _FOR_PEOPLE = re.compile(
 """Files that no reader reads."""
 
 
-def say_unread(dataset: Dataset, seen: set[str]) -> None:
+def say_unread(dataset: Dataset, seen: set[str], settings: Settings) -> None:
     """Put a note of the files that were not read before the dataset's notes. `seen` are the paths that were opened, as
-    `safe_files.watched` gathers them while the caller's block lasts."""
-    if isinstance(dataset, Recording) and dataset.root.is_dir() and (note := unread_note(dataset, seen)):
+    `safe_files.watched` gathers them while the caller's block lasts. Camera files are not missed where `settings` give the
+    camera."""
+    if (
+        isinstance(dataset, Recording)
+        and dataset.root.is_dir()
+        and (note := unread_note(dataset, seen, settings.intrinsics is not None))
+    ):
         dataset.notes = (note, *dataset.notes)
 
 
@@ -61,7 +66,7 @@ def naming_unread(root: Path, seen: set[str]) -> Iterator[None]:
         raise InputError(f"{str(error).removesuffix(where)}; not read: {named}", path=error.path) from error
 
 
-def unread_note(dataset: Recording, seen: set[str]) -> str:
+def unread_note(dataset: Recording, seen: set[str], camera_given: bool = False) -> str:
     """The note of the files in the dataset's folder that were not used; "" where there are none."""
     pictures: list[Path] = []
     for frame_id in dict.fromkeys(dataset.frame_ids[:1] + dataset.frame_ids[-1:]):
@@ -73,7 +78,8 @@ def unread_note(dataset: Recording, seen: set[str]) -> str:
     used = {_relative(path, dataset.root) for path in (*seen, *map(str, pictures))}
     told: dict[str, bool] = {}
     for folder, names in _unused(dataset.root, used, parts):
-        names = [name for name in names if not re.fullmatch(dataset.again, name)]
+        given = camera_given and (lambda name: role_of(PurePath(name).stem)[0] == "camera")
+        names = [name for name in names if not (re.fullmatch(dataset.again, name) or (given and given(name)))]
         whole = bool(folder) and len(names) > MOST_OF_A_FOLDER
         label = [f"{folder}/ ({counted(len(names), 'file')})"] if whole else names
         told |= {name: _may_tell(dataset.root, one) for name, one in zip(label, names, strict=False)}
