@@ -1,4 +1,4 @@
-"""Posed pictures of scene reconstructions: nerfstudio's `transforms.json`, COLMAP's text models.
+"""Posed pictures of scene reconstructions: nerfstudio's `transforms.json`, COLMAP's models.
 
 https://docs.nerf.studio/quickstart/data_conventions.html, https://colmap.github.io/format.html
 """
@@ -26,6 +26,7 @@ from pipeline.datasets.cameras import (
     pose_from_quaternion,
     stated_in,
 )
+from pipeline.datasets.colmap_binary import read_cameras, read_images
 from pipeline.datasets.files import as_floats, name_inside, numbered_lines, read_json, readable
 from pipeline.datasets.images import INTEGER_DEPTH_SUFFIXES, picture_size
 from pipeline.datasets.pairing import choose_naming, files_in_roles
@@ -169,27 +170,35 @@ def _opengl_pose(pose: Any, source: Path) -> np.ndarray:
 
 
 class ColmapDataset(PosedPictures):
-    """Pictures of a COLMAP text model, `cameras.txt` and `images.txt`; their poses are world-to-camera. The length of
-    the model's unit is whatever the reconstruction took it for: the poses are right up to scale."""
+    """Pictures of a COLMAP model, `cameras` and `images` as `.txt` or `.bin`; their poses are world-to-camera.
+
+    The length of the model's unit is whatever the reconstruction took it for: the poses are right up to scale.
+    """
 
     format = "colmap"
+    again = r"(.*/)?(cameras|images|points3D|rigs|frames|project)\.(bin|txt|ini|ply)"
 
     def _list(self) -> dict[str, PosedPicture]:
         folder = needed(_model(self.root), "no COLMAP model", path=self.root)
-        self.source = folder / "images.txt"
         cameras: dict[str, Sequence[str]] = {}
-        for _, line in numbered_lines(folder / "cameras.txt"):
-            number, *words = line.split()
-            cameras[number] = words
-        # The picture's line and its points' line take turns, and the points' may be empty.
-        lines = [line.split() for _, line in numbered_lines(self.source)]
-        pictures = [
-            words for words in lines if len(words) >= 10 and not words[9].lstrip("-").replace(".", "").isdigit()
-        ]
+        if (folder / "images.txt").is_file():
+            self.source = folder / "images.txt"
+            for _, line in numbered_lines(folder / "cameras.txt"):
+                number, *words = line.split()
+                cameras[number] = words
+            # The picture's line and its points' line take turns, and the points' may be empty.
+            lines = [line.split() for _, line in numbered_lines(self.source)]
+            pictures = [
+                words for words in lines if len(words) >= 10 and not words[9].lstrip("-").replace(".", "").isdigit()
+            ]
+        else:
+            self.source = folder / "images.bin"
+            cameras |= read_cameras(folder / "cameras.bin")
+            pictures = read_images(self.source)
         found: dict[str, PosedPicture] = {}
         for words in pictures:
-            name = " ".join(words[9:])
-            color = os.path.join(self._folder(name), name_inside(name, self.source, 0))
+            name = name_inside(" ".join(words[9:]), self.source, 0)
+            color = os.path.join(self._folder(name), name)
             stem = os.path.splitext(os.path.basename(color))[0]
             frame_id = stem if stem not in found else name
             camera = partial(_colmap_camera, cameras.get(words[8]), self.source)
@@ -229,7 +238,8 @@ def half_pixel(K: np.ndarray, size: tuple[int, int] | None, path: Path) -> State
 
 def _model(root: Path) -> Path | None:
     folders = (root / name for name in MODEL_FOLDERS)
-    return next((f for f in folders if {"cameras.txt", "images.txt"} <= set(readable(f)[1])), None)
+    kinds = ({"cameras.txt", "images.txt"}, {"cameras.bin", "images.bin"})
+    return next((f for f in folders for names in kinds if names <= set(readable(f)[1])), None)
 
 
 NERFSTUDIO = DatasetFormat(
@@ -240,7 +250,7 @@ NERFSTUDIO = DatasetFormat(
 )
 COLMAP = DatasetFormat(
     "colmap",
-    "colmap: cameras.txt and images.txt, here or in sparse/0/, with images/ and depth/",
+    "colmap: cameras.txt and images.txt, or both as .bin, here or in sparse/0/, with images/ and depth/",
     lambda root: _model(root) is not None,
     ColmapDataset,
 )

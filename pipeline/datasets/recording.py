@@ -179,7 +179,7 @@ class Recording:
         if given is not None:
             stated = Stated(intrinsics(*given), (wide, tall) if found.depth is None else (width, height))
         K = stated.scaled((width, height), (wide, tall))
-        if K is None and self.documented is not None:
+        if K is None and self.documented is not None and (size == (480, 640) or not self._settings.browse):
             require(
                 size == (480, 640),
                 f"the camera is not known: {self.rule.whose.removesuffix(' own')} own intrinsics are for 640x480",

@@ -26,7 +26,7 @@ from pipeline.datasets.files import Part, as_floats, readable
 from pipeline.datasets.pairing import role_of
 from pipeline.datasets.recording import Listed, Recording
 from pipeline.datasets.settings import Settings
-from pipeline.datasets.tum import match_times
+from pipeline.datasets.stamps import match_times
 from pipeline.system.errors import InputError, as_input_error, extra_module, needed, require
 from pipeline.system.limits import shown
 from pipeline.system.safe_files import BoundedPath, check_pixels, checked_path

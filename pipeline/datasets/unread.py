@@ -40,15 +40,14 @@ _FOR_PEOPLE = re.compile(
 
 
 def say_unread(dataset: Dataset, seen: set[str], settings: Settings) -> None:
-    """Put a note of the files that were not read before the dataset's notes. `seen` are the paths that were opened, as
-    `safe_files.watched` gathers them while the caller's block lasts. Camera files are not missed where `settings` give the
-    camera."""
-    if (
-        isinstance(dataset, Recording)
-        and dataset.root.is_dir()
-        and (note := unread_note(dataset, seen, settings.intrinsics is not None))
-    ):
-        dataset.notes = (note, *dataset.notes)
+    """Put a note of the files that were not read before the dataset's notes.
+
+    `seen` are the paths that were opened, as `safe_files.watched` gathers them while the caller's block lasts. Camera
+    files are not missed where `settings` give the camera.
+    """
+    if isinstance(dataset, Recording) and dataset.root.is_dir():
+        note = unread_note(dataset, seen, settings.intrinsics is not None)
+        dataset.notes = (note, *dataset.notes) if note else dataset.notes
 
 
 @contextmanager
@@ -78,8 +77,9 @@ def unread_note(dataset: Recording, seen: set[str], camera_given: bool = False) 
     used = {_relative(path, dataset.root) for path in (*seen, *map(str, pictures))}
     told: dict[str, bool] = {}
     for folder, names in _unused(dataset.root, used, parts):
-        given = camera_given and (lambda name: role_of(PurePath(name).stem)[0] == "camera")
-        names = [name for name in names if not (re.fullmatch(dataset.again, name) or (given and given(name)))]
+        names = [name for name in names if not re.fullmatch(dataset.again, name)]
+        if camera_given:
+            names = [name for name in names if role_of(PurePath(name).stem)[0] != "camera"]
         whole = bool(folder) and len(names) > MOST_OF_A_FOLDER
         label = [f"{folder}/ ({counted(len(names), 'file')})"] if whole else names
         told |= {name: _may_tell(dataset.root, one) for name, one in zip(label, names, strict=False)}
