@@ -24,6 +24,7 @@ from pipeline.datasets.files import as_floats, numbered_lines, read_matrix, read
 from pipeline.datasets.images import INTEGER_DEPTH_SUFFIXES, read_numbers
 from pipeline.datasets.pairing import (
     COLOR_SUFFIXES,
+    ByTime,
     Files,
     Key,
     Naming,
@@ -106,6 +107,7 @@ class SceneFolder:
     labels: Mapping[Key, str] = field(default_factory=dict)  # Files of single frames, relative to the folder
     poses: Mapping[Key, PoseText] = field(default_factory=dict)
     pose_problem: str | None = None  # Why there are none although there is a file
+    timed: bool = False  # Whether colour and depth belong together by nearest time
     keyed: bool = False  # Whether the format names the frames by their keys
 
     @classmethod
@@ -116,6 +118,7 @@ class SceneFolder:
         colors, depths = files.of("color"), files.of("depth")
         keyed = naming is not None
         naming = naming or choose_naming(colors, depths, files.flat)
+        depths = naming.matched(depths) if isinstance(naming, ByTime) else depths
         pairs = pair_files(naming, colors, depths, root)
         require(pairs, "there is neither a colour picture nor depth", cause="was it unpacked to the end?", path=root)
         keys = {pair.key for pair in pairs}
@@ -126,7 +129,8 @@ class SceneFolder:
             if stated.K is None and not known and not keyed:
                 stated = _by_fields(root, stated)
         poses, problem = _poses(files, naming, [pair.key for pair in pairs])
-        return cls(files, pairs, stated, each["camera"], each["valid"], each["label"], poses, problem, keyed)
+        each_role = each["camera"], each["valid"], each["label"]
+        return cls(files, pairs, stated, *each_role, poses, problem, isinstance(naming, ByTime), keyed)
 
     def camera(self, key: Key) -> Stated:
         """Camera facts of a frame."""
@@ -181,6 +185,8 @@ class FolderDataset(Recording):
         paths = (path for path, line, _ in texts if isinstance(line, Trajectory) and self.format == "folder")
         for path in dict.fromkeys(paths):
             self.notes += (f"poses are those of {path.name}, taken for camera-to-world: --poses tells another way",)
+        if any(scene.timed for scene in self._scenes.values()):
+            self.notes += ("colour and depth are paired by nearest time, within 20 ms: no two have the same",)
         if valid := next((name for scene in self._scenes.values() for name in scene.valid.values()), None):
             self.notes += (f"depth counts only where {valid} and its like are not 0",)
         self._check()

@@ -19,6 +19,7 @@ from pipeline.datasets import (
     replica,
     robospatial,
     saved_case,
+    scannetpp,
     semantic_abstraction,
     streams,
     sunrgbd,
@@ -56,6 +57,7 @@ FORMATS: tuple[DatasetFormat, ...] = (
     phones.RECORD3D,
     phone_apps.STRAY,
     phone_apps.POLYCAM,
+    scannetpp.SCANNETPP,
     reconstructions.NERFSTUDIO,
     reconstructions.COLMAP,
     layouts.REDWOOD,
@@ -180,6 +182,8 @@ OF_FILE = {
     "archive": ("an archive is not read in place", "the folder that it unpacks to"),
     "array file": ("a single array file is no recording", LAYOUT),
 }
+SPECTACULAR = {"data.jsonl", "calibration.json"}
+"""What a recording of Spectacular AI has, https://spectacularai.github.io/docs/sdk/recording.html."""
 HALVES = {
     "rgb.txt": "rgb.txt of TUM without depth.txt",
     "depth.txt": "depth.txt of TUM without rgb.txt",
@@ -216,6 +220,9 @@ def _folder(root: Path, recognised: Callable[[Path], bool]) -> tuple[str, str]:
     pictures = within + sum(kind_of(name) == "picture" and name not in depths for name in files)
     if not folders and not files:
         return "the folder is empty", LAYOUT
+    if set(files) >= SPECTACULAR:
+        what = "a recording of Spectacular AI: colour is a video, and its poses are not in data.jsonl yet"
+        return what, "what `sai-cli process RECORDING OUTPUT` writes of it: transforms.json, images/ and depth"
     if half:
         return half, "both"
     if kinds["capture"]:

@@ -15,6 +15,7 @@ from pipeline.datasets.cameras import NOTHING, Stated
 from pipeline.datasets.files import Blob
 from pipeline.datasets.images import END_OF_RANGE, exif_focal, read_color, read_depth, read_stored, valid_pixels
 from pipeline.datasets.settings import DEPTH_SCALE, FILE_NAME, INTRINSICS, Settings, unit_notes
+from pipeline.datasets.turned import turn_to
 from pipeline.geometry.camera import Camera, intrinsics, standard_poses
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.registration import Registration, registered
@@ -227,6 +228,15 @@ class Recording:
         (height, width), whole = metres.shape, rgb.shape[:2]
         measured = found.depth is not None
         off = abs(whole[1] * height / (whole[0] * width) - 1)
+        if measured and off > SAME_SHAPE and abs(whole[0] * height / (whole[1] * width) - 1) <= SAME_SHAPE:
+            turn = turn_to(rgb, metres)
+            raise InputError(
+                "colour and depth are turned against one another by 90 degrees",
+                got=f"colour {whole[1]}x{whole[0]}, depth {width}x{height}",
+                expected=f"colour turned {turn or 'clockwise or counter-clockwise, which the outlines do not tell'}",
+                cause="phones store depth as the sensor lies; the intrinsics are then those of the turned picture",
+                path=found.depth,
+            )
         require(
             not measured or (off <= SAME_SHAPE and not self.one_size),
             "colour and depth differ in size",
