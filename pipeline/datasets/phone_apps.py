@@ -124,9 +124,7 @@ class PolycamDataset(Recording):
         self.frame_ids = tuple(sorted(self._parts[0], key=natural))
         require(self.frame_ids, "a capture without pictures", path=folder / kinds[0])
         if not corrected:
-            self.notes += (
-                "there are no corrected pictures and cameras: poses are ARKit's own, and the lens is left in",
-            )
+            self.notes += ("without corrected pictures and cameras: the poses are ARKit's own, and lenses distort",)
 
     def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         color, camera, depth = (part.get(frame_id) for part in self._parts)

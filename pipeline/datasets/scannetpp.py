@@ -49,7 +49,7 @@ class ScanNetPlusDataset(Recording):
         self._at = () if self._depths else depth_places(self._folder / DEPTHS)
         ids = sorted(self._table, key=natural)
         # What was unpacked may be every tenth frame only.
-        ids = [i for i in ids if numbers(i) and (not self._colors or i in self._colors)]
+        ids = [i for i in ids if numbers(f"{i}.") and (not self._colors or i in self._colors)]
         self.frame_ids = tuple(i for i in ids if not self._depths or i in self._depths)
         require(self.frame_ids, "no frame has colour, depth and an entry of the table", path=self._folder / FACTS)
 

@@ -19,7 +19,8 @@ def turn_to(rgb: np.ndarray, depth: np.ndarray) -> str | None:
     for name, turns in TURNS.items():
         turned = cv2.resize(np.ascontiguousarray(np.rot90(rgb, turns)), size, interpolation=cv2.INTER_AREA)
         grey = cv2.cvtColor(turned, cv2.COLOR_RGB2GRAY)
-        scores[name] = float(np.corrcoef(_outlines(grey).ravel(), _outlines(depth).ravel())[0, 1])
+        pair = [outlines - outlines.mean() for outlines in (_outlines(grey), _outlines(depth))]
+        scores[name] = float(np.vdot(*pair) / max(float(np.prod([np.linalg.norm(one) for one in pair])), 1e-9))
     best, other = sorted(scores, key=lambda name: -scores[name])
     return best if scores[best] > scores[other] + CLEARLY else None
 
