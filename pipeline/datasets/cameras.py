@@ -101,9 +101,35 @@ class Stated:
 NOTHING = Stated()
 
 
+def is_small(path: Path) -> bool:
+    """Whether a file is no larger than a camera file may be."""
+    return path.is_file() and path.stat().st_size <= LARGEST_BYTES
+
+
 def read_stated(path: Blob) -> Stated:
-    """Read the camera facts of a file."""
-    return stated_in(dict(_named_numbers(path)), path)
+    """Read the camera facts of a file; InputError where it is of several cameras that differ."""
+    table = dict(_named_numbers(path))
+    cameras = {where: K for where in _places(table) if (K := stated_in(_inside(table, where)).K) is not None}
+    several = [where for where, K in cameras.items() if not np.allclose(K, next(iter(cameras.values())), atol=0.5)]
+    require(
+        not several,
+        "a file of several cameras",
+        got=lambda: ", ".join(where or "the file itself" for where in cameras)[:120],
+        expected="--intrinsics fx,fy,cx,cy of the one that depth is stored for",
+        path=path,
+    )
+    return stated_in(table, path)
+
+
+def _places(table: Mapping[str, np.ndarray]) -> list[str]:
+    """Where in a table numbers stand: names without their last part, and without the "data" of a matrix."""
+    return list(dict.fromkeys(name.removesuffix(".data").rpartition(".")[0] for name in table))
+
+
+def _inside(table: Mapping[str, np.ndarray], where: str) -> dict[str, np.ndarray]:
+    start = f"{where}." if where else ""
+    own = {name.removeprefix(start): numbers for name, numbers in table.items() if name.startswith(start)}
+    return {name: numbers for name, numbers in own.items() if "." not in name.removesuffix(".data")}
 
 
 def stated_in(table: Mapping[str, np.ndarray], path: Blob | None = None) -> Stated:

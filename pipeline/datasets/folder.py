@@ -14,6 +14,7 @@ from pipeline.datasets.base import DatasetFormat
 from pipeline.datasets.cameras import (
     NOTHING,
     Stated,
+    is_small,
     or_note,
     pose_from_matrix,
     pose_from_quaternion,
@@ -42,7 +43,7 @@ from pipeline.datasets.trajectories import NAMES, Trajectory, read_trajectory
 from pipeline.geometry.frame import Annotation
 from pipeline.geometry.masks import mask_box
 from pipeline.language.counted import counted
-from pipeline.system.errors import needed, require
+from pipeline.system.errors import in_file, needed, require
 from pipeline.system.safe_files import without_use
 
 NAME_FILES = ("labels.txt", "classes.txt", "image_sets/classes.txt", "label_names.txt")
@@ -117,7 +118,8 @@ class SceneFolder:
         root = files.root
         colors, depths = files.of("color"), files.of("depth")
         keyed = naming is not None
-        naming = naming or choose_naming(colors, depths, files.flat)
+        with in_file(root):
+            naming = naming or choose_naming(colors, depths, files.flat)
         depths = naming.matched(depths) if isinstance(naming, ByTime) else depths
         pairs = pair_files(naming, colors, depths, root)
         require(pairs, "there is neither a colour picture nor depth", cause="was it unpacked to the end?", path=root)
@@ -277,7 +279,7 @@ def _poses(files: Files, naming: Naming, keys: list[Key]) -> tuple[dict[Key, Pos
 
 def _by_fields(root: Path, known: Stated) -> Stated:
     """The camera of the only files beside the pictures that name its numbers, whatever they are called."""
-    names = [name for name in readable(root)[1] if name.lower().endswith(NAMED_NUMBERS)]
+    names = [n for n in readable(root)[1] if n.lower().endswith(NAMED_NUMBERS) and is_small(root / n)]
     found: list[Path] = []
     for name in names[:MOST_CAMERA_FILES]:
         stated = or_note([], "", read_stated, root / name) or NOTHING

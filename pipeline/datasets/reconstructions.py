@@ -39,7 +39,18 @@ OPENCV_OF_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 """From OpenCV's camera frame to OpenGL's: y and z are turned round."""
 TRANSFORMS = "transforms.json"
 INTEGER_DEPTH = "integer_depth_scale"
-MODEL_FOLDERS = ("", "sparse", "sparse/0", "colmap/sparse/0", "colmap/text", "colmap_text", "dense/sparse")
+MODEL_FOLDERS = (
+    "",
+    "sparse",
+    "sparse/0",
+    "colmap/sparse/0",
+    "colmap/sparse",
+    "colmap/text",
+    "colmap_text",
+    "dense/sparse",
+    "dense/0/sparse",
+    "distorted/sparse/0",
+)
 FOCALS = {"SIMPLE_PINHOLE": 1, "SIMPLE_RADIAL": 1, "RADIAL": 1, "SIMPLE_RADIAL_FISHEYE": 1, "RADIAL_FISHEYE": 1}
 """How many focal lengths a camera model of COLMAP has, where it is not two; then cx cy and the lens follow."""
 

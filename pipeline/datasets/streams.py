@@ -219,7 +219,7 @@ def _unit_topic(stream: Stream, depth: str) -> str | None:
 
     https://github.com/IntelRealSense/librealsense/blob/master/src/media/ros/ros_file_format.h
     """
-    told = [t for t, kind in stream.kinds.items() if kind in FLOATS and re.search("depth_?units?(?![a-z])", t, re.I)]
+    told = [t for t, kind in stream.kinds.items() if kind in FLOATS and re.search("depth[_ ]?units?(?![a-z])", t, re.I)]
     return max(sorted(told), key=lambda topic: len(commonpath([topic, depth])), default=None)
 
 

@@ -15,7 +15,7 @@ from pipeline.datasets.stamps import ROUNDING, WITHIN, as_seconds, nearest
 from pipeline.system.errors import InputError, require
 
 NAMES = re.compile(
-    r"(camera_?|cam_?|gt_?|est_?|estimated_?)?(traj(ectory)?|odom(etry)?|ground_?truth|poses?|path|arkit_?poses?)"
+    r"(camera_?|cam_?|key_?frame_?|gt_?|est_?|estimated_?)?(traj(ectory)?|odom(etry)?|ground_?truth|poses?|path|arkit_?poses?)"
     r"(_?(gt|tum|c2w|camera))?\.(txt|csv|tum|log)|.*\.gt\.freiburg|.*\.freiburg|.*\.tum",
     re.IGNORECASE,
 )

@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path, PurePath
 
 from pipeline.datasets.base import Dataset
-from pipeline.datasets.cameras import CAMERA_SUFFIXES, NOTHING, or_note, read_stated
+from pipeline.datasets.cameras import CAMERA_SUFFIXES, NOTHING, is_small, or_note, read_stated
 from pipeline.datasets.files import readable
 from pipeline.datasets.images import DEPTH_SUFFIXES
 from pipeline.datasets.pairing import COLOR_SUFFIXES, role_of
@@ -113,11 +113,12 @@ def _unused(root: Path, used: set[str], parts: frozenset[str]) -> Iterator[tuple
         where = _alike(f"{folder or '.'}/", parts)
         suffixes = {suffix for place, suffix in kinds if place == where}
         left: list[str] = []
+        among = suffixes | set(_PICTURES) if suffixes & set(_PICTURES) else suffixes if folder else set[str]()
         for name in names:
-            path, suffix = f"{folder}/{name}" if folder else name, PurePath(name).suffix.lower()
-            like = _alike(path, parts) in alike or (folder and suffix in suffixes)
-            beside = suffix in _PICTURES and suffixes & set(_PICTURES)
-            if not (like or beside or name == FILE_NAME or _FOR_PEOPLE.fullmatch(name)):
+            if os.path.splitext(name)[1].lower() in among or name == FILE_NAME or _FOR_PEOPLE.fullmatch(name):
+                continue
+            path = f"{folder}/{name}" if folder else name
+            if _alike(path, parts) not in alike:
                 left.append(path)
         if left:
             yield folder, left
@@ -138,7 +139,9 @@ def _may_tell(root: Path, name: str) -> bool:
     path = PurePath(name)
     if path.suffix.lower() not in _FACT_SUFFIXES:
         return False
-    if role_of(path.stem)[0] in ("camera", "pose") or _FACTS.search(path.name):
+    roles = {role_of(part)[0] for part in (*path.parts[:-1], path.stem)}
+    if roles & {"camera", "pose"} or _FACTS.search(path.name):
         return True
-    stated = or_note([], "", read_stated, root / name) if path.suffix.lower() in CAMERA_SUFFIXES else None
-    return (stated or NOTHING).K is not None
+    if path.suffix.lower() not in CAMERA_SUFFIXES or not is_small(root / name):
+        return False
+    return (or_note([], "", read_stated, root / name) or NOTHING).K is not None

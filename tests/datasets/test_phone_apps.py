@@ -93,6 +93,7 @@ def test_scannetpp_iphone(tmp_path: Path, how: str) -> None:
         frame = dataset.load(frame_id)
         assert frame.depth.shape == (192, 256)
         assert np.allclose(frame.depth[:HEIGHT, :WIDTH], truth.depth, atol=0.0011)
+        assert frame.camera.T_world_camera is not None
         assert np.allclose(frame.camera.T_world_camera, truth.T_world_camera, atol=1e-9)
         assert np.abs(frame.rgb.astype(int) - truth.rgb[0, 0]).max() <= 2
     if how != "unpacked":
@@ -112,6 +113,7 @@ def test_replica_as_nice_slam_has_it(tmp_path: Path, inside: str) -> None:
         frame = dataset.load(frame_id)
         assert np.allclose(frame.depth, truth.depth, atol=1 / 6553)
         assert np.allclose(frame.camera.K, K)
+        assert frame.camera.T_world_camera is not None
         assert np.allclose(frame.camera.T_world_camera, truth.T_world_camera, atol=1e-9)
     (tmp_path / "cam_params.json").unlink()
     refused(lambda: open_dataset(room), "camera", "--intrinsics")

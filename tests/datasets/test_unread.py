@@ -185,8 +185,7 @@ def test_a_camera_is_read_by_the_names_of_its_numbers(tmp_path: Path, name: str,
     made = write_folder(tmp_path, [1, 2])
     (tmp_path / name).write_text(text)
     (tmp_path / "settings_of_the_robot.json").write_text('{"speed": [1, 2, 3, 4], "width": 9}')
-    given_ = {} if "scale" in text else {"depth_scale": 1000}
-    frame = open_dataset(tmp_path, **given_).load("1")
+    frame = open_dataset(tmp_path, depth_scale=None if "scale" in text else 1000).load("1")
     assert np.allclose(frame.camera.K, K)
     assert np.array_equal(frame.depth, made[0].depth)
     assert "settings_of_the_robot.json" in unread(tmp_path)
@@ -300,3 +299,17 @@ def test_a_turned_colour_picture_is_told_with_the_turn(tmp_path: Path, turn: str
         write_png(tmp_path / f"rgb/{number}.png", back)
         write_png(tmp_path / f"depth/{number}.png", depth.astype(np.uint16))
     refused(lambda: open_dataset(tmp_path, **FOLDER).load("1"), "96x128", "128x96", f"colour turned {turn}")
+
+
+def test_a_file_of_several_cameras_is_not_guessed_from(tmp_path: Path) -> None:
+    write_folder(tmp_path, [1, 2])
+    one, other = {"fx": 60, "fy": 61, "ppx": 31.5, "ppy": 23.5}, {"fx": 50, "fy": 51, "ppx": 30.5, "ppy": 22.5}
+    path = tmp_path / "intrinsics.json"
+    path.write_text(json.dumps({"depth": one, "color": other}))
+    refused(lambda: open_dataset(tmp_path, depth_scale=1000), "--intrinsics", "not read: intrinsics.json")
+    path.write_text(json.dumps({"depth": one, "color": one}))
+    assert np.allclose(open_dataset(tmp_path, depth_scale=1000).load("1").camera.K, K)
+    matrices = "left:\n  camera_matrix: [60, 0, 31.5, 0, 61, 23.5, 0, 0, 1]\n"
+    path = path.rename(tmp_path / "intrinsics.yaml")
+    path.write_text(matrices + matrices.replace("left", "right").replace("60", "50"))
+    refused(lambda: open_dataset(tmp_path, depth_scale=1000), "--intrinsics", "not read: intrinsics.yaml")
