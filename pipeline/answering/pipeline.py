@@ -15,6 +15,7 @@ from pipeline.answering.predictions import Prediction, Predictions
 from pipeline.datasets import Dataset, open_dataset, resolve_frame
 from pipeline.datasets.base import Frames
 from pipeline.datasets.demo import DEMO_NAME, demo_path
+from pipeline.datasets.unread import telling_files
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.expression import Reader, parse
@@ -293,6 +294,7 @@ def open_sources(path: str | Path, **options: Any) -> tuple[dict[str, Pipeline],
                 left_out[inside.name] = str(error)
         if not pipelines:
             raise
+        left_out |= dict.fromkeys(telling_files(folder), "not read; a camera, poses or a unit may stand in it")
         return pipelines, left_out
 
 

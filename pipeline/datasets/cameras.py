@@ -56,6 +56,9 @@ _UNITS = (
 )
 """Names of the depth's unit, written either way; "scale" speaks of it beside a camera's other numbers."""
 
+_WORDS = {"mm": 1000.0, "millimetre": 1000.0, "millimeter": 1000.0, "millimetres": 1000.0, "millimeters": 1000.0}
+"""Names of a unit of depth, by how many make a metre."""
+
 
 @dataclass(frozen=True)
 class Stated:
@@ -156,7 +159,8 @@ def stated_in(table: Mapping[str, np.ndarray], path: Blob | None = None) -> Stat
         if K is not None and bare.size == 6:
             size = _size(float(bare[0]), float(bare[1]))
     names = _UNITS if K is not None else _UNITS[:-1]
-    return Stated(K, size, _units(_first(last, names)), path, K is not None and "" not in table)
+    units = next((unit for name in names if (unit := _units(_first(last, (name,)))) is not None), None)
+    return Stated(K, size, units, path, K is not None and "" not in table)
 
 
 def stated_in_files(paths: Iterable[Path], known: bool = False) -> Stated:
@@ -245,7 +249,10 @@ def flat_numbers(value: Any, name: str = "") -> Iterator[tuple[str, np.ndarray]]
     if isinstance(value, Mapping):
         for key, inside in value.items():
             yield from flat_numbers(inside, f"{name}.{key}" if name else str(key))
-    elif not isinstance(value, str | bool | None):
+    elif isinstance(value, str):
+        if name.rpartition(".")[2].lower() in _UNITS[:-1] and value.strip().lower() in _WORDS:
+            yield name, np.array([_WORDS[value.strip().lower()]])
+    elif not isinstance(value, bool | None):
         try:
             numbers = np.asarray(value, dtype=np.float64).ravel()
         except (TypeError, ValueError, OverflowError):

@@ -145,8 +145,8 @@ def read_stored(path: Blob, rotated: int = 0) -> np.ndarray:
     """Stored depth (H, W) of 16-bit or larger integers or floats; see `read_depth`."""
     content = path.read() if isinstance(path, Part) else read_bytes(path)
     stored = content if isinstance(content, np.ndarray) else _decode_depth(content, path)
-    if stored.ndim == 3 and stored.shape[2] == 1:
-        stored = stored[..., 0]
+    if stored.ndim == 3 and 1 in (stored.shape[0], stored.shape[2]):
+        stored = stored[..., 0] if stored.shape[2] == 1 else stored[0]
     require(
         stored.dtype.itemsize != 1,
         "depth of 8 bits",

@@ -104,6 +104,7 @@ class ScanNetDataset(FolderDataset):
     """
 
     format = "scannet"
+    again = r"intrinsic/.*"
     rule = DepthRule(1000.0, "ScanNet's")
     parts: ClassVar = {"color": "color", "depth": "depth", "pose": "pose"}
 

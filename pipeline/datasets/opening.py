@@ -182,6 +182,18 @@ OF_FILE = {
     "archive": ("an archive is not read in place", "the folder that it unpacks to"),
     "array file": ("a single array file is no recording", LAYOUT),
 }
+OTHER_CAPTURES = {
+    ".mkv": ("a video, which Azure Kinect stores depth in", "what Open3D's azure_kinect_mkv_reader.py makes of it"),
+    ".svo": ("a recording of a ZED camera", "pictures and depth of it: svo_export of the ZED SDK, mode 4"),
+    ".svo2": ("a recording of a ZED camera", "pictures and depth of it: svo_export of the ZED SDK, mode 4"),
+    ".sens": (
+        "a recording of ScanNet",
+        "what its SensReader unpacks: color/, depth/, pose/, intrinsic/",
+    ),
+    ".oni": ("a recording of OpenNI", LAYOUT),
+    ".klg": ("a log of ElasticFusion", LAYOUT),
+}
+"""Captures that are known and not read, by ending: what they are, and what would do."""
 SPECTACULAR = {"data.jsonl", "calibration.json"}
 """What a recording of Spectacular AI has, https://spectacularai.github.io/docs/sdk/recording.html."""
 HALVES = {
@@ -204,7 +216,7 @@ def unknown(path: Path, recognised: Callable[[Path], bool]) -> UnknownFormat:
     """Error for an unrecognised path: contents and advice in a line. `recognised` says whether a reader would open
     another one."""
     fallback = "a file is no dataset", "its folder, or a capture: " + ", ".join(CAPTURE_SUFFIXES)
-    of_file = OF_FILE.get(kind_of(path.name), fallback)
+    of_file = OTHER_CAPTURES.get(path.suffix.lower(), OF_FILE.get(kind_of(path.name), fallback))
     what, expected = of_file if path.is_file() else _folder(path, recognised)
     return UnknownFormat(f"no dataset is recognised here: {what}", expected=expected, path=path)
 
@@ -225,6 +237,9 @@ def _folder(root: Path, recognised: Callable[[Path], bool]) -> tuple[str, str]:
         return what, "what `sai-cli process RECORDING OUTPUT` writes of it: transforms.json, images/ and depth"
     if half:
         return half, "both"
+    if other := next((name for name in files if Path(name).suffix.lower() in OTHER_CAPTURES), None):
+        what, expected = OTHER_CAPTURES[Path(other).suffix.lower()]
+        return f"{other}: {what}", expected
     if kinds["capture"]:
         captures = [name for name in files if kind_of(name) == "capture"]
         return f"a folder with {captures[0]}", f"the capture itself: {root / captures[0]}"

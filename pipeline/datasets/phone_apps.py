@@ -39,6 +39,7 @@ class StrayDataset(Recording):
 
     format = "stray-scanner"
     rule = DepthRule(1000.0, "Stray Scanner's")
+    again = r"rgb\.mp4"
 
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)

@@ -44,6 +44,7 @@ class TumDataset(Recording):
     """
 
     format = "tum"
+    again = r"assoc\w*\.txt"
     rule = DepthRule(5000.0, "TUM's")
 
     def __init__(self, root: Path, settings: Settings) -> None:

@@ -65,6 +65,11 @@ def naming_unread(root: Path, seen: set[str]) -> Iterator[None]:
         raise InputError(f"{str(error).removesuffix(where)}; not read: {named}", path=error.path) from error
 
 
+def telling_files(folder: Path) -> list[str]:
+    """Files of a folder of datasets, itself none, that may tell a camera, poses or a unit of them."""
+    return [n for n in readable(folder)[1] if not _FOR_PEOPLE.fullmatch(n) and _may_tell(folder, n)]
+
+
 def unread_note(dataset: Recording, seen: set[str], camera_given: bool = False) -> str:
     """The note of the files in the dataset's folder that were not used; "" where there are none."""
     pictures: list[Path] = []
@@ -100,8 +105,9 @@ def _relative(path: str, root: Path) -> str:
 def _alike(name: str, parts: frozenset[str]) -> str:
     """A name with its numbers and the names of scenes left open: what it has in common with those of other frames."""
     folders, _, file = name.rpartition("/")
-    opened = ["*" if part in parts else re.sub("[0-9]+", "#", part) for part in folders.split("/")]
-    return "/".join([*opened, re.sub("[0-9]+", "#", file)])
+    stem, dot, suffix = file.rpartition(".")
+    opened = ["*" if part in parts else re.sub("[0-9]+", "#", part) for part in (*folders.split("/"), stem)]
+    return "/".join(opened) + dot + suffix
 
 
 def _unused(root: Path, used: set[str], parts: frozenset[str]) -> Iterator[tuple[str, list[str]]]:
@@ -113,7 +119,7 @@ def _unused(root: Path, used: set[str], parts: frozenset[str]) -> Iterator[tuple
         where = _alike(f"{folder or '.'}/", parts)
         suffixes = {suffix for place, suffix in kinds if place == where}
         left: list[str] = []
-        among = suffixes | set(_PICTURES) if suffixes & set(_PICTURES) else suffixes if folder else set[str]()
+        among = set(_PICTURES) if suffixes & set(_PICTURES) else set[str]()
         for name in names:
             if os.path.splitext(name)[1].lower() in among or name == FILE_NAME or _FOR_PEOPLE.fullmatch(name):
                 continue

@@ -23,6 +23,8 @@ class Video:
     def __init__(self, path: Path) -> None:
         self.path, self._lock, self._next = checked_path(path, "unpacked"), Lock(), 0
         self._capture = cv2.VideoCapture(str(path))
+        # What a container says of turning is for players; depth beside it is not turned.
+        self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
         sides = [int(self._capture.get(side)) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)]
         require(
             self._capture.isOpened() and min(sides) > 0,
@@ -32,8 +34,6 @@ class Video:
         )
         within(sides[0] * sides[1], "pixels", "a picture of a video", path, limits_of(path))
         self.size = sides[0], sides[1]  # (width, height), pixels, of the pictures as they are stored
-        # What a container says of turning is for players; depth beside it is not turned.
-        self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
         self.count = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
 
     def picture(self, number: int) -> np.ndarray:

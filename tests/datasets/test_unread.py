@@ -16,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from reader_checks import FOLDER, refused
 
+from pipeline.answering.pipeline import open_sources
 from pipeline.datasets import dataset_notes, open_dataset
 from pipeline.datasets.cameras import or_note
 from pipeline.datasets.images import end_of_range
@@ -313,3 +314,32 @@ def test_a_file_of_several_cameras_is_not_guessed_from(tmp_path: Path) -> None:
     path = path.rename(tmp_path / "intrinsics.yaml")
     path.write_text(matrices + matrices.replace("left", "right").replace("60", "50"))
     refused(lambda: open_dataset(tmp_path, depth_scale=1000), "--intrinsics", "not read: intrinsics.yaml")
+
+
+@pytest.mark.parametrize("name", ["a.mkv", "a.svo2", "a.sens"])
+def test_captures_that_are_not_read_are_named_with_what_unpacks_them(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_bytes(b"1234")
+    words = {"a.mkv": "azure_kinect_mkv_reader", "a.svo2": "svo_export", "a.sens": "SensReader"}[name]
+    refused(lambda: open_dataset(tmp_path), name, words)
+    refused(lambda: open_dataset(tmp_path / name), name, words)
+
+
+def test_a_unit_in_words_and_depth_with_a_leading_axis(tmp_path: Path) -> None:
+    made = truths(2)
+    for number, truth in enumerate(made):
+        write_png(tmp_path / f"rgb/{number}.png", truth.rgb)
+        (tmp_path / "depth").mkdir(exist_ok=True)
+        np.save(tmp_path / f"depth/{number}.npy", truth.millimetres[None])
+    camera = {"cam_K": K.ravel().tolist(), "depth_scale": 1.0, "depth_unit": "millimetre"}
+    (tmp_path / "camera.json").write_text(json.dumps(camera))
+    frame = open_dataset(tmp_path).load("0")
+    assert np.array_equal(frame.depth, made[0].depth)
+
+
+def test_what_lies_above_several_datasets_is_named(tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        write_folder(tmp_path / name, [1, 2])
+    (tmp_path / "camera_params.json").write_text('{"fx": 60, "fy": 61, "x_offset": 31.5, "y_offset": 23.5}')
+    opened, left_out = open_sources(tmp_path, browse=True)
+    assert set(opened) == {"one", "two"}
+    assert "camera" in left_out["camera_params.json"]
