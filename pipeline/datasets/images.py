@@ -84,8 +84,8 @@ def read_mask(path: Blob) -> np.ndarray:
 
 END_OF_RANGE = 0.01
 """Share of the pixels above which a value at the end of a range of whole bits stands for no depth."""
-FARTHEST_FLOAT = 1000.0
-"""Metres; floats above stand for no depth, where more than `END_OF_RANGE` of the pixels hold the same."""
+FARTHEST_FLOAT = 1e5
+"""A float from here on is no depth in metres or millimetres, where more than `END_OF_RANGE` of the pixels hold it."""
 
 
 def end_of_range(stored: np.ndarray) -> float | None:
@@ -97,7 +97,8 @@ def end_of_range(stored: np.ndarray) -> float | None:
         return None
     if stored.dtype.kind == "f":
         largest = float(np.max(stored, initial=0.0, where=np.isfinite(stored)))
-        ends = largest >= FARTHEST_FLOAT or abs(largest - 65.535) < 1e-4  # 65535 as millimetres
+        # Floats may be millimetres; 65535 may stand as these or in metres.
+        ends = largest >= FARTHEST_FLOAT or largest == 65535 or abs(largest - 65.535) < 1e-4
     else:
         largest = int(stored.max())
         if largest == np.iinfo(np.uint16).max:
