@@ -29,6 +29,7 @@ from pipeline.relations import RelationScorer, RelationScores, make_scorer
 from pipeline.system.detector_setup import DetectorSetup, Fusion
 from pipeline.system.errors import FrameUnusable, InputError, UnknownFormat, require
 from pipeline.system.remote import local_path
+from pipeline.system.safe_files import watched
 
 ALL_FRAMES = "all"
 Skipped = Callable[[str, str], None]
@@ -287,14 +288,15 @@ def open_sources(path: str | Path, **options: Any) -> tuple[dict[str, Pipeline],
             raise
         pipelines: dict[str, Pipeline] = {}
         left_out: dict[str, str] = {}
-        for inside in sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith(".")):
-            try:
-                pipelines[inside.name] = open_pipeline(inside, **options)
-            except InputError as error:
-                left_out[inside.name] = str(error)
+        with watched() as seen:
+            for inside in sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith(".")):
+                try:
+                    pipelines[inside.name] = open_pipeline(inside, **options)
+                except InputError as error:
+                    left_out[inside.name] = str(error)
         if not pipelines:
             raise
-        left_out |= dict.fromkeys(telling_files(folder), "not read; a camera, poses or a unit may stand in it")
+        left_out |= dict.fromkeys(telling_files(folder, seen), "not read; a camera, poses or a unit may stand in it")
         return pipelines, left_out
 
 

@@ -65,9 +65,12 @@ def naming_unread(root: Path, seen: set[str]) -> Iterator[None]:
         raise InputError(f"{str(error).removesuffix(where)}; not read: {named}", path=error.path) from error
 
 
-def telling_files(folder: Path) -> list[str]:
-    """Files of a folder of datasets, itself none, that may tell a camera, poses or a unit of them."""
-    return [n for n in readable(folder)[1] if not _FOR_PEOPLE.fullmatch(n) and _may_tell(folder, n)]
+def telling_files(folder: Path, seen: set[str]) -> list[str]:
+    """Files of a folder of datasets, itself none, that may tell a camera, poses or a unit of them, and are not among
+    those that were `seen`."""
+    used = {os.path.realpath(path) for path in seen}
+    names = [name for name in readable(folder)[1] if not _FOR_PEOPLE.fullmatch(name) and _may_tell(folder, name)]
+    return [name for name in names if os.path.realpath(folder / name) not in used]
 
 
 def unread_note(dataset: Recording, seen: set[str], camera_given: bool = False) -> str:
@@ -99,7 +102,7 @@ def unread_note(dataset: Recording, seen: set[str], camera_given: bool = False) 
 
 
 def _relative(path: str, root: Path) -> str:
-    return os.path.relpath(os.path.normpath(path), os.path.normpath(root)).replace(os.sep, "/")
+    return os.path.relpath(os.path.abspath(path), os.path.abspath(root)).replace(os.sep, "/")
 
 
 def _alike(name: str, parts: frozenset[str]) -> str:

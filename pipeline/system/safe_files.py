@@ -99,11 +99,14 @@ _WATCHED: ContextVar[set[str] | None] = ContextVar("watched", default=None)
 def watched() -> Iterator[set[str]]:
     """Collect the paths of the files that are opened inside the block."""
     seen: set[str] = set()
+    around = _WATCHED.get()
     token = _WATCHED.set(seen)
     try:
         yield seen
     finally:
         _WATCHED.reset(token)
+        if around is not None:
+            around |= seen
 
 
 def without_use(path: Any) -> None:

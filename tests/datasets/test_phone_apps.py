@@ -19,6 +19,7 @@ from app_writers import (
 from dataset_writers import HEIGHT, WIDTH, K, Truth, write_png
 from reader_checks import refused
 
+from pipeline.answering.pipeline import open_sources
 from pipeline.datasets import dataset_notes, open_dataset
 from pipeline.geometry.frame import Frame
 
@@ -115,6 +116,7 @@ def test_replica_as_nice_slam_has_it(tmp_path: Path, inside: str) -> None:
         assert np.allclose(frame.camera.K, K)
         assert frame.camera.T_world_camera is not None
         assert np.allclose(frame.camera.T_world_camera, truth.T_world_camera, atol=1e-9)
+    assert open_sources(tmp_path)[1] == {}
     (tmp_path / "cam_params.json").unlink()
     refused(lambda: open_dataset(room), "camera", "--intrinsics")
     told = open_dataset(room, intrinsics=(60.0, 61.0, 31.5, 23.5))
