@@ -23,6 +23,7 @@ MODELS = (
     ("SIMPLE_RADIAL_FISHEYE", 4),
     ("RADIAL_FISHEYE", 5),
     ("THIN_PRISM_FISHEYE", 12),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
 )
 """Camera models by number, each with how many numbers it has."""
 POINT = 24

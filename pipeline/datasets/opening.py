@@ -194,8 +194,8 @@ OTHER_CAPTURES = {
     ".klg": ("a log of ElasticFusion", LAYOUT),
 }
 """Captures that are known and not read, by ending: what they are, and what would do."""
-SPECTACULAR = {"data.jsonl", "calibration.json"}
-"""What a recording of Spectacular AI has, https://spectacularai.github.io/docs/sdk/recording.html."""
+SPECTACULAR = "data.jsonl", {"calibration.json", "data.mkv", "data.mp4", "data.mov", "data.avi", "vio_config.yaml"}
+"""A recording of Spectacular AI has the first and some of these, https://spectacularai.github.io/docs/sdk/recording.html."""
 HALVES = {
     "rgb.txt": "rgb.txt of TUM without depth.txt",
     "depth.txt": "depth.txt of TUM without rgb.txt",
@@ -232,7 +232,7 @@ def _folder(root: Path, recognised: Callable[[Path], bool]) -> tuple[str, str]:
     pictures = within + sum(kind_of(name) == "picture" and name not in depths for name in files)
     if not folders and not files:
         return "the folder is empty", LAYOUT
-    if set(files) >= SPECTACULAR:
+    if SPECTACULAR[0] in files and SPECTACULAR[1] & set(files):
         what = "a recording of Spectacular AI: colour is a video, and its poses are not in data.jsonl yet"
         return what, "what `sai-cli process RECORDING OUTPUT` writes of it: transforms.json, images/ and depth"
     if half:

@@ -40,7 +40,8 @@ _ROLES = re.compile(
     re.IGNORECASE,
 )
 _VALIDITY = re.compile(
-    r"(?<![a-z])(?:depth[-_ ]?(?:valid(?:ity)?|masks?)(?:[-_ ]?masks?)?|(?:valid(?:ity)?|masks?)[-_ ]?depth)(?![a-z])",
+    r"(?<![a-z])(?:depth[-_ ]?masks?|masks?[-_ ]?depth"
+    r"|(?:depth[-_ ]?)?valid(?:ity)?(?:[-_ ]?(?:depth|masks?))*)(?![a-z])",
     re.IGNORECASE,
 )
 """A name of what tells where depth counts, which is no depth."""
@@ -221,6 +222,8 @@ def choose_naming(colors: list[str], depths: list[str], flat: bool = False) -> N
 TIME = re.compile(r"[0-9]+\.[0-9]+|[0-9]{10,}")
 """A number of a name that is a time: with decimals, or as many digits as seconds since 1970 have."""
 
+_FRACTION = re.compile(r"(?<![0-9])[0-9]{10}[-_.]([0-9]{6}|[0-9]{9})(?![0-9])")
+
 
 class ByTime:
     """A naming of recordings whose pictures and depth were taken at times of their own: depth, and whatever else is
@@ -243,20 +246,30 @@ class ByTime:
         if name in self._of:
             return self._of[name]
         own = numbers(name)
-        if not own or not TIME.fullmatch(own[-1]):
+        if not _is_time(name):
             return own
         at = nearest(self._times, float(as_seconds(np.array([_stamp(name)]))[0]), WITHIN + ROUNDING)
         return own if at is None else numbers(self._colors[at])
 
 
 def _stamp(name: str) -> float:
-    return float(numbers(name)[-1])
+    found = numbers(name)
+    if len(found) > 1 and len(found[-2]) == 10 and (match := _FRACTION.search(stem_of(name))):
+        # Seconds since 1970 and their micro- or nanoseconds.
+        return int(found[-2]) + float(f"0.{match[1]}")
+    return float(found[-1])
+
+
+def _is_time(name: str) -> bool:
+    found = numbers(name)
+    seconds = len(found) > 1 and len(found[-2]) == 10 and _FRACTION.search(stem_of(name))
+    return bool(found) and bool(seconds or TIME.fullmatch(found[-1]))
 
 
 def by_time(colors: list[str], depths: list[str]) -> ByTime | None:
     """The naming by nearest time; None where the names are no times."""
     names = [*colors, *depths]
-    if not names or not all((found := numbers(name)) and TIME.fullmatch(found[-1]) for name in names):
+    if not names or not all(map(_is_time, names)):
         return None
     naming = ByTime(colors, depths)
     return naming if naming.pairs else None

@@ -149,7 +149,7 @@ def test_where_depth_is_cut_is_told_and_kept(tmp_path: Path) -> None:
     assert any("lie at 10 m" in note for note in frame.notes)
 
 
-@pytest.mark.parametrize("name", ["{}_depth_mask.npy", "{}_depth_valid.png", "{}_mask_depth.png"])
+@pytest.mark.parametrize("name", ["{}_depth_mask.npy", "{}_depth_valid.png", "{}_mask_depth.png", "{}_valid.png"])
 def test_validity_beside_depth_is_no_depth_and_is_used(tmp_path: Path, name: str) -> None:
     """As DIODE has it, https://github.com/diode-dataset/diode-devkit: `N.png`, `N_depth.npy` (H, W, 1), a mask."""
     made = truths(3)
@@ -248,11 +248,13 @@ def test_a_camera_path_of_any_text_gives_poses_or_one_line(tmp_path_factory: pyt
 # Pairing by time
 
 
-@pytest.mark.parametrize("unit", [1, 1e3, 1e9])
+@pytest.mark.parametrize("unit", [1, 1e3, 1e9, 0])
 def test_pictures_with_times_of_their_own_pair_by_the_nearest(tmp_path: Path, unit: float) -> None:
     made, start = truths(4), 1_700_000_000.0
 
     def name(at: float) -> str:
+        if not unit:
+            return f"{start + at:.6f}".replace(".", "_")
         return f"{start + at:.6f}" if unit == 1 else str(round((start + at) * unit))
 
     for number, truth in enumerate(made):
