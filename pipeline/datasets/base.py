@@ -40,7 +40,8 @@ class Dataset(Protocol):
     format : str
         Name of the on-disk format: "bop", "7-scenes", "scannet", "tum", "sunrgbd", "sunrgbd-votenet", "redwood",
         "avd", "semantic-abstraction", "case" (a saved one), "ycb-video", "apc", "arkitscenes", "nerfstudio",
-        "colmap", "replica", "stray-scanner", "polycam", "scannet++", "record3d", "parquet", "robospatial", "ros", "folder", "pictures", or a plugin's.
+        "colmap", "replica", "stray-scanner", "polycam", "scannet++", "record3d", "parquet", "robospatial", "ros",
+        "folder", "pictures", or a plugin's.
     frame_ids : tuple of str
         Every frame the dataset lists, broken ones too, in order.
     class_names : tuple of str

@@ -261,9 +261,8 @@ def _stamp(name: str) -> float:
 
 
 def _is_time(name: str) -> bool:
-    found = numbers(name)
-    seconds = len(found) > 1 and len(found[-2]) == 10 and _FRACTION.search(stem_of(name))
-    return bool(found) and bool(seconds or TIME.fullmatch(found[-1]))
+    last = next(reversed(numbers(name)), "")
+    return bool(TIME.fullmatch(last) or _FRACTION.search(stem_of(name)))
 
 
 def by_time(colors: list[str], depths: list[str]) -> ByTime | None:
