@@ -222,7 +222,8 @@ def choose_naming(colors: list[str], depths: list[str], flat: bool = False) -> N
 TIME = re.compile(r"[0-9]+\.[0-9]+|[0-9]{10,}")
 """A number of a name that is a time: with decimals, or as many digits as seconds since 1970 have."""
 
-_FRACTION = re.compile(r"(?<![0-9])[0-9]{10}[-_.]([0-9]{6}|[0-9]{9})(?![0-9])")
+_FRACTION = re.compile(r"(?<![0-9])([0-9]{10})[-_.]([0-9]{6}|[0-9]{9})(?![0-9])")
+"""Seconds since 1970 and their micro- or nanoseconds."""
 
 
 class ByTime:
@@ -253,16 +254,13 @@ class ByTime:
 
 
 def _stamp(name: str) -> float:
-    found = numbers(name)
-    if len(found) > 1 and len(found[-2]) == 10 and (match := _FRACTION.search(stem_of(name))):
-        # Seconds since 1970 and their micro- or nanoseconds.
-        return int(found[-2]) + float(f"0.{match[1]}")
-    return float(found[-1])
+    if match := _FRACTION.search(stem_of(name)):
+        return float(f"{match[1]}.{match[2]}")
+    return float(numbers(name)[-1])
 
 
 def _is_time(name: str) -> bool:
-    last = next(reversed(numbers(name)), "")
-    return bool(TIME.fullmatch(last) or _FRACTION.search(stem_of(name)))
+    return bool(any(TIME.fullmatch(last) for last in numbers(name)[-1:]) or _FRACTION.search(stem_of(name)))
 
 
 def by_time(colors: list[str], depths: list[str]) -> ByTime | None:

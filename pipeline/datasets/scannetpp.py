@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import zlib
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
+from threading import Lock
+from typing import IO
 
 import numpy as np
 
 from pipeline.datasets.base import DatasetFormat
 from pipeline.datasets.cameras import NOTHING, Stated, or_note, pose_from_matrix
-from pipeline.datasets.files import CUT_OFF, Blob, Part, as_floats, natural, read_bytes, read_json, readable
+from pipeline.datasets.files import CUT_OFF, Blob, Part, as_floats, natural, read_json, readable
 from pipeline.datasets.images import picture_size
 from pipeline.datasets.pairing import numbers, stem_of
 from pipeline.datasets.recording import DepthRule, Listed, Recording
@@ -107,10 +109,7 @@ def read_packed(path: Path, places: tuple[tuple[int, int], ...], number: int) ->
     a file that is one stream is such a deflate of all frames."""
     with as_input_error("depth that cannot be unpacked", zlib.error, ValueError, got=str, path=path):
         if not places:
-            whole = np.frombuffer(zlib.decompress(read_bytes(path), -zlib.MAX_WBITS), np.float32)
-            frames = whole.reshape(-1, HEIGHT, WIDTH)
-            require(number < len(frames), f"no depth {number}", got=f"{len(frames)} frames", path=path)
-            return _millimetres(frames[number])
+            return _millimetres(_inflated(path, path.stat().st_mtime_ns).frame(number))
         require(number < len(places), f"no depth {number}", got=f"{len(places)} frames", path=path)
         with opened(path, "unpacked") as file:
             file.seek(places[number][0])
@@ -126,6 +125,48 @@ def read_packed(path: Path, places: tuple[tuple[int, int], ...], number: int) ->
             except Exception as error:
                 raise InputError("depth that cannot be unpacked", got=str(error)[:80], path=path) from error
             return np.frombuffer(raw, np.uint16).reshape(HEIGHT, WIDTH)
+
+
+class Inflated:
+    """A file of one deflate, of which one frame is held at a time: frames are read forwards, and from the start again for
+    an earlier one. Safe for several threads."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._lock = path, Lock()
+        self._restart()
+
+    def _restart(self) -> None:
+        self._next, self._at, self._left = 0, 0, b""
+        self._inflate = zlib.decompressobj(-zlib.MAX_WBITS)
+
+    def frame(self, number: int) -> np.ndarray:
+        """Frame (192, 256) float32 metres; InputError where the file ends before it."""
+        with self._lock, opened(self._path, "unpacked") as file:
+            if number < self._next:
+                self._restart()
+            file.seek(self._at)
+            data = b""
+            while self._next <= number:
+                data = self._take(file)
+                self._next += 1
+            return np.frombuffer(data, np.float32).reshape(HEIGHT, WIDTH)
+
+    def _take(self, file: IO[bytes]) -> bytes:
+        wanted, found = 4 * HEIGHT * WIDTH, b""
+        while len(found) < wanted:
+            if not self._left:
+                self._left = file.read(1 << 16)
+                self._at += len(self._left)
+                require(self._left, "depth that is cut off", cause=CUT_OFF, path=self._path)
+            found += self._inflate.decompress(self._left, wanted - len(found))
+            self._left = self._inflate.unconsumed_tail
+            require(not self._inflate.eof or len(found) == wanted, "depth that is cut off", path=self._path)
+        return found
+
+
+@lru_cache(maxsize=2)
+def _inflated(path: Path, written: int) -> Inflated:
+    return Inflated(path)
 
 
 def _millimetres(metres: np.ndarray) -> np.ndarray:
