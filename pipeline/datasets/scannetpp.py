@@ -128,8 +128,10 @@ def read_packed(path: Path, places: tuple[tuple[int, int], ...], number: int) ->
 
 
 class Inflated:
-    """A file of one deflate, of which one frame is held at a time: frames are read forwards, and from the start again for
-    an earlier one. Safe for several threads."""
+    """A file of one deflate, of which one frame is held at a time; safe for several threads.
+
+    Frames are read forwards, and from the start again for an earlier one.
+    """
 
     def __init__(self, path: Path) -> None:
         self._path, self._lock = path, Lock()

@@ -16,7 +16,7 @@ from pipeline.datasets.files import as_floats, name_inside, numbered_lines, read
 from pipeline.datasets.images import picture_size
 from pipeline.datasets.pairing import role_of
 from pipeline.datasets.recording import DepthRule, Listed, Recording
-from pipeline.datasets.settings import Settings, camera_notes
+from pipeline.datasets.settings import Settings, camera_notes, unit_notes
 from pipeline.datasets.stamps import ROUNDING, WITHIN, match_times, nearest
 from pipeline.geometry.camera import rotations
 from pipeline.system.errors import require
@@ -144,7 +144,8 @@ class AssociatedDataset(TumDataset):
         self._reflected = False
         if not self._poses_in.name.endswith(ICL_PATH):
             return super()._say_camera(root, settings)
-        self.documented = ICL_CAMERA
+        self.documented, self.rule = ICL_CAMERA, DepthRule(5000.0, "ICL-NUIM's")
+        self.notes = unit_notes(settings, 5000.0, self.rule.whose)
         if picture_size(root / next(iter(self._colors.values()))) == (640, 480):
             self.notes += camera_notes(settings, ICL_CAMERA, "ICL-NUIM's for pictures stored from the top down")
         if self._path is not None and len(self._path):
