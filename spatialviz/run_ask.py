@@ -378,6 +378,7 @@ def print_examination(found: Examination, written: Path | None) -> None:
     """Print the opinions with their evidence, the mending settings, and other attempts."""
     overlapping = counted(found.pairs, "pair") + " of them overlap"
     say((f"{counted(len(found.frames), 'frame')} looked at, {overlapping}", "dim"))
+    say_lines((f"note: {note}" for note in found.notes), "yellow")
     for opinion in found.opinions:
         say((f"{opinion.about:<16}", ""), (f"{WORDS[opinion.state]:<12}", STYLES[opinion.state]), opinion.text)
         if opinion.option is not None:

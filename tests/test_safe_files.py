@@ -56,6 +56,7 @@ HANDED = {
     "datasets/semantic_abstraction.py h5py.File": "a checked path",
     "datasets/images.py Image.open": "an opened file",
     "datasets/images.py OpenEXR.File": "checked bytes stand there",
+    "datasets/video.py cv2.VideoCapture": "a checked path",
     "language/vectors.py gzip.open": "an opened file, unpacked line by line",
     "system/onnx_contents.py mmap.mmap": "an opened file",
     "system/onnx_session.py ort.InferenceSession": "a checked path",

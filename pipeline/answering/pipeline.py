@@ -15,6 +15,7 @@ from pipeline.answering.predictions import Prediction, Predictions
 from pipeline.datasets import Dataset, open_dataset, resolve_frame
 from pipeline.datasets.base import Frames
 from pipeline.datasets.demo import DEMO_NAME, demo_path
+from pipeline.datasets.unread import telling_files
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.expression import Reader, parse
@@ -28,6 +29,7 @@ from pipeline.relations import RelationScorer, RelationScores, make_scorer
 from pipeline.system.detector_setup import DetectorSetup, Fusion
 from pipeline.system.errors import FrameUnusable, InputError, UnknownFormat, require
 from pipeline.system.remote import local_path
+from pipeline.system.safe_files import watched
 
 ALL_FRAMES = "all"
 Skipped = Callable[[str, str], None]
@@ -286,13 +288,15 @@ def open_sources(path: str | Path, **options: Any) -> tuple[dict[str, Pipeline],
             raise
         pipelines: dict[str, Pipeline] = {}
         left_out: dict[str, str] = {}
-        for inside in sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith(".")):
-            try:
-                pipelines[inside.name] = open_pipeline(inside, **options)
-            except InputError as error:
-                left_out[inside.name] = str(error)
+        with watched() as seen:
+            for inside in sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith(".")):
+                try:
+                    pipelines[inside.name] = open_pipeline(inside, **options)
+                except InputError as error:
+                    left_out[inside.name] = str(error)
         if not pipelines:
             raise
+        left_out |= dict.fromkeys(telling_files(folder, seen), "not read; a camera, poses or a unit may stand in it")
         return pipelines, left_out
 
 

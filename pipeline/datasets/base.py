@@ -34,12 +34,14 @@ class Dataset(Protocol):
     Attributes
     ----------
     root : Path
-        The folder that was opened. Nothing outside it is read, except the camera file of a Redwood recording and
-        the camera file and instance names of an AVD scan, which may stand one folder up.
+        The folder that was opened. Nothing outside it is read, except the camera file of a Redwood recording or a
+        room of Replica (and its trajectory, where `results/` was opened), and the camera file and instance names of
+        an AVD scan, which may stand one folder up.
     format : str
         Name of the on-disk format: "bop", "7-scenes", "scannet", "tum", "sunrgbd", "sunrgbd-votenet", "redwood",
         "avd", "semantic-abstraction", "case" (a saved one), "ycb-video", "apc", "arkitscenes", "nerfstudio",
-        "colmap", "record3d", "parquet", "robospatial", "ros", "folder", "pictures", or a plugin's.
+        "colmap", "replica", "stray-scanner", "polycam", "scannet++", "record3d", "parquet", "robospatial", "ros",
+        "folder", "pictures", or a plugin's.
     frame_ids : tuple of str
         Every frame the dataset lists, broken ones too, in order.
     class_names : tuple of str

@@ -22,7 +22,7 @@ from pipeline.geometry.frame import Frame
 from pipeline.system import safe_files
 from pipeline.system.errors import InputError, as_input_error, require
 
-CAMERA_SUFFIXES = (".json", ".yml", ".yaml", ".txt", ".toml", ".ini", ".cfg", ".mat", ".npy", ".npz", ".pincam")
+CAMERA_SUFFIXES = (".json", ".yml", ".yaml", ".txt", ".toml", ".ini", ".cfg", ".mat", ".npy", ".npz", ".pincam", ".csv")
 LARGEST_BYTES = 64 * 1024
 """A camera file has some hundred bytes; a larger text is not searched to find out. MATLAB files carry more beside."""
 CENTRED = 0.15
@@ -30,15 +30,34 @@ CENTRED = 0.15
 
 _MATRICES = re.compile(r"(cam(era)?_?)?k|(.*_)?intrinsics?(_?mat(rix)?|_?params?)?|camera_?mat(rix)?|cam_?mat", re.I)
 _NUMBERS = (
-    ("fx", "fl_x", "focal_x", "focal_length_x", "fu"),
-    ("fy", "fl_y", "focal_y", "focal_length_y", "fv"),
-    ("cx", "ppx", "c_x", "principal_x", "x0", "u0"),
-    ("cy", "ppy", "c_y", "principal_y", "y0", "v0"),
+    ("fx", "fl_x", "focal_x", "focal_length_x", "focallengthx", "fu", "f_x"),
+    ("fy", "fl_y", "focal_y", "focal_length_y", "focallengthy", "fv", "f_y"),
+    ("cx", "ppx", "c_x", "principal_x", "principal_point_x", "principalpointx", "x0", "u0", "x_offset", "offset_x"),
+    ("cy", "ppy", "c_y", "principal_y", "principal_point_y", "principalpointy", "y0", "v0", "y_offset", "offset_y"),
 )
 _MAT_NAMES = ("intrinsic_matrix", "intrinsics", "K", "cam_K", "camera_matrix", "factor_depth", "depth_scale")
 """Variables of a MATLAB file that are read; others may be large."""
-_SIZES = (("width", "w", "image_width", "cols"), ("height", "h", "image_height", "rows"))
-_UNITS = ("factor_depth", "depth_scale", "depth_factor", "depthmapfactor", "depth_map_factor", "png_depth_scale")
+_SIZES = (
+    ("width", "w", "image_width", "imagewidth", "img_width", "res_x", "cols"),
+    ("height", "h", "image_height", "imageheight", "img_height", "res_y", "rows"),
+)
+_UNITS = (
+    "factor_depth",
+    "depth_scale",
+    "depthscale",
+    "depth_factor",
+    "depthmapfactor",
+    "depth_map_factor",
+    "png_depth_scale",
+    "depth_units",
+    "depth_unit",
+    "units_per_metre",
+    "scale",
+)
+"""Names of the depth's unit, written either way; "scale" speaks of it beside a camera's other numbers."""
+
+_WORDS = {"mm": 1000.0, "millimetre": 1000.0, "millimeter": 1000.0, "millimetres": 1000.0, "millimeters": 1000.0}
+"""Names of a unit of depth, by how many make a metre."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +68,7 @@ class Stated:
     size: tuple[int, int] | None = None  # (width, height) or None: Of the pictures that K is for, pixels
     units_per_metre: float | None = None
     path: Blob | None = None  # The file that says it
+    named: bool = False  # Whether K was read by the names of its numbers
 
     def scaled(self, size: tuple[int, int], other: tuple[int, int]) -> np.ndarray | None:
         """Intrinsics K for a picture of `size` (width, height), with colour of size `other` before resizing. A file
@@ -84,9 +104,35 @@ class Stated:
 NOTHING = Stated()
 
 
+def is_small(path: Path) -> bool:
+    """Whether a file is no larger than a camera file may be."""
+    return path.is_file() and path.stat().st_size <= LARGEST_BYTES
+
+
 def read_stated(path: Blob) -> Stated:
-    """Read the camera facts of a file."""
-    return stated_in(dict(_named_numbers(path)), path)
+    """Read the camera facts of a file; InputError where it is of several cameras that differ."""
+    table = dict(_named_numbers(path))
+    cameras = {where: K for where in _places(table) if (K := stated_in(_inside(table, where)).K) is not None}
+    several = [where for where, K in cameras.items() if not np.allclose(K, next(iter(cameras.values())), atol=0.5)]
+    require(
+        not several,
+        "a file of several cameras",
+        got=lambda: ", ".join(where or "the file itself" for where in cameras)[:120],
+        expected="--intrinsics fx,fy,cx,cy of the one that depth is stored for",
+        path=path,
+    )
+    return stated_in(table, path)
+
+
+def _places(table: Mapping[str, np.ndarray]) -> list[str]:
+    """Where in a table numbers stand: names without their last part, and without the "data" of a matrix."""
+    return list(dict.fromkeys(name.removesuffix(".data").rpartition(".")[0] for name in table))
+
+
+def _inside(table: Mapping[str, np.ndarray], where: str) -> dict[str, np.ndarray]:
+    start = f"{where}." if where else ""
+    own = {name.removeprefix(start): numbers for name, numbers in table.items() if name.startswith(start)}
+    return {name: numbers for name, numbers in own.items() if "." not in name.removesuffix(".data")}
 
 
 def stated_in(table: Mapping[str, np.ndarray], path: Blob | None = None) -> Stated:
@@ -112,7 +158,9 @@ def stated_in(table: Mapping[str, np.ndarray], path: Blob | None = None) -> Stat
         K = _matrix(bare[2:] if bare.size == 6 else bare)
         if K is not None and bare.size == 6:
             size = _size(float(bare[0]), float(bare[1]))
-    return Stated(K, size, _units(_first(last, _UNITS)), path)
+    names = _UNITS if K is not None else _UNITS[:-1]
+    units = next((unit for name in names if (unit := _units(_first(last, (name,)))) is not None), None)
+    return Stated(K, size, units, path, K is not None and "" not in table)
 
 
 def stated_in_files(paths: Iterable[Path], known: bool = False) -> Stated:
@@ -121,6 +169,8 @@ def stated_in_files(paths: Iterable[Path], known: bool = False) -> Stated:
     units: float | None = None
     for path in paths:
         stated = or_note([], "", read_stated, path) or NOTHING
+        if stated.K is None and stated.units_per_metre is None:
+            safe_files.without_use(path)
         units = units or stated.units_per_metre
         found += [stated] if stated.K is not None else []
     if not found:
@@ -199,7 +249,10 @@ def flat_numbers(value: Any, name: str = "") -> Iterator[tuple[str, np.ndarray]]
     if isinstance(value, Mapping):
         for key, inside in value.items():
             yield from flat_numbers(inside, f"{name}.{key}" if name else str(key))
-    elif not isinstance(value, str | bool | None):
+    elif isinstance(value, str):
+        if name.rpartition(".")[2].lower() in _UNITS[:-1] and value.strip().lower() in _WORDS:
+            yield name, np.array([_WORDS[value.strip().lower()]])
+    elif not isinstance(value, bool | None):
         try:
             numbers = np.asarray(value, dtype=np.float64).ravel()
         except (TypeError, ValueError, OverflowError):
@@ -284,12 +337,6 @@ def pose_from_quaternion(values: np.ndarray) -> np.ndarray:
     length = float(np.linalg.norm(values[3:]))
     require(abs(length - 1) <= ROUNDING, "the quaternion does not have length 1", got=f"{length:.3g}")
     return rigid(rotations(values[3:] / length), values[:3])
-
-
-def nearest(times: np.ndarray, time: float, within: float) -> int | None:
-    """Index of the nearest of many times, seconds; None where none is near enough."""
-    found = int(np.abs(times - time).argmin()) if len(times) else -1
-    return found if found >= 0 and abs(float(times[found]) - time) <= within else None
 
 
 def one_file(candidates: list[Path], what: str, where: Path) -> Path:

@@ -86,7 +86,7 @@ def numbered_lines(path: Blob) -> list[tuple[int, str]]:
 
 
 def name_inside(name: str, source: Path, line: int) -> str:
-    """File name from line `line` of a list; must stay inside the list's folder."""
+    """File name from line `line` of a list, with "/" for the "\\" of Windows; must stay inside the list's folder."""
     require(
         name and name.isprintable() and (_PLAIN.match(name) or not _leaves(name)),
         f"line {line} names a file outside the dataset",
@@ -94,7 +94,7 @@ def name_inside(name: str, source: Path, line: int) -> str:
         expected="a path relative to the dataset's folder, without ..",
         path=source,
     )
-    return name
+    return name.replace("\\", "/")
 
 
 _PLAIN = re.compile(r"(?!.*\.\.)[^/\\:][^\\:]*\Z")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import ClassVar
@@ -14,16 +14,18 @@ from pipeline.datasets.base import DatasetFormat
 from pipeline.datasets.cameras import (
     NOTHING,
     Stated,
+    is_small,
     or_note,
     pose_from_matrix,
     pose_from_quaternion,
     read_stated,
     stated_in_files,
 )
-from pipeline.datasets.files import as_floats, numbered_lines, read_matrix
+from pipeline.datasets.files import as_floats, numbered_lines, read_matrix, readable
 from pipeline.datasets.images import INTEGER_DEPTH_SUFFIXES, read_numbers
 from pipeline.datasets.pairing import (
     COLOR_SUFFIXES,
+    ByTime,
     Files,
     Key,
     Naming,
@@ -37,10 +39,12 @@ from pipeline.datasets.pairing import (
 )
 from pipeline.datasets.recording import Listed, Recording
 from pipeline.datasets.settings import Settings
+from pipeline.datasets.trajectories import NAMES, Trajectory, read_trajectory
 from pipeline.geometry.frame import Annotation
 from pipeline.geometry.masks import mask_box
 from pipeline.language.counted import counted
-from pipeline.system.errors import needed, require
+from pipeline.system.errors import in_file, needed, require
+from pipeline.system.safe_files import without_use
 
 NAME_FILES = ("labels.txt", "classes.txt", "image_sets/classes.txt", "label_names.txt")
 
@@ -75,17 +79,20 @@ def read_label_names(root: Path) -> dict[int, str]:
     return {}
 
 
+NAMED_NUMBERS = (".json", ".yml", ".yaml", ".toml", ".ini", ".cfg", ".txt", ".npz")
 MOST_CAMERA_FILES = 20
 """So many files that may speak of the camera are read."""
 
 
-PoseText = tuple[Path, str | None]
-"""A file with a 4x4 matrix; or `pose.txt`, and a line of it."""
+PoseText = tuple[Path, str | Trajectory | None, int]
+"""A file with a 4x4 matrix; `pose.txt` and a line of it; or a camera path, its lines and the number of one."""
 
 
-def _read_pose(path: Path, line: str | None) -> np.ndarray:
+def _read_pose(path: Path, line: str | Trajectory | None, row: int = 0) -> np.ndarray:
     if line is None:
         return pose_from_matrix(read_matrix(path, 4, 4))
+    if isinstance(line, Trajectory):
+        return line.pose(row)
     return pose_from_quaternion(as_floats(line.replace(",", " ").split(), 7, path, "tx ty tz qx qy qz qw"))
 
 
@@ -97,9 +104,11 @@ class SceneFolder:
     pairs: list[Pair]
     stated: Stated = NOTHING  # What a file for all frames says of the camera
     cameras: Mapping[Key, str] = field(default_factory=dict)
+    valid: Mapping[Key, str] = field(default_factory=dict)
     labels: Mapping[Key, str] = field(default_factory=dict)  # Files of single frames, relative to the folder
     poses: Mapping[Key, PoseText] = field(default_factory=dict)
     pose_problem: str | None = None  # Why there are none although there is a file
+    timed: bool = False  # Whether colour and depth belong together by nearest time
     keyed: bool = False  # Whether the format names the frames by their keys
 
     @classmethod
@@ -109,16 +118,21 @@ class SceneFolder:
         root = files.root
         colors, depths = files.of("color"), files.of("depth")
         keyed = naming is not None
-        naming = naming or choose_naming(colors, depths, files.flat)
+        with in_file(root):
+            naming = naming or choose_naming(colors, depths, files.flat)
+        depths = naming.matched(depths) if isinstance(naming, ByTime) else depths
         pairs = pair_files(naming, colors, depths, root)
         require(pairs, "there is neither a colour picture nor depth", cause="was it unpacked to the end?", path=root)
         keys = {pair.key for pair in pairs}
-        each = {role: {naming(name): name for name in files.of(role)} for role in ("camera", "label")}
+        each = {role: {naming(name): name for name in files.of(role)} for role in ("camera", "label", "valid")}
         stated = NOTHING
         if not keys & each["camera"].keys():
             stated = stated_in_files((root / name for name in files.of("camera")[:MOST_CAMERA_FILES]), known)
+            if stated.K is None and not known and not keyed:
+                stated = _by_fields(root, stated)
         poses, problem = _poses(files, naming, [pair.key for pair in pairs])
-        return cls(files, pairs, stated, each["camera"], each["label"], poses, problem, keyed)
+        each_role = each["camera"], each["valid"], each["label"]
+        return cls(files, pairs, stated, *each_role, poses, problem, isinstance(naming, ByTime), keyed)
 
     def camera(self, key: Key) -> Stated:
         """Camera facts of a frame."""
@@ -169,6 +183,14 @@ class FolderDataset(Recording):
         if any(scene.labels for scene in self._scenes.values()):
             self._names = read_label_names(root) or self.names
             self.class_names = tuple(dict.fromkeys(self._names.values())) or ("object",)
+        texts = [text for scene in self._scenes.values() for text in scene.poses.values()]
+        paths = (path for path, line, _ in texts if isinstance(line, Trajectory) and self.format == "folder")
+        for path in dict.fromkeys(paths):
+            self.notes += (f"poses are those of {path.name}, taken for camera-to-world: --poses tells another way",)
+        if any(scene.timed for scene in self._scenes.values()):
+            self.notes += ("colour and depth are paired by nearest time, within 20 ms: no two have the same",)
+        if valid := next((name for scene in self._scenes.values() for name in scene.valid.values()), None):
+            self.notes += (f"depth counts only where {valid} and its like are not 0",)
         self._check()
 
     def _naming(self) -> Naming | None:
@@ -217,7 +239,8 @@ class FolderDataset(Recording):
         stated = NOTHING if self._known else self._camera(scene, pair)
         label = scene.labels.get(pair.key)
         annotate = None if label is None else partial(label_annotations, scene.files.root / label, self._names)
-        return Listed(color, depth, stated, pose, annotate, self._up(pose))
+        valid = scene.files.root / scene.valid[pair.key] if pair.key in scene.valid else None
+        return Listed(color, depth, stated, pose, annotate, self._up(pose), valid)
 
     @property
     def _known(self) -> bool:
@@ -239,19 +262,49 @@ def _poses(files: Files, naming: Naming, keys: list[Key]) -> tuple[dict[Key, Pos
     if names:
         if same := twice(naming, names):
             return {}, f"pose/ has {same} for one frame"
-        return {naming(name): (files.root / name, None) for name in names}, None
+        return {naming(name): (files.root / name, None, 0) for name in names}, None
     path = files.root / "pose.txt"
     if not path.is_file():
-        return {}, None
+        return _along_path(files, keys)
     problems: list[str] = []
     lines = [line for _, line in or_note(problems, "pose.txt: ", numbered_lines, path) or ()]
     if problems:
         return {}, problems[0]
     if len(lines) == len(keys):
-        return {key: (path, line) for key, line in zip(keys, lines, strict=True)}, None
+        return {key: (path, line, 0) for key, line in zip(keys, lines, strict=True)}, None
     if all(len(key) == 1 and key[0].isdecimal() and 1 <= int(key[0]) <= len(lines) for key in keys):
-        return {key: (path, lines[int(key[0]) - 1]) for key in keys}, None
+        return {key: (path, lines[int(key[0]) - 1], 0) for key in keys}, None
     return {}, f"pose.txt has {len(lines)} lines for {len(keys)} frames"
+
+
+def _by_fields(root: Path, known: Stated) -> Stated:
+    """The camera of the only files beside the pictures that name its numbers, whatever they are called."""
+    names = [n for n in readable(root)[1] if n.lower().endswith(NAMED_NUMBERS) and is_small(root / n)]
+    found: list[Path] = []
+    for name in names[:MOST_CAMERA_FILES]:
+        stated = or_note([], "", read_stated, root / name) or NOTHING
+        if stated.named:
+            found.append(root / name)
+        else:
+            without_use(root / name)
+    if not found:
+        return known
+    stated = stated_in_files(found)
+    return replace(stated, units_per_metre=known.units_per_metre or stated.units_per_metre)
+
+
+def _along_path(files: Files, keys: list[Key]) -> tuple[dict[Key, PoseText], str | None]:
+    """Poses of the format's camera path, or of the one file beside the pictures that is called like one."""
+    names = files.of("path") or [name for name in readable(files.root)[1] if NAMES.fullmatch(name)]
+    if len(names) != 1:
+        return {}, f"more than one camera path: {', '.join(names[:4])}" if names else None
+    path = files.root / names[0]
+    problems: list[str] = []
+    found = or_note(problems, f"{names[0]}: ", read_trajectory, path)
+    rows = found and or_note(problems, f"{names[0]}: ", found.rows_of, [key[-1] if key else "" for key in keys])
+    if not rows:
+        return {}, problems[0]
+    return {key: (path, found, row) for key, row in zip(keys, rows, strict=True) if row is not None}, None
 
 
 FORMAT = DatasetFormat(

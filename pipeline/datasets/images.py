@@ -66,15 +66,65 @@ def read_numbers(path: Blob) -> np.ndarray:
     return _decode(data, kind, path, cv2.IMREAD_UNCHANGED)
 
 
+def valid_pixels(path: Blob, size: tuple[int, ...]) -> np.ndarray:
+    """A validity picture or array of (H, W) as bool: where it is not 0."""
+    data = read_bytes(path)
+    numbers = np.squeeze(_decode_numpy(data, path)) if _checked(data, path, "png or npy") == "npy" else read_mask(path)
+    require(
+        numbers.shape == size, "validity of another size than the depth", got=numbers.shape, expected=size, path=path
+    )
+    return numbers != 0
+
+
 def read_mask(path: Blob) -> np.ndarray:
     """A mask file as (H, W) bool: whatever is above 0 in any channel but alpha."""
     pixels = read_numbers(path)
     return np.any(pixels[..., :3] > 0, axis=2) if pixels.ndim == 3 else pixels > 0
 
 
-def read_depth(path: Blob, units_per_metre: float | None, nothing: int | None = None, rotated: int = 0) -> np.ndarray:
-    """A depth file as (H, W) float32 metres, 0 where nothing was measured. `units_per_metre`: 1000 for millimetres."""
+END_OF_RANGE = 0.01
+"""Share of the pixels above which a value at the end of a range of whole bits stands for no depth."""
+FARTHEST_FLOAT = 1e5
+"""A float from here on is no depth in metres or millimetres, where more than `END_OF_RANGE` of the pixels hold it."""
+
+
+def end_of_range(stored: np.ndarray) -> float | None:
+    """The value of stored depth (H, W) that stands for "nothing" at the end of its range, or None: 65535, and what ends
+    a range of 11 to 15 bits or of decimals, or lies beyond any room, in more than 1 % of the pixels. 0, NaN and inf
+    need no telling.
+    """
+    if not stored.size:
+        return None
+    if stored.dtype.kind == "f":
+        largest = float(np.max(stored, initial=0.0, where=np.isfinite(stored)))
+        # Floats may be millimetres; 65535 may stand as these or in metres.
+        ends = largest >= FARTHEST_FLOAT or largest == 65535 or abs(largest - 65.535) < 1e-4
+    else:
+        largest = int(stored.max())
+        if largest == np.iinfo(np.uint16).max:
+            return largest
+        ends = largest + 1 in (1 << bits for bits in (11, 12, 13, 14, 15, 31, 32))
+        # A decimal end, such as 9999 or 50000, needs that nothing was measured in the upper half beside it.
+        decimal = largest >= 9999 and (largest % 5000 == 0 or largest + 1 in (10**4, 10**5))
+        ends |= decimal and not ((stored > largest // 2) & (stored != largest)).any()
+    return largest if ends and np.mean(stored == stored.dtype.type(largest)) > END_OF_RANGE else None
+
+
+def read_depth(
+    path: Blob,
+    units_per_metre: float | None,
+    nothing: float | None = None,
+    rotated: int = 0,
+    notes: list[str] | None = None,
+) -> np.ndarray:
+    """A depth file as (H, W) float32 metres, 0 where nothing was measured. `units_per_metre`: 1000 for millimetres.
+
+    `nothing` is a stored value, besides 0, that means nothing; by default what `end_of_range` finds, told in `notes`.
+    """
     stored = read_stored(path, rotated)
+    if nothing is None and (nothing := end_of_range(stored)) is not None and notes is not None:
+        share = float(np.mean(stored == stored.dtype.type(nothing)))
+        notes.append(f"{share:.0%} of the pixels hold {nothing:g}, the end of the range: taken for no depth")
     if units_per_metre is None:
         require(
             stored.dtype.kind == "f",
@@ -96,8 +146,8 @@ def read_stored(path: Blob, rotated: int = 0) -> np.ndarray:
     """Stored depth (H, W) of 16-bit or larger integers or floats; see `read_depth`."""
     content = path.read() if isinstance(path, Part) else read_bytes(path)
     stored = content if isinstance(content, np.ndarray) else _decode_depth(content, path)
-    if stored.ndim == 3 and stored.shape[2] == 1:
-        stored = stored[..., 0]
+    if stored.ndim == 3 and 1 in (stored.shape[0], stored.shape[2]):
+        stored = stored[..., 0] if stored.shape[2] == 1 else stored[0]
     require(
         stored.dtype.itemsize != 1,
         "depth of 8 bits",

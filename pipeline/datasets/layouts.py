@@ -104,6 +104,7 @@ class ScanNetDataset(FolderDataset):
     """
 
     format = "scannet"
+    again = r"intrinsic/.*"
     rule = DepthRule(1000.0, "ScanNet's")
     parts: ClassVar = {"color": "color", "depth": "depth", "pose": "pose"}
 
@@ -364,6 +365,7 @@ class YcbVideoDataset(FolderDataset):
     """
 
     format = "ycb-video"
+    again = r"(.*/)?[0-9]+-box\.txt"
     names: ClassVar = {number: name[4:].replace("_", " ") for number, name in enumerate(OBJECTS, start=1)}
 
     def _folders(self, root: Path) -> dict[str, Path]:

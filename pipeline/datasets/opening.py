@@ -13,10 +13,13 @@ from pipeline.datasets import (
     folder,
     layouts,
     parquet,
+    phone_apps,
     phones,
     reconstructions,
+    replica,
     robospatial,
     saved_case,
+    scannetpp,
     semantic_abstraction,
     streams,
     sunrgbd,
@@ -29,12 +32,13 @@ from pipeline.datasets.files import listed_once, readable
 from pipeline.datasets.pairing import COLOR_SUFFIXES, role_of
 from pipeline.datasets.parquet import is_lerobot_depth, lerobot_features
 from pipeline.datasets.settings import OR_ESTIMATED, GivenUp, read_settings
+from pipeline.datasets.unread import naming_unread, say_unread
 from pipeline.datasets.up import with_given_up
 from pipeline.language.counted import counted
 from pipeline.system.errors import UnknownFormat, require
 from pipeline.system.plugins import load_plugins
 from pipeline.system.remote import local_path
-from pipeline.system.safe_files import enter
+from pipeline.system.safe_files import enter, watched
 
 FORMATS: tuple[DatasetFormat, ...] = (
     saved_case.FORMAT,
@@ -47,8 +51,13 @@ FORMATS: tuple[DatasetFormat, ...] = (
     sunrgbd.VOTENET_FORMAT,
     sunrgbd.FORMAT,
     layouts.YCB_VIDEO,
+    replica.REPLICA,
+    tum.ASSOCIATED,
     phones.ARKITSCENES,
     phones.RECORD3D,
+    phone_apps.STRAY,
+    phone_apps.POLYCAM,
+    scannetpp.SCANNETPP,
     reconstructions.NERFSTUDIO,
     reconstructions.COLMAP,
     layouts.REDWOOD,
@@ -143,7 +152,9 @@ def open_dataset(
     with listed_once():
         for candidate in formats:
             if candidate.recognises(root):
-                dataset = candidate.open(root, settings)
+                with watched() as seen, naming_unread(root, seen):
+                    dataset = candidate.open(root, settings)
+                    say_unread(dataset, seen, settings)
                 if settings.pose_shift:
                     dataset = ShiftedPoses(dataset, settings.pose_shift)
                 if model is not None:
@@ -171,11 +182,25 @@ OF_FILE = {
     "archive": ("an archive is not read in place", "the folder that it unpacks to"),
     "array file": ("a single array file is no recording", LAYOUT),
 }
+OTHER_CAPTURES = {
+    ".mkv": ("a video, which Azure Kinect stores depth in", "what Open3D's azure_kinect_mkv_reader.py makes of it"),
+    ".svo": ("a recording of a ZED camera", "pictures and depth of it: svo_export of the ZED SDK, mode 4"),
+    ".svo2": ("a recording of a ZED camera", "pictures and depth of it: svo_export of the ZED SDK, mode 4"),
+    ".sens": (
+        "a recording of ScanNet",
+        "what its SensReader unpacks: color/, depth/, pose/, intrinsic/",
+    ),
+    ".oni": ("a recording of OpenNI", LAYOUT),
+    ".klg": ("a log of ElasticFusion", LAYOUT),
+}
+"""Captures that are known and not read, by ending: what they are, and what would do."""
+SPECTACULAR = "data.jsonl", {"calibration.json", "data.mkv", "data.mp4", "data.mov", "data.avi", "vio_config.yaml"}
+"""A recording of Spectacular AI has the first and some of these, https://spectacularai.github.io/docs/sdk/recording.html."""
 HALVES = {
     "rgb.txt": "rgb.txt of TUM without depth.txt",
     "depth.txt": "depth.txt of TUM without rgb.txt",
     "scene_gt.json": "scene_gt.json of BOP without scene_camera.json",
-    "cameras.bin": "a binary COLMAP model (colmap model_converter --output_type TXT)",
+    "cameras.bin": "cameras.bin of COLMAP without images.bin",
     "cameras.txt": "cameras.txt of COLMAP without images.txt",
     "annotations.json": "annotations.json without pictures and depth",
 }
@@ -191,7 +216,7 @@ def unknown(path: Path, recognised: Callable[[Path], bool]) -> UnknownFormat:
     """Error for an unrecognised path: contents and advice in a line. `recognised` says whether a reader would open
     another one."""
     fallback = "a file is no dataset", "its folder, or a capture: " + ", ".join(CAPTURE_SUFFIXES)
-    of_file = OF_FILE.get(kind_of(path.name), fallback)
+    of_file = OTHER_CAPTURES.get(path.suffix.lower(), OF_FILE.get(kind_of(path.name), fallback))
     what, expected = of_file if path.is_file() else _folder(path, recognised)
     return UnknownFormat(f"no dataset is recognised here: {what}", expected=expected, path=path)
 
@@ -207,8 +232,14 @@ def _folder(root: Path, recognised: Callable[[Path], bool]) -> tuple[str, str]:
     pictures = within + sum(kind_of(name) == "picture" and name not in depths for name in files)
     if not folders and not files:
         return "the folder is empty", LAYOUT
+    if SPECTACULAR[0] in files and SPECTACULAR[1] & set(files):
+        what = "a recording of Spectacular AI: colour is a video, and its poses are not in data.jsonl yet"
+        return what, "what `sai-cli process RECORDING OUTPUT` writes of it: transforms.json, images/ and depth"
     if half:
         return half, "both"
+    if other := next((name for name in files if Path(name).suffix.lower() in OTHER_CAPTURES), None):
+        what, expected = OTHER_CAPTURES[Path(other).suffix.lower()]
+        return f"{other}: {what}", expected
     if kinds["capture"]:
         captures = [name for name in files if kind_of(name) == "capture"]
         return f"a folder with {captures[0]}", f"the capture itself: {root / captures[0]}"
@@ -229,6 +260,10 @@ def _folder(root: Path, recognised: Callable[[Path], bool]) -> tuple[str, str]:
             f"{counted(pictures, 'picture')}{where} and no depth",
             f"a depth file for each, such as {depth}, {OR_ESTIMATED}",
         )
+    if depths and not pictures and kinds["video"]:
+        video = next(name for name in files if kind_of(name) == "video")
+        unpack = f"its frames: mkdir color && ffmpeg -i {video} -start_number 0 color/%06d.png"
+        return f"depth ({depths[0]}) and colour in a video, {video}", unpack
     if depths and not pictures:
         return f"depth ({depths[0]}) without colour", LAYOUT
     for kind in ("video", "array file", "point cloud", "archive"):

@@ -8,9 +8,12 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 
+import numpy as np
+
 from pipeline.datasets.cameras import CAMERA_SUFFIXES
 from pipeline.datasets.files import natural, readable
 from pipeline.datasets.images import DEPTH_SUFFIXES
+from pipeline.datasets.stamps import ROUNDING, WITHIN, as_seconds, match_times, nearest
 from pipeline.system.errors import InputError, require
 
 COLOR_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".ppm")
@@ -18,6 +21,7 @@ SUFFIXES = {
     "depth": DEPTH_SUFFIXES,
     "label": (".png",),
     "pose": (".txt",),
+    "valid": (".npy", ".png"),
     "camera": CAMERA_SUFFIXES,
     "color": COLOR_SUFFIXES,
 }
@@ -35,7 +39,13 @@ _ROLES = re.compile(
     r")(?:(?=crop)|(?![a-z]))",
     re.IGNORECASE,
 )
-_ORDER = ("other", "depth", "label", "pose", "camera", "color")
+_VALIDITY = re.compile(
+    r"(?<![a-z])(?:depth[-_ ]?masks?|masks?[-_ ]?depth"
+    r"|(?:depth[-_ ]?)?valid(?:ity)?(?:[-_ ]?(?:depth|masks?))*)(?![a-z])",
+    re.IGNORECASE,
+)
+"""A name of what tells where depth counts, which is no depth."""
+_ORDER = ("other", "valid", "depth", "label", "pose", "camera", "color")
 
 Key = tuple[str, ...]
 Naming = Callable[[str], Key]
@@ -50,7 +60,9 @@ def role_of(name: str) -> tuple[str, str]:
         found.add(match.lastgroup or "")
         return ""
 
-    rest = _ROLES.sub(take, name)
+    left = _VALIDITY.sub("", name)
+    found |= {"valid"} if left != name else set()
+    rest = _ROLES.sub(take, left)
     role = next((role for role in _ORDER if role in found), "")
     return role, re.sub(r"[-_. ]{2,}", "_", rest).strip("-_. ")
 
@@ -85,7 +97,7 @@ def files_by_role(root: Path, depth: bool = True) -> Files | None:
         return Files(root, True, own)
     if not ({"color", "depth"} if depth else {"color"}) <= roles:
         return None
-    wanted = ("color", "depth", "label", "pose", "camera")
+    wanted = ("color", "depth", "label", "pose", "camera", "valid")
     found = {role: _inside(root, folders, role) for role in wanted if depth or role != "depth"}
     found["camera"] = [*own.get("camera", ()), *found["camera"]]
     return Files(root, False, found)
@@ -165,6 +177,10 @@ def rest(name: str) -> Key:
     return (_ZEROS.sub("", left),)
 
 
+SURE = 0.9
+"""Share of the files that pair by their numbers, below which nearness in time is tried."""
+
+
 def choose_naming(colors: list[str], depths: list[str], flat: bool = False) -> Naming:
     """Choose the naming with the most pairs and unique names per folder."""
     known = {name: numbers(name) for name in (*colors, *depths)}
@@ -193,10 +209,67 @@ def choose_naming(colors: list[str], depths: list[str], flat: bool = False) -> N
             best = count, naming
         if count == min(len(colors), len(depths)):
             break
+    if numbered and (best is None or best[0] < SURE * min(len(colors), len(depths))):
+        timed = by_time(colors, depths)
+        if timed is not None and timed.pairs > (0 if best is None else best[0]):
+            return timed
     if best is None:
         what = "number" if numbered else "name"
         raise InputError(f"colour and depth cannot be paired: two files have the same {what}", got=same)
     return best[1]
+
+
+TIME = re.compile(r"[0-9]+\.[0-9]+|[0-9]{10,}")
+"""A number of a name that is a time: with decimals, or as many digits as seconds since 1970 have."""
+
+_FRACTION = re.compile(r"(?<![0-9])([0-9]{10})[-_.]([0-9]{6}|[0-9]{9})(?![0-9])")
+"""Seconds since 1970 and their micro- or nanoseconds."""
+
+
+class ByTime:
+    """A naming of recordings whose pictures and depth were taken at times of their own: depth, and whatever else is
+    named by a time, has the key of the colour picture that is nearest within 20 ms."""
+
+    def __init__(self, colors: list[str], depths: list[str]) -> None:
+        self._colors = sorted(colors, key=_stamp)
+        self._times = as_seconds(np.array([_stamp(name) for name in self._colors]))
+        order = sorted(depths, key=_stamp)
+        matched = match_times(self._times, as_seconds(np.array([_stamp(name) for name in order])))
+        self._of = {order[j]: numbers(self._colors[i]) for i, j in matched.items()}
+        self._of |= {name: numbers(name) for name in colors}
+        self.pairs = len(matched)
+
+    def matched(self, names: list[str]) -> list[str]:
+        """Those of these names that belong to a colour picture."""
+        return [name for name in names if name in self._of]
+
+    def __call__(self, name: str) -> Key:
+        if name in self._of:
+            return self._of[name]
+        own = numbers(name)
+        if not _is_time(name):
+            return own
+        at = nearest(self._times, float(as_seconds(np.array([_stamp(name)]))[0]), WITHIN + ROUNDING)
+        return own if at is None else numbers(self._colors[at])
+
+
+def _stamp(name: str) -> float:
+    if match := _FRACTION.search(stem_of(name)):
+        return float(f"{match[1]}.{match[2]}")
+    return float(numbers(name)[-1])
+
+
+def _is_time(name: str) -> bool:
+    return bool(any(TIME.fullmatch(last) for last in numbers(name)[-1:]) or _FRACTION.search(stem_of(name)))
+
+
+def by_time(colors: list[str], depths: list[str]) -> ByTime | None:
+    """The naming by nearest time; None where the names are no times."""
+    names = [*colors, *depths]
+    if not names or not all(map(_is_time, names)):
+        return None
+    naming = ByTime(colors, depths)
+    return naming if naming.pairs else None
 
 
 def twice(naming: Naming, names: list[str]) -> str:

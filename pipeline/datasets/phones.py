@@ -19,7 +19,6 @@ from pipeline.datasets.cameras import (
     Stated,
     flat_numbers,
     inverse,
-    nearest,
     or_note,
     pose_from_quaternion,
     rigid,
@@ -31,6 +30,7 @@ from pipeline.datasets.pairing import Pair, numbers, stem_of
 from pipeline.datasets.reconstructions import OPENCV_OF_OPENGL
 from pipeline.datasets.recording import DepthRule, Listed, Recording
 from pipeline.datasets.settings import Settings
+from pipeline.datasets.stamps import nearest
 from pipeline.system.errors import as_input_error, extra_module, needed, require
 from pipeline.system.safe_files import open_zip, parse_json
 

@@ -1,4 +1,4 @@
-"""Posed pictures of scene reconstructions: nerfstudio's `transforms.json`, COLMAP's text models.
+"""Posed pictures of scene reconstructions: nerfstudio's `transforms.json`, COLMAP's models.
 
 https://docs.nerf.studio/quickstart/data_conventions.html, https://colmap.github.io/format.html
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,6 +26,7 @@ from pipeline.datasets.cameras import (
     pose_from_quaternion,
     stated_in,
 )
+from pipeline.datasets.colmap_binary import read_cameras, read_images
 from pipeline.datasets.files import as_floats, name_inside, numbered_lines, read_json, readable
 from pipeline.datasets.images import INTEGER_DEPTH_SUFFIXES, picture_size
 from pipeline.datasets.pairing import choose_naming, files_in_roles
@@ -36,7 +38,19 @@ from pipeline.system.errors import InputError, needed, require
 OPENCV_OF_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 """From OpenCV's camera frame to OpenGL's: y and z are turned round."""
 TRANSFORMS = "transforms.json"
-MODEL_FOLDERS = ("", "sparse", "sparse/0", "colmap/sparse/0", "colmap/text", "colmap_text", "dense/sparse")
+INTEGER_DEPTH = "integer_depth_scale"
+MODEL_FOLDERS = (
+    "",
+    "sparse",
+    "sparse/0",
+    "colmap/sparse/0",
+    "colmap/sparse",
+    "colmap/text",
+    "colmap_text",
+    "dense/sparse",
+    "dense/0/sparse",
+    "distorted/sparse/0",
+)
 FOCALS = {"SIMPLE_PINHOLE": 1, "SIMPLE_RADIAL": 1, "RADIAL": 1, "SIMPLE_RADIAL_FISHEYE": 1, "RADIAL_FISHEYE": 1}
 """How many focal lengths a camera model of COLMAP has, where it is not two; then cx cy and the lens follow."""
 
@@ -128,10 +142,29 @@ class NerfstudioDataset(PosedPictures):
             T = frame.get("transform_matrix")
             pose = None if T is None else partial(_opengl_pose, T, self.source)
             found[frame_id] = PosedPicture(color, depth, partial(_nerfstudio_camera, table, self.source), pose)
+        units = _integer_depth({**shared, **next((f for f in frames if isinstance(f, Mapping)), {})}, self.source)
+        if units is not None and self._settings.depth_scale is None:
+            # The maker's own unit is for files that state none.
+            self.notes = (f"the depth's unit is that of {INTEGER_DEPTH}, {units:g} to a metre of the poses",)
         return found if any(entry.depth for entry in found.values()) else self._with_depths(found)
 
 
+def _integer_depth(table: Mapping[str, Any], source: Path) -> float | None:
+    """Depth units in a metre of the poses by `integer_depth_scale`, what a stored whole number is multiplied with; see
+    https://github.com/NVlabs/instant-ngp/blob/master/docs/nerf_dataset_tips.md."""
+    scale = table.get(INTEGER_DEPTH)
+    if scale is None:
+        return None
+    (value,) = as_floats(scale, 1, source, INTEGER_DEPTH)
+    require(0 < value < np.inf, f"{INTEGER_DEPTH} must be positive", got=value, path=source)
+    return 1 / float(value)
+
+
 def _nerfstudio_camera(table: Mapping[str, Any], source: Path, picture: Path) -> Stated:
+    return replace(_pinhole_of(table, source, picture), units_per_metre=_integer_depth(table, source))
+
+
+def _pinhole_of(table: Mapping[str, Any], source: Path, picture: Path) -> Stated:
     stated = stated_in(dict(flat_numbers(table)), source)
     size = stated.size or picture_size(picture)
     if stated.K is not None:
@@ -148,27 +181,35 @@ def _opengl_pose(pose: Any, source: Path) -> np.ndarray:
 
 
 class ColmapDataset(PosedPictures):
-    """Pictures of a COLMAP text model, `cameras.txt` and `images.txt`; their poses are world-to-camera. The length of
-    the model's unit is whatever the reconstruction took it for: the poses are right up to scale."""
+    """Pictures of a COLMAP model, `cameras` and `images` as `.txt` or `.bin`; their poses are world-to-camera.
+
+    The length of the model's unit is whatever the reconstruction took it for: the poses are right up to scale.
+    """
 
     format = "colmap"
+    again = r"(.*/)?(cameras|images|points3D|rigs|frames|project)\.(bin|txt|ini|ply)"
 
     def _list(self) -> dict[str, PosedPicture]:
         folder = needed(_model(self.root), "no COLMAP model", path=self.root)
-        self.source = folder / "images.txt"
         cameras: dict[str, Sequence[str]] = {}
-        for _, line in numbered_lines(folder / "cameras.txt"):
-            number, *words = line.split()
-            cameras[number] = words
-        # The picture's line and its points' line take turns, and the points' may be empty.
-        lines = [line.split() for _, line in numbered_lines(self.source)]
-        pictures = [
-            words for words in lines if len(words) >= 10 and not words[9].lstrip("-").replace(".", "").isdigit()
-        ]
+        if (folder / "images.txt").is_file():
+            self.source = folder / "images.txt"
+            for _, line in numbered_lines(folder / "cameras.txt"):
+                number, *words = line.split()
+                cameras[number] = words
+            # The picture's line and its points' line take turns, and the points' may be empty.
+            lines = [line.split() for _, line in numbered_lines(self.source)]
+            pictures = [
+                words for words in lines if len(words) >= 10 and not words[9].lstrip("-").replace(".", "").isdigit()
+            ]
+        else:
+            self.source = folder / "images.bin"
+            cameras |= read_cameras(folder / "cameras.bin")
+            pictures = read_images(self.source)
         found: dict[str, PosedPicture] = {}
         for words in pictures:
-            name = " ".join(words[9:])
-            color = os.path.join(self._folder(name), name_inside(name, self.source, 0))
+            name = name_inside(" ".join(words[9:]), self.source, 0)
+            color = os.path.join(self._folder(name), name)
             stem = os.path.splitext(os.path.basename(color))[0]
             frame_id = stem if stem not in found else name
             camera = partial(_colmap_camera, cameras.get(words[8]), self.source)
@@ -208,7 +249,8 @@ def half_pixel(K: np.ndarray, size: tuple[int, int] | None, path: Path) -> State
 
 def _model(root: Path) -> Path | None:
     folders = (root / name for name in MODEL_FOLDERS)
-    return next((f for f in folders if {"cameras.txt", "images.txt"} <= set(readable(f)[1])), None)
+    kinds = ({"cameras.txt", "images.txt"}, {"cameras.bin", "images.bin"})
+    return next((f for f in folders for names in kinds if names <= set(readable(f)[1])), None)
 
 
 NERFSTUDIO = DatasetFormat(
@@ -219,7 +261,7 @@ NERFSTUDIO = DatasetFormat(
 )
 COLMAP = DatasetFormat(
     "colmap",
-    "colmap: cameras.txt and images.txt, here or in sparse/0/, with images/ and depth/",
+    "colmap: cameras.txt and images.txt, or both as .bin, here or in sparse/0/, with images/ and depth/",
     lambda root: _model(root) is not None,
     ColmapDataset,
 )

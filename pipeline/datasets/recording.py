@@ -13,8 +13,9 @@ import numpy as np
 from pipeline.datasets.base import unknown_id
 from pipeline.datasets.cameras import NOTHING, Stated
 from pipeline.datasets.files import Blob
-from pipeline.datasets.images import exif_focal, read_color, read_depth, read_stored
+from pipeline.datasets.images import END_OF_RANGE, exif_focal, read_color, read_depth, read_stored, valid_pixels
 from pipeline.datasets.settings import DEPTH_SCALE, FILE_NAME, INTRINSICS, Settings, unit_notes
+from pipeline.datasets.turned import turn_to
 from pipeline.geometry.camera import Camera, intrinsics, standard_poses
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.registration import Registration, registered
@@ -26,6 +27,8 @@ SAME_SHAPE = 0.02
 ScanNet's own, 1296x968 and 640x480, differ by 0.4 %."""
 LONGEST_ALONE = 1600
 """A picture without depth is made so long at most: networks look at less, and points cost time."""
+NEAREST_CUT_M = 4.0
+"""Depth is cut no nearer; a wall that is seen head on may stand at any distance."""
 FLOATS = f"floating-point depth is taken for metres: {DEPTH_SCALE} tells another unit"
 BROWSED_MEDIAN_M = 2.0
 """The median depth that is shown where nothing tells the unit."""
@@ -57,6 +60,7 @@ class Listed:
     pose: np.ndarray | None = None  # (4, 4) float64 or None: T_world_camera, metres
     annotate: Annotate | None = None
     up: np.ndarray | None = None  # (3,) float64 or None: What the dataset declares, camera frame
+    valid: Blob | None = None  # What is 0 where the depth does not count
 
 
 class Recording:
@@ -64,6 +68,8 @@ class Recording:
 
     format = ""
     rule = DepthRule()
+    again = ""
+    """Pattern of files of the format that say what others say, by their paths: they need not be read."""
     one_size = False
     """Whether colour has the size of the depth, and is never resized to it."""
     documented: tuple[float, float, float, float] | None = None
@@ -108,6 +114,13 @@ class Recording:
         stated = self._listed(frame_id, []).stated.units_per_metre
         return self._settings.depth_scale or stated or self.rule.units_per_metre or 1.0
 
+    def look_through(self, frame_id: str) -> list[Path]:
+        """Read what stands beside the pictures of a frame, and name these, which are not decoded."""
+        found = self._listed(frame_id, [])
+        if found.annotate is not None:
+            found.annotate((1, 1), [])
+        return [blob for blob in (found.color, found.depth, found.valid) if isinstance(blob, Path)]
+
     def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         """Files and facts of a frame (subclasses); remarks are appended to `notes`."""
         raise NotImplementedError
@@ -117,7 +130,7 @@ class Recording:
         found = self._listed(frame_id, notes)
         # A picture whose camera is known as it is stored stays as it is stored.
         rgb = read_color(found.color, upright=found.depth is None and found.stated.K is None)
-        metres, unknown = self._metres(found, rgb)
+        metres, unknown = self._metres(found, rgb, notes)
         whole, size = (rgb.shape[0], rgb.shape[1]), (metres.shape[0], metres.shape[1])
         if whole != size:
             rgb = self._resized(rgb, metres, found, notes, frame_id == self.frame_ids[0])
@@ -167,7 +180,7 @@ class Recording:
         if given is not None:
             stated = Stated(intrinsics(*given), (wide, tall) if found.depth is None else (width, height))
         K = stated.scaled((width, height), (wide, tall))
-        if K is None and self.documented is not None:
+        if K is None and self.documented is not None and (size == (480, 640) or not self._settings.browse):
             require(
                 size == (480, 640),
                 f"the camera is not known: {self.rule.whose.removesuffix(' own')} own intrinsics are for 640x480",
@@ -182,15 +195,17 @@ class Recording:
         notes.append(f"the focal length is that of the picture's EXIF, {focal[1]:g} mm as of 35 mm film")
         return _centred(focal[0], size)
 
-    def _metres(self, found: Listed, rgb: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+    def _metres(self, found: Listed, rgb: np.ndarray, notes: list[str]) -> tuple[np.ndarray, tuple[str, ...]]:
         """Depth (H, W) float32 metres, and the option for the unit where unknown. A stand-in of one metre where it is
         to be estimated, smaller than a large picture that nothing is drawn on."""
         if found.depth is None:
             shrink = 1.0 if found.annotate is not None else min(1.0, LONGEST_ALONE / max(rgb.shape[:2]))
             return np.ones((round(rgb.shape[0] * shrink), round(rgb.shape[1] * shrink)), np.float32), ()
-        return self._measured(found, found.depth)
+        return self._measured(found, found.depth, notes)
 
-    def _measured(self, found: Listed, depth: Blob) -> tuple[np.ndarray, tuple[str, ...]]:
+    def _measured(
+        self, found: Listed, depth: Blob, notes: list[str] | None = None
+    ) -> tuple[np.ndarray, tuple[str, ...]]:
         """Measured depth as `_metres`."""
         rule, unknown = self.rule, ()
         units = self._settings.depth_scale or found.stated.units_per_metre or rule.units_per_metre
@@ -199,9 +214,13 @@ class Recording:
             if stored.dtype.kind != "f":
                 units = float(np.median(stored[stored > 0])) / BROWSED_MEDIAN_M if stored.any() else 1.0
                 unknown = (DEPTH_SCALE,)
-        metres = read_depth(depth, units, rule.nothing, rule.rotated)
+        metres = read_depth(depth, units, rule.nothing, rule.rotated, notes)
+        if found.valid is not None:
+            metres[~valid_pixels(found.valid, metres.shape)] = 0
         if np.isfinite(rule.farthest):
             metres[metres > rule.farthest] = 0
+        elif notes is not None and (share := _cut_off(metres)):
+            notes.append(f"{share:.0%} of the pixels lie at {metres.max():g} m, the farthest: is depth cut there?")
         return metres, unknown
 
     def _resized(self, rgb: np.ndarray, metres: np.ndarray, found: Listed, notes: list[str], first: bool) -> np.ndarray:
@@ -209,6 +228,15 @@ class Recording:
         (height, width), whole = metres.shape, rgb.shape[:2]
         measured = found.depth is not None
         off = abs(whole[1] * height / (whole[0] * width) - 1)
+        if measured and off > SAME_SHAPE and abs(whole[0] * height / (whole[1] * width) - 1) <= SAME_SHAPE:
+            turn = turn_to(rgb, metres)
+            raise InputError(
+                "colour and depth are turned against one another by 90 degrees",
+                got=f"colour {whole[1]}x{whole[0]}, depth {width}x{height}",
+                expected=f"colour turned {turn or 'clockwise or counter-clockwise, which the outlines do not tell'}",
+                cause="phones store depth as the sensor lies; the intrinsics are then those of the turned picture",
+                path=found.depth,
+            )
         require(
             not measured or (off <= SAME_SHAPE and not self.one_size),
             "colour and depth differ in size",
@@ -249,6 +277,15 @@ class Recording:
         if frame_id not in table:
             raise unknown_id(self.frame_ids, frame_id, self.root)
         return table[frame_id]
+
+
+def _cut_off(metres: np.ndarray) -> float:
+    """Share of the pixels of depth (H, W) at its farthest, where that is a round distance that many have; else 0."""
+    farthest = float(np.max(metres, initial=0.0))
+    if farthest < NEAREST_CUT_M or abs(farthest - round(farthest)) > 1e-4:
+        return 0.0
+    share = float(np.mean(metres >= farthest - 1e-4))
+    return share if share > END_OF_RANGE else 0.0
 
 
 def _centred(focal: float, size: tuple[int, ...]) -> np.ndarray:

@@ -5,6 +5,7 @@ Depth of 16 bits is millimetres and depth of floats metres (REP 118); an optical
 
 from __future__ import annotations
 
+import re
 import struct
 from bisect import bisect_left
 from collections import defaultdict
@@ -21,11 +22,11 @@ import numpy as np
 
 from pipeline.datasets.base import DatasetFormat
 from pipeline.datasets.cameras import NOTHING, Stated, or_note, pose_from_quaternion
-from pipeline.datasets.files import Part, readable
+from pipeline.datasets.files import Part, as_floats, readable
 from pipeline.datasets.pairing import role_of
 from pipeline.datasets.recording import Listed, Recording
 from pipeline.datasets.settings import Settings
-from pipeline.datasets.tum import match_times
+from pipeline.datasets.stamps import match_times
 from pipeline.system.errors import InputError, as_input_error, extra_module, needed, require
 from pipeline.system.limits import shown
 from pipeline.system.safe_files import BoundedPath, check_pixels, checked_path
@@ -35,6 +36,7 @@ METADATA, LARGEST_METADATA = "metadata.yaml", 4 * 10**6
 """The description of a recording in a folder, and its bytes: its parser takes half a minute for ten times as many."""
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 CLOUD, CAMERA_INFO, TF = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/CameraInfo", "tf2_msgs/msg/TFMessage"
+FLOATS = ("std_msgs/msg/Float32", "std_msgs/msg/Float64")
 REGISTERED = ("aligned", "registered", "color", "rgb")
 """Words in a depth topic's name that say it is registered to the colour image."""
 TF_WITHIN_NS = 100_000_000
@@ -166,6 +168,13 @@ class StreamDataset(Recording):
         self.notes = (f"colour is {self._color}, depth {self._depth}, the camera {info or 'in no topic'}",)
         stated = NOTHING if info is None else _camera_info(stream.message(info), root)
         self._stated = replace(stated, units_per_metre=1000.0)
+        units = _unit_topic(stream, self._depth)
+        if units is not None and settings.depth_scale is None:
+            (unit,) = as_floats(stream.message(units).data, 1, root, units)
+            require(0 < unit < np.inf, "the depth's unit must be positive", got=f"{unit:g} by {units}", path=root)
+            # A float32 holds 0.0001 only nearly.
+            self._stated = replace(stated, units_per_metre=float(f"{1 / unit:.5g}"))
+            self.notes += (f"the depth's unit is {unit:.5g} m, by {units}",)
         self._ask_for(f"{len(self._at)} pairs of {self._color} and {self._depth}, no CameraInfo", self._stated)
         self._transforms: Transforms | None = None
 
@@ -203,6 +212,15 @@ def _topics(stream: Stream) -> tuple[str, str, str | None]:
     infos = [topic for topic, kind in stream.kinds.items() if kind == CAMERA_INFO]
     info = max(infos, key=lambda topic: len(commonpath([topic, best_depth])), default=None)
     return best_color, best_depth, info
+
+
+def _unit_topic(stream: Stream, depth: str) -> str | None:
+    """Topic that states the metres in a unit of depth, as librealsense records its options; None where there is none.
+
+    https://github.com/IntelRealSense/librealsense/blob/master/src/media/ros/ros_file_format.h
+    """
+    told = [t for t, kind in stream.kinds.items() if kind in FLOATS and re.search("depth[_ ]?units?(?![a-z])", t, re.I)]
+    return max(sorted(told), key=lambda topic: len(commonpath([topic, depth])), default=None)
 
 
 def _camera_info(message: Any, path: Path) -> Stated:

@@ -59,6 +59,7 @@ class SunRgbdDataset(Recording):
     """
 
     format = "sunrgbd"
+    again = r"(.*/)?(depth_bfx|fullres)/.*"
     rule = DepthRule(UNITS_PER_METRE, "SUN RGB-D's", rotated=ROTATED_BITS)
 
     def __init__(self, root: Path, settings: Settings) -> None:
@@ -163,6 +164,7 @@ class SunRgbdVoteNetDataset(Recording):
     """
 
     format = "sunrgbd-votenet"
+    again = r"depth/\d+\.mat"
     one_size = True
 
     def __init__(self, root: Path, settings: Settings) -> None:

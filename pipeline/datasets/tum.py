@@ -11,14 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.datasets.base import DatasetFormat
-from pipeline.datasets.cameras import nearest, or_note, pose_from_quaternion
-from pipeline.datasets.files import as_floats, name_inside, numbered_lines
+from pipeline.datasets.cameras import or_note, pose_from_quaternion
+from pipeline.datasets.files import as_floats, name_inside, numbered_lines, readable
+from pipeline.datasets.images import picture_size
+from pipeline.datasets.pairing import role_of
 from pipeline.datasets.recording import DepthRule, Listed, Recording
-from pipeline.datasets.settings import Settings, camera_notes
+from pipeline.datasets.settings import Settings, camera_notes, unit_notes
+from pipeline.datasets.stamps import ROUNDING, WITHIN, match_times, nearest
+from pipeline.geometry.camera import rotations
 from pipeline.system.errors import require
-
-WITHIN = 0.02
-"""Seconds by which two entries of one frame may differ."""
 
 CAMERAS = {
     "freiburg1": (517.3, 516.5, 318.6, 255.3),
@@ -28,7 +29,6 @@ CAMERAS = {
 """Intrinsics of the dataset's three cameras, for 640x480."""
 DEFAULT_CAMERA = (525.0, 525.0, 319.5, 239.5)
 
-_ROUNDING = 1e-6
 _TIME = re.compile(r"[0-9]+(\.[0-9]+)?")
 """Seconds with as many digits as a script prints."""
 
@@ -44,10 +44,21 @@ class TumDataset(Recording):
     """
 
     format = "tum"
+    again = r"assoc\w*\.txt"
     rule = DepthRule(5000.0, "TUM's")
 
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
+        self._colors, self._depths = self._lists(root)
+        self.frame_ids = tuple(self._colors)
+        self._pose_notes: list[str] = []
+        self._poses_in = self._camera_path_file(root)
+        what = f"no camera pose, {self._poses_in.name}: "
+        self._path = or_note(self._pose_notes, what, _camera_path, self._poses_in)
+        self._say_camera(root, settings)
+
+    def _lists(self, root: Path) -> tuple[dict[str, str], dict[str, str]]:
+        """Names of colour and of depth images by the time stamp of the colour as written."""
         colors, depths = _entries(root, "rgb.txt"), _entries(root, "depth.txt")
         matched = match_times(*(np.array([float(stamp) for stamp in entries]) for entries in (colors, depths)))
         require(
@@ -56,14 +67,14 @@ class TumDataset(Recording):
             got=f"times from {next(iter(colors))} in rgb.txt and from {next(iter(depths))} in depth.txt",
             path=root / "depth.txt",
         )
-        self._colors = colors
         stamps, names = tuple(colors), tuple(depths.values())
-        self._depths = {stamps[i]: names[j] for i, j in matched.items()}
-        self.frame_ids = tuple(self._colors)
-        self._pose_notes: list[str] = []
-        self._path = or_note(
-            self._pose_notes, "no camera pose, groundtruth.txt: ", _camera_path, root / "groundtruth.txt"
-        )
+        return colors, {stamps[i]: names[j] for i, j in matched.items()}
+
+    def _camera_path_file(self, root: Path) -> Path:
+        return root / "groundtruth.txt"
+
+    def _say_camera(self, root: Path, settings: Settings) -> None:
+        """Take the camera that the folder's name tells, and say so."""
         found = re.search("freiburg[123]", root.resolve().name.lower())
         self.documented = CAMERAS[found[0]] if found else DEFAULT_CAMERA
         whose = f"{found[0]}'s by the folder's name" if found else "TUM's default"
@@ -75,12 +86,78 @@ class TumDataset(Recording):
         notes += self._pose_notes
         pose, path = None, self._path
         if path is not None and len(path):
-            at = nearest(path[:, 0], float(frame_id), WITHIN + _ROUNDING)
+            at = nearest(path[:, 0], float(frame_id), WITHIN + ROUNDING)
             if at is None:
-                notes.append("no camera pose: groundtruth.txt has none within 20 ms")
+                notes.append(f"no camera pose: {self._poses_in.name} has none within 20 ms")
             else:
-                pose = or_note(notes, "no camera pose, groundtruth.txt: ", pose_from_quaternion, path[at, 1:])
+                pose = or_note(notes, f"no camera pose, {self._poses_in.name}: ", self._pose, path[at, 1:])
         return Listed(self.root / color, self.root / self._depths[frame_id], pose=pose)
+
+    def _pose(self, values: np.ndarray) -> np.ndarray:
+        return pose_from_quaternion(values)
+
+
+ASSOCIATIONS = ("associations.txt", "association.txt", "associate.txt", "assoc.txt")
+ICL_PATH = ".gt.freiburg"
+ICL_CAMERA = (481.2, 480.0, 319.5, 239.5)
+"""Of https://www.doc.ic.ac.uk/~ahanda/VaFRIC/iclnuim.html for 640x480; its -480 is of pictures that run upwards."""
+REFLECTED = np.diag([1.0, -1.0, 1.0, 1.0])
+
+
+class AssociatedDataset(TumDataset):
+    """Frames of the lines of `associations.txt`, "stamp picture stamp picture", of which a word in the names tells the
+    depth; otherwise as TUM.
+
+    With a camera path `*.gt.freiburg` it is a sequence of ICL-NUIM. Its makers' renderer has y up, in the world and in
+    the camera, and the pictures of the format of TUM are stored from the top down: such poses are reflected in y.
+    """
+
+    def _lists(self, root: Path) -> tuple[dict[str, str], dict[str, str]]:
+        source = root / next(name for name in ASSOCIATIONS if (root / name).is_file())
+        colors: dict[str, str] = {}
+        depths: dict[str, str] = {}
+        for number, line in numbered_lines(source):
+            words = line.split()
+            sound = len(words) == 4 and all(_TIME.fullmatch(stamp) for stamp in words[::2])
+            expected = "stamp picture stamp picture"
+            require(sound, f"line {number} is malformed", got=repr(line[:60]), expected=expected, path=source)
+            names = [name_inside(name, source, number) for name in words[1::2]]
+            roles = [role_of(name.replace("/", "_"))[0] for name in names]
+            require(
+                roles.count("depth") == 1,
+                f"line {number} does not tell which picture is depth",
+                got=" and ".join(names)[:80],
+                expected="the word depth in one of both names",
+                path=source,
+            )
+            at = roles.index("depth")
+            stamp = words[2 * (1 - at)]
+            require(stamp not in colors, f"line {number} repeats a time stamp", got=stamp[:60], path=source)
+            colors[stamp], depths[stamp] = names[1 - at], names[at]
+        require(colors, "a list without a line", expected="stamp picture stamp picture", path=source)
+        return colors, depths
+
+    def _camera_path_file(self, root: Path) -> Path:
+        return next((root / name for name in readable(root)[1] if name.endswith(ICL_PATH)), root / "groundtruth.txt")
+
+    def _say_camera(self, root: Path, settings: Settings) -> None:
+        self._reflected = False
+        if not self._poses_in.name.endswith(ICL_PATH):
+            return super()._say_camera(root, settings)
+        self.documented, self.rule = ICL_CAMERA, DepthRule(5000.0, "ICL-NUIM's")
+        self.notes = unit_notes(settings, 5000.0, self.rule.whose)
+        if picture_size(root / next(iter(self._colors.values()))) == (640, 480):
+            self.notes += camera_notes(settings, ICL_CAMERA, "ICL-NUIM's for pictures stored from the top down")
+        if self._path is not None and len(self._path):
+            # A camera with y up that is held upright in a world with y up: the renderer's, and no picture's.
+            self._reflected = bool(np.mean(rotations(self._path[:, 4:])[:, 1, 1]) > 0)
+            how = "reflected in y, as its renderer has y up" if self._reflected else "taken as they stand"
+            self.notes += (f"poses are those of {self._poses_in.name}, {how}",)
+        return None
+
+    def _pose(self, values: np.ndarray) -> np.ndarray:
+        T = pose_from_quaternion(values)
+        return REFLECTED @ T @ REFLECTED if self._reflected else T
 
 
 def _entries(root: Path, name: str) -> dict[str, str]:
@@ -103,24 +180,6 @@ def _entries(root: Path, name: str) -> dict[str, str]:
     return dict(found[time] for time in sorted(found))
 
 
-def match_times(a: np.ndarray, b: np.ndarray) -> dict[int, int]:
-    """Matches of two sorted lists of times within 20 ms, nearest first, each time used once. The greedy rule is that of
-    the dataset's own associate.py."""
-    low = np.searchsorted(b, a - WITHIN - _ROUNDING, side="left")
-    high = np.searchsorted(b, a + WITHIN + _ROUNDING, side="right")
-    count = high - low
-    first = np.repeat(np.arange(len(a)), count)
-    second = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + np.repeat(low, count)
-    found: dict[int, int] = {}
-    taken: set[int] = set()
-    for k in np.argsort(np.abs(a[first] - b[second]), kind="stable").tolist():
-        i, j = int(first[k]), int(second[k])
-        if i not in found and j not in taken:
-            found[i] = j
-            taken.add(j)
-    return found
-
-
 def _camera_path(path: Path) -> np.ndarray:
     """(N, 8) rows timestamp tx ty tz qx qy qz qw in order of time; none without the file."""
     lines = numbered_lines(path) if path.is_file() else []
@@ -130,6 +189,12 @@ def _camera_path(path: Path) -> np.ndarray:
     return table[np.argsort(table[:, 0], kind="stable")]
 
 
+ASSOCIATED = DatasetFormat(
+    "tum",
+    "tum: associations.txt with stamp, colour, stamp, depth a line (ICL-NUIM)",
+    lambda root: any(os.path.isfile(root / name) for name in ASSOCIATIONS),
+    AssociatedDataset,
+)
 FORMAT = DatasetFormat(
     "tum",
     "tum: rgb.txt and depth.txt",

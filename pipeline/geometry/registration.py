@@ -16,6 +16,11 @@ from pipeline.geometry.camera import Camera, intrinsics
 from pipeline.geometry.frame import Frame
 from pipeline.system.errors import require
 
+FLIPPED = (
+    "a negative fy is of a camera whose y is up; poses that speak of it are then reflected: S T S with S = diag(1, -1, "
+    "1, 1), which the reader of ICL-NUIM does"
+)
+
 
 @dataclass(frozen=True)
 class Registration:
@@ -31,7 +36,14 @@ class Registration:
     tz: float = 0.0
 
     def __post_init__(self) -> None:
-        require(self.fx > 0 and self.fy > 0, "focal lengths must be positive", got=f"fx={self.fx:g}, fy={self.fy:g}")
+        flipped = self.fx > 0 > self.fy
+        require(
+            self.fx > 0 and self.fy > 0,
+            "focal lengths must be positive",
+            got=f"fx={self.fx:g}, fy={self.fy:g}",
+            expected=f"fy={-self.fy:g}, for pictures stored from the top down" if flipped else None,
+            cause=FLIPPED if flipped else None,
+        )
 
     @classmethod
     def none(cls, camera: Camera) -> Registration:

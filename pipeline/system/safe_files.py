@@ -16,6 +16,7 @@ import stat
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path, PurePosixPath
 from typing import IO, Any, NamedTuple
 from zipfile import ZipFile
@@ -91,6 +92,29 @@ def limits_of(path: Any) -> Limits:
     return limits if root is None or not root.limits else limits.changed(dict(root.limits), own=True)
 
 
+_WATCHED: ContextVar[set[str] | None] = ContextVar("watched", default=None)
+
+
+@contextmanager
+def watched() -> Iterator[set[str]]:
+    """Collect the paths of the files that are opened inside the block."""
+    seen: set[str] = set()
+    around = _WATCHED.get()
+    token = _WATCHED.set(seen)
+    try:
+        yield seen
+    finally:
+        _WATCHED.reset(token)
+        if around is not None:
+            around |= seen
+
+
+def without_use(path: Any) -> None:
+    """Take a file that was opened, and holds nothing that is used, from those that are `watched`."""
+    if (seen := _WATCHED.get()) is not None:
+        seen.discard(os.fspath(path))
+
+
 @contextmanager
 def opened(path: Path, limit: str = "bytes") -> Iterator[IO[bytes]]:
     """Open a file to read, at the start; `limit` names the limit of size.
@@ -104,6 +128,8 @@ def opened(path: Path, limit: str = "bytes") -> Iterator[IO[bytes]]:
     """
     state = os.stat(path)
     _check(path, state, limit)
+    if (seen := _WATCHED.get()) is not None:
+        seen.add(os.fspath(path))
     # Where nobody may write a file, it may be one of a URL that is not here yet.
     if not state.st_mode & stat.S_IWUSR:
         from pipeline.system.remote import fetch

@@ -13,7 +13,7 @@ from dataset_writers import HEIGHT, WIDTH, K, Truth, random_truth
 from reader_checks import refused
 from scipy.spatial.transform import Rotation
 
-from pipeline.datasets import open_dataset
+from pipeline.datasets import dataset_notes, open_dataset
 
 rosbag1, rosbag2 = pytest.importorskip("rosbags.rosbag1"), pytest.importorskip("rosbags.rosbag2")
 typesys = pytest.importorskip("rosbags.typesys")
@@ -207,3 +207,22 @@ def test_a_recording_without_depth_or_that_is_cut_off_is_told(tmp_path: Path) ->
     refused(lambda: open_dataset(path), "a recording without depth", COLOR)
     (tmp_path / "cut.bag").write_bytes(b"#ROSBAG V2.0\n cut")
     refused(lambda: open_dataset(tmp_path / "cut.bag"), "cannot be read", "cut.bag")
+
+
+def test_the_unit_that_a_bag_states_is_taken(tmp_path: Path) -> None:
+    """librealsense records its options beside the pictures: `/device_0/sensor_0/option/Depth Units/value`."""
+    truth = random_truth(np.random.default_rng(5))
+    recorder = Recorder(tmp_path, ".bag")
+    recorder.camera("/device_0/sensor_0/Depth_0/info/camera_info", 1.0)
+    recorder.image("/device_0/sensor_0/Color_0/image/data", 1.0, truth.rgb, "rgb8")
+    recorder.image("/device_0/sensor_0/Depth_0/image/data", 1.0, truth.millimetres, "mono16")
+    kind = "std_msgs/msg/Float32"
+    unit = recorder.make(kind, data=np.float32(0.0001))
+    recorder.write("/device_0/sensor_0/option/Depth_Units/value", kind, 0.5, unit)
+    recorder.writer.close()
+    dataset = open_dataset(tmp_path / "room.bag")
+    frame = dataset.load(dataset.frame_ids[0])
+    assert np.allclose(frame.depth, truth.depth / 10, atol=1e-6)
+    assert any("0.0001 m" in note and "Depth_Units" in note for note in dataset_notes(dataset))
+    given = open_dataset(tmp_path / "room.bag", depth_scale=1000)
+    assert np.array_equal(given.load(given.frame_ids[0]).depth, truth.depth)

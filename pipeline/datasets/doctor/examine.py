@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from pipeline.datasets.base import Dataset, load_picture, readable_frames, scene_of
+from pipeline.datasets.base import Dataset, dataset_notes, load_picture, readable_frames, scene_of
 from pipeline.datasets.doctor.landing import OfLanding
 from pipeline.datasets.doctor.search import PosedViews
 from pipeline.datasets.doctor.seen import Seen
@@ -55,6 +55,8 @@ class Examination:
         What was tried for unit, camera and poses, the best first; empty where no two posed frames overlap.
     as_read, mended : tuple of Frame
         The frames as they were read, and with what mends them.
+    notes : tuple of str
+        What the reader took for granted, and the files beside the pictures that it did not use.
     """
 
     root: Path
@@ -64,6 +66,7 @@ class Examination:
     hypotheses: tuple[Ranked, ...] = ()
     as_read: tuple[Frame, ...] = field(default=(), repr=False)
     mended: tuple[Frame, ...] = field(default=(), repr=False)
+    notes: tuple[str, ...] = ()
 
     @property
     def mends(self) -> dict[str, Any]:
@@ -89,6 +92,7 @@ class Examination:
             "dataset": str(self.root),
             "frames": list(self.frames),
             "pairs": self.pairs,
+            "notes": list(self.notes),
             "opinions": opinions,
             "hypotheses": tried,
             "settings": self.mends,
@@ -127,7 +131,7 @@ def examine(path: str | Path, **camera: Any) -> Examination:
         text = f"as read, no depth is that of a room; with {unit:g} units in a metre it is"
         mended = Opinion("depth scale", "wrong", text, {"depth_scale": unit}, f"--depth-scale {unit:g}")
         notes = tuple(mended if o.about == mended.about else o for o in found.opinions)
-    return replace(found, opinions=notes or found.opinions)
+    return replace(found, opinions=notes or found.opinions, notes=dataset_notes(dataset))
 
 
 def chosen_frames(dataset: Dataset) -> list[Frame]:
