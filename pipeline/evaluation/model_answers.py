@@ -6,7 +6,7 @@ import math
 import re
 import unicodedata
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 _YES = frozenset({"yes", "yeah", "yep", "yup"})
@@ -76,6 +76,16 @@ class _BoxNumbers:
     decimal: bool = False
     scale: float | None = None
     boxes: int = 1
+    named: bool = False  # each corner has its name, so that their order is sure
+
+
+def box_numbers(text: str) -> _BoxNumbers | str:
+    """Numbers of the first box of a text in the order in which they stand, or a reason for none; not finite is none."""
+    plain = unicodedata.normalize("NFKC", text).lower().replace("−", "-").replace("–", "-").replace("**", "")
+    found = _numbers(plain)
+    if not isinstance(found, str) and not all(map(math.isfinite, found.values)):
+        return "numbers that are not finite"
+    return found
 
 
 def parse_box(text: str, size: tuple[int, int] | None = None, scale: float | None = None) -> BoxAnswer:
@@ -94,13 +104,10 @@ def parse_box(text: str, size: tuple[int, int] | None = None, scale: float | Non
     text, reason = spoken_part(text)
     if reason:
         return BoxAnswer(None, reason=reason)
-    plain = unicodedata.normalize("NFKC", text).lower().replace("−", "-").replace("–", "-").replace("**", "")
-    found = _numbers(plain)
+    found = box_numbers(text)
     if isinstance(found, str):
         return BoxAnswer(None, reason=found)
     notes = [f"the first of {found.boxes} boxes"] if found.boxes > 1 else []
-    if not all(map(math.isfinite, found.values)):
-        return BoxAnswer(None, reason="numbers that are not finite")
     edges = _edges(found, size, scale, notes)
     if isinstance(edges, str):
         return BoxAnswer(None, reason=edges)
@@ -170,7 +177,8 @@ def _by_name(text: str) -> _BoxNumbers | str | None:
         rows.setdefault(key, []).append(value)
     for scheme in _SCHEMES:
         if all(key in rows for key in scheme):
-            return _found([rows[key][0] for key in scheme], boxes=min(len(rows[key]) for key in scheme))
+            boxes = min(len(rows[key]) for key in scheme)
+            return replace(_found([rows[key][0] for key in scheme], boxes=boxes), named=True)
     if any(keys <= set(rows) for keys in _SIZED):
         return "a corner with width and height, not two corners"
     return None
