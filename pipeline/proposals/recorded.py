@@ -30,11 +30,19 @@ from pydantic import TypeAdapter
 from pipeline.datasets.frame_names import FrameNames, Picture, fit
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import MaskCrop, RunLength
-from pipeline.language.naming import Synonyms
+from pipeline.language.naming import Synonyms, match
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Proposals, no_proposals
 from pipeline.proposals.class_names import meant_names
-from pipeline.proposals.coco_files import Corners, Detections, MaskCode, RecordedDetection, SceneMap, scored
+from pipeline.proposals.coco_files import (
+    Corners,
+    Detections,
+    MaskCode,
+    RecordedDetection,
+    SceneMap,
+    scored,
+    without_score,
+)
 from pipeline.proposals.detection_files import DETECTION_FORMATS, detection_files, format_of, read_detections
 from pipeline.system.errors import FrameUnusable, InputError, as_input_error, first_line, needed, require
 from pipeline.system.reading import Content, checked, read_content
@@ -141,6 +149,10 @@ class RecordedDetector:
     ----------
     made_by : str or None
         "name: fingerprint" of the detector that was recorded, where the recording says so.
+    scoreless : (int, int)
+        Detections of a published file without a score, which count with 1, and all.
+    cut : dict of str to tuple of str
+        Names that were asked so far and stand in the recording as cut words ("potted pl"), with these.
     corners : dict of int to Corners
         Of the objects of a map: the corners of their 3D boxes in the world, metres, by id; empty otherwise.
 
@@ -172,6 +184,8 @@ class RecordedDetector:
         self._recording: dict[str, FrameDetections] | None = None
         self._published: Detections | None = None
         self.made_by: str | None = None
+        self.scoreless = (0, 0)
+        self.cut: dict[str, tuple[str, ...]] = {}
         if self.path.is_dir():
             if (self.path / MADE_BY_FILE).is_file():
                 self.made_by = _maker(_object(read_content(self.path / MADE_BY_FILE, _WHAT)))
@@ -188,6 +202,7 @@ class RecordedDetector:
         self.elsewhere: list[Picture] = []
         if files:
             self._published = read_detections(files, key)
+            self.scoreless = without_score(self._published)
             if len(files) == 1 and isinstance(files[0].value, SceneMap):
                 self.corners = files[0].value.corners
             if frame_ids:
@@ -246,7 +261,14 @@ class RecordedDetector:
         meant = self._meanings.get(label)
         if meant is None:
             where = f"the recording {self.path.name}"
-            self._meanings[label] = meant = meant_names(label, self.vocabulary or (), self.synonyms, where)
+            known = self.vocabulary or ()
+            pieces = tuple(name for name in known if is_cut(name, label))
+            if pieces:
+                self.cut[label] = pieces
+                meant = tuple(dict.fromkeys((*match(label, known, self.synonyms), *pieces)))
+            else:
+                meant = meant_names(label, known, self.synonyms, where)
+            self._meanings[label] = meant
         return meant
 
     def _of_frame(self, frame: Frame) -> Playback:
@@ -282,6 +304,22 @@ class RecordedDetector:
                 path=file,
             )
         return found
+
+
+def is_cut(piece: str, name: str) -> bool:
+    """Tell whether a text is most of a name that was cut within a word, at its end or its start.
+
+    A piece of one word could be another thing ("table" of "tablet"), and is no cut name.
+
+    >>> is_cut("potted pl", "potted plant"), is_cut("tted plant", "potted plant"), is_cut("table", "tablet")
+    (True, True, False)
+    """
+    piece, name = (" ".join(text.casefold().split()) for text in (piece, name))
+    if len(piece) < max(4, 0.6 * len(name)) or len(piece) >= len(name) or " " not in piece:
+        return False
+    ends = name.startswith(piece) and name[len(piece)] != " " and piece[-1:] != " "
+    starts = name.endswith(piece) and name[-len(piece) - 1] != " "
+    return ends or starts
 
 
 def _mask_file(path: Path, name: str, where: str) -> np.ndarray:

@@ -262,6 +262,13 @@ def test_places_are_read_in_many_ways(
     assert getattr(answer(found, text="Where is it?"), name) == pytest.approx(given[name])
 
 
+def test_a_question_that_was_cut_is_its_expression(tmp_path: Path, world: dict[str, Any]) -> None:
+    path = of_lines(tmp_path / "cut.jsonl", roborefer(prompt="laptop right of the m", object_name=""))
+    notes = convert_predictions(path, tmp_path / "out", **world).notes
+    assert "the question 'laptop right of the m' was cut, and is taken as 'laptop right of the mug'" in notes[0]
+    assert answer(converted(path, world), text="laptop right of the mug").point == (0.25, 0.5)
+
+
 # Detections.
 
 

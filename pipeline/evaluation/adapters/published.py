@@ -83,7 +83,8 @@ class Published:
     def text(self, frame: str, candidates: Sequence[str]) -> str:
         """Expression of the labels in a question of any wording; else the first wording.
 
-        "Point to the mug left of the laptop." has "mug left of the laptop"; of several the longest, if it is one.
+        "Point to the mug left of the laptop." has "mug left of the laptop"; of several the longest, if it is one. A
+        question that was cut is the one expression that begins with it, which is noted.
         """
         known = self._texts.get(frame, {})
         asked = [words(text) for text in candidates]
@@ -92,7 +93,14 @@ class Published:
                 return known[text]
         within = [short for short in known if any(short in text for text in asked)]
         longest = [short for short in within if len(short) == max(map(len, within))]
-        return known[longest[0]] if len(longest) == 1 else candidates[0]
+        if len(longest) == 1:
+            return known[longest[0]]
+        whole = {full for full in known for text in asked if len(text) > len(full) / 2 and full.startswith(text[:-1])}
+        if len(whole) != 1:
+            return candidates[0]
+        meant = known[whole.pop()]
+        self.notes.append(f"frame {frame}: the question {candidates[0]!r} was cut, and is taken as {meant!r}")
+        return meant
 
 
 def words(text: str) -> str:
