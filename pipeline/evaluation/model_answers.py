@@ -169,12 +169,18 @@ def _numbers(text: str) -> _BoxNumbers | str:
     return _in_brackets(text) or _in_a_row(text) or _refused(text)
 
 
-def _by_name(text: str) -> _BoxNumbers | str | None:
+def named_numbers(text: str) -> dict[str, list[str]]:
+    """Numbers as written in a text in small letters by the names of edges and sizes before them: x, ymin, width, ..."""
     rows: dict[str, list[str]] = {}
     for key, value in _NAMED.findall(text):
         key = re.sub(r"[_ ]", "", key)
         key = key[3:] + key[:3] if key[:3] in ("min", "max") else key
         rows.setdefault(key, []).append(value)
+    return rows
+
+
+def _by_name(text: str) -> _BoxNumbers | str | None:
+    rows = named_numbers(text)
     for scheme in _SCHEMES:
         if all(key in rows for key in scheme):
             boxes = min(len(rows[key]) for key in scheme)

@@ -173,7 +173,7 @@ def read_places(
     Raises InputError: two readings fit alike; it names the option that tells.
     """
     lines = list(lines)
-    groups: dict[tuple[str, str, int, bool, str], list[int]] = {}
+    groups: dict[tuple[str, str, int, bool, str, str], list[int]] = {}
     decimal = _mostly_decimal(lines)
     # Two brackets of two numbers are the corners of a box only where a model writes nothing else so.
     single = {(line.model, line.place.form) for line in lines if len(line.place.values) == 2}
@@ -182,7 +182,8 @@ def read_places(
         if p.pair and way in single:
             p = replace(p, values=p.values[:2], pair=False)
             lines[k] = replace(line, place=p)
-        groups.setdefault((*way, len(p.values), p.shares and way not in decimal, p.fixed), []).append(k)
+        shares = p.shares and way not in decimal
+        groups.setdefault((*way, len(p.values), shares, p.fixed, p.order), []).append(k)
     found: dict[int, Place] = {}
     notes, units = list[str](), dict[str, str]()
     for key, members in sorted(groups.items(), key=lambda item: -len(item[1])):
@@ -266,8 +267,8 @@ def _readings(lines: Sequence[PlacedLine], told: Sequence[PlaceReading]) -> Iter
     if given and not place.fixed:
         units = given
     orders = ("xy", "yx", "xyxy", "yxyx") if place.pair else _ORDERS[len(place.values)]
-    if place.form == "named" or place.fixed in ("1024ths", "thousandths"):
-        orders = orders[:1]
+    if place.order:
+        orders = (place.order,)
     allowed = [t.order for t in told if t.order and t.order in orders]
     for unit in units:
         for order in allowed or orders:

@@ -166,6 +166,11 @@ def test_two_brackets_are_corners_where_a_model_writes_nothing_else_so() -> None
         ("<|box_start|>(100,200),(300,400)<|box_end|>", (100, 200, 300, 400), ""),
         ("<loc0256><loc0128><loc0512><loc0768> mug", (128, 256, 768, 512), "1024ths"),
         ("x1=10%, y1=20%, x2=30%, y2=40%", (10, 20, 30, 40), "percent"),
+        ('{"x": 10, "y": 20, "width": 30, "height": 40}', (10, 20, 30, 40), ""),
+        ('{"x": 12.5, "y": 20}', (12.5, 20), ""),
+        ("x_min: 1, y_min: 2, x_max: 3, y_max: 4", (1, 2, 3, 4), ""),
+        (f"({'9' * 400}, 2)", None, ""),
+        (f'"bbox": [1, 2, 3, {"9" * 400}]', None, ""),
         ("no place at all", None, ""),
         ("[nan, 1, 2, 3]", None, ""),
         ('"point_2d": [1, 2, 3]', None, ""),
@@ -188,3 +193,25 @@ def test_a_served_model_is_read_by_its_habit() -> None:
     assert scale_of("Qwen/Qwen3-VL-8B-Instruct", (640, 640)) == 1000
     assert scale_of("Qwen/Qwen2.5-VL-7B-Instruct", (640, 640)) == 644
     assert scale_of("llava-1.5-7b-hf", (640, 640)) is None
+
+
+def test_any_text_is_read_or_none() -> None:
+    """Pieces of the ways of writing in any order: no error but the one that asks."""
+    marks = ["[", "]", "(", ")", "{", "}", '"bbox_2d":', '"point":', "<box>", "</box>", "coords=", '"', "x1=", "y:"]
+    marks += ["%", "px", ",", "and", "x", "=", "nan", "1e5", "99999999999"]
+    pieces = [*marks, "(12, 0.5)", "[1, 2, 3, 4]", "<loc0012>" * 4, "x=3, y=4", "12, 30, 40, 50", "\u0663", "\n", " "]
+    rng = np.random.default_rng(0)
+    lines = []
+    for _ in range(3000):
+        place = written_place("".join(rng.choice(pieces, rng.integers(1, 9))))
+        if place is not None:
+            assert len(place.values) in (2, 4)
+            lines.append(PlacedLine("line 1", place, SIZE, rng.uniform(0, 1, (2, 4))))
+    assert len(lines) > 100
+    for line in lines[:300]:
+        try:
+            ((x0, y0, x1, y1),) = (place.box for place in read_places([line])[0])
+        except InputError as error:
+            assert "--places" in str(error)  # noqa: PT017
+        else:
+            assert np.isfinite([x0, y0, x1, y1]).all()
