@@ -15,6 +15,7 @@ from pipeline.metrics.intervals import Estimate
 from pipeline.metrics.tables import Table
 from pipeline.proposals.base import Detector
 from pipeline.proposals.class_names import known_names, knows
+from pipeline.proposals.recorded import RecordedDetector, is_cut
 from pipeline.system.arrow import pa
 
 NAMED = 8
@@ -46,14 +47,25 @@ def causes_of(records: pa.Table, source: Pipeline, labels: Labels, detector: Det
             '--synonyms FILE with {"groups": [[NAME, KNOWN]]}'
         )
     found += problem_warnings(records.filter(pa.array(~touched)) if touched.any() else records)
-    return (*found, *_unlabelled(source, labels))
+    return (*found, *_of_recording(detector), *_unlabelled(source, labels))
 
 
 def unknown_names(records: pa.Table, detector: Detector, source: Pipeline) -> list[str]:
     """Names of the expressions that a detector cannot find, in order."""
     known = known_names(detector)
     asked = dict.fromkeys(name for c in ("target", "reference") for name in records.column(c).to_pylist() if name)
-    return [] if known is None else [name for name in asked if not knows(known, name, source.synonyms)]
+    if known is None:
+        return []
+    return [n for n in asked if not knows(known, n, source.synonyms) and not any(is_cut(piece, n) for piece in known)]
+
+
+def _of_recording(detector: Detector | None) -> list[str]:
+    """What was assumed of recorded detections: scores that are missing, and names that were cut."""
+    found: object = detector
+    # What wraps a detector (a cache, a segmenter) has it as this attribute.
+    while found is not None and not isinstance(found, RecordedDetector):
+        found = getattr(found, "detector", None)
+    return [] if found is None else found.assumed()
 
 
 def _unlabelled(source: Pipeline, labels: Labels) -> list[str]:

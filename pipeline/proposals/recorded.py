@@ -239,6 +239,15 @@ class RecordedDetector:
     def fingerprint(self) -> str:
         return self._fingerprint
 
+    def assumed(self) -> list[str]:
+        """What was assumed so far, a sentence each: scores that the file lacks, and names that it has cut."""
+        scoreless, every = self.scoreless
+        told = [f"{scoreless} of {every} detections have no score in the file: 1 is taken"] if scoreless else []
+        for name, pieces in self.cut.items():
+            written = " and ".join(map(repr, pieces))
+            told.append(f"{name!r} is written {written} in the file, cut within a word, and is found by that")
+        return told
+
     def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
         playback = self._of_frame(frame)
         key = None if labels is None else tuple(labels)

@@ -17,6 +17,7 @@ from pipeline.answering import Header, Predictions, read_predictions
 from pipeline.datasets import FrameNames, InMemoryDataset
 from pipeline.evaluation.adapters import FORMATS, PredictionFormat, convert_predictions
 from pipeline.evaluation.adapters.converting import is_published
+from pipeline.labels.reading import arrow_schema, write_table
 from pipeline.system import FrameUnusable, InputError, pa, plugins, sha256_of
 
 IDS = ("000001/000000", "000001/000020", "000002/000003")
@@ -26,7 +27,7 @@ ASKED = {IDS[0]: [MUG, "laptop right of the mug"], IDS[1]: [MUG]}
 
 
 @pytest.fixture(scope="module")
-def world() -> dict[str, Any]:
+def world(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """Three frames and what the labels ask of two of them."""
     boxes = [upright((x, 0.9, 2), (0.3, 0.4, 0.3)) for x in (-0.6, 0.6)]
     frames = [frame_of(boxes, ["mug", "laptop"], name=i) for i in IDS]
@@ -35,15 +36,11 @@ def world() -> dict[str, Any]:
         for frame, texts in ASKED.items()
         for text in texts
     ]
-    things = [
-        {"frame": frame.id, "label": a.label, "bbox": np.asarray(a.bbox, float).tolist()}
-        for frame in frames
-        for a in frame.annotations
-    ]
-    labels: Any = SimpleNamespace(
-        expressions=pa.Table.from_pylist(rows),
-        objects=pa.Table.from_pylist(things),
-    )
+    every = [(frame.id, a.label, np.asarray(a.bbox, float).tolist()) for frame in frames for a in frame.annotations]
+    root = tmp_path_factory.mktemp("labels")
+    things = pa.table(dict(zip(("frame", "label", "bbox"), map(list, zip(*every, strict=True)), strict=True)))
+    write_table(things.replace_schema_metadata(arrow_schema("objects").metadata), root / "objects.parquet")
+    labels: Any = SimpleNamespace(expressions=pa.Table.from_pylist(rows), root=root)
     return {"dataset": InMemoryDataset(frames), "labels": labels}
 
 

@@ -20,7 +20,7 @@ from pipeline.evaluation.adapters.published import PredictionFormat, Published
 from pipeline.evaluation.importing import import_run
 from pipeline.evaluation.job import RunReport
 from pipeline.evaluation.place_reading import told_reading
-from pipeline.labels.reading import Labels, open_labels
+from pipeline.labels.reading import Labels, open_labels, read_table
 from pipeline.language.expression import parse
 from pipeline.proposals.detection_files import detection_files
 from pipeline.system.errors import FrameUnusable, InputError, needed, require
@@ -73,7 +73,8 @@ def convert_predictions(
     require(key is None or chosen.needs, f"the format {name} needs no --key", path=key)
     told = [told_reading(text) for text in places]
     require(not told or name in ANSWER_FORMATS, f"--places is for answers in words, not for {name}", path=path)
-    published = Published(path, key, dataset, _sentences(dataset, labels), labelled=_labelled(labels), places=told)
+    labelled = _labelled(labels) if name in ANSWER_FORMATS else {}
+    published = Published(path, key, dataset, _sentences(dataset, labels), labelled=labelled, places=told)
     given, lines = chosen.read(published)
     header = given if isinstance(given, Header) else parse_header({"spatialviz_predictions": VERSION, **given}, path)
     counts, seen = Counter[str](), set[tuple[str, str]]()
@@ -187,7 +188,8 @@ def _sentences(dataset: Dataset, labels: Labels) -> dict[str, dict[str, tuple[st
 def _labelled(labels: Labels) -> dict[str, tuple[list[str], np.ndarray]]:
     """Names and boxes ((N, 4) float64, pixels) of the labelled things by frame."""
     found: dict[str, tuple[list[str], list[list[float]]]] = {}
-    for row in labels.objects.select(["frame", "label", "bbox"]).to_pylist():
+    # Masks, the most of the table, are not read.
+    for row in read_table(labels.root / "objects.parquet", "objects", ["frame", "label", "bbox"]).to_pylist():
         names, boxes = found.setdefault(row["frame"], ([], []))
         names.append(row["label"])
         boxes.append(row["bbox"])

@@ -33,9 +33,6 @@ def read_recording(published: Published) -> tuple[Header, Iterator[Prediction]]:
             f"left out: {counted(len(detector.elsewhere), 'picture')} of the file that the dataset does not hold "
             f"(first: {detector.elsewhere[0]})"
         )
-    scoreless, every = detector.scoreless
-    if scoreless:
-        published.notes.append(f"{scoreless} of {every} detections have no score in the file: 1 is taken")
     system = detector.made_by or published.path.name
     header = Header(system=system, coordinates="world" if detector.corners else "camera_opencv", notes=ONLY_DETECTIONS)
     return header, _detections(published, detector)
@@ -68,9 +65,7 @@ def _detections(published: Published, detector: RecordedDetector) -> Iterator[Pr
                 unknown=unknown or None,
                 boxes_3d=boxes or None,
             )
-    for name, pieces in detector.cut.items():
-        written = " and ".join(map(repr, pieces))
-        published.notes.append(f"{name!r} is written {written} in the file, cut within a word, and was found by that")
+    published.notes.extend(detector.assumed())
 
 
 def _proposals(found: Proposals, told: set[int]) -> Iterator[Proposal]:
