@@ -16,7 +16,8 @@ _SAYS_OF = frozenset({"is", "it's", "that's", "is not", "isn't", "be", "are"})
 _NEGATES = frozenset({"not", "never", "neither", "cannot", "can't", "isn't", "wouldn't", "don't", "doesn't", "without"})
 _NO_ANSWERS = frozenset({"idea", "clue", "doubt", "problem", "way", "information", "answer", "comment"})
 """Nouns before which `no` answers nothing: `no idea`."""
-_REASONING = re.compile(r"<(/?)(?:think|thinking|reasoning)>", re.IGNORECASE)
+_REASONING = re.compile(r"[<◁\[](/?)(?:think|thinking|thought|reasoning)[>▷\]]", re.IGNORECASE)
+_ANSWER = re.compile(r"<answer>(.*?)(?:</answer>|$)", re.IGNORECASE | re.DOTALL)
 _LONGEST = 4000
 """Characters of an answer that are read: its first and its last half so many."""
 _INSTRUCTION = re.compile(r"\b(?:answer|respond|reply)\b[^.:!?\n]*?\byes(?: or |/)no\b(?: only)?")
@@ -237,7 +238,11 @@ class YesNo:
 
 
 def spoken_part(text: str) -> tuple[str, str | None]:
-    """An answer without the model's leading reasoning, and the reason for an empty answer."""
+    """An answer without the model's leading reasoning, and the reason for an empty answer.
+
+    Reasoning stands between <think>, [THINK] (Magistral) or ◁think▷ (Kimi-VL) and what closes it; the first mark may be
+    in the prompt. Of what follows the last <answer> counts, where there is one.
+    """
     closed, opened = 0, False
     for match in _REASONING.finditer(text):
         if match[1]:
@@ -247,6 +252,8 @@ def spoken_part(text: str) -> tuple[str, str | None]:
     if opened:
         return "", "the answer ends within its reasoning"
     text = text[closed:].strip()
+    tagged = _ANSWER.findall(text)
+    text = tagged[-1].strip() if tagged else text
     if len(text) > _LONGEST:
         text = f"{text[: _LONGEST // 2]}\n...\n{text[-_LONGEST // 2 :]}"
     return (text, None) if text else ("", "an empty answer")

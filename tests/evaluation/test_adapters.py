@@ -232,6 +232,11 @@ def test_samples_of_lmms_eval(tmp_path: Path, world: dict[str, Any]) -> None:
     documents = [{"id": 3, "image": "000003.png"}, {"id": 4, "image": {"path": f"{IDS[1]}.png"}}]
     found = converted(path, world, key=of_json(tmp_path / "documents.json", documents))
     assert answer(found, IDS[1]).point == (0.5, 0.25)
+    raw = {**row, "resps": [["<think>(1, 2)</think><answer>(0.5, 0.25)</answer>"]], "filtered_resps": ""}
+    for change in (raw, {k: v for k, v in raw.items() if k != "filtered_resps"}):
+        one = of_lines(tmp_path / "raw_samples.jsonl", change | {"input_media": [f"{IDS[1]}.png"]})
+        (tmp_path / "raw_samples.jsonl.predictions").unlink(missing_ok=True)
+        assert answer(converted(one, world), IDS[1]).point == (0.5, 0.25)
     seen = of_lines(tmp_path / "media.jsonl", row | {"input_media": [f"data/{IDS[0]}.png"], "filtered_resps": ["no"]})
     assert answer(converted(seen, world)).yes is False
 
@@ -240,6 +245,9 @@ def test_samples_of_lmms_eval(tmp_path: Path, world: dict[str, Any]) -> None:
     ("text", "given", "told"),
     [
         ("<think>(0.9, 0.9)</think> (0.5, 0.25)", {"point": (0.5, 0.25)}, ""),
+        ("◁think▷(0.9, 0.9)◁/think▷ (0.5, 0.25)", {"point": (0.5, 0.25)}, ""),
+        ("[THINK](0.9, 0.9)[/THINK] (0.5, 0.25)", {"point": (0.5, 0.25)}, ""),
+        ("I see (0.9, 0.9). <answer>(0.5, 0.25)</answer>", {"point": (0.5, 0.25)}, ""),
         ("[160, 60]", {"point": (0.5, 0.25)}, "pixels"),
         ('[{"point_2d": [500, 250]}]', {"point": (0.5, 0.25)}, "thousandths"),
         ("It is at (0.1, 0.2, 0.3, 0.4).", {"box": (0.1, 0.2, 0.3, 0.4)}, ""),

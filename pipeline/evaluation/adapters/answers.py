@@ -9,7 +9,7 @@ SpatialClaw: NVlabs/SpatialClaw, entrypoints/run.py: predictions.jsonl with samp
 where `session-<sample_id>/trace.jsonl` (logging_utils/logger.py) lies beside it, its event `init` has the question. No
 file names the pictures.
 lmms-eval: EvolvingLMMs-Lab/lmms-eval, loggers/evaluation_tracker.py: *_samples_<task>.jsonl with doc_id, target, input,
-filtered_resps, and input_media where the task's documents name their pictures.
+resps, filtered_resps, and input_media where the task's documents name their pictures.
 
 What a file lacks comes from the file given with --key, a list of items with an id, a picture, and a question.
 """
@@ -50,6 +50,7 @@ class Fields:
     questions: tuple[str, ...]  # the wordings of the question; the one that is an expression of the labels is taken
     pictures: tuple[str, ...] = ()
     system: str = "model_id"
+    raw: str = ""  # where the answer stands that was not filtered, for when the filtered one is missing or empty
 
 
 def read_answers(fields: Fields, published: Published) -> tuple[Header, Iterator[Prediction]]:
@@ -84,8 +85,10 @@ def _lines(fields: Fields, published: Published, content: Content) -> Iterator[P
         candidates = [text for text in told if isinstance(text, str) and text.strip()]
         require(candidates, f"{where}: no question", expected=expected, path=content.path)
         text = published.text(frame, candidates)
-        require(fields.answer in row, f"{where}, {fields.answer}: no answer", got=", ".join(row), path=content.path)
-        said = _said(row[fields.answer], item.get("choices"))
+        given = row.get(fields.answer) or row.get(fields.raw, row.get(fields.answer))
+        missing = f"{where}, {fields.answer}: no answer"
+        require(given is not None, missing, got=", ".join(row), expected="text, empty for none", path=content.path)
+        said = _said(given, item.get("choices"))
         spoken, problem = spoken_part(said)
         place = None if problem else written_place(spoken)
         if place is None:
@@ -193,8 +196,13 @@ OVERSHOOT = 0.1
 
 
 def _format(fields: Fields, keys: set[str], description: str, needs: str = "") -> PredictionFormat:
+    """Format of answers; `keys`: those of its lines, of "a|b" one."""
     return PredictionFormat(
-        partial(read_answers, fields), lambda content: keys <= content.first.keys(), description, 0, needs
+        partial(read_answers, fields),
+        lambda content: all(content.first.keys() & set(key.split("|")) for key in keys),
+        description,
+        0,
+        needs,
     )
 
 
@@ -222,8 +230,8 @@ ANSWER_FORMATS = {
         "the samples: id, image, question, choices",
     ),
     "lmms-eval": _format(
-        Fields("doc_id", "filtered_resps", ("input",), ("input_media",)),
-        {"doc_id", "filtered_resps"},
+        Fields("doc_id", "filtered_resps", ("input",), ("input_media",), raw="resps"),
+        {"doc_id", "resps|filtered_resps"},
         "the samples that lmms-eval logs",
         "the documents in their order, with image and question, where the log has no input_media",
     ),
