@@ -28,6 +28,7 @@ _HABITS: tuple[tuple[str, str, bool, str], ...] = (
     (r"seed-?1[._]5-?vl", "thousandths", False, "ByteDance-Seed/Seed1.5-VL, cookbook"),
     (r"minicpm-?v", "thousandths", False, "OpenBMB/MiniCPM-V, README"),
     (r"florence", "thousandths", False, "microsoft/Florence-2-large, processor"),
+    (r"llava-?(v-?)?1[._]5", "padded", False, "haotian-liu/LLaVA, README: image_aspect_ratio pad"),
     (r"robopoint|robo-?refer|kimi-?vl|moondream|shikra", "shares", False, "the prompts of their repositories"),
 )
 _FORMS: Mapping[str, tuple[str, bool | None]] = {
@@ -59,11 +60,11 @@ def suggested(form: str) -> tuple[str, bool | None]:
 def far_edges(unit: str, size: tuple[int, int]) -> tuple[float, float]:
     """Right and lower edge of a picture of `size` (width, height), pixels, in a unit.
 
-    `unit`: shares, percent, thousandths, 1024ths, pixels; pixels of a resized picture: `pixels:640` (its longer side),
-    `pixels:640x480`, `pixels:qwen` and `pixels:qwen-1280` (as `smart_resize` of qwen_vl_utils makes it, by default and
-    with at most 1,280 tokens).
+    `unit`: shares, padded (shares of the picture padded to a square), percent, thousandths, 1024ths, pixels. Pixels of
+    a resized picture are `pixels:640` (its longer side), `pixels:640x480`, `pixels:qwen` and `pixels:qwen-1280` (as
+    `smart_resize` of qwen_vl_utils makes it, by default and with at most 1,280 tokens).
     """
-    whole = {"shares": 1.0, "percent": 100.0, "thousandths": 1000.0, "1024ths": 1024.0}.get(unit)
+    whole = {"shares": 1.0, "padded": 1.0, "percent": 100.0, "thousandths": 1000.0, "1024ths": 1024.0}.get(unit)
     if whole is not None:
         return whole, whole
     width, height = float(size[0]), float(size[1])

@@ -44,7 +44,8 @@ _SIDES += (1568, 1920, 2048)
 """Lengths that pictures are made of for networks: of the longer side, the shorter side, or both."""
 _FRACTIONS = (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 3 / 2, 2.0)
 _AROUND = tuple(1 + k / 100 for k in range(-12, 13))
-_LESS_LIKELY = {"percent": -2.0, "1024ths": -6.0}
+PADDED = "padded"
+_LESS_LIKELY = {PADDED: -5.0, "percent": -2.0, "1024ths": -6.0}
 _ORDERS = {2: ("xy", "yx"), 4: ("xyxy", "yxyx", "xywh", "cxcywh")}
 _BY_ORDER = {"xy": 4.0, "yx": 0.0, "xyxy": 4.0, "yxyx": 0.0, "xywh": 0.5, "cxcywh": -1.0}
 _WORDS = {
@@ -77,6 +78,7 @@ class PlaceReading:
     @property
     def words(self) -> str:
         unit, _, resized = self.unit.partition(":")
+        unit = "shares of the picture padded to a square" if unit == PADDED else unit
         of = {"": "", "qwen": " of the picture as Qwen2.5-VL resizes it"}.get(resized)
         if of is None:
             of = " of the picture as Qwen2.5-VL resizes it to 1,280 tokens"
@@ -98,7 +100,13 @@ class PlaceReading:
             "cxcywh": (a - c / 2, b - d / 2, a + c / 2, b + d / 2),
         }[self.order]
         width, height = far_edges(self.unit, size)
-        return x0 / width, y0 / height, x1 / width, y1 / height
+        found = (x0 / width, y0 / height, x1 / width, y1 / height)
+        if self.unit != PADDED:
+            return found
+        # The picture lies in the middle of the square.
+        u, v = (max(size) / side for side in size)
+        left, top, right, bottom = ((share - 0.5) * k + 0.5 for share, k in zip(found, (u, v, u, v), strict=True))
+        return left, top, right, bottom
 
 
 @dataclass(frozen=True)
@@ -148,7 +156,7 @@ def told_reading(text: str) -> PlaceReading:
             raise InputError(
                 f"{OPTION}: not how numbers are meant",
                 got=repr(part),
-                expected="pixels, thousandths, shares, percent, pixels:LONGER_SIDE, pixels:WIDTHxHEIGHT or "
+                expected="pixels, thousandths, shares, percent, padded, pixels:LONGER_SIDE, pixels:WIDTHxHEIGHT or "
                 "pixels:qwen; with xy, yx (points), xyxy, yxyx, xywh or cxcywh (boxes) after a comma",
             )
     return PlaceReading(unit, order)
@@ -260,7 +268,7 @@ def _same_unit(lines: Sequence[PlacedLine], best: Scored, unit: str) -> bool:
 
 def _readings(lines: Sequence[PlacedLine], told: Sequence[PlaceReading]) -> Iterator[PlaceReading]:
     place = lines[0].place
-    units: Sequence[str] = (*_UNITS, *_resized(lines[0].size))
+    units: Sequence[str] = (*_UNITS, PADDED, *_resized(lines[0].size))
     if place.fixed:
         units = (place.fixed,)
     given = [t.unit for t in told if t.unit]
@@ -292,7 +300,8 @@ def _prior(line: PlacedLine, reading: PlaceReading, shares: bool, unit: str) -> 
     if habit is None or reading.unit != habit[0]:
         score += _LESS_LIKELY.get(reading.unit, SEVERAL_SIZES if ":" in reading.unit else 0.0)
     if shares:
-        return score + (10.0 if reading.unit == "shares" else 0.0) + (HINTED if y_first == bool(y_hinted) else 0.0)
+        known = KNOWN * (habit is not None and reading.unit == habit[0])
+        return score + known + 10.0 * (reading.unit in ("shares", PADDED)) + HINTED * (y_first == bool(y_hinted))
     if habit is not None:
         score += KNOWN * (reading.unit == habit[0]) + KNOWN / 2 * (y_first == habit[1])
         # Some who run a model of pixels scale them back to the picture at hand.

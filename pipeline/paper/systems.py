@@ -339,7 +339,7 @@ def point_by_model(client: ChatClient, frame: Frame, texts: Sequence[str], model
 def scale_of(model: str, size: tuple[int, int]) -> float | None:
     """Far edge of a square picture as a known model counts where it does not in shares; None for any other model."""
     habit = habit_of(model)
-    return None if habit is None or habit[0] in ("shares", "percent") else far_edges(habit[0], size)[0]
+    return None if habit is None or habit[0] in ("shares", "padded", "percent") else far_edges(habit[0], size)[0]
 
 
 def _pointed(answer: ChatAnswer, view: View, scale: float | None = None) -> Pointed:

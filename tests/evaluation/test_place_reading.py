@@ -9,6 +9,7 @@ Molmo2 coords="1 1 386 645" in thousandths (its model card).
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -114,6 +115,22 @@ def test_a_known_model_is_read_as_its_maker_says(model: str, unit: str, order: s
         habit = habit_of(model)
         assert habit is not None
         assert habit[2] in note
+
+
+def test_shares_of_a_padded_picture_are_read_as_such() -> None:
+    """LLaVA-1.5 was trained on pictures padded to a square (README of haotian-liu/LLaVA: image_aspect_ratio pad)."""
+    lines, meant = a_file("shares", "xyxy", count=30)
+    padded = []
+    for line, box in zip(lines, meant, strict=True):
+        inner = box * [1, 0.75, 1, 0.75] + [0, 0.125, 0, 0.125]
+        place = written_place(f"[{', '.join(f'{value:.2f}' for value in inner)}]")
+        assert place is not None
+        padded.append(replace(line, place=place))
+    found, note = places_of(padded)
+    assert is_as_meant(found, meant), note
+    assert "shares of the picture padded to a square" in note
+    one, _ = places_of([replace(padded[0], model="llava-v1.5-7b", things=np.zeros((0, 4)))])
+    assert is_as_meant(one, meant[:1])
 
 
 def test_evidence_goes_before_habit_and_says_so() -> None:
