@@ -14,8 +14,8 @@ from pipeline.language.counted import counted
 from pipeline.metrics.intervals import Estimate
 from pipeline.metrics.tables import Table
 from pipeline.proposals.base import Detector
-from pipeline.proposals.class_names import known_names, knows
-from pipeline.proposals.recorded import RecordedDetector, is_cut
+from pipeline.proposals.class_names import is_cut, known_names, knows
+from pipeline.proposals.recorded import RecordedDetector
 from pipeline.system.arrow import pa
 
 NAMED = 8

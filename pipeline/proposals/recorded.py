@@ -33,7 +33,7 @@ from pipeline.geometry.masks import MaskCrop, RunLength
 from pipeline.language.naming import Synonyms, match
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Proposals, no_proposals
-from pipeline.proposals.class_names import meant_names
+from pipeline.proposals.class_names import is_cut, meant_names
 from pipeline.proposals.coco_files import (
     Corners,
     Detections,
@@ -313,22 +313,6 @@ class RecordedDetector:
                 path=file,
             )
         return found
-
-
-def is_cut(piece: str, name: str) -> bool:
-    """Tell whether a text is most of a name that was cut within a word, at its end or its start.
-
-    A piece of one word could be another thing ("table" of "tablet"), and is no cut name.
-
-    >>> is_cut("potted pl", "potted plant"), is_cut("tted plant", "potted plant"), is_cut("table", "tablet")
-    (True, True, False)
-    """
-    piece, name = (" ".join(text.casefold().split()) for text in (piece, name))
-    if len(piece) < max(4, 0.6 * len(name)) or len(piece) >= len(name) or " " not in piece:
-        return False
-    ends = name.startswith(piece) and name[len(piece)] != " " and piece[-1:] != " "
-    starts = name.endswith(piece) and name[-len(piece) - 1] != " "
-    return ends or starts
 
 
 def _mask_file(path: Path, name: str, where: str) -> np.ndarray:
