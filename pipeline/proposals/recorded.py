@@ -241,12 +241,12 @@ class RecordedDetector:
 
     def assumed(self) -> list[str]:
         """What was assumed so far, a sentence each: scores that the file lacks, and names that it has cut."""
-        scoreless, every = self.scoreless
-        told = [f"{scoreless} of {every} detections have no score in the file: 1 is taken"] if scoreless else []
-        for name, pieces in self.cut.items():
-            written = " and ".join(map(repr, pieces))
-            told.append(f"{name!r} is written {written} in the file, cut within a word, and is found by that")
-        return told
+        missing, every = self.scoreless
+        told = [f"{missing} of {every} detections have no score in the file: 1 is taken"] if missing else []
+        cut = [(name, " and ".join(map(repr, pieces))) for name, pieces in self.cut.items()]
+        return told + [
+            f"{name!r} is written {w} in the file, cut within a word, and is found by that" for name, w in cut
+        ]
 
     def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
         playback = self._of_frame(frame)
@@ -269,15 +269,11 @@ class RecordedDetector:
         """Recorded names meant by a name."""
         meant = self._meanings.get(label)
         if meant is None:
-            where = f"the recording {self.path.name}"
-            known = self.vocabulary or ()
-            pieces = tuple(name for name in known if is_cut(name, label))
-            if pieces:
+            known, where = self.vocabulary or (), f"the recording {self.path.name}"
+            if pieces := tuple(name for name in known if is_cut(name, label)):
                 self.cut[label] = pieces
-                meant = tuple(dict.fromkeys((*match(label, known, self.synonyms), *pieces)))
-            else:
-                meant = meant_names(label, known, self.synonyms, where)
-            self._meanings[label] = meant
+            meant = tuple(dict.fromkeys((*match(label, known, self.synonyms), *pieces)))
+            self._meanings[label] = meant = meant or meant_names(label, known, self.synonyms, where)
         return meant
 
     def _of_frame(self, frame: Frame) -> Playback:
