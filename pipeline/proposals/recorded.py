@@ -152,7 +152,7 @@ class RecordedDetector:
     scoreless : (int, int)
         Detections of a published file without a score, which count with 1, and all.
     cut : dict of str to tuple of str
-        Names that were asked so far and stand in the recording as cut words ("potted pl"), with these.
+        Asked names that stand in the recording as cut words ("potted pl"), with these.
     corners : dict of int to Corners
         Of the objects of a map: the corners of their 3D boxes in the world, metres, by id; empty otherwise.
 
@@ -243,10 +243,8 @@ class RecordedDetector:
         """What was assumed so far, a sentence each: scores that the file lacks, and names that it has cut."""
         missing, every = self.scoreless
         told = [f"{missing} of {every} detections have no score in the file: 1 is taken"] if missing else []
-        cut = [(name, " and ".join(map(repr, pieces))) for name, pieces in self.cut.items()]
-        return told + [
-            f"{name!r} is written {w} in the file, cut within a word, and is found by that" for name, w in cut
-        ]
+        cut = ((name, " and ".join(map(repr, pieces))) for name, pieces in self.cut.items())
+        return told + [f"{name!r} is written {w} in the file, cut within a word, and found by that" for name, w in cut]
 
     def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
         playback = self._of_frame(frame)
