@@ -110,7 +110,10 @@ class CheckCommand(OnLabels):
     """Findings shown of each rule."""
 
 
-OF_AUDIT = "Sentences as `eval --sentences` takes them (SUN-Refer, SUN-Spot too), or the folder of RoboSpatial-Home."
+OF_AUDIT = (
+    "Sentences as `eval --sentences` takes them (SUN-Refer, SUN-Spot too), the folder of RoboSpatial-Home, or a file "
+    "of VSR, BLINK (Spatial_Relation), CV-Bench, What'sUp, ScanRefer or Nr3D."
+)
 
 
 @dataclass(frozen=True)

@@ -113,6 +113,10 @@ class ImportRunCommand(WritesRun, OfCamera):
     spatialrgpt | llava | spatialclaw | lmms-eval, or a plugin's. Default: as the file's content says."""
     key: Path | None = None
     """What the file leaves open: COCO's annotation file, a list of class names, a list of id, image and question."""
+    places: tuple[str, ...] = ()
+    """What the numbers of answers in words mean, where all lines together do not say it: pixels | thousandths |
+    shares | padded (of a square) | percent | pixels:LONGER_SIDE | pixels:WIDTHxHEIGHT (of a resized picture) |
+    pixels:qwen, and after a comma xy | yx of points, xyxy | yxyx | xywh | cxcywh of boxes: thousandths,yxyx."""
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from pipeline.answering.pipeline import open_pipeline
 from pipeline.diagnosis.marks import read_marks
 from pipeline.diagnosis.verdict import VERDICTS, shown_verdict
 from pipeline.evaluation.browsing import RunRows, shown_rows
+from pipeline.evaluation.causes import with_figures
 from pipeline.evaluation.comparing import CHANGES, Comparison, answer_differences, compare
 from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.leakage import Share, shares_of_run, with_caveats
@@ -306,11 +307,15 @@ def run_tables(command: TablesCommand) -> None:
 
 
 def print_run(report: RunReport, show: int) -> None:
-    """The tables, the comparison, and where everything lies."""
-    for table in report.tables:
+    """What keeps it from answering, the tables, the comparison, and where everything lies."""
+    say_lines(report.causes, "bold yellow")
+    shown, empty = with_figures(report.tables)
+    for table in shown:
         print_table(table, caveats=False)
         say()
-    for caveat in dict.fromkeys(caveat for table in report.tables for caveat in table.caveats):
+    if empty:
+        say(f"without a figure other than 0, and left out: {', '.join(table.title for table in empty)}", style="dim")
+    for caveat in dict.fromkeys(caveat for table in shown for caveat in table.caveats):
         say(caveat, style="yellow")
     if report.comparison is not None:
         print_comparison(report.comparison, show)
@@ -354,6 +359,7 @@ def run_record(report: RunReport) -> dict[str, Any]:
         "run": str(report.folder),
         "expressions": report.expressions,
         "pairs": report.pairs,
+        "causes": list(report.causes),
         "warnings": list(report.warnings),
         "shares": [share.record() for share in report.shares],
         "seconds": round(report.seconds, 2),

@@ -29,6 +29,7 @@ def run_import_run(command: ImportRunCommand) -> None:
             command.out,
             format=command.format,
             key=command.key,
+            places=command.places,
             name=command.name,
             workers=command.workers,
             plots=command.plots,

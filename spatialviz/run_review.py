@@ -38,7 +38,7 @@ from pipeline.system.whole_files import scratch_folder
 from pipeline.training.train import need_torch
 from spatialviz.cli_labels import AuditCommand, ReviewCommand
 from spatialviz.options import FINE, NO, warn
-from spatialviz.printing import figure, print_rows, print_table, progress_bars, rate_bar, say
+from spatialviz.printing import figure, print_rows, print_table, progress_bars, rate_bar, say, say_lines
 
 
 def run_review(command: ReviewCommand) -> int:
@@ -145,6 +145,10 @@ def print_agreement(pairs: Sequence[PairAgreement], limit: int) -> None:
             say(f"  and {len(pair.differ) - limit} more")
 
 
+REASONS = 5
+"""Reasons for which items cannot be judged that are printed."""
+
+
 def run_audit(command: AuditCommand) -> None:
     require(command.limit >= 0, "--limit must not be negative", got=command.limit)
     with rate_bar("auditing", "items") as advance:
@@ -182,5 +186,9 @@ def print_audit(report: AuditReport, command: AuditCommand) -> None:
         f"{counted(len(report.items), 'item')}; something speaks against {record['suspicious']}, {report.likely} are "
         f"probably wrong; {record['unjudged']} cannot be judged by geometry"
     )
+    because = list(record["unjudged_because"].items())
+    say_lines((f"  {count}: {why}" for why, count in because[:REASONS]), "dim")
+    if len(because) > REASONS:
+        say(f"  and {len(because) - REASONS} more reasons (--json)", style="dim")
     if command.out is not None:
         say(f"-> {command.out}", style="dim")

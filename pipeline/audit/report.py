@@ -6,6 +6,7 @@ import json
 import shlex
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
@@ -13,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.answering.answer_words import best_pair
 from pipeline.answering.pipeline import Pipeline, open_pipeline
-from pipeline.audit.sentences import HOLDS, OWN_SIDES, audit_sentences, has_front
+from pipeline.audit.benchmarks import NO_RELATION, Stated, is_benchmark, open_benchmark, read_benchmark
+from pipeline.audit.sentences import HOLDS, audit_sentences
+from pipeline.audit.statements import ONE_OF_TWO, Triple, audit_statements, implied, of_geometry, triple_of
 from pipeline.audit.suspicion import KINDS, PRIOR, AuditItem, Evidence, agreement_weight, read_answers
 from pipeline.datasets.files import read_bytes
 from pipeline.diagnosis.whatif.state import ViewState, encode
@@ -32,11 +34,9 @@ from pipeline.evaluation.robospatial import (
 )
 from pipeline.evaluation.sentence_files import read_sentence_file
 from pipeline.labels.reading import MANIFEST_FILE
-from pipeline.language.expression import parse
-from pipeline.language.naming import normal_form
-from pipeline.language.relation_names import HORIZONTAL, INVERSE, MIRRORED
 from pipeline.metrics.tables import Row, Table
 from pipeline.system.errors import InputError, needed, require
+from pipeline.system.reading import Content
 from pipeline.system.whole_files import write_whole
 
 UNUSABLE = 0.95
@@ -44,13 +44,8 @@ UNUSABLE = 0.95
 OUTSIDE, APART, SAME_REGION = 0.1, 0.8, 0.5
 """The share of an answer's points that may lie outside its mask; the weight where all do; the least IoU of the polygon
 that is scored with the mask that was drawn."""
-ONE_OF_TWO = 0.5
-DETECTED = 0.6
-"""Where detected objects say otherwise: detectors err, too."""
-SURE, UNSURE_OF_FRAME = 0.9, 0.07
 SAME_PLACE = 0.1
 """Points of systems that differ by less of the picture's size are one answer."""
-Statement = tuple[str, str, str]
 
 
 def audit_questions(
@@ -78,24 +73,20 @@ def audit_questions(
             progress(number, len(questions))
 
 
-def _statement(question: Question) -> Statement | None:
-    try:
-        e = parse(question.text).expression
-    except InputError:
-        return None
-    plain = e is not None and question.yes is not None and question.category == "configuration" and not e.inverse
-    return (normal_form(e.target), e.relation, normal_form(e.reference)) if plain and e is not None else None
+def _statement(question: Question) -> Triple | None:
+    asked = question.yes is not None and question.category == "configuration"
+    return triple_of(question.text) if asked else None
 
 
 def _contradictions(questions: Sequence[Question]) -> dict[str, list[Evidence]]:
     found: dict[str, list[Evidence]] = {q.id: [] for q in questions}
-    told: dict[tuple[str, Statement], tuple[Question, bool]] = {}
+    told: dict[tuple[str, Triple], tuple[Question, bool]] = {}
     for question in questions:
         statement = _statement(question)
         if statement is None or question.yes is None:
             continue
         picture = sha256(read_bytes(question.picture)).hexdigest()
-        for same, truth in _implied(statement, question.yes):
+        for same, truth in implied(statement, question.yes):
             other = told.setdefault((picture, same), (question, truth))
             if other[1] != truth:
                 for one, rival in ((question, other[0]), (other[0], question)):
@@ -104,16 +95,6 @@ def _contradictions(questions: Sequence[Question]) -> dict[str, list[Evidence]]:
                     # Both say it again of the mirrored statement.
                     found[one.id] += [piece] if piece not in found[one.id] else []
     return found
-
-
-def _implied(statement: Statement, yes: bool) -> Iterator[tuple[Statement, bool]]:
-    a, relation, b = statement
-    yield statement, yes
-    if relation in MIRRORED:
-        yield (b, MIRRORED[relation], a), yes
-    if yes and relation in INVERSE and INVERSE[relation] != relation:
-        yield (a, INVERSE[relation], b), False
-        yield (b, relation, a), False
 
 
 def _of_region(question: Question) -> list[Evidence]:
@@ -138,31 +119,10 @@ def _of_region(question: Question) -> list[Evidence]:
 
 
 def _of_geometry(question: Question, source: Pipeline | None) -> tuple[list[Evidence], str | None]:
-    statement = _statement(question)
-    if statement is None:
-        return [], "it is not whether one thing stands in a relation to another"
-    sided = statement[1] in HORIZONTAL and has_front(statement[2])
-    doubt = f"it does not say whether the viewer's or the {statement[2]}'s own {statement[1]} is meant"
-    unsure = [Evidence("frame", UNSURE_OF_FRAME, doubt)] if sided else []
-    if source is None or question.frame not in source.dataset.frame_ids:
-        return unsure, "no detector looked at the picture (--detector)"
-    try:
-        best = best_pair(source.ask(source.prepare(question.frame), question.text))
-    except InputError as error:
-        return unsure, str(error)
-    if best is None:
-        return unsure, "the two things were not found"
-    p = best.p_relation
-    if (p >= SURE) == question.yes:
-        return [Evidence("geometry", HOLDS, f"detected objects agree: the relation has {p:.2f}", (("p", p),))], None
-    if 1 - SURE < p < SURE:
-        return unsure, None
-    text = f"detected objects say {'yes' if p >= SURE else 'no'}: the relation has {p:.2f}"
-    return [
-        Evidence("frame", OWN_SIDES, f"{text}; {doubt}", (("p", p),))
-        if sided
-        else Evidence("geometry", DETECTED, text, (("p", p),))
-    ], None
+    if _statement(question) is None:
+        return [], NO_RELATION
+    stated = Stated(question.id, question.frame, question.text, bool(question.yes), question.answer)
+    return of_geometry(stated, question.frame, source, "no detector looked at the picture (--detector)")
 
 
 def _of_systems(question: Question, systems: Sequence[QuestionAnswers]) -> list[Evidence]:
@@ -220,7 +180,9 @@ class AuditReport:
         return Table("audit", "What speaks against the truth", ("items", "foremost", "what it says"), rows)
 
     def look(self, item: AuditItem) -> str:
-        """Command for opening the page on an item."""
+        """Command for opening the page on an item; empty without a dataset."""
+        if not self.dataset:
+            return ""
         view = encode(ViewState(Path(self.dataset).name, item.frame, item.text))
         return shlex.join(["spatialviz", "view", self.dataset, "--state", view])
 
@@ -232,6 +194,7 @@ class AuditReport:
             "likely_wrong": self.likely,
             "expected_wrong": round(sum(item.score for item in self.items), 1),
             "unjudged": sum(item.unjudged is not None for item in self.items),
+            "unjudged_because": dict(Counter(item.unjudged for item in self.items if item.unjudged).most_common()),
             "kinds": {row.name: row.cells[0] for row in self.kinds.rows},
         }
 
@@ -259,7 +222,8 @@ def audit(
 ) -> AuditReport:
     """The items of a benchmark, ranked by how probably their truth is wrong.
 
-    `target`: the folder of RoboSpatial-Home; or, about the frames of `dataset`, a file of sentences as `eval
+    `target`: the folder of RoboSpatial-Home; a file of statements as VSR, BLINK, CV-Bench, What'sUp, ScanRefer or Nr3D
+    publish them (`pipeline.audit.benchmarks`); or, about the frames of `dataset`, a file of sentences as `eval
     --sentences` takes it. `runs`: run folders of systems that answered the same items; of RoboSpatial-Home files of
     answers in its form. `options`: arguments of `open_pipeline`.
 
@@ -271,10 +235,27 @@ def audit(
     require(target.exists(), "there is nothing to audit", expected="a benchmark's file", path=target)
     labels = (target / MANIFEST_FILE).is_file()
     require(not labels, "labels are reviewed, not audited", expected=f"spatialviz review {target}", path=target)
+    content = _benchmark(target)
+    if content is not None:
+        require(not runs, "runs are compared on sentences and RoboSpatial-Home alone", got=f"{len(runs)} runs")
+        _, stated = read_benchmark(content)
+        seen = None if dataset is None else open_pipeline(dataset, **(options or {}))
+        return AuditReport.ranked(dataset or "", audit_statements(stated, seen, progress))
     where = needed(dataset, "sentences are audited on their dataset", expected="--dataset DATASET", path=target)
     source = open_pipeline(where, **(options or {}))
     asked = read_sentence_file(target, source, where if where == "demo" else None)
     return AuditReport.ranked(where, audit_sentences(source, asked, systems, progress))
+
+
+def _benchmark(target: Path) -> Content | None:
+    """Content of a benchmark of statements, or of a file that is none of sentences either; None for other files."""
+    if target.suffix not in (".json", ".jsonl", ".csv", ".parquet"):
+        return None
+    with suppress(InputError):
+        content = open_benchmark(target)
+        if is_benchmark(content) or (content.first and not {"frame", "sentence", "sentences"} & content.first.keys()):
+            return content
+    return None
 
 
 def _of_questions(

@@ -105,16 +105,16 @@ def import_run(
         progress=progress,
     )
     unasked, total = len(file.lines) - len(asked), read.manifest.counts["expressions"]
-    warnings = report.warnings
+    warnings, causes = report.warnings, report.causes
     if file.unread:
         warnings += (file.unread,)
     if unasked > 0:
-        warnings += (f"{unasked} of {len(file.lines)} lines are no expression of the labels, and are not judged",)
+        causes += (f"{unasked} of {len(file.lines)} lines are no expression of the labels, and are not judged",)
     if len(asked) < total:
         warnings += (f"the file has lines for {len(asked)} of the {total} expressions of the labels",)
     if (words := _beside_all(source, read)) is not None:
-        warnings += (words,)
-    return replace(report, warnings=warnings)
+        causes += (words,)
+    return replace(report, warnings=warnings, causes=causes)
 
 
 def import_records(
@@ -163,7 +163,8 @@ def _judged(
     folder = Path(tempfile.mkdtemp(prefix="spatialviz-run-")) / "run" if out is None else Path(out)
     if isinstance(records, str | Path):
         require(header is None, "a file has a header of its own", path=records)
-        for told in import_run(records, dataset, labels, folder, **options).warnings:
+        report = import_run(records, dataset, labels, folder, **options)
+        for told in (*report.causes, *report.warnings):
             warnings.warn(told, stacklevel=3)
         return folder
     rest = iter(records)

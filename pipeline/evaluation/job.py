@@ -11,13 +11,13 @@ from time import perf_counter
 from typing import Any
 
 from pipeline.diagnosis.verdict import RULES_VERSION
+from pipeline.evaluation.causes import causes_of
 from pipeline.evaluation.comparing import Comparison, compare
 from pipeline.evaluation.confusion import Confusion, answer_standings, count_standings
 from pipeline.evaluation.grounding_tables import (
     calibration_warnings,
     clusters_of,
     make_tables,
-    problem_warnings,
     recorded_config,
 )
 from pipeline.evaluation.leakage import (
@@ -67,6 +67,7 @@ class RunReport:
     comparison: Comparison | None
     pairs: int = 0  # on which relations were measured alone
     warnings: tuple[str, ...] = ()  # why figures say less than they seem to
+    causes: tuple[str, ...] = ()  # what keeps it from answering: names not known, frames not labelled or not opened
     shares: tuple[Share, ...] = ()  # what answers have in common with what made the labels
 
     def __repr__(self) -> str:
@@ -170,7 +171,8 @@ def evaluate_dataset(
                 draw_diagnosis(diagnosis.summaries, folder / "plots", titles_of(diagnosis.shares))
         of_calibration = calibration_warnings(source, labels, records) if spec.grounding and system.name == OWN else ()
         of_relations = () if relations is None else relations.warnings
-        warnings = (*left_out, *changed, *of_calibration, *problem_warnings(records), *of_relations)
+        causes = causes_of(records, source, labels, detector if system.name == OWN else None) if spec.grounding else ()
+        warnings = (*left_out, *changed, *of_calibration, *of_relations)
         options = {k: str(v) for k, v in spec.options.items() if k != "config"}
         config = {**recorded_config(source.config), "options": options}
         plain = json.loads(json.dumps(config, default=str))
@@ -195,7 +197,7 @@ def evaluate_dataset(
                 "config": plain,
                 "config_hash": canonical_hash(plain),
                 "expressions": records.num_rows,
-                "warnings": list(warnings),
+                "warnings": [*causes, *warnings],
                 "makers": makers.record(),
                 "measured": None if measured is None else measured.record(),
                 "shares": [share.record() for share in own],
@@ -216,6 +218,7 @@ def evaluate_dataset(
         comparison,
         0 if relations is None else relations.pairs,
         warnings,
+        causes,
         own,
     )
 

@@ -6,7 +6,7 @@ import math
 import re
 import unicodedata
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 _YES = frozenset({"yes", "yeah", "yep", "yup"})
@@ -16,7 +16,8 @@ _SAYS_OF = frozenset({"is", "it's", "that's", "is not", "isn't", "be", "are"})
 _NEGATES = frozenset({"not", "never", "neither", "cannot", "can't", "isn't", "wouldn't", "don't", "doesn't", "without"})
 _NO_ANSWERS = frozenset({"idea", "clue", "doubt", "problem", "way", "information", "answer", "comment"})
 """Nouns before which `no` answers nothing: `no idea`."""
-_REASONING = re.compile(r"<(/?)(?:think|thinking|reasoning)>", re.IGNORECASE)
+_REASONING = re.compile(r"[<◁\[](/?)(?:think|thinking|thought|reasoning)[>▷\]]", re.IGNORECASE)
+_ANSWER = re.compile(r"<answer>(.*?)(?:</answer>|$)", re.IGNORECASE | re.DOTALL)
 _LONGEST = 4000
 """Characters of an answer that are read: its first and its last half so many."""
 _INSTRUCTION = re.compile(r"\b(?:answer|respond|reply)\b[^.:!?\n]*?\byes(?: or |/)no\b(?: only)?")
@@ -76,6 +77,16 @@ class _BoxNumbers:
     decimal: bool = False
     scale: float | None = None
     boxes: int = 1
+    named: bool = False  # each corner has its name, so that their order is sure
+
+
+def box_numbers(text: str) -> _BoxNumbers | str:
+    """Numbers of the first box of a text in the order in which they stand, or a reason for none; not finite is none."""
+    plain = unicodedata.normalize("NFKC", text).lower().replace("−", "-").replace("–", "-").replace("**", "")
+    found = _numbers(plain)
+    if not isinstance(found, str) and not all(map(math.isfinite, found.values)):
+        return "numbers that are not finite"
+    return found
 
 
 def parse_box(text: str, size: tuple[int, int] | None = None, scale: float | None = None) -> BoxAnswer:
@@ -94,13 +105,10 @@ def parse_box(text: str, size: tuple[int, int] | None = None, scale: float | Non
     text, reason = spoken_part(text)
     if reason:
         return BoxAnswer(None, reason=reason)
-    plain = unicodedata.normalize("NFKC", text).lower().replace("−", "-").replace("–", "-").replace("**", "")
-    found = _numbers(plain)
+    found = box_numbers(text)
     if isinstance(found, str):
         return BoxAnswer(None, reason=found)
     notes = [f"the first of {found.boxes} boxes"] if found.boxes > 1 else []
-    if not all(map(math.isfinite, found.values)):
-        return BoxAnswer(None, reason="numbers that are not finite")
     edges = _edges(found, size, scale, notes)
     if isinstance(edges, str):
         return BoxAnswer(None, reason=edges)
@@ -162,15 +170,22 @@ def _numbers(text: str) -> _BoxNumbers | str:
     return _in_brackets(text) or _in_a_row(text) or _refused(text)
 
 
-def _by_name(text: str) -> _BoxNumbers | str | None:
+def named_numbers(text: str) -> dict[str, list[str]]:
+    """Numbers as written in a text in small letters by the names of edges and sizes before them: x, ymin, width, ..."""
     rows: dict[str, list[str]] = {}
     for key, value in _NAMED.findall(text):
         key = re.sub(r"[_ ]", "", key)
         key = key[3:] + key[:3] if key[:3] in ("min", "max") else key
         rows.setdefault(key, []).append(value)
+    return rows
+
+
+def _by_name(text: str) -> _BoxNumbers | str | None:
+    rows = named_numbers(text)
     for scheme in _SCHEMES:
         if all(key in rows for key in scheme):
-            return _found([rows[key][0] for key in scheme], boxes=min(len(rows[key]) for key in scheme))
+            boxes = min(len(rows[key]) for key in scheme)
+            return replace(_found([rows[key][0] for key in scheme], boxes=boxes), named=True)
     if any(keys <= set(rows) for keys in _SIZED):
         return "a corner with width and height, not two corners"
     return None
@@ -223,7 +238,11 @@ class YesNo:
 
 
 def spoken_part(text: str) -> tuple[str, str | None]:
-    """An answer without the model's leading reasoning, and the reason for an empty answer."""
+    """An answer without the model's leading reasoning, and the reason for an empty answer.
+
+    Reasoning stands between <think>, [THINK] (Magistral) or ◁think▷ (Kimi-VL) and what closes it; the first mark may be
+    in the prompt. Of what follows the last <answer> counts, where there is one.
+    """
     closed, opened = 0, False
     for match in _REASONING.finditer(text):
         if match[1]:
@@ -233,6 +252,8 @@ def spoken_part(text: str) -> tuple[str, str | None]:
     if opened:
         return "", "the answer ends within its reasoning"
     text = text[closed:].strip()
+    tagged = _ANSWER.findall(text)
+    text = tagged[-1].strip() if tagged else text
     if len(text) > _LONGEST:
         text = f"{text[: _LONGEST // 2]}\n...\n{text[-_LONGEST // 2 :]}"
     return (text, None) if text else ("", "an empty answer")

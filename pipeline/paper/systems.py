@@ -21,6 +21,7 @@ from pipeline.datasets import Dataset
 from pipeline.diagnosis.frame_evidence import matched
 from pipeline.evaluation.leakage import Measured, measured_of
 from pipeline.evaluation.model_answers import parse_box, parse_yes_no
+from pipeline.evaluation.place_habits import far_edges, habit_of
 from pipeline.evaluation.records import asked_columns, overlaps
 from pipeline.evaluation.relation_cases import RelationSpec, read_pairs
 from pipeline.evaluation.relation_records import RelationRecords, SystemRecords, struct_of
@@ -118,7 +119,7 @@ class Vlm:
 
     def open(self, spec: EvalSpec, source: Pipeline, labels: Labels, clock: StageClock) -> Records:
         client = self.client()
-        return _pointing(source, clock, lambda frame, texts: point_by_model(client, frame, texts))
+        return _pointing(source, clock, lambda frame, texts: point_by_model(client, frame, texts, self.model))
 
     def ask(
         self,
@@ -320,8 +321,10 @@ def _cut(answer: ChatAnswer) -> str:
     return ", cut off by max_tokens" if answer.finish == "length" else ""
 
 
-def point_by_model(client: ChatClient, frame: Frame, texts: Sequence[str]) -> list[Pointed]:
+def point_by_model(client: ChatClient, frame: Frame, texts: Sequence[str], model: str = "") -> list[Pointed]:
     """Ask for the boxes of expressions about one frame, such as "the mug left of the laptop"; in the same order.
+
+    `model`: its name, which says how a known one counts.
 
     Raises InputError: an expression that cannot be asked.
     Raises ServerError: no answer from the server to any question.
@@ -329,13 +332,20 @@ def point_by_model(client: ChatClient, frame: Frame, texts: Sequence[str]) -> li
     require(all(text.strip() for text in texts), "an expression is empty")
     view = view_of(frame.rgb)
     questions = [ChatQuestion(ask_grounding(text, 0), view.picture, _BOX_TOKENS) for text in texts]
-    return [_pointed(answer, view) for answer in client.ask_many(questions)]
+    scale = scale_of(model, view.size)
+    return [_pointed(answer, view, scale) for answer in client.ask_many(questions)]
 
 
-def _pointed(answer: ChatAnswer, view: View) -> Pointed:
+def scale_of(model: str, size: tuple[int, int]) -> float | None:
+    """Far edge of a square picture as a known model counts where it does not in shares; None for any other model."""
+    habit = habit_of(model)
+    return None if habit is None or habit[0] in ("shares", "padded", "percent") else far_edges(habit[0], size)[0]
+
+
+def _pointed(answer: ChatAnswer, view: View, scale: float | None = None) -> Pointed:
     if answer.failure is not None:
         return Pointed(None, problem=answer.failure)
-    found = parse_box(answer.text, view.size)
+    found = parse_box(answer.text, view.size, scale)
     if found.box is None:
         return Pointed(None, problem=f"{found.reason}{_cut(answer)}")
     box = view.to_frame(found.box)

@@ -126,6 +126,23 @@ def same_name(a: str, b: str, synonyms: Synonyms | None = None) -> bool:
     return a == b or same_or_kind(a, b, synonyms)
 
 
+def is_cut(piece: str, name: str) -> bool:
+    """Tell whether a text is most of a name that was cut within a word, at its end or its start.
+
+    A piece of one word could be another thing ("table" of "tablet"), and is no cut name.
+
+    >>> from pipeline.proposals.class_names import is_cut
+    >>> is_cut("potted pl", "potted plant"), is_cut("tted plant", "potted plant"), is_cut("table", "tablet")
+    (True, True, False)
+    """
+    piece, name = (" ".join(text.casefold().split()) for text in (piece, name))
+    if len(piece) < max(4, 0.6 * len(name)) or len(piece) >= len(name) or " " not in piece:
+        return False
+    ends = name.startswith(piece) and name[len(piece)] != " " and piece[-1:] != " "
+    starts = name.endswith(piece) and name[-len(piece) - 1] != " "
+    return ends or starts
+
+
 def name_groups(names: Sequence[str], synonyms: Synonyms | None = None) -> dict[str, str]:
     """Representative of each name: shorter names first, each joins the first equal name.
 

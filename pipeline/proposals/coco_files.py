@@ -2,7 +2,8 @@
 
 Results are as the COCO API writes them (cocodataset.org, "Results Format"; `loadRes` of pycocotools): a list of
 {"image_id", "category_id", "bbox": [x, y, width, height], "score"}, with "segmentation" (a run-length code) in place of
-or beside the box. Which picture and class the numbers mean stands in the annotation file. An object of `images`,
+or beside the box. In the wild ids are text, masks are polygons, counts are bytes as Python prints them, and scores are
+left out (then 1). Which picture and class the numbers mean stands in the annotation file. An object of `images`,
 `categories` and `annotations` with scores holds both: what FiftyOne exports of detections with a confidence
 (`COCOObject.to_anno_dict` of fiftyone/utils/coco.py), as demo/create_coco_dataset.py of GroundingDINO does.
 
@@ -17,13 +18,15 @@ and `color_path` holds Path objects.
 
 from __future__ import annotations
 
+import ast
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, Field, FiniteFloat
+from pydantic import BaseModel, BeforeValidator, Field, FiniteFloat
 
 from pipeline.datasets.frame_names import Picture
 from pipeline.geometry.masks import RunLength, decode_crop
@@ -42,20 +45,32 @@ class RecordedDetection(BaseModel):
     """A detection of a recorded run."""
 
     label: str = Field(min_length=1)
-    score: float = Field(ge=0, le=1)
+    score: float = Field(default=1.0, ge=0, le=1)
     bbox: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
     mask: MaskCode | None = None
     id: int | None = Field(default=None, ge=0, lt=2**63)
+
+
+def detected(label: str, score: float | None, box: tuple[float, ...]) -> RecordedDetection:
+    """Detection, without a score for None, so that `unscored` counts it."""
+    told = {} if score is None else {"score": score}
+    return RecordedDetection.model_validate({"label": label, "bbox": box, **told})
 
 
 Detections = dict[Picture, list[RecordedDetection]]
 """By picture; one that the file lists and nothing was found in has an empty list."""
 
 
+def without_score(found: Detections) -> tuple[int, int]:
+    """Number of detections whose file gives no score, and of all."""
+    every = [row for rows in found.values() for row in rows]
+    return sum("score" not in row.model_fields_set for row in every), len(every)
+
+
 class CocoImage(BaseModel):
     """A picture of a COCO file; `frame` is spatialviz's own addition."""
 
-    id: int
+    id: Picture
     file_name: str
     height: int | None = None
     width: int | None = None
@@ -65,7 +80,7 @@ class CocoImage(BaseModel):
 class CocoCategory(BaseModel):
     """A class name of a COCO file."""
 
-    id: int
+    id: Picture
     name: str = Field(min_length=1)
 
 
@@ -76,19 +91,32 @@ class CocoKey(BaseModel):
     categories: list[CocoCategory] = []
 
 
+def _as_written(value: Any) -> Any:
+    """A mask with counts that are printed bytes (b'...') as text, and a single polygon as a list of one."""
+    if isinstance(value, dict) and isinstance(counts := value.get("counts"), str) and counts[:2] in ("b'", 'b"'):
+        with suppress(ValueError, SyntaxError, MemoryError, RecursionError):
+            return {**value, "counts": ast.literal_eval(counts).decode("ascii")}
+    flat = isinstance(value, list) and bool(value) and not isinstance(value[0], list)
+    return [value] if flat else value
+
+
 class CocoResult(BaseModel):
     """A detection."""
 
     image_id: Picture
-    category_id: int
-    score: float = Field(ge=0, le=1)
+    category_id: Picture
+    score: float | None = Field(default=None, ge=0, le=1)
     bbox: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] | None = None
-    segmentation: RunLength | Polygons | None = None
+    segmentation: Annotated[RunLength | Polygons | None, BeforeValidator(_as_written)] = None
 
 
 def is_coco(content: Content) -> bool:
-    """Test for results, or annotations with scores."""
-    return {"image_id", "category_id", "score"} <= _results(content).first.keys()
+    """Test for a list of results, or annotations of which any has a score."""
+    rows = _results(content)
+    if not {"image_id", "category_id"} <= rows.first.keys():
+        return False
+    alone = isinstance(content.value, list) and bool({"bbox", "segmentation"} & rows.first.keys())
+    return alone or any("score" in row for row in rows.value if isinstance(row, dict))
 
 
 def scored(content: Content) -> Content:
@@ -114,24 +142,26 @@ def coco_detections(content: Content, key: Path | None) -> Detections:
     told = read_content(key).value if key is not None else content.value if isinstance(content.value, dict) else {}
     known = checked(CocoKey.model_validate, told, "not an annotation file of COCO at {}", key or path)
     rows = _results(content).rows(CocoResult.model_validate, "not a result of COCO")
-    images = {image.id: image for image in known.images}
-    names = {category.id: category.name for category in known.categories}
+    images = {str(image.id): image for image in known.images}
+    names = {str(category.id): category.name for category in known.categories}
     found: Detections = {image.frame or image.file_name: [] for image in known.images}
     for k, row in enumerate(rows):
         where = content.where(k)
-        image = images.get(row.image_id) if isinstance(row.image_id, int) else None
+        image = images.get(str(row.image_id))
         expected = None if known.images else "the annotation file beside it (--key, --model-config, --with)"
         require(
-            image or not images or not isinstance(row.image_id, int),
+            image or not images or not str(row.image_id).isdecimal(),
             f"{where}: no picture has the id {row.image_id}",
             path=key or path,
         )
         nameless = f"{where}: no class has the id {row.category_id}"
-        label = needed(names.get(row.category_id), nameless, expected=expected, path=path)
+        label = needed(names.get(str(row.category_id)), nameless, expected=expected, path=path)
         mask = _code(row.segmentation, image, where, path)
         picture = row.image_id if image is None else image.frame or image.file_name
         box = _corners(row, mask, where, path)
-        found.setdefault(picture, []).append(RecordedDetection(label=label, score=row.score, bbox=box, mask=mask))
+        detection = detected(label, row.score, box)
+        detection.mask = mask
+        found.setdefault(picture, []).append(detection)
     return found
 
 

@@ -9,7 +9,9 @@ Without a class_name a list of names says what class_id means. The sinks write n
 such columns (frame, name, score, x1, y1, x2, y2) are read as they are.
 
 Boxes: for each picture an object of boxes, scores and labels, with a field that names the picture: what Grounding DINO
-gives in transformers (`post_process_grounded_object_detection`), written as a list, as JSON lines or a file each.
+gives in transformers (`post_process_grounded_object_detection`), written as a list, as JSON lines or a file each. An
+object with a picture's name as each key holds the same, or a list of objects with a box and a label each. Scores that
+are left out are 1. Pieces of words (`pot ##ted`), which Grounding DINO's tokens leave in phrases, are joined.
 
 Grounded SAM: `grounded_sam2_*_results.json` of IDEA-Research/Grounded-SAM-2 (image_path; annotations of class_name,
 bbox, segmentation, score; box_format), and `mask.json` or `label.json` of IDEA-Research/Grounded-Segment-Anything
@@ -24,7 +26,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import AliasChoices, AliasGenerator, BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat
 
@@ -37,6 +39,7 @@ from pipeline.proposals.coco_files import (
     RecordedDetection,
     SceneMap,
     coco_detections,
+    detected,
     is_coco,
     map_detections,
     read_map,
@@ -64,7 +67,7 @@ Number = Annotated[
     int | None, Field(ge=0, lt=2**63), BeforeValidator(lambda value: None if value in ("", -1, "-1") else value)
 ]
 """A number from 0; "" and -1 for none."""
-Name = Annotated[str, Field(min_length=1)]
+Name = Annotated[str, Field(min_length=1), BeforeValidator(lambda v: v.replace(" ##", "") if isinstance(v, str) else v)]
 Score = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -131,11 +134,54 @@ class ListedBoxes(BaseModel):
     """Detections of a picture as parallel lists: results of Grounding DINO and similar as JSON."""
 
     boxes: list[Corners]
-    scores: list[Score] = Field(validation_alias=AliasChoices("scores", "logits", "confidences"))
+    scores: list[Score] | None = Field(default=None, validation_alias=AliasChoices("scores", "logits", "confidences"))
     labels: list[Name] = Field(validation_alias=AliasChoices("text_labels", "labels", "phrases"))
 
 
+_BOX = AliasChoices("box", "bbox", "box_2d", "bbox_2d", "xyxy", "bounding_box")
+
+
+class ListedThing(BaseModel):
+    """A box of a picture, by itself."""
+
+    box: Corners = Field(validation_alias=_BOX)
+    label: Name = Field(validation_alias=AliasChoices("label", "name", "class_name", "class", "phrase", "category"))
+    score: Score | None = Field(default=None, validation_alias=AliasChoices("score", "confidence", "conf", "logit"))
+
+
+def _by_picture(content: Content) -> Content:
+    """An object with a picture's name as each key, as a list of objects that name their picture."""
+    rows = []
+    for picture, found in content.value.items():
+        if isinstance(found, list):
+            wrong = f"{picture}, {{}}: not a box and a label"
+            things = [
+                checked(ListedThing.model_validate, thing, wrong, content.path, inside=(f"entry {k}",))
+                for k, thing in enumerate(found)
+            ]
+            found = {"boxes": [t.box for t in things], "labels": [t.label for t in things]}
+            if any(t.score is not None for t in things):
+                found["scores"] = [1.0 if t.score is None else t.score for t in things]
+        rows.append({**found, "image": picture} if isinstance(found, dict) else found)
+    return replace(content, value=rows)
+
+
+def _is_by_picture(content: Content) -> bool:
+    """Test for an object of pictures, the first of which has lists of boxes or objects with a box."""
+    values = list(content.value.values()) if isinstance(content.value, dict) else []
+    some = next((v for v in values if v), None)
+    first = some[0] if isinstance(some, list) else some
+    boxed = isinstance(first, dict) and ("boxes" in first if isinstance(some, dict) else _boxed(first))
+    return boxed and all(isinstance(v, type(some)) for v in values)
+
+
+def _boxed(thing: dict[str, Any]) -> bool:
+    return any(name in thing for name in _BOX.choices if isinstance(name, str))
+
+
 def _lists(content: Content, key: Path | None) -> Detections:
+    if _is_by_picture(content):
+        content = _by_picture(content)
     content = replace(content, value=content.value if isinstance(content.value, list) else [content.value])
     column = _picture_column(content)
     found: Detections = {}
@@ -144,14 +190,21 @@ def _lists(content: Content, key: Path | None) -> Detections:
     words, cause = "boxes are asked for in pixels", "shares of the picture? times its width and height"
     require(not shares, words, got="none above 1", expected="[x0, y0, x1, y1]", cause=cause, path=content.path)
     for k, row in enumerate(read):
-        lengths = f"{len(row.boxes)} boxes, {len(row.scores)} scores, {len(row.labels)} labels"
-        alike = len(row.boxes) == len(row.scores) == len(row.labels)
+        scores = [None] * len(row.boxes) if row.scores is None else row.scores
+        lengths = f"{len(row.boxes)} boxes, {len(scores)} scores, {len(row.labels)} labels"
+        alike = len(row.boxes) == len(scores) == len(row.labels)
         require(alike, f"{content.where(k)}: lists of one length are asked for", got=lengths, path=content.path)
         told = found.setdefault(_picture(content, k, column), [])
-        told += [
-            RecordedDetection(label=label, score=score, bbox=box)
-            for label, score, box in zip(row.labels, row.scores, row.boxes, strict=True)
-        ]
+        for n, (label, score, box) in enumerate(zip(row.labels, scores, row.boxes, strict=True)):
+            require(
+                box[2] >= box[0] and box[3] >= box[1],
+                f"{content.where(k)}, boxes.{n}: right or bottom lies before left or top",
+                got=list(box),
+                expected="[x0, y0, x1, y1]",
+                cause="are they x, y, width, height?",
+                path=content.path,
+            )
+            told.append(detected(label, score, box))
     return found
 
 
@@ -232,6 +285,7 @@ def _is_sam(content: Content) -> bool:
     return bool(first) and isinstance(first[0], dict) and first[0].get("label") == "background" and "value" in first[0]
 
 
+_BESIDE_BOXES = {"scores", "logits", "confidences", "text_labels", "labels", "phrases"}
 DETECTION_FORMATS = {
     "coco": DetectionFormat(
         is_coco, coco_detections, "results of the COCO API", "the annotation file, which names pictures and classes"
@@ -243,9 +297,9 @@ DETECTION_FORMATS = {
         "a list of class names, where the rows have no class_name",
     ),
     "boxes": DetectionFormat(
-        lambda c: "boxes" in c.first and bool(c.first.keys() & {"scores", "logits", "confidences"}),
+        lambda c: _is_by_picture(c) or ("boxes" in c.first and bool(c.first.keys() & _BESIDE_BOXES)),
         _lists,
-        "boxes, scores and labels of each picture, as Grounding DINO gives them",
+        "boxes, labels and, where there are any, scores of each picture, as Grounding DINO gives them",
     ),
     "grounded-sam2": DetectionFormat(
         lambda c: {"image_path", "annotations"} <= c.first.keys(), _grounded_sam2, "results of Grounded-SAM-2's demos"

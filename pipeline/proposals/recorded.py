@@ -30,11 +30,19 @@ from pydantic import TypeAdapter
 from pipeline.datasets.frame_names import FrameNames, Picture, fit
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import MaskCrop, RunLength
-from pipeline.language.naming import Synonyms
+from pipeline.language.naming import Synonyms, match
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Proposals, no_proposals
-from pipeline.proposals.class_names import meant_names
-from pipeline.proposals.coco_files import Corners, Detections, MaskCode, RecordedDetection, SceneMap, scored
+from pipeline.proposals.class_names import is_cut, meant_names
+from pipeline.proposals.coco_files import (
+    Corners,
+    Detections,
+    MaskCode,
+    RecordedDetection,
+    SceneMap,
+    scored,
+    without_score,
+)
 from pipeline.proposals.detection_files import DETECTION_FORMATS, detection_files, format_of, read_detections
 from pipeline.system.errors import FrameUnusable, InputError, as_input_error, first_line, needed, require
 from pipeline.system.reading import Content, checked, read_content
@@ -141,6 +149,10 @@ class RecordedDetector:
     ----------
     made_by : str or None
         "name: fingerprint" of the detector that was recorded, where the recording says so.
+    scoreless : (int, int)
+        Detections of a published file without a score, which count with 1, and all.
+    cut : dict of str to tuple of str
+        Asked names that stand in the recording as cut words ("potted pl"), with these.
     corners : dict of int to Corners
         Of the objects of a map: the corners of their 3D boxes in the world, metres, by id; empty otherwise.
 
@@ -172,6 +184,8 @@ class RecordedDetector:
         self._recording: dict[str, FrameDetections] | None = None
         self._published: Detections | None = None
         self.made_by: str | None = None
+        self.scoreless = (0, 0)
+        self.cut: dict[str, tuple[str, ...]] = {}
         if self.path.is_dir():
             if (self.path / MADE_BY_FILE).is_file():
                 self.made_by = _maker(_object(read_content(self.path / MADE_BY_FILE, _WHAT)))
@@ -188,6 +202,7 @@ class RecordedDetector:
         self.elsewhere: list[Picture] = []
         if files:
             self._published = read_detections(files, key)
+            self.scoreless = without_score(self._published)
             if len(files) == 1 and isinstance(files[0].value, SceneMap):
                 self.corners = files[0].value.corners
             if frame_ids:
@@ -224,6 +239,13 @@ class RecordedDetector:
     def fingerprint(self) -> str:
         return self._fingerprint
 
+    def assumed(self) -> list[str]:
+        """What was assumed so far, a sentence each: scores that the file lacks, and names that it has cut."""
+        missing, every = self.scoreless
+        told = [f"{missing} of {every} detections have no score in the file: 1 is taken"] if missing else []
+        cut = ((name, " and ".join(map(repr, pieces))) for name, pieces in self.cut.items())
+        return told + [f"{name!r} is written {w} in the file, cut within a word, and found by that" for name, w in cut]
+
     def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
         playback = self._of_frame(frame)
         key = None if labels is None else tuple(labels)
@@ -245,8 +267,11 @@ class RecordedDetector:
         """Recorded names meant by a name."""
         meant = self._meanings.get(label)
         if meant is None:
-            where = f"the recording {self.path.name}"
-            self._meanings[label] = meant = meant_names(label, self.vocabulary or (), self.synonyms, where)
+            known, where = self.vocabulary or (), f"the recording {self.path.name}"
+            if pieces := tuple(name for name in known if is_cut(name, label)):
+                self.cut[label] = pieces
+            meant = tuple(dict.fromkeys((*match(label, known, self.synonyms), *pieces)))
+            self._meanings[label] = meant = meant or meant_names(label, known, self.synonyms, where)
         return meant
 
     def _of_frame(self, frame: Frame) -> Playback:

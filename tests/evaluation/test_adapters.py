@@ -17,7 +17,7 @@ from pipeline.answering import Header, Predictions, read_predictions
 from pipeline.datasets import FrameNames, InMemoryDataset
 from pipeline.evaluation.adapters import FORMATS, PredictionFormat, convert_predictions
 from pipeline.evaluation.adapters.converting import is_published
-from pipeline.evaluation.adapters.published import answer_of
+from pipeline.labels.reading import arrow_schema, write_table
 from pipeline.system import FrameUnusable, InputError, pa, plugins, sha256_of
 
 IDS = ("000001/000000", "000001/000020", "000002/000003")
@@ -27,7 +27,7 @@ ASKED = {IDS[0]: [MUG, "laptop right of the mug"], IDS[1]: [MUG]}
 
 
 @pytest.fixture(scope="module")
-def world() -> dict[str, Any]:
+def world(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """Three frames and what the labels ask of two of them."""
     boxes = [upright((x, 0.9, 2), (0.3, 0.4, 0.3)) for x in (-0.6, 0.6)]
     frames = [frame_of(boxes, ["mug", "laptop"], name=i) for i in IDS]
@@ -36,7 +36,11 @@ def world() -> dict[str, Any]:
         for frame, texts in ASKED.items()
         for text in texts
     ]
-    labels: Any = SimpleNamespace(expressions=pa.Table.from_pylist(rows))
+    every = [(frame.id, a.label, np.asarray(a.bbox, float).tolist()) for frame in frames for a in frame.annotations]
+    root = tmp_path_factory.mktemp("labels")
+    things = pa.table(dict(zip(("frame", "label", "bbox"), map(list, zip(*every, strict=True)), strict=True)))
+    write_table(things.replace_schema_metadata(arrow_schema("objects").metadata), root / "objects.parquet")
+    labels: Any = SimpleNamespace(expressions=pa.Table.from_pylist(rows), root=root)
     return {"dataset": InMemoryDataset(frames), "labels": labels}
 
 
@@ -128,7 +132,7 @@ def test_answers_of_roborefer(tmp_path: Path, world: dict[str, Any]) -> None:
     assert answer(found, IDS[1], "Point to it.").point == (0.1, 0.2)
     assert "1 answers have more than one place" in " ".join(convert_predictions(path, tmp_path / "x", **world).notes)
     for model, text, point in (
-        ("Qwen2.5-VL", "(80, 120)", (0.25, 0.5)),
+        ("Qwen2.5-VL", "(77, 126)", (0.25, 0.5)),  # of 308x252, as it sees a picture of 320x240
         ("RoboRefer", "(80, 120)", (0.25, 0.5)),
         ("Molmo-7B", '<point x="61.5" y="40.4" alt="mug">mug</point>', (0.615, 0.404)),
         ("Gemini25Pro", '```json\n[{"point": [500, 250], "label": "mug"}]\n```', (0.25, 0.5)),
@@ -141,7 +145,8 @@ def test_answers_of_roborefer(tmp_path: Path, world: dict[str, Any]) -> None:
     held = convert_predictions(of_lines(path, roborefer(), away, away), tmp_path / "held", **world)
     assert held.lines == 1
     told = "about pictures that the dataset does not hold (first: line 2, image/99.png)"
-    assert held.notes == (f"left out: 2 of 3 lines, {told}",)
+    assert held.notes[1:] == (f"left out: 2 of 3 lines, {told}",)
+    assert "are shares, x first: 1 of 1 in the picture, 1 of 1 on a thing of the asked name" in held.notes[0]
     several = roborefer(rgb_path="data/000000.png")
     world_of_two = world | {"dataset": InMemoryDataset([replace(world["dataset"].load(IDS[0]), id=i) for i in TWO])}
     refused(of_lines(path, away, several), world_of_two, "line 2: the picture .* may be of several frames")
@@ -227,26 +232,46 @@ def test_samples_of_lmms_eval(tmp_path: Path, world: dict[str, Any]) -> None:
     documents = [{"id": 3, "image": "000003.png"}, {"id": 4, "image": {"path": f"{IDS[1]}.png"}}]
     found = converted(path, world, key=of_json(tmp_path / "documents.json", documents))
     assert answer(found, IDS[1]).point == (0.5, 0.25)
+    raw = {**row, "resps": [["<think>(1, 2)</think><answer>(0.5, 0.25)</answer>"]], "filtered_resps": ""}
+    for change in (raw, {k: v for k, v in raw.items() if k != "filtered_resps"}):
+        one = of_lines(tmp_path / "raw_samples.jsonl", change | {"input_media": [f"{IDS[1]}.png"]})
+        (tmp_path / "raw_samples.jsonl.predictions").unlink(missing_ok=True)
+        assert answer(converted(one, world), IDS[1]).point == (0.5, 0.25)
     seen = of_lines(tmp_path / "media.jsonl", row | {"input_media": [f"data/{IDS[0]}.png"], "filtered_resps": ["no"]})
     assert answer(converted(seen, world)).yes is False
 
 
 @pytest.mark.parametrize(
-    ("text", "given"),
+    ("text", "given", "told"),
     [
-        ("<think>(0.9, 0.9)</think> (0.5, 0.25)", {"point": (0.5, 0.25)}),
-        ("[160, 60]", {"point": (0.5, 0.25)}),
-        ('[{"point_2d": [500, 250]}]', {"point": (0.5, 0.25)}),
-        ("It is at (0.1, 0.2, 0.3, 0.4).", {"box": (0.1, 0.2, 0.3, 0.4)}),
-        ("<box>(100,200),(300,400)</box>", {"box": (0.1, 0.2, 0.3, 0.4)}),
-        ("No, it is not.", {"yes": False}),
+        ("<think>(0.9, 0.9)</think> (0.5, 0.25)", {"point": (0.5, 0.25)}, ""),
+        ("◁think▷(0.9, 0.9)◁/think▷ (0.5, 0.25)", {"point": (0.5, 0.25)}, ""),
+        ("[THINK](0.9, 0.9)[/THINK] (0.5, 0.25)", {"point": (0.5, 0.25)}, ""),
+        ("I see (0.9, 0.9). <answer>(0.5, 0.25)</answer>", {"point": (0.5, 0.25)}, ""),
+        ("[160, 60]", {"point": (0.5, 0.25)}, "pixels"),
+        ('[{"point_2d": [500, 250]}]', {"point": (0.5, 0.25)}, "thousandths"),
+        ("It is at (0.1, 0.2, 0.3, 0.4).", {"box": (0.1, 0.2, 0.3, 0.4)}, ""),
+        ("<box>(100,200),(300,400)</box>", {"box": (0.1, 0.2, 0.3, 0.4)}, ""),
+        ('<points coords="1 1 500 250">mug</points>', {"point": (0.5, 0.25)}, ""),
+        ("<loc0256><loc0128><loc0512><loc0768> mug", {"box": (0.125, 0.25, 0.75, 0.5)}, ""),
+        ("[100, 50, 200, 100]", {"box": (0.1, 0.05, 0.3, 0.15)}, "thousandths,xywh"),
+        ("No, it is not.", {"yes": False}, ""),
     ],
 )
-def test_places_are_read_in_many_ways(text: str, given: dict[str, Any]) -> None:
-    found, problem, several = answer_of(text, lambda: (320, 240))
-    assert (problem, several) == (None, False)
+def test_places_are_read_in_many_ways(
+    text: str, given: dict[str, Any], told: str, tmp_path: Path, world: dict[str, Any]
+) -> None:
+    path = of_lines(tmp_path / "one.jsonl", roborefer(text=text, model_id="x", prompt="Where is it?", object_name="it"))
+    found = converted(path, world, places=[told] if told else [])
     (name,) = given
-    assert getattr(found, name) == pytest.approx(given[name])
+    assert getattr(answer(found, text="Where is it?"), name) == pytest.approx(given[name])
+
+
+def test_a_question_that_was_cut_is_its_expression(tmp_path: Path, world: dict[str, Any]) -> None:
+    path = of_lines(tmp_path / "cut.jsonl", roborefer(prompt="laptop right of the m", object_name=""))
+    notes = convert_predictions(path, tmp_path / "out", **world).notes
+    assert "the question 'laptop right of the m' was cut, and is taken as 'laptop right of the mug'" in notes[0]
+    assert answer(converted(path, world), text="laptop right of the mug").point == (0.25, 0.5)
 
 
 # Detections.

@@ -48,7 +48,7 @@ def test_a_run_with_a_calibration_of_its_own_frames_says_so(labels: Path, tmp_pa
     run = evaluate_dataset(spec_of(labels, calibration), tmp_path / "run", bootstrap=QUICK, plots=False)
     assert "fitted on 2 of the 4 frames" in run.warnings[0]
     manifest = json.loads((tmp_path / "run" / "run.json").read_text())
-    assert manifest["warnings"] == list(run.warnings)
+    assert manifest["warnings"] == [*run.causes, *run.warnings]
     assert manifest["config"]["score_calibration"]["frames"] == 6
     plain = evaluate_dataset(spec_of(labels, None), tmp_path / "plain", against=tmp_path / "run", plots=False)
     assert plain.comparison is not None

@@ -263,8 +263,7 @@ def test_counts_are_at_least_one(
 def test_a_baseline_that_answers_nothing_says_so(labels: Path, recording: Path, tmp_path: Path) -> None:
     spec = replace(spec_of(labels, recording), system=Referring(), limit=6)
     report = evaluate_dataset(spec, tmp_path / "run", workers=1, plots=False, bootstrap=QUICK)
-    (warning,) = report.warnings
-    assert warning.startswith("6 of 6 expressions have no answer")
+    assert report.causes[0].startswith("6 of 6 expressions have no answer")
     records = read_records(tmp_path / "run")
     place = records.column_names.index("problem")
     for problems, words in (([None] * 4 + ["x"] * 2, None), ([None] * 3 + ["x"] * 3, "3 of 6")):

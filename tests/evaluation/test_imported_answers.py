@@ -140,17 +140,17 @@ def test_a_mask_of_another_size_is_told_by_its_line(imported: Import, given: lis
 
 def test_boxes_that_lie_on_nothing_are_told(imported: Import, given: list[Prediction], tmp_path: Path) -> None:
     told = "lies on a labelled object"
-    (words,) = [words for words in imported(tmp_path, resized(given, _half))[0].warnings if told in words]
+    (words,) = [words for words in imported(tmp_path, resized(given, _half))[0].causes if told in words]
     assert "are their boxes of smaller pictures? Times 2, " in words
     (tmp_path / "corner").mkdir()
     at_corner = resized(given, lambda x, size: x / 40)
-    (words,) = [words for words in imported(tmp_path / "corner", at_corner)[0].warnings if told in words]
+    (words,) = [words for words in imported(tmp_path / "corner", at_corner)[0].causes if told in words]
     assert words.endswith("are their boxes of another size of the pictures, or in another unit?")
 
 
 @pytest.mark.slow
 def test_boxes_that_lie_on_something_are_not_told(imported: Import, given: list[Prediction], tmp_path: Path) -> None:
-    assert not any("lies on a labelled object" in words for words in imported(tmp_path, given)[0].warnings)
+    assert not any("lies on a labelled object" in words for words in imported(tmp_path, given)[0].causes)
 
 
 def test_a_row_that_stands_twice_is_refused(imported: Import, given: list[Prediction], tmp_path: Path) -> None:

@@ -351,7 +351,7 @@ def test_bad_files_end_in_one_line(
     path = changed(folder, tmp_path, change)
     if not wanted:
         report = import_run(path, "demo", folder / "labels", tmp_path / "run", plots=False)
-        assert any("no expression of the labels" in warning for warning in report.warnings)
+        assert any("no expression of the labels" in cause for cause in report.causes)
         return
     with pytest.raises(InputError, match=wanted) as caught:
         import_run(path, "demo", folder / "labels", tmp_path / "run", plots=False)

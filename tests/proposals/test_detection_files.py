@@ -18,8 +18,9 @@ from proposal_checks import _own_cache, frame  # noqa: F401
 from segmenter_checks import run_lengths
 
 from pipeline.geometry import Frame
+from pipeline.geometry.masks import encode_run_length
 from pipeline.proposals import Proposals, RecordedDetector, make_detector
-from pipeline.system import FrameUnusable, InputError
+from pipeline.system import FrameUnusable, InputError, UnknownClass
 
 FRAMES = ("scene/0", "scene/1", "other/000007")
 
@@ -105,6 +106,32 @@ def test_annotations_of_coco_with_scores_name_their_pictures_themselves(tmp_path
     assert not found.has_mask[0]
     whole["annotations"] = [row]
     refused(written(tmp_path / "truth.json", whole), frame, "not follow the format at the top.*coco")
+
+
+def test_results_of_coco_are_read_as_they_are_in_the_wild(tmp_path: Path, frame: Frame) -> None:
+    """Text ids, polygons, printed bytes (pycocotools' `encode` gives bytes), no score, boxes of no width."""
+    key = json.loads(annotation_file(tmp_path).read_text())
+    for of, names in (("images", ("id",)), ("categories", ("id",))):
+        key[of] = [{**row, **{name: str(row[name]) for name in names}} for row in key[of]]
+    mask = frame.annotations[1].mask
+    assert mask is not None
+    code = encode_run_length(mask).encode()
+    rows = [
+        {"image_id": "397133", "category_id": "73", "segmentation": {"size": [240, 320], "counts": str(code)}},
+        {"image_id": 397133, "category_id": 47, "bbox": [10, 20, 0, 6], "score": 0.5},
+        {"image_id": "397133", "category_id": 47, "bbox": [10, 20, 5, 6], "segmentation": [[10, 20, 15, 20, 15, 26]]},
+        {"image_id": "397133", "category_id": 47, "bbox": [10, 20, 5, 6], "segmentation": [10, 20, 15, 20, 15, 26]},
+    ]
+    path, known = written(tmp_path / "results.json", rows), written(tmp_path / "text.json", key)
+    found = played(path, frame, key=known)
+    assert sorted(found.scores.tolist()) == [0.5, 1, 1, 1]
+    assert found.masks is not None
+    laptop = next(i for i in range(4) if found.label(i) == "laptop")
+    np.testing.assert_array_equal(found.masks[laptop], mask)
+    detector = RecordedDetector(path, key=known, frame_ids=FRAMES)
+    assert detector.scoreless == (3, 4)
+    rows[2]["image_id"] = "12"
+    refused(written(tmp_path / "results.json", rows), frame, "entry 2: no picture has the id 12", key=known)
 
 
 @pytest.mark.parametrize(
@@ -323,3 +350,37 @@ def test_the_pruned_map_of_concept_graphs_is_the_list_alone(tmp_path: Path, fram
     assert len(played(path, frame, ["mug"])) == 1
     small = mug | {"mask": [mask[:100]]}
     refused(write_map(path, [small]), frame, "frame scene/0, detection 0: the mask has another size")
+
+
+# Files without scores, and names that were cut.
+
+
+def test_boxes_of_each_picture_are_read_without_scores(tmp_path: Path, frame: Frame) -> None:
+    thing = {"label": "mug", "box": [1, 2, 30, 40]}
+    for content in (
+        {"scene/0": [thing], "scene/1": []},
+        {"scene/0": {"boxes": [thing["box"]], "labels": ["mug"]}},
+        [{"image": "scene/0.png", "boxes": [thing["box"]], "labels": ["mug"]}],
+        {"scene/0": [{"name": "mug", "bbox": thing["box"]}]},
+    ):
+        path = written(tmp_path / "boxes.json", content)
+        found = played(path, frame)
+        assert (found.scores.tolist(), found.boxes.tolist(), found.label(0)) == ([1], [[1, 2, 30, 40]], "mug")
+        assert RecordedDetector(path, frame_ids=FRAMES).scoreless == (1, 1)
+    wrong = {"scene/0": [thing, {"label": "mug", "box": [1, 2, "wide", 4]}]}
+    refused(
+        written(path, wrong), frame, r'scene/0, entry 1.box.2: not a box and a label; got "wide"; expected a number'
+    )
+    swapped = {"scene/0": [{"label": "mug", "box": [100, 100, 30, 40]}]}
+    refused(written(path, swapped), frame, r"boxes.0: right or bottom lies before left or top.*x, y, width, height")
+
+
+def test_a_name_that_was_cut_is_found_with_its_pieces(tmp_path: Path, frame: Frame) -> None:
+    """Grounding DINO's phrases are tokens above a threshold (get_phrases_from_posmap), and lose parts of words."""
+    labels = ["potted pl", "potted plant", "pot ##ted plant", "table"]
+    content = [{"image": "scene/0", "boxes": [[1, 2, 30, 40]] * 4, "scores": [0.9, 0.8, 0.7, 0.6], "labels": labels}]
+    detector = RecordedDetector(written(tmp_path / "cut.json", content), frame_ids=FRAMES)
+    assert detector.detect(frame, ["potted plant"]).scores.tolist() == pytest.approx([0.9, 0.8, 0.7])
+    assert detector.cut == {"potted plant": ("potted pl",)}
+    with pytest.raises(UnknownClass):
+        detector.detect(frame, ["tablet"])

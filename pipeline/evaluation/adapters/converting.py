@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pipeline.answering.pipeline import open_pipeline
 from pipeline.answering.predictions import VERSION, Header, Prediction, parse_header, parse_line, write_predictions
 from pipeline.datasets import Dataset
-from pipeline.evaluation.adapters.published import FORMATS, PredictionFormat, Published
+from pipeline.evaluation.adapters.answers import ANSWER_FORMATS
+from pipeline.evaluation.adapters.formats import FORMATS
+from pipeline.evaluation.adapters.published import PredictionFormat, Published
 from pipeline.evaluation.importing import import_run
 from pipeline.evaluation.job import RunReport
-from pipeline.labels.reading import Labels, open_labels
+from pipeline.evaluation.place_reading import told_reading
+from pipeline.labels.reading import Labels, open_labels, read_table
 from pipeline.language.expression import parse
 from pipeline.proposals.detection_files import detection_files
 from pipeline.system.errors import FrameUnusable, InputError, needed, require
@@ -50,12 +55,14 @@ def convert_predictions(
     labels: Labels,
     format: str | None = None,
     key: Path | None = None,
+    places: Sequence[str] = (),
 ) -> Converted:
     """Write a published file as predictions.
 
     `path`: the file, or a folder of files. `dataset`: its frames are what pictures are matched to. `labels`: their
     expressions are what is asked of detections, and how questions are worded. `format`: a name of FORMATS, or a
     plugin's; by default what the file's content says. `key`: what the file leaves open; see the format's `needs`.
+    `places`: what the numbers of answers mean, as `told_reading` reads it; by default all lines together say it.
 
     Raises InputError: no such format or none that the file is of; what does not follow it, with its line or entry; a
     picture that may be of several frames; a file of which no picture is the dataset's, or with nothing to ask.
@@ -64,7 +71,10 @@ def convert_predictions(
     require(path.exists(), "there are no predictions", path=path)
     name, chosen = _chosen(path, format)
     require(key is None or chosen.needs, f"the format {name} needs no --key", path=key)
-    published = Published(path, key, dataset, _sentences(dataset, labels))
+    told = [told_reading(text) for text in places]
+    require(not told or name in ANSWER_FORMATS, f"--places is for answers in words, not for {name}", path=path)
+    labelled = _labelled(labels) if name in ANSWER_FORMATS else {}
+    published = Published(path, key, dataset, _sentences(dataset, labels), labelled=labelled, places=told)
     given, lines = chosen.read(published)
     header = given if isinstance(given, Header) else parse_header({"spatialviz_predictions": VERSION, **given}, path)
     counts, seen = Counter[str](), set[tuple[str, str]]()
@@ -100,6 +110,7 @@ def import_published(
     *,
     format: str | None = None,
     key: Path | None = None,
+    places: Sequence[str] = (),
     **more: Any,
 ) -> RunReport:
     """Import any file of predictions as `import_run` does; other formats are converted first.
@@ -110,12 +121,19 @@ def import_published(
     require(path.exists(), "there are no predictions", path=path)
     if format == OWN or (format is None and not is_published(path)):
         require(key is None, "predictions of our own schema need no --key", path=key)
+        require(not places, "predictions of our own schema say in their header what --places says", path=path)
         return import_run(path, dataset, labels, out, **more)
     camera = {name: more[name] for name in ("intrinsics", "depth_scale", "up", "level_at") if name in more}
     opened = open_pipeline(dataset, **camera).dataset
     with scratch_folder() as folder:
         converted = convert_predictions(
-            path, Path(folder) / path.name, dataset=opened, labels=open_labels(labels), format=format, key=key
+            path,
+            Path(folder) / path.name,
+            dataset=opened,
+            labels=open_labels(labels),
+            format=format,
+            key=key,
+            places=places,
         )
         try:
             report = import_run(converted.path, dataset, labels, out, **more)
@@ -165,3 +183,14 @@ def _sentences(dataset: Dataset, labels: Labels) -> dict[str, dict[str, tuple[st
             names |= dict.fromkeys(parse(row["text"], class_names=dataset.class_names).labels)
         found.setdefault(row["frame"], {})[row["text"]] = tuple(names)
     return found
+
+
+def _labelled(labels: Labels) -> dict[str, tuple[list[str], np.ndarray]]:
+    """Names and boxes ((N, 4) float64, pixels) of the labelled things by frame."""
+    found: dict[str, tuple[list[str], list[list[float]]]] = {}
+    # Masks, the most of the table, are not read.
+    for row in read_table(labels.root / "objects.parquet", "objects", ["frame", "label", "bbox"]).to_pylist():
+        names, boxes = found.setdefault(row["frame"], ([], []))
+        names.append(row["label"])
+        boxes.append(row["bbox"])
+    return {frame: (names, np.array(boxes, np.float64)) for frame, (names, boxes) in found.items()}
