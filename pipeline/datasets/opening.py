@@ -26,6 +26,7 @@ from pipeline.datasets.base import Dataset, DatasetFormat
 from pipeline.datasets.cameras import ShiftedPoses
 from pipeline.datasets.depth.estimator import EstimatedDepth, open_depth_model
 from pipeline.datasets.files import listed_once, readable
+from pipeline.datasets.meant import AsMeant
 from pipeline.datasets.pairing import COLOR_SUFFIXES, role_of
 from pipeline.datasets.parquet import is_lerobot_depth, lerobot_features
 from pipeline.datasets.settings import OR_ESTIMATED, GivenUp, read_settings
@@ -144,6 +145,8 @@ def open_dataset(
         for candidate in formats:
             if candidate.recognises(root):
                 dataset = candidate.open(root, settings)
+                if settings.meant:
+                    dataset = AsMeant(dataset, settings.meant)
                 if settings.pose_shift:
                     dataset = ShiftedPoses(dataset, settings.pose_shift)
                 if model is not None:

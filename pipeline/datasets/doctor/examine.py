@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from pipeline.datasets.base import Dataset, load_picture, readable_frames, scene_of
+from pipeline.datasets.doctor.alone import kind, laid, nothing, square
 from pipeline.datasets.doctor.landing import OfLanding
 from pipeline.datasets.doctor.search import PosedViews
 from pipeline.datasets.doctor.seen import Seen
@@ -158,6 +159,12 @@ def _spread(count: int, wanted: int) -> list[int]:
     return sorted(found)
 
 
+BEFORE = (Suspicion(lambda seen, known: nothing(seen)), Suspicion(lambda seen, known: laid(seen)))
+"""What must be right before poses can be judged."""
+AFTER = (Suspicion(kind), Suspicion(square))
+"""What single frames tell where landing does not."""
+
+
 def examine_frames(
     dataset: Dataset, frames: Sequence[Frame], units: float | None, settings: Settings | None = None
 ) -> Examination:
@@ -166,8 +173,9 @@ def examine_frames(
     size = Counter(frame.depth.shape for frame in frames).most_common(1)[0][0]
     seen = Seen(dataset, tuple(frame for frame in frames if frame.depth.shape == size), units, settings)
     landing = OfLanding()
-    opinions, mended = diagnosed(seen, (Suspicion(landing.opinions, landing.measured), *SUSPICIONS))
-    search = landing.search(seen)
+    every = (*BEFORE, Suspicion(landing.opinions, landing.measured), *AFTER, *SUSPICIONS)
+    opinions, mended = diagnosed(seen, every)
+    search = landing.first or landing.search(seen)
     kept = tuple(_as_kept(opinion, settings) for opinion in opinions)
     ids = tuple(frame.id for frame in seen.frames)
     return Examination(dataset.root, ids, len(search.fine.pairs), kept, _ranked(search), seen.frames, mended.frames)
@@ -189,6 +197,8 @@ def _as_kept(opinion: Opinion, settings: Settings) -> Opinion:
     if "pose_shift" in mend:
         mend["pose_shift"] += settings.pose_shift or 0
         return replace(opinion, mend=mend, option=f"pose_shift = {mend['pose_shift']} in {FILE_NAME}")
+    if declared := next((key for key in mend if key in settings.meant), None):
+        return replace(opinion, mend={}, option=f"of {declared} as it is declared, {settings.meant[declared]}")
     if "registration" in mend and settings.registration:
         both = Registration(*mend["registration"]).after(Registration(*settings.registration))
         numbers = tuple(round(float(n), 4) for n in (both.fx, both.fy, both.cx, both.cy, *both.t))

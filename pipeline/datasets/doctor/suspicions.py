@@ -25,7 +25,10 @@ from pipeline.geometry.registration import (
 )
 
 State = Literal["fine", "wrong", "unknown"]
-SUBJECTS = ("poses", "depth scale", "focal length", "principal point", "registration", "time", "up")
+SUBJECTS = (
+    *("missing depth", "depth map", "depth kind", "pictures", "poses", "depth scale"),
+    *("focal length", "principal point", "registration", "time", "up"),
+)
 """In the order in which they are told."""
 GAINING = 0.7
 """So many of the regions must gain by a mend."""
