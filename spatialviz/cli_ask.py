@@ -125,6 +125,8 @@ class FramesCommand(OfCamera):
     """List every frame too. --json lists them without it."""
     summary: Flag = False
     """With --json: one JSON object of the counts, in place of a line for each frame."""
+    decode: Flag = False
+    """Decode every frame. By default 60 are, evenly spread; of the others files, headers and poses are looked at."""
     remember: Flag = False
     """Keep --intrinsics, --depth-scale, --up and --level-at in spatialviz.toml beside the data."""
 

@@ -20,6 +20,7 @@ UNITS = 1000.0
 SCALE_WITHIN, FOCAL_WITHIN, CENTER_WITHIN = 0.1, 0.08, 0.03
 WARP_WITHIN = 0.4
 """A warp is right where it leaves less of the pixels by which the one that was planted moves things."""
+OPPOSITE = {"90": "270", "270": "90"}
 OUTCOMES = ("right", "named", "abstains", "missed", "wrong mend", "false alarm", "refused")
 """The error is mended; it is named, and no mend is offered; nothing is called wrong and it is said that nothing tells;
 or that all is fine. What is wrong: a mend that does not undo it, something else called wrong."""
@@ -65,7 +66,7 @@ class Planted:
             inverse = np.divide(1, frame.depth, out=np.zeros_like(frame.depth), where=frame.depth > 0)
             return replace(frame, depth=inverse if by == "inverse" else (frame.depth * length).astype(np.float32))
         if self.about == "depth map":
-            return replace(frame, depth=laid_over(frame.depth, {"90": "270", "270": "90"}.get(by, by)))
+            return replace(frame, depth=laid_over(frame.depth, OPPOSITE.get(by, str(by))))
         if self.about == "pictures":
             found = mirrored_frame(frame, by)
             # Whoever mirrors pictures does not know it: the camera stays.

@@ -134,7 +134,8 @@ def kind(seen: Seen, known: Sequence[Opinion]) -> list[Opinion]:
         others = " and ".join(f"{mean[other]:.0%} if it were {other}" for other in lead)
         return [Opinion(KIND, "fine", f"planes are not bent: {seen_in}, {others}", evidence=evidence)]
     if len(surely) < len(lead):
-        text = f"planes are bent, {seen_in} as {' or '.join((best, *set(lead) - set(surely)))}, {mean[KINDS[0]]:.0%} as read"
+        either = " or ".join((best, *set(lead) - set(surely)))
+        text = f"planes are bent, {seen_in} as {either}, {mean[KINDS[0]]:.0%} as read"
         return [Opinion(KIND, "wrong", text, evidence=evidence)]
     words = WHERE_MEANT[KIND, "depth_is"][best]
     text = f"planes are bent: {seen_in} where {words}, {mean[KINDS[0]]:.0%} as read"

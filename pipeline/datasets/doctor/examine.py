@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -96,11 +96,21 @@ class Examination:
         }
 
 
-def examine(path: str | Path, **camera: Any) -> Examination:
+Tell = Callable[[str, int, int], None]
+"""Takes progress: what is done, how much of it is, and of how much."""
+
+
+def untold(what: str, done: int, total: int) -> None:
+    """Tell nobody of progress."""
+
+
+def examine(path: str | Path, tell: Tell = untold, **camera: Any) -> Examination:
     """Examine a recording for faults, without writing.
 
     Parameters
     ----------
+    tell : callable
+        Takes progress.
     camera : dict
         What `open_dataset` takes of it, from `intrinsics` to `registration`.
 
@@ -109,8 +119,9 @@ def examine(path: str | Path, **camera: Any) -> Examination:
     InputError
         It cannot be opened, or none of the frames that were looked at can be read.
     """
+    tell("opening the recording", 0, 0)
     dataset, options = open_dataset(path, **camera), dict(camera)
-    frames = chosen_frames(dataset)
+    frames = chosen_frames(dataset, tell)
     notes: tuple[Opinion, ...] = ()
     for unit in TRIED_UNITS if not frames else ():
         options["depth_scale"] = unit
@@ -122,7 +133,7 @@ def examine(path: str | Path, **camera: Any) -> Examination:
     require(frames, "none of the frames that were looked at can be read", path=dataset.root)
     settings = read_settings(dataset.root).overridden(**{k: camera.get(k) for k in ("registration", "poses")})
     units = getattr(dataset, "depth_units", None)
-    found = examine_frames(dataset, frames, units and units(frames[0].id), settings)
+    found = examine_frames(dataset, frames, units and units(frames[0].id), settings, tell)
     if options.get("depth_scale") != camera.get("depth_scale") and found.of("depth scale").state != "wrong":
         unit = options["depth_scale"]
         text = f"as read, no depth is that of a room; with {unit:g} units in a metre it is"
@@ -131,7 +142,7 @@ def examine(path: str | Path, **camera: Any) -> Examination:
     return replace(found, opinions=notes or found.opinions)
 
 
-def chosen_frames(dataset: Dataset) -> list[Frame]:
+def chosen_frames(dataset: Dataset, tell: Tell = untold) -> list[Frame]:
     """Choose frames of some scenes, near and far apart; broken frames are left out."""
     scenes: defaultdict[str, list[str]] = defaultdict(list)
     for frame_id in dataset.frame_ids:
@@ -140,7 +151,11 @@ def chosen_frames(dataset: Dataset) -> list[Frame]:
     picked = [many[k] for k in np.unique(np.linspace(0, len(many) - 1, min(MOST_SCENES, len(many))).astype(int))]
     each = MOST_FRAMES // len(picked)
     ids = [ids[k] for ids in picked for k in _spread(len(ids), each)]
-    return list(readable_frames(lambda frame_id: load_picture(dataset, frame_id), ids))
+    found = []
+    for k, frame_id in enumerate(ids):
+        tell("reading frames", k, len(ids))
+        found += readable_frames(lambda one: load_picture(dataset, one), [frame_id])
+    return found
 
 
 def _spread(count: int, wanted: int) -> list[int]:
@@ -166,7 +181,11 @@ AFTER = (Suspicion(kind), Suspicion(square))
 
 
 def examine_frames(
-    dataset: Dataset, frames: Sequence[Frame], units: float | None, settings: Settings | None = None
+    dataset: Dataset,
+    frames: Sequence[Frame],
+    units: float | None,
+    settings: Settings | None = None,
+    tell: Tell = untold,
 ) -> Examination:
     """Examine frames in memory. `units`: depth units in a metre as read, None where unknown."""
     settings = settings or Settings()
@@ -174,7 +193,7 @@ def examine_frames(
     seen = Seen(dataset, tuple(frame for frame in frames if frame.depth.shape == size), units, settings)
     landing = OfLanding()
     every = (*BEFORE, Suspicion(landing.opinions, landing.measured), *AFTER, *SUSPICIONS)
-    opinions, mended = diagnosed(seen, every)
+    opinions, mended = diagnosed(seen, every, lambda done: tell("looking for faults", done, len(every)))
     search = landing.first or landing.search(seen)
     kept = tuple(_as_kept(opinion, settings) for opinion in opinions)
     ids = tuple(frame.id for frame in seen.frames)

@@ -84,10 +84,13 @@ class Suspicion:
     """Agreement of the frames as they were and with a fix."""
 
 
-def diagnosed(seen: Seen, suspicions: Sequence[Suspicion]) -> tuple[list[Opinion], Seen]:
-    """Opinions on each subject in order of suspicions, and the frames with fixes."""
+def diagnosed(
+    seen: Seen, suspicions: Sequence[Suspicion], tell: Callable[[int], None] = lambda done: None
+) -> tuple[list[Opinion], Seen]:
+    """Opinions on each subject in order of suspicions, and the frames with fixes. `tell` takes how many were told."""
     known: list[Opinion] = []
-    for suspicion in suspicions:
+    for done, suspicion in enumerate(suspicions):
+        tell(done)
         found = suspicion.opinions(seen, known)
         if mend := mends_of(found):
             mended = seen.mended(mend)
