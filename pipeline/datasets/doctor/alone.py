@@ -41,7 +41,7 @@ def nothing(seen: Seen) -> list[Opinion]:
         return [Opinion(NOTHING, "fine", text)]
     value = max(found, key=lambda v: sum(shares[v]))
     share = sum(shares[value]) / len(seen.frames)
-    stored = round(value * (seen.units or 1.0), 6)
+    stored = float(f"{value * (seen.units or 1.0):.6g}")
     where = f"{counted(len(shares[value]), 'frame')} of {len(seen.frames)}"
     text = f"{share:.0%} of the pixels have the value {stored:g} ({value:.4g} m), far from all others, in {where}"
     mend, option = {"depth_nothing": stored}, f"depth_nothing = {stored:g} in {FILE_NAME}"
