@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 
 from pipeline.datasets.doctor.planes import KINDS, flatness, square_focals
@@ -22,6 +23,10 @@ GAP = 1.5
 """It is so many times as far as all others, or they as it is."""
 INSIDE = 0.001
 """So many of the others may be beyond the gap."""
+OFTEN, COMMON = 0.05, 5
+"""Or as many of the pixels have it, and so many times as many as any other value,"""
+SAME_SURFACE, MOST_JOINED = 0.05, 0.3
+"""and of the pixels around few have nearly the same depth: a wall seen head on goes on."""
 LEAST_ALIKE = 2
 """Frames that must share a value which is no limit of what is stored."""
 FARTHEST_M = 20.0
@@ -35,17 +40,19 @@ def nothing(seen: Seen) -> list[Opinion]:
     for frame in seen.frames:
         for value, share in _ends(frame.depth):
             shares.setdefault(value, []).append(share)
-    found = [value for value, known in shares.items() if len(known) >= LEAST_ALIKE or _limit(value, seen.units)]
-    if not found:
-        text = "no value that stands alone at an end of the range counts as depth"
-        return [Opinion(NOTHING, "fine", text)]
-    value = max(found, key=lambda v: sum(shares[v]))
+    if not shares:
+        return [Opinion(NOTHING, "fine", "no value that stands out at an end of the range counts as depth")]
+    told = {value for value, known in shares.items() if len(known) >= LEAST_ALIKE or _limit(value, seen.units)}
+    value = max(told or shares, key=lambda v: sum(shares[v]))
     share = sum(shares[value]) / len(seen.frames)
     stored = float(f"{value * (seen.units or 1.0):.6g}")
     where = f"{counted(len(shares[value]), 'frame')} of {len(seen.frames)}"
-    text = f"{share:.0%} of the pixels have the value {stored:g} ({value:.4g} m), far from all others, in {where}"
-    mend, option = {"depth_nothing": stored}, f"depth_nothing = {stored:g} in {FILE_NAME}"
-    return [Opinion(NOTHING, "wrong", f"{text}: it counts as surface", mend, option, {"share": round(share, 4)})]
+    text = f"{share:.0%} of the pixels have the value {stored:g} ({value:.4g} m), which stands out in {where}"
+    evidence, option = {"share": round(share, 4)}, f"depth_nothing = {stored:g} in {FILE_NAME}"
+    if not told:
+        text = f"{text}: a wall seen head on, or no surface ({option})?"
+        return [Opinion(NOTHING, "unknown", text, evidence=evidence)]
+    return [Opinion(NOTHING, "wrong", f"{text}: it counts as surface", {"depth_nothing": stored}, option, evidence)]
 
 
 def _limit(value: float, units: float | None) -> bool:
@@ -54,18 +61,25 @@ def _limit(value: float, units: float | None) -> bool:
 
 
 def _ends(depth: np.ndarray) -> list[tuple[float, float]]:
-    """Values at the ends of the range of depth (H, W) that no other is near, and their shares of the pixels."""
-    known = depth[depth > 0]
+    """Values at the ends of the range of depth (H, W) that are no surface's, and their shares of the pixels."""
+    values, counts = np.unique(depth[depth > 0], return_counts=True)
     found = []
-    for value in {known.min(), known.max()} if len(known) else ():
-        own = np.abs(depth - value) <= 1e-5 * value
+    for k in np.flatnonzero(counts >= LEAST_SHARE * depth.size):
+        value, own = float(values[k]), np.abs(depth - values[k]) <= 1e-5 * values[k]
         others = depth[(depth > 0) & ~own]
-        if own.mean() < LEAST_SHARE or not len(others):
-            continue
-        near, far = np.quantile(others, INSIDE), np.quantile(others, 1 - INSIDE)
-        if value > GAP * far or value < near / GAP:
-            found.append((float(value), float(own.mean())))
+        near, far = np.quantile(others, (INSIDE, 1 - INSIDE)) if len(others) else (0.0, np.inf)
+        if not near < value < far and (value > GAP * far or value < near / GAP or _crowded(depth, own, counts)):
+            found.append((value, float(own.mean())))
     return found
+
+
+def _crowded(depth: np.ndarray, own: np.ndarray, counts: np.ndarray) -> bool:
+    """Test whether pixels (H, W) share a value more often than any other is shared, and border on no surface of it."""
+    around = (cv2.dilate(own.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0) & ~own & (depth > 0)
+    value = depth[own][0]
+    joined = np.abs(depth[around] / value - 1) < SAME_SURFACE
+    rest = np.delete(counts, counts.argmax())
+    return own.mean() >= OFTEN and own.sum() >= COMMON * max(rest, default=0) and joined.mean() < MOST_JOINED
 
 
 LEAST_FURTHER = 0.05

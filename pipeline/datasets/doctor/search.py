@@ -36,7 +36,29 @@ class Cause:
 AS_READ = Cause("", "")
 
 
-def causes(seen: Seen, meant: Sequence[str]) -> tuple[Cause, ...]:
+KIND, MAP, PICTURES = "depth kind", "depth map", "pictures"
+"""Subjects of what pictures and depth maps mean."""
+WHERE_MEANT = {
+    (KIND, "depth_is"): {
+        "distance": "depth is the distance to the camera and not along its axis",
+        "inverse": "depth is inverse",
+    },
+    (MAP, "depth_turned"): {
+        **{turn: f"depth maps are turned by {turn} degrees against colour" for turn in ("90", "180", "270")},
+        "left-right": "depth maps are mirrored left to right against colour",
+        "top-bottom": "depth maps are upside down against colour",
+    },
+    (PICTURES, "mirrored"): {
+        "left-right": "colour and depth are mirrored left to right",
+        "top-bottom": "colour and depth are mirrored top to bottom",
+    },
+}
+"""By subject and setting its values, and what is true with each."""
+INVERSE_MEDIAN_M = 2.0
+"""Inverse depth is first looked at in such a unit that it has this median."""
+
+
+def causes(seen: Seen, meant: Sequence[str] = (KIND, MAP, PICTURES)) -> tuple[Cause, ...]:
     """Candidate causes for frames, except pose time shifts; of what pictures mean those of some subjects."""
     K, (height, width) = seen.intrinsics, seen.frames[0].depth.shape
     found = [] if K is None else other_centers(K, (height, width))
@@ -61,28 +83,6 @@ def other_centers(K: np.ndarray, size: tuple[int, int]) -> list[Cause]:
         if max(abs(cx / by - middle[0]), abs(cy / by - middle[1])) < NEAR_MIDDLE * size[1]:
             found.append((f"intrinsics of a picture {by:.2g} times as large", (fx / by, fy / by, cx / by, cy / by)))
     return [Cause("principal point", words, {"intrinsics": tuple(map(float, four))}) for words, four in found]
-
-
-KIND, MAP, PICTURES = "depth kind", "depth map", "pictures"
-"""Subjects of what pictures and depth maps mean."""
-WHERE_MEANT = {
-    (KIND, "depth_is"): {
-        "distance": "depth is the distance to the camera and not along its axis",
-        "inverse": "depth is inverse",
-    },
-    (MAP, "depth_turned"): {
-        **{turn: f"depth maps are turned by {turn} degrees against colour" for turn in ("90", "180", "270")},
-        "left-right": "depth maps are mirrored left to right against colour",
-        "top-bottom": "depth maps are upside down against colour",
-    },
-    (PICTURES, "mirrored"): {
-        "left-right": "colour and depth are mirrored left to right",
-        "top-bottom": "colour and depth are mirrored top to bottom",
-    },
-}
-"""By subject and setting its values, and what is true with each."""
-INVERSE_MEDIAN_M = 2.0
-"""Inverse depth is first looked at in such a unit that it has this median."""
 
 
 def meanings(seen: Seen, subject: str) -> list[Cause]:
