@@ -57,6 +57,20 @@ def test_one_thing_is_called_wrong_and_mended(room: list[Frame], planted: Plante
         assert all(np.allclose(a.depth, b.depth, rtol=1e-4) for a, b in zip(found.mended, frames, strict=True))
 
 
+def test_poses_are_not_blamed_for_what_depth_explains(room: list[Frame]) -> None:
+    """Distances and poses of other places: nothing lands, and planes still tell what depth is."""
+    rng = np.random.default_rng(3)
+    moved = []
+    for frame in room:
+        T = np.array(frame.camera.T_world_camera)
+        T[:3, 3] += rng.normal(0, 1.5, 3)
+        moved.append(replace(frame, camera=replace(frame.camera, T_world_camera=T)))
+    assert "are the poses of other frames" in looked_at(moved).of("poses").text
+    found = looked_at(Planted("depth kind", "distance").read(moved))
+    assert {opinion.about for opinion in found.wrong} == {"depth kind"}
+    assert "are the poses of other frames" not in found.of("poses").text
+
+
 def test_inverse_depth_is_mended_with_its_unit(room: list[Frame]) -> None:
     found = looked_at([replace(f, depth=4 * f.depth) for f in Planted("depth kind", "inverse").read(room)])
     assert {opinion.about for opinion in found.wrong} == {"depth kind"}

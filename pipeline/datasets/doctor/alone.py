@@ -4,10 +4,12 @@ length by planes that are square."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
 
+from pipeline.datasets.doctor.landing import OTHER_FRAMES
 from pipeline.datasets.doctor.planes import KINDS, flatness, square_focals
 from pipeline.datasets.doctor.search import KIND, MAP, WHERE_MEANT, meanings, surely_positive
 from pipeline.datasets.doctor.seen import Seen
@@ -150,13 +152,19 @@ def kind(seen: Seen, known: Sequence[Opinion]) -> list[Opinion]:
     if len(surely) < len(lead):
         either = " or ".join((best, *set(lead) - set(surely)))
         text = f"planes are bent, {seen_in} as {either}, {mean[KINDS[0]]:.0%} as read"
-        return [Opinion(KIND, "wrong", text, evidence=evidence)]
+        return [Opinion(KIND, "wrong", text, evidence=evidence), *_not_by_poses(known, "depth is of another kind")]
     words = WHERE_MEANT[KIND, "depth_is"][best]
     text = f"planes are bent: {seen_in} where {words}, {mean[KINDS[0]]:.0%} as read"
-    option = f'depth_is = "{best}" in {FILE_NAME}'
-    if best == "inverse":
-        return [Opinion(KIND, "wrong", f"{text}; nothing tells its unit", {}, option, evidence)]
-    return [Opinion(KIND, "wrong", text, {"depth_is": best}, option, evidence)]
+    mend = {} if best == "inverse" else {"depth_is": best}
+    text = text if mend else f"{text}; nothing tells its unit"
+    opinion = Opinion(KIND, "wrong", text, mend, f'depth_is = "{best}" in {FILE_NAME}', evidence)
+    return [opinion, *_not_by_poses(known, words)]
+
+
+def _not_by_poses(known: Sequence[Opinion], words: str) -> list[Opinion]:
+    """Opinions that blamed the poses for what another fault explains, with that fault in place of them."""
+    blamed = (opinion for opinion in known if opinion.text.endswith(OTHER_FRAMES))
+    return [replace(o, text=f"{o.text.removesuffix(OTHER_FRAMES)}; {words}") for o in blamed]
 
 
 PAIRED, TOLD_SD = 2, 0.12
@@ -167,11 +175,9 @@ AGREE, LEAST_OFF, SQUARE = 0.08, 0.18, 0.06
 
 def square(seen: Seen, known: Sequence[Opinion]) -> list[Opinion]:
     """Compare angles of planes with right angles, where landing tells nothing of the focal length."""
-    state = {opinion.about: opinion for opinion in known}
-    before = state.get("focal length")
-    if (before is not None and before.state != "unknown") or (
-        KIND in state and state[KIND].state == "wrong" and not state[KIND].mend
-    ):
+    decided = any(o.about == "focal length" and o.state != "unknown" for o in known)
+    # Planes that are still bent meet at no angle.
+    if decided or any(o.about == KIND and o.state == "wrong" and not o.mend for o in known):
         return []
     tellings = [told[told[:, 1] < TOLD_SD] for told in map(square_focals, seen.frames)]
     told = np.concatenate(tellings)
@@ -190,6 +196,7 @@ def square(seen: Seen, known: Sequence[Opinion]) -> list[Opinion]:
         return []
     factor = evidence["factor"]
     text = f"walls and floor are not square: {angles}; they are with about {factor:.2g} times the focal length"
-    return [
-        Opinion("focal length", "wrong", text, {}, "--intrinsics of this camera and this size of picture", evidence)
-    ]
+    option = "--intrinsics of this camera and this size of picture"
+    others = [opinion for opinion in known if opinion.about != "focal length"]
+    wrong = Opinion("focal length", "wrong", text, {}, option, evidence)
+    return [wrong, *_not_by_poses(others, "the focal length is another")]

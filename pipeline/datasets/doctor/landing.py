@@ -50,6 +50,7 @@ NEAR_SURE = 2.0
 
 
 BY_LANDING = ("poses", "time", "depth scale", "focal length", "principal point")
+OTHER_FRAMES = ": are the poses of other frames?"
 TEXT_TELLS = "text in a picture tells whether it is mirrored"
 
 
@@ -77,7 +78,7 @@ class OfLanding:
             return [*(_caused(about, search) for about in others), *_with_intrinsics(found, search.best, search)]
         if pairs >= LEAST_PAIRS:
             best = f"at best {search.at(search.best):.0%} of the points land"
-            why = f"nothing that was tried makes {pairs} pairs agree ({best}): are the poses of other frames?"
+            why = f"nothing that was tried makes {pairs} pairs agree ({best}){OTHER_FRAMES}"
         elif len(search.coarse.pairs):
             why = "nothing can tell: no two posed frames of those that were looked at show the same surface"
         else:
