@@ -133,7 +133,7 @@ class FramesCommand(OfCamera):
 
 @dataclass(frozen=True, kw_only=True)
 class DoctorCommand(OfCamera):
-    """Find a wrong depth scale, focal length, principal point, pose convention, registration or up of a recording.
+    """Find what is wrong with a recording: unit and kind of depth, camera, poses, registration, mirrored pictures, up.
 
     It compares the depth of posed frames that overlap, outlines of depth with edges of colour, and level planes. Exit
     status: 0 where nothing was found wrong, or what was is mended with --apply; 1 where something is wrong.

@@ -29,6 +29,8 @@ POSED = (*(Planted("pictures", way) for way in ("left-right", "top-bottom")), Pl
 SQUARE = tuple(Planted("depth map", turn) for turn in ("90", "270"))
 FOCALS = tuple(Planted("focal length", factor) for factor in (0.8, 1.25, 1.6))
 LEAST_MISSING = 0.02
+FRAMES = 2
+"""So many of a recording are looked at alone."""
 
 
 def cropped(frame: Frame, columns: int, rows: int, width: int, height: int) -> Frame:
@@ -59,7 +61,7 @@ def cases(seeds: Sequence[int], keep: Path, only: Sequence[str], alone: bool) ->
     for name, frames, _ in recordings(seeds, keep, only):
         passed = ("registration",) if name in UNALIGNED else ()
         if alone:
-            for frame in frames[:6]:
+            for frame in frames[:: max(1, len(frames) // FRAMES)][:FRAMES]:
                 camera = Camera(frame.camera.K, frame.width, frame.height)
                 one = [replace(frame, camera=camera, annotations=())]
                 for case, truth in planted(one, posed=False):
