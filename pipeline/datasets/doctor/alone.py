@@ -85,8 +85,8 @@ def _crowded(depth: np.ndarray, own: np.ndarray, counts: np.ndarray) -> bool:
 
 
 LEAST_LAID, LEAST_FURTHER, LAID_SURE = 0.07, 0.05, 1.5
-"""Outlines must lie so much more on edges of colour than by chance, and than with the map laid otherwise, the latter by so
-many standard errors. Of 180 maps that were laid wrongly none had more than .051."""
+"""Outlines must lie so much more on edges of colour than by chance, and than with the map laid otherwise, by so many
+standard errors. Of 180 frames whose map was laid wrongly none had more than .051."""
 
 
 def laid(seen: Seen) -> list[Opinion]:
