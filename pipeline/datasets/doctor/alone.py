@@ -103,14 +103,10 @@ def laid(seen: Seen) -> list[Opinion]:
         text = "edges of colour do not show how depth maps lie over it"
         return [Opinion(MAP, "unknown", text, evidence=evidence)]
     if best == 0:
-        text = (
-            f"its outlines lie on edges of colour, {mean[0]:.0%} more than by chance; turned or mirrored {second:.0%}"
-        )
+        text = f"its outlines lie on edges of colour, {mean[0]:.0%} more than by chance; turned or mirrored {max(second, 0):.0%}"
         return [Opinion(MAP, "fine", text, evidence=evidence)]
     cause = causes[best - 1]
-    text = (
-        f"{cause.words}: {mean[best]:.0%} of outlines lie on edges of colour above chance then, as read {mean[0]:.0%}"
-    )
+    text = f"{cause.words}: {mean[best]:.0%} of outlines lie on edges of colour above chance then, as read {max(mean[0], 0):.0%}"
     ((key, value),) = cause.mend.items()
     return [Opinion(MAP, "wrong", text, dict(cause.mend), f'{key} = "{value}" in {FILE_NAME}', evidence)]
 

@@ -134,7 +134,8 @@ def examine(path: str | Path, tell: Tell = untold, **camera: Any) -> Examination
     settings = read_settings(dataset.root).overridden(**{k: camera.get(k) for k in ("registration", "poses")})
     units = getattr(dataset, "depth_units", None)
     found = examine_frames(dataset, frames, units and units(frames[0].id), settings, tell)
-    if options.get("depth_scale") != camera.get("depth_scale") and found.of("depth scale").state != "wrong":
+    retried = options.get("depth_scale") != camera.get("depth_scale") and "depth_scale" not in found.mends
+    if retried and found.of("depth scale").state != "wrong":
         unit = options["depth_scale"]
         text = f"as read, no depth is that of a room; with {unit:g} units in a metre it is"
         mended = Opinion("depth scale", "wrong", text, {"depth_scale": unit}, f"--depth-scale {unit:g}")
