@@ -102,11 +102,12 @@ def laid(seen: Seen) -> list[Opinion]:
     if mean[best] < LEAST_LAID or mean[best] - second < LEAST_FURTHER or not sure:
         text = "edges of colour do not show how depth maps lie over it"
         return [Opinion(MAP, "unknown", text, evidence=evidence)]
+    own, other = max(mean[0], 0.0), max(second, 0.0)
     if best == 0:
-        text = f"its outlines lie on edges of colour, {mean[0]:.0%} more than by chance; turned or mirrored {max(second, 0):.0%}"
+        text = f"its outlines lie on edges of colour, {own:.0%} more than by chance; turned or mirrored {other:.0%}"
         return [Opinion(MAP, "fine", text, evidence=evidence)]
     cause = causes[best - 1]
-    text = f"{cause.words}: {mean[best]:.0%} of outlines lie on edges of colour above chance then, as read {max(mean[0], 0):.0%}"
+    text = f"{cause.words}: {mean[best]:.0%} of outlines lie on edges of colour above chance then, as read {own:.0%}"
     ((key, value),) = cause.mend.items()
     return [Opinion(MAP, "wrong", text, dict(cause.mend), f'{key} = "{value}" in {FILE_NAME}', evidence)]
 
