@@ -125,13 +125,15 @@ class FramesCommand(OfCamera):
     """List every frame too. --json lists them without it."""
     summary: Flag = False
     """With --json: one JSON object of the counts, in place of a line for each frame."""
+    decode: Flag = False
+    """Decode every frame. By default 60 are, evenly spread; of the others files, headers and poses are looked at."""
     remember: Flag = False
     """Keep --intrinsics, --depth-scale, --up and --level-at in spatialviz.toml beside the data."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DoctorCommand(OfCamera):
-    """Find a wrong depth scale, focal length, principal point, pose convention, registration or up of a recording.
+    """Find what is wrong with a recording: unit and kind of depth, camera, poses, registration, mirrored pictures, up.
 
     It compares the depth of posed frames that overlap, outlines of depth with edges of colour, and level planes. Exit
     status: 0 where nothing was found wrong, or what was is mended with --apply; 1 where something is wrong.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -94,9 +95,11 @@ def figure(value: float | None, form: str = ".4f", none: str = "-") -> str:
 
 @contextmanager
 def progress_bars() -> Iterator[Callable[..., None]]:
-    """Progress bars on a terminal, shown on first use; yields a function of (what, done, total, note="")."""
+    """Progress bars on a terminal, shown on first use; else a line every 10 s on stderr. Yields a function of
+    (what, done, total, note="")."""
     if not sys.stderr.isatty():
-        yield lambda what, done, total, note="": None
+        with _progress_lines() as tell:
+            yield tell
         return
     columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[note]}"), TimeRemainingColumn())
     shown = (TextColumn("{task.description}"), *columns)
@@ -109,6 +112,32 @@ def progress_bars() -> Iterator[Callable[..., None]]:
             progress.update(tasks[what], completed=done, total=total, note=note)
 
         yield tell
+
+
+LINE_SECONDS = 10.0
+"""Where no terminal is, progress is told as often."""
+
+
+@contextmanager
+def _progress_lines() -> Iterator[Callable[..., None]]:
+    """Lines on stderr of what was told last, from a thread: also of a step that takes long."""
+    last: list[tuple[str, int, int, str]] = []
+    over, start = threading.Event(), time.monotonic()
+
+    def lines() -> None:
+        while not over.wait(LINE_SECONDS):
+            what, done, total, note = last[-1] if last else ("working", 0, 0, "")
+            counts = f" {done:,} of {total:,}" if total else ""
+            told = f"{what}:{counts}{f', {note}' if note else ''}, {time.monotonic() - start:.0f} s"
+            print(f"spatialviz: {plain(told)}", file=sys.stderr, flush=True)
+
+    thread = threading.Thread(target=lines, daemon=True)
+    thread.start()
+    try:
+        yield lambda what, done, total, note="": last.__setitem__(slice(None), [(what, done, total, note)])
+    finally:
+        over.set()
+        thread.join()
 
 
 @contextmanager
@@ -162,6 +191,9 @@ def _plain(cell: Cell) -> Any:
 SUMMARY_CLASSES = 20
 
 
+NOT_DECODED = "their depth, annotations and up, and whether their pictures are whole, were not looked at"
+
+
 def print_summary(summary: dict[str, Any]) -> None:
     """Print counts over the frames of a dataset."""
     frames, usable = summary["frames"], summary["frames_usable"]
@@ -170,6 +202,9 @@ def print_summary(summary: dict[str, Any]) -> None:
     say_lines((f"  {count:,} broken: {reason}" for reason, count in summary["problems"].items()), "red", 5, " reasons")
     if not usable:
         return
+    left = usable - summary["frames_decoded"]
+    if left:
+        say(f"  {left:,} were not decoded (--decode): {NOT_DECODED}", style="yellow")
     say(f"  {listed(summary['sizes'])}; up {listed(summary['up_source'])}", style="dim")
     lacking = {
         "with little depth": summary["frames_with_little_depth"],

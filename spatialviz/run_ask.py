@@ -51,7 +51,7 @@ from spatialviz.cli_ask import (
     RenderCommand,
 )
 from spatialviz.options import ALL_FRAMES, FINE, NO, SourceOptions, numbers, one_frame, print_json, warn, warn_skipped
-from spatialviz.printing import print_rows, print_summary, rate_bar, say, say_lines
+from spatialviz.printing import print_rows, print_summary, progress_bars, rate_bar, say, say_lines
 
 SHOWN_PAIRS = 5
 
@@ -164,10 +164,12 @@ def _survey_frames(command: FramesCommand, dataset: Dataset, camera: dict[str, A
     counts, notes = SurveyCounts(), Counter[str]()
     if not command.json:
         say((str(dataset.root), "bold"), f"  {dataset.format}, {counted(len(dataset.frame_ids), 'frame')}")
+    depths, most = (MOST_DEPTHS, None) if command.decode else (DECODED, DECODED)
     with rate_bar("looking for odd frames", "frames") as advance:
-        odd = () if command.json and command.summary else odd_frames(dataset, progress=advance)
+        summary = command.json and command.summary
+        odd = () if summary else odd_frames(dataset, most_depths=depths, progress=advance)
     with rate_bar("looking at frames", "frames") as advance:
-        for report in counts.watch(survey(dataset)):
+        for report in counts.watch(survey(dataset, most)):
             advance(report.index + 1, len(dataset.frame_ids))
             notes.update(report.notes)
             if command.json and not command.summary:
@@ -180,7 +182,7 @@ def _survey_frames(command: FramesCommand, dataset: Dataset, camera: dict[str, A
     elif not command.json:
         say_lines((f"note on {counted(frames, 'frame')}: {note}" for note, frames in notes.items()), "yellow")
         print_summary(record)
-        print_odd_frames(odd)
+        print_odd_frames(odd, depths)
     return record["frames_usable"]
 
 
@@ -335,6 +337,13 @@ def print_frame(report: FrameReport) -> None:
     if not report.ok:
         say(f"{report.index:>5}  {report.id}  broken: {report.problem}", style="red")
         return
+    if not report.decoded:
+        size = f"  {report.width}x{report.height}" if report.width else ""
+        say(
+            f"{report.index:>5}  {report.id}{size}  not decoded  {'pose' if report.has_pose else 'no pose'}",
+            style="dim",
+        )
+        return
     median = "of no known unit" if report.median_depth is None else f"median {report.median_depth:.2f} m"
     pose = "pose" if report.has_pose else "no pose"
     off = "?" if report.up is None else f"{math.degrees(math.acos(max(-1.0, min(1.0, -report.up[1])))):.0f}°"
@@ -348,14 +357,16 @@ def print_frame(report: FrameReport) -> None:
 
 
 SHOWN_ODD = 5
+DECODED = 60
+"""So many frames are decoded by default, evenly spread."""
 
 
-def print_odd_frames(frames: Sequence[OddFrame]) -> None:
+def print_odd_frames(frames: Sequence[OddFrame], depths: int = MOST_DEPTHS) -> None:
     """Print the oddest frames with their reasons, and how many were looked at."""
     found = sorted((frame for frame in frames if frame.reasons), key=lambda frame: -(frame.oddness or 0))
     say_lines((f"odd: {frame.id}  {', '.join(frame.reasons)}" for frame in found), "yellow", SHOWN_ODD, " (--json)")
-    if len(frames) > MOST_DEPTHS:
-        say(f"  for odd depth at most {MOST_DEPTHS:,} frames were looked at, evenly spread", style="dim")
+    if len(frames) > depths:
+        say(f"  for odd depth at most {depths:,} frames were looked at, evenly spread", style="dim")
 
 
 STYLES = {"fine": "green", "wrong": "bold red", "unknown": "yellow"}
@@ -365,7 +376,8 @@ SHOWN = 6
 
 def run_doctor(command: DoctorCommand) -> int:
     demo = command.dataset == DEMO_NAME and not Path(command.dataset).exists()
-    found = examine(demo_path() if demo else command.dataset, **command.camera.camera())
+    with progress_bars() as tell:
+        found = examine(demo_path() if demo else command.dataset, tell, **command.camera.camera())
     if command.overlay is not None:
         write_picture(overlay(found), command.overlay)
     written = apply(found) if command.apply else None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,8 @@ from numpy.random import default_rng
 
 from pipeline.datasets.odd_frames import MOST_DEPTHS, OddFrame
 from spatialviz.cli import main
-from spatialviz.run_ask import print_odd_frames
+from spatialviz.printing import progress_bars
+from spatialviz.run_ask import DECODED, print_odd_frames
 
 TOLD = ["--intrinsics", "60,61,31.5,23.5", "--depth-scale", "1000"]
 
@@ -132,3 +134,32 @@ def test_colour_alone_is_measured_by_estimated_depth(
     assert source.startswith("estimated by moge-2 (network.onnx): metres")
     assert main(command) == 0
     assert f"depth is {source}" in " ".join(capsys.readouterr().out.split())
+
+
+def test_progress_is_told_in_lines_where_no_terminal_is(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("spatialviz.printing.LINE_SECONDS", 0.02)
+    with progress_bars() as tell:
+        time.sleep(0.1)
+        tell("reading frames", 3, 12)
+        time.sleep(0.1)
+    told = capsys.readouterr()
+    assert "spatialviz: working:" in told.err
+    assert "spatialviz: reading frames: 3 of 12" in told.err
+    assert not told.out
+
+
+def test_frames_says_what_was_not_decoded(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for k in range(DECODED + 4):
+        write_png(tmp_path / f"{k:03}.png", np.full((48, 64, 3), 90, np.uint8))
+        write_png(tmp_path / f"{k:03}_depth.png", np.full((48, 64), 2000, np.uint16))
+    told = ["frames", str(tmp_path), *TOLD]
+    assert main(told) == 0
+    assert "4 were not decoded (--decode)" in capsys.readouterr().out
+    assert main([*told, "--json"]) == 0
+    records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert sum(not record["decoded"] for record in records) == 4
+    assert all(record["depth_valid"] is None for record in records if not record["decoded"])
+    assert main([*told, "--decode"]) == 0
+    assert "not decoded" not in capsys.readouterr().out

@@ -26,6 +26,9 @@ class FrameReport:
     ----------
     index : int
         Place in the dataset, from 0.
+    decoded : bool
+        Whether pictures were decoded. If not, files and their headers alone were looked at: nothing is known of depth,
+        annotations and up, nor whether the pictures are whole.
     ok : bool
         Whether the frame can be loaded.
     problem : str or None
@@ -68,14 +71,37 @@ class FrameReport:
     dataset_notes: tuple[str, ...] = ()
     moves: dict[str, str] | None = None
     up: tuple[float, ...] | None = None
+    decoded: bool = True
 
 
-def survey(dataset: Dataset) -> Iterator[FrameReport]:
-    """Load and report every frame in turn; broken frames do not stop the survey."""
-    assumed = dataset_notes(dataset)
+def spread(count: int, most: int) -> list[int]:
+    """Indices of at most so many of `count` frames, evenly spread."""
+    return np.linspace(0, count - 1, min(count, most)).astype(int).tolist()
+
+
+def survey(dataset: Dataset, most_decoded: int | None = None) -> Iterator[FrameReport]:
+    """Report every frame in turn; broken frames do not stop the survey. With `most_decoded` only so many frames are
+    decoded, evenly spread; where a dataset can, of the others only files and headers are looked at."""
+    assumed, peek = dataset_notes(dataset), getattr(dataset, "peek", None)
+    count = len(dataset.frame_ids)
+    chosen = None if most_decoded is None or peek is None else set(spread(count, most_decoded))
     for index, frame_id in enumerate(dataset.frame_ids):
         leads = moves(dataset, frame_id) if has_moves(dataset) else None
         try:
+            if peek is not None and chosen is not None and index not in chosen:
+                width, height = peek(frame_id)
+                yield FrameReport(
+                    index,
+                    frame_id,
+                    ok=True,
+                    width=width,
+                    height=height,
+                    has_pose=load_pose(dataset, frame_id) is not None,
+                    dataset_notes=assumed,
+                    moves=leads,
+                    decoded=False,
+                )
+                continue
             frame = dataset.load(frame_id)
         except InputError as error:
             yield FrameReport(index, frame_id, ok=False, problem=str(error), dataset_notes=assumed, moves=leads)
@@ -125,16 +151,19 @@ class SurveyCounts:
         if not report.ok:
             self._named["problems"][_reason(report)] += 1
             return
+        self._counts.update(frames_without_pose=not report.has_pose, frames_decoded=report.decoded)
+        if report.width:
+            self._named["sizes"][f"{report.width}x{report.height}"] += 1
+        if not report.decoded:
+            return
         self._depth += report.depth_valid
         self._counts.update(
             objects=report.annotations,
             frames_with_little_depth=report.depth_valid < LITTLE_DEPTH,
-            frames_without_pose=not report.has_pose,
             frames_without_objects=not report.annotations,
             frames_with_notes=bool(report.notes),
         )
         self._named["classes"].update(report.labels)
-        self._named["sizes"][f"{report.width}x{report.height}"] += 1
         self._named["up_source"][report.up_source or "unknown"] += 1
 
     def watch(self, reports: Iterable[FrameReport]) -> Iterator[FrameReport]:
@@ -149,25 +178,26 @@ class SurveyCounts:
         Returns
         -------
         dict
-            JSON-able: frames, frames_usable, frames_broken, notes (what no file states, see `base.dataset_notes`),
+            JSON-able: frames, frames_usable, frames_broken, frames_decoded (of the usable ones; only these tell of
+            depth, objects, notes and up), notes (what no file states, see `base.dataset_notes`),
             problems ({reason: frames}); of the usable frames frames_with_little_depth (less than a tenth of the
             pixels), frames_without_pose, frames_without_objects, frames_with_notes, sizes ({"WxH": frames}),
             up_source ({source: frames}), depth_valid (mean share of the pixels, 0..1, or None), objects,
             objects_per_frame (mean or None), and classes ({name: objects}). What is counted by name runs from the
             most frequent on.
         """
-        counts, usable = self._counts, self._counts["frames_usable"]
+        counts, decoded = self._counts, self._counts["frames_decoded"]
         missing = ("with_little_depth", "without_pose", "without_objects", "with_notes")
         return {
-            **{name: counts[name] for name in ("frames", "frames_usable", "frames_broken")},
+            **{name: counts[name] for name in ("frames", "frames_usable", "frames_broken", "frames_decoded")},
             "notes": list(self._notes),
             "problems": _sorted(self._named["problems"]),
             **{f"frames_{name}": counts[f"frames_{name}"] for name in missing},
             "sizes": _sorted(self._named["sizes"]),
             "up_source": _sorted(self._named["up_source"]),
-            "depth_valid": round(self._depth / usable, 6) if usable else None,
+            "depth_valid": round(self._depth / decoded, 6) if decoded else None,
             "objects": counts["objects"],
-            "objects_per_frame": round(counts["objects"] / usable, 6) if usable else None,
+            "objects_per_frame": round(counts["objects"] / decoded, 6) if decoded else None,
             "classes": _sorted(self._named["classes"]),
         }
 

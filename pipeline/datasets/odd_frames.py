@@ -15,11 +15,14 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from pipeline.datasets.base import Dataset, load_depth, load_pose, scenes_of
 from pipeline.datasets.cameras import or_note
+from pipeline.datasets.frame_reports import spread
 
 MOST_POSES, MOST_DEPTHS = 100_000, 2_000
 """So many frames are asked for their pose and for their depth, which must be decoded; evenly spread over more."""
 GRID = 24, 32
 """Depth is compared at so many rows and columns."""
+NEIGHBOURS = 5
+"""Depth of frames farther apart than so many places is not compared: it changes without a fault."""
 LEAST_COMMON = 0.1
 """Share of them that two frames must both have depth at."""
 DEVIATIONS = 9.0
@@ -73,15 +76,17 @@ def odd_frames(
     ids = dataset.frame_ids
     poses: dict[int, np.ndarray | None] = {}
     grids: dict[int, np.ndarray | None] = {}
-    missing, chosen = np.full(len(ids), np.nan), _spread(len(ids), most_depths)
-    for k in _spread(len(ids), most_poses):
+    missing, chosen = np.full(len(ids), np.nan), spread(len(ids), most_depths)
+    near = len(ids) <= NEIGHBOURS * len(chosen)
+    for k in spread(len(ids), most_poses):
         poses[k] = or_note([], "", load_pose, dataset, ids[k])
         progress(0, len(chosen))
     for done, k in enumerate(chosen):
         depth = or_note([], "", load_depth, dataset, ids[k])
         if depth is not None:
             rows, columns = (np.linspace(0, size - 1, n).astype(int) for n, size in zip(GRID, depth.shape, strict=True))
-            grids[k] = depth[np.ix_(rows, columns)].ravel()
+            if near:
+                grids[k] = depth[np.ix_(rows, columns)].ravel()
             missing[k] = 1 - np.count_nonzero(depth) / depth.size
         progress(done + 1, len(chosen))
     scenes: defaultdict[str, list[int]] = defaultdict(list)
@@ -96,10 +101,6 @@ def odd_frames(
         _odd_frame(frame_id, values[:, k], scores[:, k], "around" if k in first else "before")
         for k, frame_id in enumerate(ids)
     )
-
-
-def _spread(count: int, most: int) -> list[int]:
-    return np.linspace(0, count - 1, min(count, most)).astype(int).tolist()
 
 
 def _changes(

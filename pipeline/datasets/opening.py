@@ -29,6 +29,7 @@ from pipeline.datasets.base import Dataset, DatasetFormat
 from pipeline.datasets.cameras import ShiftedPoses
 from pipeline.datasets.depth.estimator import EstimatedDepth, open_depth_model
 from pipeline.datasets.files import listed_once, readable
+from pipeline.datasets.meant import AsMeant
 from pipeline.datasets.pairing import COLOR_SUFFIXES, role_of
 from pipeline.datasets.parquet import is_lerobot_depth, lerobot_features
 from pipeline.datasets.settings import OR_ESTIMATED, GivenUp, read_settings
@@ -155,6 +156,8 @@ def open_dataset(
                 with watched() as seen, naming_unread(root, seen):
                     dataset = candidate.open(root, settings)
                     say_unread(dataset, seen, settings)
+                if settings.meant:
+                    dataset = AsMeant(dataset, settings.meant)
                 if settings.pose_shift:
                     dataset = ShiftedPoses(dataset, settings.pose_shift)
                 if model is not None:

@@ -13,7 +13,15 @@ import numpy as np
 from pipeline.datasets.base import unknown_id
 from pipeline.datasets.cameras import NOTHING, Stated
 from pipeline.datasets.files import Blob
-from pipeline.datasets.images import END_OF_RANGE, exif_focal, read_color, read_depth, read_stored, valid_pixels
+from pipeline.datasets.images import (
+    END_OF_RANGE,
+    exif_focal,
+    picture_size,
+    read_color,
+    read_depth,
+    read_stored,
+    valid_pixels,
+)
 from pipeline.datasets.settings import DEPTH_SCALE, FILE_NAME, INTRINSICS, Settings, unit_notes
 from pipeline.datasets.turned import turn_to
 from pipeline.geometry.camera import Camera, intrinsics, standard_poses
@@ -25,6 +33,7 @@ Value = TypeVar("Value")
 SAME_SHAPE = 0.02
 """Colour and depth are of one camera where their aspect ratios differ by less than this share.
 ScanNet's own, 1296x968 and 640x480, differ by 0.4 %."""
+WITH_HEADER = (".png", ".jpg", ".jpeg", ".pgm", ".ppm")
 LONGEST_ALONE = 1600
 """A picture without depth is made so long at most: networks look at less, and points cost time."""
 NEAREST_CUT_M = 4.0
@@ -108,6 +117,22 @@ class Recording:
             return None
         metres, unknown = self._measured(found, found.depth)
         return np.where(metres > 0, np.float32(np.nan), metres) if unknown else metres
+
+    def peek(self, frame_id: str) -> tuple[int, int]:
+        """Width and height of a frame by the headers of its files, 0 where only decoding tells them.
+
+        Raises
+        ------
+        InputError
+            A file is missing, or is no picture by its header.
+        """
+        found, size = self._listed(frame_id, []), (0, 0)
+        for blob in (found.color, found.depth):
+            if isinstance(blob, Path):
+                require(blob.is_file(), f"{blob.name} is missing", path=blob)
+                if blob.suffix.lower() in WITH_HEADER:
+                    size = needed(picture_size(blob), "the picture cannot be read", cause="by its header", path=blob)
+        return size
 
     def depth_units(self, frame_id: str) -> float:
         """Depth units in a metre by which a frame is read."""

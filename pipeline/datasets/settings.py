@@ -17,7 +17,16 @@ from pipeline.system.safe_files import read_text
 from pipeline.system.whole_files import write_whole
 
 FILE_NAME = "spatialviz.toml"
-KEYS = ("name", "intrinsics", "depth_scale", "poses", "pose_shift", "registration", "world_up", "up", "frame_up")
+KEYS = (
+    *("name", "intrinsics", "depth_scale", "depth_is", "depth_turned", "depth_nothing", "mirrored"),
+    *("poses", "pose_shift", "registration", "world_up", "up", "frame_up"),
+)
+MEANT = {
+    "depth_is": ("z", "distance", "inverse"),
+    "mirrored": ("left-right", "top-bottom"),
+    "depth_turned": ("90", "180", "270", "left-right", "top-bottom"),
+}
+"""What may be declared of pictures and depth maps, by the setting's name; see `Settings`."""
 INTRINSICS = "--intrinsics fx,fy,cx,cy"
 DEPTH_SCALE = "--depth-scale UNITS_PER_METRE"
 OR_ESTIMATED = "or --depth-model NAME, which estimates it"
@@ -45,6 +54,15 @@ class Settings:
     registration : (fx, fy, cx, cy, tx, ty, tz) or None
         The colour camera as the depth camera sees it, pixels and metres: `geometry.registration.Registration`. By
         default both are one.
+    depth_is : str or None
+        What a depth map holds: "z", along the camera's z axis, by default; "distance" to the camera's centre, as of
+        Hypersim and some renderers; "inverse", the reciprocal of z, in reciprocals of the depth's unit.
+    depth_turned : str or None
+        How depth maps lie over the colour: turned clockwise by "90", "180" or "270" degrees, or mirrored.
+    depth_nothing : float or None
+        A stored value of depth maps, besides 0, that means that nothing was measured; of floats in metres.
+    mirrored : str or None
+        How colour and depth are mirrored: "left-right" or "top-bottom". Intrinsics are of the mirrored pictures.
     world_up : (x, y, z) or None
         The direction against gravity in the world that the poses speak of, as the dataset's makers declare it.
     up : GivenUp or None
@@ -73,8 +91,20 @@ class Settings:
     poses: str | None = None
     pose_shift: int | None = None
     registration: tuple[float, ...] | None = None
+    depth_is: str | None = None
+    depth_turned: str | None = None
+    depth_nothing: float | None = None
+    mirrored: str | None = None
 
     def __post_init__(self) -> None:
+        for key, values in MEANT.items():
+            given = getattr(self, key)
+            known = given is None or given in values
+            require(known, f"no such {key}", got=repr(given)[:60], expected=" | ".join(values))
+        if self.depth_nothing is not None:
+            (nothing,) = _numbers("depth_nothing", [self.depth_nothing], 1)
+            require(nothing > 0, "depth_nothing must be positive", got=f"{nothing:g}", expected="a stored value")
+            object.__setattr__(self, "depth_nothing", nothing)
         for key, count in (("intrinsics", 4), ("registration", 7)):
             if (values := getattr(self, key)) is not None:
                 values = _numbers(key, values, count)
@@ -104,6 +134,12 @@ class Settings:
         ups = {frame: _direction(f"frame_up of {frame!r}", up) for frame, up in self.frame_up.items()}
         object.__setattr__(self, "frame_up", ups)
         require(self.name is None or isinstance(self.name, str), "name must be a string", got=repr(self.name))
+
+    @property
+    def meant(self) -> dict[str, Any]:
+        """What is declared of pictures and depth maps, by the settings' names."""
+        found = {key: getattr(self, key) for key in (*MEANT, "depth_nothing")}
+        return {key: value for key, value in found.items() if value not in (None, MEANT["depth_is"][0])}
 
     def overridden(
         self,
@@ -175,7 +211,7 @@ def write_settings(
     """Write camera and up settings of a recording to `spatialviz.toml`.
 
     What the file already holds and is not given here (None) stays, frames of `frame_up` that are not among them, too;
-    but `up` is told of all frames. `more` may give `poses`, `pose_shift` and `registration`. The file is replaced
+    but `up` is told of all frames. `more` may give any other key of `KEYS`. The file is replaced
     whole, so that a killed process leaves the old one.
 
     Returns

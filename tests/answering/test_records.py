@@ -216,6 +216,7 @@ def test_a_frame_record_says_what_is_in_it(shared_data: Path) -> None:
             "up_source",
             "up",
             "notes",
+            "decoded",
             "dataset_notes",
         }
         assert record["ok"]

@@ -12,6 +12,7 @@ from pose_files import as_convention
 
 from pipeline.datasets import InMemoryDataset
 from pipeline.datasets.doctor.examine import Examination, chosen_frames, examine_frames
+from pipeline.datasets.meant import laid_over, mirrored_frame, ray_lengths
 from pipeline.geometry import Frame, Registration, intrinsics, registered
 from pipeline.system import InputError
 
@@ -19,6 +20,7 @@ UNITS = 1000.0
 SCALE_WITHIN, FOCAL_WITHIN, CENTER_WITHIN = 0.1, 0.08, 0.03
 WARP_WITHIN = 0.4
 """A warp is right where it leaves less of the pixels by which the one that was planted moves things."""
+OPPOSITE = {"90": "270", "270": "90"}
 OUTCOMES = ("right", "named", "abstains", "missed", "wrong mend", "false alarm", "refused")
 """The error is mended; it is named, and no mend is offered; nothing is called wrong and it is said that nothing tells;
 or that all is fine. What is wrong: a mend that does not undo it, something else called wrong."""
@@ -59,6 +61,18 @@ class Planted:
 
     def _read(self, frame: Frame) -> Frame:
         camera, by, K = frame.camera, self.by, frame.camera.K.copy()
+        if self.about == "depth kind":
+            length = ray_lengths(K, frame.depth.shape)
+            inverse = np.divide(1, frame.depth, out=np.zeros_like(frame.depth), where=frame.depth > 0)
+            return replace(frame, depth=inverse if by == "inverse" else (frame.depth * length).astype(np.float32))
+        if self.about == "depth map":
+            return replace(frame, depth=laid_over(frame.depth, OPPOSITE.get(by, str(by))))
+        if self.about == "pictures":
+            found = mirrored_frame(frame, by)
+            # Whoever mirrors pictures does not know it: the camera stays.
+            return replace(found, camera=replace(found.camera, K=K))
+        if self.about == "missing depth":
+            return replace(frame, depth=np.where(frame.depth > 0, frame.depth, np.float32(by)))
         if self.about == "depth scale":
             return replace(frame, depth=frame.depth * np.float32(by))
         if self.about == "poses" and camera.T_world_camera is not None:
@@ -74,6 +88,8 @@ class Planted:
             K[[0, 1], [0, 1]] *= float(by)
         elif self.about == "picture size":
             K[:2] *= by
+        elif by == "other side":
+            K[:2, 2] = [camera.width - 1 - camera.cx, camera.height - 1 - camera.cy]
         elif self.about == "principal point":
             K[:2, 2] = K[1::-1, 2] if by == "swapped" else K[:2, 2] + np.array(by)
         return replace(frame, camera=replace(camera, K=K))
@@ -81,6 +97,14 @@ class Planted:
     def undone(self, found: Examination, frames: Sequence[Frame], read: Sequence[Frame]) -> bool:
         """Whether what is said to mend it does; `frames` are the true ones, `read` those with the error."""
         mends, truth = found.mends, frames[0].camera
+        if self.about == "depth kind":
+            # One inverse metre was read as a metre.
+            unit = mends.get("depth_scale", UNITS) / UNITS
+            return mends["depth_is"] == self.by and (self.by != "inverse" or abs(unit - 1) < SCALE_WITHIN)
+        if self.about == "depth map":
+            return mends["depth_turned"] == self.by
+        if self.about == "missing depth":
+            return abs(mends["depth_nothing"] / UNITS / self.by - 1) < 1e-3
         if self.about == "depth scale":
             return abs(mends["depth_scale"] / (UNITS * float(self.by)) - 1) < SCALE_WITHIN
         if self.about == "poses":
@@ -93,7 +117,7 @@ class Planted:
             return "registration" not in mends or warp_left(found, frames, read) < WARP_WITHIN
         fx, _, cx, cy = mends["intrinsics"]
         off = max(abs(cx - truth.cx), abs(cy - truth.cy))
-        near = CENTER_WITHIN if self.by in ("swapped", 0.5, 2.0) else 2 * CENTER_WITHIN
+        near = CENTER_WITHIN if self.by in ("swapped", "other side", 0.5, 2.0) else 2 * CENTER_WITHIN
         return abs(fx / truth.fx - 1) < FOCAL_WITHIN and off < near * truth.width
 
 

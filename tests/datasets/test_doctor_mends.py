@@ -114,7 +114,7 @@ def test_a_cause_that_is_added_is_weighed_against_the_others(
 ) -> None:
     """One more entry in the list is judged; where a scale alone does as well, neither is guessed."""
     added = Cause("meaning", "depth is in quarters", {"depth_scale": 4000.0})
-    monkeypatch.setattr("pipeline.datasets.doctor.search.causes", lambda seen: (*causes(seen), added))
+    monkeypatch.setattr("pipeline.datasets.doctor.search.causes", lambda *of: (*causes(*of), added))
     read = [replace(frame, depth=frame.depth * np.float32(4)) for frame in room]
     found = examine_frames(InMemoryDataset(read), read, 1000.0)
     assert (found.of("meaning").state, found.mends) == ("unknown", {})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from pipeline.datasets.base import Dataset, dataset_notes, load_picture, readable_frames, scene_of
+from pipeline.datasets.doctor.alone import kind, laid, nothing, square
 from pipeline.datasets.doctor.landing import OfLanding
 from pipeline.datasets.doctor.search import PosedViews
 from pipeline.datasets.doctor.seen import Seen
@@ -99,11 +100,21 @@ class Examination:
         }
 
 
-def examine(path: str | Path, **camera: Any) -> Examination:
+Tell = Callable[[str, int, int], None]
+"""Takes progress: what is done, how much of it is, and of how much."""
+
+
+def untold(what: str, done: int, total: int) -> None:
+    """Tell nobody of progress."""
+
+
+def examine(path: str | Path, tell: Tell = untold, **camera: Any) -> Examination:
     """Examine a recording for faults, without writing.
 
     Parameters
     ----------
+    tell : callable
+        Takes progress.
     camera : dict
         What `open_dataset` takes of it, from `intrinsics` to `registration`.
 
@@ -112,8 +123,9 @@ def examine(path: str | Path, **camera: Any) -> Examination:
     InputError
         It cannot be opened, or none of the frames that were looked at can be read.
     """
+    tell("opening the recording", 0, 0)
     dataset, options = open_dataset(path, **camera), dict(camera)
-    frames = chosen_frames(dataset)
+    frames = chosen_frames(dataset, tell)
     notes: tuple[Opinion, ...] = ()
     for unit in TRIED_UNITS if not frames else ():
         options["depth_scale"] = unit
@@ -125,8 +137,9 @@ def examine(path: str | Path, **camera: Any) -> Examination:
     require(frames, "none of the frames that were looked at can be read", path=dataset.root)
     settings = read_settings(dataset.root).overridden(**{k: camera.get(k) for k in ("registration", "poses")})
     units = getattr(dataset, "depth_units", None)
-    found = examine_frames(dataset, frames, units and units(frames[0].id), settings)
-    if options.get("depth_scale") != camera.get("depth_scale") and found.of("depth scale").state != "wrong":
+    found = examine_frames(dataset, frames, units and units(frames[0].id), settings, tell)
+    retried = options.get("depth_scale") != camera.get("depth_scale") and "depth_scale" not in found.mends
+    if retried and found.of("depth scale").state != "wrong":
         unit = options["depth_scale"]
         text = f"as read, no depth is that of a room; with {unit:g} units in a metre it is"
         mended = Opinion("depth scale", "wrong", text, {"depth_scale": unit}, f"--depth-scale {unit:g}")
@@ -134,7 +147,7 @@ def examine(path: str | Path, **camera: Any) -> Examination:
     return replace(found, opinions=notes or found.opinions, notes=dataset_notes(dataset))
 
 
-def chosen_frames(dataset: Dataset) -> list[Frame]:
+def chosen_frames(dataset: Dataset, tell: Tell = untold) -> list[Frame]:
     """Choose frames of some scenes, near and far apart; broken frames are left out."""
     scenes: defaultdict[str, list[str]] = defaultdict(list)
     for frame_id in dataset.frame_ids:
@@ -143,7 +156,11 @@ def chosen_frames(dataset: Dataset) -> list[Frame]:
     picked = [many[k] for k in np.unique(np.linspace(0, len(many) - 1, min(MOST_SCENES, len(many))).astype(int))]
     each = MOST_FRAMES // len(picked)
     ids = [ids[k] for ids in picked for k in _spread(len(ids), each)]
-    return list(readable_frames(lambda frame_id: load_picture(dataset, frame_id), ids))
+    found = []
+    for k, frame_id in enumerate(ids):
+        tell("reading frames", k, len(ids))
+        found += readable_frames(lambda one: load_picture(dataset, one), [frame_id])
+    return found
 
 
 def _spread(count: int, wanted: int) -> list[int]:
@@ -162,16 +179,27 @@ def _spread(count: int, wanted: int) -> list[int]:
     return sorted(found)
 
 
+BEFORE = (Suspicion(lambda seen, known: nothing(seen)), Suspicion(lambda seen, known: laid(seen)))
+"""What must be right before poses can be judged."""
+AFTER = (Suspicion(kind), Suspicion(square))
+"""What single frames tell where landing does not."""
+
+
 def examine_frames(
-    dataset: Dataset, frames: Sequence[Frame], units: float | None, settings: Settings | None = None
+    dataset: Dataset,
+    frames: Sequence[Frame],
+    units: float | None,
+    settings: Settings | None = None,
+    tell: Tell = untold,
 ) -> Examination:
     """Examine frames in memory. `units`: depth units in a metre as read, None where unknown."""
     settings = settings or Settings()
     size = Counter(frame.depth.shape for frame in frames).most_common(1)[0][0]
     seen = Seen(dataset, tuple(frame for frame in frames if frame.depth.shape == size), units, settings)
     landing = OfLanding()
-    opinions, mended = diagnosed(seen, (Suspicion(landing.opinions, landing.measured), *SUSPICIONS))
-    search = landing.search(seen)
+    every = (*BEFORE, Suspicion(landing.opinions, landing.measured), *AFTER, *SUSPICIONS)
+    opinions, mended = diagnosed(seen, every, lambda done: tell("looking for faults", done, len(every)))
+    search = landing.first or landing.search(seen)
     kept = tuple(_as_kept(opinion, settings) for opinion in opinions)
     ids = tuple(frame.id for frame in seen.frames)
     return Examination(dataset.root, ids, len(search.fine.pairs), kept, _ranked(search), seen.frames, mended.frames)
@@ -193,6 +221,8 @@ def _as_kept(opinion: Opinion, settings: Settings) -> Opinion:
     if "pose_shift" in mend:
         mend["pose_shift"] += settings.pose_shift or 0
         return replace(opinion, mend=mend, option=f"pose_shift = {mend['pose_shift']} in {FILE_NAME}")
+    if declared := next((key for key in mend if key in settings.meant), None):
+        return replace(opinion, mend={}, option=f"of {declared} as it is declared, {settings.meant[declared]}")
     if "registration" in mend and settings.registration:
         both = Registration(*mend["registration"]).after(Registration(*settings.registration))
         numbers = tuple(round(float(n), 4) for n in (both.fx, both.fy, both.cx, both.cy, *both.t))

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from pipeline.datasets.doctor.search import (
     AS_READ,
     FINE,
+    KIND,
+    MAP,
     MIDDLE,
+    OTHER_SIDES,
+    PICTURES,
     SWAPPED,
     Cause,
     Hypothesis,
@@ -19,7 +24,7 @@ from pipeline.datasets.doctor.search import (
     other_centers,
 )
 from pipeline.datasets.doctor.seen import Seen
-from pipeline.datasets.doctor.suspicions import SUBJECTS, UNITS, Opinion, RegionAgreement, only_unit
+from pipeline.datasets.doctor.suspicions import UNITS, Opinion, RegionAgreement, only_unit, withdrawn
 from pipeline.datasets.settings import FILE_NAME
 from pipeline.geometry.camera import STANDARD
 from pipeline.language.counted import counted
@@ -44,34 +49,42 @@ NEAR_SURE = 2.0
 """The place by which poses are late is told where those beside it are worse by so many standard errors."""
 
 
+BY_LANDING = ("poses", "time", "depth scale", "focal length", "principal point")
+OTHER_FRAMES = ": are the poses of other frames?"
+TEXT_TELLS = "text in a picture tells whether it is mirrored"
+
+
 class OfLanding:
     """Landing test: five subjects, a single explanation."""
 
     def __init__(self) -> None:
-        self._search: PosedViews | None = None
+        self.first: PosedViews | None = None  # Of the frames with what was mended before
 
-    def search(self, seen: Seen) -> PosedViews:
-        """Search for the explanation of these frames, cached."""
-        if self._search is None or self._search.seen is not seen:
-            self._search = PosedViews(seen)
-        return self._search
+    def search(self, seen: Seen, known: Sequence[Opinion] = ()) -> PosedViews:
+        """Search for the explanation of these frames, given earlier opinions; the first is kept."""
+        if self.first is not None and self.first.seen is seen:
+            return self.first
+        laid = any(opinion.about == MAP and opinion.state != "unknown" for opinion in known)
+        found = PosedViews(seen, (KIND, PICTURES) if laid else (KIND, PICTURES, MAP))
+        self.first = self.first or found
+        return found
 
     def opinions(self, seen: Seen, known: Sequence[Opinion]) -> list[Opinion]:
-        search = PosedViews(seen) if seen.mends else self.search(seen)
+        search = self.search(seen, known)
         pairs = len(search.fine.pairs)
         if pairs >= LEAST_PAIRS and search.at(search.best) >= LEAST_SCORE:
             found = [_poses(search), _time(search), _scale(search, seen.units), _focal(search), _center(search)]
-            others = dict.fromkeys(c.about for c in search.causes if c.about not in ("", *SUBJECTS))
+            others = dict.fromkeys(c.about for c in search.causes if c.about not in ("", *BY_LANDING))
             return [*(_caused(about, search) for about in others), *_with_intrinsics(found, search.best, search)]
         if pairs >= LEAST_PAIRS:
             best = f"at best {search.at(search.best):.0%} of the points land"
-            why = f"nothing that was tried makes {pairs} pairs agree ({best}): are the poses of other frames?"
+            why = f"nothing that was tried makes {pairs} pairs agree ({best}){OTHER_FRAMES}"
         elif len(search.coarse.pairs):
             why = "nothing can tell: no two posed frames of those that were looked at show the same surface"
         else:
             why = "nothing can tell: no two frames of a scene have poses"
-        subjects = ("poses", "time", "depth scale", "focal length", "principal point")
-        found = [Opinion(about, "unknown", why) for about in subjects]
+        found = [Opinion(about, "unknown", why) for about in (PICTURES, *BY_LANDING)]
+        found[0] = replace(found[0], text=f"{why}; {TEXT_TELLS}")
         shown = center_by_middle(search.coarse.K[0], search.coarse.size)
         found[-1] = shown[0] or found[-1]
         return _with_intrinsics(found, Hypothesis(cause=shown[1]), search)
@@ -127,15 +140,38 @@ def _caused(about: str, search: PosedViews) -> Opinion:
     def own(h: Hypothesis) -> bool:
         return h.cause.about == about
 
-    equals = search.as_good(lambda h: own(h) != own(best))
+    equals = search.as_good(lambda h: own(h) != own(best) or (own(h) and h.cause != best.cause))
     lands, evidence = _against(search, lambda h: own(h) != own(best), Hypothesis())
+    if not own(best):
+        if equals:
+            return Opinion(
+                about, "unknown", f"too little motion between the frames: it lands as well where {_words(equals)}"
+            )
+        return Opinion(about, "fine", f"{lands}, {evidence['otherwise']:.0%} where it is otherwise", evidence=evidence)
     if equals:
         return _either(about, search, equals)
-    if not own(best):
-        return Opinion(about, "fine", lands, evidence=evidence)
+    mend = dict(best.cause.mend)
+    if "depth_scale" in mend:
+        mend["depth_scale"] = float(f"{mend['depth_scale'] * best.scale:.4g}")
     text = f"{lands} where {best.cause.words}, else {evidence['otherwise']:.0%}"
-    option = ", ".join(f"{key} = {value}" for key, value in best.cause.mend.items())
-    return Opinion(about, "wrong", text, dict(best.cause.mend), f"{option} in {FILE_NAME}", evidence)
+    option = ", ".join(f"{key} = {_quoted(value)}" for key, value in mend.items()) + f" in {FILE_NAME}"
+    if about != PICTURES:
+        return Opinion(about, "wrong", text, mend, option, evidence)
+    # Poses of a left-handed world land as pictures that are mirrored do: a person must look.
+    why = RegionAgreement(*search.of_regions(search.seen.mended(mend)), LEAST_GAIN).refusal
+    opinion = Opinion(about, "wrong", text, mend, option, evidence)
+    if why is not None:
+        return withdrawn(opinion, why)
+    option = f"{option}, where text in the pictures is mirrored; else the poses are of a left-handed world"
+    return replace(opinion, mend={}, option=option)
+
+
+def _words(hypotheses: Sequence[Hypothesis]) -> str:
+    return " or ".join(dict.fromkeys(h.words for h in hypotheses[:2]))
+
+
+def _quoted(value: Any) -> str:
+    return f'"{value}"' if isinstance(value, str) else f"{value:g}"
 
 
 def _time(search: PosedViews) -> Opinion:
@@ -174,6 +210,8 @@ def _scale(search: PosedViews, units: float | None) -> Opinion:
     def left(h: Hypothesis) -> bool:
         return abs(np.log(h.scale)) < OFF_UNIT
 
+    if "depth_scale" in search.best.cause.mend:
+        return Opinion("depth scale", "unknown", f"{search.best.cause.words}: its unit comes with that")
     found = search.range_of("scale", "focal")
     otherwise = replace(search.best, scale=1.25) if left(search.best) else replace(search.best, scale=1.0)
     lands, evidence = _against(search, lambda h: left(h) != left(search.best), otherwise)
@@ -227,14 +265,16 @@ def _focal(search: PosedViews) -> Opinion:
 
 def _by_cause(h: Hypothesis, search: PosedViews) -> float:
     """Focal length under the hypothesis' cause, relative to the file's."""
-    return float(search.views(h.cause, coarse=True).K[0, 0, 0] / search.coarse.K[0, 0, 0])
+    four = h.cause.mend.get("intrinsics")
+    return 1.0 if four is None else float(four[0] / search.coarse.K[0, 0, 0])
 
 
 def _center(search: PosedViews) -> Opinion:
     size, best, as_read = search.fine.size, search.best, search.coarse.K[0, :2, 2]
 
     def center(h: Hypothesis) -> np.ndarray:
-        return search.views(h.cause, coarse=True).K[0, :2, 2]
+        four = h.cause.mend.get("intrinsics")
+        return as_read if four is None else np.array(four[2:])
 
     def apart(h: Hypothesis, other: np.ndarray) -> bool:
         return float(np.abs(center(h) - other).max()) > SAME_CENTER * size[1]
@@ -263,7 +303,8 @@ def _with_intrinsics(found: list[Opinion], best: Hypothesis, search: PosedViews)
         if center.state == "wrong" and best.cause.about != "principal point":
             best = replace(best, cause=center_by_middle(K, views.size)[1])
         true = best.intrinsics(search.views(best.cause, coarse=True).K[0])
-        of_size = best.cause.words not in (SWAPPED, MIDDLE) and center.state == "wrong"
+        same = best.cause.words in (SWAPPED, MIDDLE) or best.cause.words.startswith(OTHER_SIDES)
+        of_size = not same and center.state == "wrong"
         fx, fy = (true if focal.state == "wrong" or of_size else K)[[0, 1], [0, 1]]
         cx, cy = (true if center.state == "wrong" else K)[:2, 2]
         four = tuple(round(float(n), 3) for n in (fx, fy, cx, cy))

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.datasets.doctor.seen import Landing, Seen, Views, detail_of, land
+from pipeline.datasets.meant import LEFT_RIGHT
 from pipeline.geometry.camera import CONVENTIONS, STANDARD
 from pipeline.language.counted import counted
 
@@ -18,6 +19,9 @@ RESIZED = (0.5, 2.0, 1 / 3, 3.0, 0.25, 4.0, 2 / 3, 1.5)
 NEAR_MIDDLE = 0.06
 """A principal point is of such a size where it is then so near to the middle, by the width."""
 SWAPPED, MIDDLE = "cx and cy swapped", "principal point in the middle"
+OTHER_SIDES = "principal point counted from the other side"
+LEAST_OFF = 0.01
+"""A principal point nearer to the middle, by the width, is the same from either side."""
 
 
 @dataclass(frozen=True)
@@ -32,10 +36,33 @@ class Cause:
 AS_READ = Cause("", "")
 
 
-def causes(seen: Seen) -> tuple[Cause, ...]:
-    """Candidate causes for frames, except pose time shifts."""
+KIND, MAP, PICTURES = "depth kind", "depth map", "pictures"
+"""Subjects of what pictures and depth maps mean."""
+WHERE_MEANT = {
+    (KIND, "depth_is"): {
+        "distance": "depth is the distance to the camera and not along its axis",
+        "inverse": "depth is inverse",
+    },
+    (MAP, "depth_turned"): {
+        **{turn: f"depth maps are turned by {turn} degrees against colour" for turn in ("90", "180", "270")},
+        "left-right": "depth maps are mirrored left to right against colour",
+        "top-bottom": "depth maps are upside down against colour",
+    },
+    (PICTURES, "mirrored"): {
+        "left-right": "colour and depth are mirrored left to right",
+        "top-bottom": "colour and depth are mirrored top to bottom",
+    },
+}
+"""By subject and setting its values, and what is true with each."""
+INVERSE_MEDIAN_M = 2.0
+"""Inverse depth is first looked at in such a unit that it has this median."""
+
+
+def causes(seen: Seen, meant: Sequence[str] = (KIND, MAP, PICTURES)) -> tuple[Cause, ...]:
+    """Candidate causes for frames, except pose time shifts; of what pictures mean those of some subjects."""
     K, (height, width) = seen.intrinsics, seen.frames[0].depth.shape
     found = [] if K is None else other_centers(K, (height, width))
+    found += [cause for subject in meant for cause in meanings(seen, subject)]
     found += [Cause("poses", f"poses are {name}", {"poses": name}) for name in CONVENTIONS if name != STANDARD]
     return AS_READ, *found
 
@@ -45,10 +72,31 @@ def other_centers(K: np.ndarray, size: tuple[int, int]) -> list[Cause]:
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     middle = (size[1] - 1) / 2, (size[0] - 1) / 2
     found = [(SWAPPED, (fx, fy, cy, cx)), (MIDDLE, (fx, fy, *middle))]
+    across, down = (abs(c - m) > LEAST_OFF * size[1] for c, m in zip((cx, cy), middle, strict=True))
+    sides = [(across, down), *(((True, False), (False, True)) if across and down else ())] if across or down else []
+    for x, y in sides:
+        from_side = (size[1] - 1 - cx if x else cx, size[0] - 1 - cy if y else cy)
+        found.append(
+            (OTHER_SIDES + ("" if (x, y) == (across, down) else (" across" if x else " down")), (fx, fy, *from_side))
+        )
     for by in RESIZED:
         if max(abs(cx / by - middle[0]), abs(cy / by - middle[1])) < NEAR_MIDDLE * size[1]:
             found.append((f"intrinsics of a picture {by:.2g} times as large", (fx / by, fy / by, cx / by, cy / by)))
     return [Cause("principal point", words, {"intrinsics": tuple(map(float, four))}) for words, four in found]
+
+
+def meanings(seen: Seen, subject: str) -> list[Cause]:
+    """Causes of what pictures and depth maps may mean, of one subject."""
+    height, width = seen.frames[0].depth.shape
+    found = []
+    for (about, key), values in WHERE_MEANT.items():
+        for value, words in values.items() if about == subject else ():
+            mend: dict[str, Any] = {key: value}
+            if value == "inverse" and seen.units is not None:
+                mend["depth_scale"] = seen.units * INVERSE_MEDIAN_M * seen.median_depth
+            if value not in ("90", "270") or height == width:
+                found.append(Cause(about, words, mend))
+    return found
 
 
 def late(shift: int) -> Cause:
@@ -158,7 +206,7 @@ class Range:
 class PosedViews:
     """Posed views of equal size, and explanations of them."""
 
-    def __init__(self, seen: Seen) -> None:
+    def __init__(self, seen: Seen, meant: Sequence[str] = (KIND, MAP, PICTURES)) -> None:
         frames, scenes = seen.frames, seen.scenes
         self.seen = seen
         posed = [frame.camera.T_world_camera is not None for frame in frames]
@@ -167,7 +215,7 @@ class PosedViews:
         array = np.array(pairs, np.int64).reshape(-1, 2)
         self.coarse, self._fine = (views_of(seen, array, grid) for grid in (COARSE_GRID, FINE_GRID))
         self._fine = replace(self._fine, detail=np.stack([detail_of(f.rgb) for f in frames]))
-        self.causes = causes(seen)
+        self.causes = causes(seen, meant)
         self.views = cache(self._views)
         self.refined = cache(self._climbed)
         self._landed = cache(self._land)
@@ -175,7 +223,16 @@ class PosedViews:
     def _views(self, cause: Cause, coarse: bool = False) -> Views:
         """Views of the frames under a cause."""
         like = self.coarse if coarse else self.fine
-        return like if cause == AS_READ else views_like(like, self.seen, self.seen.mended(cause.mend))
+        if cause == AS_READ:
+            return like
+        if coarse:
+            return views_like(like, self.seen, self.seen.mended(cause.mend))
+        # Depth maps are large: each is kept once.
+        known = self.views(cause, coarse=True)
+        detail = like.detail
+        if detail is not None and (way := cause.mend.get("mirrored")):
+            detail = np.flip(detail, axis=2 if way == LEFT_RIGHT else 1)
+        return replace(known, pairs=like.pairs, u=like.u, v=like.v, z=known.depth[:, like.v, like.u], detail=detail)
 
     # What explains the views
 
@@ -336,6 +393,8 @@ def views_like(like: Views, seen: Seen, mended: Seen) -> Views:
     by_id = {frame.id: frame for frame in mended.frames}
     frames = [by_id.get(f.id, replace(f, camera=replace(f.camera, T_world_camera=None))) for f in seen.frames]
     views = views_of(replace(mended, frames=tuple(frames)), like.pairs, (1, 1))
+    if all(a.depth is b.depth for a, b in zip(frames, seen.frames, strict=True)):
+        views = replace(views, depth=like.depth)
     changed = any(a.rgb is not b.rgb for a, b in zip(frames, seen.frames, strict=True))
     detail = np.stack([detail_of(f.rgb) for f in frames]) if changed and like.detail is not None else like.detail
     return replace(views, u=like.u, v=like.v, z=views.depth[:, like.v, like.u], detail=detail)

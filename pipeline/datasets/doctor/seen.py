@@ -17,7 +17,8 @@ import numpy as np
 
 from pipeline.datasets.base import Dataset, load_pose, scene_of
 from pipeline.datasets.cameras import or_note
-from pipeline.datasets.settings import Settings
+from pipeline.datasets.meant import as_meant
+from pipeline.datasets.settings import MEANT, Settings
 from pipeline.geometry.camera import STANDARD, Camera, intrinsics, standard_poses
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.registration import Outlines, Registration, registered
@@ -163,6 +164,11 @@ class Seen:
         return first if alike and not self.settings.registration else None
 
     @cached_property
+    def median_depth(self) -> float:
+        """Median of the depths as read, metres."""
+        return float(np.median(np.concatenate([frame.depth[frame.depth > 0][::16] for frame in self.frames])))
+
+    @cached_property
     def outlines(self) -> Outlines:
         """Depth outlines of the frames."""
         return Outlines.of(self.frames)
@@ -171,6 +177,7 @@ class Seen:
         """Frames re-read with another fix; unreadable frames are left out."""
         scale = self.units / mend["depth_scale"] if self.units is not None and "depth_scale" in mend else 1.0
         shift = self.poses_at(mend["pose_shift"]) if "pose_shift" in mend else None
+        meant = {key: value for key, value in mend.items() if key in (*MEANT, "depth_nothing")}
         found = []
         for k, frame in enumerate(self.frames):
             camera, T = frame.camera, frame.camera.T_world_camera
@@ -183,7 +190,8 @@ class Seen:
             if "registration" in mend:
                 depth, camera = registered(depth, camera, Registration(*mend["registration"]))
             try:
-                found.append(replace(frame, depth=depth, camera=_with_up(camera, mend.get("up"))))
+                changed = replace(frame, depth=depth, camera=_with_up(camera, mend.get("up")))
+                found.append(as_meant(changed, meant, None if self.units is None else self.units / scale))
             except InputError:
                 continue
         units = mend.get("depth_scale", self.units)

@@ -25,7 +25,10 @@ from pipeline.geometry.registration import (
 )
 
 State = Literal["fine", "wrong", "unknown"]
-SUBJECTS = ("poses", "depth scale", "focal length", "principal point", "registration", "time", "up")
+SUBJECTS = (
+    *("missing depth", "depth map", "depth kind", "pictures", "poses", "depth scale"),
+    *("focal length", "principal point", "registration", "time", "up"),
+)
 """In the order in which they are told."""
 GAINING = 0.7
 """So many of the regions must gain by a mend."""
@@ -81,10 +84,13 @@ class Suspicion:
     """Agreement of the frames as they were and with a fix."""
 
 
-def diagnosed(seen: Seen, suspicions: Sequence[Suspicion]) -> tuple[list[Opinion], Seen]:
-    """Opinions on each subject in order of suspicions, and the frames with fixes."""
+def diagnosed(
+    seen: Seen, suspicions: Sequence[Suspicion], tell: Callable[[int], None] = lambda done: None
+) -> tuple[list[Opinion], Seen]:
+    """Opinions on each subject in order of suspicions, and the frames with fixes. `tell` takes how many were told."""
     known: list[Opinion] = []
-    for suspicion in suspicions:
+    for done, suspicion in enumerate(suspicions):
+        tell(done)
         found = suspicion.opinions(seen, known)
         if mend := mends_of(found):
             mended = seen.mended(mend)
