@@ -86,24 +86,36 @@ def numbered_lines(path: Blob) -> list[tuple[int, str]]:
 
 
 def name_inside(name: str, source: Path, line: int) -> str:
-    """File name from line `line` of a list, with "/" for the "\\" of Windows; must stay inside the list's folder."""
+    """File name from line `line` of a list, with "/" for the "\\" of Windows; must stay inside the list's folder.
+
+    Of an absolute path of another machine the last parts count that are there.
+    """
+    inside = name if _PLAIN.match(name) or not leaves(name) else _below(name, source.parent)
     require(
-        name and name.isprintable() and (_PLAIN.match(name) or not _leaves(name)),
+        inside and inside.isprintable(),
         f"line {line} names a file outside the dataset",
         got=repr(name[:80]),
         expected="a path relative to the dataset's folder, without ..",
         path=source,
     )
-    return name.replace("\\", "/")
+    return str(inside).replace("\\", "/")
 
 
 _PLAIN = re.compile(r"(?!.*\.\.)[^/\\:][^\\:]*\Z")
 """Most names, which need no closer look."""
 
 
-def _leaves(name: str) -> bool:
+def leaves(name: str) -> bool:
+    """Whether a name of a list is absolute or goes up, on any system."""
     windows = PureWindowsPath(name)
     return bool(PurePosixPath(name).is_absolute() or windows.drive or windows.root or ".." in windows.parts)
+
+
+def _below(name: str, folder: Path) -> str | None:
+    """The most last parts of an absolute path that are a file of the folder."""
+    parts = PureWindowsPath(name).parts[1:]
+    tails = () if ".." in parts or "\0" in name else ("/".join(parts[k:]) for k in range(len(parts)))
+    return next((tail for tail in tails if (folder / tail).is_file()), None)
 
 
 def read_matrix(path: Blob, rows: int, columns: int) -> np.ndarray:

@@ -33,6 +33,8 @@ MANY_TIMES = 2.0
 """What is odd is above the median by at least so many times the median: few or irregular frames have no deviation."""
 LEAST_OWN = 8
 """A scene of fewer values is compared with all scenes."""
+LEAST_IN_ALL = 6
+"""Of fewer values none is sudden: nothing tells what is usual."""
 
 
 @dataclass(frozen=True)
@@ -144,6 +146,8 @@ def _scores(values: np.ndarray, measure: Measure, scenes: Iterable[Sequence[int]
     """Excess over what is usual in the scene, by the excess that is odd, (count,); over all scenes for few values."""
     out = np.full(len(values), np.nan)
     everywhere = _usual(values[np.isfinite(values)])
+    if measure.sudden and np.isfinite(values).sum() < LEAST_IN_ALL:
+        return out
     for places in scenes:
         known = [k for k in places if np.isfinite(values[k])]
         own = values[known]

@@ -177,6 +177,8 @@ KINDS: dict[str, tuple[str, ...]] = {
 }
 LOOKED_INTO = 40
 """So many folders are looked into for datasets."""
+DEEPER = 5
+"""So many of the folders in so many of them, where none of them is one."""
 LAYOUT = "pictures in color/ and depth in depth/ under the same names (docs/recordings.md)"
 OF_FILE = {
     "picture": ("a single picture is no recording", f"the folder that holds it and its depth, {OR_ESTIMATED}"),
@@ -226,7 +228,12 @@ def unknown(path: Path, recognised: Callable[[Path], bool]) -> UnknownFormat:
 
 def _folder(root: Path, recognised: Callable[[Path], bool]) -> tuple[str, str]:
     folders, files = readable(root)
-    inside = [name for name in folders[:LOOKED_INTO] if recognised(root / name)]
+    inside = [name for name in folders[:LOOKED_INTO] if recognised(root / name)] or [
+        f"{name}/{below}"
+        for name in folders[:DEEPER]
+        for below in readable(root / name)[0][:DEEPER]
+        if recognised(root / name / below)
+    ]
     kinds = Counter(kind_of(name) for name in files)
     half = next((text for name, text in HALVES.items() if name in files), None)
     depths = [name for name in (*files, *folders) if role_of(Path(name).stem)[0] == "depth"]
@@ -254,7 +261,7 @@ def _folder(root: Path, recognised: Callable[[Path], bool]) -> tuple[str, str]:
         seen = " and ".join(text for text in (what, "" if depth else "no depth") if text)
         return f"a dataset of LeRobot with {seen or 'no colour'}", "one recorded with depth and --dataset.video=false"
     if inside:
-        return f"a folder of {counted(len(inside), 'dataset')}", f"one of them, such as {root / inside[0]}"
+        return f"a folder of {counted(len(inside), 'dataset')}", f"{'it' if len(inside) == 1 else 'one of them'}: {root / inside[0]}"
     if pictures and not depths:
         where = f" in {colors[0]}/" if within else ""
         name = next((name for name in files if kind_of(name) == "picture"), "")

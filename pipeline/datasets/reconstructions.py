@@ -27,7 +27,7 @@ from pipeline.datasets.cameras import (
     stated_in,
 )
 from pipeline.datasets.colmap_binary import read_cameras, read_images
-from pipeline.datasets.files import as_floats, name_inside, numbered_lines, read_json, readable
+from pipeline.datasets.files import as_floats, leaves, name_inside, numbered_lines, read_json, readable
 from pipeline.datasets.images import INTEGER_DEPTH_SUFFIXES, picture_size
 from pipeline.datasets.pairing import choose_naming, files_in_roles
 from pipeline.datasets.recording import DepthRule, Listed, Recording
@@ -127,10 +127,12 @@ class NerfstudioDataset(PosedPictures):
             raise InputError("a list of frames is missing", path=self.source)
         shared = {key: value for key, value in table.items() if key != "frames"}
         found: dict[str, PosedPicture] = {}
+        elsewhere = False
         for number, frame in enumerate(frames):
             path = frame.get("file_path") if isinstance(frame, Mapping) else None
             require(isinstance(path, str), f"frame {number} names no file", path=self.source)
             color = os.path.normpath(name_inside(f"{path}", self.source, number))
+            elsewhere |= leaves(f"{path}")
             stem, suffix = os.path.splitext(os.path.basename(color))
             color = color if suffix else f"{color}.png"
             depth = next((frame[key] for key in ("depth_file_path", "depth_path") if frame.get(key)), None)
@@ -146,6 +148,8 @@ class NerfstudioDataset(PosedPictures):
         if units is not None and self._settings.depth_scale is None:
             # The maker's own unit is for files that state none.
             self.notes = (f"the depth's unit is that of {INTEGER_DEPTH}, {units:g} to a metre of the poses",)
+        if elsewhere:
+            self.notes += (f"absolute paths of {TRANSFORMS} are looked for in this folder by their last parts",)
         return found if any(entry.depth for entry in found.values()) else self._with_depths(found)
 
 

@@ -115,6 +115,16 @@ def test_paths_of_windows(tmp_path: Path) -> None:
         path.write_text(path.read_text().replace(bad, "images\\\\frame_00001.png"))
 
 
+@pytest.mark.parametrize("before", ["C:\\\\Users\\\\ann\\\\scan", "/home/ann/scan"])
+def test_absolute_paths_of_another_machine_are_those_of_the_folder(tmp_path: Path, before: str) -> None:
+    made = write_nerfstudio(tmp_path)
+    path = tmp_path / "transforms.json"
+    path.write_text(path.read_text().replace("./images/", f"{before}/images/").replace("depth/", f"{before}/depth/"))
+    dataset = open_dataset(tmp_path)
+    assert np.array_equal(dataset.load(dataset.frame_ids[2]).depth, made[2].depth)
+    assert any("by their last parts" in note for note in dataset_notes(dataset))
+
+
 @pytest.mark.parametrize("value", [65535, 4095, 32767, 9999, 50000])
 def test_the_end_of_the_range_is_no_depth_and_told(tmp_path: Path, value: int) -> None:
     write_folder(tmp_path, [1, 2])
