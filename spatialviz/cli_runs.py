@@ -62,6 +62,8 @@ class EvalCommand(WritesRun):
     """The model's name on that server."""
     vlm_rate: float | None = None
     """Requests a minute at most."""
+    places: tuple[str, ...] = ()
+    """What the numbers of its boxes mean, where a sample of its answers does not say it; as of import-run."""
     marks: Path | None = None
     """JSON of labels that a person found wrong: [{"frame", "id", "mark": "BAD_LABEL" | "BAD_BOX"}]."""
     tables: Literal["grounding", "relations", "both", "paper"] | None = None

@@ -18,6 +18,7 @@ from pipeline.evaluation.causes import with_figures
 from pipeline.evaluation.comparing import CHANGES, Comparison, answer_differences, compare
 from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.leakage import Share, shares_of_run, with_caveats
+from pipeline.evaluation.place_reading import told_reading
 from pipeline.evaluation.records import read_records
 from pipeline.evaluation.relation_cases import RelationSpec, uses_language
 from pipeline.evaluation.run_figures import doubts_of
@@ -84,7 +85,7 @@ def run_eval(command: EvalCommand) -> None:
         )
     vlm = None
     if command.vlm_url is not None and command.vlm_model is not None:
-        vlm = Vlm(command.vlm_url, command.vlm_model, command.vlm_rate)
+        vlm = Vlm(command.vlm_url, command.vlm_model, command.vlm_rate, tuple(map(told_reading, command.places)))
     elif command.system == "vlm":
         raise InputError("--system vlm needs a server and a model", expected="--vlm-url URL --vlm-model NAME")
     elif command.vlm_url is not None or command.vlm_model is not None:

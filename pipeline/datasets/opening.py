@@ -261,7 +261,10 @@ def _folder(root: Path, recognised: Callable[[Path], bool]) -> tuple[str, str]:
         seen = " and ".join(text for text in (what, "" if depth else "no depth") if text)
         return f"a dataset of LeRobot with {seen or 'no colour'}", "one recorded with depth and --dataset.video=false"
     if inside:
-        return f"a folder of {counted(len(inside), 'dataset')}", f"{'it' if len(inside) == 1 else 'one of them'}: {root / inside[0]}"
+        return (
+            f"a folder of {counted(len(inside), 'dataset')}",
+            f"{'it' if len(inside) == 1 else 'one of them'}: {root / inside[0]}",
+        )
     if pictures and not depths:
         where = f" in {colors[0]}/" if within else ""
         name = next((name for name in files if kind_of(name) == "picture"), "")

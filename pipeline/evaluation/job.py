@@ -121,6 +121,10 @@ def evaluate_dataset(
         spec = replace(spec, confidence=confidence)
     if name is None:
         name = system.title(replace(source, detector=detector))
+    decisions: tuple[str, ...] = ()
+    if spec.grounding:
+        system, decisions = system.decided(spec, source, labels)
+        spec = replace(spec, system=spec.system and system)
     asked = labels.manifest.tables["expressions"].content_hash
     makers = makers_of(labels.manifest)
     measured = system.measured(source, labels.relation_names) if spec.grounding else None
@@ -172,7 +176,7 @@ def evaluate_dataset(
         of_calibration = calibration_warnings(source, labels, records) if spec.grounding and system.name == OWN else ()
         of_relations = () if relations is None else relations.warnings
         causes = causes_of(records, source, labels, detector if system.name == OWN else None) if spec.grounding else ()
-        warnings = (*left_out, *changed, *of_calibration, *of_relations)
+        warnings = (*decisions, *left_out, *changed, *of_calibration, *of_relations)
         options = {k: str(v) for k, v in spec.options.items() if k != "config"}
         config = {**recorded_config(source.config), "options": options}
         plain = json.loads(json.dumps(config, default=str))

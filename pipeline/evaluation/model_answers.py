@@ -28,8 +28,6 @@ _FINAL = re.compile(
 _WORD = re.compile(r"[^\W\d_]+(?:'[^\W\d_]+)*|\d+|[^\w\s]|_|\n")
 _WORD_LIKE = re.compile(r"[^\W_]")
 
-Corners = tuple[float, float, float, float]
-
 _NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:e[-+]?\d+)?"
 _VALUE = (
     rf"(?:(?<![\w.])(?:{_NUMBER}|[-+]?(?:nan|inf(?:inity)?))(?![a-z\d]|\.\d)(?:\s*(?:%|px\b|pixels?\b))?|"
@@ -54,18 +52,6 @@ _SIZED = ({"x", "y", "w", "h"}, {"x", "y", "width", "height"}, {"left", "top", "
 _PALIGEMMA = re.compile(r"(?:<loc\d{4}>\s*){4}")
 _FLORENCE = re.compile(r"(?:<loc_\d{1,3}>\s*){4}")
 _QWEN = re.compile(r"(?:<box>|<\|box_start\|>)")
-_FARTHEST = 1.0
-"""Picture widths beyond the edge at which a number is no overshoot but another scale."""
-
-
-@dataclass(frozen=True)
-class BoxAnswer:
-    """A box in an answer."""
-
-    box: Corners | None  # shares of the picture's width and height, 0 to 1, of an area above 0
-    scale: str | None = None  # how the numbers were read: "1", "100", "1000", "1024", "pixels"
-    notes: tuple[str, ...] = ()  # what had to be mended or assumed
-    reason: str | None = None  # why there is no box
 
 
 @dataclass(frozen=True)
@@ -87,73 +73,6 @@ def box_numbers(text: str) -> _BoxNumbers | str:
     if not isinstance(found, str) and not all(map(math.isfinite, found.values)):
         return "numbers that are not finite"
     return found
-
-
-def parse_box(text: str, size: tuple[int, int] | None = None, scale: float | None = None) -> BoxAnswer:
-    """Read a box of two corners.
-
-    Brackets of four numbers, or two brackets of two; named corners (`x1=0.1`, JSON keys, `left: ...`); four numbers in
-    a row; per cent; the location tokens of PaliGemma, Florence-2 and Qwen-VL. The first of several boxes is taken.
-    Corners in the wrong order are put right and what lies outside is cut off, both with a note. A corner with width
-    and height is refused.
-
-    `size`: of the picture as it was sent, pixels. `scale`: what the far edge is, such as 1000. Without it numbers up to
-    1 are shares, larger ones pixels where they lie within the picture, else thousandths where they are whole and at
-    most 1000; some models that count in thousandths can so be misread. Signs (%, px, location tokens) and shares with a
-    decimal point count before it.
-    """
-    text, reason = spoken_part(text)
-    if reason:
-        return BoxAnswer(None, reason=reason)
-    found = box_numbers(text)
-    if isinstance(found, str):
-        return BoxAnswer(None, reason=found)
-    notes = [f"the first of {found.boxes} boxes"] if found.boxes > 1 else []
-    edges = _edges(found, size, scale, notes)
-    if isinstance(edges, str):
-        return BoxAnswer(None, reason=edges)
-    name, width, height = edges
-    x0, y0, x1, y1 = (v / of for v, of in zip(found.values, (width, height, width, height), strict=True))
-    if x0 > x1 or y0 > y1:
-        notes.append("corners put in order")
-        x0, x1, y0, y1 = min(x0, x1), max(x0, x1), min(y0, y1), max(y0, y1)
-    if min(x0, y0) < -_FARTHEST or max(x1, y1) > 1 + _FARTHEST:
-        return BoxAnswer(None, name, reason=f"numbers far outside the picture, read with the scale {name}")
-    cut = tuple(min(max(v, 0.0), 1.0) for v in (x0, y0, x1, y1))
-    if cut != (x0, y0, x1, y1):
-        notes.append("cut at the picture's edge")
-    if cut[0] >= cut[2] or cut[1] >= cut[3]:
-        return BoxAnswer(None, name, tuple(notes), "an empty box")
-    return BoxAnswer((cut[0], cut[1], cut[2], cut[3]), name, tuple(notes))
-
-
-def _edges(
-    found: _BoxNumbers, size: tuple[int, int] | None, told: float | None, notes: list[str]
-) -> tuple[str, float, float] | str:
-    """Name of the scale, with the right and lower edges of the picture in the scale's units; or a reason for none."""
-    values, most = found.values, max(found.values)
-    if found.scale is not None:
-        return f"{found.scale:g}", found.scale, found.scale
-    if found.unit == "%":
-        return "100", 100, 100
-    if found.unit == "px":
-        return ("pixels", *size) if size else "pixels of a picture of unknown size"
-    if told is not None:
-        if not (told > 2 and found.decimal and most <= 1):
-            return f"{told:g}", told, told
-        notes.append(f"shares, not numbers up to {told:g}")
-    # 1.02 is a share that overshoots; 2 of 640 pixels is written without a point.
-    if most <= 1 or (found.decimal and most < 2):
-        return "1", 1, 1
-    if size is None:
-        return "numbers above 1, and neither their scale nor the picture's size is known"
-    if max(values[0], values[2]) <= size[0] and max(values[1], values[3]) <= size[1]:
-        notes.append("read as pixels")
-        return "pixels", *size
-    if most <= 1000 and min(values) >= 0 and all(v == int(v) for v in values):
-        notes.append("read as thousandths: too large for pixels")
-        return "1000", 1000, 1000
-    return "numbers of an unknown scale, outside the picture"
 
 
 def _numbers(text: str) -> _BoxNumbers | str:

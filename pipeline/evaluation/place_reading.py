@@ -171,6 +171,7 @@ class Place:
     ]  # left, top, right, bottom in shares of the picture; of a point twice the point
     point: bool
     written: str  # the numbers as they stand, with what they are read as
+    reading: PlaceReading
 
 
 def read_places(
@@ -203,7 +204,7 @@ def read_places(
         for k in members:
             values = lines[k].place.values[: 2 if reading.point else 4]
             written = f"{', '.join(f'{v:g}' for v in values)} as {reading.words}"
-            found[k] = Place(reading.box(values, lines[k].size), reading.point, written)
+            found[k] = Place(reading.box(values, lines[k].size), reading.point, written, reading)
     return [found[k] for k in range(len(lines))], notes
 
 
@@ -226,7 +227,7 @@ def _decided(
         return sorted(_scored(some, tried, priors), key=lambda s: -s.score)
 
     spread = np.unique(np.linspace(0, len(lines) - 1, min(LOOKED_AT, len(lines))).astype(int))
-    first = scored_by(_readings(lines, told), [lines[k] for k in spread])
+    first = scored_by(_readings(lines, told, shares), [lines[k] for k in spread])
     # Of many lines the likely readings alone are looked at on all of them.
     scored = first if len(spread) == len(lines) else scored_by((s.reading for s in first[:FINALISTS]), lines)
     best = scored[0]
@@ -266,14 +267,15 @@ def _same_unit(lines: Sequence[PlacedLine], best: Scored, unit: str) -> bool:
     return _alike(best, _scored(lines, [PlaceReading(unit, best.reading.order)], [0.0])[0])
 
 
-def _readings(lines: Sequence[PlacedLine], told: Sequence[PlaceReading]) -> Iterator[PlaceReading]:
+def _readings(lines: Sequence[PlacedLine], told: Sequence[PlaceReading], shares: bool) -> Iterator[PlaceReading]:
     place = lines[0].place
     units: Sequence[str] = (*_UNITS, PADDED, *_resized(lines[0].size))
     if place.fixed:
         units = (place.fixed,)
     given = [t.unit for t in told if t.unit]
     if given and not place.fixed:
-        units = given
+        # A model that counts in thousandths may write shares once.
+        units = (*given, "shares") if shares else given
     orders = ("xy", "yx", "xyxy", "yxyx") if place.pair else _ORDERS[len(place.values)]
     if place.order:
         orders = (place.order,)

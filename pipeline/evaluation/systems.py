@@ -64,6 +64,10 @@ class System(Protocol):
         """Parts possibly shared by labels."""
         ...
 
+    def decided(self, spec: EvalSpec, source: Pipeline, labels: Labels) -> tuple[System, tuple[str, ...]]:
+        """Decide what has to be known of all answers before the first one; with words of it."""
+        ...
+
     def open(self, spec: EvalSpec, source: Pipeline, labels: Labels, clock: StageClock) -> Records:
         """Open models once for a process."""
         ...
@@ -168,6 +172,9 @@ class OwnPipeline:
     def kept(self, spec: EvalSpec, source: Pipeline, folder: Path, out: Path) -> tuple[EvalSpec, dict[str, Any]]:
         return spec, {}
 
+    def decided(self, spec: EvalSpec, source: Pipeline, labels: Labels) -> tuple[OwnPipeline, tuple[str, ...]]:
+        return self, ()
+
     def open(self, spec: EvalSpec, source: Pipeline, labels: Labels, clock: StageClock) -> Records:
         class_names = class_names_of(labels)
         parsed: dict[str, tuple[Query | None, InputError | None]] = {}
@@ -226,6 +233,9 @@ class ImportedPredictions:
         copyfile(file.path, folder / PREDICTIONS_FILE)
         options = spec.options | {"predictions": out / PREDICTIONS_FILE}
         return replace(spec, options=options), {"imported": file.record()}
+
+    def decided(self, spec: EvalSpec, source: Pipeline, labels: Labels) -> tuple[ImportedPredictions, tuple[str, ...]]:
+        return self, ()
 
     def open(self, spec: EvalSpec, source: Pipeline, labels: Labels, clock: StageClock) -> Records:
         class_names, file = class_names_of(labels), file_of(source)

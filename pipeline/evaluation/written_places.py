@@ -48,7 +48,7 @@ def written_place(text: str) -> WrittenPlace | None:
     """First place in the spoken part of an answer; None for none, or one of numbers that no picture has.
 
     Read are Molmo's `x="61.5" y="40.4"` and Molmo2's `coords="1 1 386 645"`, JSON keys with point or box in their name,
-    location tokens, boxes between marks such as <box>, (x, y), and what `parse_box` reads as a box.
+    location tokens, boxes between marks such as <box>, (x, y), and what `box_numbers` finds.
     """
     found = _first_place(text)
     return None if found is None or max(map(abs, found.values)) > LARGEST else found
@@ -77,9 +77,11 @@ def _first_place(text: str) -> WrittenPlace | None:
     for keys, order in _BY_NAME:
         # Two corners, which have x and y too, are read below.
         if all(key in rows for key in keys) and not (order == "xy" and len(rows) > 2):
-            written = [rows[key][0] for key in keys]
+            corners = order == "xy" and [len(values) for values in rows.values()] == [2, 2]
+            written = [rows[key][k] for k in range(1 + corners) for key in keys]
             if all(re.fullmatch(_NUMBER, value) for value in written):
-                return replace(_of_numbers(written, "named", len(rows[keys[0]]) > 1, named), order=order)
+                place = _of_numbers(written, "named", len(rows[keys[0]]) > 1, named, pair=corners)
+                return place if corners else replace(place, order=order)
     if len(re.findall(r"\d+", text)) < 4:
         return None
     found_box = box_numbers(text)

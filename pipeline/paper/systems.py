@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from pipeline.answering.batch import StageClock
@@ -20,8 +20,8 @@ from pipeline.answering.pipeline import Pipeline
 from pipeline.datasets import Dataset
 from pipeline.diagnosis.frame_evidence import matched
 from pipeline.evaluation.leakage import Measured, measured_of
-from pipeline.evaluation.model_answers import parse_box, parse_yes_no
-from pipeline.evaluation.place_habits import far_edges, habit_of
+from pipeline.evaluation.model_answers import parse_yes_no
+from pipeline.evaluation.place_reading import PlaceReading
 from pipeline.evaluation.records import asked_columns, overlaps
 from pipeline.evaluation.relation_cases import RelationSpec, read_pairs
 from pipeline.evaluation.relation_records import RelationRecords, SystemRecords, struct_of
@@ -29,28 +29,18 @@ from pipeline.evaluation.systems import OWN, AskedPairs, EvalSpec, Records, Syst
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.labels.cases import HIT, Case, FrameCases
-from pipeline.labels.exports.vqa_questions import ask_grounding, ask_relation, can_be_asked
+from pipeline.labels.exports.vqa_questions import ask_relation, can_be_asked
 from pipeline.labels.reading import Labels
 from pipeline.metrics.splits import DROPPED
+from pipeline.paper.pointing import Pointed, cut_words, decided_readings, point_by_model, view_of
 from pipeline.proposals.base import Detector, detect_expression
 from pipeline.system.arrow import pa, pq
-from pipeline.system.chat import ChatAnswer, ChatClient, ChatPicture, ChatQuestion
-from pipeline.system.errors import InputError, require
+from pipeline.system.chat import ChatAnswer, ChatClient, ChatQuestion
+from pipeline.system.errors import InputError
 
 VLM_FILE = "relation_records_vlm.parquet"
-PADDING = (122, 116, 104)
-"""CLIP's mean colour, with which LLaVA-1.5 makes pictures square (llava/mm_utils.py, expand2square)."""
 UNKNOWN = 0.5
-_YES_NO_TOKENS, _BOX_TOKENS = 32, 64
-
-
-@dataclass(frozen=True)
-class Pointed:
-    """A box for an expression's target."""
-
-    box: np.ndarray | None  # (4,) float: x0, y0, x1, y1, pixels
-    score: float | None = None
-    problem: str | None = None  # why there is no box
+_YES_NO_TOKENS = 32
 
 
 @dataclass(frozen=True)
@@ -65,6 +55,9 @@ class Referring:
 
     def measured(self, source: Pipeline, relations: Sequence[str]) -> Measured:
         return replace(measured_of(source, relations), scorer=None, network=None, rule_too=())
+
+    def decided(self, spec: EvalSpec, source: Pipeline, labels: Labels) -> tuple[Referring, tuple[str, ...]]:
+        return self, ()
 
     def kept(self, spec: EvalSpec, source: Pipeline, folder: Path, out: Path) -> tuple[EvalSpec, dict[str, Any]]:
         return spec, {}
@@ -98,6 +91,8 @@ class Vlm:
     url: str
     model: str
     requests_per_minute: float | None = None
+    readings: tuple[PlaceReading, ...] = ()
+    """What its numbers mean, as far as it is known; what is left is decided over a sample before the run."""
     name: str = "vlm"
     processes: bool = False
 
@@ -115,11 +110,16 @@ class Vlm:
         return spec, {"vlm": self.record()}
 
     def record(self) -> dict[str, Any]:
-        return {"url": self.url, "model": self.model}
+        told = {"places": list(map(str, self.readings))} if self.readings else {}
+        return {"url": self.url, "model": self.model, **told}
+
+    def decided(self, spec: EvalSpec, source: Pipeline, labels: Labels) -> tuple[Vlm, tuple[str, ...]]:
+        readings, notes = decided_readings(self.client(), self.model, source.dataset, labels, spec.limit, self.readings)
+        return replace(self, readings=readings), notes
 
     def open(self, spec: EvalSpec, source: Pipeline, labels: Labels, clock: StageClock) -> Records:
         client = self.client()
-        return _pointing(source, clock, lambda frame, texts: point_by_model(client, frame, texts, self.model))
+        return _pointing(source, clock, partial(point_by_model, client, model=self.model, readings=self.readings))
 
     def ask(
         self,
@@ -224,45 +224,6 @@ def record_whole(case: Case, truth: FrameCases, pointed: Pointed) -> dict[str, A
 
 
 @dataclass(frozen=True)
-class View:
-    """Picture of a frame as it is sent."""
-
-    picture: ChatPicture
-    offset: tuple[int, int]
-    """x and y of the frame's upper left corner, pixels of the picture."""
-    frame_size: tuple[int, int]
-    """Width and height of the frame."""
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height of the picture."""
-        height, width = self.picture.rgb.shape[:2]
-        return width, height
-
-    def to_frame(self, box: Sequence[float]) -> np.ndarray | None:
-        """A box as shares of the picture, in the frame's pixels.
-
-        Returns (4,) float32: x0, y0, x1, y1, cut at the frame's edges; None where it lies in the padding.
-        """
-        corners = np.array(box, np.float64).reshape(2, 2) * self.size
-        corners = np.clip(corners - self.offset, 0, self.frame_size)
-        return corners.reshape(4).astype(np.float32) if (corners[1] > corners[0]).all() else None
-
-
-def view_of(rgb: np.ndarray) -> View:
-    """Picture of a frame ((H, W, 3) uint8) padded to a square, the frame in the middle.
-
-    LLaVA-1.5 was trained on pictures padded to a square, and its boxes are shares of that square; some servers pad
-    themselves, others cut the middle out. A picture that is square already is treated alike by all.
-    """
-    height, width = ChatPicture(rgb).rgb.shape[:2]
-    wide, high = (max(height, width) - inner for inner in (width, height))
-    x, y = wide // 2, high // 2
-    image = cv2.copyMakeBorder(rgb, y, high - y, x, wide - x, cv2.BORDER_CONSTANT, value=PADDING)
-    return View(ChatPicture(image), (x, y), (width, height))
-
-
-@dataclass(frozen=True)
 class PairScores:
     """Answers of the model about N ordered pairs and R relations."""
 
@@ -314,39 +275,4 @@ def _judged(answer: ChatAnswer) -> tuple[bool | None, str]:
     if answer.failure is not None:
         return None, "the server failed"
     verdict = parse_yes_no(answer.text)
-    return verdict.value, f"{verdict.reason}{_cut(answer)}"
-
-
-def _cut(answer: ChatAnswer) -> str:
-    return ", cut off by max_tokens" if answer.finish == "length" else ""
-
-
-def point_by_model(client: ChatClient, frame: Frame, texts: Sequence[str], model: str = "") -> list[Pointed]:
-    """Ask for the boxes of expressions about one frame, such as "the mug left of the laptop"; in the same order.
-
-    `model`: its name, which says how a known one counts.
-
-    Raises InputError: an expression that cannot be asked.
-    Raises ServerError: no answer from the server to any question.
-    """
-    require(all(text.strip() for text in texts), "an expression is empty")
-    view = view_of(frame.rgb)
-    questions = [ChatQuestion(ask_grounding(text, 0), view.picture, _BOX_TOKENS) for text in texts]
-    scale = scale_of(model, view.size)
-    return [_pointed(answer, view, scale) for answer in client.ask_many(questions)]
-
-
-def scale_of(model: str, size: tuple[int, int]) -> float | None:
-    """Far edge of a square picture as a known model counts where it does not in shares; None for any other model."""
-    habit = habit_of(model)
-    return None if habit is None or habit[0] in ("shares", "padded", "percent") else far_edges(habit[0], size)[0]
-
-
-def _pointed(answer: ChatAnswer, view: View, scale: float | None = None) -> Pointed:
-    if answer.failure is not None:
-        return Pointed(None, problem=answer.failure)
-    found = parse_box(answer.text, view.size, scale)
-    if found.box is None:
-        return Pointed(None, problem=f"{found.reason}{_cut(answer)}")
-    box = view.to_frame(found.box)
-    return Pointed(box, problem="a box outside the frame, in the padding" if box is None else None)
+    return verdict.value, f"{verdict.reason}{cut_words(answer)}"

@@ -377,6 +377,27 @@ def test_a_vision_language_model_is_measured_by_its_boxes(labels: Path, tmp_path
     assert table.rows[0].cells[5] is None
 
 
+def test_what_a_models_numbers_mean_is_decided_over_its_answers(labels: Path, tmp_path: Path, monkeypatch: Any) -> None:
+    """An unknown model that writes [ymin, xmin, ymax, xmax] in thousandths of the square that it was sent."""
+    from chat_server import MODELS, Clock, running
+
+    monkeypatch.setenv("SPATIALVIZ_CACHE", str(tmp_path / "cache"))
+    boxes = {c.text: t.boxes[c.target_object] for t in read_cases(open_labels(labels), 0, 2**31 - 1) for c in t.cases}
+
+    def answer(request: Any) -> str:
+        x0, y0, x1, y1 = boxes[request.prompt.partition(": ")[2]] + (0, 80, 0, 80)
+        return str([round(v / 640 * 1000) for v in (y0, x0, y1, x1)])
+
+    with running(Clock()) as server:
+        server.answer = answer
+        spec = EvalSpec("demo", str(labels), {"srm": "rule"}, system=Vlm(server.url, MODELS[0]), limit=40)
+        report = evaluate_dataset(spec, tmp_path / "vlm", plots=False, bootstrap=QUICK)
+        assert len(server.requests) == report.expressions == 40
+    rows = read_records(tmp_path / "vlm").to_pylist()
+    assert sum(row["iou"] > 0.9 for row in rows) > 36
+    assert any("are thousandths, y first, two corners" in warning for warning in report.warnings)
+
+
 def test_a_detector_is_fed_the_whole_expression(labels: Path, recording: Path) -> None:
     spec = spec_of(labels, recording)
     whole = EvalSpec(spec.dataset, spec.labels, spec.options, system=Referring(), limit=10)

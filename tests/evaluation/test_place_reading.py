@@ -17,7 +17,6 @@ import pytest
 from pipeline.evaluation.place_habits import far_edges, habit_of, smart_resize
 from pipeline.evaluation.place_reading import PlacedLine, read_places, told_reading
 from pipeline.evaluation.written_places import written_place
-from pipeline.paper.systems import scale_of
 from pipeline.system import InputError
 
 SIZE = (640, 480)
@@ -204,12 +203,6 @@ def test_pictures_are_resized_as_qwen_does() -> None:
     assert smart_resize((1920, 1440), 1280 * 28 * 28) == (1148, 840)
     assert smart_resize((20, 20), 1280 * 28 * 28) == (56, 56)
     assert far_edges("pixels:320", SIZE) == (320, 240)
-
-
-def test_a_served_model_is_read_by_its_habit() -> None:
-    assert scale_of("Qwen/Qwen3-VL-8B-Instruct", (640, 640)) == 1000
-    assert scale_of("Qwen/Qwen2.5-VL-7B-Instruct", (640, 640)) == 644
-    assert scale_of("llava-1.5-7b-hf", (640, 640)) is None
 
 
 def test_any_text_is_read_or_none() -> None:

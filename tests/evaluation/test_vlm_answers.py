@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.evaluation.model_answers import parse_box, parse_yes_no
+from pipeline.evaluation.model_answers import box_numbers, parse_yes_no, spoken_part
+from pipeline.evaluation.place_reading import Place, PlacedLine, read_places, told_reading
+from pipeline.evaluation.written_places import written_place
+
+
+def read_box(text: str, told: str = "", size: tuple[int, int] = (640, 480)) -> Place | None:
+    """The place of one answer, of which nothing else is known; None for none."""
+    place = written_place(spoken_part(text)[0])
+    if place is None:
+        return None
+    (found,), _ = read_places([PlacedLine("it", place, size, np.zeros((0, 4)))], [told_reading(told)] if told else [])
+    return found
+
 
 YES = (
     "Yes",
@@ -113,49 +125,45 @@ def test_dressed_up_answers_are_read(value: bool, mark: str, tail: str, lead: st
 def test_no_text_is_too_odd(text: str) -> None:
     verdict = parse_yes_no(text)
     assert (verdict.value is None) == (verdict.reason is not None)
-    found = parse_box(text, (640, 480))
-    assert (found.box is None) == (found.reason is not None)
+    assert isinstance(box_numbers(text), str) or len(box_numbers(text).values) == 4
 
 
 @given(st.lists(st.sampled_from([*"0123456789.,-[](){}<>=:%ex nainf\n", "x1", "loc", "to", "bbox"]), max_size=40))
 def test_no_run_of_numbers_is_too_odd(parts: list[str]) -> None:
-    found = parse_box("".join(parts), (640, 480))
-    if found.box is not None:
-        x0, y0, x1, y1 = found.box
-        assert 0 <= x0 < x1 <= 1
-        assert 0 <= y0 < y1 <= 1
+    place = written_place("".join(parts))
+    assert place is None or (len(place.values) in (2, 4) and np.isfinite(place.values).all())
 
 
 def written(digits: int, factor: float) -> Callable[[float], str]:
     return lambda share: f"{share * factor:.{digits}f}"
 
 
-STYLES: dict[str, tuple[str, int, float, dict[str, Any]]] = {
-    "list": ("[{}, {}, {}, {}]", 3, 1, {}),
-    "tight": ("({},{},{},{})", 2, 1, {}),
-    "in a sentence": ("The mug is at [{}, {}, {}, {}], left of the laptop 2.", 3, 1, {}),
-    "spaces": ("{} {} {} {}", 3, 1, {}),
-    "bare": ("Sure! {}, {}, {}, {}.", 3, 1, {}),
-    "semicolons": ("[{}; {}; {}; {}]", 3, 1, {}),
-    "bold": ("**[{}, {}, {}, {}]**", 3, 1, {}),
-    "json": ('```json\n{{"bbox": [{}, {}, {}, {}], "label": "mug"}}\n```', 4, 1, {}),
-    "json of corners": ('{{"x1": {}, "y1": {}, "x2": {}, "y2": {}}}', 4, 1, {}),
-    "from zero": ("x0={} y0={} x1={} y1={}", 3, 1, {}),
-    "min and max": ("x_min: {}, y_min: {}, x_max: {}, y_max: {}", 3, 1, {}),
-    "sides": ("Left: {}\nTop: {}\nRight: {}\nBottom: {}", 3, 1, {}),
-    "points": ("({}, {}), ({}, {})", 3, 1, {}),
-    "nested": ("[[{}, {}], [{}, {}]]", 3, 1, {}),
-    "named points": ("from (x={}, y={}) to (x={}, y={})", 3, 1, {}),
-    "told corners": ("top-left ({}, {}) and bottom-right ({}, {})", 3, 1, {}),
-    "per cent": ("[{}%, {}%, {}%, {}%]", 1, 100, {}),
-    "per cent in a row": ("{} %, {} %, {} %, {} %", 0, 100, {}),
-    "hundredths": ("[{}, {}, {}, {}]", 0, 100, {"scale": 100}),
-    "thousandths": ("[{}, {}, {}, {}]", 0, 1000, {"scale": 1000}),
-    "thousandths, tagged": ("<|box_start|>({},{}),({},{})<|box_end|>", 0, 1000, {}),
-    "pixels": ("[{}, {}, {}, {}]", 0, 4000, {"size": (4000, 4000)}),
-    "pixels, signed": ("[{}px, {}px, {}px, {}px]", 0, 500, {"size": (500, 500)}),
-    "PaliGemma": ("<loc{1:0>4}><loc{0:0>4}><loc{3:0>4}><loc{2:0>4}> mug", 0, 1024, {}),
-    "Florence": ("mug<loc_{}><loc_{}><loc_{}><loc_{}>", 0, 1000, {}),
+STYLES: dict[str, tuple[str, int, float, str]] = {
+    "list": ("[{}, {}, {}, {}]", 3, 1, ""),
+    "tight": ("({},{},{},{})", 2, 1, ""),
+    "in a sentence": ("The mug is at [{}, {}, {}, {}], left of the laptop 2.", 3, 1, ""),
+    "spaces": ("{} {} {} {}", 3, 1, ""),
+    "bare": ("Sure! {}, {}, {}, {}.", 3, 1, ""),
+    "semicolons": ("[{}; {}; {}; {}]", 3, 1, ""),
+    "bold": ("**[{}, {}, {}, {}]**", 3, 1, ""),
+    "json": ('```json\n{{"bbox": [{}, {}, {}, {}], "label": "mug"}}\n```', 4, 1, ""),
+    "json of corners": ('{{"x1": {}, "y1": {}, "x2": {}, "y2": {}}}', 4, 1, ""),
+    "from zero": ("x0={} y0={} x1={} y1={}", 3, 1, ""),
+    "min and max": ("x_min: {}, y_min: {}, x_max: {}, y_max: {}", 3, 1, ""),
+    "sides": ("Left: {}\nTop: {}\nRight: {}\nBottom: {}", 3, 1, ""),
+    "points": ("({}, {}), ({}, {})", 3, 1, ""),
+    "nested": ("[[{}, {}], [{}, {}]]", 3, 1, ""),
+    "named points": ("from (x={}, y={}) to (x={}, y={})", 3, 1, ""),
+    "told corners": ("top-left ({}, {}) and bottom-right ({}, {})", 3, 1, ""),
+    "per cent": ("[{}%, {}%, {}%, {}%]", 1, 100, ""),
+    "per cent in a row": ("{} %, {} %, {} %, {} %", 0, 100, ""),
+    "hundredths": ("[{}, {}, {}, {}]", 0, 100, "percent"),
+    "thousandths": ("[{}, {}, {}, {}]", 0, 1000, "thousandths"),
+    "thousandths, tagged": ("<|box_start|>({},{}),({},{})<|box_end|>", 0, 1000, ""),
+    "pixels": ("[{}, {}, {}, {}]", 0, 4000, "pixels"),
+    "pixels, signed": ("[{}px, {}px, {}px, {}px]", 0, 4000, ""),
+    "PaliGemma": ("<loc{1:0>4}><loc{0:0>4}><loc{3:0>4}><loc{2:0>4}> mug", 0, 1024, ""),
+    "Florence": ("mug<loc_{}><loc_{}><loc_{}><loc_{}>", 0, 1000, ""),
 }
 
 
@@ -163,67 +171,39 @@ STYLES: dict[str, tuple[str, int, float, dict[str, Any]]] = {
 @settings(max_examples=25, deadline=None)
 @given(x=st.tuples(st.floats(0.0, 0.99), st.floats(0.0, 0.99)), y=st.tuples(st.floats(0.0, 0.99), st.floats(0, 0.99)))
 def test_a_box_written_in_any_style_is_read_back(style: str, x: tuple[float, float], y: tuple[float, float]) -> None:
-    form, digits, factor, options = STYLES[style]
+    form, digits, factor, told = STYLES[style]
     say = written(digits, factor)
     step = 10.0**-digits / factor
     (x0, x1), (y0, y1) = sorted(x), sorted(y)
     # Wide enough not to be rounded to nothing, nor taken for shares.
     if min(x1 - x0, y1 - y0) < 0.03:
         return
-    found = parse_box(form.format(*(say(v) for v in (x0, y0, x1, y1))), **options)
-    assert found.reason is None
+    order = "" if "loc" in form else ",xyxy"
+    told = f"{told}{order}".strip(",")
+    found = read_box(form.format(*(say(v) for v in (x0, y0, x1, y1))), told, (4000, 4000))
+    assert found is not None
     assert found.box == pytest.approx((x0, y0, x1, y1), abs=step * 0.51 + 1e-9)
-    assert set(found.notes) <= {"read as pixels"}
 
 
 @pytest.mark.parametrize(
-    ("text", "options", "box", "note"),
+    ("text", "reason"),
     [
-        ("[0.5, 0.9, 0.1, 0.2]", {}, (0.1, 0.2, 0.5, 0.9), "order"),
-        ("[-0.02, 0.1, 1.03, 0.9]", {}, (0, 0.1, 1, 0.9), "cut"),
-        ("[0.1, 0.2, 0.3, 0.4] or [0.5, 0.5, 0.6, 0.6]", {}, (0.1, 0.2, 0.3, 0.4), "first of 2"),
-        ("[120, 300, 500, 900]", {"size": (640, 480)}, (0.12, 0.3, 0.5, 0.9), "thousandths"),
-        ("[64, 48, 320, 240]", {"size": (640, 480)}, (0.1, 0.1, 0.5, 0.5), "pixels"),
-        ("[0.1, 0.2, 0.3, 0.4]", {"scale": 1000}, (0.1, 0.2, 0.3, 0.4), "shares"),
+        ("", "empty answer"),
+        ("There is no mug.", "no box"),
+        ("[nan, 0.1, 0.2, 0.3]", "not finite"),
+        ("[0.1, 0.1, inf, 0.3]", "not finite"),
+        ('{"bbox": [0.1, NaN, 0.2, Infinity]}', "not finite"),
+        ("[0.1, 0.1, 1e999, 0.3]", "not finite"),
+        ("[0.1, 0.2, 0.3]", "3 numbers"),
+        ("[0.1, 0.2, 0.3, 0.4, 0.9]", "5 numbers"),
+        ("<think>[0.1, 0.2, 0.3, 0.4]", "within its reasoning"),
+        ("version 1.2.3.4", "no box"),
     ],
 )
-def test_what_is_mended_or_assumed_is_noted(
-    text: str, options: dict[str, Any], box: tuple[float, ...], note: str
-) -> None:
-    found = parse_box(text, **options)
-    assert found.box == pytest.approx(box)
-    assert len(found.notes) == 1
-    assert note in found.notes[0]
-
-
-@pytest.mark.parametrize(
-    ("text", "options", "reason"),
-    [
-        ("", {}, "empty answer"),
-        ("There is no mug.", {}, "no box"),
-        ("[nan, 0.1, 0.2, 0.3]", {}, "not finite"),
-        ("[0.1, 0.1, inf, 0.3]", {}, "not finite"),
-        ('{"bbox": [0.1, NaN, 0.2, Infinity]}', {}, "not finite"),
-        ("[0.1, 0.1, 1e999, 0.3]", {}, "not finite"),
-        ("[0.1, 0.2, 0.3]", {}, "3 numbers"),
-        ("[0.1, 0.2, 0.3, 0.4, 0.9]", {}, "5 numbers"),
-        ('{"x": 0.1, "y": 0.2, "width": 0.3, "height": 0.4}', {}, "width and height"),
-        ("[0, 0, 0, 0]", {}, "an empty box"),
-        ("[0.2, 0.1, 0.2, 0.9]", {}, "an empty box"),
-        ("[1.2, 0.1, 1.4, 0.9]", {}, "an empty box"),
-        ("[120, 300, 500, 900]", {}, "neither their scale"),
-        ("[5000, 300, 6000, 900]", {"size": (640, 480)}, "unknown scale"),
-        ("[5000, 300, 6000, 900]", {"scale": 1000}, "far outside"),
-        ("[10px, 20px, 30px, 40px]", {}, "unknown size"),
-        ("<think>[0.1, 0.2, 0.3, 0.4]", {}, "within its reasoning"),
-        ("version 1.2.3.4", {}, "no box"),
-    ],
-)
-def test_why_there_is_no_box(text: str, options: dict[str, Any], reason: str) -> None:
-    found = parse_box(text, **options)
-    assert found.box is None
-    assert found.reason is not None
-    assert reason in found.reason
+def test_why_there_is_no_box(text: str, reason: str) -> None:
+    spoken, why = spoken_part(text)
+    assert written_place(spoken) is None
+    assert reason in str(why or box_numbers(spoken))
 
 
 @pytest.mark.parametrize(
@@ -232,4 +212,4 @@ def test_why_there_is_no_box(text: str, options: dict[str, Any], reason: str) ->
 def test_endless_answers_are_read_in_no_time(piece: str) -> None:
     text = piece * (300_000 // len(piece))
     assert parse_yes_no(text).value is None
-    assert parse_box(text, (640, 480)).box is None or piece in ("<loc0001>", "(x=1,y=1)")
+    assert written_place(spoken_part(text)[0]) is None or piece in ("<loc0001>", "(x=1,y=1)")

@@ -9,8 +9,10 @@ import pytest
 from chat_server import ChatServer, Make, Script, completion, error
 from scenes import frame_of, upright
 
+from pipeline.evaluation.place_reading import told_reading
 from pipeline.geometry import Frame
-from pipeline.paper.systems import PADDING, point_by_model, score_pairs, view_of
+from pipeline.paper.pointing import PADDING, point_by_model, view_of
+from pipeline.paper.systems import score_pairs
 from pipeline.system import InputError
 
 
@@ -95,6 +97,9 @@ def test_grounding_reads_other_scales_and_says_why_there_is_no_box(
         "b": "I see no such thing.",
         "c": "[0.1, 0.0, 0.9, 0.1]",
         "d": "[0.2, 0.1, 0.9",
+        "f": "[0.5, 0.5, 0.25, 0.25]",
+        "g": "[0.6, 0.5]",
+        "h": "[5000, 300, 6000, 900]",
         "e": error(400, "refused"),
     }
     server.answer = lambda request: said[request.prompt[-1]]
@@ -104,7 +109,11 @@ def test_grounding_reads_other_scales_and_says_why_there_is_no_box(
     assert boxes[2].box is None
     assert "refused" in str(boxes[3].problem)
     padded = point_by_model(client_of(), frame, ["c", "d"])
-    assert [g.problem for g in padded] == ["a box outside the frame, in the padding", "3 numbers, not the 4 of a box"]
+    assert [g.problem for g in padded] == ["an empty box, or one in the padding", "3 numbers, not the 4 of a box"]
+    put_right, point, far = point_by_model(client_of(), frame, ["f", "g", "h"], readings=[told_reading("shares,xyxy")])
+    assert put_right.box == pytest.approx([80, 40, 160, 120])
+    assert point.problem == "a point, no box"
+    assert "far outside" in str(far.problem)
     asked = len(server.requests)
     for text in (" ", "the <image> there"):
         with pytest.raises(InputError):
