@@ -22,7 +22,7 @@ from pipeline.datasets.images import (
     read_stored,
     valid_pixels,
 )
-from pipeline.datasets.settings import DEPTH_SCALE, FILE_NAME, INTRINSICS, Settings, unit_notes
+from pipeline.datasets.settings import DEPTH_SCALE, FILE_NAME, INTRINSICS, TURNS, Settings, unit_notes
 from pipeline.datasets.turned import turn_to
 from pipeline.geometry.camera import Camera, intrinsics, standard_poses
 from pipeline.geometry.frame import Annotation, Frame
@@ -155,6 +155,8 @@ class Recording:
         found = self._listed(frame_id, notes)
         # A picture whose camera is known as it is stored stays as it is stored.
         rgb = read_color(found.color, upright=found.depth is None and found.stated.K is None)
+        if self._settings.color_turned is not None:
+            rgb = np.ascontiguousarray(np.rot90(rgb, TURNS[self._settings.color_turned]))
         metres, unknown = self._metres(found, rgb, notes)
         whole, size = (rgb.shape[0], rgb.shape[1]), (metres.shape[0], metres.shape[1])
         if whole != size:
@@ -254,11 +256,12 @@ class Recording:
         measured = found.depth is not None
         off = abs(whole[1] * height / (whole[0] * width) - 1)
         if measured and off > SAME_SHAPE and abs(whole[0] * height / (whole[1] * width) - 1) <= SAME_SHAPE:
-            turn = turn_to(rgb, metres)
+            ways = " or ".join(f'"{turn}"' for turn in TURNS)
+            turn = f'"{told}"' if (told := turn_to(rgb, metres)) else f"{ways}, which the outlines do not tell"
             raise InputError(
                 "colour and depth are turned against one another by 90 degrees",
                 got=f"colour {whole[1]}x{whole[0]}, depth {width}x{height}",
-                expected=f"colour turned {turn or 'clockwise or counter-clockwise, which the outlines do not tell'}",
+                expected=f"color_turned = {turn} in {FILE_NAME}",
                 cause="phones store depth as the sensor lies; the intrinsics are then those of the turned picture",
                 path=found.depth,
             )

@@ -18,7 +18,7 @@ from pipeline.system.whole_files import write_whole
 
 FILE_NAME = "spatialviz.toml"
 KEYS = (
-    *("name", "intrinsics", "depth_scale", "depth_is", "depth_turned", "depth_nothing", "mirrored"),
+    *("name", "intrinsics", "depth_scale", "depth_is", "depth_turned", "depth_nothing", "mirrored", "color_turned"),
     *("poses", "pose_shift", "registration", "world_up", "up", "frame_up"),
 )
 MEANT = {
@@ -27,6 +27,8 @@ MEANT = {
     "depth_turned": ("90", "180", "270", "left-right", "top-bottom"),
 }
 """What may be declared of pictures and depth maps, by the setting's name; see `Settings`."""
+TURNS = {"clockwise": 3, "counter-clockwise": 1}
+"""Turns of a colour picture by 90 degrees, as `np.rot90` counts them."""
 INTRINSICS = "--intrinsics fx,fy,cx,cy"
 DEPTH_SCALE = "--depth-scale UNITS_PER_METRE"
 OR_ESTIMATED = "or --depth-model NAME, which estimates it"
@@ -63,6 +65,8 @@ class Settings:
         A stored value of depth maps, besides 0, that means that nothing was measured; of floats in metres.
     mirrored : str or None
         How colour and depth are mirrored: "left-right" or "top-bottom". Intrinsics are of the mirrored pictures.
+    color_turned : str or None
+        The turn, one of `TURNS`, that lays upright colour over depth as the sensor lies; intrinsics are of depth.
     world_up : (x, y, z) or None
         The direction against gravity in the world that the poses speak of, as the dataset's makers declare it.
     up : GivenUp or None
@@ -95,9 +99,10 @@ class Settings:
     depth_turned: str | None = None
     depth_nothing: float | None = None
     mirrored: str | None = None
+    color_turned: str | None = None
 
     def __post_init__(self) -> None:
-        for key, values in MEANT.items():
+        for key, values in {**MEANT, "color_turned": TURNS}.items():
             given = getattr(self, key)
             known = given is None or given in values
             require(known, f"no such {key}", got=repr(given)[:60], expected=" | ".join(values))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-TURNS = {"clockwise": 3, "counter-clockwise": 1}
-"""Turns by 90 degrees, as `np.rot90` counts them."""
+from pipeline.datasets.settings import TURNS
+
 CLEARLY = 0.02
 """By how much the outlines of one turn must meet better, as a correlation."""
 

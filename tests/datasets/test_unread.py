@@ -20,8 +20,9 @@ from pipeline.answering.pipeline import open_sources
 from pipeline.datasets import dataset_notes, open_dataset
 from pipeline.datasets.cameras import or_note
 from pipeline.datasets.images import end_of_range
+from pipeline.datasets.settings import TURNS
 from pipeline.datasets.trajectories import read_trajectory
-from pipeline.datasets.turned import TURNS, turn_to
+from pipeline.datasets.turned import turn_to
 
 
 def unread(root: Path) -> str:
@@ -311,7 +312,9 @@ def test_a_turned_colour_picture_is_told_with_the_turn(tmp_path: Path, turn: str
     for number in (1, 2):
         write_png(tmp_path / f"rgb/{number}.png", back)
         write_png(tmp_path / f"depth/{number}.png", depth.astype(np.uint16))
-    refused(lambda: open_dataset(tmp_path, **FOLDER).load("1"), "96x128", "128x96", f"colour turned {turn}")
+    refused(lambda: open_dataset(tmp_path, **FOLDER).load("1"), "96x128", "128x96", f'color_turned = "{turn}"')
+    (tmp_path / "spatialviz.toml").write_text(f'color_turned = "{turn}"\n')
+    assert np.array_equal(open_dataset(tmp_path, **FOLDER).load("1").rgb, rgb)
 
 
 def test_a_file_of_several_cameras_is_not_guessed_from(tmp_path: Path) -> None:
