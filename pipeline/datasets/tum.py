@@ -19,6 +19,7 @@ from pipeline.datasets.recording import DepthRule, Listed, Recording
 from pipeline.datasets.settings import Settings, camera_notes, unit_notes
 from pipeline.datasets.stamps import ROUNDING, WITHIN, match_times, nearest
 from pipeline.geometry.camera import rotations
+from pipeline.language.counted import counted
 from pipeline.system.errors import require
 
 CAMERAS = {
@@ -59,7 +60,7 @@ class TumDataset(Recording):
 
     def _lists(self, root: Path) -> tuple[dict[str, str], dict[str, str]]:
         """Names of colour and of depth images by the time stamp of the colour as written."""
-        colors, depths = _entries(root, "rgb.txt"), _entries(root, "depth.txt")
+        colors, depths = self._entries(root / "rgb.txt"), self._entries(root / "depth.txt")
         matched = match_times(*(np.array([float(stamp) for stamp in entries]) for entries in (colors, depths)))
         require(
             matched,
@@ -69,6 +70,32 @@ class TumDataset(Recording):
         )
         stamps, names = tuple(colors), tuple(depths.values())
         return colors, {stamps[i]: names[j] for i, j in matched.items()}
+
+    def _entries(self, source: Path) -> dict[str, str]:
+        """Names of a list of images by time stamp as written, in order of time."""
+        # As decimals, since two stamps may differ only in digits that a float does not hold.
+        found: dict[Decimal, tuple[str, str]] = {}
+        repeated: list[int] = []
+        for number, line in numbered_lines(source):
+            stamp, *rest = line.split(maxsplit=1)
+            require(
+                _TIME.fullmatch(stamp) and math.isfinite(float(stamp)) and rest,
+                f"line {number} is malformed",
+                got=repr(line[:60]),
+                expected="timestamp path",
+                path=source,
+            )
+            name = name_inside(rest[0], source, number)
+            if found.setdefault(Decimal(stamp), (stamp, name)) != (stamp, name):
+                repeated.append(number)
+        self._say_repeated(source, repeated)
+        require(found, "a list without a line", expected="timestamp path", path=source)
+        return dict(found[time] for time in sorted(found))
+
+    def _say_repeated(self, source: Path, lines: list[int]) -> None:
+        if lines:
+            which = f"{counted(len(lines), 'line')}, such as line {lines[0]}"
+            self.notes += (f"{source.name}: {which}, left out: another picture with the same time stamp",)
 
     def _camera_path_file(self, root: Path) -> Path:
         return root / "groundtruth.txt"
@@ -116,6 +143,7 @@ class AssociatedDataset(TumDataset):
         source = root / next(name for name in ASSOCIATIONS if (root / name).is_file())
         colors: dict[str, str] = {}
         depths: dict[str, str] = {}
+        repeated: list[int] = []
         for number, line in numbered_lines(source):
             words = line.split()
             sound = len(words) == 4 and all(_TIME.fullmatch(stamp) for stamp in words[::2])
@@ -132,8 +160,11 @@ class AssociatedDataset(TumDataset):
             )
             at = roles.index("depth")
             stamp = words[2 * (1 - at)]
-            require(stamp not in colors, f"line {number} repeats a time stamp", got=stamp[:60], path=source)
+            if stamp in colors:
+                repeated.append(number)
+                continue
             colors[stamp], depths[stamp] = names[1 - at], names[at]
+        self._say_repeated(source, repeated)
         require(colors, "a list without a line", expected="stamp picture stamp picture", path=source)
         return colors, depths
 
@@ -158,26 +189,6 @@ class AssociatedDataset(TumDataset):
     def _pose(self, values: np.ndarray) -> np.ndarray:
         T = pose_from_quaternion(values)
         return REFLECTED @ T @ REFLECTED if self._reflected else T
-
-
-def _entries(root: Path, name: str) -> dict[str, str]:
-    """Names of a list of images by time stamp as written, in order of time."""
-    source = root / name
-    # As decimals, since two stamps may differ only in digits that a float does not hold.
-    found: dict[Decimal, tuple[str, str]] = {}
-    for number, line in numbered_lines(source):
-        stamp, *rest = line.split(maxsplit=1)
-        require(
-            _TIME.fullmatch(stamp) and math.isfinite(float(stamp)) and rest,
-            f"line {number} is malformed",
-            got=repr(line[:60]),
-            expected="timestamp path",
-            path=source,
-        )
-        require(Decimal(stamp) not in found, f"line {number} repeats a time stamp", got=stamp[:60], path=source)
-        found[Decimal(stamp)] = stamp, name_inside(rest[0], source, number)
-    require(found, "a list without a line", expected="timestamp path", path=source)
-    return dict(found[time] for time in sorted(found))
 
 
 def _camera_path(path: Path) -> np.ndarray:

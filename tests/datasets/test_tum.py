@@ -244,7 +244,6 @@ def test_tum_matching_is_that_of_the_datasets_own_tool(a: list[int], b: list[int
         ("-1 rgb/a.png", ["line 3 is malformed"]),
         ("1e9 rgb/a.png", ["line 3 is malformed"]),
         (f"{'9' * 400} rgb/a.png", ["line 3 is malformed"]),
-        (f"{START:.6f} rgb/a.png", ["line 3 repeats a time stamp"]),
     ],
 )
 @pytest.mark.parametrize("name", ["rgb.txt", "depth.txt"])
@@ -254,6 +253,20 @@ def test_tum_line_that_cannot_be_is_refused(tmp_path: Path, name: str, line: str
     text = (tmp_path / "rgb.txt").read_text()
     (tmp_path / name).write_text(text + line + "\n")
     refused(lambda: open_dataset(tmp_path), *words, name)
+
+
+@pytest.mark.parametrize("name", ["rgb", "depth"])
+def test_a_line_that_repeats_a_time_stamp_is_left_out_and_said(tmp_path: Path, name: str) -> None:
+    write_tum(tmp_path, 2)
+    path = tmp_path / f"{name}.txt"
+    first = path.read_text().splitlines()[1]
+    path.write_text(f"{path.read_text()}{first}\n{first.split()[0]} {name}/a.png\n")
+    dataset = open_dataset(tmp_path, intrinsics=CAMERA)
+    assert [dataset.load(frame_id).id for frame_id in dataset.frame_ids] == list(dataset.frame_ids)
+    assert len(dataset.frame_ids) == 2
+    assert [note for note in dataset_notes(dataset) if "left out" in note] == [
+        f"{name}.txt: 1 line, such as line 5, left out: another picture with the same time stamp"
+    ]
 
 
 def test_tum_lists_that_are_empty_or_no_text_are_refused(tmp_path: Path) -> None:
