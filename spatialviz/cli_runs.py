@@ -112,7 +112,7 @@ class ImportRunCommand(WritesRun, OfCamera):
     """Run folder to write."""
     format: str | None = None
     """spatialviz | coco | supervision | boxes | grounded-sam2 | grounded-sam | concept-graphs | recording | roborefer |
-    spatialrgpt | llava | spatialclaw | lmms-eval, or a plugin's. Default: as the file's content says."""
+    spatialrgpt | llava | spatialclaw | lmms-eval | vlmevalkit, or a plugin's. Default: as the file's content says."""
     key: Path | None = None
     """What the file leaves open: COCO's annotation file, a list of class names, a list of id, image and question."""
     places: tuple[str, ...] = ()

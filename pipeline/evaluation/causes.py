@@ -54,7 +54,8 @@ def unknown_names(records: pa.Table, detector: Detector, source: Pipeline) -> li
     """Names of the expressions that a detector cannot find, in order."""
     known = known_names(detector)
     asked = dict.fromkeys(name for c in ("target", "reference") for name in records.column(c).to_pylist() if name)
-    if known is None:
+    if not known:
+        # Of a detector of any words, and of answers without proposals.
         return []
     return [n for n in asked if not knows(known, n, source.synonyms) and not any(is_cut(piece, n) for piece in known)]
 

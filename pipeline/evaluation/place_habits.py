@@ -6,9 +6,10 @@ import math
 import re
 from collections.abc import Mapping
 
-QWEN_DEFAULT, QWEN_SERVED = 16384 * 28 * 28, 1280 * 28 * 28
-"""Pixels that Qwen's processor keeps by default, and in Qwen's own examples and services."""
-_QWEN_LEAST = 4 * 28 * 28
+QWEN_DEFAULT, QWEN_SERVED = 16384, (256, 512, 768, 1024, 1280, 2048, 4096)
+"""Tokens (28x28 pixels) that Qwen's processor keeps by default, and what examples and services set (`max_pixels`)."""
+TOKEN = 28 * 28
+_QWEN_LEAST = 4 * TOKEN
 
 _HABITS: tuple[tuple[str, str, bool, str], ...] = (
     # name of the model, unit, y first, where its makers say so
@@ -62,7 +63,7 @@ def far_edges(unit: str, size: tuple[int, int]) -> tuple[float, float]:
 
     `unit`: shares, padded (shares of the picture padded to a square), percent, thousandths, 1024ths, pixels. Pixels of
     a resized picture are `pixels:640` (its longer side), `pixels:640x480`, `pixels:qwen` and `pixels:qwen-1280` (as
-    `smart_resize` of qwen_vl_utils makes it, by default and with at most 1,280 tokens).
+    `smart_resize` of qwen_vl_utils makes it, by default and with at most so many tokens).
     """
     whole = {"shares": 1.0, "padded": 1.0, "percent": 100.0, "thousandths": 1000.0, "1024ths": 1024.0}.get(unit)
     if whole is not None:
@@ -72,7 +73,7 @@ def far_edges(unit: str, size: tuple[int, int]) -> tuple[float, float]:
     if not resized:
         return width, height
     if resized.startswith("qwen"):
-        return smart_resize(size, QWEN_SERVED if resized.endswith("1280") else QWEN_DEFAULT)
+        return smart_resize(size, int(resized.partition("-")[2] or QWEN_DEFAULT) * TOKEN)
     sides = [float(side) for side in resized.split("x")]
     if len(sides) == 2:
         return sides[0], sides[1]

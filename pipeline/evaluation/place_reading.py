@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.evaluation.place_habits import far_edges, habit_of, suggested
+from pipeline.evaluation.place_habits import QWEN_SERVED, far_edges, habit_of, suggested
 from pipeline.evaluation.written_places import WrittenPlace
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT
@@ -57,7 +57,7 @@ _WORDS = {
     "cxcywh": "centre and size",
 }
 OPTION = "--places"
-_TOLD = re.compile(r"pixels:(qwen(-1280)?|[1-9]\d{1,4}(x[1-9]\d{1,4})?)")
+_TOLD = re.compile(r"pixels:(qwen(-[1-9]\d{1,4})?|[1-9]\d{1,4}(x[1-9]\d{1,4})?)")
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class PlaceReading:
         unit = "shares of the picture padded to a square" if unit == PADDED else unit
         of = {"": "", "qwen": " of the picture as Qwen2.5-VL resizes it"}.get(resized)
         if of is None:
-            of = " of the picture as Qwen2.5-VL resizes it to 1,280 tokens"
+            of = f" of the picture as Qwen2.5-VL resizes it to {resized.partition('-')[2]} tokens"
             if not resized.startswith("qwen"):
                 of = (
                     f" of a picture of {resized}" if "x" in resized else f" of a picture whose longer side is {resized}"
@@ -148,9 +148,7 @@ def told_reading(text: str) -> PlaceReading:
     for part in filter(None, (p.strip().lower() for p in text.split(","))):
         if part in _WORDS and not order:
             order = part
-        elif (
-            part in (*_UNITS, "1024ths") or re.fullmatch(r"pixels:(qwen(-1280)?|[1-9]\d{1,4}(x[1-9]\d{1,4})?)", part)
-        ) and not unit:
+        elif (part in (*_UNITS, PADDED, "1024ths") or _TOLD.fullmatch(part)) and not unit:
             unit = part
         else:
             raise InputError(
@@ -291,7 +289,8 @@ def _resized(size: tuple[int, int]) -> list[str]:
     sides = [*_SIDES, *(longer * part for part in _FRACTIONS), *(side * longer / shorter for side in _SIDES)]
     whole = sorted({round(side) for side in sides if side <= 3000})
     squares = (f"pixels:{side}x{side}" for side in _SIDES)
-    return ["pixels:qwen", "pixels:qwen-1280", *(f"pixels:{side}" for side in whole), *squares]
+    of_qwen = (f"pixels:qwen-{tokens}" for tokens in QWEN_SERVED)
+    return ["pixels:qwen", *of_qwen, *(f"pixels:{side}" for side in whole), *squares]
 
 
 def _prior(line: PlacedLine, reading: PlaceReading, shares: bool, unit: str) -> float:
@@ -306,7 +305,8 @@ def _prior(line: PlacedLine, reading: PlaceReading, shares: bool, unit: str) -> 
         return score + known + 10.0 * (reading.unit in ("shares", PADDED)) + HINTED * (y_first == bool(y_hinted))
     if habit is not None:
         score += KNOWN * (reading.unit == habit[0]) + KNOWN / 2 * (y_first == habit[1])
-        # Some who run a model of pixels scale them back to the picture at hand.
+        # Some set how many pixels are kept, and some scale them back to the picture at hand.
+        score += KNOWN / 2 * reading.unit.startswith(f"{habit[0]}-")
         score += (KNOWN - SURE) * (reading.unit == "pixels" and habit[0].startswith("pixels"))
     score += HINTED * (reading.unit == hinted and (habit is None or habit[0] == hinted))
     score += HINTED * (y_hinted is not None and y_first == y_hinted)

@@ -39,6 +39,8 @@ MaskCode = RunLength | str
 Polygons = list[list[FiniteFloat]]
 MOST_PIXELS = 1 << 28
 """Of a picture."""
+ROUNDED = 2.0
+"""Pixels by which a box may leave its picture."""
 
 
 class RecordedDetection(BaseModel):
@@ -57,8 +59,13 @@ def detected(label: str, score: float | None, box: tuple[float, ...]) -> Recorde
     return RecordedDetection.model_validate({"label": label, "bbox": box, **told})
 
 
-Detections = dict[Picture, list[RecordedDetection]]
-"""By picture; one that the file lists and nothing was found in has an empty list."""
+class Detections(dict[Picture, list[RecordedDetection]]):
+    """By picture; one that the file lists and nothing was found in has an empty list."""
+
+    def __init__(self, *found: Any) -> None:
+        super().__init__(*found)
+        self.assumed: list[str] = []
+        """What was assumed of the file, a sentence each."""
 
 
 def without_score(found: Detections) -> tuple[int, int]:
@@ -144,7 +151,12 @@ def coco_detections(content: Content, key: Path | None) -> Detections:
     rows = _results(content).rows(CocoResult.model_validate, "not a result of COCO")
     images = {str(image.id): image for image in known.images}
     names = {str(category.id): category.name for category in known.categories}
-    found: Detections = {image.frame or image.file_name: [] for image in known.images}
+    found = Detections({image.frame or image.file_name: [] for image in known.images})
+    if _counts_from_zero(rows, names):
+        found.assumed.append("category_id counts from 0 in the file and from 1 in the annotation file: 1 is added")
+        names = {str(int(number) - 1): name for number, name in names.items() if number.isdecimal()}
+    if corners := _are_corners(rows, images):
+        found.assumed.append(corners)
     for k, row in enumerate(rows):
         where = content.where(k)
         image = images.get(str(row.image_id))
@@ -158,11 +170,33 @@ def coco_detections(content: Content, key: Path | None) -> Detections:
         label = needed(names.get(str(row.category_id)), nameless, expected=expected, path=path)
         mask = _code(row.segmentation, image, where, path)
         picture = row.image_id if image is None else image.frame or image.file_name
-        box = _corners(row, mask, where, path)
+        box = row.bbox if corners and row.bbox else _corners(row, mask, where, path)
         detection = detected(label, row.score, box)
         detection.mask = mask
         found.setdefault(picture, []).append(detection)
     return found
+
+
+def _counts_from_zero(rows: list[CocoResult], names: dict[str, str]) -> bool:
+    """True for classes by a network's own index, where the annotation file has no 0 (ultralytics/ultralytics#18136)."""
+    ids = {str(row.category_id) for row in rows}
+    return "0" in ids - names.keys() and all(i.isdecimal() and str(int(i) + 1) in names for i in ids)
+
+
+def _are_corners(rows: list[CocoResult], images: dict[str, CocoImage]) -> str:
+    """Words for boxes of two corners, as other tools have them, by how they lie in their pictures; else empty."""
+    sized = [(row.bbox, images[str(row.image_id)]) for row in rows if row.bbox and str(row.image_id) in images]
+    known = [
+        (*box, image.width + ROUNDED, image.height + ROUNDED) for box, image in sized if image.width and image.height
+    ]
+    within = [x + w <= width and y + h <= height for x, y, w, h, width, height in known]
+    of_corners = all(x <= w <= width and y <= h <= height for x, y, w, h, width, height in known)
+    if all(within) or not of_corners:
+        return ""
+    return (
+        f"bbox is read as two corners, not as corner and size: so all {len(known)} boxes lie in their pictures, "
+        f"and else {sum(within)}"
+    )
 
 
 def _corners(row: CocoResult, mask: RunLength | None, where: str, path: Path) -> tuple[float, float, float, float]:
@@ -218,7 +252,7 @@ def read_map(path: Path) -> Content:
         expected="a list of objects, or a dict with one under 'objects'",
         path=path,
     )
-    detections: Detections = {}
+    detections = Detections()
     corners: dict[int, Corners] = {}
     for number, thing in enumerate([thing for part in found for thing in part]):
         wrong, errors = f"object {number}: not as ConceptGraphs writes it", (KeyError, TypeError, ValueError)

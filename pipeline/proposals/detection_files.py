@@ -118,7 +118,7 @@ def _picture(content: Content, k: int, column: str) -> Picture:
 def _supervision(content: Content, key: Path | None) -> Detections:
     names = () if key is None else read_class_names(key)
     column = _picture_column(content)
-    found: Detections = {}
+    found = Detections()
     for k, row in enumerate(content.rows(SinkRow.model_validate, "not a row of supervision's sinks")):
         where, known = content.where(k), row.class_id is not None and row.class_id < len(names)
         label = row.class_name or (names[row.class_id] if known and row.class_id is not None else None)
@@ -184,7 +184,7 @@ def _lists(content: Content, key: Path | None) -> Detections:
         content = _by_picture(content)
     content = replace(content, value=content.value if isinstance(content.value, list) else [content.value])
     column = _picture_column(content)
-    found: Detections = {}
+    found = Detections()
     read = content.rows(ListedBoxes.model_validate, "not boxes, scores and labels of a picture")
     shares = all(number <= 1 for row in read for box in row.boxes for number in box) and any(row.boxes for row in read)
     words, cause = "boxes are asked for in pixels", "shares of the picture? times its width and height"
@@ -251,7 +251,7 @@ def _grounded_sam2(content: Content, key: Path | None) -> Detections:
         require(0 <= thing.score < 1.1, f"{where}: no score", got=thing.score, expected="0..1", path=content.path)
         score = min(thing.score, 1.0)
         rows.append(RecordedDetection(label=thing.class_name, score=score, bbox=thing.bbox, mask=thing.segmentation))
-    return {found.image_path: rows}
+    return Detections({found.image_path: rows})
 
 
 def _grounded_sam(content: Content, key: Path | None) -> Detections:
@@ -260,13 +260,8 @@ def _grounded_sam(content: Content, key: Path | None) -> Detections:
     rows = listed.rows(LabelledValue.model_validate, "not a value of Grounded-Segment-Anything")
     path = content.path
     picture = path.resolve().parent.name if path.stem in ("mask", "label") else path.stem
-    return {
-        picture: [
-            RecordedDetection(label=row.label, score=row.logit, bbox=row.box)
-            for row in rows
-            if row.logit is not None and row.box is not None
-        ]
-    }
+    scored = [(row.label, row.logit, row.box) for row in rows if row.logit is not None and row.box is not None]
+    return Detections({picture: [RecordedDetection(label=label, score=p, bbox=box) for label, p, box in scored]})
 
 
 @dataclass(frozen=True)
@@ -331,11 +326,13 @@ def detection_files(path: Path, what: str) -> list[Content]:
 
 def read_detections(files: Sequence[Content], key: Path | None) -> Detections:
     """The detections of several files of published formats."""
-    found: Detections = {}
+    found = Detections()
     for content in files:
         known = "a published format of detections"
         name = needed(format_of(content), f"not {known}", expected=" | ".join(DETECTION_FORMATS), path=content.path)
-        for picture, rows in DETECTION_FORMATS[name].read(content, key).items():
+        read = DETECTION_FORMATS[name].read(content, key)
+        found.assumed += read.assumed
+        for picture, rows in read.items():
             require(picture not in found, f"the picture {picture!r} stands in two files", path=content.path)
             found[picture] = rows
     return found

@@ -244,6 +244,7 @@ class RecordedDetector:
         missing, every = self.scoreless
         told = [f"{missing} of {every} detections have no score in the file: 1 is taken"] if missing else []
         cut = ((name, " and ".join(map(repr, pieces))) for name, pieces in self.cut.items())
+        told += [] if self._published is None else self._published.assumed
         return told + [f"{name!r} is written {w} in the file, cut within a word, and found by that" for name, w in cut]
 
     def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
@@ -281,7 +282,7 @@ class RecordedDetector:
                 # Of pictures that may be of this frame, the one that fits best.
                 fits = {picture: fit(frame.id, picture) for picture in self._published}
                 best = [picture for picture, how in fits.items() if how and how == max(fits.values())]
-                near = {picture: self._published[picture] for picture in best}
+                near = Detections({picture: self._published[picture] for picture in best})
                 recording, _ = _of_frames(near, (frame.id,), self.path)
             found = needed(
                 self._read_arrays(frame) if recording is None else recording.get(frame.id),

@@ -151,6 +151,10 @@ def _place(content: Any, location: tuple[Any, ...], missing: bool) -> tuple[Any,
     return tuple(found)
 
 
+DELIMITERS = {".csv": ",", ".tsv": "\t"}
+EXCEL = (".xlsx", ".xls")
+
+
 @dataclass(frozen=True)
 class Content:
     """Text file's content: the JSON value, or for JSON lines and CSV a list of rows with their line numbers, from 1."""
@@ -176,22 +180,24 @@ class Content:
 
 
 def read_content(path: Path, what: str = "the file") -> Content:
-    """Read a file of JSON, JSON lines, or (by its ending) CSV; `what` names it in messages.
+    """Read a file of JSON, JSON lines, or (by its ending) CSV or TSV; `what` names it in messages.
 
     Raises InputError for an unreadable file, with the line of JSON lines.
     """
+    ending = path.suffix.lower()
+    require(ending not in EXCEL, f"{what} is a table of Excel", expected="the same saved as .tsv or .csv", path=path)
     utf8 = as_input_error(
         f"{what} is not UTF-8", UnicodeDecodeError, got=str, expected="a file saved as UTF-8", path=path
     )
     with as_input_error(f"{what} cannot be read", OSError, got=str, path=path), utf8:
         text = read_text(path, "utf-8-sig")
-    if path.suffix.lower() == ".csv":
-        with as_input_error(f"{what} is not CSV", csv.Error, got=str, path=path):
-            reader = csv.DictReader(text.splitlines())
+    if ending in DELIMITERS:
+        with as_input_error(f"{what} is not {ending[1:].upper()}", csv.Error, got=str, path=path):
+            reader = csv.DictReader(text.splitlines(), delimiter=DELIMITERS[ending])
             table = [(reader.line_num, row) for row in reader]
         return Content([row for _, row in table], path, tuple(number for number, _ in table))
     lines = [(number, line) for number, line in enumerate(text.split("\n"), 1) if line.strip()]
-    if path.suffix.lower() == ".jsonl" or (len(lines) > 1 and _is_json(lines[0][1]) and _is_json(lines[1][1])):
+    if ending == ".jsonl" or (len(lines) > 1 and _is_json(lines[0][1]) and _is_json(lines[1][1])):
         rows = [_parsed(line, f"line {number}: not JSON", path) for number, line in lines]
         return Content(rows, path, tuple(number for number, _ in lines))
     return Content(_parsed(text, f"{what} is not JSON", path), path)

@@ -239,6 +239,21 @@ def test_samples_of_lmms_eval(tmp_path: Path, world: dict[str, Any]) -> None:
         assert answer(converted(one, world), IDS[1]).point == (0.5, 0.25)
     seen = of_lines(tmp_path / "media.jsonl", row | {"input_media": [f"data/{IDS[0]}.png"], "filtered_resps": ["no"]})
     assert answer(converted(seen, world)).yes is False
+    # As `--log_samples` wrote it before #1103: the document inside, of which RefCOCO's answer is the expression.
+    doc = {"answer": MUG, "question": "a caption for the area", "file_name": f"{IDS[0]}.png", "image_width": 320}
+    nested = {"doc_id": 0, "doc": doc, "target": "", "resps": [["(0.5, 0.25)"]], "filtered_resps": ["(0.5, 0.25)"]}
+    assert answer(converted(of_lines(tmp_path / "nested.jsonl", nested), world)).point == (0.5, 0.25)
+
+
+def test_tables_of_vlmevalkit(tmp_path: Path, world: dict[str, Any]) -> None:
+    """index, question, answer, prediction (open-compass/VLMEvalKit, vlmeval/smp/file.py with PRED_FORMAT=tsv)."""
+    table = "index\timage_path\tquestion\tanswer\tprediction\n"
+    table += f"0\t{IDS[0]}.png\tWhere is the {MUG}? Answer with a point.\t\t(0.5, 0.25)\n"
+    path = tmp_path / "model_bench.tsv"
+    path.write_text(table, encoding="utf-8")
+    assert answer(converted(path, world)).point == (0.5, 0.25)
+    (tmp_path / "model_bench.xlsx").write_bytes(b"PK\x03\x04")
+    refused(tmp_path / "model_bench.xlsx", world, "a table of Excel; expected the same saved as .tsv or .csv")
 
 
 @pytest.mark.parametrize(

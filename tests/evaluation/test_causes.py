@@ -43,9 +43,11 @@ def test_unknown_names_and_frames_stand_first(labels: Path) -> None:
     detector: object = Detector()
     (cause,) = causes_of(records, source, read, detector)  # type: ignore[arg-type]
     assert cause.startswith("coco does not know 2 of 4 names that are asked for: mug (2), vase (1). 2 of 4 expressions")
-    assert causes_of(records, source, read, Detector(vocabulary=None)) == (  # type: ignore[arg-type]
-        "2 of 4 expressions have no answer that the system could give; the first: coco does not know mug",
-    )
+    for nothing in (None, ()):
+        # Of any words, and without proposals, as imported answers are.
+        assert causes_of(records, source, read, Detector(vocabulary=nothing)) == (  # type: ignore[arg-type]
+            "2 of 4 expressions have no answer that the system could give; the first: coco does not know mug",
+        )
     held = replace(source, dataset=source.dataset)
     some = [*source.dataset.frame_ids[:-2]]
     frames = read.frames.filter(pa.array([frame in some for frame in read.frames.column("frame").to_pylist()]))

@@ -116,6 +116,16 @@ def test_a_known_model_is_read_as_its_maker_says(model: str, unit: str, order: s
         assert habit[2] in note
 
 
+def test_qwen_with_fewer_pixels_is_read_as_such() -> None:
+    """max_pixels of 256 tokens makes 504x364 of 640x480, as `smart_resize` does."""
+    lines, meant = a_file("pixels:qwen-256", "xyxy", "bbox_2d", model="Qwen2.5-VL-7B-Instruct")
+    assert far_edges("pixels:qwen-256", SIZE) == (504, 364)
+    found, note = places_of(lines)
+    assert is_as_meant(found, meant), note
+    assert "as Qwen2.5-VL resizes it to 256 tokens" in note
+    assert str(told_reading("padded")) == "padded"
+
+
 def test_shares_of_a_padded_picture_are_read_as_such() -> None:
     """LLaVA-1.5 was trained on pictures padded to a square (README of haotian-liu/LLaVA: image_aspect_ratio pad)."""
     lines, meant = a_file("shares", "xyxy", count=30)

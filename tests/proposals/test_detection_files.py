@@ -134,6 +134,30 @@ def test_results_of_coco_are_read_as_they_are_in_the_wild(tmp_path: Path, frame:
     refused(written(tmp_path / "results.json", rows), frame, "entry 2: no picture has the id 12", key=known)
 
 
+def test_classes_counted_from_zero_and_boxes_of_two_corners_are_read_and_told(tmp_path: Path, frame: Frame) -> None:
+    """Ultralytics wrote its own index (ultralytics/ultralytics#18136); corners are open-mmlab/mmdetection#6997."""
+    key = json.loads(annotation_file(tmp_path).read_text())
+    key["categories"] = [{"id": 1, "name": "cup"}, {"id": 2, "name": "laptop"}]
+    known = written(tmp_path / "from_one.json", key)
+    rows = [
+        {"image_id": 397133, "category_id": 0, "bbox": [200, 100, 260, 160], "score": 0.9},
+        {"image_id": 397133, "category_id": 1, "bbox": [10, 20, 30, 60], "score": 0.5},
+    ]
+    detector = RecordedDetector(written(tmp_path / "results.json", rows), key=known, frame_ids=FRAMES)
+    found = detector.detect(frame, None)
+    assert [found.label(i) for i in range(2)] == ["cup", "laptop"]
+    np.testing.assert_allclose(found.boxes, [row["bbox"] for row in rows])
+    assert [words.split(":")[0] for words in detector.assumed()] == [
+        "category_id counts from 0 in the file and from 1 in the annotation file",
+        "bbox is read as two corners, not as corner and size",
+    ]
+    # Where corner and size fit, or neither does, nothing is assumed; nor where an id is none of either.
+    rows[0] |= {"category_id": 1, "bbox": [200, 100, 60, 60]}
+    assert RecordedDetector(written(tmp_path / "results.json", rows), key=known, frame_ids=FRAMES).assumed() == []
+    rows[1]["category_id"] = 3
+    refused(written(tmp_path / "results.json", rows), frame, "entry 1: no class has the id 3", key=known)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -73,7 +73,8 @@ def _lines(fields: Fields, published: Published, content: Content) -> Iterator[P
         item = items.get(str(number))
         unknown = f"{where}, {fields.id}: --key has no item of the id {number!r}"
         require(item is not None or not items, unknown, path=published.key)
-        item = item or {}
+        inner = row.get("doc")
+        item = (inner if isinstance(inner, dict) else {}) | (item or {})
         found = _first(row, fields.pictures) or _first(item, PICTURES)
         expected = "--key ITEMS, a list of id, image and question"
         nameless = f"{where}: nothing names the picture"
@@ -82,6 +83,7 @@ def _lines(fields: Fields, published: Published, content: Content) -> Iterator[P
         if frame is None:
             continue
         told = [row.get(name) for name in fields.questions] + [_first(item, QUESTIONS), _traced(published.path, number)]
+        told.append(item.get("answer") if inner else None)  # Where RefCOCO's documents have the expression.
         candidates = [text for text in told if isinstance(text, str) and text.strip()]
         require(candidates, f"{where}: no question", expected=expected, path=content.path)
         text = published.text(frame, candidates)
@@ -228,6 +230,12 @@ ANSWER_FORMATS = {
         {"sample_id", "content"},
         "predictions.jsonl of SpatialClaw",
         "the samples: id, image, question, choices",
+    ),
+    "vlmevalkit": _format(
+        Fields("index", "prediction", ("question",), ("image_path", "image")),
+        {"index", "question", "prediction"},
+        "predictions of VLMEvalKit, .tsv (PRED_FORMAT=tsv)",
+        "the benchmark's table, with index and image_path, where the predictions have none",
     ),
     "lmms-eval": _format(
         Fields("doc_id", "filtered_resps", ("input",), ("input_media",), raw="resps"),
