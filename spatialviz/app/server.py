@@ -16,6 +16,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
 from functools import partial
 
+import rich
 import viser
 
 from pipeline.answering.frame_store import FrameStore
@@ -87,7 +88,8 @@ def start(
     )
     pages = Pages(shared, access, max_clients)
     try:
-        with served_by(Site(access, pages, shared)), redirect_stdout(io.StringIO()):
+        # In a notebook viser's own words are no lines of the standard output.
+        with served_by(Site(access, pages, shared)), redirect_stdout(io.StringIO()), rich.get_console().capture():
             server = viser.ViserServer(host=host, port=port, label="spatialviz", verbose=False)
     except (OSError, RuntimeError) as error:
         raise InputError(f"cannot listen on {host}:{port}", got=str(error)) from error
@@ -198,7 +200,7 @@ def announce(
     print(f"spatialviz: {', '.join(named)} at {address} ({stop} stops)", flush=True)
     link, *outside = access.links(address)
     if not access.open:
-        why = "others reach this machine, so a token is needed:" if access.unnamed else "everybody opens"
+        why = "others may reach it, so a token is needed:" if access.unnamed else "everybody opens"
         print(
             f"spatialviz: {why} {link}", *(f"\nspatialviz: from outside: {one}" for one in outside), sep="", flush=True
         )
