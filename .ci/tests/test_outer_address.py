@@ -12,7 +12,6 @@ from types import SimpleNamespace
 
 import pytest
 from test_access import TOKEN, request, status
-from websockets.http11 import Request
 
 from pipeline.system.errors import InputError
 from spatialviz.app.access import Access

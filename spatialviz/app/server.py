@@ -87,12 +87,16 @@ def start(
         access.open,
     )
     pages = Pages(shared, access, max_clients)
+    # In a notebook viser's own words are no lines of the standard output.
+    console = rich.get_console()
+    quiet, console.quiet = console.quiet, True
     try:
-        # In a notebook viser's own words are no lines of the standard output.
-        with served_by(Site(access, pages, shared)), redirect_stdout(io.StringIO()), rich.get_console().capture():
+        with served_by(Site(access, pages, shared)), redirect_stdout(io.StringIO()):
             server = viser.ViserServer(host=host, port=port, label="spatialviz", verbose=False)
     except (OSError, RuntimeError) as error:
         raise InputError(f"cannot listen on {host}:{port}", got=str(error)) from error
+    finally:
+        console.quiet = quiet
     access.listens(server.get_port())
     close_tunnels(server)
     server.gui.configure_theme(dark_mode=dark is not False, show_logo=False, show_share_button=False)
