@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import http.server
 import json
+import re
 import sys
 import threading
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,6 +15,7 @@ from types import SimpleNamespace
 import pytest
 from test_access import TOKEN, request, status
 
+import spatialviz as sp
 from pipeline.system.errors import InputError
 from spatialviz.app.access import Access
 from spatialviz.app.in_notebook import addresses_of_notebook
@@ -227,3 +230,19 @@ def test_visual_studio_code_and_codespaces(kernel: pytest.MonkeyPatch) -> None:
     found, framed = addresses_of_notebook()
     wanted = ["https://code.example.org/proxy/8080/", "https://x-8080.app.github.dev/"]
     assert ([str(address.at(8080)) for address in found], framed) == (wanted, False)
+
+
+def test_show_in_jupyter_puts_the_page_below_the_cell(jupyter: list[int], kernel: pytest.MonkeyPatch) -> None:
+    shown: list[str] = []
+    kernel.setitem(sys.modules, "IPython.display", SimpleNamespace(HTML=str, display=shown.append))
+    server = sp.show("demo", port=0, block=False)
+    assert server is not None
+    (path, token), *others = re.findall(r'"(/user/ann/proxy/\d+/)\?token=([\w-]+)"', "".join(shown))
+    assert path == f"/user/ann/proxy/{server.get_port()}/"
+    assert others == [(path, token)]
+    # As Jupyter's proxy asks: by the name that the browser knows, without its own path.
+    headers = {"Host": "hub.example.org", "Cookie": f"spatialviz={token}"}
+    asked = urllib.request.Request(f"http://127.0.0.1:{server.get_port()}/", headers=headers)
+    with urllib.request.urlopen(asked, timeout=10) as page:
+        assert b"app/page.mjs" in page.read()
+    server.stop()

@@ -54,7 +54,7 @@ class Access:
 
     @classmethod
     def of(cls, host: str, file: Path | None = None, outer: Sequence[OuterAddress] = ()) -> Access:
-        """Access by address: free on this machine alone, else tokens of a file (InputError if invalid), or a new one."""
+        """Access by address: free on this machine alone, else tokens of a file (InputError if invalid) or a new one."""
         if file is not None:
             return cls(host, read_tokens(file), outer)
         free = host in (*LOCAL_NAMES, "::1") and not outer
