@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from tyro.conf import OmitArgPrefixes, Positional, arg
+from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from spatialviz.options import (
     ALL_FRAMES,
@@ -50,6 +50,9 @@ class ViewCommand:
     """Port; if it is taken, the next free one is used."""
     host: str = "127.0.0.1"
     """Address to listen on. One that others reach needs the token that is printed."""
+    outer_address: UseAppendAction[tuple[str, ...]] = ()
+    """Address at which a proxy serves the page, "https://host/path/" ({port} stands for the port); can be given again.
+    Only these and this machine's get in then, and everybody needs the token that is printed."""
     tokens: Path | None = None
     """A file with a line NAME TOKEN for each person who may open the page; corrections are by that name."""
     max_clients: int = 24

@@ -48,6 +48,7 @@ def show(
     host: str = "127.0.0.1",
     port: int = 8080,
     dark: bool | None = None,
+    outer_address: Sequence[str] = (),
     open_browser: bool = True,
     block: bool | None = None,
 ) -> viser.ViserServer | None:
@@ -66,8 +67,9 @@ def show(
     boxes, relations
         3D boxes and relation probabilities of one's own, which are shown and ranked as they are; see `open_arrays` of
         `pipeline.diagnosis.opened`.
-    host, port, dark, open_browser
-        As the options of `spatialviz view`.
+    host, port, dark, outer_address, open_browser
+        As the options of `spatialviz view`. A notebook behind JupyterHub, jupyter-server-proxy or Codespaces finds its
+        outer address itself, and Jupyter shows the page below the cell.
     block : bool, optional
         Wait until the page is stopped by Ctrl-C. By default scripts wait, and interactive sessions go on.
 
@@ -102,11 +104,20 @@ def show(
         sources = {name: opened.pipeline}
         view["labels"] = {} if opened.labels is None else {name: opened.labels}
 
+    from spatialviz.app.access import Access
+    from spatialviz.app.in_notebook import addresses_of_notebook, show_in_notebook
+    from spatialviz.app.outer_address import outer_address as read
     from spatialviz.app.server import serve
 
     if block is None:
         block = not (hasattr(sys, "ps1") or sys.flags.interactive)
-    return serve(sources, host=host, port=port, dark=dark, open_browser=open_browser, block=block, **view)
+    found, framed = ((), False) if outer_address else addresses_of_notebook()
+    access = Access.of(host, outer=[*map(read, outer_address), *found])
+    here = open_browser and not found
+    server = serve(sources, host=host, port=port, dark=dark, open_browser=here, block=block, access=access, **view)
+    if server is not None and framed and open_browser:
+        show_in_notebook(access.outer[0], access.unnamed)
+    return server
 
 
 def _name(pipeline: Pipeline) -> str:

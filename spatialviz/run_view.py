@@ -17,6 +17,7 @@ from pipeline.labels.by_hand import begun_labels, default_folder, grows
 from pipeline.labels.reading import Labels, labelled_up, open_labels
 from pipeline.system.errors import InputError, require
 from spatialviz.app.access import Access
+from spatialviz.app.outer_address import outer_address
 from spatialviz.app.server import serve
 from spatialviz.cli_ask import ViewCommand
 from spatialviz.options import SourceOptions, warn
@@ -25,6 +26,7 @@ from spatialviz.options import SourceOptions, warn
 def run_view(command: ViewCommand) -> None:
     require(command.author is None or command.author.strip(), "--author must not be empty")
     require(command.max_clients >= 1, "--max-clients is a count", got=command.max_clients, expected="at least 1")
+    access = Access.of(command.host, command.tokens, [*map(outer_address, command.outer_address)])
     view = None if command.state is None else decode(command.state)
     dataset, folder = (command.dataset, command.run_folder) if view is None else _named(command, view)
     built_in = dataset == DEMO_NAME and not Path(DEMO_NAME).exists()
@@ -81,7 +83,7 @@ def run_view(command: ViewCommand) -> None:
         port=command.port,
         dark=None if command.theme is None else command.theme == "dark",
         open_browser=command.open_browser,
-        access=Access.of(command.host, command.tokens),
+        access=access,
         max_clients=command.max_clients,
     )
 

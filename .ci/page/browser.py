@@ -47,7 +47,7 @@ POLL = """async ([arg, most]) => {
     if (found = await found) return found;
   }
 }"""
-ABSENT = "if (location.pathname.startsWith('/scene/')) stop();"
+ABSENT = "if (location.pathname.includes('/scene/')) stop();"
 
 
 class Tab:

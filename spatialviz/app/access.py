@@ -1,18 +1,20 @@
-"""Access to the server: names of this machine, tokens, and responses with the common headers."""
+"""Access to the server: its names, in and outside this machine, tokens, and responses with the common headers."""
 
 from __future__ import annotations
 
+import html
 import http
 import re
 import secrets
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from pipeline.system.errors import as_input_error, require
+from pipeline.system.errors import InputError, as_input_error, require
+from spatialviz.app.outer_address import OuterAddress, outer_address
 
 PAGE_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
@@ -45,16 +47,30 @@ SAFE = {
 class Access:
     """Checks requests; with tokens (names by token), each needs a token, in a cookie or once in the address."""
 
-    def __init__(self, host: str, tokens: Mapping[str, str] | None = None) -> None:
+    def __init__(self, host: str, tokens: Mapping[str, str] | None = None, outer: Sequence[OuterAddress] = ()) -> None:
         self._tokens = dict(tokens or {})
-        self._host = host
+        self._host = host.lower()
+        self.outer = tuple(outer)
 
     @classmethod
-    def of(cls, host: str, file: Path | None = None) -> Access:
-        """Access by address: free on this machine, else tokens of a file (InputError if invalid), or a new token."""
+    def of(cls, host: str, file: Path | None = None, outer: Sequence[OuterAddress] = ()) -> Access:
+        """Access by address: free on this machine alone, else tokens of a file (InputError if invalid) or a new one."""
         if file is not None:
-            return cls(host, read_tokens(file))
-        return cls(host, {} if host in (*LOCAL_NAMES, "::1") else {secrets.token_urlsafe(24): ""})
+            return cls(host, read_tokens(file), outer)
+        free = host in (*LOCAL_NAMES, "::1") and not outer
+        return cls(host, {} if free else {secrets.token_urlsafe(24): ""}, outer)
+
+    def listens(self, port: int) -> None:
+        """Fill the server's port into the outer addresses."""
+        self.outer = tuple(address.at(port) for address in self.outer)
+
+    def links(self, address: str) -> list[str]:
+        """Addresses to open, with the token where one is needed: this machine's `address`, then those outside."""
+        token = self.unnamed or ("" if self.open else "THEIRS")
+        return [
+            f"{link}{token and f'?token={token}'}"
+            for link in (f"{address}/", *(str(one) for one in self.outer if one.origin))
+        ]
 
     @property
     def unnamed(self) -> str:
@@ -69,25 +85,40 @@ class Access:
     def refusal(self, request: Request) -> Response | None:
         """Refusal of a request; None if allowed.
 
-        The Host must be a name of this machine: a foreign page may point its own name here. A socket, and any other
-        request with an Origin, must come from the page served here.
+        The Host must be a name of this machine or an outer address's: a foreign page may point its own name here. A
+        socket, and any other request with an Origin, must come from the page served here: where a proxy names this
+        machine as Host, from a page of any outer address, else from one of the very address.
         """
         hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
-        host = hosts[0] if len(hosts) == 1 else ""
-        if not self._names(host):
-            return refused(http.HTTPStatus.MISDIRECTED_REQUEST, "This server does not go by that name.")
-        if len(origins) > 1 or (origins and urlsplit(origins[0]).netloc != host):
-            return refused(http.HTTPStatus.FORBIDDEN, "This page belongs to another site.")
+        host, origin = (found[0].lower() if len(found) == 1 else "" for found in (hosts, origins))
+        same = origin.partition("://")[2] == host
+        known = self.name(request) is not None or _token(urlsplit(request.path).query) in self._tokens
+        local, outer = self._names(host), [address for address in self.outer if host in address.hosts]
+        # A foreign page that has pointed its name here has no token for it.
+        local_or_told = local or (known and any(not address.origin for address in self.outer))
+        if not host or not (local_or_told or outer):
+            asked = origin if same else f"https://{host}"
+            return _not_named(
+                http.HTTPStatus.MISDIRECTED_REQUEST, "This server does not go by that name.", request, asked
+            )
+        trusted = {address.origin for address in (self.outer if local else outer)}
+        if origins and not (origin and (origin in trusted or (local_or_told and same))):
+            return _not_named(http.HTTPStatus.FORBIDDEN, "This page belongs to another site.", request, origin)
         if request.headers.get("Sec-Fetch-Site", "same-origin") not in ("same-origin", "none") and not (
             request.headers.get("Sec-Fetch-Mode") == "navigate" and request.headers.get("Sec-Fetch-Dest") == "document"
         ):
             return refused(http.HTTPStatus.FORBIDDEN, "This page belongs to another site.")
-        asked = _token(urlsplit(request.path).query)
-        if self._tokens and self.name(request) is None and asked not in self._tokens:
+        if self._tokens and not known:
             return refused(
                 http.HTTPStatus.UNAUTHORIZED, "A token is needed: open the address that the server has printed."
             )
         return None
+
+    def inside(self, target: str) -> str:
+        """Request target without the path of an outer address, which some proxies leave in it."""
+        path, mark, query = target.partition("?")
+        found = next(filter(None, (address.inside(path) for address in self.outer)), path)
+        return found + mark + query
 
     def entered(self, request: Request) -> Response | None:
         """Redirect from an address with a token to the address without, with the token in a cookie."""
@@ -97,12 +128,16 @@ class Access:
             return None
         kept = urlencode([(k, v) for k, v in parse_qsl(parts.query, keep_blank_values=True) if k != "token"])
         headers = {
-            "Location": "/" + ("?" + kept if kept else ""),
+            # Relative, as are the page's own addresses: a proxy may serve it below a path that is not known here.
+            "Location": "./" + ("?" + kept if kept else ""),
             "Content-Length": "0",
             "Cache-Control": "no-store",
         }
         if token in self._tokens:
-            headers["Set-Cookie"] = f"{COOKIE}={token}; Path=/; HttpOnly; SameSite=Lax"
+            host = request.headers.get("Host", "").lower()
+            secure = any(host in address.hosts and address.origin.startswith("https:") for address in self.outer)
+            # Without a path it is that of the page.
+            headers["Set-Cookie"] = f"{COOKIE}={token}; HttpOnly; SameSite=Lax{'; Secure' * secure}"
         return Response(http.HTTPStatus.FOUND, "Found", Headers(headers), b"")
 
     def name(self, request: Request) -> str | None:
@@ -146,8 +181,19 @@ def _token(query: str) -> str:
 
 
 def refused(status: http.HTTPStatus, text: str) -> Response:
-    """Refusal as a page readable to everybody; `text` is the program's own."""
-    return response(status, REFUSAL.format(text).encode(), ".html", {"Cache-Control": "no-store"})
+    """Refusal as a page readable to everybody."""
+    return response(status, REFUSAL.format(html.escape(text)).encode(), ".html", {"Cache-Control": "no-store"})
+
+
+def _not_named(status: http.HTTPStatus, text: str, request: Request, origin: str) -> Response:
+    """Refusal naming the option for a proxy, with the address by which the request came, where it can be told."""
+    begin = re.split(r"/(?:app/|scene/|\?|$)", request.path, maxsplit=1)[0]
+    path = next(iter(request.headers.get_all("X-Forwarded-Prefix")), begin)
+    try:
+        address = str(outer_address(origin + path))
+    except InputError:
+        address = "https://HOST/PATH/"
+    return refused(status, f"{text} If it is this one behind a proxy, start it with --outer-address {address}")
 
 
 def response(status: http.HTTPStatus, body: bytes, suffix: str = "", more: Mapping[str, str] | None = None) -> Response:

@@ -42,7 +42,7 @@ class Images:
             self._kept.move_to_end(name)
             while self._bytes > KEPT_BYTES and len(self._kept) > 1:
                 self._bytes -= len(self._kept.popitem(last=False)[1])
-        return f"/app/image/{name}"
+        return f"app/image/{name}"
 
     def get(self, name: str) -> bytes | None:
         with self._lock:

@@ -16,6 +16,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
 from functools import partial
 
+import rich
 import viser
 
 from pipeline.answering.frame_store import FrameStore
@@ -86,11 +87,17 @@ def start(
         access.open,
     )
     pages = Pages(shared, access, max_clients)
+    # In a notebook viser's own words are no lines of the standard output.
+    console = rich.get_console()
+    quiet, console.quiet = console.quiet, True
     try:
         with served_by(Site(access, pages, shared)), redirect_stdout(io.StringIO()):
             server = viser.ViserServer(host=host, port=port, label="spatialviz", verbose=False)
     except (OSError, RuntimeError) as error:
         raise InputError(f"cannot listen on {host}:{port}", got=str(error)) from error
+    finally:
+        console.quiet = quiet
+    access.listens(server.get_port())
     close_tunnels(server)
     server.gui.configure_theme(dark_mode=dark is not False, show_logo=False, show_share_button=False)
     server.scene.configure_environment_map(hdri=None)
@@ -195,13 +202,14 @@ def announce(
         "the built-in demo" if source.dataset.root.resolve() == built_in else name for name, source in sources.items()
     )
     print(f"spatialviz: {', '.join(named)} at {address} ({stop} stops)", flush=True)
-    if access.unnamed:
-        address = f"{address}/?token={access.unnamed}"
-        print(f"spatialviz: others reach this machine, so a token is needed: {address}", flush=True)
-    elif not access.open:
-        print(f"spatialviz: everybody opens {address}/?token=THEIRS", flush=True)
+    link, *outside = access.links(address)
+    if not access.open:
+        why = "others may reach it, so a token is needed:" if access.unnamed else "everybody opens"
+        print(
+            f"spatialviz: {why} {link}", *(f"\nspatialviz: from outside: {one}" for one in outside), sep="", flush=True
+        )
     if open_browser and (access.open or access.unnamed):
-        webbrowser.open(address)
+        webbrowser.open(link)
 
 
 def _end_in_order() -> None:

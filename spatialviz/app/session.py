@@ -65,7 +65,7 @@ class PageSession(Part):
             )
         )
         ctx = self.ctx
-        self._scene = Scene(f"/scene/{page_id}/")
+        self._scene = Scene(f"scene/{page_id}/")
         self._asked = tuple[str, ...]()
         self._begun = self._correcting = False
         self._pushed: Place | None = None

@@ -306,6 +306,9 @@ class Site:
             self._files["index.html"] = self._files["index.html"].replace(b'data-given=""', b'data-given="%s"' % given)
         self._scene = gzip.compress(scene_page().replace("</title>", "</title>" + SCENE_STYLE, 1).encode(), 6)
 
+    def inside(self, target: str) -> str:
+        return self._access.inside(target)
+
     async def answer(self, connection: Any, request: Request) -> Response | None:
         refused = self._access.refusal(request)
         if refused is not None:

@@ -99,6 +99,10 @@ class SceneConnection:
 class ConnectionHandler(Protocol):
     """Answers to requests and sockets of a server."""
 
+    def inside(self, target: str) -> str:
+        """Request target as the handler knows it, without what a proxy has put in front."""
+        ...
+
     async def answer(self, connection: Any, request: Request) -> Response | None:
         """Response to a request; None admits a socket."""
         ...
@@ -123,6 +127,7 @@ def served_by(handler: ConnectionHandler | None) -> Iterator[None]:
         async def process_request(connection: Any, request: Request) -> Response | None:
             if handler is None:
                 return connection.respond(http.HTTPStatus.FORBIDDEN, "nobody is served here\n")
+            request.path = handler.inside(request.path)
             # Longer messages close the socket unread.
             connection.protocol.max_message_size = LONGEST_OF_SCENE
             if request.path.startswith("/app/"):

@@ -19,7 +19,7 @@ const without = words => {
 const load = () => {
   const view = byId('view'), able = draws();
   without(able ? '' : NONE);
-  if (able && sceneWindow().location.pathname === view.dataset.path) sceneWindow().location.reload();
+  if (able && sceneWindow().location.pathname === new URL(view.dataset.path, location.href).pathname) sceneWindow().location.reload();
   else if (able) view.src = view.dataset.path;
 };
 

@@ -24,7 +24,7 @@ const id = [...crypto.getRandomValues(new Uint8Array(16))].map(n => n.toString(1
 
 // ---- socket: it retries by itself, and the server sends the page as it is then
 
-let socket = null, wait = 250, waiting = [];
+let socket = null, reached = false, wait = 250, waiting = [];
 const transmit = message => {
   if (socket && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
   else if (message.type === 'command') waiting = [...waiting, message].slice(-20);
@@ -32,8 +32,10 @@ const transmit = message => {
 connect(transmit);
 
 const open = () => {
-  socket = new WebSocket(`${location.protocol === 'https:' ? 'wss' : 'ws'}://${location.host}/app/socket?id=${id}`);
+  // Whatever path a proxy serves the page at.
+  socket = new WebSocket(new URL(`app/socket?id=${id}`, location.href.replace('http', 'ws')));
   socket.onopen = () => {
+    reached = true;
     transmit({type: 'hello', address: location.search.slice(1), author: kept('author'), theme: document.documentElement.dataset.theme});
     for (const message of waiting.splice(0)) transmit(message);
   };
@@ -49,7 +51,8 @@ const open = () => {
   };
   socket.onclose = ({code, reason}) => {
     document.body.classList.add('lost');
-    byId('lost').textContent = code === 1013 && reason ? reason : 'The server does not answer. Trying again …';
+    const proxied = reached ? '' : `Behind a proxy it needs websockets and --outer-address ${location.origin}${location.pathname} `;
+    byId('lost').textContent = code === 1013 && reason ? reason : `The server does not answer. ${proxied}Trying again …`;
     setTimeout(open, wait);
     wait = Math.min(wait * 1.6, 5000);
   };
@@ -57,7 +60,7 @@ const open = () => {
 
 byId('view').addEventListener('load', () => {
   const w = sceneWindow();
-  if (!w || !w.location.pathname.startsWith('/scene/')) return;
+  if (!w || !w.location.pathname.includes('/scene/')) return;
   // viser reconnects only while its own document has the focus.
   w.document.hasFocus = () => true;
   // Keys pressed over the scene mean what they mean over the page.
@@ -248,7 +251,7 @@ calls.toast = ({title, text, bad, undo}) => {
   // Why something was not done stays until it is closed; everything is in the log.
   if (!bad) setTimeout(() => note.remove(), undo ? 6000 : 4000 + 60 * text.length);
 };
-calls.download = ({path, name, copy}) => (copy ? copyPicture : saveFile)(`/app/file/${path}?id=${id}`, name);
+calls.download = ({path, name, copy}) => (copy ? copyPicture : saveFile)(`app/file/${path}?id=${id}`, name);
 
 let working = 0;
 calls.working = text => {

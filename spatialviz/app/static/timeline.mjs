@@ -12,7 +12,7 @@ const NAMES = {
 };
 
 export const frames = {name: '', source: 0, kind: 'depth', read: false, at: 0, count: 0, shares: new Uint8Array(), scenes: [], odd: new Map(), rows: new Map()};
-export const address = n => `/app/frame/${frames.source}/${n}/480.jpg`;
+export const address = n => `app/frame/${frames.source}/${n}/480.jpg`;
 
 let asked = new Set();
 export const want = numbers => {
