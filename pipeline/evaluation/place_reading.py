@@ -161,7 +161,7 @@ def told_reading(text: str) -> PlaceReading:
 
 
 @dataclass(frozen=True)
-class Place:
+class ReadPlace:
     """A place, read."""
 
     box: tuple[
@@ -174,7 +174,7 @@ class Place:
 
 def read_places(
     lines: Sequence[PlacedLine], told: Sequence[PlaceReading] = (), path: Path | None = None
-) -> tuple[list[Place], list[str]]:
+) -> tuple[list[ReadPlace], list[str]]:
     """Places of all lines, and a note for each way of writing.
 
     Raises InputError: two readings fit alike; it names the option that tells.
@@ -191,7 +191,7 @@ def read_places(
             lines[k] = replace(line, place=p)
         shares = p.shares and way not in decimal
         groups.setdefault((*way, len(p.values), shares, p.fixed, p.order), []).append(k)
-    found: dict[int, Place] = {}
+    found: dict[int, ReadPlace] = {}
     notes, units = list[str](), dict[str, str]()
     for key, members in sorted(groups.items(), key=lambda item: -len(item[1])):
         chosen, note = _decided([lines[k] for k in members], key[3], told, units.get(key[0], ""), path)
@@ -202,7 +202,7 @@ def read_places(
         for k in members:
             values = lines[k].place.values[: 2 if reading.point else 4]
             written = f"{', '.join(f'{v:g}' for v in values)} as {reading.words}"
-            found[k] = Place(reading.box(values, lines[k].size), reading.point, written, reading)
+            found[k] = ReadPlace(reading.box(values, lines[k].size), reading.point, written, reading)
     return [found[k] for k in range(len(lines))], notes
 
 

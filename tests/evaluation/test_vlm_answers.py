@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.evaluation.model_answers import box_numbers, parse_yes_no, spoken_part
-from pipeline.evaluation.place_reading import Place, PlacedLine, read_places, told_reading
+from pipeline.evaluation.place_reading import PlacedLine, ReadPlace, read_places, told_reading
 from pipeline.evaluation.written_places import written_place
 
 
-def read_box(text: str, told: str = "", size: tuple[int, int] = (640, 480)) -> Place | None:
+def read_box(text: str, told: str = "", size: tuple[int, int] = (640, 480)) -> ReadPlace | None:
     """The place of one answer, of which nothing else is known; None for none."""
     place = written_place(spoken_part(text)[0])
     if place is None:

@@ -29,7 +29,7 @@ from pipeline.answering.predictions import Header, PredictedAnswer, Prediction
 from pipeline.datasets.frame_names import Picture
 from pipeline.evaluation.adapters.published import PredictionFormat, Published
 from pipeline.evaluation.model_answers import parse_yes_no, spoken_part
-from pipeline.evaluation.place_reading import Place, PlacedLine, read_places
+from pipeline.evaluation.place_reading import PlacedLine, ReadPlace, read_places
 from pipeline.evaluation.written_places import written_place
 from pipeline.system.errors import InputError, needed, require
 from pipeline.system.limits import current_limits
@@ -125,7 +125,7 @@ def _lines(fields: Fields, published: Published, content: Content) -> Iterator[P
     yield from read
 
 
-def _answered(line: Prediction, place: Place) -> Prediction:
+def _answered(line: Prediction, place: ReadPlace) -> Prediction:
     """A line with its place; beyond the picture it is none, cut at the edge where it goes on slightly."""
     x0, y0, x1, y1 = place.box
     if max(x0, y0) > 1 + OVERSHOOT or min(x1, y1) < -OVERSHOOT:
