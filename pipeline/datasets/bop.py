@@ -46,6 +46,8 @@ class BopDataset(Recording):
     """
 
     format = "bop"
+    many_masks = True
+    again = r"(.*/)?(scene_gt(_info)?\.json|mask(_visib)?/.*)"
     one_size = True
 
     def __init__(self, root: Path, settings: Settings) -> None:

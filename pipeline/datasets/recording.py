@@ -77,6 +77,8 @@ class Recording:
 
     format = ""
     rule = DepthRule()
+    many_masks = False
+    """Whether the annotations of a frame are many pictures, which `again` names and nobody reads to look through."""
     again = ""
     """Pattern of files of the format that say what others say, by their paths: they need not be read."""
     one_size = False
@@ -142,7 +144,7 @@ class Recording:
     def look_through(self, frame_id: str) -> list[Path]:
         """Read what stands beside the pictures of a frame, and name these, which are not decoded."""
         found = self._listed(frame_id, [])
-        if found.annotate is not None:
+        if found.annotate is not None and not self.many_masks:
             found.annotate((1, 1), [])
         return [blob for blob in (found.color, found.depth, found.valid) if isinstance(blob, Path)]
 
