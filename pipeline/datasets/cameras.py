@@ -111,7 +111,7 @@ def is_small(path: Path) -> bool:
 
 def read_stated(path: Blob) -> Stated:
     """Read the camera facts of a file; InputError where it is of several cameras that differ."""
-    table = dict(_named_numbers(path))
+    table = dict(named_numbers(path))
     cameras = {where: K for where in _places(table) if (K := stated_in(_inside(table, where)).K) is not None}
     several = [where for where, K in cameras.items() if not np.allclose(K, next(iter(cameras.values())), atol=0.5)]
     require(
@@ -211,7 +211,8 @@ def _matrix(numbers: np.ndarray) -> np.ndarray | None:
     """Intrinsics (3, 3) of 4, 9, 12 or 16 numbers, row- or column-major; else None."""
     if numbers.size == 4:
         fx, fy, cx, cy = numbers.tolist()
-        return intrinsics(fx, fy, cx, cy) if min(fx, fy) > 1 else None
+        # A negative fy, as ICL-NUIM's, is a camera's, which is told where it is used.
+        return intrinsics(fx, fy, cx, cy) if min(fx, abs(fy)) > 1 else None
     if numbers.size not in (9, 12, 16):
         return None
     M = numbers.reshape({9: (3, 3), 12: (3, 4), 16: (4, 4)}[numbers.size])[:3, :3]
@@ -222,7 +223,8 @@ def _matrix(numbers: np.ndarray) -> np.ndarray | None:
     return None
 
 
-def _named_numbers(path: Blob) -> Iterator[tuple[str, np.ndarray]]:
+def named_numbers(path: Blob) -> Iterator[tuple[str, np.ndarray]]:
+    """Numbers and lists of at most 16 of a camera file, by dotted name; InputError where it cannot be read."""
     suffix = PurePath(path.name).suffix.lower()
     if suffix == ".mat":
         tables = read_mat(path, *_MAT_NAMES)

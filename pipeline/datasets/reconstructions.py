@@ -27,16 +27,15 @@ from pipeline.datasets.cameras import (
     stated_in,
 )
 from pipeline.datasets.colmap_binary import read_cameras, read_images
-from pipeline.datasets.files import as_floats, leaves, name_inside, numbered_lines, read_json, readable
+from pipeline.datasets.files import as_floats, goes_up, leaves, name_inside, numbered_lines, read_json, readable
+from pipeline.datasets.frame_poses import OPENCV_OF_OPENGL
 from pipeline.datasets.images import INTEGER_DEPTH_SUFFIXES, picture_size
-from pipeline.datasets.pairing import choose_naming, files_in_roles
+from pipeline.datasets.pairing import choose_naming, files_in_roles, role_of
 from pipeline.datasets.recording import DepthRule, Listed, Recording
 from pipeline.datasets.settings import OR_ESTIMATED, Settings
 from pipeline.geometry.camera import intrinsics
 from pipeline.system.errors import InputError, needed, require
 
-OPENCV_OF_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
-"""From OpenCV's camera frame to OpenGL's: y and z are turned round."""
 TRANSFORMS = "transforms.json"
 INTEGER_DEPTH = "integer_depth_scale"
 MODEL_FOLDERS = (
@@ -51,6 +50,9 @@ MODEL_FOLDERS = (
     "dense/0/sparse",
     "distorted/sparse/0",
 )
+DEPTH_MAPS = "stereo/depth_maps"
+DENSE = ("", "dense", "dense/0")
+"""Where a dense workspace of COLMAP may be: what `image_undistorter` makes, with pictures and a model of its own."""
 FOCALS = {"SIMPLE_PINHOLE": 1, "SIMPLE_RADIAL": 1, "RADIAL": 1, "SIMPLE_RADIAL_FISHEYE": 1, "RADIAL_FISHEYE": 1}
 """How many focal lengths a camera model of COLMAP has, where it is not two; then cx cy and the lens follow."""
 
@@ -114,13 +116,14 @@ class PosedPictures(Recording):
 
 class NerfstudioDataset(PosedPictures):
     """Pictures of `transforms.json`: camera-to-world poses of OpenGL cameras, depth in millimetres. Its world has z up
-    by the makers' convention, which reconstructions keep only roughly: it is not declared."""
+    by the makers' convention, which reconstructions keep only roughly: it is not declared. The file may stand in a
+    folder of the opened one and name pictures in another."""
 
     format = "nerfstudio"
     rule = DepthRule(1000.0, "nerfstudio's")
 
     def _list(self) -> dict[str, PosedPicture]:
-        self.source = self.root / TRANSFORMS
+        self.source = self.root / (_transforms(self.root) or TRANSFORMS)
         table = read_json(self.source)
         frames = table.get("frames")
         if not isinstance(frames, list):
@@ -131,12 +134,12 @@ class NerfstudioDataset(PosedPictures):
         for number, frame in enumerate(frames):
             path = frame.get("file_path") if isinstance(frame, Mapping) else None
             require(isinstance(path, str), f"frame {number} names no file", path=self.source)
-            color = os.path.normpath(name_inside(f"{path}", self.source, number))
-            elsewhere |= leaves(f"{path}")
+            color = os.path.normpath(self._inside(f"{path}", number))
+            elsewhere |= leaves(f"{path}") and not goes_up(f"{path}")
             stem, suffix = os.path.splitext(os.path.basename(color))
             color = color if suffix else f"{color}.png"
             depth = next((frame[key] for key in ("depth_file_path", "depth_path") if frame.get(key)), None)
-            depth = None if depth is None else name_inside(str(depth), self.source, number)
+            depth = None if depth is None else self._inside(str(depth), number)
             own = {k: v for k, v in frame.items() if k not in ("transform_matrix", "file_path", "depth_file_path")}
             frame_id = stem if stem not in found else f"{os.path.basename(os.path.dirname(color))}/{stem}"
             table = {**shared, **own}
@@ -151,6 +154,33 @@ class NerfstudioDataset(PosedPictures):
         if elsewhere:
             self.notes += (f"absolute paths of {TRANSFORMS} are looked for in this folder by their last parts",)
         return found if any(entry.depth for entry in found.values()) else self._with_depths(found)
+
+    def _inside(self, name: str, number: int) -> str:
+        """A file as `transforms.json` names it, relative to the opened folder; InputError where it lies outside."""
+        place = os.path.relpath(self.source.parent, self.root)
+        if not goes_up(name):
+            return os.path.join(place, name_inside(name, self.source, number))
+        whole = os.path.normpath(os.path.join(place, name.replace("\\", "/")))
+        above = "" if whole.startswith("../..") else f", or the folder above both opened: {self.root.resolve().parent}"
+        require(
+            not goes_up(whole),
+            f"frame {number} names a file outside the dataset, above its folder",
+            got=repr(name[:80]),
+            expected=f"pictures in the opened folder{above}",
+            path=self.source,
+        )
+        return name_inside(whole, self.root / TRANSFORMS, number)
+
+
+def _transforms(root: Path) -> str | None:
+    """Path of `transforms.json` relative to a folder: in it, or in the only folder of it that has one, where that names
+    pictures outside its own."""
+    if os.path.isfile(root / TRANSFORMS):
+        return TRANSFORMS
+    inside = [f"{name}/{TRANSFORMS}" for name in readable(root)[0] if os.path.isfile(root / name / TRANSFORMS)]
+    frames = (or_note([], "", read_json, root / inside[0]) or {}).get("frames") if len(inside) == 1 else None
+    first = frames[0] if isinstance(frames, list) and frames else None
+    return inside[0] if isinstance(first, Mapping) and goes_up(str(first.get("file_path"))) else None
 
 
 def _integer_depth(table: Mapping[str, Any], source: Path) -> float | None:
@@ -187,14 +217,17 @@ def _opengl_pose(pose: Any, source: Path) -> np.ndarray:
 class ColmapDataset(PosedPictures):
     """Pictures of a COLMAP model, `cameras` and `images` as `.txt` or `.bin`; their poses are world-to-camera.
 
-    The length of the model's unit is whatever the reconstruction took it for: the poses are right up to scale.
+    The length of the model's unit is whatever the reconstruction took it for: the poses are right up to scale. Without
+    a folder of depth it is that of the dense workspace, `stereo/depth_maps/NAME.geometric.bin` or `.photometric.bin`,
+    in the model's unit; see https://colmap.github.io/format.html, *Dense Reconstruction*.
     """
 
     format = "colmap"
-    again = r"(.*/)?(cameras|images|points3D|rigs|frames|project)\.(bin|txt|ini|ply)"
+    again = r"(.*/)?(cameras|images|points3D|rigs|frames|project)\.(bin|txt|ini|ply)|(dense/(0/)?)?stereo/.*\.(cfg|bin)"
 
     def _list(self) -> dict[str, PosedPicture]:
         folder = needed(_model(self.root), "no COLMAP model", path=self.root)
+        self._dense = _workspace(self.root)
         cameras: dict[str, Sequence[str]] = {}
         if (folder / "images.txt").is_file():
             self.source = folder / "images.txt"
@@ -217,15 +250,29 @@ class ColmapDataset(PosedPictures):
             stem = os.path.splitext(os.path.basename(color))[0]
             frame_id = stem if stem not in found else name
             camera = partial(_colmap_camera, cameras.get(words[8]), self.source)
-            found[frame_id] = PosedPicture(color, None, camera, partial(_colmap_pose, words[1:8], self.source))
+            found[frame_id] = PosedPicture(
+                color, self._map(name), camera, partial(_colmap_pose, words[1:8], self.source)
+            )
         self.lens = any(len(words) > 3 and not words[0].endswith("PINHOLE") for words in cameras.values())
-        self.notes += ("the poses' scale is the reconstruction's own, which need not be metres",)
-        return self._with_depths(dict(sorted(found.items())))
+        entries = dict(sorted(found.items()))
+        what = "poses' scale is" if self._dense is None else "scale of poses and depth is"
+        self.notes += (f"the {what} the reconstruction's own, which need not be metres",)
+        if self._dense is None:
+            return self._with_depths(entries)
+        self.rule = DepthRule(1.0, "the model's")
+        return entries
+
+    def _map(self, name: str) -> str | None:
+        """The depth map of a picture in the dense workspace, relative to the dataset."""
+        start = os.path.join(self._dense or "", DEPTH_MAPS, name)
+        maps = (f"{start}.{kind}.bin" for kind in ("geometric", "photometric"))
+        return None if self._dense is None else next((m for m in maps if os.path.isfile(self.root / m)), None)
 
     def _folder(self, name: str) -> str:
         """Folder of a picture, relative to the dataset."""
         folders = ("images", "color", "rgb", "")
-        return next((folder for folder in folders if os.path.isfile(self.root / folder / name)), "images")
+        places = [os.path.join(self._dense or "", folder) for folder in folders]
+        return next((place for place in places if os.path.isfile(self.root / place / name)), places[0])
 
 
 def _colmap_camera(camera: Sequence[str] | None, source: Path, picture: Path) -> Stated:
@@ -251,8 +298,16 @@ def half_pixel(K: np.ndarray, size: tuple[int, int] | None, path: Path) -> State
     return Stated(K, size, path=path)
 
 
+def _workspace(root: Path) -> str | None:
+    """The dense workspace in a folder, relative to it; None where there is none, or a folder of depth beside it."""
+    if any(role_of(folder)[0] == "depth" for folder in readable(root)[0]):
+        return None
+    return next((place for place in DENSE if os.path.isdir(root / place / DEPTH_MAPS)), None)
+
+
 def _model(root: Path) -> Path | None:
-    folders = (root / name for name in MODEL_FOLDERS)
+    """Folder of the model, first of the dense workspace, whose pictures and cameras are its own."""
+    folders = [root / name for name in (os.path.join(_workspace(root) or "", "sparse"), *MODEL_FOLDERS)]
     kinds = ({"cameras.txt", "images.txt"}, {"cameras.bin", "images.bin"})
     return next((f for f in folders for names in kinds if names <= set(readable(f)[1])), None)
 
@@ -260,7 +315,7 @@ def _model(root: Path) -> Path | None:
 NERFSTUDIO = DatasetFormat(
     "nerfstudio",
     f"nerfstudio: {TRANSFORMS} with depth files",
-    lambda root: (root / TRANSFORMS).is_file(),
+    lambda root: _transforms(root) is not None,
     NerfstudioDataset,
 )
 COLMAP = DatasetFormat(
