@@ -42,7 +42,7 @@ from pipeline.datasets.pairing import (
 )
 from pipeline.datasets.recording import Listed, Recording, beyond_metres
 from pipeline.datasets.settings import Settings
-from pipeline.datasets.trajectories import NAMES, Trajectory, read_trajectory
+from pipeline.datasets.trajectories import NAMES, Trajectory, path_in, read_trajectory
 from pipeline.geometry.frame import Annotation
 from pipeline.geometry.masks import mask_box
 from pipeline.language.counted import counted
@@ -366,17 +366,27 @@ def _by_fields(root: Path, known: Stated, read: set[str], camera: bool) -> State
 
 
 def _along_path(files: Files, keys: list[Key]) -> tuple[dict[Key, PoseText], str | None]:
-    """Poses of the format's camera path, or of the one file beside the pictures that is called like one."""
-    names = files.of("path") or [name for name in readable(files.root)[1] if NAMES.fullmatch(name)]
-    if len(names) != 1:
-        return {}, f"more than one camera path: {', '.join(names[:4])}" if names else None
-    path = files.root / names[0]
-    problems: list[str] = []
-    found = or_note(problems, f"{names[0]}: ", read_trajectory, path)
-    rows = found and or_note(problems, f"{names[0]}: ", found.rows_of, [key[-1] if key else "" for key in keys])
+    """Poses of the format's camera path, of the one file beside the pictures that is called like one, or of a camera
+    file with a matrix for each frame."""
+    names, problems = (
+        files.of("path") or [name for name in readable(files.root)[1] if NAMES.fullmatch(name)],
+        list[str](),
+    )
+    if len(names) > 1:
+        return {}, f"more than one camera path: {', '.join(names[:4])}"
+    if names:
+        found = or_note(problems, f"{names[0]}: ", read_trajectory, files.root / names[0])
+    else:
+        cameras = [files.root / name for name in files.of("camera")[:MOST_CAMERA_FILES] if is_small(files.root / name)]
+        found = next(filter(None, (or_note([], "", path_in, path) for path in cameras)), None)
+    if found is None:
+        return {}, problems[0] if problems else None
+    if not names and not set(found.frames) & set(numbers):
+        return {}, f"{found.path.name}: its poses are of other frames, {found.frames[0]} for one"
+    rows = or_note(problems, f"{found.path.name}: ", found.rows_of, numbers)
     if not rows:
         return {}, problems[0]
-    return {key: (path, found, row) for key, row in zip(keys, rows, strict=True) if row is not None}, None
+    return {key: (found.path, found, row) for key, row in zip(keys, rows, strict=True) if row is not None}, None
 
 
 FORMAT = DatasetFormat(

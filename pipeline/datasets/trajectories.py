@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.datasets.cameras import pose_from_matrix, pose_from_quaternion
+from pipeline.datasets.cameras import named_numbers, pose_from_matrix, pose_from_quaternion
 from pipeline.datasets.files import as_floats, numbered_lines, read_bytes
 from pipeline.datasets.stamps import ROUNDING, WITHIN, as_seconds, nearest
 from pipeline.system.errors import InputError, require
@@ -67,6 +67,21 @@ class Trajectory:
         if all(number.isdecimal() for number in numbers) and max(map(int, numbers)) < len(self.rows):
             return [int(number) for number in numbers]
         raise InputError(f"{len(self.rows)} poses for {len(numbers)} frames", path=self.path)
+
+
+def path_in(path: Path) -> Trajectory | None:
+    """Read the camera path in a file of named numbers: matrices under the numbers of frames, such as "0007"; None where
+    it holds fewer than two.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read.
+    """
+    named = [(key.rpartition(".")[2], values) for key, values in named_numbers(path) if values.size in MATRIX_SIZES]
+    found = {numbers[-1]: values for key, values in named if (numbers := re.findall("[0-9]+", key))}
+    frames = tuple(number.lstrip("0") or "0" for number in found)
+    return Trajectory(path, tuple(found.values()), frames) if len(set(frames)) == len(named) > 1 else None
 
 
 def read_trajectory(path: Path) -> Trajectory:

@@ -55,6 +55,28 @@ def test_the_pose_of_a_frames_own_json_is_read_and_told(tmp_path: Path, key: str
     assert not any("not read" in note for note in dataset_notes(dataset))
 
 
+@pytest.mark.parametrize("inside", ["", "poses"])
+def test_a_camera_file_may_hold_a_pose_for_each_frame(tmp_path: Path, inside: str) -> None:
+    """K, and a matrix under each frame's name, as exercises made with Blender have them."""
+    made = truths(3)
+    for number, truth in enumerate(made):
+        write_png(tmp_path / f"color/{number:04d}.png", truth.rgb)
+        write_png(tmp_path / f"depth/{number:04d}.png", truth.millimetres)
+    poses = {f"{number:04d}": truth.T_world_camera.tolist() for number, truth in enumerate(made)}
+    table = {"K": K.tolist(), **({inside: poses} if inside else poses)}
+    (tmp_path / "camera.json").write_text(json.dumps(table))
+    dataset = open_dataset(tmp_path, depth_scale=1000.0)
+    for frame_id, truth in zip(dataset.frame_ids, made, strict=True):
+        assert np.allclose(dataset.load(frame_id).camera.T_world_camera, truth.T_world_camera)
+    assert any("poses are those of camera.json, taken for camera-to-world" in note for note in dataset_notes(dataset))
+    # Numbers of other frames are no poses of these.
+    others = {f"9{name}": matrix for name, matrix in poses.items()}
+    (tmp_path / "camera.json").write_text(json.dumps({"K": K.tolist(), **others, "88": np.eye(4).tolist()}))
+    frame = open_dataset(tmp_path, depth_scale=1000.0).load("0000")
+    assert frame.camera.T_world_camera is None
+    assert "no camera pose: camera.json: its poses are of other frames, 90000 for one" in frame.notes
+
+
 def test_a_frames_own_camera_is_its_own(tmp_path: Path) -> None:
     made = truths(2)
     write_frames(tmp_path, made, "c2w", [truth.T_world_camera for truth in made])
