@@ -111,7 +111,7 @@ def is_small(path: Path) -> bool:
 
 def read_stated(path: Blob) -> Stated:
     """Read the camera facts of a file; InputError where it is of several cameras that differ."""
-    table = dict(_named_numbers(path))
+    table = dict(named_numbers(path))
     cameras = {where: K for where in _places(table) if (K := stated_in(_inside(table, where)).K) is not None}
     several = [where for where, K in cameras.items() if not np.allclose(K, next(iter(cameras.values())), atol=0.5)]
     require(
@@ -222,7 +222,8 @@ def _matrix(numbers: np.ndarray) -> np.ndarray | None:
     return None
 
 
-def _named_numbers(path: Blob) -> Iterator[tuple[str, np.ndarray]]:
+def named_numbers(path: Blob) -> Iterator[tuple[str, np.ndarray]]:
+    """Numbers and lists of at most 16 of a camera file, by dotted name; InputError where it cannot be read."""
     suffix = PurePath(path.name).suffix.lower()
     if suffix == ".mat":
         tables = read_mat(path, *_MAT_NAMES)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -22,6 +23,7 @@ from pipeline.datasets.cameras import (
     stated_in_files,
 )
 from pipeline.datasets.files import as_floats, numbered_lines, read_matrix, readable
+from pipeline.datasets.frame_poses import NamedPose, pose_named, rigid_matrices
 from pipeline.datasets.images import INTEGER_DEPTH_SUFFIXES, read_numbers
 from pipeline.datasets.pairing import (
     COLOR_SUFFIXES,
@@ -84,11 +86,14 @@ MOST_CAMERA_FILES = 20
 """So many files that may speak of the camera are read."""
 
 
-PoseText = tuple[Path, str | Trajectory | None, int]
-"""A file with a 4x4 matrix; `pose.txt` and a line of it; or a camera path, its lines and the number of one."""
+PoseText = tuple[Path, str | Trajectory | NamedPose | None, int]
+"""A file with a 4x4 matrix; one and the key of its pose; `pose.txt` and a line of it; or a camera path, its lines and
+the number of one."""
 
 
-def _read_pose(path: Path, line: str | Trajectory | None, row: int = 0) -> np.ndarray:
+def _read_pose(path: Path, line: str | Trajectory | NamedPose | None, row: int = 0) -> np.ndarray:
+    if isinstance(line, NamedPose):
+        return line.read(path)
     if line is None:
         return pose_from_matrix(read_matrix(path, 4, 4))
     if isinstance(line, Trajectory):
@@ -110,6 +115,7 @@ class SceneFolder:
     pose_problem: str | None = None  # Why there are none although there is a file
     timed: bool = False  # Whether colour and depth belong together by nearest time
     keyed: bool = False  # Whether the format names the frames by their keys
+    left: tuple[str, ...] = ()  # What a file of a frame holds that may be a pose and was not read
 
     @classmethod
     def of(cls, files: Files, known: bool, naming: Naming | None = None) -> SceneFolder:
@@ -125,14 +131,21 @@ class SceneFolder:
         require(pairs, "there is neither a colour picture nor depth", cause="was it unpacked to the end?", path=root)
         keys = {pair.key for pair in pairs}
         each = {role: {naming(name): name for name in files.of(role)} for role in ("camera", "label", "valid")}
-        stated = NOTHING
-        if not keys & each["camera"].keys():
+        stated, cameras = NOTHING, {key: name for key, name in each["camera"].items() if key in keys}
+        own = {} if keyed else cameras or _beside(root, pairs)
+        if not cameras and own and _told(root / next(iter(own.values()))).K is not None:
+            cameras = own
+        if not cameras:
             stated = stated_in_files((root / name for name in files.of("camera")[:MOST_CAMERA_FILES]), known)
-            if stated.K is None and not known and not keyed:
-                stated = _by_fields(root, stated)
+        if not keyed and (stated.units_per_metre is None or stated.K is None):
+            read = {*own.values(), *files.of("camera")}
+            stated = _by_fields(root, stated, read, not known and not cameras and stated.K is None)
         poses, problem = _poses(files, naming, [pair.key for pair in pairs])
-        each_role = each["camera"], each["valid"], each["label"]
-        return cls(files, pairs, stated, *each_role, poses, problem, isinstance(naming, ByTime), keyed)
+        left: tuple[str, ...] = ()
+        if not poses and own:
+            poses, problem, left = _named_poses(root, own, problem)
+        each_role = cameras, each["valid"], each["label"]
+        return cls(files, pairs, stated, *each_role, poses, problem, isinstance(naming, ByTime), keyed, left)
 
     def camera(self, key: Key) -> Stated:
         """Camera facts of a frame."""
@@ -184,9 +197,13 @@ class FolderDataset(Recording):
             self._names = read_label_names(root) or self.names
             self.class_names = tuple(dict.fromkeys(self._names.values())) or ("object",)
         texts = [text for scene in self._scenes.values() for text in scene.poses.values()]
-        paths = (path for path, line, _ in texts if isinstance(line, Trajectory) and self.format == "folder")
-        for path in dict.fromkeys(paths):
-            self.notes += (f"poses are those of {path.name}, taken for camera-to-world: --poses tells another way",)
+        self._arkit = any(isinstance(line, NamedPose) and line.arkit for _, line, _ in texts)
+        if self.format in ("folder", "pictures"):
+            told: dict[object, str] = {}
+            for path, line, _ in texts:
+                told.setdefault(line.key if isinstance(line, NamedPose) else path, _taken(path, line))
+            left = (f"not read: {', '.join(scene.left)}" for scene in self._scenes.values() if scene.left)
+            self.notes += (*filter(None, told.values()), *left)
         if any(scene.timed for scene in self._scenes.values()):
             self.notes += ("colour and depth are paired by nearest time, within 20 ms: no two have the same",)
         if valid := next((name for scene in self._scenes.values() for name in scene.valid.values()), None):
@@ -218,7 +235,7 @@ class FolderDataset(Recording):
 
     def _up(self, pose: np.ndarray | None) -> np.ndarray | None:
         """Up vector, camera frame, of the layout's world; None for plain layouts."""
-        return None
+        return None if pose is None or not self._arkit else pose[1, :3]
 
     def _check(self) -> None:
         """Ask for a camera or a unit that nothing tells, by the first frame of each scene and file endings."""
@@ -277,20 +294,58 @@ def _poses(files: Files, naming: Naming, keys: list[Key]) -> tuple[dict[Key, Pos
     return {}, f"pose.txt has {len(lines)} lines for {len(keys)} frames"
 
 
-def _by_fields(root: Path, known: Stated) -> Stated:
-    """The camera of the only files beside the pictures that name its numbers, whatever they are called."""
-    names = [n for n in readable(root)[1] if n.lower().endswith(NAMED_NUMBERS) and is_small(root / n)]
+def _taken(path: Path, line: str | Trajectory | NamedPose | None) -> str:
+    """A note of what poses are taken for, where it is not this layout's own."""
+    if isinstance(line, Trajectory):
+        return f"poses are those of {path.name}, taken for camera-to-world: --poses tells another way"
+    if not isinstance(line, NamedPose):
+        return ""
+    return f"poses are {line.key} of {path.name} and its like, taken for {line.words}; `doctor` tries others"
+
+
+def _beside(root: Path, pairs: list[Pair]) -> dict[Key, str]:
+    """The JSON of each frame under its picture's name, where the first tells a camera or a pose."""
+    names = [(pair.key, os.path.splitext(pair.color_name)[0] + ".json") for pair in pairs if pair.color_name]
+    folders = {os.path.dirname(name) for _, name in names}
+    there = {os.path.join(folder, name) for folder in folders for name in readable(root / folder)[1]}
+    found = {key: name for key, name in names if name in there}
+    for path in [root / name for name in found.values()][:1]:
+        if not is_small(path) or (_told(path).K is None and or_note([], "", pose_named, path) is None):
+            without_use(path)
+            return {}
+    return found
+
+
+def _told(path: Path) -> Stated:
+    """What a file tells of the camera; nothing where it cannot be read."""
+    return or_note([], "", read_stated, path) or NOTHING
+
+
+def _named_poses(
+    root: Path, own: Mapping[Key, str], problem: str | None
+) -> tuple[dict[Key, PoseText], str | None, tuple[str, ...]]:
+    """Poses that the files of frames name; the reason for missing ones; and what may be a pose in them, where none is
+    named."""
+    first = root / next(iter(own.values()))
+    if (named := or_note([], "", pose_named, first)) is not None:
+        return {key: (root / name, named, 0) for key, name in own.items()}, None, ()
+    return {}, problem, tuple(f"{key} of {first.name}" for key in or_note([], "", rigid_matrices, first) or ())
+
+
+def _by_fields(root: Path, known: Stated, read: set[str], camera: bool) -> Stated:
+    """What the files beside the pictures, but for those that were `read`, tell by the names of their numbers, whatever
+    they are called: the depth's unit, and the camera where it is asked for."""
+    names = [n for n in readable(root)[1] if n.lower().endswith(NAMED_NUMBERS) and n not in read and is_small(root / n)]
     found: list[Path] = []
+    units = known.units_per_metre
     for name in names[:MOST_CAMERA_FILES]:
-        stated = or_note([], "", read_stated, root / name) or NOTHING
-        if stated.named:
+        stated = _told(root / name)
+        if camera and stated.named:
             found.append(root / name)
-        else:
+        elif stated.units_per_metre is None or units is not None:
             without_use(root / name)
-    if not found:
-        return known
-    stated = stated_in_files(found)
-    return replace(stated, units_per_metre=known.units_per_metre or stated.units_per_metre)
+        units = units or stated.units_per_metre
+    return replace(stated_in_files(found) if found else known, units_per_metre=units)
 
 
 def _along_path(files: Files, keys: list[Key]) -> tuple[dict[Key, PoseText], str | None]:

@@ -28,6 +28,7 @@ from pipeline.datasets.cameras import (
 )
 from pipeline.datasets.colmap_binary import read_cameras, read_images
 from pipeline.datasets.files import as_floats, leaves, name_inside, numbered_lines, read_json, readable
+from pipeline.datasets.frame_poses import OPENCV_OF_OPENGL
 from pipeline.datasets.images import INTEGER_DEPTH_SUFFIXES, picture_size
 from pipeline.datasets.pairing import choose_naming, files_in_roles
 from pipeline.datasets.recording import DepthRule, Listed, Recording
@@ -35,8 +36,6 @@ from pipeline.datasets.settings import OR_ESTIMATED, Settings
 from pipeline.geometry.camera import intrinsics
 from pipeline.system.errors import InputError, needed, require
 
-OPENCV_OF_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
-"""From OpenCV's camera frame to OpenGL's: y and z are turned round."""
 TRANSFORMS = "transforms.json"
 INTEGER_DEPTH = "integer_depth_scale"
 MODEL_FOLDERS = (
