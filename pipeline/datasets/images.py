@@ -21,7 +21,7 @@ from pipeline.datasets.files import CUT_OFF, Blob, Part, read_bytes, shortened
 from pipeline.system import safe_files
 from pipeline.system.errors import InputError, as_input_error, needed, require
 
-DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".exr", ".npy", ".npz")
+DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".exr", ".npy", ".npz", ".pfm")
 INTEGER_DEPTH_SUFFIXES = (".png", ".pgm")
 
 _MAGIC = {
@@ -35,7 +35,13 @@ _MAGIC = {
     b"\x93NUMPY": "npy",
     b"PK\x03\x04": "npz",
 }
-_ARRAYS = ("exr", "npy", "npz")
+_HEADS = {
+    "pfm": re.compile(rb"Pf\s+(?P<width>[0-9]{1,6})\s+(?P<height>[0-9]{1,6})\s+(?P<scale>-?[0-9.eE+]{1,20})\s"),
+    "colmap": re.compile(rb"(?P<width>[0-9]{1,6})&(?P<height>[0-9]{1,6})&1&"),
+}
+"""The heads of floats without a frame: PFM, http://netpbm.sourceforge.net/doc/pfm.html, whose scale below 0 means that
+they are little-endian; and arrays of COLMAP, `scripts/python/read_write_dense.py`."""
+_ARRAYS = ("exr", "npy", "npz", *_HEADS)
 """Kinds that hold numbers and no picture."""
 
 
@@ -165,9 +171,11 @@ def read_stored(path: Blob, rotated: int = 0) -> np.ndarray:
 
 
 def _decode_depth(data: bytes, path: Blob) -> np.ndarray:
-    kind = _checked(data, path, "png, pgm, tiff, exr, npy or npz")
+    kind = _checked(data, path, "png, pgm, tiff, exr, npy, npz or pfm")
     if kind in ("npy", "npz"):
         return _decode_numpy(data, path)
+    if kind in _HEADS:
+        return _decode_floats(data, kind, path)
     return _decode_exr(data, path) if kind == "exr" else _decode(data, kind, path, cv2.IMREAD_UNCHANGED)
 
 
@@ -199,8 +207,9 @@ def picture_size(path: Path) -> tuple[int, int] | None:
 
 def _checked(data: bytes, path: Blob, expected: str) -> str:
     """Kind of a complete image file."""
+    known = (name for magic, name in _MAGIC.items() if data.startswith(magic))
     kind = needed(
-        next((name for magic, name in _MAGIC.items() if data.startswith(magic)), None),
+        next(known, None) or next((name for name, head in _HEADS.items() if head.match(data)), None),
         "not an image that can be read",
         got=f"a file that begins with {data[:8]!r}",
         expected=f"a {expected}",
@@ -296,6 +305,18 @@ def _decode_numpy(data: bytes, path: Blob) -> np.ndarray:
             require(len(names) == 1, "an NPZ without one array of depth", got=", ".join(array.files), path=path)
             array = array[names[0]]
     return np.asarray(array)
+
+
+def _decode_floats(data: bytes, kind: str, path: Blob) -> np.ndarray:
+    """Array (H, W) of floats behind one of `_HEADS`. PFM has the bottom row first."""
+    head = needed(_HEADS[kind].match(data), f"a {kind} without a head", path=path)
+    shape = int(head["height"]), int(head["width"])
+    rest = data[head.end() :]
+    whole = 4 * shape[0] * shape[1]
+    require(len(rest) == whole, f"a {kind} of a wrong size", got=len(rest), expected=whole, cause=CUT_OFF, path=path)
+    big = kind == "pfm" and not head["scale"].startswith(b"-")
+    stored = np.frombuffer(rest, ">f4" if big else "<f4").reshape(shape).astype(np.float32)
+    return stored[::-1] if kind == "pfm" else stored
 
 
 def _decode_exr(data: bytes, path: Blob) -> np.ndarray:

@@ -30,7 +30,7 @@ from pipeline.datasets.colmap_binary import read_cameras, read_images
 from pipeline.datasets.files import as_floats, leaves, name_inside, numbered_lines, read_json, readable
 from pipeline.datasets.frame_poses import OPENCV_OF_OPENGL
 from pipeline.datasets.images import INTEGER_DEPTH_SUFFIXES, picture_size
-from pipeline.datasets.pairing import choose_naming, files_in_roles
+from pipeline.datasets.pairing import choose_naming, files_in_roles, role_of
 from pipeline.datasets.recording import DepthRule, Listed, Recording
 from pipeline.datasets.settings import OR_ESTIMATED, Settings
 from pipeline.geometry.camera import intrinsics
@@ -50,6 +50,9 @@ MODEL_FOLDERS = (
     "dense/0/sparse",
     "distorted/sparse/0",
 )
+DEPTH_MAPS = "stereo/depth_maps"
+DENSE = ("", "dense", "dense/0")
+"""Where a dense workspace of COLMAP may be: what `image_undistorter` makes, with pictures and a model of its own."""
 FOCALS = {"SIMPLE_PINHOLE": 1, "SIMPLE_RADIAL": 1, "RADIAL": 1, "SIMPLE_RADIAL_FISHEYE": 1, "RADIAL_FISHEYE": 1}
 """How many focal lengths a camera model of COLMAP has, where it is not two; then cx cy and the lens follow."""
 
@@ -186,14 +189,17 @@ def _opengl_pose(pose: Any, source: Path) -> np.ndarray:
 class ColmapDataset(PosedPictures):
     """Pictures of a COLMAP model, `cameras` and `images` as `.txt` or `.bin`; their poses are world-to-camera.
 
-    The length of the model's unit is whatever the reconstruction took it for: the poses are right up to scale.
+    The length of the model's unit is whatever the reconstruction took it for: the poses are right up to scale. Without
+    a folder of depth it is that of the dense workspace, `stereo/depth_maps/NAME.geometric.bin` or `.photometric.bin`,
+    in the model's unit; see https://colmap.github.io/format.html, *Dense Reconstruction*.
     """
 
     format = "colmap"
-    again = r"(.*/)?(cameras|images|points3D|rigs|frames|project)\.(bin|txt|ini|ply)"
+    again = r"(.*/)?(cameras|images|points3D|rigs|frames|project)\.(bin|txt|ini|ply)|(dense/(0/)?)?stereo/.*\.(cfg|bin)"
 
     def _list(self) -> dict[str, PosedPicture]:
         folder = needed(_model(self.root), "no COLMAP model", path=self.root)
+        self._dense = _workspace(self.root)
         cameras: dict[str, Sequence[str]] = {}
         if (folder / "images.txt").is_file():
             self.source = folder / "images.txt"
@@ -216,15 +222,29 @@ class ColmapDataset(PosedPictures):
             stem = os.path.splitext(os.path.basename(color))[0]
             frame_id = stem if stem not in found else name
             camera = partial(_colmap_camera, cameras.get(words[8]), self.source)
-            found[frame_id] = PosedPicture(color, None, camera, partial(_colmap_pose, words[1:8], self.source))
+            found[frame_id] = PosedPicture(
+                color, self._map(name), camera, partial(_colmap_pose, words[1:8], self.source)
+            )
         self.lens = any(len(words) > 3 and not words[0].endswith("PINHOLE") for words in cameras.values())
-        self.notes += ("the poses' scale is the reconstruction's own, which need not be metres",)
-        return self._with_depths(dict(sorted(found.items())))
+        entries = dict(sorted(found.items()))
+        what = "poses' scale is" if self._dense is None else "scale of poses and depth is"
+        self.notes += (f"the {what} the reconstruction's own, which need not be metres",)
+        if self._dense is None:
+            return self._with_depths(entries)
+        self.rule = DepthRule(1.0, "the model's")
+        return entries
+
+    def _map(self, name: str) -> str | None:
+        """The depth map of a picture in the dense workspace, relative to the dataset."""
+        start = os.path.join(self._dense or "", DEPTH_MAPS, name)
+        maps = (f"{start}.{kind}.bin" for kind in ("geometric", "photometric"))
+        return None if self._dense is None else next((m for m in maps if os.path.isfile(self.root / m)), None)
 
     def _folder(self, name: str) -> str:
         """Folder of a picture, relative to the dataset."""
         folders = ("images", "color", "rgb", "")
-        return next((folder for folder in folders if os.path.isfile(self.root / folder / name)), "images")
+        places = [os.path.join(self._dense or "", folder) for folder in folders]
+        return next((place for place in places if os.path.isfile(self.root / place / name)), places[0])
 
 
 def _colmap_camera(camera: Sequence[str] | None, source: Path, picture: Path) -> Stated:
@@ -250,8 +270,16 @@ def half_pixel(K: np.ndarray, size: tuple[int, int] | None, path: Path) -> State
     return Stated(K, size, path=path)
 
 
+def _workspace(root: Path) -> str | None:
+    """The dense workspace in a folder, relative to it; None where there is none, or a folder of depth beside it."""
+    if any(role_of(folder)[0] == "depth" for folder in readable(root)[0]):
+        return None
+    return next((place for place in DENSE if os.path.isdir(root / place / DEPTH_MAPS)), None)
+
+
 def _model(root: Path) -> Path | None:
-    folders = (root / name for name in MODEL_FOLDERS)
+    """Folder of the model, first of the dense workspace, whose pictures and cameras are its own."""
+    folders = [root / name for name in (os.path.join(_workspace(root) or "", "sparse"), *MODEL_FOLDERS)]
     kinds = ({"cameras.txt", "images.txt"}, {"cameras.bin", "images.bin"})
     return next((f for f in folders for names in kinds if names <= set(readable(f)[1])), None)
 
