@@ -24,7 +24,7 @@ from pipeline.datasets.cameras import (
 )
 from pipeline.datasets.files import as_floats, numbered_lines, read_matrix, readable
 from pipeline.datasets.frame_poses import NamedPose, pose_named, rigid_matrices
-from pipeline.datasets.images import INTEGER_DEPTH_SUFFIXES, read_numbers
+from pipeline.datasets.images import INTEGER_DEPTH_SUFFIXES, read_depth, read_numbers
 from pipeline.datasets.pairing import (
     COLOR_SUFFIXES,
     ByTime,
@@ -37,9 +37,10 @@ from pipeline.datasets.pairing import (
     files_in,
     pair_files,
     role_of,
+    stem_of,
     twice,
 )
-from pipeline.datasets.recording import Listed, Recording
+from pipeline.datasets.recording import Listed, Recording, beyond_metres
 from pipeline.datasets.settings import Settings
 from pipeline.datasets.trajectories import NAMES, Trajectory, read_trajectory
 from pipeline.geometry.frame import Annotation
@@ -81,6 +82,10 @@ def read_label_names(root: Path) -> dict[int, str]:
     return {}
 
 
+UPWARDS = (
+    "rows of PFM are read from the bottom up, as the format has them; AirSim writes them from the top down: "
+    'depth_turned = "top-bottom" in spatialviz.toml, and `doctor` tries'
+)
 NAMED_NUMBERS = (".json", ".yml", ".yaml", ".toml", ".ini", ".cfg", ".txt", ".npz")
 MOST_CAMERA_FILES = 20
 """So many files that may speak of the camera are read."""
@@ -204,6 +209,12 @@ class FolderDataset(Recording):
                 told.setdefault(line.key if isinstance(line, NamedPose) else path, _taken(path, line))
             left = (f"not read: {', '.join(scene.left)}" for scene in self._scenes.values() if scene.left)
             self.notes += (*filter(None, told.values()), *left)
+        for scene in self._scenes.values():
+            depth = next(iter(scene.files.of("depth")), "")
+            if scene.files.flat and depth and role_of(stem_of(depth))[0] != "depth":
+                self.notes += (f"{depth} and its like are taken for the depth of the pictures of their names",)
+            if depth.lower().endswith(".pfm"):
+                self.notes += (UPWARDS,)
         if any(scene.timed for scene in self._scenes.values()):
             self.notes += ("colour and depth are paired by nearest time, within 20 ms: no two have the same",)
         if valid := next((name for scene in self._scenes.values() for name in scene.valid.values()), None):
@@ -244,7 +255,13 @@ class FolderDataset(Recording):
             if stated is None:
                 continue  # What is wrong with its file is told when a frame is loaded.
             integer = any(name.lower().endswith(INTEGER_DEPTH_SUFFIXES) for name in scene.files.of("depth"))
-            self._ask_for(_seen(scene), stated, floats=not integer)
+            seen, first = _seen(scene), next((pair.depth for pair in scene.pairs if pair.depth), None)
+            far = 0.0
+            if first and not integer and self._settings.depth_scale is None and stated.units_per_metre is None:
+                floats = or_note([], "", read_depth, first, None)
+                far = 0.0 if floats is None else beyond_metres(floats)
+            seen += f", whose floats cannot be metres, with a median of {far:.4g}" if far else ""
+            self._ask_for(seen, stated, floats=not (integer or far))
 
     def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         prefix, pair = self._found(self._index, frame_id)

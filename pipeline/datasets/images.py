@@ -103,8 +103,8 @@ def end_of_range(stored: np.ndarray) -> float | None:
         return None
     if stored.dtype.kind == "f":
         largest = float(np.max(stored, initial=0.0, where=np.isfinite(stored)))
-        # Floats may be millimetres; 65535 may stand as these or in metres.
-        ends = largest >= FARTHEST_FLOAT or largest == 65535 or abs(largest - 65.535) < 1e-4
+        # Floats may be millimetres; 65535 may stand as these or in metres, and 65504 is the largest of 16 bits.
+        ends = largest >= FARTHEST_FLOAT or largest in (65504, 65535) or abs(largest - 65.535) < 1e-4
     else:
         largest = int(stored.max())
         if largest == np.iinfo(np.uint16).max:

@@ -30,7 +30,7 @@ from pipeline.datasets.cameras import ShiftedPoses
 from pipeline.datasets.depth.estimator import EstimatedDepth, open_depth_model
 from pipeline.datasets.files import listed_once, readable
 from pipeline.datasets.meant import AsMeant
-from pipeline.datasets.pairing import COLOR_SUFFIXES, role_of
+from pipeline.datasets.pairing import COLOR_SUFFIXES, FLOAT_SUFFIXES, role_of
 from pipeline.datasets.parquet import is_lerobot_depth, lerobot_features
 from pipeline.datasets.settings import OR_ESTIMATED, GivenUp, read_settings
 from pipeline.datasets.unread import naming_unread, say_unread
@@ -269,6 +269,20 @@ def _folder(root: Path, recognised: Callable[[Path], bool]) -> tuple[str, str]:
         where = f" in {colors[0]}/" if within else ""
         name = next((name for name in files if kind_of(name) == "picture"), "")
         depth = f"{Path(name).stem}_depth.png" if name else "depth/0001.png beside color/0001.png"
+        places = [files, *(readable(root / folder)[1] for folder in colors)]
+        beside = next(n for n in places if any(kind_of(name) == "picture" for name in n))
+        if maps := [name for name in beside if name.lower().endswith(FLOAT_SUFFIXES)]:
+            picture = next(name for name in beside if kind_of(name) == "picture")
+            stem, lying = (
+                Path(picture).stem,
+                [name for name in files if kind_of(name) != "picture" and name not in maps],
+            )
+            more = f" and {len(maps) - 1} more" if len(maps) > 1 else ""
+            also = f"; also here: {', '.join(lying[:4])}" if lying else ""
+            return (
+                f"{counted(pictures, 'picture')}{where} and no depth by its name, but {maps[0]}{more}{also}",
+                f"{stem}_depth{Path(maps[0]).suffix} beside {picture}, if they are depth, {OR_ESTIMATED}",
+            )
         return (
             f"{counted(pictures, 'picture')}{where} and no depth",
             f"a depth file for each, such as {depth}, {OR_ESTIMATED}",

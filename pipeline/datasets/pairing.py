@@ -45,6 +45,9 @@ _VALIDITY = re.compile(
     re.IGNORECASE,
 )
 """A name of what tells where depth counts, which is no depth."""
+_LEFT, _RIGHT = (re.compile(rf"(?<![a-z]){side}(?![a-z])", re.IGNORECASE) for side in ("left", "right"))
+FLOAT_SUFFIXES = (".exr", ".pfm", ".npy")
+"""Endings of files that hold floats, whatever they are of."""
 _ORDER = ("other", "valid", "depth", "label", "pose", "camera", "color")
 
 Key = tuple[str, ...]
@@ -88,11 +91,14 @@ def files_by_role(root: Path, depth: bool = True) -> Files | None:
     """Files of a recording by role; None without colour and depth by name. Without `depth` colour alone will do."""
     folders, names = readable(root)
     own = _by_name(names)
+    roles = set(_folder_roles(folders).values())
+    if "depth" not in roles | own.keys():
+        stems = {stem_of(name) for name in own.get("color", ())}
+        own["depth"] = [n for n in names if n.lower().endswith(FLOAT_SUFFIXES) and stem_of(n) in stems]
     in_folders = sum(len(files_in(root, folder, "depth")) for folder in folders if role_of(folder)[0] == "depth")
     # A picture or two beside the folders are no recording of their own.
     if own.get("color") and len(own.get("depth", ())) > in_folders:
         return Files(root, True, own | {"camera": [*own.get("camera", ()), *_inside(root, folders, "camera")]})
-    roles = {role_of(folder)[0] for folder in folders}
     if not depth and "color" not in roles and own.get("color"):
         return Files(root, True, own)
     if not ({"color", "depth"} if depth else {"color"}) <= roles:
@@ -118,15 +124,30 @@ def _by_name(names: Iterable[str]) -> dict[str, list[str]]:
         if f".{suffix.lower()}" in SUFFIXES.get(role, COLOR_SUFFIXES):
             found.setdefault(role, []).append(name)
     plain = found.pop("plain", [])
-    return found if "color" in found or not plain else {**found, "color": plain}
+    color = _of_left(found.get("color", plain))
+    return {**found, "color": color} if color else found
+
+
+def _of_left(names: list[str]) -> list[str]:
+    """The names of the left camera among those of a stereo pair; else all."""
+    left = [name for name in names if _LEFT.search(name)]
+    return left if left and all(_LEFT.search(name) or _RIGHT.search(name) for name in names) else names
+
+
+def _folder_roles(folders: Iterable[str]) -> dict[str, str]:
+    """Roles of folders by name; where none is of colour, the left camera's is."""
+    roles = {folder: role_of(folder)[0] for folder in folders}
+    left = {folder: "color" for folder, role in roles.items() if not role and _LEFT.search(folder)}
+    return roles if "color" in roles.values() else {**roles, **left}
 
 
 def _inside(root: Path, folders: Iterable[str], role: str) -> list[str]:
     """Files in folders of a role; colour and depth use a single folder, preferably of a plain name."""
-    found = {folder: files_in(root, folder, role) for folder in folders if role_of(folder)[0] == role}
+    found = {folder: files_in(root, folder, role) for folder, own in _folder_roles(folders).items() if own == role}
     full = {folder: names for folder, names in found.items() if names}
     if role in ("color", "depth"):
         full = {folder: names for folder, names in full.items() if not role_of(folder)[1]} or full
+        full = {folder: full[folder] for folder in _of_left(list(full))}
         what = {"color": "colour"}.get(role, role)
         got = f"{'/, '.join(found)}/ without one"
         require(full, f"no {what} files", got=got, expected=", ".join(SUFFIXES[role]), path=root)

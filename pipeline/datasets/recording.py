@@ -39,6 +39,8 @@ LONGEST_ALONE = 1600
 NEAREST_CUT_M = 4.0
 """Depth is cut no nearer; a wall that is seen head on may stand at any distance."""
 FLOATS = f"floating-point depth is taken for metres: {DEPTH_SCALE} tells another unit"
+FARTHEST_MEDIAN_M = 100.0
+"""Floats of a larger median are not taken for metres."""
 BROWSED_MEDIAN_M = 2.0
 """The median depth that is shown where nothing tells the unit."""
 
@@ -242,6 +244,17 @@ class Recording:
                 units = float(np.median(stored[stored > 0])) / BROWSED_MEDIAN_M if stored.any() else 1.0
                 unknown = (DEPTH_SCALE,)
         metres = read_depth(depth, units, rule.nothing, rule.rotated, notes)
+        if units is None and (median := beyond_metres(metres)):
+            require(
+                self._settings.browse,
+                "floating-point depth that cannot be metres",
+                got=f"a median of {median:.4g}",
+                expected=DEPTH_SCALE,
+                cause="1000 for millimetres, the ZED SDK's own unit",
+                path=depth,
+            )
+            metres *= np.float32(BROWSED_MEDIAN_M / median)
+            unknown = (DEPTH_SCALE,)
         if found.valid is not None:
             metres[~valid_pixels(found.valid, metres.shape)] = 0
         if np.isfinite(rule.farthest):
@@ -305,6 +318,13 @@ class Recording:
         if frame_id not in table:
             raise unknown_id(self.frame_ids, frame_id, self.root)
         return table[frame_id]
+
+
+def beyond_metres(depth: np.ndarray) -> float:
+    """The median of depth (H, W), where it is too far for metres; else 0."""
+    sparse = depth[::4, ::4]
+    median = float(np.median(sparse[sparse > 0])) if (sparse > 0).any() else 0.0
+    return median if median > FARTHEST_MEDIAN_M else 0.0
 
 
 def _cut_off(metres: np.ndarray) -> float:
