@@ -199,7 +199,9 @@ def print_summary(summary: dict[str, Any]) -> None:
     frames, usable = summary["frames"], summary["frames_usable"]
     say(f"{usable:,} of {counted(frames, 'frame')} can be used")
     say_lines((f"  note: {note}" for note in summary["notes"]), "yellow")
-    say_lines((f"  {count:,} broken: {reason}" for reason, count in summary["problems"].items()), "red", 5, " reasons")
+    remedies = {reason: f"; {text}" for reason, text in summary["remedies"].items()}
+    broken = ((count, reason + remedies.get(reason, "")) for reason, count in summary["problems"].items())
+    say_lines((f"  {count:,} broken: {why}" for count, why in broken), "red", 5, " reasons")
     if not usable:
         return
     left = usable - summary["frames_decoded"]

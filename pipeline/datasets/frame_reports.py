@@ -142,6 +142,7 @@ class SurveyCounts:
         self._counts: Counter[str] = Counter()
         self._named: defaultdict[str, Counter[str]] = defaultdict(Counter)
         self._notes: tuple[str, ...] = ()
+        self._remedies: dict[str, str] = {}
         self._depth = 0.0
 
     def add(self, report: FrameReport) -> None:
@@ -149,7 +150,8 @@ class SurveyCounts:
         self._notes = report.dataset_notes
         self._counts.update(frames=1, frames_usable=report.ok, frames_broken=not report.ok)
         if not report.ok:
-            self._named["problems"][_reason(report)] += 1
+            self._named["problems"][reason := _reason(report)] += 1
+            self._remedies.setdefault(reason, _remedy(report))
             return
         self._counts.update(frames_without_pose=not report.has_pose, frames_decoded=report.decoded)
         if report.width:
@@ -180,7 +182,8 @@ class SurveyCounts:
         dict
             JSON-able: frames, frames_usable, frames_broken, frames_decoded (of the usable ones; only these tell of
             depth, objects, notes and up), notes (what no file states, see `base.dataset_notes`),
-            problems ({reason: frames}); of the usable frames frames_with_little_depth (less than a tenth of the
+            problems ({reason: frames}), remedies ({reason: what the first such frame was, and would have to be}, where
+            that is known); of the usable frames frames_with_little_depth (less than a tenth of the
             pixels), frames_without_pose, frames_without_objects, frames_with_notes, sizes ({"WxH": frames}),
             up_source ({source: frames}), depth_valid (mean share of the pixels, 0..1, or None), objects,
             objects_per_frame (mean or None), and classes ({name: objects}). What is counted by name runs from the
@@ -192,6 +195,7 @@ class SurveyCounts:
             **{name: counts[name] for name in ("frames", "frames_usable", "frames_broken", "frames_decoded")},
             "notes": list(self._notes),
             "problems": _sorted(self._named["problems"]),
+            "remedies": {reason: text for reason, text in self._remedies.items() if text},
             **{f"frames_{name}": counts[f"frames_{name}"] for name in missing},
             "sizes": _sorted(self._named["sizes"]),
             "up_source": _sorted(self._named["up_source"]),
@@ -210,6 +214,14 @@ def _reason(report: FrameReport) -> str:
     """Problem text without the frame's name, value and file."""
     text = (report.problem or "unknown").split("; ")[0].split(" [")[0].split(" (")[0]
     return re.sub(rf"(?<!\w){re.escape(report.id)}(?!\w)", "…", text).removeprefix("frame …: ")
+
+
+def _remedy(report: FrameReport) -> str:
+    """What a problem says behind its reason, without the file: what was got and expected, and the likely cause."""
+    text = re.sub(r" \[[^\]]*\]$", "", report.problem or "")
+    return text[min((at for mark in ("; ", " [", " (") if (at := text.find(mark)) >= 0), default=len(text)) :].lstrip(
+        "; "
+    )
 
 
 MOST_CAMERAS = 120

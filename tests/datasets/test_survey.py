@@ -54,3 +54,19 @@ def test_a_file_that_went_away_is_told(recording: Path) -> None:
     (recording / "depth" / "3.png").unlink()
     with pytest.raises(InputError, match="missing"):
         dataset.peek("3")  # type: ignore[attr-defined]
+
+
+def test_a_kind_of_broken_frame_says_what_would_do_once(recording: Path) -> None:
+    for k in (1, 2):
+        cv2.imwrite(str(recording / "depth" / f"{k}.png"), np.full((48, 64), 200, np.uint8))
+    cv2.imwrite(str(recording / "color" / "4.png"), np.full((64, 48, 3), 90, np.uint8))
+    counts = SurveyCounts()
+    for report in survey(open_dataset(recording)):
+        counts.add(report)
+    record = counts.record()
+    assert record["problems"]["depth of 8 bits"] == 2
+    assert record["remedies"]["depth of 8 bits"].startswith("got uint8; expected 16-bit integers or floats (is this")
+    (turned,) = (text for reason, text in record["remedies"].items() if "turned" in reason)
+    assert "color_turned = " in turned
+    assert str(recording) not in str(record["remedies"])
+    assert record["remedies"].keys() <= record["problems"].keys()
