@@ -111,6 +111,12 @@ def leaves(name: str) -> bool:
     return bool(PurePosixPath(name).is_absolute() or windows.drive or windows.root or ".." in windows.parts)
 
 
+def goes_up(name: str) -> bool:
+    """Whether a relative name of a list has a "..", in Windows' way or not."""
+    windows = PureWindowsPath(name)
+    return ".." in windows.parts and not (windows.drive or windows.root)
+
+
 def _below(name: str, folder: Path) -> str | None:
     """The most last parts of an absolute path that are a file of the folder."""
     parts = PureWindowsPath(name).parts[1:]

@@ -27,7 +27,7 @@ from pipeline.datasets.cameras import (
     stated_in,
 )
 from pipeline.datasets.colmap_binary import read_cameras, read_images
-from pipeline.datasets.files import as_floats, leaves, name_inside, numbered_lines, read_json, readable
+from pipeline.datasets.files import as_floats, goes_up, leaves, name_inside, numbered_lines, read_json, readable
 from pipeline.datasets.frame_poses import OPENCV_OF_OPENGL
 from pipeline.datasets.images import INTEGER_DEPTH_SUFFIXES, picture_size
 from pipeline.datasets.pairing import choose_naming, files_in_roles, role_of
@@ -116,13 +116,14 @@ class PosedPictures(Recording):
 
 class NerfstudioDataset(PosedPictures):
     """Pictures of `transforms.json`: camera-to-world poses of OpenGL cameras, depth in millimetres. Its world has z up
-    by the makers' convention, which reconstructions keep only roughly: it is not declared."""
+    by the makers' convention, which reconstructions keep only roughly: it is not declared. The file may stand in a
+    folder of the opened one and name pictures in another."""
 
     format = "nerfstudio"
     rule = DepthRule(1000.0, "nerfstudio's")
 
     def _list(self) -> dict[str, PosedPicture]:
-        self.source = self.root / TRANSFORMS
+        self.source = self.root / (_transforms(self.root) or TRANSFORMS)
         table = read_json(self.source)
         frames = table.get("frames")
         if not isinstance(frames, list):
@@ -133,12 +134,12 @@ class NerfstudioDataset(PosedPictures):
         for number, frame in enumerate(frames):
             path = frame.get("file_path") if isinstance(frame, Mapping) else None
             require(isinstance(path, str), f"frame {number} names no file", path=self.source)
-            color = os.path.normpath(name_inside(f"{path}", self.source, number))
-            elsewhere |= leaves(f"{path}")
+            color = os.path.normpath(self._inside(f"{path}", number))
+            elsewhere |= leaves(f"{path}") and not goes_up(f"{path}")
             stem, suffix = os.path.splitext(os.path.basename(color))
             color = color if suffix else f"{color}.png"
             depth = next((frame[key] for key in ("depth_file_path", "depth_path") if frame.get(key)), None)
-            depth = None if depth is None else name_inside(str(depth), self.source, number)
+            depth = None if depth is None else self._inside(str(depth), number)
             own = {k: v for k, v in frame.items() if k not in ("transform_matrix", "file_path", "depth_file_path")}
             frame_id = stem if stem not in found else f"{os.path.basename(os.path.dirname(color))}/{stem}"
             table = {**shared, **own}
@@ -153,6 +154,33 @@ class NerfstudioDataset(PosedPictures):
         if elsewhere:
             self.notes += (f"absolute paths of {TRANSFORMS} are looked for in this folder by their last parts",)
         return found if any(entry.depth for entry in found.values()) else self._with_depths(found)
+
+    def _inside(self, name: str, number: int) -> str:
+        """A file as `transforms.json` names it, relative to the opened folder; InputError where it lies outside."""
+        place = os.path.relpath(self.source.parent, self.root)
+        if not goes_up(name):
+            return os.path.join(place, name_inside(name, self.source, number))
+        whole = os.path.normpath(os.path.join(place, name.replace("\\", "/")))
+        above = "" if whole.startswith("../..") else f", or the folder above both opened: {self.root.resolve().parent}"
+        require(
+            not goes_up(whole),
+            f"frame {number} names a file outside the dataset, above its folder",
+            got=repr(name[:80]),
+            expected=f"pictures in the opened folder{above}",
+            path=self.source,
+        )
+        return name_inside(whole, self.root / TRANSFORMS, number)
+
+
+def _transforms(root: Path) -> str | None:
+    """Path of `transforms.json` relative to a folder: in it, or in the only folder of it that has one, where that names
+    pictures outside its own."""
+    if os.path.isfile(root / TRANSFORMS):
+        return TRANSFORMS
+    inside = [f"{name}/{TRANSFORMS}" for name in readable(root)[0] if os.path.isfile(root / name / TRANSFORMS)]
+    frames = (or_note([], "", read_json, root / inside[0]) or {}).get("frames") if len(inside) == 1 else None
+    first = frames[0] if isinstance(frames, list) and frames else None
+    return inside[0] if isinstance(first, Mapping) and goes_up(str(first.get("file_path"))) else None
 
 
 def _integer_depth(table: Mapping[str, Any], source: Path) -> float | None:
@@ -287,7 +315,7 @@ def _model(root: Path) -> Path | None:
 NERFSTUDIO = DatasetFormat(
     "nerfstudio",
     f"nerfstudio: {TRANSFORMS} with depth files",
-    lambda root: (root / TRANSFORMS).is_file(),
+    lambda root: _transforms(root) is not None,
     NerfstudioDataset,
 )
 COLMAP = DatasetFormat(

@@ -116,6 +116,31 @@ def test_paths_of_windows(tmp_path: Path) -> None:
         path.write_text(path.read_text().replace(bad, "images\\\\frame_00001.png"))
 
 
+def test_transforms_in_a_folder_of_their_own_are_read_from_the_folder_above(tmp_path: Path) -> None:
+    made = write_nerfstudio(tmp_path / "capture")
+    text = (tmp_path / "capture/transforms.json").read_text()
+    (tmp_path / "capture/transforms.json").unlink()
+    path = tmp_path / "nerf/transforms.json"
+    path.parent.mkdir()
+    for start, slash in (("../capture/", "/"), ("..\\\\capture\\\\", "\\\\")):
+        told = text.replace("./images/", f"{start}images{slash}").replace("depth/", f"{start}depth{slash}")
+        path.write_text(told)
+        dataset = open_dataset(tmp_path)
+        assert dataset.format == "nerfstudio"
+        frame = dataset.load(dataset.frame_ids[2])
+        assert np.array_equal(frame.depth, made[2].depth)
+        assert np.allclose(frame.camera.T_world_camera, made[2].T_world_camera)
+        assert unread(tmp_path) == ""
+        refused(lambda: open_dataset(path.parent), "the folder above both", str(tmp_path))
+        # Never outside the opened folder, and never of two that may be meant.
+        path.write_text(told.replace(f"{start}images{slash}frame_00003", "../../frame_00003"))
+        refused(lambda: open_dataset(tmp_path), "outside the dataset")
+        path.write_text(told)
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other/transforms.json").write_text(told)
+    refused(lambda: open_dataset(tmp_path), "no dataset is recognised")
+
+
 @pytest.mark.parametrize("before", ["C:\\\\Users\\\\ann\\\\scan", "/home/ann/scan"])
 def test_absolute_paths_of_another_machine_are_those_of_the_folder(tmp_path: Path, before: str) -> None:
     made = write_nerfstudio(tmp_path)
