@@ -211,7 +211,8 @@ def _matrix(numbers: np.ndarray) -> np.ndarray | None:
     """Intrinsics (3, 3) of 4, 9, 12 or 16 numbers, row- or column-major; else None."""
     if numbers.size == 4:
         fx, fy, cx, cy = numbers.tolist()
-        return intrinsics(fx, fy, cx, cy) if min(fx, fy) > 1 else None
+        # A negative fy, as ICL-NUIM's, is a camera's, which is told where it is used.
+        return intrinsics(fx, fy, cx, cy) if min(fx, abs(fy)) > 1 else None
     if numbers.size not in (9, 12, 16):
         return None
     M = numbers.reshape({9: (3, 3), 12: (3, 4), 16: (4, 4)}[numbers.size])[:3, :3]

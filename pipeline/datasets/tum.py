@@ -5,16 +5,24 @@ from __future__ import annotations
 import math
 import os
 import re
+from dataclasses import replace
 from decimal import Decimal
-from pathlib import Path
+from pathlib import Path, PurePath
 
 import numpy as np
 
 from pipeline.datasets.base import DatasetFormat
-from pipeline.datasets.cameras import or_note, pose_from_quaternion
+from pipeline.datasets.cameras import (
+    CAMERA_SUFFIXES,
+    Stated,
+    is_small,
+    or_note,
+    pose_from_quaternion,
+    stated_in_files,
+)
 from pipeline.datasets.files import as_floats, name_inside, numbered_lines, readable
 from pipeline.datasets.images import picture_size
-from pipeline.datasets.pairing import role_of
+from pipeline.datasets.pairing import role_of, stem_of
 from pipeline.datasets.recording import DepthRule, Listed, Recording
 from pipeline.datasets.settings import Settings, camera_notes, unit_notes
 from pipeline.datasets.stamps import ROUNDING, WITHIN, match_times, nearest
@@ -37,11 +45,11 @@ _TIME = re.compile(r"[0-9]+(\.[0-9]+)?")
 class TumDataset(Recording):
     """Frames of the lines of rgb.txt in order of time; the id is the time stamp as written.
 
-    Colour and depth belong together where they lie within 20 ms, the nearest first and each image once; a colour image
-    that is left without depth is a broken frame. The pose is the nearest line of groundtruth.txt within 20 ms. The
-    intrinsics are those of the camera that the folder's name tells (freiburg1, 2 or 3), else the default of the format.
-    These and the depth's unit stand in no file, which a note says. The world axes of the motion capture are not
-    declared.
+    Colour and depth belong together where they lie within 20 ms, the nearest first and each image once; a colour
+    image that is left without depth is a broken frame. The pose is the nearest line of groundtruth.txt within 20
+    ms. The intrinsics are those of a camera file, else of the camera that the folder's name tells (freiburg1, 2 or
+    3), else the default of the format. Where these and the depth's unit stand in no file, a note says so. The world
+    axes of the motion capture are not declared.
     """
 
     format = "tum"
@@ -56,7 +64,18 @@ class TumDataset(Recording):
         self._poses_in = self._camera_path_file(root)
         what = f"no camera pose, {self._poses_in.name}: "
         self._path = or_note(self._pose_notes, what, _camera_path, self._poses_in)
+        self._stated = self._camera_beside(root, settings)
         self._say_camera(root, settings)
+
+    def _camera_beside(self, root: Path, settings: Settings) -> Stated:
+        """What the camera files in the folder say, of the words of their names."""
+        names = [name for name in readable(root)[1] if role_of(stem_of(name))[0] == "camera" and is_small(root / name)]
+        known = settings.intrinsics is not None
+        stated = stated_in_files((root / n for n in names if n.lower().endswith(CAMERA_SUFFIXES)), known)
+        if stated.units_per_metre is not None:
+            # The format's own unit is for folders that state none.
+            self.notes = tuple(note for note in self.notes if note not in unit_notes(settings, 5000.0, self.rule.whose))
+        return stated
 
     def _lists(self, root: Path) -> tuple[dict[str, str], dict[str, str]]:
         """Names of colour and of depth images by the time stamp of the colour as written."""
@@ -101,7 +120,9 @@ class TumDataset(Recording):
         return root / "groundtruth.txt"
 
     def _say_camera(self, root: Path, settings: Settings) -> None:
-        """Take the camera that the folder's name tells, and say so."""
+        """Take the camera that the folder's name tells, where no file does, and say so."""
+        if self._stated.K is not None:
+            return
         found = re.search("freiburg[123]", root.resolve().name.lower())
         self.documented = CAMERAS[found[0]] if found else DEFAULT_CAMERA
         whose = f"{found[0]}'s by the folder's name" if found else "TUM's default"
@@ -118,7 +139,7 @@ class TumDataset(Recording):
                 notes.append(f"no camera pose: {self._poses_in.name} has none within 20 ms")
             else:
                 pose = or_note(notes, f"no camera pose, {self._poses_in.name}: ", self._pose, path[at, 1:])
-        return Listed(self.root / color, self.root / self._depths[frame_id], pose=pose)
+        return Listed(self.root / color, self.root / self._depths[frame_id], self._stated, pose)
 
     def _pose(self, values: np.ndarray) -> np.ndarray:
         return pose_from_quaternion(values)
@@ -176,14 +197,19 @@ class AssociatedDataset(TumDataset):
         if not self._poses_in.name.endswith(ICL_PATH):
             return super()._say_camera(root, settings)
         self.documented, self.rule = ICL_CAMERA, DepthRule(5000.0, "ICL-NUIM's")
-        self.notes = unit_notes(settings, 5000.0, self.rule.whose)
-        if picture_size(root / next(iter(self._colors.values()))) == (640, 480):
+        K = self._stated.K
+        self.notes = unit_notes(settings, 5000.0, self.rule.whose) if self._stated.units_per_metre is None else ()
+        if K is None and picture_size(root / next(iter(self._colors.values()))) == (640, 480):
             self.notes += camera_notes(settings, ICL_CAMERA, "ICL-NUIM's for pictures stored from the top down")
         if self._path is not None and len(self._path):
             # A camera with y up that is held upright in a world with y up: the renderer's, and no picture's.
             self._reflected = bool(np.mean(rotations(self._path[:, 4:])[:, 1, 1]) > 0)
             how = "reflected in y, as its renderer has y up" if self._reflected else "taken as they stand"
             self.notes += (f"poses are those of {self._poses_in.name}, {how}",)
+        if self._reflected and K is not None and K[1, 1] < 0 and settings.intrinsics is None:
+            file = PurePath(self._stated.path or "").name
+            self._stated = replace(self._stated, K=K @ REFLECTED[:3, :3])
+            self.notes += (f"fy {K[1, 1]:g} of {file} is of y up in the camera: {-K[1, 1]:g} with the poses reflected",)
         return None
 
     def _pose(self, values: np.ndarray) -> np.ndarray:

@@ -22,6 +22,24 @@ this frame, or assumed."""
 IMAGE_UP = np.array([0.0, -1.0, 0.0])
 
 
+FLIPPED = (
+    "a negative fy is of a camera whose y is up; poses that speak of it are then reflected: S T S with S = diag(1, -1, "
+    "1, 1), which the reader of ICL-NUIM does"
+)
+
+
+def check_focals(fx: float, fy: float) -> None:
+    """Check focal lengths; InputError where one is not positive."""
+    flipped = fx > 0 > fy
+    require(
+        fx > 0 and fy > 0,
+        "focal lengths must be positive",
+        got=f"fx={fx:g}, fy={fy:g}",
+        expected=f"fy={-fy:g}, for pictures stored from the top down" if flipped else None,
+        cause=FLIPPED if flipped else "is the matrix stored column by column?",
+    )
+
+
 @dataclass(frozen=True)
 class Camera:
     """A pinhole camera, its pose and its up vector.
@@ -60,12 +78,7 @@ class Camera:
         K = np.asarray(self.K, dtype=np.float64)
         require(K.shape == (3, 3), "intrinsics must be a 3x3 matrix", got=f"shape {K.shape}")
         require(np.isfinite(K).all(), "intrinsics are not finite", got=lambda: np.round(K, 3).tolist())
-        require(
-            K[0, 0] > 0 and K[1, 1] > 0,
-            "focal lengths must be positive",
-            got=f"fx={K[0, 0]:g}, fy={K[1, 1]:g}",
-            cause="is the matrix stored column by column?",
-        )
+        check_focals(K[0, 0], K[1, 1])
         require(
             K[2, 2] == 1 and K[2, 0] == 0 and K[2, 1] == 0,
             "the last row of the intrinsics must be 0 0 1",

@@ -12,14 +12,8 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from pipeline.geometry.camera import Camera, intrinsics
+from pipeline.geometry.camera import Camera, check_focals, intrinsics
 from pipeline.geometry.frame import Frame
-from pipeline.system.errors import require
-
-FLIPPED = (
-    "a negative fy is of a camera whose y is up; poses that speak of it are then reflected: S T S with S = diag(1, -1, "
-    "1, 1), which the reader of ICL-NUIM does"
-)
 
 
 @dataclass(frozen=True)
@@ -36,14 +30,7 @@ class Registration:
     tz: float = 0.0
 
     def __post_init__(self) -> None:
-        flipped = self.fx > 0 > self.fy
-        require(
-            self.fx > 0 and self.fy > 0,
-            "focal lengths must be positive",
-            got=f"fx={self.fx:g}, fy={self.fy:g}",
-            expected=f"fy={-self.fy:g}, for pictures stored from the top down" if flipped else None,
-            cause=FLIPPED if flipped else None,
-        )
+        check_focals(self.fx, self.fy)
 
     @classmethod
     def none(cls, camera: Camera) -> Registration:

@@ -143,6 +143,17 @@ def test_icl_nuim(tmp_path: Path, reflected: bool) -> None:
         check_geometry(dataset.load(frame_id), truth)
     (note,) = (note for note in dataset_notes(dataset) if "livingRoom2" in note)
     assert ("reflected" in note) == reflected
+    # The camera as SLAM programs take it, "fx fy cx cy" of its page: princeton-vl/DPVO, calib/*.txt.
+    (tmp_path / "calib.txt").write_text("60.0 -61.0 31.5 23.5\n")
+    dataset = open_dataset(tmp_path)
+    if reflected:
+        check_geometry(dataset.load("0"), made[0])
+        assert any("fy -61 of calib.txt" in note for note in dataset_notes(dataset))
+        assert not any("not read" in note for note in dataset_notes(dataset))
+    else:
+        refused(lambda: dataset.load("0"), "fy=-61", "y is up", "fy=61", "calib.txt")
+    (tmp_path / "calib.txt").write_text("60.0 61.0 31.5 23.5\n")
+    check_geometry(open_dataset(tmp_path).load("0"), made[0])
 
 
 def test_associations_of_tum_name_their_pictures_in_either_order(tmp_path: Path) -> None:
