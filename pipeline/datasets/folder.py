@@ -368,10 +368,9 @@ def _by_fields(root: Path, known: Stated, read: set[str], camera: bool) -> State
 def _along_path(files: Files, keys: list[Key]) -> tuple[dict[Key, PoseText], str | None]:
     """Poses of the format's camera path, of the one file beside the pictures that is called like one, or of a camera
     file with a matrix for each frame."""
-    names, problems = (
-        files.of("path") or [name for name in readable(files.root)[1] if NAMES.fullmatch(name)],
-        list[str](),
-    )
+    names = files.of("path") or [name for name in readable(files.root)[1] if NAMES.fullmatch(name)]
+    numbers = [key[-1] if key else "" for key in keys]
+    problems: list[str] = []
     if len(names) > 1:
         return {}, f"more than one camera path: {', '.join(names[:4])}"
     if names:

@@ -252,7 +252,7 @@ class Recording:
                 "floating-point depth that cannot be metres",
                 got=f"a median of {median:.4g}",
                 expected=DEPTH_SCALE,
-                cause="1000 for millimetres, the ZED SDK's own unit",
+                cause="a wrong unit? 1000 for millimetres, the ZED SDK's own",
                 path=depth,
             )
             metres *= np.float32(BROWSED_MEDIAN_M / median)

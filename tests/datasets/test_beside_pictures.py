@@ -44,10 +44,12 @@ def test_the_pose_of_a_frames_own_json_is_read_and_told(tmp_path: Path, key: str
     dataset = open_dataset(tmp_path, depth_scale=1000.0)
     for frame_id, truth in zip(dataset.frame_ids, made, strict=True):
         frame = dataset.load(frame_id)
+        assert frame.camera.T_world_camera is not None
         assert np.allclose(frame.camera.T_world_camera, truth.T_world_camera, atol=1e-6)
         assert np.allclose(frame.camera.K, K)
         if key == "cameraPoseARFrame":
             assert frame.camera.up_source == "declared"
+            assert frame.camera.up is not None
             assert np.allclose(truth.T_world_camera[:3, :3] @ frame.camera.up, (0, 1, 0), atol=1e-6)
     (note,) = (note for note in dataset_notes(dataset) if "poses are" in note)
     assert f"{key} of frame_00000.json" in note

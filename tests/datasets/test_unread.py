@@ -129,6 +129,7 @@ def test_transforms_in_a_folder_of_their_own_are_read_from_the_folder_above(tmp_
         assert dataset.format == "nerfstudio"
         frame = dataset.load(dataset.frame_ids[2])
         assert np.array_equal(frame.depth, made[2].depth)
+        assert frame.camera.T_world_camera is not None
         assert np.allclose(frame.camera.T_world_camera, made[2].T_world_camera)
         assert unread(tmp_path) == ""
         refused(lambda: open_dataset(path.parent), "the folder above both", str(tmp_path))
