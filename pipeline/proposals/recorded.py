@@ -87,12 +87,10 @@ class Playback:
         names = self.names[index].tolist()
         vocabulary = tuple(dict.fromkeys(names))
         has_mask = np.ones(len(index), np.bool_)
-        if isinstance(self.found.masks, np.ndarray):
-            masks = self.found.masks[index]
-        else:
-            masks = np.zeros((len(index), *self.shape), np.bool_)
-            for n, i in enumerate(index):
-                has_mask[n] = self._paint(int(i), masks[n])
+        stored = self.found.masks
+        masks = stored[index] if isinstance(stored, np.ndarray) else np.zeros((len(index), *self.shape), np.bool_)
+        if not isinstance(stored, np.ndarray):
+            has_mask[:] = [self._paint(int(i), mask) for i, mask in zip(index, masks, strict=True)]
         try:
             return Proposals(
                 self.found.boxes[index],
@@ -152,7 +150,7 @@ class RecordedDetector:
     scoreless : (int, int)
         Detections of a published file without a score, which count with 1, and all.
     cut : dict of str to tuple of str
-        Asked names that stand in the recording as cut words ("potted pl"), with these.
+        Asked names that stand in the recording as cut words, with these.
     corners : dict of int to Corners
         Of the objects of a map: the corners of their 3D boxes in the world, metres, by id; empty otherwise.
 
@@ -243,8 +241,8 @@ class RecordedDetector:
         """What was assumed so far, a sentence each: scores that the file lacks, and names that it has cut."""
         missing, every = self.scoreless
         told = [f"{missing} of {every} detections have no score in the file: 1 is taken"] if missing else []
-        cut = ((name, " and ".join(map(repr, pieces))) for name, pieces in self.cut.items())
         told += [] if self._published is None else self._published.assumed
+        cut = ((name, " and ".join(map(repr, pieces))) for name, pieces in self.cut.items())
         return told + [f"{name!r} is written {w} in the file, cut within a word, and found by that" for name, w in cut]
 
     def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:

@@ -344,7 +344,7 @@ def test_a_survey_is_summed_up() -> None:
     found = counted(reports)
     assert found == {
         "frames": 4, "frames_usable": 2, "frames_broken": 2, "frames_decoded": 2, "notes": [],
-        "problems": {"no usable depth": 2},
+        "problems": {"no usable depth": 2}, "remedies": {"no usable depth": "got only zeros"},
         "frames_with_little_depth": 1, "frames_without_pose": 1, "frames_without_objects": 1, "frames_with_notes": 1,
         "sizes": {"4x3": 2}, "up_source": {"declared": 1, "unknown": 1}, "depth_valid": 0.275,
         "objects": 3, "objects_per_frame": 1.5, "classes": {"mug": 2, "cup": 1},

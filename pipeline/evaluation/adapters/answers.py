@@ -74,7 +74,7 @@ def _lines(fields: Fields, published: Published, content: Content) -> Iterator[P
         unknown = f"{where}, {fields.id}: --key has no item of the id {number!r}"
         require(item is not None or not items, unknown, path=published.key)
         inner = row.get("doc")
-        item = (inner if isinstance(inner, dict) else {}) | (item or {})
+        item = {**(inner if isinstance(inner, dict) else {}), **(item or {})}
         found = _first(row, fields.pictures) or _first(item, PICTURES)
         expected = "--key ITEMS, a list of id, image and question"
         nameless = f"{where}: nothing names the picture"
