@@ -29,7 +29,7 @@ SOFT_EDGE = 0.08
 """How wide the middle of the picture is, as a share of its side, in which neither half is sure."""
 SIDE_AT_MOST = 0.9
 """A thing at a side, of which there may be several, is less sure than the one farthest to that side."""
-_VIEWER_CHOICES = {
+VIEWER_CHOICES = {
     "closest": ("near", 1),
     "farthest": ("far", 1),
     "near": ("near", None),
@@ -39,6 +39,7 @@ _VIEWER_CHOICES = {
     "above": ("high", None),
     "below": ("low", None),
 }
+"""The order and the rank in it of what stands in a relation to the viewer."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +138,7 @@ class SceneEvidence:
 
     def of_viewer(self, relation: str, index: np.ndarray, belief: np.ndarray) -> np.ndarray | None:
         """(K,) float64: relation to the viewer, as `closest to me`; None where not judged."""
-        found = _VIEWER_CHOICES.get(relation)
+        found = VIEWER_CHOICES.get(relation)
         if found is None:
             return None
         order, rank = found

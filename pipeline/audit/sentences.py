@@ -10,37 +10,48 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.answering.ask import Trace
-from pipeline.answering.objects import PreparedFrame
+from pipeline.answering.detector_prompts import unused_words, whole_names
 from pipeline.answering.pipeline import Pipeline
-from pipeline.audit.suspicion import PRIOR, AuditItem, Evidence, SystemAnswers, system_evidence
+from pipeline.audit.seen import MISREAD, NameRead, SeenTruth, margins_of
+from pipeline.audit.suspicion import (
+    PRIOR,
+    AuditItem,
+    Evidence,
+    SystemAnswers,
+    logit,
+    system_evidence,
+    wrong_probability,
+)
 from pipeline.diagnosis.asking import annotated_truth
-from pipeline.diagnosis.sentence_truth import sentence_case
 from pipeline.evaluation.sentence_files import Sentence, SentenceFile
-from pipeline.labels.cases import FrameCases
-from pipeline.labels.check.expressions import says_the
+from pipeline.labels.tree_truth import states_of
+from pipeline.language.chain import NOT_EXACT
 from pipeline.language.counted import counted
-from pipeline.language.naming import match, normal_form
-from pipeline.language.relation_names import HORIZONTAL, PHRASE
-from pipeline.relations.pair_measures import AllMeasures, F, Profile, T, U, known_extents, measure_pairs
-from pipeline.relations.relations import PREDICATES, pair_margins, pair_states
+from pipeline.language.naming import normal_form
+from pipeline.language.relation_names import HORIZONTAL
+from pipeline.language.tree import Node, Query
+from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import InputError
 
-HOLDS, UNDECIDED = 0.02, 0.08
+HOLDS, UNDECIDED = 0.015, 0.1
 """Weights where the rule says that the relation holds of what is right, or that it is too close to call."""
 NARROWLY, FAR, SCALE_M = 0.3, 0.8, 0.06
 """Weights where it does not, by a hair and by far; the metres over which the one becomes the other."""
-NOTHING_FITS = 0.25
-"""Where a longer sentence is true of nothing in the frame: it may be misread, too."""
-SEVERAL, SEVERAL_LONGER, SEVERAL_A = 0.7, 0.4, 0.1
-"""Where other things are right as well: the sentence says “the” and is one relation of two names, says more (colours
-and the like are judged by pixels), or says “a”."""
-OTHER_CLASS = 0.9
-"""The weight of an annotation whose name is not what the sentence asks for."""
+OTHERS_FIT, NOTHING_FITS = 0.75, 0.5
+"""Where a longer sentence is not true of what is right, but surely of other things, or of none."""
+FITS = 0.6
+"""The degree from which on a thing that is too close to call fits the more probably."""
+LEANING, FITS_LESS, AT_MOST, CLEARLY = 1.2, 1.2, 0.6, 0.3
+"""How much the odds go with the degree where it is too close to call, and with how much more another thing has; the
+highest weight of these; and how much more is told."""
+SEVERAL, SEVERAL_LONGER, SEVERAL_UNREAD, SEVERAL_A = 0.7, 0.4, 0.2, 0.1
+"""Where other things are right as well: the sentence is one relation of two names, says more (colours and the like are
+judged by pixels), was not read whole or misread, or says “a”."""
+INDEFINITE = frozenset({"a", "an", "any", "some", "another", "one", "every", "each"})
 NOTHING_RIGHT = 0.6
 """The weight where nothing is said to be right, and something is."""
 OWN_SIDES, TWO_FRAMES = 0.55, 0.1
@@ -128,91 +139,118 @@ def has_front(name: str) -> bool:
     return normal_form(name).split(" ")[-1] in FRONTED
 
 
-def by_own_sides(truth: FrameCases) -> dict[str, FrameCases]:
-    """Frames with relations by an object's own sides, keyed by where the object faces."""
-    return {
-        way: replace(truth, states={r: truth.states.get(sides.get(r, r), s) for r, s in truth.states.items()})
-        for way, sides in FACING.items()
-    }
+@dataclass(frozen=True)
+class Fit:
+    """How a reading of a sentence fits the things of a frame."""
+
+    root: Node
+    degrees: np.ndarray
+    """(N,) float64: from -1, which is F, to 1, which is T, of each thing being what the sentence means."""
+    parts: list[tuple[str, np.ndarray]]
+    """What is said of it beyond its name, in words, each with its (N,) degrees."""
+    margins: np.ndarray
+    """(N,) float64: metres, of its best pair under the relation of a plain triple; NaN where nothing tells."""
+
+    @property
+    def states(self) -> np.ndarray:
+        """(N,) int8: T, U or F."""
+        return states_of(self.degrees)
+
+    @property
+    def judged(self) -> bool:
+        """Whether anything that is said can be told."""
+        return not self.parts or any(degree.any() for _, degree in self.parts)
 
 
-def margins_of(truth: FrameCases, relation: str) -> np.ndarray:
-    """(N, N) float64: distance of each pair from the rule's threshold, metres; positive where the relation holds,
-    negative where not, NaN where extents do not tell."""
-    lo, hi = truth.geometry["lo"], truth.geometry["hi"]
-    known = known_extents(lo, hi)
-    if relation not in PREDICATES or PREDICATES[relation].reads_points:
-        return np.full(truth.judged.shape, np.nan)
-    fill = known[:, None]
-    measured = AllMeasures(measure_pairs(np.where(fill, lo, 0.0), np.where(fill, hi, 0.0), Profile()), Profile())
-    found = pair_margins(measured, pair_states(measured, known, [relation]), [relation])[..., 0]
-    return np.where(known[:, None] & known[None, :], found, np.nan)
+def fit_of(seen: SeenTruth, root: Node, named: np.ndarray, facing: dict[str, str] | None = None) -> Fit:
+    """Fit of a reading, of which `named` (N,) int8 are the things of its name; `facing` as in FACING."""
+    top = root.triple
+    margins = np.full(len(named), np.nan)
+    if top is not None and top.relation in seen.truth.states and not top.inverse and not top.negated:
+        ends = seen.means(top.nodes[0]) >= U
+        relation = top.relation if facing is None else facing.get(top.relation, top.relation)
+        allowed = seen.truth.judged & ends[None, :] & ~np.eye(len(ends), dtype=np.bool_)
+        states, found = np.where(allowed, seen.truth.states[relation], F), margins_of(seen.truth, relation)
+        if facing is not None:
+            held = states.max(axis=1, initial=F)
+            return Fit(root, np.minimum(named, held), [], margins)
+        like_best = allowed & (states == states.max(axis=1, keepdims=True)) & ~np.isnan(found)
+        best = np.where(like_best, found, -np.inf).max(axis=1, initial=-np.inf)
+        margins = np.where(np.isfinite(best), best, np.nan)
+    parts = seen.parts(root, named)
+    return Fit(root, seen.joined(named, [degree for _, degree in parts]), parts, margins)
 
 
 @dataclass(frozen=True)
-class Fit:
-    """How a sentence fits the things of a frame."""
+class Wording:
+    """What the words of a sentence say beside its parts."""
 
-    states: np.ndarray
-    """(N,) int8: T, U or F of each thing being what the sentence means."""
-    margins: np.ndarray
-    """(N,) float64: metres, of its best pair; NaN where nothing tells."""
-
-
-def fit_of_triple(truth: FrameCases, targets: np.ndarray, relation: str, references: np.ndarray) -> Fit:
-    """Fit of "TARGET RELATION REFERENCE"; (N,) bool each for the things of these names."""
-    allowed = truth.judged & references[None, :] & ~np.eye(len(references), dtype=np.bool_)
-    states = np.where(allowed, truth.states[relation], F)
-    margins = margins_of(truth, relation)
-    like_best = allowed & (states == states.max(axis=1, keepdims=True)) & ~np.isnan(margins)
-    best = np.where(like_best, margins, -np.inf).max(axis=1, initial=-np.inf)
-    return Fit(
-        np.where(targets, states.max(axis=1, initial=F), F).astype(np.int8), np.where(np.isfinite(best), best, np.nan)
-    )
+    definite: bool
+    """Of its target it does not say "a" or the like."""
+    whole: bool
+    """All of it was read, and can be judged."""
+    notes: tuple[str, ...]
+    """What was read otherwise than it is written."""
 
 
-def geometry_evidence(
-    fit: Fit, right: np.ndarray, own: dict[str, Fit], definite: bool, words: tuple[str, str, str], names: list[str]
+def evidence_of(
+    fit: Fit, right: np.ndarray, own: dict[str, Fit], said: Wording, names: list[str], reference: str
 ) -> list[Evidence]:
     """Evidence for and against the truth.
 
     `right` (K,) int64: the things that are said to be right. `own`: by the reference's own sides, by where it faces;
-    empty where it has no front or its sides do not matter. `definite`: the sentence says "the" of its target. `words`:
-    target, relation and reference; the last two are empty of other sentences.
+    empty where it has no front or its sides do not matter.
     """
     sure = np.flatnonzero(fit.states == T)
-    worst = int(right[np.lexsort((np.nan_to_num(fit.margins[right]), fit.states[right]))[0]])
-    state, margin = int(fit.states[worst]), float(fit.margins[worst])
+    worst = int(right[np.lexsort((np.nan_to_num(fit.margins[right]), fit.degrees[right]))[0]])
+    state, margin, degree = int(fit.states[worst]), float(fit.margins[worst]), float(fit.degrees[worst])
+    rival = float(np.delete(fit.degrees, right).max(initial=F)) if said.definite else F
     figures = () if math.isnan(margin) else (("margin", margin),)
     others = [int(k) for k in np.setdiff1d(sure, right)]
-    plain = words[1] in PHRASE
-    relation = f"{PHRASE[words[1]]} the {words[2]}" if plain else "what the sentence says"
+    plain = fit.root.triple is not None
+    loose = plain and fit.root.attachments[0].relation == "near"  # Nobody means a number of centimetres
+    failing = [words for words, degrees in fit.parts if degrees[worst] == F] or [words for words, _ in fit.parts]
+    relation = " and ".join(failing) or "what the sentence says"
     beyond = "" if math.isnan(margin) or state == U else f" by {abs(margin) * 100:.1f} cm"
+    told = "".join(f"; {note}" for note in said.notes)
     if state == F:
+        depth = 1 - math.exp(-abs(margin) / SCALE_M)
+        weight = NOTHING_FITS + (OTHERS_FIT - NOTHING_FITS) * (rival + 1) / 2
+        weight = weight if math.isnan(margin) or loose else NARROWLY + (FAR - NARROWLY) * depth
+        weight = min(weight, MISREAD) if said.notes else weight
         way = next((way for way, one in own.items() if (one.states[right] == T).all()), None)
-        depth = 1 - math.exp(-(0.1 if math.isnan(margin) else abs(margin)) / SCALE_M)
-        weight = NARROWLY + (FAR - NARROWLY) * depth if plain or len(sure) else NOTHING_FITS
         if way is not None:
-            text = f"{names[worst]} is not {relation} for the viewer{beyond}, but is if the {words[2]} faces {way}"
+            text = (
+                f"{names[worst]} is not {relation} for the viewer{beyond}, but is if the {reference} faces {way}{told}"
+            )
             return [Evidence("frame", min(weight, OWN_SIDES), text, figures)]
         instead = f"; it holds of {', '.join(names[k] for k in sure)}" if len(sure) else "; it holds of nothing"
-        return [Evidence("geometry", weight, f"{names[worst]} is not {relation}{beyond}{instead}", figures)]
-    said = f"{names[worst]} is {relation}{beyond}" if state == T else f"{names[worst]} is nearly {relation}"
-    found = [Evidence("geometry", HOLDS if state == T else UNDECIDED, said, figures)]
-    if others and definite:
-        # That it holds of what is right is no answer to this.
-        found = []
+        return [Evidence("geometry", weight, f"{names[worst]} is not {relation}{beyond}{instead}{told}", figures)]
+    words = f"{names[worst]} is {'' if state == T else 'nearly '}{relation}{beyond}{told}"
+    if state == U:
+        odds = logit(UNDECIDED) - LEANING * degree + FITS_LESS * max(rival - degree, 0)
+        better = np.flatnonzero(fit.degrees > max(degree, 0) + CLEARLY) if said.definite else right[:0]
+        instead = f"; {', '.join(names[k] for k in better)} rather is" if len(better) else ""
+        weight = min(1 / (1 + math.exp(-odds)), MISREAD if said.notes else AT_MOST)
+        found = [Evidence("geometry", weight, f"{words}{instead}", figures)]
+        alike = [int(k) for k in np.setdiff1d(np.flatnonzero(fit.degrees >= FITS), right)]
+        if degree < FITS or not alike or not (said.definite and said.whole) or said.notes:
+            return found
+        text = f"{counted(len(alike), 'other thing')} may fit as well: {', '.join(names[k] for k in alike)}"
+        return [*found, Evidence("several", SEVERAL_LONGER, text, (("others", float(len(alike))),))]
+    found = [Evidence("geometry", HOLDS, words, figures)]
     if others:
-        weight = (SEVERAL if plain else SEVERAL_LONGER) if definite else SEVERAL_A
-        text = (
-            f"{counted(len(others), 'other thing')} fit as well: {', '.join(names[k] for k in others)}"
-            f"{', and the sentence says “the”' if definite else ''}"
-        )
-        found.append(Evidence("several", weight, text, (("others", float(len(others))),)))
+        # That it holds of what is right is no answer to this.
+        found = [] if said.definite and said.whole else found
+        weight = (SEVERAL if plain else SEVERAL_LONGER) if said.whole and not said.notes else SEVERAL_UNREAD
+        weight = weight if said.definite else SEVERAL_A
+        listed = f"{counted(len(others), 'other thing')} fit as well: {', '.join(names[k] for k in others)}"
+        unread = "" if said.whole else ", by what was read of the sentence"
+        found.append(Evidence("several", weight, f"{listed}{unread}{told}", (("others", float(len(others))),)))
     for way, one in own.items():
         instead = np.setdiff1d(np.flatnonzero(one.states == T), right)
         if len(instead) and (one.states[right] == F).all():
-            text = f"if the {words[2]} faces {way}, its own sides make {names[int(instead[0])]} right instead"
+            text = f"if the {reference} faces {way}, its own sides make {names[int(instead[0])]} right instead"
             return [*found, Evidence("frame", TWO_FRAMES, text)]
     return found
 
@@ -232,40 +270,38 @@ def audit_sentences(
         by_frame.setdefault(sentence.frame, []).append(sentence)
     done = 0
     for frame, sentences in by_frame.items():
+        seen: SeenTruth | str
         try:
             context = source.prepare(frame)
-            truth: FrameCases | str | None = annotated_truth(context, source)
+            truth = annotated_truth(context, source)
+            seen = "the frame has no annotations" if truth is None else SeenTruth(context, truth, source)
         except InputError as error:
-            context, truth = None, str(error)
+            seen = str(error)
         for sentence in sentences:
-            yield audited(sentence, source, context, truth, systems)
+            yield audited(sentence, source, seen, systems)
             done += 1
             if progress is not None:
                 progress(done, len(asked.sentences))
 
 
 def audited(
-    sentence: Sentence,
-    source: Pipeline,
-    context: PreparedFrame | None,
-    known: FrameCases | str | None,
-    systems: Sequence[SystemAnswers] = (),
+    sentence: Sentence, source: Pipeline, seen: SeenTruth | str, systems: Sequence[SystemAnswers] = ()
 ) -> AuditItem:
-    """Audit one sentence; `known` are the frame's annotations, or the reason for their absence."""
-    truth = known if isinstance(known, FrameCases) else None
+    """Audit one sentence; `seen` are the frame's annotations, or the reason for their absence."""
+    truth = None if isinstance(seen, str) else seen.truth
     numbered = () if truth is None else zip(truth.labels, truth.numbers, strict=True)
     names = [f"{label}·{number}" for label, number in numbered]
     right = np.zeros(0, np.int64) if truth is None else sentence.among(truth)
     said = ", ".join(names[k] for k in right) or ("nothing" if sentence.nothing else _places(sentence))
     evidence: list[Evidence] = []
     seems = unjudged = None
-    if truth is None or context is None:
-        unjudged = known if isinstance(known, str) else "the frame has no annotations"
+    if isinstance(seen, str):
+        unjudged = seen
     elif not len(right) and not sentence.nothing:
         unjudged = "no annotated object is what is right"
     else:
         try:
-            evidence, seems = _geometry(sentence, source, context, truth, right, names)
+            evidence, seems = _geometry(sentence, source, seen, right, names)
         except InputError as error:
             unjudged = str(error)
     boxes = np.array(sentence.boxes or (), np.float64).reshape(-1, 4) if truth is None else truth.boxes[right]
@@ -285,50 +321,58 @@ def _places(sentence: Sentence) -> str:
 
 
 def _geometry(
-    sentence: Sentence, source: Pipeline, context: PreparedFrame, truth: FrameCases, right: np.ndarray, names: list[str]
+    sentence: Sentence, source: Pipeline, seen: SeenTruth, right: np.ndarray, names: list[str]
 ) -> tuple[list[Evidence], str | None]:
-    trace = source.ask(context, sentence.text)
-    root, top = trace.root, trace.root.pairwise
-    targets = of_name(truth, root.name, source) if not root.anything else np.ones(len(truth.labels), np.bool_)
-    reference = top.nodes[0].name if top is not None and top.nodes else ""
-    sided = top is not None and top.relation in HORIZONTAL and has_front(reference)
-    own = {way: _fit(trace, source, context, one, targets) for way, one in by_own_sides(truth).items()} if sided else {}
-    fit = _fit(trace, source, context, truth, targets)
-    sure = np.flatnonzero(fit.states == T)
+    query = whole_names(source.read(sentence.text), source.needed_detector(), source.synonyms)
+    root = query.default.root
+    name = NameRead(np.full(len(names), T, np.int8)) if root.anything else seen.read(root.name)
     if sentence.nothing:
+        sure = np.flatnonzero(fit_of(seen, root, name.states).states == T)
         text = f"nothing is said to be right, and it holds of {', '.join(names[k] for k in sure)}"
         return ([Evidence("geometry", NOTHING_RIGHT, text)] if len(sure) else []), _listed(sure, names)
-    strange = right[~targets[right]]
+    strange = right[name.states[right] == F]
     if len(strange):
+        sure = np.flatnonzero(fit_of(seen, root, name.states).states == T)
         text = f"the sentence asks for a {root.name}, and what is right is annotated as {names[int(strange[0])]}"
-        return [Evidence("class", OTHER_CLASS, text)], _listed(sure, names)
-    words = (root.name, trace.relation if trace.query.default.root.triple is not None else "", reference)
-    definite = says_the(sentence.text, [root.label])[0]
-    evidence = geometry_evidence(fit, right, own, definite, words, names)
-    wrong = any(e.kind in ("geometry", "several") and e.weight > PRIOR for e in evidence)
-    return evidence, _listed(sure, names) if wrong else None
+        note = f"; {name.note}" if name.note else ""
+        return [Evidence("class", name.weight, text + note)], _listed(sure, names)
+    # Who calls what is right so, may call the like of it so.
+    labels = np.array(seen.truth.labels)
+    named = np.where(np.isin(labels, labels[right]) & (name.states == U), T, name.states).astype(np.int8)
+    fits = [fit_of(seen, reading.root, named) for reading in query.readings]
+    notes = [f"“{a}” is read as “{b}”" for a, b in query.mended]
+    notes += [read.note for n in query.nodes if n.name in seen.names and (read := seen.names[n.name]).note]
+    fits = [fit for fit in fits if fit.judged]
+    if not fits:
+        raise InputError("nothing that the sentence says can be told" + "".join(f"; {note}" for note in notes))
+    unread = any(note != NOT_EXACT for _, note in unused_words(query))
+    said = Wording(_definite(query), not unread, tuple(dict.fromkeys(notes)))
+    told = [evidence_of(fit, right, _own(seen, fit, named), said, names, _reference(fit.root)) for fit in fits]
+    # Where it can be read in several ways, the one that speaks least against the truth is meant.
+    best = min(range(len(told)), key=lambda k: wrong_probability(told[k]))
+    sure = np.flatnonzero(fits[best].states == T)
+    wrong = any(e.kind in ("geometry", "several") and e.weight > PRIOR for e in told[best])
+    return told[best], _listed(sure, names) if wrong else None
+
+
+def _reference(root: Node) -> str:
+    top = root.pairwise
+    return top.nodes[0].name if top is not None and top.nodes else ""
+
+
+def _own(seen: SeenTruth, fit: Fit, named: np.ndarray) -> dict[str, Fit]:
+    """Fits by the reference's own sides, keyed by where it faces; none where it has no front."""
+    top = fit.root.triple
+    sided = top is not None and top.relation in HORIZONTAL and has_front(_reference(fit.root))
+    return {way: fit_of(seen, fit.root, named, sides) for way, sides in FACING.items()} if sided else {}
+
+
+def _definite(query: Query) -> bool:
+    """Test for a target that is one: with "the", or without an article, as in headlines; not for "a"."""
+    at = next((s.start for s in query.spans if s.role == "target" and s.index == 0), 0)
+    before = query.text[:at].lower().split()[-3:]
+    return not INDEFINITE.intersection(before[-1:]) and "of" not in before[-2:]
 
 
 def _listed(chosen: np.ndarray, names: list[str]) -> str | None:
     return ", ".join(names[int(k)] for k in chosen) or None
-
-
-def of_name(truth: FrameCases, name: str, source: Pipeline) -> np.ndarray:
-    """(N,) bool: annotated things with this name."""
-    known = tuple(dict.fromkeys([*truth.labels, *source.dataset.class_names]))
-    return np.isin(truth.labels, match(name, known, source.synonyms))
-
-
-def _fit(trace: Trace, source: Pipeline, context: PreparedFrame, truth: FrameCases, targets: np.ndarray) -> Fit:
-    e = trace.query.expression
-    plain = len(trace.query.readings) == 1 and trace.query.default.root.triple is not None
-    if e is not None and plain and not e.second_reference and not e.inverse and e.relation in truth.states:
-        return fit_of_triple(truth, targets, e.relation, of_name(truth, e.reference, source))
-    case = sentence_case(truth, trace, source, context)
-    states = np.full(len(targets), F, np.int8)
-    if not isinstance(case, str):
-        states[case.acceptable] = U
-        states[case.strict] = T
-    elif "true of nothing" not in case:
-        raise InputError(case)
-    return Fit(states, np.full(len(targets), np.nan))

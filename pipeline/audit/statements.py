@@ -7,12 +7,14 @@ from collections.abc import Callable, Iterator, Sequence
 from pipeline.answering.answer_words import best_pair
 from pipeline.answering.pipeline import Pipeline
 from pipeline.audit.benchmarks import NO_RELATION, Stated
+from pipeline.audit.seen import MISREAD
 from pipeline.audit.sentences import HOLDS, OWN_SIDES, has_front
 from pipeline.audit.suspicion import AuditItem, Evidence
 from pipeline.datasets.frame_names import FrameNames
 from pipeline.language.expression import parse
 from pipeline.language.naming import normal_form
 from pipeline.language.relation_names import HORIZONTAL, INVERSE, MIRRORED
+from pipeline.language.tree import Query
 from pipeline.system.errors import InputError
 
 ONE_OF_TWO = 0.5
@@ -100,7 +102,8 @@ def of_geometry(item: Stated, frame: str, source: Pipeline | None, unseen: str) 
         return unsure, unseen
     try:
         context = source.prepare(frame)
-        best = best_pair(source.ask(context, item.text))
+        trace = source.ask(context, item.text)
+        best = best_pair(trace)
     except InputError as error:
         return unsure, str(error)
     if best is None:
@@ -112,7 +115,15 @@ def of_geometry(item: Stated, frame: str, source: Pipeline | None, unseen: str) 
         return [Evidence("geometry", HOLDS, text, (("p", p),))], None
     if 1 - SURE < p < SURE:
         return unsure, None
-    text = f"{seen} objects say {'yes' if p >= SURE else 'no'}: the relation has {p:.2f}{estimated}"
+    mended = [*trace.query.mended, *misspelt_names(trace.query)]
+    told = "".join(f"; “{a}” is read as “{b}”" for a, b in mended)
+    text = f"{seen} objects say {'yes' if p >= SURE else 'no'}: the relation has {p:.2f}{estimated}{told}"
     if sided:
-        return [Evidence("frame", OWN_SIDES, f"{text}; {doubt}", (("p", p),))], None
-    return [Evidence("geometry", DETECTED, text, (("p", p),))], None
+        return [Evidence("frame", MISREAD if mended else OWN_SIDES, f"{text}; {doubt}", (("p", p),))], None
+    return [Evidence("geometry", MISREAD if mended else DETECTED, text, (("p", p),))], None
+
+
+def misspelt_names(query: Query) -> list[tuple[str, str]]:
+    """Names that the detector was asked for in other letters, each with these."""
+    asked = dict(query.asked)
+    return [(n.name, name) for n in query.nodes if (name := asked.get(n.label)) and name not in (n.label, n.name)]

@@ -13,7 +13,7 @@ from scenes import frame_of, upright
 from pipeline.answering import Pipeline, open_pipeline
 from pipeline.audit import AuditReport
 from pipeline.audit.report import audit
-from pipeline.audit.sentences import FACING, audit_sentences, has_front
+from pipeline.audit.sentences import FACING, UNDECIDED, audit_sentences, has_front
 from pipeline.audit.suspicion import (
     PRIOR,
     AuditItem,
@@ -73,6 +73,68 @@ def test_each_kind_of_wrong_truth(source: Pipeline, text: str, right: int | None
     assert [e.kind for e in found.reasons] == ([] if kind is None else [kind])
     assert found.seems == seems
     assert (found.score > PRIOR) == (kind is not None)
+
+
+BOOKS = [upright((x, 0.92, 2.5), (0.2, 0.25, 0.2)) for x in (-0.9, -0.3, 0.3, 0.9)] + [
+    upright((0.0, 1.1, 2.5), (2.4, 0.1, 0.6)),
+    upright((0.9, 0.95, 2.05), (0.2, 0.3, 0.2)),
+]
+
+
+@pytest.fixture(scope="module")
+def shelf() -> Pipeline:
+    """Four books from left to right on a desk, a potted plant before the last one."""
+    return open_pipeline(InMemoryDataset([frame_of(BOOKS, ["book"] * 4 + ["desk", "potted plant"], name="room")]))
+
+
+@pytest.mark.parametrize(
+    ("text", "opposite", "right"),
+    [
+        ("the leftmost book", "the rightmost book", 0),
+        ("second book from the left", "second book from the right", 1),
+        ("Pick op the book on the right side of the picture", "Pick op the book on the left side of the picture", 3),
+        ("the book closest to the plant", "the book farthest from the plant", 3),
+        ("grab the book that is behind the plant", "grab the book that is in front of the plant", 3),
+        ("the plant closest to me", "the book farthest from me", 5),
+    ],
+)
+def test_opposite_words_are_found(shelf: Pipeline, text: str, opposite: str, right: int) -> None:
+    sound, planted = item(shelf, text, right), item(shelf, opposite, right)
+    assert sound.score <= UNDECIDED
+    assert planted.score > 0.4
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("the lap on the table", "“lap” is not known"),
+        ("the bok in front of the shelv", "“bok” is read as “book”"),
+        ("the leftmost boko", "“boko” is read as “book”"),
+        ("the rightmost plamt", "“plamt” is read as “plant”"),
+    ],
+)
+def test_a_misspelt_word_is_weak_evidence_and_told(shelf: Pipeline, text: str, told: str) -> None:
+    for right in range(len(BOOKS)):
+        found = item(shelf, text, right)
+        assert found.score <= 0.35, [e.text for e in found.evidence]
+        assert told in (found.unjudged or "".join(e.text for e in found.evidence))
+
+
+@pytest.mark.parametrize("name", ["plant", "potted plant", "house plant", "plants", "pottedplant"])
+def test_a_thing_may_be_called_otherwise_than_it_is_annotated(shelf: Pipeline, name: str) -> None:
+    assert "class" not in [e.kind for e in item(shelf, f"the {name} in front of the book", 5).evidence]
+    assert [e.kind for e in item(shelf, f"the {name} in front of the book", 0).reasons] == ["class"]
+
+
+def test_what_is_not_annotated_or_not_read_is_no_evidence(shelf: Pipeline) -> None:
+    for text in (
+        "the leftmost book on the floor",
+        "the leftmost book, leaning against the wall",
+        "the leftmost old book",
+    ):
+        assert item(shelf, text, 0).score <= PRIOR
+        assert item(shelf, text, 3).score > 0.4
+    assert item(shelf, "the book near the keyboard", 0).unjudged
 
 
 def test_attributes_are_no_part_of_the_name(source: Pipeline) -> None:
