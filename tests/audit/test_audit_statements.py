@@ -148,3 +148,13 @@ def test_statements_are_audited_on_annotated_pictures(tmp_path: Path) -> None:
     plain = audit(lines(tmp_path / "two.jsonl", *opposite, vsr("2.jpg", "The cat is behind the dog.", 1)))
     assert [item.id for item in plain.suspicious] == ["line 1", "line 2"]
     assert plain.look(plain.items[0]) == ""
+
+
+def test_a_misspelt_name_is_weak_evidence(tmp_path: Path) -> None:
+    said = ("the mouse is left of the laptop", "the mousse is left of the laptop", "the mouse is left of the lapptop")
+    path = lines(tmp_path / "items.jsonl", *(vsr("000001/000000", text, 1) for text in said))
+    report = {item.text: item for item in audit(path, "demo").items}
+    assert report[said[0]].score > 0.5
+    for text in said[1:]:
+        assert report[text].score < 0.31
+        assert "is read as" in "".join(e.text for e in report[text].evidence) or report[text].unjudged
