@@ -209,8 +209,9 @@ def evidence_of(
     others = [int(k) for k in np.setdiff1d(sure, right)]
     plain = fit.root.triple is not None
     loose = plain and fit.root.attachments[0].relation == "near"  # Nobody means a number of centimetres
-    failing = [words for words, degrees in fit.parts if degrees[worst] == F] or [words for words, _ in fit.parts]
-    relation = " and ".join(failing) or "what the sentence says"
+    open_ones = [words for words, degrees in fit.parts if degrees[worst] < T and degrees.any()]
+    failing = [words for words, degrees in fit.parts if degrees[worst] == F] or open_ones
+    relation = " and ".join(failing or [words for words, _ in fit.parts]) or "what the sentence says"
     beyond = "" if math.isnan(margin) or state == U else f" by {abs(margin) * 100:.1f} cm"
     told = "".join(f"; {note}" for note in said.notes)
     if state == F:
