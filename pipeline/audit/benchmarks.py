@@ -35,7 +35,7 @@ NO_RELATION = "it is not whether one thing stands in a relation to another"
 
 
 @dataclass(frozen=True)
-class Stated:
+class Statement:
     """An item: a statement, and whether it is said to be true."""
 
     id: str
@@ -48,7 +48,7 @@ class Stated:
 
 
 Row = Mapping[str, Any]
-Form = tuple[str, set[str], Callable[[Row, str], Iterator[Stated]]]
+Form = tuple[str, set[str], Callable[[Row, str], Iterator[Statement]]]
 
 
 def _picture(row: Row, where: str) -> Picture:
@@ -82,58 +82,58 @@ def _chosen(row: Row, where: str) -> str:
     return str(choices[place]) if answer not in choices else answer
 
 
-def _vsr(row: Row, where: str) -> Iterator[Stated]:
+def _vsr(row: Row, where: str) -> Iterator[Statement]:
     label = {"0": False, "1": True, "true": True, "false": False}.get(str(row["label"]).strip().lower())
     require(label is not None, f"{where}, label: neither true nor false", got=repr(row["label"]), expected="0 or 1")
     caption = _text(row, "caption", where)
-    yield Stated(where, _picture(row, where), caption, bool(label), "true" if label else "false")
+    yield Statement(where, _picture(row, where), caption, bool(label), "true" if label else "false")
 
 
-def _choices(row: Row, where: str) -> Iterator[Stated]:
+def _choices(row: Row, where: str) -> Iterator[Statement]:
     question, right = _text(row, "question", where), _chosen(row, where)
     own, picture = str(row.get("idx", where)), _picture(row, where)
     verdict = {"yes": True, "no": False}.get(right.strip(" .").lower())
     asked = _WHERE.search(_MARKED.sub("", question))
     if verdict is not None:
-        yield Stated(own, picture, question, verdict, right)
+        yield Statement(own, picture, question, verdict, right)
     elif asked is not None:
         relation = {"left": "left of", "right": "right of"}.get(right.lower(), right)
-        yield Stated(own, picture, f"the {asked[1]} is {relation} the {asked[2]}", True, right)
+        yield Statement(own, picture, f"the {asked[1]} is {relation} the {asked[2]}", True, right)
     else:
         kind = str(row.get("task") or row.get("sub_task") or "a choice")
-        yield Stated(own, picture, question, True, right, f"{kind}: {NO_RELATION}")
+        yield Statement(own, picture, question, True, right, f"{kind}: {NO_RELATION}")
 
 
-def _whats_up(row: Row, where: str) -> Iterator[Stated]:
+def _whats_up(row: Row, where: str) -> Iterator[Statement]:
     options = row["caption_options"]
     told = isinstance(options, list) and len(options) > 0 and all(isinstance(option, str) for option in options)
     require(told, f"{where}, caption_options: no list of sentences", got=repr(options)[:60])
     for k, option in enumerate(options):
         own, truth = (where, "true") if k == 0 else (f"{where}, option {k}", "false")
-        yield Stated(own, _picture(row, where), option, k == 0, truth)
+        yield Statement(own, _picture(row, where), option, k == 0, truth)
 
 
-def _question(row: Row, where: str) -> Iterator[Stated]:
+def _question(row: Row, where: str) -> Iterator[Statement]:
     question, answer = _text(row, "question", where), str(row["answer"])
     verdict = {"yes": True, "no": False}.get(answer.strip(" .").lower())
     own = str(row.get("id", row.get("idx", where)))
     why = "" if verdict is not None else "its answer is neither yes nor no"
-    yield Stated(own, _picture(row, where), question, verdict is not False, answer, why)
+    yield Statement(own, _picture(row, where), question, verdict is not False, answer, why)
 
 
 OF_A_SCAN = "it is about a whole scan, and frames are judged: lines of frame, sentence and targets would do"
 
 
-def _scan_refer(row: Row, where: str) -> Iterator[Stated]:
+def _scan_refer(row: Row, where: str) -> Iterator[Statement]:
     said, number = _text(row, "description", where), str(row["object_id"])
     own = f"{row['scene_id']}|{number}|{row.get('ann_id', where)}"
-    yield Stated(own, str(row["scene_id"]), said, True, f"{row.get('object_name', '')} {number}", OF_A_SCAN, number)
+    yield Statement(own, str(row["scene_id"]), said, True, f"{row.get('object_name', '')} {number}", OF_A_SCAN, number)
 
 
-def _nr3d(row: Row, where: str) -> Iterator[Stated]:
+def _nr3d(row: Row, where: str) -> Iterator[Statement]:
     said, number = _text(row, "utterance", where), str(row["target_id"])
     own = str(row.get("assignmentid") or where)
-    yield Stated(own, str(row["scan_id"]), said, True, f"{row.get('instance_type', '')} {number}", OF_A_SCAN, number)
+    yield Statement(own, str(row["scan_id"]), said, True, f"{row.get('instance_type', '')} {number}", OF_A_SCAN, number)
 
 
 FORMS: tuple[Form, ...] = (
@@ -162,7 +162,7 @@ def open_benchmark(path: Path) -> Content:
     return Content([{"image": k, **row} for k, row in enumerate(rows)], path)
 
 
-def read_benchmark(content: Content) -> tuple[str, list[Stated]]:
+def read_benchmark(content: Content) -> tuple[str, list[Statement]]:
     """Name of a benchmark's form, and its items.
 
     Raises InputError: an item lacks what its form needs; it names the line and the field.
@@ -177,7 +177,7 @@ def read_benchmark(content: Content) -> tuple[str, list[Stated]]:
         got = ", ".join(content.first)
         raise InputError("no published benchmark has these keys", got=got, expected=known, path=path)
     name, keys, read = found
-    items: list[Stated] = []
+    items: list[Statement] = []
     for k, row in enumerate(content.value if isinstance(content.value, list) else [content.value]):
         where = content.where(k)
         require(isinstance(row, dict), f"{where}: an object is asked for", path=path)

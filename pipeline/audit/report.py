@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.answering.pipeline import Pipeline, open_pipeline
-from pipeline.audit.benchmarks import NO_RELATION, Stated, is_benchmark, open_benchmark, read_benchmark
+from pipeline.audit.benchmarks import NO_RELATION, Statement, is_benchmark, open_benchmark, read_benchmark
 from pipeline.audit.sentences import HOLDS, audit_sentences
 from pipeline.audit.statements import ONE_OF_TWO, Triple, audit_statements, implied, of_geometry, triple_of
 from pipeline.audit.suspicion import KINDS, PRIOR, AuditItem, Evidence, agreement_weight, read_answers
@@ -121,7 +121,7 @@ def _of_region(question: Question) -> list[Evidence]:
 def _of_geometry(question: Question, source: Pipeline | None) -> tuple[list[Evidence], str | None]:
     if _statement(question) is None:
         return [], NO_RELATION
-    stated = Stated(question.id, question.frame, question.text, bool(question.yes), question.answer)
+    stated = Statement(question.id, question.frame, question.text, bool(question.yes), question.answer)
     return of_geometry(stated, question.frame, source, "no detector looked at the picture (--detector)")
 
 

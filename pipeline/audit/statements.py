@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from pipeline.answering.answer_words import best_pair
 from pipeline.answering.pipeline import Pipeline
-from pipeline.audit.benchmarks import NO_RELATION, Stated
+from pipeline.audit.benchmarks import NO_RELATION, Statement
 from pipeline.audit.seen import MISREAD
 from pipeline.audit.sentences import HOLDS, OWN_SIDES, has_front
 from pipeline.audit.suspicion import AuditItem, Evidence
@@ -26,7 +26,7 @@ NO_DATASET = "no dataset holds the picture (--dataset; --depth-model for picture
 
 
 def audit_statements(
-    items: Sequence[Stated], source: Pipeline | None, progress: Callable[[int, int], None] | None = None
+    items: Sequence[Statement], source: Pipeline | None, progress: Callable[[int, int], None] | None = None
 ) -> Iterator[AuditItem]:
     """Audit every item in order; `progress` is told (done, in all).
 
@@ -65,7 +65,7 @@ def implied(triple: Triple, true: bool) -> Iterator[tuple[Triple, bool]]:
         yield (b, relation, a), False
 
 
-def contradictions(items: Sequence[Stated]) -> list[list[Evidence]]:
+def contradictions(items: Sequence[Statement]) -> list[list[Evidence]]:
     """Evidence by other items of the same picture that say the opposite, or of a scan that mean another object."""
     found: list[list[Evidence]] = [[] for _ in items]
     told: dict[tuple[str, Triple], tuple[int, bool]] = {}
@@ -84,13 +84,13 @@ def contradictions(items: Sequence[Stated]) -> list[list[Evidence]]:
     return found
 
 
-def _opposed(found: list[list[Evidence]], items: Sequence[Stated], k: int, other: int) -> None:
+def _opposed(found: list[list[Evidence]], items: Sequence[Statement], k: int, other: int) -> None:
     for one, rival in ((k, items[other]), (other, items[k])):
         piece = Evidence("contradiction", ONE_OF_TWO, f"{rival.id} says {rival.truth} to “{rival.text}”")
         found[one] += [piece] if piece not in found[one] else []
 
 
-def of_geometry(item: Stated, frame: str, source: Pipeline | None, unseen: str) -> tuple[list[Evidence], str | None]:
+def of_geometry(item: Statement, frame: str, source: Pipeline | None, unseen: str) -> tuple[list[Evidence], str | None]:
     """Evidence by the annotated or detected things of a frame, and why there is none; `unseen` for no such frame."""
     triple = triple_of(item.text)
     if triple is None:
