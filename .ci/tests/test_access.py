@@ -38,6 +38,7 @@ def status(access: Access, asked: Request) -> int:
         ({"Origin": "http://evil.example"}, 403),
         ({"Origin": "http://127.0.0.1:9090"}, 403),
         ({"Origin": "null"}, 403),
+        ({"Host": "localhost", "Origin": "capacitor://localhost"}, 403),
         ({"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "no-cors", "Sec-Fetch-Dest": "image"}, 403),
         ({"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate", "Sec-Fetch-Dest": "iframe"}, 403),
         ({"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate", "Sec-Fetch-Dest": "document"}, 200),
@@ -78,6 +79,17 @@ def test_an_address_with_a_token_leads_to_itself_without_it() -> None:
     assert entered is not None
     assert entered.headers["Location"] == "./"
     assert "Set-Cookie" not in entered.headers
+
+
+def test_malformed_requests_are_refused_and_cookies_may_come_apart() -> None:
+    access = Access("0.0.0.0", {TOKEN: "ana"})
+    assert status(access, request("//[::/", Cookie=f"spatialviz={TOKEN}")) == 400
+    asked = request(Cookie="other=1")
+    asked.headers["Cookie"] = f"spatialviz={TOKEN}"
+    assert status(access, asked) == 200
+    asked.headers["Sec-Fetch-Site"] = "none"
+    asked.headers["Sec-Fetch-Site"] = "cross-site"
+    assert status(access, asked) == 400
 
 
 def test_others_need_a_token_and_this_machine_does_not() -> None:

@@ -68,8 +68,10 @@ class StrayDataset(Recording):
         return {}, open_video(root / VIDEO).size
 
     def _shift(self, depths: dict[str, str]) -> int:
+        if len(depths) != len(self._colors):
+            return 0
         first, other = (min(int(float(n)) for n in table) for table in (depths, self._colors))
-        if first == other or len(depths) != len(self._colors):
+        if first == other:
             return 0
         self.notes += (f"pictures count from {other} and depth from {first}: they belong together in order",)
         return other - first

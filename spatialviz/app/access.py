@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
-from websockets.datastructures import Headers
+from websockets.datastructures import Headers, MultipleValuesError
 from websockets.http11 import Request, Response
 
 from pipeline.system.errors import InputError, as_input_error, require
@@ -89,10 +89,16 @@ class Access:
         socket, and any other request with an Origin, must come from the page served here: where a proxy names this
         machine as Host, from a page of any outer address, else from one of the very address.
         """
+        try:
+            return self._refusal(request)
+        except (ValueError, MultipleValuesError):
+            return refused(http.HTTPStatus.BAD_REQUEST, "This request is malformed.")
+
+    def _refusal(self, request: Request) -> Response | None:
         hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
         host, origin = (found[0].lower() if len(found) == 1 else "" for found in (hosts, origins))
-        same = origin.partition("://")[2] == host
-        known = self.name(request) is not None or _token(urlsplit(request.path).query) in self._tokens
+        same = origin in (f"http://{host}", f"https://{host}")
+        known = _token(urlsplit(request.path).query) in self._tokens or self.name(request) is not None
         local, outer = self._names(host), [address for address in self.outer if host in address.hosts]
         # A foreign page that has pointed its name here has no token for it.
         local_or_told = local or (known and any(not address.origin for address in self.outer))
@@ -142,7 +148,8 @@ class Access:
 
     def name(self, request: Request) -> str | None:
         """Name by a request's token; None without a valid token."""
-        for part in request.headers.get("Cookie", "").split(";"):
+        # Proxies may leave HTTP/2's several headers of cookies apart.
+        for part in ";".join(request.headers.get_all("Cookie")).split(";"):
             key, _, value = part.strip().partition("=")
             if key == COOKIE and value in self._tokens:
                 return self._tokens[value]
