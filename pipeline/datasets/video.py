@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
@@ -9,10 +10,13 @@ from threading import Lock
 import cv2
 import numpy as np
 
+from pipeline.datasets.files import CUT_OFF
 from pipeline.system.errors import require
 from pipeline.system.limits import within
-from pipeline.system.safe_files import checked_path, limits_of
+from pipeline.system.safe_files import checked_path, limits_of, opened
 
+MOVIE = re.compile(rb"....(ftyp|moov|mdat|free|skip|wide)|\x1aE\xdf\xa3", re.DOTALL)
+"""How files of MP4, QuickTime and Matroska begin."""
 MOST_SKIPPED = 60
 """So many pictures are decoded on the way to a later one; beyond it the video is searched."""
 
@@ -22,6 +26,9 @@ class Video:
 
     def __init__(self, path: Path) -> None:
         self.path, self._lock, self._next = checked_path(path, "unpacked"), Lock(), 0
+        # OpenCV goes by the content: a list of other files, or a picture with others beside it, would be a video too.
+        with opened(path, "unpacked") as file:
+            require(MOVIE.match(file.read(8)), "neither MP4 nor Matroska", cause=CUT_OFF, path=path)
         self._capture = cv2.VideoCapture(str(path))
         # What a container says of turning is for players; depth beside it is not turned.
         self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
