@@ -152,6 +152,8 @@ def _place(content: Any, location: tuple[Any, ...], missing: bool) -> tuple[Any,
 
 
 DELIMITERS = {".csv": ",", ".tsv": "\t"}
+MOST_COLUMNS = 10_000
+"""Of CSV and TSV."""
 EXCEL = (".xlsx", ".xls")
 
 
@@ -194,7 +196,13 @@ def read_content(path: Path, what: str = "the file") -> Content:
     if ending in DELIMITERS:
         with as_input_error(f"{what} is not {ending[1:].upper()}", csv.Error, got=str, path=path):
             reader = csv.DictReader(text.splitlines(), delimiter=DELIMITERS[ending])
-            table = [(reader.line_num, row) for row in reader]
+            columns = len(reader.fieldnames or ())
+            require(columns <= MOST_COLUMNS, f"{what} has too many columns", got=columns, path=path)
+            table: list[tuple[int, dict[str, Any]]] = []
+            for row in reader:
+                extra = f"line {reader.line_num} has more cells than the first line names"
+                require(None not in row, extra, expected=columns, path=path)
+                table.append((reader.line_num, row))
         return Content([row for _, row in table], path, tuple(number for number, _ in table))
     lines = [(number, line) for number, line in enumerate(text.split("\n"), 1) if line.strip()]
     if ending == ".jsonl" or (len(lines) > 1 and _is_json(lines[0][1]) and _is_json(lines[1][1])):

@@ -21,6 +21,7 @@ from pipeline.geometry import Frame
 from pipeline.geometry.masks import encode_run_length
 from pipeline.proposals import Proposals, RecordedDetector, make_detector
 from pipeline.system import FrameUnusable, InputError, UnknownClass
+from pipeline.system.reading import read_content
 
 FRAMES = ("scene/0", "scene/1", "other/000007")
 
@@ -408,3 +409,17 @@ def test_a_name_that_was_cut_is_found_with_its_pieces(tmp_path: Path, frame: Fra
     assert detector.cut == {"potted plant": ("potted pl",)}
     with pytest.raises(UnknownClass):
         detector.detect(frame, ["tablet"])
+
+
+@pytest.mark.parametrize(
+    ("text", "wrong"),
+    [
+        ("frame,name,x1,y1,x2,y2\na,mug,1,2,3,4\na,mug,1,2,3,4,5\n", "line 3 has more cells than the first line"),
+        (",".join(f"c{k}" for k in range(1_000_000)) + "\n" + "1\n" * 20, "too many columns"),
+    ],
+)
+def test_tables_with_more_cells_than_names(tmp_path: Path, text: str, wrong: str) -> None:
+    path = tmp_path / "found.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=wrong):
+        read_content(path)
