@@ -111,8 +111,18 @@ _NO_MEMORY = re.compile(
 """What the system and libraries say where memory is short: of loading a library too."""
 
 
+LONGEST_LINE = 4000
+"""Characters of an error's line: a file may hold a name as long as it likes."""
+
+
 def error_line(error: Exception) -> str:
-    """Single line of an error, for a person or an agent."""
+    """Single line of an error, for a person or an agent; of a long one the beginning and the end."""
+    line = _line_of(error)
+    half = LONGEST_LINE // 2
+    return line if len(line) <= LONGEST_LINE else f"{line[:half]} ... {line[-half:]}"
+
+
+def _line_of(error: Exception) -> str:
     if isinstance(error, MemoryError) or _NO_MEMORY.search(str(error)):
         return "error: there is not enough memory (is it limited, as by ulimit -v, or does something else need it?)"
     if isinstance(error, OSError):  # A full disk, a folder that cannot be written.

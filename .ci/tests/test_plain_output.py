@@ -21,7 +21,8 @@ from hypothesis import strategies as st
 from rich.text import Text
 
 from pipeline.datasets.demo import demo_path, demo_run
-from spatialviz.options import print_json, warn
+from pipeline.system.errors import InputError
+from spatialviz.options import LONGEST_LINE, error_line, print_json, warn
 from spatialviz.plain_text import plain, plain_streams
 from spatialviz.printing import console, print_rows, say
 
@@ -124,3 +125,10 @@ def test_on_a_terminal_only_our_own_colours_are_codes(hostile: Path) -> None:
         assert not CODES.search(left), (words, left)
         assert "\\u001b[" not in text.replace("\\u001b[8m", ""), "our own colours are no escapes"
         assert "\x1b[8m" not in text
+
+
+def test_a_line_is_never_as_long_as_a_name_may_be() -> None:
+    line = error_line(InputError("no such frame", got="x" * 10**6, path=Path("/somewhere/labels")))
+    assert len(line) < LONGEST_LINE + 10
+    assert line.startswith("error: no such frame; got xxx")
+    assert line.endswith("[/somewhere/labels]")
