@@ -264,10 +264,10 @@ def flat_numbers(value: Any, name: str = "") -> Iterator[tuple[str, np.ndarray]]
             yield name, numbers
 
 
-_NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+_NUMBER = r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _LINE = re.compile(
     rf"^[ \t-]*[\"']?(?P<name>[A-Za-z][\w.]*)[\"']?[ \t]*[:=][ \t]*(?:!!\S+[ \t]*)?"
-    rf"(?P<value>\[[^\]A-Za-df-z]*\]|{_NUMBER}(?=\s|,|$))?",
+    rf"(?P<value>\[[^\]A-Za-df-z]{{0,2000}}\]|{_NUMBER}(?=\s|,|$))?",
     re.MULTILINE,
 )
 """A line `name: number`, `name = [numbers, ...]`, or `name:` above indented ones: YAML, TOML, INI and OpenCV's own."""

@@ -7,6 +7,7 @@ import json
 import math
 import os
 import re
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -105,6 +106,10 @@ _PLAIN = re.compile(r"(?!.*\.\.)[^/\\:][^\\:]*\Z")
 """Most names, which need no closer look."""
 
 
+MOST_PARTS = 32
+"""So many last parts of an absolute path are looked for."""
+
+
 def leaves(name: str) -> bool:
     """Whether a name of a list is absolute or goes up, on any system."""
     windows = PureWindowsPath(name)
@@ -120,8 +125,9 @@ def goes_up(name: str) -> bool:
 def _below(name: str, folder: Path) -> str | None:
     """The most last parts of an absolute path that are a file of the folder."""
     parts = PureWindowsPath(name).parts[1:]
-    tails = () if ".." in parts or "\0" in name else ("/".join(parts[k:]) for k in range(len(parts)))
-    return next((tail for tail in tails if (folder / tail).is_file()), None)
+    tails = () if ".." in parts else ("/".join(parts[k:]) for k in range(max(0, len(parts) - MOST_PARTS), len(parts)))
+    # `os.path` says False for what no system may be asked.
+    return next((tail for tail in tails if os.path.isfile(folder / tail)), None)
 
 
 def read_matrix(path: Blob, rows: int, columns: int) -> np.ndarray:
@@ -208,4 +214,4 @@ def natural(name: str) -> str:
 
 def _with_length(number: re.Match[str]) -> str:
     digits = number[1]
-    return f"\1{chr(len(digits))}{digits}"
+    return f"\1{chr(min(len(digits), sys.maxunicode))}{digits}"

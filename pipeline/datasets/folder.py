@@ -77,6 +77,7 @@ def read_label_names(root: Path) -> dict[int, str]:
             continue
         lines = [line.split(maxsplit=1) for _, line in numbered_lines(root / name)]
         if all(len(words) == 2 and words[0].isdecimal() for words in lines):
+            require(all(len(number) < 20 for number, _ in lines), "a label's number is too long", path=root / name)
             return {int(number): text for number, text in lines}
         return {number: " ".join(words) for number, words in enumerate(lines, start=1)}
     return {}

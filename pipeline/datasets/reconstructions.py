@@ -38,6 +38,8 @@ from pipeline.system.errors import InputError, needed, require
 
 TRANSFORMS = "transforms.json"
 INTEGER_DEPTH = "integer_depth_scale"
+MOST_KEYS = 1000
+"""Beside the frames: each frame has them."""
 MODEL_FOLDERS = (
     "",
     "sparse",
@@ -129,6 +131,7 @@ class NerfstudioDataset(PosedPictures):
         if not isinstance(frames, list):
             raise InputError("a list of frames is missing", path=self.source)
         shared = {key: value for key, value in table.items() if key != "frames"}
+        require(len(shared) <= MOST_KEYS, f"{len(shared)} names beside the frames", path=self.source)
         found: dict[str, PosedPicture] = {}
         elsewhere = False
         for number, frame in enumerate(frames):

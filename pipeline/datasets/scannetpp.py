@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import zlib
 from functools import lru_cache, partial
 from pathlib import Path
@@ -14,7 +15,7 @@ from pipeline.datasets.base import DatasetFormat
 from pipeline.datasets.cameras import NOTHING, Stated, or_note, pose_from_matrix
 from pipeline.datasets.files import CUT_OFF, Blob, Part, as_floats, natural, read_json, readable
 from pipeline.datasets.images import picture_size
-from pipeline.datasets.pairing import numbers, stem_of
+from pipeline.datasets.pairing import stem_of
 from pipeline.datasets.recording import DepthRule, Listed, Recording
 from pipeline.datasets.settings import Settings
 from pipeline.datasets.video import open_video
@@ -24,6 +25,7 @@ from pipeline.system.safe_files import opened
 FACTS, VIDEOS, DEPTHS = "pose_intrinsic_imu.json", ("rgb.mkv", "rgb.mp4"), "depth.bin"
 HEIGHT, WIDTH = 192, 256
 """Pixels of the depth of an iPhone's sensor, as the makers' script takes it."""
+_ID = re.compile(r"\D*([0-9]{1,9})")
 
 
 class ScanNetPlusDataset(Recording):
@@ -49,16 +51,17 @@ class ScanNetPlusDataset(Recording):
         color = next(iter(self._colors.values()), None)
         self._size = picture_size(color) if color else open_video(needed(self._video, "no colour", path=root)).size
         self._at = () if self._depths else depth_places(self._folder / DEPTHS)
-        ids = sorted(self._table, key=natural)
         # What was unpacked may be every tenth frame only.
-        ids = [i for i in ids if numbers(f"{i}.") and (not self._colors or i in self._colors)]
-        self.frame_ids = tuple(i for i in ids if not self._depths or i in self._depths)
+        self._numbers = {
+            i: int(found[1])
+            for i in sorted(self._table, key=natural)
+            if (found := _ID.fullmatch(i)) and all(i in part for part in (self._colors, self._depths) if part)
+        }
+        self.frame_ids = tuple(self._numbers)
         require(self.frame_ids, "no frame has colour, depth and an entry of the table", path=self._folder / FACTS)
 
     def _listed(self, frame_id: str, notes: list[str]) -> Listed:
-        if frame_id not in self.frame_ids:
-            self._found({}, frame_id)
-        number, entry = int(numbers(f"{frame_id}.")[-1]), self._table[frame_id]
+        number, entry = self._found(self._numbers, frame_id), self._table[frame_id]
         path = self._folder / FACTS
         require(isinstance(entry, dict), f"{frame_id} is no object", path=path)
         color: Blob | None = self._colors.get(frame_id)

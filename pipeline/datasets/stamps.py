@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from pipeline.system.errors import require
+
 WITHIN = 0.02
 """Seconds by which two entries of one frame may differ."""
 ROUNDING = 1e-6
+MOST_PAIRS = 2_000_000
+"""Pairs of two lists that may belong together: of an hour at 60 Hz there are half a million."""
 _UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
 """From which size on whole numbers are nanoseconds, microseconds and milliseconds since 1970, with their seconds."""
 
@@ -25,10 +29,11 @@ def nearest(times: np.ndarray, time: float, within: float) -> int | None:
 
 def match_times(a: np.ndarray, b: np.ndarray) -> dict[int, int]:
     """Matches of two sorted lists of times within 20 ms, nearest first, each time used once. The greedy rule is that of
-    the dataset's own associate.py."""
+    the dataset's own associate.py; InputError where the times lie too densely for it."""
     low = np.searchsorted(b, a - WITHIN - ROUNDING, side="left")
     high = np.searchsorted(b, a + WITHIN + ROUNDING, side="right")
     count = high - low
+    require(count.sum() <= MOST_PAIRS, f"{count.sum()} pairs of times lie within 20 ms", cause="are they seconds?")
     first = np.repeat(np.arange(len(a)), count)
     second = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + np.repeat(low, count)
     found: dict[int, int] = {}

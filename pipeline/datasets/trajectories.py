@@ -21,6 +21,8 @@ NAMES = re.compile(
 )
 """What a camera path beside a recording may be called."""
 MATRIX_SIZES = (12, 16)
+MOST_COLUMNS, LONGEST_NAME = 100, 60
+"""Of a CSV: so many are looked at, and characters of their names."""
 _COLUMNS = {
     "time": r"time.*|t|stamp|ts|seconds",
     "frame": r"frame.*|index|idx|id|image_?id",
@@ -96,7 +98,8 @@ def read_trajectory(path: Path) -> Trajectory:
     require(lines, "a camera path without a line", path=path)
     # EuRoC writes the names of its columns as a comment.
     first = read_bytes(path, "text").decode("utf-8-sig").split("\n")[0].lstrip("# ")
-    head = [re.sub(r"[ \[].*", "", word.strip()).lower() for word in _SPLIT.split(first)]
+    words = [word.strip() for word in _SPLIT.split(first, MOST_COLUMNS)]
+    head = [re.sub(r"[ \[].*", "", word[:LONGEST_NAME]).lower() for word in words]
     if len(head) >= 7 and sum(bool(re.fullmatch("[a-z_0-9]*[a-z][a-z_0-9]*", word)) for word in head) >= 7:
         return _by_names(path, head, lines[1:] if first.strip() == lines[0][1] else lines)
     rows = [as_floats(text.replace(",", " ").split(), _count(lines[0][1]), path, f"line {n}") for n, text in lines]

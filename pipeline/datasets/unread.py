@@ -22,6 +22,8 @@ MOST_NAMED = 8
 """So many files and folders are named; of the others there is the count."""
 MOST_FOLDERS, MOST_OF_A_FOLDER = 200, 3
 """So many folders are listed; of one with more files than this that were not read, there is the count."""
+MOST_LOOKED_INTO = 500
+"""So many files are looked into for a camera."""
 PLAIN = ("folder", "pictures")
 SAYS_CAMERA = "opened as a plain folder, and a camera, poses or a unit may stand in {}"
 _PICTURES = (*COLOR_SUFFIXES, *DEPTH_SUFFIXES)
@@ -57,7 +59,8 @@ def naming_unread(root: Path, seen: set[str]) -> Iterator[None]:
         yield
     except InputError as error:
         used = {_relative(path, root) for path in seen}
-        lying = [name for _, names in _unused(root, used, frozenset()) for name in names if _may_tell(root, name)]
+        found = [name for _, names in _unused(root, used, frozenset()) for name in names]
+        lying = [name for k, name in enumerate(found) if _may_tell(root, name, k < MOST_LOOKED_INTO)]
         if not lying or not root.is_dir():
             raise
         where = "" if error.path is None else f" [{error.path}]"
@@ -69,7 +72,8 @@ def telling_files(folder: Path, seen: set[str]) -> list[str]:
     """Files of a folder of datasets, itself none, that may tell a camera, poses or a unit of them, and are not among
     those that were `seen`."""
     used = {os.path.realpath(path) for path in seen}
-    names = [name for name in readable(folder)[1] if not _FOR_PEOPLE.fullmatch(name) and _may_tell(folder, name)]
+    names = [name for name in readable(folder)[1] if not _FOR_PEOPLE.fullmatch(name)]
+    names = [name for k, name in enumerate(names) if _may_tell(folder, name, k < MOST_LOOKED_INTO)]
     return [name for name in names if os.path.realpath(folder / name) not in used]
 
 
@@ -90,7 +94,8 @@ def unread_note(dataset: Recording, seen: set[str], camera_given: bool = False) 
             names = [name for name in names if role_of(PurePath(name).stem)[0] != "camera"]
         whole = bool(folder) and len(names) > MOST_OF_A_FOLDER
         label = [f"{folder}/ ({counted(len(names), 'file')})"] if whole else names
-        told |= {name: _may_tell(dataset.root, one) for name, one in zip(label, names, strict=False)}
+        both = enumerate(zip(label, names, strict=False), len(told))
+        told |= {name: _may_tell(dataset.root, one, k < MOST_LOOKED_INTO) for k, (name, one) in both}
     own = [name for name, tells in told.items() if tells]
     named = [*own, *(name for name in told if name not in own)]
     if not named:
@@ -143,14 +148,14 @@ def _walk(root: Path) -> Iterator[tuple[str, list[str]]]:
         yield folder, files
 
 
-def _may_tell(root: Path, name: str) -> bool:
-    """Whether a file speaks of a camera, poses or a unit, by a word of its name or by its numbers."""
+def _may_tell(root: Path, name: str, looked_into: bool) -> bool:
+    """Whether a file speaks of a camera, poses or a unit, by a word of its name or, `looked_into`, by its numbers."""
     path = PurePath(name)
     if path.suffix.lower() not in _FACT_SUFFIXES:
         return False
     roles = {role_of(part)[0] for part in (*path.parts[:-1], path.stem)}
     if roles & {"camera", "pose"} or _FACTS.search(path.name):
         return True
-    if path.suffix.lower() not in CAMERA_SUFFIXES or not is_small(root / name):
+    if not looked_into or path.suffix.lower() not in CAMERA_SUFFIXES or not is_small(root / name):
         return False
     return (or_note([], "", read_stated, root / name) or NOTHING).K is not None

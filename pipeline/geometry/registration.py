@@ -228,8 +228,9 @@ def _away(rgb: np.ndarray) -> np.ndarray:
         alike = np.minimum(off, np.pi - off) < np.deg2rad(OFF_WAY_DEG)
         no_edge = np.ones(grey.shape, np.uint8)
         no_edge[v[alike], u[alike]] = 0
-        pixels = cv2.distanceTransform(no_edge, cv2.DIST_L2, 3) * (WIDE / rgb.shape[1])
-        found.append(np.minimum(pixels * AWAY_STEPS, 255).astype(np.uint8))
+        # Without any edge OpenCV's distance is the largest float.
+        pixels = np.minimum(cv2.distanceTransform(no_edge, cv2.DIST_L2, 3), sum(grey.shape))
+        found.append(np.minimum(pixels * (WIDE / rgb.shape[1] * AWAY_STEPS), 255).astype(np.uint8))
     return np.stack(found)
 
 
