@@ -293,6 +293,10 @@ ROUNDING = 1e-2
 """How far from a rotation a printed rotation matrix may be through rounding alone."""
 
 
+FARTHEST_M = 1e9
+"""Of a camera; coordinates of maps have up to 1e7 metres."""
+
+
 def nearest_rotation(R: np.ndarray) -> np.ndarray:
     """Nearest rotation to a rounded matrix, by SVD (orthogonal Procrustes). `R` (3, 3) float."""
     R = np.asarray(R, dtype=np.float64)
@@ -312,6 +316,7 @@ def rigid(R: np.ndarray, t: np.ndarray) -> np.ndarray:
     """The (4, 4) float64 transform of a (rounded) rotation (3, 3) and a translation (3,), metres."""
     t = np.asarray(t, dtype=np.float64)
     require(np.isfinite(t).all(), "a position with inf or NaN")
+    require(np.abs(t).max() < FARTHEST_M, "a position far from any place on Earth", got=t.tolist())
     T = np.eye(4)
     T[:3, :3] = nearest_rotation(R)
     T[:3, 3] = t

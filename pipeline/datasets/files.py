@@ -137,7 +137,11 @@ def read_matrix(path: Blob, rows: int, columns: int) -> np.ndarray:
 
 
 def as_floats(values: Any, count: int, path: Blob, what: str = "numbers") -> np.ndarray:
-    """`values` as (count,) float64, whatever their nesting."""
+    """`values` as (count,) float64, whatever their nesting; words as other languages read them, without Python's "1_0"
+    and digits of other scripts."""
+    words = [word for word in (values if isinstance(values, list) else [values]) if isinstance(word, str)]
+    odd = next((word for word in words if "_" in word or not word.isascii()), None)
+    require(odd is None, f"{what}: not numbers", got=str(odd)[:60], path=path)
     try:
         array = np.asarray(values, dtype=np.float64).ravel()
     except (TypeError, ValueError, OverflowError) as error:

@@ -34,6 +34,8 @@ SAME_SHAPE = 0.02
 """Colour and depth are of one camera where their aspect ratios differ by less than this share.
 ScanNet's own, 1296x968 and 640x480, differ by 0.4 %."""
 WITH_HEADER = (".png", ".jpg", ".jpeg", ".pgm", ".ppm")
+MOST_LENGTHS = 1000.0
+"""A focal length is longer than a picture's longest side by no more, and no shorter."""
 LONGEST_ALONE = 1600
 """A picture without depth is made so long at most: networks look at less, and points cost time."""
 NEAREST_CUT_M = 4.0
@@ -192,6 +194,13 @@ class Recording:
             f"the principal point is far outside the {width}x{height} image",
             got=f"cx={camera.cx:g}, cy={camera.cy:g}",
             cause="are these the intrinsics of another image size?",
+            path=path,
+        )
+        longest = max(width, height)
+        require(
+            all(longest / MOST_LENGTHS < focal < longest * MOST_LENGTHS for focal in (camera.fx, camera.fy)),
+            f"no focal length of a {width}x{height} image",
+            got=f"fx={camera.fx:g}, fy={camera.fy:g}",
             path=path,
         )
         return camera if found.up is None else camera.with_up(found.up, "declared")

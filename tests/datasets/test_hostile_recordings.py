@@ -14,6 +14,7 @@ from app_writers import truths, write_scannetpp, write_stray
 from dataset_writers import write_png
 
 from pipeline.datasets import open_dataset
+from pipeline.datasets.base import dataset_notes
 from pipeline.datasets.cameras import read_stated
 from pipeline.datasets.files import name_inside, natural
 from pipeline.datasets.stamps import match_times
@@ -95,6 +96,27 @@ def test_a_camera_file_that_is_none(tmp_path: Path, text: str) -> None:
     assert read_stated(path).K is None
 
 
+@pytest.mark.parametrize("word", ["1_0", "\u0661", "1e308", "-1e12", "nan", "0x10"])
+def test_numbers_of_poses_that_are_none(tmp_path: Path, word: str) -> None:
+    write_stray(tmp_path, truths(2), packed=False)
+    path = tmp_path / "odometry.csv"
+    lines = path.read_text().splitlines()
+    path.write_text(
+        "\n".join([lines[0], ", ".join([*lines[1].split(", ")[:2], word, *lines[1].split(", ")[3:]]), lines[2]])
+    )
+    frame = open_dataset(tmp_path).load("000000")
+    assert frame.camera.T_world_camera is None
+    assert any("odometry.csv" in note for note in frame.notes)
+
+
+@pytest.mark.parametrize("word", ["1_0", "1e-320", "1e308", "1e6", "0.01", "nan", "-60"])
+def test_focal_lengths_that_are_none(tmp_path: Path, word: str) -> None:
+    write_stray(tmp_path, truths(2), packed=False)
+    path = tmp_path / "camera_matrix.csv"
+    path.write_text(", ".join([word, *path.read_text().split(", ")[1:]]))
+    refused(lambda: open_dataset(tmp_path).load("000000"), "camera_matrix.csv")
+
+
 def test_times_that_all_lie_together() -> None:
     times = 1 + np.arange(30_000) * 1e-7
     refused(lambda: match_times(times, times), "900000000 pairs", "20 ms")
@@ -127,7 +149,7 @@ def test_many_small_files_that_no_reader_reads(tmp_path: Path) -> None:
     for number in range(3000):
         (tmp_path / f"x{number}.json").write_text(json.dumps({"a": [1] * 5000}))
     (tmp_path / "zz_poses.txt").write_text("1\n")
-    (note,) = (note for note in open_dataset(tmp_path).notes if note.startswith("not read"))
+    (note,) = (note for note in dataset_notes(open_dataset(tmp_path)) if note.startswith("not read"))
     assert "zz_poses.txt" in note
 
 
