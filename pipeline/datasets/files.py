@@ -136,11 +136,14 @@ def read_matrix(path: Blob, rows: int, columns: int) -> np.ndarray:
     return as_floats(words, rows * columns, path).reshape(rows, columns)
 
 
+_TIME = re.compile(r"[0-9]{9,}_[0-9]{3,9}")
+
+
 def as_floats(values: Any, count: int, path: Blob, what: str = "numbers") -> np.ndarray:
-    """`values` as (count,) float64, whatever their nesting; words as other languages read them, without Python's "1_0"
-    and digits of other scripts."""
+    """`values` as (count,) float64, whatever their nesting. Of what Python alone reads, "1_0" and digits of other
+    scripts, only a time as 1700000000_000000 counts."""
     words = [word for word in (values if isinstance(values, list) else [values]) if isinstance(word, str)]
-    odd = next((word for word in words if "_" in word or not word.isascii()), None)
+    odd = next((w for w in words if not w.isascii() or ("_" in w and not _TIME.fullmatch(w))), None)
     require(odd is None, f"{what}: not numbers", got=str(odd)[:60], path=path)
     try:
         array = np.asarray(values, dtype=np.float64).ravel()

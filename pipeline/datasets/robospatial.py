@@ -15,8 +15,8 @@ from pipeline.datasets.base import DatasetFormat
 from pipeline.datasets.cameras import NOTHING
 from pipeline.datasets.recording import Listed, Recording
 from pipeline.datasets.settings import Settings
-from pipeline.system.errors import as_input_error, first_line, require
-from pipeline.system.safe_files import read_json
+from pipeline.system.errors import InputError, as_input_error, first_line, require
+from pipeline.system.safe_files import opened, read_json
 
 FILE = "annotations.json"
 KEYS = ("category", "question", "answer", "img")
@@ -65,9 +65,9 @@ def robospatial_entries(path: Path) -> list[dict[str, Any]]:
 
 def _recognises(root: Path) -> bool:
     try:
-        with (root / FILE).open(encoding="utf-8") as file:
-            head = file.read(_HEAD)
-    except (OSError, ValueError):
+        with opened(root / FILE, "unpacked") as file:
+            head = file.read(_HEAD).decode("utf-8", "replace")
+    except (OSError, InputError):
         return False
     return all(f'"{key}"' in head for key in KEYS)
 

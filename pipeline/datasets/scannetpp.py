@@ -25,7 +25,7 @@ from pipeline.system.safe_files import opened
 FACTS, VIDEOS, DEPTHS = "pose_intrinsic_imu.json", ("rgb.mkv", "rgb.mp4"), "depth.bin"
 HEIGHT, WIDTH = 192, 256
 """Pixels of the depth of an iPhone's sensor, as the makers' script takes it."""
-_ID = re.compile(r"\D*([0-9]{1,9})")
+_ID = re.compile(r"frame_([0-9]{1,9})")
 
 
 class ScanNetPlusDataset(Recording):

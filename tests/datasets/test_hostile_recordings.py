@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -151,6 +152,17 @@ def test_many_small_files_that_no_reader_reads(tmp_path: Path) -> None:
     (tmp_path / "zz_poses.txt").write_text("1\n")
     (note,) = (note for note in dataset_notes(open_dataset(tmp_path)) if note.startswith("not read"))
     assert "zz_poses.txt" in note
+
+
+def test_a_pipe_and_a_link_under_the_name_of_a_list(tmp_path: Path) -> None:
+    """That a folder is one of RoboSpatial's is told by the beginning of its list, which is opened first of all."""
+    write_stray(tmp_path / "a", truths(2), packed=False)
+    os.mkfifo(tmp_path / "a/annotations.json")
+    assert open_dataset(tmp_path / "a").format == "stray-scanner"
+    (tmp_path / "annotations.json").write_text('"id" "category" "question" "answer" "img" "depth_image" "mask"')
+    (tmp_path / "a/annotations.json").unlink()
+    (tmp_path / "a/annotations.json").symlink_to(tmp_path / "annotations.json")
+    assert open_dataset(tmp_path / "a").format == "stray-scanner"
 
 
 def test_a_picture_without_an_edge() -> None:
