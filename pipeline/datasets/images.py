@@ -163,6 +163,7 @@ def read_stored(path: Blob, rotated: int = 0) -> np.ndarray:
         path=path,
     )
     require(stored.ndim == 2, "depth must have one channel", got=f"shape {stored.shape}", path=path)
+    require(stored.size, "depth without a pixel", got=f"shape {stored.shape}", path=path)
     require(stored.dtype.kind in "uif", "depth must be numbers", got=stored.dtype, path=path)
     if rotated:
         require(stored.dtype == np.uint16, "depth with rotated bits must have 16", got=stored.dtype, path=path)

@@ -18,6 +18,7 @@ from pipeline.datasets import open_dataset
 from pipeline.datasets.base import dataset_notes
 from pipeline.datasets.cameras import read_stated
 from pipeline.datasets.files import name_inside, natural
+from pipeline.datasets.images import read_depth
 from pipeline.datasets.stamps import match_times
 from pipeline.datasets.video import open_video
 from pipeline.geometry.registration import _away
@@ -163,6 +164,14 @@ def test_a_pipe_and_a_link_under_the_name_of_a_list(tmp_path: Path) -> None:
     (tmp_path / "a/annotations.json").unlink()
     (tmp_path / "a/annotations.json").symlink_to(tmp_path / "annotations.json")
     assert open_dataset(tmp_path / "a").format == "stray-scanner"
+
+
+@pytest.mark.parametrize("name", ["0.pfm", "0.npy", "0.geometric.bin"])
+def test_depth_without_a_pixel(tmp_path: Path, name: str) -> None:
+    np.save(tmp_path / "0.npy", np.zeros((0, 0), np.float32))
+    (tmp_path / "0.pfm").write_bytes(b"Pf\n0 0\n-1\n")
+    (tmp_path / "0.geometric.bin").write_bytes(b"0&0&1&")
+    refused(lambda: read_depth(tmp_path / name, None), "without a pixel", name)
 
 
 def test_a_picture_without_an_edge() -> None:
