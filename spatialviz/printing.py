@@ -128,7 +128,7 @@ def _progress_lines() -> Iterator[Callable[..., None]]:
         while not over.wait(LINE_SECONDS):
             what, done, total, note = last[-1] if last else ("working", 0, 0, "")
             counts = f" {done:,} of {total:,}" if total else ""
-            told = f"{what}:{counts}{f', {note}' if note else ''}, {time.monotonic() - start:.0f} s"
+            told = f"{what}{counts and f':{counts}'}{f', {note}' if note else ''}, {time.monotonic() - start:.0f} s"
             print(f"spatialviz: {plain(told)}", file=sys.stderr, flush=True)
 
     thread = threading.Thread(target=lines, daemon=True)

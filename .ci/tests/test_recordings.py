@@ -145,7 +145,7 @@ def test_progress_is_told_in_lines_where_no_terminal_is(
         tell("reading frames", 3, 12)
         time.sleep(0.1)
     told = capsys.readouterr()
-    assert "spatialviz: working:" in told.err
+    assert "spatialviz: working, " in told.err
     assert "spatialviz: reading frames: 3 of 12" in told.err
     assert not told.out
 

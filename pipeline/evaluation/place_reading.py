@@ -21,6 +21,7 @@ from pipeline.evaluation.place_habits import QWEN_SERVED, far_edges, habit_of, s
 from pipeline.evaluation.written_places import WrittenPlace
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT
+from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, require
 
 KNOWN, ASKED, HINTED = 6.0, 8.0, 4.0
@@ -231,9 +232,10 @@ def _decided(
     best = scored[0]
     others = [s for s in scored[1:] if not _alike(best, s)]
     form = lines[0].place.form
+    these = f"{lines[0].where}: the numbers of {counted(len(lines), 'answer')} written as {form}"
     if others and best.score - others[0].score < SURE:
         raise InputError(
-            f"{lines[0].where}: the numbers of {len(lines)} answers written as {form} may be meant in two ways: "
+            f"{these} may be meant in two ways: "
             f"{best.reading.words} ({best.counts}) or {others[0].reading.words} ({others[0].counts})",
             expected=f"{OPTION} {best.reading} or {OPTION} {others[0].reading}",
             path=path,
@@ -244,8 +246,7 @@ def _decided(
         nearer = max(_scored(lines, near, [0.0] * len(near)), key=lambda s: s.score)
         require(
             nearer.score - _scored(lines, [best.reading], [0.0])[0].score < SURE or _alike(nearer, best),
-            f"{lines[0].where}: the numbers of {len(lines)} answers written as {form} fit no usual size of a picture: "
-            f"best {nearer.reading.words} ({nearer.counts})",
+            f"{these} fit no usual size of a picture: best {nearer.reading.words} ({nearer.counts})",
             expected=f"{OPTION} pixels:WIDTHxHEIGHT, of the picture as the model saw it",
             path=path,
         )
@@ -255,7 +256,8 @@ def _decided(
         why = f", as {lines[0].model} writes ({habit[2]})"
     elif habit is not None and not lines[0].place.fixed and not shares:
         why = f", though {lines[0].model} writes {habit[0]} ({habit[2]})"
-    words = f"{len(lines)} answers written as {form} are {best.reading.words}: {best.counts}{why}"
+    are = "is" if len(lines) == 1 else "are"
+    words = f"{counted(len(lines), 'answer')} written as {form} {are} {best.reading.words}: {best.counts}{why}"
     rival = next((s for s in others if s.reading.unit in _UNITS or s.score > best.score - 2 * SURE), None)
     return best, f"{words}; as {rival.reading.words} {rival.counts}" if rival else words
 

@@ -130,7 +130,7 @@ def test_answers_of_roborefer(tmp_path: Path, world: dict[str, Any]) -> None:
     assert answer(found).point == (0.25, 0.5)
     # A question that holds no expression of the labels keeps its words, and the first of several places is taken.
     assert answer(found, IDS[1], "Point to it.").point == (0.1, 0.2)
-    assert "1 answers have more than one place" in " ".join(convert_predictions(path, tmp_path / "x", **world).notes)
+    assert "more than one place in 1 answer" in " ".join(convert_predictions(path, tmp_path / "x", **world).notes)
     for model, text, point in (
         ("Qwen2.5-VL", "(77, 126)", (0.25, 0.5)),  # of 308x252, as it sees a picture of 320x240
         ("RoboRefer", "(80, 120)", (0.25, 0.5)),

@@ -31,6 +31,7 @@ from pipeline.evaluation.adapters.published import PredictionFormat, Published
 from pipeline.evaluation.model_answers import parse_yes_no, spoken_part
 from pipeline.evaluation.place_reading import PlacedLine, ReadPlace, read_places
 from pipeline.evaluation.written_places import written_place
+from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, needed, require
 from pipeline.system.limits import current_limits
 from pipeline.system.reading import Content, read_content
@@ -115,10 +116,10 @@ def _lines(fields: Fields, published: Published, content: Content) -> Iterator[P
         for line, place in zip(placed.values(), places, strict=True)
     )
     if several:
-        published.notes.append(f"{several} answers have more than one place; the first of each is taken")
+        published.notes.append(f"more than one place in {counted(several, 'answer')}; the first of each is taken")
     if numbers:
         published.notes.append(
-            f"{numbers} answers are numbers (a count, a distance): no place, and counted as unanswered"
+            f"a number (a count, a distance) in {counted(numbers, 'answer')}: no place, and counted as unanswered"
         )
     for k, place in zip(placed, places, strict=True):
         read[k] = _answered(read[k], place)
