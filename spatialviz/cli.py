@@ -24,115 +24,65 @@ from tyro.conf import subcommand
 
 from pipeline import __version__
 from pipeline.system.errors import InputError
+from pipeline.system.execution import PROVIDER_VARIABLE, VERBOSE_VARIABLE
 from pipeline.system.limits import LIMITS_OPTION, LIMITS_VARIABLE, set_limits
-from pipeline.system.onnx_session import PROVIDER_VARIABLE, VERBOSE_VARIABLE
-from spatialviz.cli_ask import (
-    AskCommand,
-    ContextCommand,
-    DoctorCommand,
-    FramesCommand,
-    GlossaryCommand,
-    MeasureCommand,
-    RelationsCommand,
-    RenderCommand,
-    ViewCommand,
-)
-from spatialviz.cli_labels import (
-    AuditCommand,
-    CheckCommand,
-    ConfirmCommand,
-    CorrectCommand,
-    EffectiveCommand,
-    ExportCommand,
-    ImportCommand,
-    JournalCommand,
-    LabelCommand,
-    MergeCommand,
-    RedoCommand,
-    ReviewCommand,
-    ShowCommand,
-    UndoCommand,
-)
-from spatialviz.cli_models import (
-    AblationCommand,
-    CalibrateCommand,
-    DetectCommand,
-    InstallCommand,
-    ModelsCommand,
-    RetrainCommand,
-    TrainCommand,
-)
-from spatialviz.cli_runs import (
-    EvalCommand,
-    ExportRunCommand,
-    FailuresCommand,
-    ImportRunCommand,
-    JudgeAgainCommand,
-    McpCommand,
-    QueryCommand,
-    ReplayCommand,
-    ReportCommand,
-    SaveCaseCommand,
-    TablesCommand,
-    WhatIfCommand,
-)
 from spatialviz.options import BAD, FINE, INTERRUPTED, TOLD, UNREAD, error_line, one_line_warnings, warn
 from spatialviz.plain_text import plain_streams, unfiltered
 
-GROUPS: dict[str, dict[str, tuple[type, str]]] = {
+GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     "browse, ask": {
-        "view": (ViewCommand, "run_view"),
-        "ask": (AskCommand, "run_ask"),
-        "relations": (RelationsCommand, "run_ask"),
-        "frames": (FramesCommand, "run_ask"),
-        "doctor": (DoctorCommand, "run_ask"),
-        "render": (RenderCommand, "run_ask"),
+        "view": ("cli_ask", "run_view"),
+        "ask": ("cli_ask", "run_ask"),
+        "relations": ("cli_ask", "run_ask"),
+        "frames": ("cli_ask", "run_ask"),
+        "doctor": ("cli_ask", "run_ask"),
+        "render": ("cli_ask", "run_ask"),
     },
     "label, check, correct": {
-        "label": (LabelCommand, "run_labels"),
-        "check": (CheckCommand, "run_labels"),
-        "audit": (AuditCommand, "run_review"),
-        "show": (ShowCommand, "run_corrections"),
-        "review": (ReviewCommand, "run_review"),
-        "correct": (CorrectCommand, "run_corrections"),
-        "undo": (UndoCommand, "run_corrections"),
-        "journal": (JournalCommand, "run_corrections"),
-        "export": (ExportCommand, "run_labels"),
-        "import": (ImportCommand, "run_labels"),
+        "label": ("cli_labels", "run_labels"),
+        "check": ("cli_labels", "run_labels"),
+        "audit": ("cli_labels", "run_review"),
+        "show": ("cli_labels", "run_corrections"),
+        "review": ("cli_labels", "run_review"),
+        "correct": ("cli_labels", "run_corrections"),
+        "undo": ("cli_labels", "run_corrections"),
+        "journal": ("cli_labels", "run_corrections"),
+        "export": ("cli_labels", "run_labels"),
+        "import": ("cli_labels", "run_labels"),
     },
     "evaluate, debug": {
-        "eval": (EvalCommand, "run_eval"),
-        "import-run": (ImportRunCommand, "run_predictions"),
-        "export-run": (ExportRunCommand, "run_predictions"),
-        "failures": (FailuresCommand, "run_eval"),
-        "query": (QueryCommand, "run_eval"),
-        "whatif": (WhatIfCommand, "run_cases"),
-        "save-case": (SaveCaseCommand, "run_cases"),
-        "replay": (ReplayCommand, "run_cases"),
-        "report": (ReportCommand, "run_cases"),
-        "mcp": (McpCommand, "run_mcp"),
+        "eval": ("cli_runs", "run_eval"),
+        "import-run": ("cli_runs", "run_predictions"),
+        "export-run": ("cli_runs", "run_predictions"),
+        "failures": ("cli_runs", "run_eval"),
+        "query": ("cli_runs", "run_eval"),
+        "whatif": ("cli_runs", "run_cases"),
+        "save-case": ("cli_runs", "run_cases"),
+        "replay": ("cli_runs", "run_cases"),
+        "report": ("cli_runs", "run_cases"),
+        "mcp": ("cli_runs", "run_mcp"),
     },
     "models": {
-        "models": (ModelsCommand, "run_models"),
-        "detect": (DetectCommand, "run_models"),
-        "train": (TrainCommand, "run_training"),
-        "retrain": (RetrainCommand, "run_training"),
-        "ablation": (AblationCommand, "run_training"),
+        "models": ("cli_models", "run_models"),
+        "detect": ("cli_models", "run_models"),
+        "train": ("cli_models", "run_training"),
+        "retrain": ("cli_models", "run_training"),
+        "ablation": ("cli_models", "run_training"),
     },
 }
-"""The commands that are listed: their options, and the module of the function that runs them."""
-FORMS: dict[str, tuple[type, str]] = {
-    "glossary": (GlossaryCommand, "run_ask"),
-    "confirm": (ConfirmCommand, "run_corrections"),
-    "measure": (MeasureCommand, "run_ask"),
-    "merge": (MergeCommand, "run_labels"),
-    "redo": (RedoCommand, "run_corrections"),
-    "effective": (EffectiveCommand, "run_corrections"),
-    "calibrate": (CalibrateCommand, "run_models"),
-    "tables": (TablesCommand, "run_eval"),
-    "install": (InstallCommand, "run_training"),
-    "judge-again": (JudgeAgainCommand, "run_predictions"),
-    "context": (ContextCommand, "run_ask"),
+"""The commands that are listed: the module of their options, and that of the function that runs them."""
+FORMS: dict[str, tuple[str, str]] = {
+    "glossary": ("cli_ask", "run_ask"),
+    "confirm": ("cli_labels", "run_corrections"),
+    "measure": ("cli_ask", "run_ask"),
+    "merge": ("cli_labels", "run_labels"),
+    "redo": ("cli_labels", "run_corrections"),
+    "effective": ("cli_labels", "run_corrections"),
+    "calibrate": ("cli_models", "run_models"),
+    "tables": ("cli_runs", "run_eval"),
+    "install": ("cli_models", "run_training"),
+    "judge-again": ("cli_runs", "run_predictions"),
+    "context": ("cli_ask", "run_ask"),
 }
 """Commands of earlier names, each now an option of another."""
 OPTIONS = {
@@ -200,6 +150,11 @@ COMMANDS = {name: command for group in (*GROUPS.values(), FORMS) for name, comma
 ABOUT = "See why an RGB-D spatial-reasoning pipeline answered what it answered."
 
 
+def options_of(name: str) -> type:
+    """Class of a command's options: of "import-run" ImportRunCommand."""
+    return getattr(import_module(f"spatialviz.{COMMANDS[name][0]}"), f"{name.title().replace('-', '')}Command")
+
+
 def listing() -> str:
     """Text of `spatialviz --help`: commands in groups; tyro lists them ungrouped."""
     width, about_at = shutil.get_terminal_size().columns, max(map(len, COMMANDS)) + 4
@@ -208,8 +163,8 @@ def listing() -> str:
     lines += [f"Every command takes {LIMITS_OPTION} NAME=VALUE,... for what is large on purpose: docs/limits.md."]
     for group, commands in GROUPS.items():
         lines += ["", f"{group}:"]
-        for name, (options, _) in commands.items():
-            about = inspect.getdoc(options).split("\n\n")[0]  # pyright: ignore[reportOptionalMemberAccess]
+        for name in commands:
+            about = inspect.getdoc(options_of(name)).split("\n\n")[0]  # pyright: ignore[reportOptionalMemberAccess]
             first = f"  {name}".ljust(about_at)
             lines += textwrap.wrap(about, width, initial_indent=first, subsequent_indent=" " * about_at)
     return "\n".join(lines)
@@ -217,17 +172,19 @@ def listing() -> str:
 
 def run(arguments: Sequence[str]) -> int:
     """Parse a command and run it; returns the exit status."""
-    commands = tuple(Annotated[options, subcommand(name)] for name, (options, _) in COMMANDS.items())
+    # Parsers are made of every option: where the command is known, of its own only.
+    name, known = arguments[0], arguments[0] in COMMANDS
+    every = () if known else tuple(Annotated[options_of(one), subcommand(one)] for one in COMMANDS)
     config = (tyro.conf.PositionalMetavarFromFieldName, tyro.conf.DisallowNone)
     told = io.StringIO()
     try:
         # Its help is in colour, and holds nothing of strangers.
         with redirect_stderr(told), redirect_stdout(unfiltered(sys.stdout)):
             command: Any = tyro.cli(
-                Union[commands],  # pyright: ignore
-                prog="spatialviz",
-                args=arguments,
-                description=ABOUT,
+                options_of(name) if known else Union[every],  # pyright: ignore
+                prog=f"spatialviz {name}" if known else "spatialviz",
+                args=arguments[1:] if known else arguments,
+                description=None if known else ABOUT,
                 config=config,
             )
     except SystemExit:
@@ -240,8 +197,7 @@ def run(arguments: Sequence[str]) -> int:
         raise
     if (show := getattr(command, "show", 0)) < 0:
         raise InputError("--show is a count", got=show, expected="at least 0")
-    name, module = next((name, module) for name, (kind, module) in COMMANDS.items() if kind is type(command))
-    work = getattr(import_module(f"spatialviz.{module}"), f"run_{name.replace('-', '_')}")
+    work = getattr(import_module(f"spatialviz.{COMMANDS[name][1]}"), f"run_{name.replace('-', '_')}")
     return work(command) or FINE
 
 

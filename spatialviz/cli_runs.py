@@ -188,7 +188,7 @@ class TablesCommand(Output):
 
 
 @dataclass(frozen=True, kw_only=True)
-class WhatIfCommand(OfAnswer):
+class WhatifCommand(OfAnswer):
     """Answer an expression with and without edits: moved boxes, other masks, confidences, thresholds.
 
     Exit status: 0 where a pair stands in the relation after the edits, 1 where none does, 2 for bad usage or input.

@@ -17,7 +17,7 @@ from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
 
 from pipeline.system.detector_setup import DetectorSetup, with_files
 from pipeline.system.errors import InputError, MissingExtra, require
-from pipeline.system.onnx_session import Provider, ProviderWarning, use_execution
+from pipeline.system.execution import Provider, ProviderWarning, use_execution
 from spatialviz.plain_text import one_line
 
 if TYPE_CHECKING:

@@ -30,7 +30,7 @@ from spatialviz.cli_runs import (
     ReplayCommand,
     ReportCommand,
     SaveCaseCommand,
-    WhatIfCommand,
+    WhatifCommand,
 )
 from spatialviz.options import BAD, FINE, NO, one_frame, warn
 from spatialviz.printing import figure, print_rows, say, say_lines
@@ -38,7 +38,7 @@ from spatialviz.printing import figure, print_rows, say, say_lines
 _STYLE = {"same": "green", "updated": "yellow", "changed": "red", "damaged": "red"}
 
 
-def run_whatif(command: WhatIfCommand) -> int:
+def run_whatif(command: WhatifCommand) -> int:
     edits = Edits() if command.edits is None else load_edits(command.edits)
     pipeline = command.source.open(command.dataset, command.frame)
     context = _one_context(pipeline, command.frame)

@@ -21,8 +21,8 @@ from pipeline.answering.model_catalogue import (
 from pipeline.language.counted import listed
 from pipeline.proposals.mismatch import BOXES, shapes
 from pipeline.proposals.score_calibration import ScoreCalibration, save_calibration
+from pipeline.system.execution import ACCELERATORS
 from pipeline.system.model_files import KnownModel
-from pipeline.system.onnx_session import ACCELERATORS
 from spatialviz.cli_models import CalibrateCommand, DetectCommand, ModelsCommand
 from spatialviz.options import FINE, NO, warn_skipped
 from spatialviz.printing import print_rows, rate_bar, say, say_lines

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         Unsupported,
         require,
     )
+    from pipeline.system.execution import PROVIDER_VARIABLE, ProviderWarning, use_execution
     from pipeline.system.in_notebook import InNotebook
     from pipeline.system.limits import LIMITS_VARIABLE, current_limits, set_limits
     from pipeline.system.model_files import (
@@ -29,14 +30,11 @@ if TYPE_CHECKING:
         resolve_model,
     )
     from pipeline.system.onnx_session import (
-        PROVIDER_VARIABLE,
-        ProviderWarning,
         file_hash,
         metadata,
         model_hash,
         open_session,
         run_session,
-        use_execution,
     )
     from pipeline.system.paths import asset_path
     from pipeline.system.plain_pickle import plain, read_plain_pickle

@@ -17,7 +17,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from pipeline.system.errors import InputError, extra_module, require
-from pipeline.system.onnx_session import is_verbose
+from pipeline.system.execution import is_verbose
 from pipeline.system.paths import cache_folder
 from pipeline.system.whole_files import sha256_of, write_whole
 

@@ -26,7 +26,7 @@ from pipeline.proposals.base import detect_expression
 from pipeline.proposals.ensemble import EnsembleDetector
 from pipeline.proposals.mismatch import explain_mismatch
 from pipeline.system import PROVIDER_VARIABLE, InputError, ProviderWarning, open_session, use_execution
-from pipeline.system.onnx_session import wanted_accelerator, warn_once
+from pipeline.system.execution import wanted_accelerator, warn_once
 
 pytest.importorskip("tokenizers", reason="detectors that read text need the extra hub")
 ROOT = Path(__file__).resolve().parents[2]
