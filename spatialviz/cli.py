@@ -34,9 +34,9 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         "view": ("cli_ask", "run_view"),
         "ask": ("cli_ask", "run_ask"),
         "relations": ("cli_ask", "run_ask"),
-        "frames": ("cli_ask", "run_ask"),
-        "doctor": ("cli_ask", "run_ask"),
-        "render": ("cli_ask", "run_ask"),
+        "frames": ("cli_ask", "run_frames"),
+        "doctor": ("cli_ask", "run_doctor"),
+        "render": ("cli_ask", "run_render"),
     },
     "label, check, correct": {
         "label": ("cli_labels", "run_labels"),
@@ -82,7 +82,7 @@ FORMS: dict[str, tuple[str, str]] = {
     "tables": ("cli_runs", "run_eval"),
     "install": ("cli_models", "run_training"),
     "judge-again": ("cli_runs", "run_predictions"),
-    "context": ("cli_ask", "run_ask"),
+    "context": ("cli_ask", "run_frames"),
 }
 """Commands of earlier names, each now an option of another."""
 OPTIONS = {

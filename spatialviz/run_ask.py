@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -12,16 +11,11 @@ from typing import Any
 from pipeline.answering.answer_words import probability, reading_notes, why_no_answer, words_of_answer
 from pipeline.answering.ask import Trace
 from pipeline.answering.detector_prompts import taken_as, unused_words
-from pipeline.answering.json_records import frame_record, relation_records
+from pipeline.answering.json_records import relation_records
 from pipeline.answering.pair_table import ScoredPair
-from pipeline.answering.pipeline import FrameRelations, Pipeline, open_pipeline, open_sources, relate_frames
-from pipeline.datasets import Dataset, FrameReport, SurveyCounts, survey, write_settings
-from pipeline.datasets.demo import DEMO_NAME, demo_path, demo_run
-from pipeline.datasets.doctor.examine import Examination, apply, examine, overlay
-from pipeline.datasets.odd_frames import MOST_DEPTHS, OddFrame, odd_frames
-from pipeline.datasets.scene_mesh import export_mesh, fuse_context
+from pipeline.answering.pipeline import FrameRelations, Pipeline, open_pipeline, relate_frames
+from pipeline.datasets.demo import DEMO_NAME, demo_run
 from pipeline.datasets.settings import ASSUMED, DECLARE
-from pipeline.datasets.up import told_up
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.asking import ask_and_judge
 from pipeline.diagnosis.suggestions import SURE, MissedNames, missed_names
@@ -38,20 +32,15 @@ from pipeline.pictures.answer_card import answer_picture
 from pipeline.pictures.film import mending_film
 from pipeline.pictures.writing import check_target, is_film, write_film, write_picture
 from pipeline.relations.relations import letter
-from pipeline.synthetic import render_dataset
 from pipeline.system.errors import require
 from spatialviz.cli_ask import (
     AskCommand,
-    ContextCommand,
-    DoctorCommand,
-    FramesCommand,
     GlossaryCommand,
     MeasureCommand,
     RelationsCommand,
-    RenderCommand,
 )
-from spatialviz.options import ALL_FRAMES, FINE, NO, SourceOptions, numbers, one_frame, print_json, warn, warn_skipped
-from spatialviz.printing import print_rows, print_summary, progress_bars, rate_bar, say, say_lines
+from spatialviz.options import ALL_FRAMES, FINE, NO, SourceOptions, numbers, one_frame, warn_skipped
+from spatialviz.printing import print_rows, say, say_lines
 
 SHOWN_PAIRS = 5
 
@@ -144,81 +133,12 @@ def run_measure(command: MeasureCommand) -> None:
         _warn_assumed(context.viewer, context.frame.depth_source)
 
 
-def run_frames(command: FramesCommand) -> int:
-    camera = command.camera.camera()
-    pipelines, left_out = open_sources(command.dataset, **camera, srm="rule", browse=True)
-    warn(*(f"left out {name}: {reason}" for name, reason in left_out.items()))
-    usable = 0
-    for name, pipeline in pipelines.items():
-        # One dataset alone needs no name in its records.
-        named = {"dataset": name} if len(pipelines) > 1 else {}
-        usable += _survey_frames(command, pipeline.dataset, camera, named)
-    return FINE if usable else NO
-
-
-def _survey_frames(command: FramesCommand, dataset: Dataset, camera: dict[str, Any], named: dict[str, str]) -> int:
-    """Report the contents of a dataset; returns the number of usable frames."""
-    if command.remember:
-        more = {key: camera[key] for key in ("poses", "registration")}
-        write_settings(dataset.root, camera["intrinsics"], camera["depth_scale"], *told_up(dataset), **more)
-    counts, notes = SurveyCounts(), Counter[str]()
-    if not command.json:
-        say((str(dataset.root), "bold"), f"  {dataset.format}, {counted(len(dataset.frame_ids), 'frame')}")
-    depths, most = (MOST_DEPTHS, None) if command.decode else (DECODED, DECODED)
-    with rate_bar("looking for odd frames", "frames") as advance:
-        summary = command.json and command.summary
-        odd = () if summary else odd_frames(dataset, most_depths=depths, progress=advance)
-    with rate_bar("looking at frames", "frames") as advance:
-        for report in counts.watch(survey(dataset, most)):
-            advance(report.index + 1, len(dataset.frame_ids))
-            notes.update(report.notes)
-            if command.json and not command.summary:
-                print_json({**named, **frame_record(report, odd[report.index])})
-            elif command.all and not command.json:
-                print_frame(report)
-    record = counts.record()
-    if command.json and command.summary:
-        print_json({**named, **record})
-    elif not command.json:
-        say_lines((f"note on {counted(frames, 'frame')}: {note}" for note, frames in notes.items()), "yellow")
-        print_summary(record)
-        print_odd_frames(odd, depths)
-    return record["frames_usable"]
-
-
 def run_glossary(command: GlossaryCommand) -> None:
     if command.markdown:
         print(glossary_markdown(), end="")
         return
     terms = glossary().values() if command.word is None else [find_term(command.word)]
     command.write(map(asdict, terms), say_lines, [f"{term.name} ({term.group}): {term.hint}" for term in terms])
-
-
-def run_context(command: ContextCommand) -> None:
-    dataset = open_pipeline(command.dataset, **command.camera.camera(command.frame)).dataset
-    frame = dataset.load(one_frame(dataset.frame_ids, command.frame, dataset.root))
-    mesh = fuse_context(dataset, frame)
-    export_mesh(mesh, command.out)
-    record = {"frame": frame.id, "frames": mesh.frames, "vertices": len(mesh.vertices), "faces": len(mesh.faces)}
-    command.write(record, say, f"{mesh.frames} frames around {frame.id}: {len(mesh.faces)} faces -> {command.out}")
-
-
-def run_render(command: RenderCommand) -> None:
-    with rate_bar("rendering", "views") as advance:
-        report = render_dataset(
-            command.out,
-            rooms=command.rooms,
-            views=command.views,
-            seed=command.seed,
-            width=command.width,
-            height=command.height,
-            progress=advance,
-            workers=command.workers,
-        )
-    say(
-        f"{report.frames} frames of {report.rooms} rooms with {report.objects} objects "
-        f"of {len(report.classes)} classes in {report.seconds:.1f} s -> {command.out}"
-    )
 
 
 def print_answer(answer: Answer, trace: Trace) -> None:
@@ -330,75 +250,3 @@ def print_relations(found: FrameRelations, relations: Sequence[str]) -> None:
             )
             if text:
                 say(a.name(i, found.exact), (" — ", "dim"), text, (" — ", "dim"), b.name(j, found.exact))
-
-
-def print_frame(report: FrameReport) -> None:
-    """Print a line or two for a frame."""
-    if not report.ok:
-        say(f"{report.index:>5}  {report.id}  broken: {report.problem}", style="red")
-        return
-    if not report.decoded:
-        size = f"  {report.width}x{report.height}" if report.width else ""
-        say(
-            f"{report.index:>5}  {report.id}{size}  not decoded  {'pose' if report.has_pose else 'no pose'}",
-            style="dim",
-        )
-        return
-    median = "of no known unit" if report.median_depth is None else f"median {report.median_depth:.2f} m"
-    pose = "pose" if report.has_pose else "no pose"
-    off = "?" if report.up is None else f"{math.degrees(math.acos(max(-1.0, min(1.0, -report.up[1])))):.0f}°"
-    up = f"up {report.up_source}, {off} off image-up" if report.up_source else "up not asked"
-    say(
-        f"{report.index:>5}  {report.id}  {report.width}x{report.height}  {report.depth_valid:.0%} depth, {median}  "
-        f"{pose}  {up}  {counted(report.annotations, 'object')}"
-    )
-    if report.labels:
-        say("       " + ", ".join(report.labels), style="dim")
-
-
-SHOWN_ODD = 5
-DECODED = 60
-"""So many frames are decoded by default, evenly spread."""
-
-
-def print_odd_frames(frames: Sequence[OddFrame], depths: int = MOST_DEPTHS) -> None:
-    """Print the oddest frames with their reasons, and how many were looked at."""
-    found = sorted((frame for frame in frames if frame.reasons), key=lambda frame: -(frame.oddness or 0))
-    say_lines((f"odd: {frame.id}  {', '.join(frame.reasons)}" for frame in found), "yellow", SHOWN_ODD, " (--json)")
-    if len(frames) > depths:
-        say(f"  for odd depth at most {depths:,} frames were looked at, evenly spread", style="dim")
-
-
-STYLES = {"fine": "green", "wrong": "bold red", "unknown": "yellow"}
-WORDS = {"fine": "fine", "wrong": "WRONG", "unknown": "cannot tell"}
-SHOWN = 6
-
-
-def run_doctor(command: DoctorCommand) -> int:
-    demo = command.dataset == DEMO_NAME and not Path(command.dataset).exists()
-    with progress_bars() as tell:
-        found = examine(demo_path() if demo else command.dataset, tell, **command.camera.camera())
-    if command.overlay is not None:
-        write_picture(overlay(found), command.overlay)
-    written = apply(found) if command.apply else None
-    record = {**found.record(), "written": None if written is None else str(written)}
-    command.write(record, print_examination, found, written)
-    return NO if found.wrong and written is None else FINE
-
-
-def print_examination(found: Examination, written: Path | None) -> None:
-    """Print the opinions with their evidence, the mending settings, and other attempts."""
-    overlapping = counted(found.pairs, "pair") + " of them overlap"
-    say((f"{counted(len(found.frames), 'frame')} looked at, {overlapping}", "dim"))
-    say_lines((f"note: {note}" for note in found.notes), "yellow")
-    for opinion in found.opinions:
-        say((f"{opinion.about:<16}", ""), (f"{WORDS[opinion.state]:<12}", STYLES[opinion.state]), opinion.text)
-        if opinion.option is not None:
-            say(" " * 28, (opinion.option, "bold"))
-    if found.hypotheses:
-        rows = [(f"{one.score:.3f}", "" if one.as_good else "surely worse", one.words) for one in found.hypotheses]
-        print_rows((">lands", "", "tried"), rows[:SHOWN])
-    if written is not None:
-        say(f"wrote {', '.join(found.mends)} to {written}")
-    elif found.mends:
-        say("--apply keeps this in spatialviz.toml beside the data", style="dim")

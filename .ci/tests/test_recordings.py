@@ -17,7 +17,7 @@ from numpy.random import default_rng
 from pipeline.datasets.odd_frames import MOST_DEPTHS, OddFrame
 from spatialviz.cli import main
 from spatialviz.printing import progress_bars
-from spatialviz.run_ask import DECODED, print_odd_frames
+from spatialviz.run_frames import DECODED, print_odd_frames
 
 TOLD = ["--intrinsics", "60,61,31.5,23.5", "--depth-scale", "1000"]
 
