@@ -69,7 +69,9 @@ def test_a_camera_file_may_hold_a_pose_for_each_frame(tmp_path: Path, inside: st
     (tmp_path / "camera.json").write_text(json.dumps(table))
     dataset = open_dataset(tmp_path, depth_scale=1000.0)
     for frame_id, truth in zip(dataset.frame_ids, made, strict=True):
-        assert np.allclose(dataset.load(frame_id).camera.T_world_camera, truth.T_world_camera)
+        pose = dataset.load(frame_id).camera.T_world_camera
+        assert pose is not None
+        assert np.allclose(pose, truth.T_world_camera)
     assert any("poses are those of camera.json, taken for camera-to-world" in note for note in dataset_notes(dataset))
     # Numbers of other frames are no poses of these.
     others = {f"9{name}": matrix for name, matrix in poses.items()}
