@@ -21,7 +21,7 @@ from spatialviz.cli_ask import (
 from spatialviz.options import FINE, NO, one_frame, print_json, warn
 from spatialviz.printing import print_summary, rate_bar, say, say_lines
 
-SHOWN_ODD = 5
+SHOWN_ODD, SHOWN_LEFT_OUT = 5, 20
 DECODED = 60
 """So many frames are decoded by default, evenly spread."""
 
@@ -29,7 +29,9 @@ DECODED = 60
 def run_frames(command: FramesCommand) -> int:
     camera = command.camera.camera()
     pipelines, left_out = open_sources(command.dataset, **camera, srm="rule", browse=True)
-    warn(*(f"left out {name}: {reason}" for name, reason in left_out.items()))
+    warn(*(f"left out {name}: {reason}" for name, reason in list(left_out.items())[:SHOWN_LEFT_OUT]))
+    if len(left_out) > SHOWN_LEFT_OUT:
+        warn(f"left out {len(left_out) - SHOWN_LEFT_OUT} more folders in which no dataset is recognised")
     usable = 0
     for name, pipeline in pipelines.items():
         # One dataset alone needs no name in its records.

@@ -3,28 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
-from pipeline.datasets import (
-    avd,
-    bop,
-    folder,
-    layouts,
-    parquet,
-    phone_apps,
-    phones,
-    reconstructions,
-    replica,
-    robospatial,
-    saved_case,
-    scannetpp,
-    semantic_abstraction,
-    streams,
-    sunrgbd,
-    tum,
-)
 from pipeline.datasets.base import Dataset, DatasetFormat
 from pipeline.datasets.cameras import ShiftedPoses
 from pipeline.datasets.depth.estimator import EstimatedDepth, open_depth_model
@@ -41,40 +24,38 @@ from pipeline.system.plugins import load_plugins
 from pipeline.system.remote import local_path
 from pipeline.system.safe_files import enter, watched
 
-FORMATS: tuple[DatasetFormat, ...] = (
-    saved_case.FORMAT,
-    robospatial.FORMAT,
-    bop.FORMAT,
-    layouts.APC,
-    layouts.SEVEN_SCENES,
-    layouts.SCANNET,
-    tum.FORMAT,
-    sunrgbd.VOTENET_FORMAT,
-    sunrgbd.FORMAT,
-    layouts.YCB_VIDEO,
-    replica.REPLICA,
-    tum.ASSOCIATED,
-    phones.ARKITSCENES,
-    phones.RECORD3D,
-    phone_apps.STRAY,
-    phone_apps.POLYCAM,
-    scannetpp.SCANNETPP,
-    reconstructions.NERFSTUDIO,
-    reconstructions.COLMAP,
-    layouts.REDWOOD,
-    parquet.FORMAT,
-    streams.FORMAT,
-    avd.FORMAT,
-    semantic_abstraction.FORMAT,
+FORMATS = (
+    "bop.FORMAT",
+    "saved_case.FORMAT",
+    "robospatial.FORMAT",
+    "layouts.APC",
+    "layouts.SEVEN_SCENES",
+    "layouts.SCANNET",
+    "tum.FORMAT",
+    "sunrgbd.VOTENET_FORMAT",
+    "sunrgbd.FORMAT",
+    "layouts.YCB_VIDEO",
+    "replica.REPLICA",
+    "tum.ASSOCIATED",
+    "phones.ARKITSCENES",
+    "phones.RECORD3D",
+    "phone_apps.STRAY",
+    "phone_apps.POLYCAM",
+    "scannetpp.SCANNETPP",
+    "reconstructions.NERFSTUDIO",
+    "reconstructions.COLMAP",
+    "layouts.REDWOOD",
+    "parquet.FORMAT",
+    "streams.FORMAT",
+    "avd.FORMAT",
+    "semantic_abstraction.FORMAT",
 )
-"""The formats with marks of their own; the first that recognises a folder opens it.
-A new reader is one file and one line here."""
-
-CAPTURES: tuple[DatasetFormat, ...] = (phones.RECORD3D, parquet.FORMAT, streams.FORMAT)
+"""The formats with marks of their own, by module; the first that recognises a folder opens it, and those behind it are
+not imported. A new reader is one file and one name here."""
+CAPTURES = ("phones.RECORD3D", "parquet.FORMAT", "streams.FORMAT")
 """Formats of single files, which are told by their names."""
-
-FALLBACK = folder.FORMAT
-"""What any other recording is opened as, after the plugins have been asked."""
+FALLBACK, PICTURES = "folder.FORMAT", "folder.PICTURES"
+"""What any other recording is opened as, after the plugins have been asked, and colour alone."""
 
 ENTRY_POINT_GROUP = "spatialviz.datasets"
 """Entry points of this group name a DatasetFormat, and so add a reader."""
@@ -147,11 +128,8 @@ def open_dataset(
         browse=browse or model is not None,
         estimated=model is not None,
     )
-    added = (loaded for _, loaded in load_plugins(ENTRY_POINT_GROUP, "dataset", DatasetFormat))
-    formats = (*FORMATS, *added, FALLBACK) if root.is_dir() else CAPTURES
-    formats = formats if model is None else (*formats, folder.PICTURES)
     with listed_once():
-        for candidate in formats:
+        for candidate in _formats(root, model is not None):
             if candidate.recognises(root):
                 with watched() as seen, naming_unread(root, seen):
                     dataset = candidate.open(root, settings)
@@ -163,7 +141,23 @@ def open_dataset(
                 if model is not None:
                     dataset = EstimatedDepth(dataset, model, browse)
                 return with_given_up(dataset, settings, level_at)
-    raise unknown(root, lambda path: any(candidate.recognises(path) for candidate in formats))
+    known = tuple(_formats(root, model is not None))
+    raise unknown(root, lambda path: any(candidate.recognises(path) for candidate in known))
+
+
+def _formats(root: Path, estimated: bool) -> Iterator[DatasetFormat]:
+    """The formats that a path may be of, in the order in which they are asked; each is imported when it is."""
+    yield from map(_format, FORMATS if root.is_dir() else CAPTURES)
+    if root.is_dir():
+        yield from (loaded for _, loaded in load_plugins(ENTRY_POINT_GROUP, "dataset", DatasetFormat))
+        yield _format(FALLBACK)
+    if estimated:
+        yield _format(PICTURES)
+
+
+def _format(name: str) -> DatasetFormat:
+    module, _, attribute = name.partition(".")
+    return getattr(import_module(f"pipeline.datasets.{module}"), attribute)
 
 
 CAPTURE_SUFFIXES = (".bag", ".db3", ".mcap", ".r3d", ".parquet")
