@@ -46,7 +46,7 @@ def addresses_of_notebook() -> tuple[tuple[OuterAddress, ...], bool]:
 
 def show_in_notebook(address: OuterAddress, token: str) -> None:
     """Show the page as output of the cell, in a frame of Jupyter's own address."""
-    from IPython.display import HTML, display
+    from IPython.display import HTML, display  # pyright: ignore[reportMissingImports]
 
     link = escape(f"{address.path}?token={token}")
     display(
