@@ -60,7 +60,7 @@ class NameRead:
 
 
 class SeenTruth(TreeTruth):
-    """What is true of a frame's annotated things; pairs that are not judged are in doubt."""
+    """Truth of a frame's annotated things; pairs that are not judged are in doubt."""
 
     def __init__(self, context: PreparedFrame, truth: FrameCases, source: Pipeline) -> None:
         objects = all_objects(context, AnnotationDetector())

@@ -141,7 +141,7 @@ def has_front(name: str) -> bool:
 
 @dataclass(frozen=True)
 class Fit:
-    """How a reading of a sentence fits the things of a frame."""
+    """Fit of a reading of a sentence to the things of a frame."""
 
     root: Node
     degrees: np.ndarray
@@ -158,7 +158,7 @@ class Fit:
 
     @property
     def judged(self) -> bool:
-        """Whether anything that is said can be told."""
+        """Test whether anything that is said can be told."""
         return not self.parts or any(degree.any() for _, degree in self.parts)
 
 

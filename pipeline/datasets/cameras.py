@@ -105,7 +105,7 @@ NOTHING = Stated()
 
 
 def is_small(path: Path) -> bool:
-    """Whether a file is no larger than a camera file may be."""
+    """Test whether a file is no larger than a camera file may be."""
     return path.is_file() and path.stat().st_size <= LARGEST_BYTES
 
 
@@ -125,7 +125,7 @@ def read_stated(path: Blob) -> Stated:
 
 
 def _places(table: Mapping[str, np.ndarray]) -> list[str]:
-    """Where in a table numbers stand: names without their last part, and without the "data" of a matrix."""
+    """Places of numbers in a table: names without their last part, and without the "data" of a matrix."""
     return list(dict.fromkeys(name.removesuffix(".data").rpartition(".")[0] for name in table))
 
 

@@ -111,13 +111,13 @@ MOST_PARTS = 32
 
 
 def leaves(name: str) -> bool:
-    """Whether a name of a list is absolute or goes up, on any system."""
+    """Test whether a name of a list is absolute or goes up, on any system."""
     windows = PureWindowsPath(name)
     return bool(PurePosixPath(name).is_absolute() or windows.drive or windows.root or ".." in windows.parts)
 
 
 def goes_up(name: str) -> bool:
-    """Whether a relative name of a list has a "..", in Windows' way or not."""
+    """Test whether a relative name of a list has a "..", in Windows' way or not."""
     windows = PureWindowsPath(name)
     return ".." in windows.parts and not (windows.drive or windows.root)
 

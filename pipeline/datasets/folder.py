@@ -335,7 +335,7 @@ def _beside(root: Path, pairs: list[Pair]) -> dict[Key, str]:
 
 
 def _told(path: Path) -> Stated:
-    """What a file tells of the camera; nothing where it cannot be read."""
+    """Camera facts of a file; nothing where it cannot be read."""
     return or_note([], "", read_stated, path) or NOTHING
 
 

@@ -40,17 +40,17 @@ class NamedPose:
 
     @property
     def arkit(self) -> bool:
-        """Whether its world has y up, as ARKit's."""
+        """Test whether its world has y up, as ARKit's."""
         return self.key.rpartition(".")[2].lower() == ARKIT
 
     @property
     def opengl(self) -> bool:
-        """Whether the camera's axes are OpenGL's."""
+        """Test whether the camera's axes are OpenGL's."""
         return bool(_OPENGL.fullmatch(self.key.rpartition(".")[2]))
 
     @property
     def words(self) -> str:
-        """What it is taken for, in words, and what `--poses` then tells."""
+        """Words of what it is taken for, and what `--poses` then tells."""
         way = "world-to-camera" if self.inverted else "camera-to-world"
         axes = f"{'ARKit' if self.arkit else 'OpenGL'}'s axes" if self.opengl else "OpenCV's axes"
         turned = self.inverted or self.opengl

@@ -111,7 +111,7 @@ def _changes(
     scenes: Iterable[Sequence[int]],
     count: int,
 ) -> np.ndarray:
-    """How far each frame is from the nearer of the two known ones before it, (count,); the first two of a scene from
+    """Distance of each frame from the nearer of the two known ones before it, (count,); the first two of a scene from
     those around them."""
     out = np.full(count, np.nan)
     for places in scenes:

@@ -153,7 +153,7 @@ def _keyframes(root: Path) -> Path | None:
 
 
 def _has_cameras(folder: Path) -> bool:
-    """Whether the first camera file has Polycam's matrix."""
+    """Test whether the first camera file has Polycam's matrix."""
     parts = ("corrected_cameras", "cameras")
     files = [folder / part / name for part in parts for name in readable(folder / part)[1][:1]]
     table = or_note([], "", read_json, files[0]) if files and os.path.isfile(files[0]) else None

@@ -142,7 +142,7 @@ class Settings:
 
     @property
     def meant(self) -> dict[str, Any]:
-        """What is declared of pictures and depth maps, by the settings' names."""
+        """Declarations of pictures and depth maps, by the settings' names."""
         found = {key: getattr(self, key) for key in (*MEANT, "depth_nothing")}
         return {key: value for key, value in found.items() if value not in (None, MEANT["depth_is"][0])}
 

@@ -149,7 +149,7 @@ def _walk(root: Path) -> Iterator[tuple[str, list[str]]]:
 
 
 def _may_tell(root: Path, name: str, looked_into: bool) -> bool:
-    """Whether a file speaks of a camera, poses or a unit, by a word of its name or, `looked_into`, by its numbers."""
+    """Test whether a file speaks of a camera, poses or a unit, by its name or, where `looked_into`, by its numbers."""
     path = PurePath(name)
     if path.suffix.lower() not in _FACT_SUFFIXES:
         return False

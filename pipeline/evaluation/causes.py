@@ -1,4 +1,4 @@
-"""What keeps a run from answering, told before its figures: unknown names, frames without labels or not opened."""
+"""Causes that keep a run from answering, before its figures: unknown names, frames without labels or not opened."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def unknown_names(records: pa.Table, detector: Detector, source: Pipeline) -> li
 
 
 def _of_recording(detector: Detector | None) -> list[str]:
-    """What was assumed of recorded detections: scores that are missing, and names that were cut."""
+    """Assumptions about recorded detections: scores that are missing, and names that were cut."""
     found: object = detector
     # What wraps a detector (a cache, a segmenter) has it as this attribute.
     while found is not None and not isinstance(found, RecordedDetector):

@@ -1,4 +1,4 @@
-"""How models count in pictures, as their makers say: the unit and the order in which each writes its places."""
+"""Units of places by model, as its makers say: the unit and the order in which each writes its places."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What numbers in answers mean: unit, order and kind, decided over all lines of a file together.
+"""Meaning of numbers in answers: unit, order and kind, decided over all lines of a file together.
 
 Every reading is scored by the logarithm of how likely the file is under it: whether each place lies in the picture and
 on a labelled thing of the name that is asked for, against what chance would give (`_likely`), and by what was known
@@ -296,7 +296,7 @@ def _resized(size: tuple[int, int]) -> list[str]:
 
 
 def _prior(line: PlacedLine, reading: PlaceReading, shares: bool, unit: str) -> float:
-    """What is known of a reading before any place is looked at, nats."""
+    """Log odds of a reading before any place is looked at, nats."""
     habit, (hinted, y_hinted) = habit_of(line.model), suggested(line.place.form)
     y_first = reading.order.startswith("y")
     score = _BY_ORDER[reading.order] + PAIR_OF_POINTS * (line.place.pair and reading.point)

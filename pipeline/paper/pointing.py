@@ -89,7 +89,7 @@ def decided_readings(
     limit: int | None = None,
     told: Sequence[PlaceReading] = (),
 ) -> tuple[tuple[PlaceReading, ...], tuple[str, ...]]:
-    """What the numbers of a model mean, over its answers to a sample of the expressions together, and words of it.
+    """Decide what the numbers of a model mean, over its answers to a sample of the expressions, and say so in words.
 
     `limit`: expressions of the run. `told`: as far as it is known.
 

@@ -238,7 +238,7 @@ class RecordedDetector:
         return self._fingerprint
 
     def assumed(self) -> list[str]:
-        """What was assumed so far, a sentence each: scores that the file lacks, and names that it has cut."""
+        """Assumptions so far, a sentence each: scores that the file lacks, and names that it has cut."""
         missing, every = self.scoreless
         told = [f"{missing} of {every} detections have no score in the file: 1 is taken"] if missing else []
         told += [] if self._published is None else self._published.assumed

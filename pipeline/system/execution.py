@@ -1,4 +1,4 @@
-"""Where networks compute, and whether ONNX Runtime's own messages are shown.
+"""Providers that networks compute on, and whether ONNX Runtime's own messages are shown.
 
 Both stand in the environment, so that worker processes do as their parent does.
 """

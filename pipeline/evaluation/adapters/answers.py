@@ -44,7 +44,7 @@ QUESTIONS = ("text_q", "question", "prompt", "text", "instruction", "query")
 
 @dataclass(frozen=True)
 class Fields:
-    """Where a format's lines have what is asked for."""
+    """Keys under which a format's lines have what is asked for."""
 
     id: str
     answer: str
