@@ -44,6 +44,16 @@ def test_what_lacks_a_camera_is_listed(pairs: Path, capsys: pytest.CaptureFixtur
     assert all(json.loads(line)["median_depth"] > 0 for line in capsys.readouterr().out.splitlines())
 
 
+@pytest.mark.parametrize("command", ["frames", "doctor"])
+@pytest.mark.parametrize("form", [[], ["--json"]], ids=["text", "json"])
+def test_what_was_not_read_is_said(
+    pairs: Path, command: str, form: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    (pairs / "extrinsics.yaml").write_text("T: [1, 2]\n")
+    main([command, str(pairs), *TOLD, *form])
+    assert "not read: extrinsics.yaml" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     "command",
     [

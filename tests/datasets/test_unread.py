@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -61,23 +59,6 @@ def test_what_may_tell_a_camera_is_named_first_where_a_folder_is_taken_for_plain
     assert note.startswith("not read: extrinsics.yaml, gps_odometry.csv, a_log.csv; opened as a plain folder")
     # And so where it cannot be opened at all.
     refused(lambda: open_dataset(tmp_path), "--intrinsics", "not read: extrinsics.yaml, gps_odometry.csv")
-
-
-def test_what_was_not_read_is_said_by_frames_and_doctor(tmp_path: Path) -> None:
-    write_folder(tmp_path, [1, 2])
-    (tmp_path / "extrinsics.yaml").write_text("T: [1, 2]\n")
-    facts = ("--intrinsics", "60,61,31.5,23.5,1000")
-    for command in ("frames", "doctor"):
-        found = [
-            subprocess.run(
-                [sys.executable, "-m", "spatialviz", command, str(tmp_path), *facts, *more],
-                capture_output=True,
-                text=True,
-                check=False,
-            ).stdout
-            for more in ((), ("--json",))
-        ]
-        assert all("not read: extrinsics.yaml" in text for text in found), found
 
 
 def test_a_video_beside_depth_is_named_with_how_it_is_unpacked(tmp_path: Path) -> None:

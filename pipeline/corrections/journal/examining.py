@@ -171,9 +171,11 @@ def _mended(path: Path) -> Examined | None:
     """Examine a copy with a new file header; None for no use."""
     with suppress(*_ERRORS, OSError, InputError), scratch_folder() as folder:
         copy, log = Path(folder) / path.name, Path(f"{path}-wal")
-        # A larger one is no journal of people's work, and would be copied for nothing.
-        length = path.stat().st_size
-        if not 512 <= length <= limits_of(path).bytes or not read_plainly(path, lambda: shutil.copyfile(path, copy)):
+        # Larger ones are no journal of people's work, and would be copied for nothing.
+        length, most = path.stat().st_size, limits_of(path).bytes
+        if not 512 <= length <= most or (log.exists() and log.stat().st_size > most):
+            return None
+        if not read_plainly(path, lambda: shutil.copyfile(path, copy)):
             return None
         with open(copy, "r+b") as file:
             data = bytearray(file.read(512))
