@@ -226,6 +226,7 @@ def annotated_truth(context: PreparedFrame, pipeline: Pipeline) -> FrameCases | 
         scene=scene_of(pipeline.dataset, frame_id),
         exact=True,
         network=_second_opinion(),
+        expressions=False,
     )
     index, scene = int(rows.frames["frame_index"][0]), str(rows.frames["scene"][0])
     return frame_cases(frame_id, index, scene, rows.objects, rows.relations, {}, config.relations)

@@ -59,12 +59,14 @@ def label_objects(
     network: OnnxScorer | None = None,
     numbers: Sequence[int] | None = None,
     given: Sequence[GivenExpression] = (),
+    expressions: bool = True,
 ) -> FrameLabels:
     """Rows of a frame with lifted objects.
 
     `objects`: in any order; those of one detector. `frame_index`: the frame's index in the dataset. `exact`: the
     objects are the dataset's own: their numbers are its annotations'. `numbers`: the objects' numbers, where they have
     some already. `given`: what the dataset itself says of its annotations: the relations under the profile `given`.
+    `expressions`: False for objects and relations alone.
     """
     frame = context.frame
     if numbers is None:
@@ -84,7 +86,9 @@ def label_objects(
         _frame_rows(frame, frame_index, scene, len(objects), context.viewer.up_doubt),
         _rows(rows),
         _relation_columns(frame.id, frame_index, ids, judged, config),
-        candidate_expressions(
+        {}
+        if not expressions
+        else candidate_expressions(
             frame.id,
             frame_index,
             ids,

@@ -114,6 +114,7 @@ class Relifter:
             exact=self.setting.exact,
             network=self.network,
             numbers=numbers,
+            expressions=False,
         )
         columns = labels.objects
         found = {n: {name: values[k] for name, values in columns.items()} for k, n in enumerate(numbers)}
