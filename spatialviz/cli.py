@@ -6,6 +6,7 @@ the module that the table names does the work and prints it; it returns the exit
 
 from __future__ import annotations
 
+import gc
 import inspect
 import io
 import os
@@ -17,6 +18,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from importlib import import_module
+from types import SimpleNamespace
 from typing import Annotated, Any, Union
 
 import tyro
@@ -179,7 +181,7 @@ def run(arguments: Sequence[str]) -> int:
     told = io.StringIO()
     try:
         # Its help is in colour, and holds nothing of strangers.
-        with redirect_stderr(told), redirect_stdout(unfiltered(sys.stdout)):
+        with redirect_stderr(told), redirect_stdout(unfiltered(sys.stdout)), _defaults_trusted():
             command: Any = tyro.cli(
                 options_of(name) if known else Union[every],  # pyright: ignore
                 prog=f"spatialviz {name}" if known else "spatialviz",
@@ -198,7 +200,24 @@ def run(arguments: Sequence[str]) -> int:
     if (show := getattr(command, "show", 0)) < 0:
         raise InputError("--show is a count", got=show, expected="at least 0")
     work = getattr(import_module(f"spatialviz.{COMMANDS[name][1]}"), f"run_{name.replace('-', '_')}")
+    if not gc.isenabled():
+        gc.freeze()
+        gc.enable()
     return work(command) or FINE
+
+
+@contextmanager
+def _defaults_trusted() -> Iterator[None]:
+    """Leave out that tyro looks whether defaults have their types: its checker loads asyncio and unittest, 55 ms."""
+    name = "typeguard"
+    if name in sys.modules:
+        yield
+        return
+    sys.modules[name] = SimpleNamespace(check_type=lambda value, _: value, TypeCheckError=TypeError)  # pyright: ignore
+    try:
+        yield
+    finally:
+        del sys.modules[name]
 
 
 def _with_limits(arguments: list[str]) -> list[str]:
@@ -239,6 +258,9 @@ def _drop_unwritten() -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status: 0 fine, 1 the answer is no, 2 bad usage or input."""
+    if argv is None:
+        # Nothing of what is imported is ever garbage; looking for some takes a tenth of a short command.
+        gc.disable()
     with plain_streams():
         try:
             status = _status(list(sys.argv[1:] if argv is None else argv))

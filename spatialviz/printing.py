@@ -12,7 +12,6 @@ from functools import lru_cache
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
@@ -101,6 +100,9 @@ def progress_bars() -> Iterator[Callable[..., None]]:
         with _progress_lines() as tell:
             yield tell
         return
+    # A hundredth of a second of imports, which most commands need not.
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
     columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[note]}"), TimeRemainingColumn())
     shown = (TextColumn("{task.description}"), *columns)
     with Progress(*shown, console=_PipeConsole(stderr=True), transient=True) as progress:

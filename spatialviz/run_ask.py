@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pipeline.answering.answer_words import probability, reading_notes, why_no_answer, words_of_answer
 from pipeline.answering.ask import Trace
@@ -20,17 +20,10 @@ from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.asking import ask_and_judge
 from pipeline.diagnosis.suggestions import SURE, MissedNames, missed_names
 from pipeline.diagnosis.verdict import shown_verdict
-from pipeline.diagnosis.whatif.try_mend import try_mend
-from pipeline.evaluation.mend_counts import count_mends, mend_setting
-from pipeline.evaluation.run_folder import Run, open_run
 from pipeline.geometry.viewer import ViewerAxes, measure
-from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.counted import counted, listed
 from pipeline.language.glossary import find_term, glossary, glossary_markdown
 from pipeline.language.relation_names import PHRASE, VOCABULARIES
-from pipeline.pictures.answer_card import answer_picture
-from pipeline.pictures.film import mending_film
-from pipeline.pictures.writing import check_target, is_film, write_film, write_picture
 from pipeline.relations.relations import letter
 from pipeline.system.errors import require
 from spatialviz.cli_ask import (
@@ -41,6 +34,10 @@ from spatialviz.cli_ask import (
 )
 from spatialviz.options import ALL_FRAMES, FINE, NO, SourceOptions, numbers, one_frame, warn_skipped
 from spatialviz.printing import print_rows, say, say_lines
+
+if TYPE_CHECKING:
+    from pipeline.evaluation.run_folder import Run
+    from pipeline.labels.reading import Labels
 
 SHOWN_PAIRS = 5
 
@@ -53,6 +50,8 @@ def run_ask(command: AskCommand) -> int:
         path=command.save,
     )
     if command.save is not None:
+        from pipeline.pictures.writing import check_target
+
         check_target(command.save, films=True)
     answered = 0
     pipeline, labels, run = _opened(command)
@@ -74,6 +73,10 @@ def run_ask(command: AskCommand) -> int:
 
 def save_answer(answer: Answer, dataset: str, path: Path) -> None:
     """Write an answer as a picture or a film, by the file's ending."""
+    from pipeline.pictures.answer_card import answer_picture
+    from pipeline.pictures.film import mending_film
+    from pipeline.pictures.writing import is_film, write_film, write_picture
+
     if is_film(path):
         write_film(mending_film(answer, dataset, moving=path.suffix.lower() != ".gif"), path)
     else:
@@ -82,13 +85,19 @@ def save_answer(answer: Answer, dataset: str, path: Path) -> None:
 
 def _opened(command: AskCommand) -> tuple[Pipeline, Labels | None, Run | None]:
     """Pipeline of a command, labels, and an asked run."""
-    labels = None if command.labels is None else open_labels(command.labels)
+    labels = None
+    if command.labels is not None:
+        from pipeline.labels.reading import open_labels
+
+        labels = open_labels(command.labels)
     if command.run_folder is None:
         if command.dataset == DEMO_NAME and not command.json:
             by = "by the demo's annotations; " if command.source == SourceOptions() else ""
             say(f"{by}--run demo answers as `view` does", style="dim")
         return command.source.open(command.dataset, command.frame, labels), labels, None
     require(command.source == SourceOptions(), "--run brings its own detector and relation scorer")
+    from pipeline.evaluation.run_folder import open_run
+
     built_in = str(command.run_folder) == DEMO_NAME and not command.run_folder.exists()
     run = open_run(
         demo_run() if built_in else command.run_folder,
@@ -100,6 +109,9 @@ def _opened(command: AskCommand) -> tuple[Pipeline, Labels | None, Run | None]:
 
 def _tried(answer: Answer, run: Run | None) -> dict[str, Any]:
     """What would make an answer right tried on it, and a setting of its kind on a run."""
+    from pipeline.diagnosis.whatif.try_mend import try_mend
+    from pipeline.evaluation.mend_counts import count_mends, mend_setting
+
     tried, d = try_mend(answer), answer.diagnosis
     setting = None if run is None or d is None else mend_setting(run, d)
     asked = None if d is None else (d.truth.frame, d.case.id)
