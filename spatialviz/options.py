@@ -418,10 +418,13 @@ class SourceOptions(ReaderOptions, ProposalOptions):
         """Dataset with its models; `frame` is the asked one, `labels` judge the answers."""
         from pipeline.answering.pipeline import open_pipeline
         from pipeline.datasets.up import told_doubts
-        from pipeline.labels.reading import labelled_up
 
         options = self.arguments(frame)
-        source = open_pipeline(dataset, **(options if labels is None else labelled_up(labels.manifest, options)))
+        if labels is not None:
+            from pipeline.labels.reading import labelled_up
+
+            options = labelled_up(labels.manifest, options)
+        source = open_pipeline(dataset, **options)
         if self.level_at is not None or self.up is not None:
             warn(*(f"frame {frame}: {'; '.join(doubts)}" for frame, doubts in told_doubts(source.dataset).items()))
         return source

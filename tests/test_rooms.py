@@ -117,6 +117,7 @@ HEAVY = frozenset(
         "platformdirs",
         "xxhash",
         "numpy",
+        "pydantic",
     ]
 )
 """What takes long to load, or belongs to an extra: such imports may stand where they are needed."""

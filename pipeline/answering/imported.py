@@ -156,18 +156,6 @@ def scorer_of(predictions: Predictions, line: Prediction | None, stand_in: Relat
     return SuppliedRelations(relations, stand_in, name, predictions.header.scorer is not None)
 
 
-def file_of(pipeline: Pipeline) -> Predictions:
-    """Predictions read by a pipeline."""
-    assert pipeline.predictions is not None
-    return pipeline.predictions
-
-
-def line_of(pipeline: Pipeline) -> Prediction:
-    """Prediction behind a pipeline of a single expression."""
-    assert pipeline.line is not None
-    return pipeline.line
-
-
 @dataclass(frozen=True)
 class ImportedPipeline(Pipeline):
     """Dataset with the predictions of another pipeline, of the whole file or of a single `line`."""

@@ -7,11 +7,10 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from pipeline.answering.ask import AskConfig, Trace, ask
 from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects, appearance_of, prepare_frame
-from pipeline.answering.predictions import Prediction, Predictions
 from pipeline.datasets import Dataset, open_dataset, resolve_frame
 from pipeline.datasets.base import Frames
 from pipeline.datasets.demo import DEMO_NAME, demo_path
@@ -19,7 +18,6 @@ from pipeline.datasets.unread import telling_files
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.expression import Reader, parse
-from pipeline.language.llm_reader import LlmReader
 from pipeline.language.naming import Synonyms
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import Query
@@ -30,6 +28,9 @@ from pipeline.system.detector_setup import DetectorSetup, Fusion
 from pipeline.system.errors import FrameUnusable, InputError, UnknownFormat, require
 from pipeline.system.remote import local_path
 from pipeline.system.safe_files import watched
+
+if TYPE_CHECKING:
+    from pipeline.answering.predictions import Prediction, Predictions
 
 ALL_FRAMES = "all"
 Skipped = Callable[[str, str], None]
@@ -248,7 +249,21 @@ def make_reader(reader: str | Reader, url: str | None, model: str | None) -> Rea
     if url is None or model is None:
         example = "--reader-url http://localhost:8000/v1 --reader-model NAME"
         raise InputError("--reader llm needs a server and a model", expected=example)
+    from pipeline.language.llm_reader import LlmReader
+
     return LlmReader(url, model)
+
+
+def file_of(pipeline: Pipeline) -> Predictions:
+    """Predictions read by a pipeline."""
+    assert pipeline.predictions is not None
+    return pipeline.predictions
+
+
+def line_of(pipeline: Pipeline) -> Prediction:
+    """Prediction behind a pipeline of a single expression."""
+    assert pipeline.line is not None
+    return pipeline.line
 
 
 def _refuse(options: Mapping[str, object], what: str) -> None:

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from pipeline.datasets.base import Dataset, DatasetFormat
 from pipeline.datasets.cameras import ShiftedPoses
-from pipeline.datasets.depth.estimator import EstimatedDepth, open_depth_model
 from pipeline.datasets.files import listed_once, readable
 from pipeline.datasets.meant import AsMeant
 from pipeline.datasets.pairing import COLOR_SUFFIXES, FLOAT_SUFFIXES, role_of
@@ -121,7 +120,11 @@ def open_dataset(
     up_vector = None if up is None else GivenUp.parse(up)
     known = read_settings(enter(root))
     enter(root, known.limits)
-    model = None if depth_model is None else open_depth_model(str(depth_model))
+    model = None
+    if depth_model is not None:
+        from pipeline.datasets.depth.estimator import open_depth_model
+
+        model = open_depth_model(str(depth_model))
     settings = replace(
         known.overridden(intrinsics, depth_scale, up_vector, poses=poses, registration=registration),
         # What is missing of measured depth does not matter where none is used.
@@ -139,6 +142,8 @@ def open_dataset(
                 if settings.pose_shift:
                     dataset = ShiftedPoses(dataset, settings.pose_shift)
                 if model is not None:
+                    from pipeline.datasets.depth.estimator import EstimatedDepth
+
                     dataset = EstimatedDepth(dataset, model, browse)
                 return with_given_up(dataset, settings, level_at)
     known = tuple(_formats(root, model is not None))

@@ -7,6 +7,7 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,12 +24,10 @@ from pipeline.diagnosis.decision import diagnose
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
 from pipeline.diagnosis.sentence_truth import closest_pair, sentence_case
 from pipeline.diagnosis.verdict import Diagnosis
-from pipeline.diagnosis.whatif import Baseline, Edits, read_edits, rerun
 from pipeline.labels.cases import Case, FrameCases, frame_cases, is_gold, read_cases, read_query
 from pipeline.labels.labelling import label_objects
 from pipeline.labels.plan import LabelConfig
 from pipeline.labels.profiles import open_second_opinion
-from pipeline.labels.reading import Labels
 from pipeline.language.naming import match, spelt
 from pipeline.language.relation_names import PHRASE
 from pipeline.language.tree import Query
@@ -36,6 +35,10 @@ from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.relations.model import OnnxScorer, is_named
 from pipeline.relations.relations import T, U
 from pipeline.system.errors import InputError, ServerError, Unsupported, require
+
+if TYPE_CHECKING:
+    from pipeline.diagnosis.whatif import Edits
+    from pipeline.labels.reading import Labels
 
 
 def frame_truth(pipeline: Pipeline, context: PreparedFrame, labels: Labels | None = None) -> FrameCases | None:
@@ -189,12 +192,16 @@ def judge_refused(
 
 def edited_trace(pipeline: Pipeline, context: PreparedFrame, text: str, edits: Edited) -> tuple[Trace, RankConfig]:
     """Answer under edits, with the weights of its ranking."""
+    from pipeline.diagnosis.whatif import Baseline, rerun
+
     read = pathless_edits(edits)
     return rerun(Baseline(pipeline, context, text), read).trace, replace(pipeline.config.rank, **read.rank)
 
 
 def pathless_edits(edits: Edited) -> Edits:
     """Edits of JSON naming no file; InputError otherwise."""
+    from pipeline.diagnosis.whatif import read_edits
+
     read = read_edits(dict(edits))
     require(
         is_named(read.scorer),

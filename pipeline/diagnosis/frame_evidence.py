@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.answering.batch import FrameAnswers
-from pipeline.answering.coordinate_conventions import box_2d, try_box
 from pipeline.answering.objects import SAME_BOX_IOU, PreparedFrame, SceneObject
-from pipeline.answering.predictions import Predictions
 from pipeline.geometry.boxes import Box3D, iou_2d
 from pipeline.geometry.lifting import LiftedObject, Quality, extents, lift
 from pipeline.geometry.masks import decode_run_length
@@ -24,6 +22,9 @@ from pipeline.proposals.base import told_by_ids
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.scorer import RelationScorer, RuleScorer
 from pipeline.system.errors import InputError
+
+if TYPE_CHECKING:
+    from pipeline.answering.predictions import Predictions
 
 _POINTED = ("paper30", "canon30")
 
@@ -149,6 +150,8 @@ class FrameEvidence:
         own = [(k, int(self.match[i])) for k, i in known if i < self.detections and self.match[i] >= 0]
         if line is None or predictions is None or not own:
             return found
+        from pipeline.answering.coordinate_conventions import box_2d
+
         frame, header, truth = self.answers.context.frame, predictions.header, self.truth
         size = (frame.width, frame.height)
         others: dict[int, list[float]] = {}
@@ -167,6 +170,8 @@ class FrameEvidence:
 
     def _error(self, predictions: Predictions, i: int, n: int) -> float | None:
         """Largest distance in metres between the extents of a given 3D box and of a labelled object."""
+        from pipeline.answering.coordinate_conventions import try_box
+
         context = self.answers.context
         given = predictions.box_of(context.frame.id, i)
         box = None if given is None else try_box(given, predictions.header, context.frame.camera, False)

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.answering.coordinate_conventions import box_2d, pixel_scale
-from pipeline.answering.imported import file_of, line_of
-from pipeline.answering.pair_rules import missing_row
-from pipeline.answering.predictions import Prediction, Predictions
+from pipeline.answering.pipeline import file_of, line_of
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.missed import NEAR_MISS, not_proposed
 from pipeline.diagnosis.oracles import CONF, LIFT, ORACLES, RECALL, SRM, SUBSETS, OracleScores, margins_of, names_of
@@ -20,6 +18,9 @@ from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import decode_run_length, mask_box
 from pipeline.labels.cases import HIT, Case, FrameCases
+
+if TYPE_CHECKING:
+    from pipeline.answering.predictions import Prediction, Predictions
 
 LIKELY = float(np.log(19))
 """Log odds: a ranking is to blame that put a right pair below others where its like would put it first so probably."""
@@ -34,6 +35,8 @@ def unavailable_oracles(evidence: FrameEvidence, case: Case, gold: bool) -> dict
     line = pipeline.line
     if line is None:
         return {}
+    from pipeline.answering.pair_rules import missing_row
+
     nothing = answers_nothing(line)
     rule = pipeline.config.rank.rule
     why = ""
@@ -61,6 +64,8 @@ def answers_nothing(line: Prediction) -> bool:
 
 def answered_box(line: Prediction, predictions: Predictions, frame: Frame, end: str = "object") -> np.ndarray | None:
     """(4,) float64: 2D box of the answer, or of its "reference", pixels; None for a point or nothing."""
+    from pipeline.answering.coordinate_conventions import box_2d
+
     answer, size = line.answer, (frame.width, frame.height)
     number = None if answer is None else getattr(answer, end)
     if number is not None:
@@ -84,6 +89,8 @@ def answered_overlap(line: Prediction, predictions: Predictions, truth: FrameCas
     found = np.zeros(len(truth.labels))
     if line.answer is None or line.answer.point is None:
         return found
+    from pipeline.answering.coordinate_conventions import pixel_scale
+
     u, v = np.array(line.answer.point) * pixel_scale(predictions.header, frame.width, frame.height)
     for k, (x0, y0, x1, y1) in enumerate(truth.boxes):
         code = truth.masks[k]

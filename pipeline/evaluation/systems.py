@@ -11,9 +11,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from pipeline.answering.batch import FrameAnswers, StageClock
-from pipeline.answering.imported import file_of, line_of, needed_names, needed_rows, open_source
+from pipeline.answering.imported import needed_names, needed_rows, open_source
 from pipeline.answering.objects import PreparedFrame, prepare_frame
-from pipeline.answering.pipeline import Pipeline
+from pipeline.answering.pipeline import Pipeline, file_of, line_of
 from pipeline.answering.predictions import Prediction, Predictions
 from pipeline.datasets import Dataset
 from pipeline.datasets.base import load_picture

@@ -8,11 +8,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
-from pydantic import ConfigDict
 
 from pipeline.system.errors import InputError, require
 
@@ -24,7 +23,7 @@ _LONGEST = 7
 class RunLength:
     """A mask in COCO's run-length code."""
 
-    __pydantic_config__ = ConfigDict(extra="forbid")
+    __pydantic_config__: ClassVar = {"extra": "forbid"}
 
     size: tuple[int, int]  # Height and width, pixels
     counts: str | tuple[int, ...]  # Compressed, or the lengths themselves

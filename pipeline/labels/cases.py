@@ -5,40 +5,24 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import AfterValidator, ConfigDict, Field, FiniteFloat, PlainSerializer
 
 from pipeline.geometry.frame import Frame
 from pipeline.labels.frame_stream import frame_spans
-from pipeline.labels.reading import Labels
 from pipeline.language.chain import Unread, why_unread, why_unused
 from pipeline.language.expression import Reader, parse
 from pipeline.language.noun_phrase import same_names
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import Node, Query
 from pipeline.relations.relations import U
-from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
 from pipeline.system.safe_files import read_parquet
 
 if TYPE_CHECKING:
-    Indices = np.ndarray
-    Margin = float
-    NotSaved: TypeAlias = "Meant | None"
-else:
-    Indices = Annotated[
-        tuple[int, ...],
-        AfterValidator(lambda found: np.array(found, np.int64)),
-        PlainSerializer(lambda found: found.tolist()),
-    ]
-    Margin = Annotated[
-        FiniteFloat | None,
-        AfterValidator(lambda found: np.nan if found is None else found),
-        PlainSerializer(lambda found: float(found) if np.isfinite(found) else None),
-    ]
-    NotSaved = Annotated[None, Field(exclude=True)]
+    from pipeline.labels.reading import Labels
+    from pipeline.system.arrow import pa
 
 
 @dataclass(frozen=True)
@@ -61,9 +45,7 @@ class Meant:
 
 @dataclass(frozen=True)
 class Case:
-    """One expression with its truth; as JSON its arrays are lists, and a margin that is not known is null."""
-
-    __pydantic_config__ = ConfigDict(extra="forbid")
+    """One expression with its truth."""
 
     id: str
     text: str
@@ -74,13 +56,13 @@ class Case:
     target_object: int
     reference_object: int
     """Indices in the frame's objects; the same without a reference."""
-    strict: Indices
-    acceptable: Indices
+    strict: np.ndarray
+    acceptable: np.ndarray
     """(K,) int64: indices of the right targets: beyond doubt, and with the undecided ones."""
     ambiguous: bool
-    margin: Margin
-    """Of the labelled pair, metres."""
-    meant: NotSaved = None
+    margin: float
+    """Of the labelled pair, metres; NaN where it is not known."""
+    meant: Meant | None = None
     """None for a plain triple."""
 
     @property

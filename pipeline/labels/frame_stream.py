@@ -6,14 +6,16 @@ from collections.abc import Iterable, Iterator, Sequence
 from heapq import merge
 from itertools import groupby, pairwise
 from operator import itemgetter
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from pipeline.labels.reading import Labels, check_version, sound_rows
 from pipeline.system.arrow import pa
 from pipeline.system.errors import as_input_error, first_line, require
 from pipeline.system.safe_files import open_parquet
+
+if TYPE_CHECKING:
+    from pipeline.labels.reading import Labels
 
 BATCH = 16_384
 Rows = TypeVar("Rows")
@@ -24,6 +26,8 @@ def table_batches(labels: Labels, name: str, columns: Sequence[str] | None = Non
 
     Raises InputError: the file is damaged or of another schema.
     """
+    from pipeline.labels.reading import check_version, sound_rows
+
     path = labels.root / f"{name}.parquet"
     with (
         as_input_error(

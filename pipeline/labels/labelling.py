@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -19,12 +19,14 @@ from pipeline.geometry.masks import encode_run_length
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.plan import LabelConfig
 from pipeline.labels.profiles import GIVEN, JudgedPairs, as_given, doubted
-from pipeline.labels.reading import PART_TABLES, SENTENCES, Columns
 from pipeline.labels.wording import can_be_worded
 from pipeline.language.noun_phrase import same_names
 from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import T, U
+
+if TYPE_CHECKING:
+    from pipeline.labels.reading import Columns
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,8 @@ class FrameLabels:
     sentences: Columns = field(default_factory=dict)
 
     def tables(self) -> dict[str, Columns]:
+        from pipeline.labels.reading import PART_TABLES, SENTENCES
+
         return {name: getattr(self, name) for name in (*PART_TABLES, SENTENCES)}
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from pipeline.datasets.settings import ASSUMED, DECLARE
 from pipeline.labels.frame_stream import frame_spans
 from pipeline.labels.labelling import row_hash
-from pipeline.labels.plan import PLAN_FILE, Plan, Shard, TextStyle, load_plan
+from pipeline.labels.plan import Plan, Shard, TextStyle, load_plan
 from pipeline.labels.provenance import makers_of
 from pipeline.labels.reading import (
     CANDIDATES,
@@ -31,7 +31,7 @@ from pipeline.labels.reading import (
 )
 from pipeline.labels.report import dataset_card
 from pipeline.labels.schema import SCHEMA_VERSION, SENTENCES_OF, Manifest, TableFile, write_schemas
-from pipeline.labels.store import LabelStore
+from pipeline.labels.store import PLAN_FILE, LabelStore
 from pipeline.labels.wording import expression_text
 from pipeline.language.noun_phrase import alone
 from pipeline.language.relation_names import PAIRWISE

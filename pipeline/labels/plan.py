@@ -8,15 +8,13 @@ import os
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from pipeline.answering.ask import AskConfig
 from pipeline.answering.pipeline import Pipeline, open_pipeline
 from pipeline.datasets import Dataset, splits
-from pipeline.datasets.depth.estimator import open_depth_model
 from pipeline.geometry.lifting import LiftConfig
 from pipeline.labels.profiles import RuleProfile, canonical_hash, fingerprint, profile_of
-from pipeline.labels.store import PLAN_FILE, LabelStore
 from pipeline.language.naming import normal_form
 from pipeline.language.relation_names import PAIRWISE, VOCABULARIES
 from pipeline.relations.relations import PROFILE
@@ -25,6 +23,9 @@ from pipeline.system.errors import InputError, needed, require
 from pipeline.system.model_files import parse_hub_id
 from pipeline.system.safe_files import parse_json, read_bytes
 from pipeline.system.version import __version__
+
+if TYPE_CHECKING:
+    from pipeline.labels.store import LabelStore
 
 MOST_FRAMES_A_SHARD = 64
 FEWEST_FRAMES_A_SHARD = 4
@@ -190,6 +191,8 @@ def _input_hash(source: Pipeline, out: str | Path | None) -> str:
 def _declared(options: dict[str, Any]) -> dict[str, str]:
     found = {n: json.dumps(options[n]) for n in CAMERA if options.get(n) is not None}
     if options.get("depth_model") is not None:
+        from pipeline.datasets.depth.estimator import open_depth_model
+
         found["depth_model"] = canonical_hash(open_depth_model(str(options["depth_model"])).fingerprint)
     if options.get("synonyms") is not None:
         found["synonyms"] = hashlib.sha256(read_bytes(Path(options["synonyms"]))).hexdigest()
@@ -226,6 +229,8 @@ def save_plan(plan: Plan, store: LabelStore) -> None:
 
     Raises InputError: the folder holds labels made otherwise: which setting differs.
     """
+    from pipeline.labels.store import PLAN_FILE
+
     if store.read_text(PLAN_FILE) is None:
         store.write_text(PLAN_FILE, json.dumps(plan.record(), indent=1, ensure_ascii=False))
     # Read back also then: another task may have written its own first.
@@ -251,6 +256,8 @@ def load_plan(store: LabelStore) -> Plan:
 
     Raises InputError: there is none, or it is damaged.
     """
+    from pipeline.labels.store import PLAN_FILE
+
     expected = f"a folder with the {PLAN_FILE} of `label`"
     text = needed(store.read_text(PLAN_FILE), "no labels here", expected=expected, path=store.where)
     try:

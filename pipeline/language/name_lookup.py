@@ -9,16 +9,8 @@ from functools import lru_cache
 from string import ascii_lowercase
 from typing import Literal
 
-from pipeline.language.name_table import (
-    HEAD_ENDS,
-    Synonyms,
-    base_of,
-    default_synonyms,
-    forms_of,
-    key_of,
-    singular,
-    spellings,
-)
+from pipeline.language.name_forms import HEAD_ENDS, base_of, forms_of, key_of, singular, spellings
+from pipeline.language.name_table import Synonyms, default_synonyms
 
 How = Literal["exact", "synonym", "kind", "spelling"]
 

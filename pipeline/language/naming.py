@@ -8,19 +8,18 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import groupby
 
-from pipeline.language.name_lookup import How, KnownNames, known_as, lookups, respelled
-from pipeline.language.name_table import (
+from pipeline.language.name_forms import (
     CAMEL_CASE,
     DETERMINERS,
     HEAD_ENDS,
     QUALIFIER,
-    Synonyms,
-    default_synonyms,
     key_of,
     normal_form,
     singular,
     spellings,
 )
+from pipeline.language.name_lookup import How, KnownNames, known_as, lookups, respelled
+from pipeline.language.name_table import Synonyms, default_synonyms
 
 __all__ = [
     "CAMEL_CASE",

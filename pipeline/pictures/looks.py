@@ -11,8 +11,8 @@ import numpy as np
 
 from pipeline.answering.ask import Trace
 from pipeline.answering.coordinate_conventions import pixel_scale
-from pipeline.answering.imported import file_of, line_of
 from pipeline.answering.objects import SceneObject
+from pipeline.answering.pipeline import file_of, line_of
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.imported_answers import answered_box
 from pipeline.geometry.boxes import Box3D, Side, edge_lines

@@ -17,7 +17,6 @@ from pipeline.proposals.base import Detector
 from pipeline.proposals.cache import CachedDetector, CachedSegmenter
 from pipeline.proposals.depth_segmenter import DepthSegmenter
 from pipeline.proposals.ensemble import EnsembleDetector
-from pipeline.proposals.recorded import RecordedDetector
 from pipeline.proposals.segmenter import DetectorSegmenter, PngMasks, Segmenter
 from pipeline.system.detector_setup import DetectorSetup, named_model
 from pipeline.system.errors import InputError, needed, require
@@ -48,7 +47,7 @@ def _loaded(home: str) -> Any:
 def _recorded(request: DetectorRequest) -> Detector:
     expected = "a JSON file, a folder of NPZ files, COCO results, or another published file"
     path = needed(request.model, "--detector recorded needs --model", expected=expected)
-    return RecordedDetector(
+    return _loaded("recorded.RecordedDetector")(
         path,
         key=request.config,
         frame_ids=request.frame_ids,
@@ -203,7 +202,7 @@ def _recorded_masks(request: SegmenterRequest) -> Segmenter:
     require(path.exists(), "there are no recorded masks", path=path)
     if path.is_dir() and not any(path.glob("*.npz")) and next(path.rglob("*.png"), None) is not None:
         return PngMasks(path)
-    return DetectorSegmenter(RecordedDetector(path, unscored=True), request.synonyms)
+    return DetectorSegmenter(_loaded("recorded.RecordedDetector")(path, unscored=True), request.synonyms)
 
 
 def _yolo_seg_masks(request: SegmenterRequest) -> Segmenter:

@@ -11,10 +11,9 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, Field, FiniteFloat, TypeAdapter
 
 from pipeline.metrics.calibration_metrics import IDENTITY, Platt, fit_platt, sigmoid
 from pipeline.proposals.base import Detector
@@ -74,11 +73,11 @@ class ScoreCalibration:
     """
 
     detector: str | None
-    a: Annotated[FiniteFloat, Field(gt=0)]
-    b: FiniteFloat
-    positives: Annotated[int, Field(ge=0)]
-    negatives: Annotated[int, Field(ge=0)]
-    k: Annotated[int, Field(ge=1)]
+    a: float
+    b: float
+    positives: int
+    negatives: int
+    k: int
     dataset: str | None = None
     frames: tuple[FittedFrame, ...] = field(default=(), repr=False)
 
@@ -88,6 +87,8 @@ class ScoreCalibration:
             "a score calibration needs a finite slope above 0",
             got=f"a={self.a}, b={self.b}",
         )
+        for name, least in (("positives", 0), ("negatives", 0), ("k", 1)):
+            require(getattr(self, name) >= least, f"a score calibration needs {name} of at least {least}")
 
     @property
     def identity(self) -> bool:
@@ -121,15 +122,6 @@ class ScoreCalibration:
         return replace(self, detector=None)
 
 
-class _File(BaseModel):
-    """Format mark of a score calibration file."""
-
-    format: str = Field(pattern=f"^{FORMAT}$")
-
-
-_CALIBRATION = TypeAdapter(ScoreCalibration)
-
-
 def save_calibration(calibration: ScoreCalibration, path: str | Path, report: dict[str, Any] | None = None) -> None:
     """Write a calibration as JSON atomically, with an optional `report`."""
     record = {"format": FORMAT, **asdict(calibration)} | ({} if report is None else {"report": report})
@@ -152,8 +144,11 @@ def load_calibration(path: str | Path) -> ScoreCalibration:
     ):
         content = read_json(path)
     wrong = "this is no score calibration, by its {}"
-    checked(_File.model_validate, content, wrong, path)
-    return checked(_CALIBRATION.validate_python, content, wrong, path)
+    from pydantic import Field, TypeAdapter, create_model
+
+    marked = create_model("marked", format=(str, Field(pattern=f"^{FORMAT}$")))
+    checked(marked.model_validate, content, wrong, path)
+    return checked(TypeAdapter(ScoreCalibration).validate_python, content, wrong, path)
 
 
 def score_logit(scores: np.ndarray) -> np.ndarray:

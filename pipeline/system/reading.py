@@ -9,9 +9,7 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
-
-from pydantic import ValidationError
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from pipeline.system.errors import InputError, as_input_error, first_line, require
 from pipeline.system.safe_files import parse_json, read_text
@@ -20,6 +18,9 @@ if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib  # pyright: ignore[reportMissingImports]
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
 
 Checked = TypeVar("Checked")
 
@@ -52,6 +53,8 @@ def checked(
     keys : iterable of str, or a function
         Known keys, told for an unknown one; the function gives those beside a location.
     """
+    from pydantic import ValidationError
+
     try:
         return check(content)
     except ValidationError as error:

@@ -12,7 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.language import Meaning, match, meanings, normal_form
-from pipeline.language.name_table import NAMES, NameFile, Synonyms, default_synonyms, key_of
+from pipeline.language.name_files import NameFile
+from pipeline.language.name_forms import key_of
+from pipeline.language.name_table import NAMES, Synonyms, default_synonyms
 from pipeline.language.naming import GENERIC, is_compound, spelt
 from pipeline.proposals.class_names import synonyms_hash
 from tests.language.test_naming import COCO

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, FiniteFloat, TypeAdapter
+from pydantic import BaseModel, BeforeValidator, ConfigDict, FiniteFloat
 
 from pipeline.answering.ask import AskConfig
 from pipeline.answering.fitted_models import FittedRanking, FittedScorer, Scale
@@ -213,6 +213,34 @@ class TrueObject(_Strict):
     mask_pixels: FiniteFloat | None
 
 
+class SavedExpression(_Strict):
+    """Expression with its truth: a `Case` with lists for arrays, and null for a margin that is not known."""
+
+    id: str
+    text: str
+    target: str
+    relation: str
+    reference: str
+    target_object: int
+    reference_object: int
+    strict: tuple[int, ...]
+    acceptable: tuple[int, ...]
+    ambiguous: bool
+    margin: FiniteFloat | None
+
+    @staticmethod
+    def of(case: Case) -> dict[str, Any]:
+        """JSON of a case."""
+        lists = {name: getattr(case, name).tolist() for name in ("strict", "acceptable")}
+        record = {name: getattr(case, name) for name in SavedExpression.model_fields}
+        return {**record, **lists, "margin": _number(case.margin)}
+
+    def case(self) -> Case:
+        arrays = {name: np.array(getattr(self, name), np.int64) for name in ("strict", "acceptable")}
+        margin = np.nan if self.margin is None else self.margin
+        return Case(**{**dict(self), **arrays, "margin": margin})
+
+
 class TruthRecord(_Strict):
     """Truth of a frame; rows of letters are tables of ordered pairs: row a, column b; T, U, F, or "." if not judged.
 
@@ -225,7 +253,7 @@ class TruthRecord(_Strict):
     alike: tuple[str, ...]
     judged: tuple[str, ...]
     states: dict[str, tuple[str, ...]]
-    expression: Case | None
+    expression: SavedExpression | None
     mark: Literal["BAD_LABEL", "BAD_BOX"] | None = None
     confidence: FiniteFloat | None = None
 
@@ -245,7 +273,7 @@ def truth_record(truth: FrameCases, case: Case, mark: str | None, confidence: fl
         "alike": _bits(truth.alike),
         "judged": _bits(truth.judged),
         "states": {name: _letters(table, truth.judged) for name, table in truth.states.items()},
-        "expression": None if case.meant is not None else TypeAdapter(Case).dump_python(case, mode="json"),
+        "expression": None if case.meant is not None else SavedExpression.of(case),
         "mark": mark,
         "confidence": confidence,
     }
@@ -254,7 +282,7 @@ def truth_record(truth: FrameCases, case: Case, mark: str | None, confidence: fl
 def read_truth(record: Any, frame_id: str, path: Path) -> tuple[FrameCases, Case | None, str | None, float | None]:
     """Truth, expression, a person's mark, and the confidence of recalled objects."""
     saved = validated(TruthRecord, record, path, "truth")
-    n, case = len(saved.objects), saved.expression
+    n, case = len(saved.objects), None if saved.expression is None else saved.expression.case()
     indices = (
         []
         if case is None
