@@ -62,6 +62,12 @@ def broken(rows: pa.Table, table: str) -> list[Violation]:
 VALUES = [None, -2, -1, 0, 1, 2, 0.5, 1.5, "x", "plane", [0.0] * 3, [0.0] * 9, [1.0, None, 2.0], [1, 2], [], True]
 
 
+def test_a_side_that_is_none_is_refused() -> None:
+    row = GOOD_ROWS["objects"] | {"open_sides": ["left", "x"]}
+    rows = pa.Table.from_pylist([row], schema=pa.schema([pa.field(f.name, f.type) for f in arrow_schema("objects")]))
+    assert [v.column for v in broken(rows, "objects")] == ["open_sides"]
+
+
 @settings(max_examples=50, deadline=None)
 @given(st.data())
 def test_constraints_agree_with_the_models(data: st.DataObject) -> None:

@@ -130,7 +130,10 @@ def _odd(column: Any, values: np.ndarray, limits: dict[str, Any]) -> np.ndarray:
         known = pc.is_in(column, value_set=pa.array(allowed, column.type))  # pyright: ignore[reportAttributeAccessIssue]
         return ~known.to_numpy(zero_copy_only=False)
     if values.dtype == object:
-        return np.full(len(values), pa.types.is_list(column.type) and column.flatten().null_count > 0)
+        inner = column.flatten() if pa.types.is_list(column.type) else None
+        items = limits.get("items", {}).get("enum")
+        strange = inner is not None and items is not None and not set(inner.unique().to_pylist()) <= set(items)
+        return np.full(len(values), strange or (inner is not None and inner.null_count > 0))
     if values.ndim == 2:
         return np.asarray(~np.isfinite(values).all(axis=1))
     return ~(np.isfinite(values) & (values >= limits.get("minimum", -inf)) & (values <= limits.get("maximum", inf)))
