@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from label_checks import changed_within
 from waiting import wait_until
 
 from pipeline import __version__
@@ -211,7 +212,7 @@ def test_a_dataset_that_changes_under_the_run_is_noticed(tmp_path: Path) -> None
     image = next((copy / "000001" / "rgb").iterdir())
     with pytest.raises(InputError, match="changed while it was labelled"):
         label_dataset(
-            SourceSpec(str(copy)), tmp_path / "out", QUICK, limit=1, progress=lambda *_: os.utime(image, ns=(1, 1))
+            SourceSpec(str(copy)), tmp_path / "out", QUICK, limit=1, progress=lambda *_: changed_within(image)
         )
     with pytest.raises(InputError, match="not merged yet"):
         open_labels(tmp_path / "out")
@@ -277,8 +278,9 @@ def test_a_damaged_part_at_a_url_is_an_input_error(tmp_path: Path) -> None:
     label_dataset(DEMO, where, QUICK, limit=1)
     store = LabelStore(where)
     (shard,) = load_plan(store).shards
-    with fsspec.filesystem("memory").open(f"/damaged-{os.getpid()}/parts/{shard.name}/frames.parquet", "wb") as file:
-        file.write(b"PAR1")
+    memory = fsspec.filesystem("memory")
+    (path,) = memory.glob(f"/damaged-{os.getpid()}/parts/{shard.name}/frames-*.parquet")
+    memory.pipe_file(path, b"PAR1")
     with pytest.raises(InputError, match="not a readable Parquet file"):
         store.read_part(shard.name, "frames")
     with pytest.raises(InputError, match="another content"):
