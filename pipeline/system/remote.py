@@ -112,7 +112,8 @@ def _mirrored(url: str, cache: Path, without: str = "") -> Path:
         suppress(FileNotFoundError),
     ):
         found.update(_listed(system, root, url, without))
-    require(found, "there is no such dataset", expected="a folder or a file at this URL", cause=kept, path=url)
+    what = "are no labels" if without else "is no such dataset"
+    require(found, f"there {what}", expected="a folder or a file at this URL", cause=kept, path=url)
     parents = {PurePosixPath(folder) for folder in {name.rpartition("/")[0] for name in found}}
     folders = {str(above) for parent in parents for above in (parent, *parent.parents)}
     # Object stores may have a file and a folder of one name; the file is left out.
