@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import pickle
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
@@ -44,7 +45,7 @@ from pipeline.proposals.base import Proposals
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.arrow import pa
 from pipeline.system.detector_setup import with_files
-from pipeline.system.errors import InputError, as_input_error, extra_module, require
+from pipeline.system.errors import InputError, as_input_error, extra_module, first_line, require
 from pipeline.system.remote import is_url
 from pipeline.system.worker_pool import one_thread, results_of
 
@@ -237,7 +238,7 @@ def label_row(row: dict[str, Any]) -> dict[str, Any]:
 def run_ray(
     plan: Plan, shards: Sequence[Shard], store: LabelStore, workers: int, done: Done, *, gpus_a_detector: float = 0.0
 ) -> None:
-    """Label shards on the connected Ray cluster, else on this machine.
+    """Label shards on the connected Ray cluster, that of RAY_ADDRESS, else on this machine.
 
     The annotations of a dataset need no detector, and the first stage is left
     out. Where the labels go, and the dataset, must be reachable from every node.
@@ -261,7 +262,11 @@ def run_ray(
         # Ray tells of its own workings on the terminal; what goes wrong comes back as an exception.
         for name in ("ray", "ray.data"):
             logging.getLogger(name).setLevel(logging.ERROR)
-        ray.init(num_cpus=workers + 1, include_dashboard=False, log_to_driver=False, configure_logging=False)
+        address = os.environ.get("RAY_ADDRESS", "local")
+        # A cluster that runs already has processors of its own.
+        own = {"num_cpus": workers + 1, "include_dashboard": False} if address == "local" else {}
+        with as_input_error("Ray cannot be reached", Exception, got=first_line, path=address):
+            ray.init(address, log_to_driver=False, configure_logging=False, **own)
     try:
         context = ray.data.DataContext.get_current()
         context.enable_progress_bars = False
