@@ -125,7 +125,7 @@ def fetched(tmp_path: Path, name: str) -> set[str]:
 
 
 def test_an_array_of_tasks_from_a_bucket_to_a_bucket(store: Any, tmp_path: Path, expected: dict[str, str]) -> None:
-    words = ["label", f"s3://{BUCKET}/demo", "--out", f"s3://{BUCKET}/labels", "--workers", "1"]
+    words = ["label", f"s3://{BUCKET}/demo", "--out", f"s3://{BUCKET}/labels", "--workers", "2"]
     tasks = [
         subprocess.Popen(command(*words, "--shard", f"{k}/{SHARDS}"), **machine(tmp_path, f"machine{k}"))
         for k in (1, SHARDS)

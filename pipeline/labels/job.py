@@ -46,7 +46,7 @@ from pipeline.relations.model import OnnxScorer
 from pipeline.system.arrow import pa
 from pipeline.system.detector_setup import with_files
 from pipeline.system.errors import InputError, as_input_error, extra_module, first_line, require
-from pipeline.system.remote import is_url
+from pipeline.system.remote import is_url, list_anew, local_path
 from pipeline.system.worker_pool import one_thread, results_of
 
 
@@ -190,12 +190,14 @@ def run_local(plan: Plan, shards: Sequence[Shard], store: LabelStore, workers: i
 
     Raises InputError: a worker was killed.
     """
+    # What is at a URL was listed by this process: its workers read the copy, and do not list again.
+    spec = replace(plan.spec, path=str(local_path(plan.spec.path))) if is_url(plan.spec.path) else plan.spec
     reports = results_of(
         label_shard,
         shards,
         workers,
         prepare=_opened,
-        arguments=(plan.spec, plan.config, store.where),
+        arguments=(spec, plan.config, store.where),
         ordered=False,
         cause="out of memory? finished shards are kept: run again with --resume",
     )
@@ -371,6 +373,7 @@ def label_dataset(
                 run_local(plan, shards, store, workers, done)
         finally:
             store.clear_unfinished()
+        list_anew()
         require(
             not input_changed(plan, out),
             "the dataset changed while it was labelled",

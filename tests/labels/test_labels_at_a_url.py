@@ -248,3 +248,11 @@ def test_input_at_a_url_and_output_at_a_url(url: str, demo: Path, memory: Any) -
     remote.list_anew()
     # Another machine: of the same versions, and so of the same plan.
     assert label_dataset(SourceSpec(root), url, limit=FRAMES, frames_a_shard=2, resume=True).reused == FRAMES
+    # What changes there meanwhile is noticed, of whatever size.
+    path = f"{root}/000004/rgb/000002.jpg"
+
+    def changed(*_: Any) -> None:
+        memory.pipe_file(path, memory.cat_file(path)[::-1])
+
+    with pytest.raises(InputError, match="changed while it was labelled"):
+        label_dataset(SourceSpec(root), f"{url}-again", limit=1, progress=changed)

@@ -44,7 +44,7 @@ def test_copies_elsewhere_and_of_another_time_are_alike(data: Path, tmp_path: Pa
     os.utime(copy / "a.txt", ns=(1, 1))
     (copy / ".hidden").unlink()
     assert contents_hash(copy) == contents_hash(data)
-    assert contents_hash(copy / "a.txt") == contents_hash(shutil.copy(data / "a.txt", tmp_path / "b.txt"))
+    assert contents_hash(copy / "a.txt") == contents_hash(Path(shutil.copy(data / "a.txt", tmp_path / "b.txt")))
 
 
 @pytest.mark.parametrize(
