@@ -77,7 +77,7 @@ class Correcting:
     """Labels to correct, and the author; as the options of `spatialviz correct`."""
 
     dataset: str
-    labels: Path
+    labels: str
     author: str
     journal: JournalOptions
     source: SourceOptions

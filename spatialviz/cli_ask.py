@@ -36,7 +36,7 @@ class ViewCommand:
     """A run folder that `eval` wrote: its failures are listed, with its detector and relation scorer."""
     compare: Path | None = None
     """With --run: another run on the same dataset, whose answers are shown beside."""
-    labels: Path | None = None
+    labels: str | None = None
     """Labels that say what is true. Default: the run's, else the frame's annotations."""
     journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
     author: str | None = None

@@ -51,7 +51,7 @@ class LabelCommand(Output):
 
     dataset: DatasetArg
     out: str
-    """Folder for the labels, or a URL that fsspec knows; what is at a URL is then merged with `merge --to`."""
+    """Folder for the labels, or a URL that fsspec knows (extra: remote)."""
     source: OmitArgPrefixes[LabelledOptions] = LabelledOptions()
     selection: OmitArgPrefixes[Selection] = Selection()
     vocabulary: Literal["avd", "semantic-abstraction", "all"] = "avd"
@@ -75,7 +75,7 @@ class LabelCommand(Output):
     gpus_a_detector: float = 0.0
     """Share of a GPU for each detector of the engine ray."""
     shard: str | None = None
-    """k/N: only this task of N that share the folder, for arrays of jobs; then run `merge`."""
+    """k/N: only this task of N that share the folder or URL, for arrays of jobs; then run `merge`."""
     resume: Flag = False
     """Go on in a folder where a run was stopped."""
     limit: int | None = None
@@ -93,8 +93,8 @@ class MergeCommand(Output):
 
     labels: Positional[str]
     """Labels folder, or URL."""
-    to: Path | None = None
-    """Where the merged tables go. Default: the labels folder."""
+    to: str | None = None
+    """Folder or URL for the merged tables. Default: where the shards are."""
     selection: OmitArgPrefixes[Selection] = Selection()
 
 
@@ -247,7 +247,7 @@ class ConfirmCommand(OfAnswer):
     has been there.
     """
 
-    labels: Path
+    labels: str
     """Labels folder; one that is new is begun by hand, as by `label --empty`."""
     author: str
     """Who says so."""

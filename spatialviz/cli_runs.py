@@ -43,8 +43,8 @@ class EvalCommand(WritesRun):
     written by people, judged without labels; --judge-again: results of an earlier version."""
 
     dataset: DatasetArg
-    labels: Path | None = None
-    """Labels folder."""
+    labels: str | None = None
+    """Labels folder, or URL."""
     sentences: Path | None = None
     """In place of labels: JSON lines {"frame", "sentence"} with what is right, one of "targets" (indices of acceptable
     annotations), "points" ([u, v] pixels inside one) and "boxes" ([x0, y0, x1, y1] pixels), empty where nothing is. The
@@ -106,8 +106,8 @@ class ImportRunCommand(WritesRun, OfCamera):
     """JSON lines: a header, and a line for each expression. Or what another program publishes, see --format."""
     dataset: str
     """Dataset folder, or demo."""
-    labels: Path
-    """Labels folder that says what is asked and right."""
+    labels: str
+    """Labels folder or URL that says what is asked and right."""
     out: Path
     """Run folder to write."""
     format: str | None = None

@@ -39,10 +39,10 @@ DatasetArg = Positional[Annotated[str, arg(help='Dataset folder, or "demo".')]]
 FrameArg = Positional[Annotated[str, arg(help='Frame id, its index, or "all".')]]
 OneFrameArg = Positional[Annotated[str, arg(help="Frame id, or its index.")]]
 ExpressionArg = Positional[Annotated[str, arg(help="TARGET RELATION REFERENCE, in quotes.")]]
-LabelsArg = Positional[Annotated[Path, arg(help="Labels folder.")]]
+LabelsArg = Positional[Annotated[str, arg(help="Labels folder, or a URL that fsspec knows (extra: remote).")]]
 RunArg = Positional[Annotated[Path, arg(help="Run folder of `spatialviz eval`.")]]
 NewFolder = Annotated[Path, arg(help="Folder to write; it must not exist, or be empty.")]
-Truth = Annotated[Path | None, arg(help="Labels that say what is true. Default: the frame's annotations.")]
+Truth = Annotated[str | None, arg(help="Labels that say what is true. Default: the frame's annotations.")]
 Box = Annotated[
     Literal["upright", "gravity", "pca"],
     arg(

@@ -15,7 +15,7 @@ from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Event, NotSaved, Saved, event_record, outcome_record
 from pipeline.corrections.journal.examining import Examined
 from pipeline.corrections.journal.field_refs import shown_value
-from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal
+from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, journal_place
 from pipeline.corrections.journal.materialise import materialise
 from pipeline.corrections.journal.replay import redo, undo
 from pipeline.corrections.object_card import ObjectCard, object_card
@@ -81,7 +81,7 @@ def run_journal(command: JournalCommand) -> int:
 
 
 def _as_a_whole(command: JournalCommand) -> int:
-    where = command.journal.journal or open_labels(command.labels).root / JOURNAL_FILE
+    where = command.journal.journal or journal_place(open_labels(command.labels), None)
     if command.check:
         found = check_journal(where).known()
         command.write(examined_record(found), print_examined, found)

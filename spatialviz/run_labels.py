@@ -29,12 +29,13 @@ from pipeline.labels.check.view import Finding
 from pipeline.labels.exports import export_labels
 from pipeline.labels.exports.exporting import MARK, HubConfig
 from pipeline.labels.job import LabelReport, label_dataset
-from pipeline.labels.merge import SelectConfig, merge_labels
+from pipeline.labels.merge import merge_labels
 from pipeline.labels.plan import CAMERA, SENTENCE_KINDS, LabelConfig
 from pipeline.labels.provenance import makers_of
 from pipeline.labels.reading import SENTENCES_FILE, Labels, open_labels
 from pipeline.labels.report import NUMBERS, summary_lines, summary_tables, write_report
 from pipeline.labels.schema import Manifest
+from pipeline.labels.selection import SelectConfig
 from pipeline.labels.statistics import label_statistics
 from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, require

@@ -16,6 +16,7 @@ from pipeline.evaluation.run_folder import RUN_FILE, open_run
 from pipeline.labels.by_hand import begun_labels, default_folder, grows
 from pipeline.labels.reading import Labels, labelled_up, open_labels
 from pipeline.system.errors import InputError, require
+from pipeline.system.remote import is_url
 from spatialviz.app.access import Access
 from spatialviz.app.outer_address import outer_address
 from spatialviz.app.server import serve
@@ -88,9 +89,11 @@ def run_view(command: ViewCommand) -> None:
     )
 
 
-def _is_new(folder: Path) -> bool:
+def _is_new(labels: str) -> bool:
     """True for an empty folder, where labels can begin. A missing folder may be a typing error."""
-    folder = folder.expanduser()
+    if is_url(labels):
+        return False
+    folder = Path(labels).expanduser()
     require(
         folder.exists(),
         "there are no labels here",

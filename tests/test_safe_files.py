@@ -77,6 +77,7 @@ OWN = {
     "language/class_sizes.py": "comes with the program",
     "language/glossary.py": "comes with the program",
     "proposals/cache.py": "the cache",
+    "system/contents.py": "bytes that are hashed and never decoded, and the cache",
     "system/lazy_exports.py": "comes with the program",
     "system/model_files.py": "the cache, and a table that comes with the program",
     "system/remote.py": "the cache",

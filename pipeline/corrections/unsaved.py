@@ -24,7 +24,7 @@ from pipeline.corrections.journal.effective_frame import EffectiveFrame, Setting
 from pipeline.corrections.journal.events import Conflict, Edit, Event, Rival, Saved, grouped, new_ulid
 from pipeline.corrections.journal.examining import DamagedJournal
 from pipeline.corrections.journal.field_refs import FieldRef, shown_value
-from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, journal_of
+from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, journal_of, journal_place
 from pipeline.corrections.review.label_jobs import LabelJobs
 from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import PAIRWISE
@@ -298,6 +298,7 @@ class JournalLocation:
     def check(self) -> str:
         """Open an existing journal; the reason where out of reach now, else ""; DamagedJournal for damage."""
         try:
+            journal_place(self.labels, self.where)
             self.to_read()
         except DamagedJournal:
             raise

@@ -43,9 +43,9 @@ from pipeline.geometry.boxes import Box3D, iou_2d
 from pipeline.geometry.masks import RunLength
 from pipeline.labels.cases import HIT, FrameCases, read_cases
 from pipeline.labels.job import label_dataset
-from pipeline.labels.merge import SelectConfig
 from pipeline.labels.plan import load_plan
 from pipeline.labels.reading import Labels, open_labels
+from pipeline.labels.selection import SelectConfig
 from pipeline.labels.store import PLAN_FILE, LabelStore
 from pipeline.system.errors import InputError, require
 from pipeline.system.whole_files import scratch_folder, staged_folder

@@ -38,7 +38,7 @@ from pipeline.evaluation.slices import DIMENSIONS, Slices, slice_by, slice_table
 from pipeline.evaluation.summary import RunSummary, has_verdicts, summarise_run, summary_tables
 from pipeline.evaluation.systems import OWN, EvalSpec, system_of
 from pipeline.labels.merge import environment
-from pipeline.labels.plan import files_hash
+from pipeline.labels.plan import BY_TIME, files_hash
 from pipeline.labels.profiles import canonical_hash
 from pipeline.labels.provenance import Makers, makers_of
 from pipeline.labels.reading import Labels, labelled_up, open_labels
@@ -131,7 +131,7 @@ def evaluate_dataset(
     own = () if measured is None else leakage(makers, measured)
     of_others = other_systems(others, name, asked, makers)
     shares = {name: own, **{n: shared for n, (_, shared) in of_others.items()}}
-    files = files_hash(source.dataset.root, out)
+    files = files_hash(source.dataset.root, out, BY_TIME)
     with staged_folder(out, overwrite=overwrite, mark=RUN_FILE) as folder:
         with (
             relation_sink(spec, labels, folder) as sink,
@@ -140,7 +140,7 @@ def evaluate_dataset(
             for table in evaluate_labels(spec, workers=workers, progress=progress, relations=sink):
                 writer.write_table(table)
         evaluated = perf_counter() - start
-        changed = () if files_hash(source.dataset.root, out) == files else (CHANGED,)
+        changed = () if files_hash(source.dataset.root, out, BY_TIME) == files else (CHANGED,)
         records = read_records(folder)
         systems = {name: records, **{n: answered for n, (answered, _) in of_others.items()}}
         tables = make_tables(systems, bootstrap, shares) if spec.grounding else []

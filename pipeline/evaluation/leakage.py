@@ -27,6 +27,7 @@ from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import PROFILE
 from pipeline.system.errors import InputError
 from pipeline.system.onnx_session import file_hash
+from pipeline.system.remote import named_before
 from pipeline.system.version import __version__
 
 AGREEMENT = "shares rule and cloud with the labels: agreement, not accuracy"
@@ -146,7 +147,7 @@ def shares_of_run(manifest: Mapping[str, Any], labels: str | Path | None) -> tup
     try:
         if labels is None:
             raise InputError("the run does not say where its labels are")
-        makers = makers_of(open_labels(labels).manifest)
+        makers = makers_of(open_labels(named_before(str(labels))).manifest)
     except InputError:
         text = "the run was made by an earlier release and its labels are not at hand: who made its truth is not known"
         return (Share("masks", "unknown maker", "", text),)

@@ -193,7 +193,7 @@ class Run(InNotebook):
     @cached_property
     def labels(self) -> Labels:
         """The labels; raises as `open_labels`."""
-        return open_labels(self.spec.labels)
+        return open_labels(named_before(self.spec.labels))
 
     def failures(self, search: str = "") -> Failures:
         """Expressions found by a search, as by `spatialviz failures`: "verdict:SRM relation:behind margin<0.1"; without
@@ -320,6 +320,8 @@ def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | No
             local_path(dataset)  # So that it was named by a person.
         spec = replace(spec, dataset=dataset)
     if labels is not None:
+        if is_url(labels):
+            open_labels(labels)  # So that they were named by a person.
         spec = replace(spec, labels=labels)
     return Run(folder, manifest["name"], manifest, spec)
 

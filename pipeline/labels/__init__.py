@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pipeline.labels.exports.vqa_geometry import VqaConfig
     from pipeline.labels.job import label, label_dataset, label_shard, open_labeller
     from pipeline.labels.labelling import label_objects
-    from pipeline.labels.merge import SelectConfig, merge_labels
+    from pipeline.labels.merge import merge_labels
     from pipeline.labels.plan import SENTENCE_KINDS, LabelConfig, SourceSpec, load_plan, make_plan, save_plan
     from pipeline.labels.profiles import GIVEN, NONE, PROFILES, canonical_hash, open_second_opinion, profile_of
     from pipeline.labels.provenance import Makers, Model, makers_of, mask_makers
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     )
     from pipeline.labels.report import write_report
     from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest, labels_version
+    from pipeline.labels.selection import SelectConfig
     from pipeline.labels.statistics import label_statistics
     from pipeline.labels.store import LabelStore
     from pipeline.labels.wording import expression_text

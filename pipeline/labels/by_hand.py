@@ -14,13 +14,15 @@ from pipeline.datasets import Dataset
 from pipeline.datasets.base import scene_of
 from pipeline.geometry.lifting import LiftConfig
 from pipeline.labels.labelling import label_objects
-from pipeline.labels.merge import SelectConfig, environment, move_all, write_labels, write_merged
+from pipeline.labels.merge import environment, move_all, write_labels, write_merged
 from pipeline.labels.plan import LabelConfig, files_hash
 from pipeline.labels.profiles import fingerprint
 from pipeline.labels.reading import MANIFEST_FILE, Labels, build_table, open_labels
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest
+from pipeline.labels.selection import SelectConfig
 from pipeline.system.arrow import pa
 from pipeline.system.errors import as_input_error, require
+from pipeline.system.remote import is_elsewhere, local_path, url_of
 from pipeline.system.version import __version__
 from pipeline.system.whole_files import alone, temporary_folder
 
@@ -62,7 +64,8 @@ def begun_labels(
 
     Raises InputError: the folder holds something else.
     """
-    folder = Path(folder).expanduser().absolute()
+    require(not is_elsewhere(folder), "labels are begun by hand in a folder of this machine", path=str(folder))
+    folder = local_path(folder).absolute()
     if (folder / MANIFEST_FILE).exists():
         return open_labels(folder)
     require(
@@ -122,6 +125,7 @@ def with_frames(labels: Labels, dataset: Dataset, names: Iterable[str] = ()) -> 
     written.
     """
     require(grows(labels), "only labels that were begun by hand take in frames", path=labels.root)
+    require(url_of(labels.root) is None, "labels at a URL take in no frames", path=url_of(labels.root))
     ids = dataset.frame_ids
     absent = next((n for n in names if n not in ids), None)
     require(absent is None, "the dataset has no such frame", got=absent, path=dataset.root)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import pickle
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
@@ -20,18 +21,32 @@ from pipeline.answering.pipeline import Pipeline
 from pipeline.datasets import given_expressions
 from pipeline.datasets.base import scene_of
 from pipeline.labels.labelling import FrameLabels, broken_frame, label_objects
-from pipeline.labels.merge import SelectConfig, merge_labels
-from pipeline.labels.plan import LabelConfig, Plan, Shard, SourceSpec, input_changed, make_plan, part_of, save_plan
+from pipeline.labels.merge import merge_labels
+from pipeline.labels.plan import (
+    BY_CONTENT,
+    PLAN_FILE,
+    LabelConfig,
+    Plan,
+    Shard,
+    SourceSpec,
+    input_changed,
+    load_plan,
+    make_plan,
+    part_of,
+    save_plan,
+)
 from pipeline.labels.profiles import GIVEN, NONE, TRAINED, open_second_opinion
 from pipeline.labels.reading import PART_TABLES, SENTENCES, Labels, arrow_schema, build_table, open_labels
 from pipeline.labels.schema import Manifest
+from pipeline.labels.selection import SelectConfig
 from pipeline.labels.sentence_maker import make_sentences, sentence_rows
 from pipeline.labels.store import LabelStore
 from pipeline.proposals.base import Proposals
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.arrow import pa
 from pipeline.system.detector_setup import with_files
-from pipeline.system.errors import InputError, as_input_error, extra_module, require
+from pipeline.system.errors import InputError, as_input_error, extra_module, first_line, require
+from pipeline.system.remote import is_url, list_anew, local_path
 from pipeline.system.worker_pool import one_thread, results_of
 
 
@@ -175,12 +190,14 @@ def run_local(plan: Plan, shards: Sequence[Shard], store: LabelStore, workers: i
 
     Raises InputError: a worker was killed.
     """
+    # What is at a URL was listed by this process: its workers read the copy, and do not list again.
+    spec = replace(plan.spec, path=str(local_path(plan.spec.path))) if is_url(plan.spec.path) else plan.spec
     reports = results_of(
         label_shard,
         shards,
         workers,
         prepare=_opened,
-        arguments=(plan.spec, plan.config, store.where),
+        arguments=(spec, plan.config, store.where),
         ordered=False,
         cause="out of memory? finished shards are kept: run again with --resume",
     )
@@ -223,7 +240,7 @@ def label_row(row: dict[str, Any]) -> dict[str, Any]:
 def run_ray(
     plan: Plan, shards: Sequence[Shard], store: LabelStore, workers: int, done: Done, *, gpus_a_detector: float = 0.0
 ) -> None:
-    """Label shards on the connected Ray cluster, else on this machine.
+    """Label shards on the connected Ray cluster, that of RAY_ADDRESS, else on this machine.
 
     The annotations of a dataset need no detector, and the first stage is left
     out. Where the labels go, and the dataset, must be reachable from every node.
@@ -247,7 +264,11 @@ def run_ray(
         # Ray tells of its own workings on the terminal; what goes wrong comes back as an exception.
         for name in ("ray", "ray.data"):
             logging.getLogger(name).setLevel(logging.ERROR)
-        ray.init(num_cpus=workers + 1, include_dashboard=False, log_to_driver=False, configure_logging=False)
+        address = os.environ.get("RAY_ADDRESS", "local")
+        # A cluster that runs already has processors of its own.
+        own = {"num_cpus": workers + 1, "include_dashboard": False} if address == "local" else {}
+        with as_input_error("Ray cannot be reached", Exception, got=first_line, path=address):
+            ray.init(address, log_to_driver=False, configure_logging=False, **own)
     try:
         context = ray.data.DataContext.get_current()
         context.enable_progress_bars = False
@@ -299,7 +320,7 @@ def label_dataset(
     if config.second_opinion not in (NONE, TRAINED):
         config = replace(config, second_opinion=str(Path(config.second_opinion).absolute()))
     start = perf_counter()
-    if "://" not in str(out):
+    if not is_url(out):
         out = Path(out).expanduser().absolute()
     store = LabelStore(out)
     require(workers >= 1, "at least one worker is needed", got=workers)
@@ -316,13 +337,17 @@ def label_dataset(
         cause="use another folder",
         path=out,
     )
-    plan = make_plan(spec.absolute(), config, frames_a_shard=frames_a_shard, limit=limit, frames_of=frames_of, out=out)
+    like = BY_CONTENT if store.read_text(PLAN_FILE) is None else load_plan(store).input_hash
+    chosen: dict[str, Any] = {"frames_a_shard": frames_a_shard, "limit": limit, "frames_of": frames_of}
+    plan = make_plan(spec.absolute(), config, **chosen, out=out, like=like)
     open_second_opinion(config.second_opinion)
     if engine == "ray":
         extra_module("ray.data", "the engine ray", "cluster")
-    shards = plan.shards if part is None else part_of(plan.shards, *part)
-    store.prepare()
-    total = sum(len(s.frames) for s in shards)
+
+    def of_task(plan: Plan) -> tuple[Shard, ...]:
+        return plan.shards if part is None else part_of(plan.shards, *part)
+
+    total = sum(len(s.frames) for s in of_task(plan))
     reports: list[LabelReport] = []
 
     def done(report: LabelReport) -> None:
@@ -338,7 +363,8 @@ def label_dataset(
         cause="when there is room, --resume goes on where this ended",
         path=out,
     ):
-        save_plan(plan, store)
+        store.prepare()
+        shards = of_task(save_plan(plan, store))
         store.clear_unfinished()
         try:
             if engine == "ray":
@@ -347,13 +373,14 @@ def label_dataset(
                 run_local(plan, shards, store, workers, done)
         finally:
             store.clear_unfinished()
+        list_anew()
         require(
             not input_changed(plan, out),
             "the dataset changed while it was labelled",
             cause="remove the labels, and label it again",
             path=out,
         )
-        manifest = merge_labels(out, selection) if part is None and not store.remote else None
+        manifest = merge_labels(out, selection) if part is None else None
     counted = "reused", "broken", "objects", "pairs", "candidates"
     counts = {name: sum(getattr(report, name) for report in reports) for name in counted}
     return LabelReport(total, **counts, seconds=perf_counter() - start, manifest=manifest)

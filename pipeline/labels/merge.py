@@ -6,9 +6,9 @@ import os
 import platform
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from contextlib import contextmanager
+from dataclasses import asdict
 from datetime import datetime, timezone
-from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,6 @@ import numpy as np
 
 from pipeline.datasets.settings import ASSUMED, DECLARE
 from pipeline.labels.frame_stream import frame_spans
-from pipeline.labels.labelling import row_hash
 from pipeline.labels.plan import Plan, Shard, TextStyle, load_plan
 from pipeline.labels.provenance import makers_of
 from pipeline.labels.reading import (
@@ -31,6 +30,7 @@ from pipeline.labels.reading import (
 )
 from pipeline.labels.report import dataset_card
 from pipeline.labels.schema import SCHEMA_VERSION, SENTENCES_OF, Manifest, TableFile, write_schemas
+from pipeline.labels.selection import SelectConfig, kept_by_quota, kept_of_frames, order_key_of
 from pipeline.labels.store import PLAN_FILE, LabelStore
 from pipeline.labels.wording import expression_text
 from pipeline.language.noun_phrase import alone
@@ -38,59 +38,80 @@ from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import InputError, as_input_error, require
 from pipeline.system.plugins import versions_of
+from pipeline.system.remote import list_anew
 from pipeline.system.version import __version__
-from pipeline.system.whole_files import clear_abandoned, sha256_of, temporary_folder, write_synced
+from pipeline.system.whole_files import clear_abandoned, scratch_folder, sha256_of, temporary_folder, write_synced
 
 LISTED_WARNINGS = 100
 CARD_FILE = "README.md"
 
 
-def merge_labels(where: str | Path, selection: SelectConfig | None = None, out: Path | None = None) -> Manifest:
+def merge_labels(where: str | Path, selection: SelectConfig | None = None, out: str | Path | None = None) -> Manifest:
     """Merge the finished shards of a labels folder.
 
     Tables are written part by part, so that memory does not grow with their
-    length; of the candidate expressions five numbers a row are held. All is
-    written aside and then put into place at once: what fails before leaves
-    earlier tables as they were.
+    length; of the candidate expressions that each frame may keep (40 by default)
+    three numbers are held. All is written aside and then put into place at once: what
+    fails before leaves earlier tables as they were. Shards at a URL are fetched into
+    the system's temporary files first, and the merged tables are put there, the manifest last.
 
-    `where`: the labels folder, or a URL; then `out` is needed. `out`: where the merged tables go; the labels folder by
-    default.
+    `where`: the labels folder, or a URL. `out`: where the merged tables go; the labels folder or URL by default.
 
     Raises InputError: shards are missing or damaged, or the folder holds no labels.
     """
     selection = selection or SelectConfig()
     store = LabelStore(where)
     plan = load_plan(store)
-    missing = [shard for shard in plan.shards if not store.has_part(shard.name)]
+    shards = plan.shards
+    unfinished = store.unfinished([shard.name for shard in shards])
+    missing = [str(shard.index) for shard in shards if shard.name in unfinished]
     require(
         not missing,
-        f"{len(missing)} of {len(plan.shards)} shards are missing",
-        got=", ".join(str(s.index) for s in missing[:8]) + (" ..." if len(missing) > 8 else ""),
+        f"{len(missing)} of {len(shards)} shards are missing",
+        got=", ".join(missing[:8]) + (" ..." if len(missing) > 8 else ""),
         cause=f"finish them with: spatialviz label {plan.spec.path} --out {store.where} --resume "
         "and the options it was begun with",
         path=store.where,
     )
-    if out is None:
-        require(
-            not store.remote, "labels at a URL are merged into a local folder", expected="--to FOLDER", path=store.where
-        )
-        out = store.folder
-    with as_input_error("merged tables go into a folder", FileExistsError, NotADirectoryError, got="a file", path=out):
-        out.mkdir(parents=True, exist_ok=True)
+    target = store if out is None else LabelStore(out)
+    with _filled(target) as staging, store.nearby([shard.name for shard in shards]) as near:
+        for shard in shards:
+            near.check_part(shard.name, shard.key)
+        return _write_all(staging, plan, near, selection)
+
+
+@contextmanager
+def _filled(target: LabelStore) -> Iterator[Path]:
+    """Folder to write merged labels into; at the good end of the block all files there go to their place at once."""
+    place, folder = target.there, target.folder
+    if place is not None:
+        _require_labels(target, place.names())
+        with scratch_folder() as staging:
+            yield staging
+            place.remove(MANIFEST_FILE)
+            for file in _in_order(staging):
+                place.put_file(file.relative_to(staging).as_posix(), file)
+        list_anew()
+        return
+    with as_input_error(
+        "merged tables go into a folder", FileExistsError, NotADirectoryError, got="a file", path=folder
+    ):
+        folder.mkdir(parents=True, exist_ok=True)
+    _require_labels(target, {path.name for path in folder.iterdir()})
+    clear_abandoned(folder)
+    with temporary_folder(folder / "merged") as staging:
+        yield staging
+        (folder / MANIFEST_FILE).unlink(missing_ok=True)
+        move_all(staging, folder)
+
+
+def _require_labels(target: LabelStore, names: set[str]) -> None:
     require(
-        not (any(out.iterdir()) and not (out / PLAN_FILE).is_file() and not (out / MANIFEST_FILE).is_file()),
+        not names or {PLAN_FILE, MANIFEST_FILE} & names,
         "the folder holds something else",
         expected="a new or empty folder, or labels",
-        path=out,
+        path=target.where,
     )
-    for shard in plan.shards:
-        store.check_part(shard.name, shard.key)
-    clear_abandoned(out)
-    with temporary_folder(out / "merged") as staging:
-        manifest = _write_all(staging, plan, store, selection)
-        (out / MANIFEST_FILE).unlink(missing_ok=True)
-        move_all(staging, out)
-    return manifest
 
 
 def _write_all(out: Path, plan: Plan, store: LabelStore, selection: SelectConfig) -> Manifest:
@@ -108,10 +129,11 @@ def _write_all(out: Path, plan: Plan, store: LabelStore, selection: SelectConfig
         rows = store.read_part(shard.name, "frames", ["frame", "ok", "problem", "up_source"]).to_pylist()
         frames_ok += sum(row["ok"] for row in rows)
         assumed += sum(row["up_source"] == "assumed" for row in rows)
-        warnings += [f"{row['frame']}: {row['problem']}" for row in rows if not row["ok"]]
-    more = len(warnings) - LISTED_WARNINGS
+        broken = [row for row in rows if not row["ok"]][: LISTED_WARNINGS - len(warnings)]
+        warnings += [f"{row['frame']}: {row['problem']}" for row in broken]
+    more = tables["frames"].rows - frames_ok - LISTED_WARNINGS
     if more > 0:
-        warnings = [*warnings[:LISTED_WARNINGS], f"and {more} more frames"]
+        warnings.append(f"and {more} more frames")
     if assumed:
         warnings.insert(0, f"{assumed} of {frames_ok} frames: {ASSUMED}; {DECLARE}")
     if (network := plan.spec.options.get("depth_model")) is not None:
@@ -160,10 +182,15 @@ def write_labels(folder: Path, manifest: Manifest) -> Manifest:
 
 
 def _write_sentences(out: Path, shards: Sequence[Shard], store: LabelStore) -> Counter[str]:
-    found = [store.read_part(shard.name, SENTENCES) for shard in shards]
-    lines = (line for part in found for line in part.column("line").to_pylist())
-    write_synced(out / SENTENCES_FILE, "".join(f"{line}\n" for line in lines).encode())
-    return Counter(kind for part in found for kind in part.column("kind").to_pylist())
+    kinds: Counter[str] = Counter()
+    with open(out / SENTENCES_FILE, "wb") as file:
+        for shard in shards:
+            part = store.read_part(shard.name, SENTENCES)
+            kinds.update(part.column("kind").to_pylist())
+            file.write("".join(f"{line}\n" for line in part.column("line").to_pylist()).encode())
+        file.flush()
+        os.fsync(file.fileno())
+    return kinds
 
 
 def write_manifest(labels: Labels) -> None:
@@ -174,38 +201,50 @@ def write_manifest(labels: Labels) -> None:
 
 def move_all(staging: Path, out: Path) -> None:
     """Move all files of labels into their folder, the manifest last."""
-    for file in sorted(filter(Path.is_file, staging.rglob("*")), key=lambda p: (p.name == MANIFEST_FILE, p)):
+    for file in _in_order(staging):
         final = out / file.relative_to(staging)
         final.parent.mkdir(parents=True, exist_ok=True)
         os.replace(file, final)
+
+
+def _in_order(staging: Path) -> list[Path]:
+    return sorted(filter(Path.is_file, staging.rglob("*")), key=lambda p: (p.name == MANIFEST_FILE, p))
 
 
 _CHOSEN_BY = ("id", "frame_index", "relation", "target", "reference", "acceptable", "same_class")
 
 
 def choose(shards: Sequence[Shard], store: LabelStore, selection: SelectConfig) -> tuple[int, dict[str, np.ndarray]]:
-    """Number of candidates, and the chosen rows by shard."""
+    """Number of candidates, and the indices of the chosen rows by shard.
+
+    A shard holds whole frames: what each frame keeps is settled shard by shard, and only that is held for the quotas.
+    """
     codes: dict[str, int] = {}
-    columns: list[list[np.ndarray]] = []
+    rows_of: dict[str, np.ndarray] = {}
+    held: list[tuple[np.ndarray, ...]] = []
+    count = 0
     for shard in shards:
         part = store.read_part(shard.name, CANDIDATES, list(_CHOSEN_BY))
+        count += part.num_rows
         ids = np.array([int(i, 16) for i in part.column("id").to_pylist()], np.uint64)
-        named = [
+        target, reference = (
             np.array([codes.setdefault(v, len(codes)) for v in part.column(n).to_pylist()], np.int32)
             for n in ("target", "reference")
-        ]
-        relation = np.array([PAIRWISE.index(r) for r in part.column("relation").to_pylist()], np.int32)
-        frame = part.column("frame_index").to_numpy().astype(np.int32)
+        )
+        relation = np.array([PAIRWISE.index(r) for r in part.column("relation").to_pylist()], np.int8)
+        frame = part.column("frame_index").to_numpy()
         answers = np.array([len(a) for a in part.column("acceptable").to_pylist()], np.int32)
         same_class = part.column("same_class").to_numpy()
-        columns.append([ids, frame, relation, *named, (answers < same_class) | (same_class == 1)])
-    if not columns:
+        telling = (answers < same_class) | (same_class == 1) if selection.telling else np.ones(len(ids), np.bool_)
+        rows = np.flatnonzero(telling)
+        few = kept_of_frames(*(column[rows] for column in (ids, frame, relation, target, reference)), config=selection)
+        rows_of[shard.name] = rows = rows[few].astype(np.int32)
+        held.append((order_key_of(ids[rows], selection), relation[rows], target[rows]))
+    if not held:
         return 0, {}
-    ids, *codes_of, telling = (np.concatenate(parts) for parts in zip(*columns, strict=True))
-    kept = telling if selection.telling else np.ones_like(telling)
-    kept[kept] = select(ids[kept], *(column[kept] for column in codes_of), config=selection)
-    parts = np.split(kept, np.cumsum([len(part[0]) for part in columns])[:-1])
-    return len(kept), {shard.name: part for shard, part in zip(shards, parts, strict=True)}
+    kept = kept_by_quota(*(np.concatenate(columns) for columns in zip(*held, strict=True)), config=selection)
+    parts = np.split(kept, np.cumsum([len(rows) for rows in rows_of.values()])[:-1])
+    return count, {name: rows[of] for (name, rows), of in zip(rows_of.items(), parts, strict=True)}
 
 
 def _worded(
@@ -224,7 +263,7 @@ def _worded(
             return None
 
     for shard in shards:
-        rows = store.read_part(shard.name, CANDIDATES).filter(pa.array(chosen[shard.name]))
+        rows = store.read_part(shard.name, CANDIDATES).take(pa.array(chosen[shard.name]))
         single = _single(store.read_part(shard.name, "objects", ["frame_index", "object", "label"]))
         frames, *pairs = (rows.column(n).to_pylist() for n in ("frame_index", "target_object", "reference_object"))
         several = [((k, a) not in single, (k, b) not in single) for k, a, b in zip(frames, *pairs, strict=True)]
@@ -275,114 +314,3 @@ def environment() -> dict[str, str]:
         "platform": platform.platform(),
         **versions_of("numpy", "opencv-python-headless", "pyarrow", "pycocotools", "scipy"),
     }
-
-
-SCARCE = 20
-"""The rarest relation counts as at least so many, so that one odd row does not empty the rest."""
-
-
-def select(
-    ids: np.ndarray,
-    frame: np.ndarray,
-    relation: np.ndarray,
-    target: np.ndarray,
-    reference: np.ndarray,
-    config: SelectConfig,
-) -> np.ndarray:
-    """Choose the candidates to keep.
-
-    First, one of each question: candidates of a frame with equal target,
-    relation and reference say the same sentence. Then `per_frame` of each
-    frame, rarest relation first. Then every relation gets its quota, filled
-    in turn from its target classes.
-
-    `ids` (N,) uint64: the rows' hashes. `frame`, `relation`, `target`, `reference` (N,) int: codes of what the rows
-    say. Returns (N,) bool.
-    """
-    n = len(ids)
-    if not n:
-        return np.zeros(0, np.bool_)
-    # A second hash, so that another selection seed chooses others of the same candidates.
-    order_key = _mixed(ids, row_hash(config.seed, "select"))
-    kept = _rank((frame, relation, target, reference), order_key) == 0
-
-    def keep_few(of: np.ndarray, in_turn: np.ndarray, most: np.ndarray) -> None:
-        """Keep at most so many rows of each `of`, with `in_turn` taking turns."""
-        rows = np.flatnonzero(kept)
-        within = _rank((of[rows], in_turn[rows]), order_key[rows])
-        order = np.lexsort((order_key[rows], within, of[rows]))
-        group = of[rows][order]
-        kept[rows[order[_running_count(group) >= most[group]]]] = False
-
-    if config.per_frame is not None:
-        keep_few(frame, relation, np.full(frame.max() + 1, config.per_frame))
-    keep_few(relation, target, _quotas(np.bincount(relation[kept], minlength=relation.max() + 1), config))
-    return kept
-
-
-def _mixed(ids: np.ndarray, seed: int) -> np.ndarray:
-    """(N,) uint64: the splitmix64 finaliser of each hash with a seed (Steele et al., 2014)."""
-    with np.errstate(over="ignore"):
-        x = ids.astype(np.uint64) ^ np.uint64(seed)
-        x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-        x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-        return x ^ (x >> np.uint64(31))
-
-
-def _rank(groups: tuple[np.ndarray, ...], key: np.ndarray) -> np.ndarray:
-    """(N,) rank of each row within the row's group, by key."""
-    order = np.lexsort((key, *reversed(groups)))
-    ranks = np.empty(len(key), np.int64)
-    ranks[order] = _running_count(*(group[order] for group in groups))
-    return ranks
-
-
-def _running_count(*columns: np.ndarray) -> np.ndarray:
-    """(N,) how many rows of equal values come right before each."""
-    at = np.arange(len(columns[0]))
-    new = np.any([np.diff(column, prepend=column[:1]) != 0 for column in columns], axis=0)
-    return at - np.maximum.accumulate(np.where(new, at, 0))
-
-
-def _quotas(counts: np.ndarray, config: SelectConfig) -> np.ndarray:
-    quota = counts.copy()
-    present = counts > 0
-    if config.balance is not None and present.any():
-        rarest = max(int(counts[present].min()), SCARCE)
-        quota = np.minimum(quota, config.balance * rarest).astype(quota.dtype)
-    if config.total is None or quota.sum() <= config.total:
-        return quota
-    # Fill all relations to one level; what a rare one leaves goes to the others.
-    low, high = 0, int(quota.max())
-    while low < high:
-        level = (low + high + 1) // 2
-        low, high = (level, high) if np.minimum(quota, level).sum() <= config.total else (low, level - 1)
-    levelled = np.minimum(quota, low)
-    rest = config.total - int(levelled.sum())
-    levelled[np.flatnonzero(quota > low)[:rest]] += 1
-    return levelled
-
-
-@dataclass(frozen=True)
-class SelectConfig:
-    """Which of all candidate expressions are kept."""
-
-    total: int | None = None
-    """At most so many; None for as many as the other rules allow."""
-    per_frame: int | None = 40
-    """At most so many of one frame."""
-    balance: float | None = 3.0
-    """No relation has more than so many times the expressions of the rarest one; None keeps the relations as they
-    come."""
-    seed: int = 0
-    telling: bool = True
-    """Leave out what is true of every object of the target's class, where there are several: such a sentence tells
-    nothing apart."""
-
-    def __post_init__(self) -> None:
-        for name in ("total", "per_frame"):
-            value = getattr(self, name)
-            require(value is None or value >= 1, f"{name} must be at least 1", got=value)
-        require(
-            self.balance is None or 1 <= self.balance < inf, "balance must be a number of at least 1", got=self.balance
-        )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -18,15 +18,19 @@ from pipeline.labels.profiles import RuleProfile, canonical_hash, fingerprint, p
 from pipeline.language.naming import normal_form
 from pipeline.language.relation_names import PAIRWISE, VOCABULARIES
 from pipeline.relations.relations import PROFILE
+from pipeline.system.contents import contents_hash, walk
 from pipeline.system.detector_setup import with_files
 from pipeline.system.errors import InputError, needed, require
 from pipeline.system.model_files import parse_hub_id
+from pipeline.system.remote import is_url
 from pipeline.system.safe_files import parse_json, read_bytes
 from pipeline.system.version import __version__
 
 if TYPE_CHECKING:
     from pipeline.labels.store import LabelStore
 
+BY_CONTENT, BY_TIME = "content:", ""
+"""What a hash of a dataset's files by content begins with; those by time of change have no such mark."""
 MOST_FRAMES_A_SHARD = 64
 FEWEST_FRAMES_A_SHARD = 4
 SHARDS_WANTED = 32
@@ -86,7 +90,7 @@ class Plan:
     models: dict[str, str]
     """Fingerprints of detector and segmenter, of the second opinion, and of what was declared of camera and names."""
     input_hash: str
-    """Hash of the dataset's files by name, size and time of change."""
+    """Hash of the dataset's files: see `files_hash`."""
     format: str
     """The dataset's format."""
     exact: bool
@@ -124,11 +128,13 @@ def make_plan(
     limit: int | None = None,
     frames_of: Sequence[str] = (),
     out: str | Path | None = None,
+    like: str = BY_CONTENT,
 ) -> Plan:
     """Look at the dataset and lay out the shards; no image is decoded.
 
     `limit`: only the first so many frames. `frames_of`: only the frames of these splits of the dataset's own, in their
-    order. `out`: where the labels go: within the dataset's folder, that folder is not part of the input.
+    order. `out`: where the labels go: within the dataset's folder, that folder is not part of the input. `like`: the
+    input's hash in the plan that is there already, see `files_hash`.
 
     Raises InputError: the dataset cannot be opened, has no frames, or nothing finds objects in it.
     """
@@ -152,7 +158,7 @@ def make_plan(
             "second_opinion": fingerprint(config.second_opinion),
             **_declared(spec.options),
         },
-        _input_hash(source, out),
+        _input_hash(source, out, like),
         source.dataset.format,
         detector.exact,
         frames_a_shard,
@@ -178,14 +184,12 @@ def frames_of_splits(dataset: Dataset, names: Sequence[str]) -> tuple[str, ...]:
 
 def input_changed(plan: Plan, out: str | Path) -> bool:
     """Tell a dataset changed since the plan was made; no model is loaded."""
-    return (
-        _input_hash(SourceSpec(plan.spec.path, {n: plan.spec.options.get(n) for n in CAMERA}).open(plan.config), out)
-        != plan.input_hash
-    )
+    source = SourceSpec(plan.spec.path, {n: plan.spec.options.get(n) for n in CAMERA}).open(plan.config)
+    return _input_hash(source, out, plan.input_hash) != plan.input_hash
 
 
-def _input_hash(source: Pipeline, out: str | Path | None) -> str:
-    return files_hash(source.dataset.root, None if out is None or "://" in str(out) else Path(out).expanduser())
+def _input_hash(source: Pipeline, out: str | Path | None, like: str) -> str:
+    return files_hash(source.dataset.root, None if out is None or is_url(out) else Path(out).expanduser(), like)
 
 
 def _declared(options: dict[str, Any]) -> dict[str, str]:
@@ -199,33 +203,28 @@ def _declared(options: dict[str, Any]) -> dict[str, str]:
     return found
 
 
-def files_hash(root: Path, leave_out: Path | None = None) -> str:
-    """Hash of all files below a folder, or of a file, by relative path, size and time of change; nothing is read.
+def files_hash(root: Path, leave_out: Path | None = None, like: str = BY_CONTENT) -> str:
+    """Hash of all files below a folder, or of a file, by relative path and content: see `contents_hash`.
 
-    Links are not followed; hidden files are left out, and so is the folder `leave_out`.
+    `like`: a hash to compare with, or only the mark of its kind: without one, as of labels made before, files count by
+    size and time of change. Hidden files are left out, and so is the folder `leave_out`.
     """
+    if like.startswith(BY_CONTENT):
+        return BY_CONTENT + contents_hash(root, leave_out)
     if root.is_file():
         return canonical_hash((root.name, root.stat().st_size, root.stat().st_mtime_ns))
-    return canonical_hash(sorted(_files(root, "", None if leave_out is None else leave_out.resolve())))
+    # A name that is not UTF-8 still counts.
+    found = (
+        (os.fsencode(name).decode(errors="backslashreplace"), state.st_size, state.st_mtime_ns)
+        for name, _, state in walk(root, leave_out)
+    )
+    return canonical_hash(sorted(found))
 
 
-def _files(folder: Path, prefix: str, leave_out: Path | None) -> Iterator[tuple[str, int, int]]:
-    with os.scandir(folder) as entries:
-        for entry in entries:
-            if entry.name.startswith("."):
-                continue
-            if entry.is_dir(follow_symlinks=False):
-                if leave_out is None or entry.name != leave_out.name or Path(entry.path).resolve() != leave_out:
-                    yield from _files(Path(entry.path), f"{prefix}{entry.name}/", leave_out)
-            else:
-                stat = entry.stat(follow_symlinks=False)
-                # A name that is not UTF-8 still counts.
-                name = os.fsencode(prefix + entry.name).decode(errors="backslashreplace")
-                yield name, stat.st_size, stat.st_mtime_ns
+def save_plan(plan: Plan, store: LabelStore) -> Plan:
+    """Write `plan.json`, or compare with the plan found in the folder; returns the plan that is there.
 
-
-def save_plan(plan: Plan, store: LabelStore) -> None:
-    """Write `plan.json`, or compare with the plan found in the folder.
+    Another machine may have written it: of another path to the same files, and so its shards are those that count.
 
     Raises InputError: the folder holds labels made otherwise: which setting differs.
     """
@@ -234,7 +233,8 @@ def save_plan(plan: Plan, store: LabelStore) -> None:
     if store.read_text(PLAN_FILE) is None:
         store.write_text(PLAN_FILE, json.dumps(plan.record(), indent=1, ensure_ascii=False))
     # Read back also then: another task may have written its own first.
-    mine, theirs = (_settings(found) for found in (plan, load_plan(store)))
+    kept = load_plan(store)
+    mine, theirs = _settings(plan), _settings(kept)
     differing = [name.replace("_", " ") for name in {**mine, **theirs} if mine.get(name) != theirs.get(name)]
     require(
         not differing,
@@ -243,6 +243,7 @@ def save_plan(plan: Plan, store: LabelStore) -> None:
         cause="use another folder, or remove this one",
         path=store.where,
     )
+    return kept
 
 
 def _settings(plan: Plan) -> dict[str, Any]:

@@ -92,7 +92,7 @@ def _model(name: str, fingerprint: str) -> Model:
     if name == ANNOTATIONS:
         return Model(name)
     if name == RECORDED:
-        # Path and time of change; what stands behind them is a threshold.
+        # Name and content, of labels made before path and time of change; what stands behind them is a threshold.
         return Model(name, fingerprint.partition(":")[2].rpartition(":")[0] or None)
     parts = fingerprint.split(":")
     if name in _HASHES and parts[0] == name:

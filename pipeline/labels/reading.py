@@ -25,7 +25,7 @@ from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.arrow import pa, pc, pq, typed
 from pipeline.system.errors import InputError, Shown, as_input_error, first_line, needed, require
 from pipeline.system.reading import checked
-from pipeline.system.remote import named_before
+from pipeline.system.remote import local_path, named_before, url_of
 from pipeline.system.safe_files import enter, open_parquet, read_json, read_parquet
 from pipeline.system.whole_files import temporary_sibling
 
@@ -273,7 +273,7 @@ class Labels:
 
 
 def open_labels(path: str | Path) -> Labels:
-    """Open a finished labels folder.
+    """Open a finished labels folder, or labels at a URL: then its tables are fetched as they are read.
 
     Raises InputError: no labels there, unmerged ones, or ones of another schema.
 
@@ -281,15 +281,16 @@ def open_labels(path: str | Path) -> Labels:
     >>> open_labels(demo_labels()).relation_names
     ('left', 'right', 'above', 'below', 'front', 'behind')
     """
-    root = enter(Path(path).expanduser())
+    root = enter(local_path(path, without="parts"))
     file = root / MANIFEST_FILE
     if not file.is_file():
-        unmerged = (root / "parts").is_dir()
+        where = url_of(root) or root
+        unmerged = (root / "parts").is_dir() or (root / "plan.json").is_file()
         raise InputError(
             "these labels are not merged yet" if unmerged else "no labels here",
             expected=f"a folder with {MANIFEST_FILE}",
-            cause=f"run: spatialviz label --merge {root}" if unmerged else "did `spatialviz label` finish?",
-            path=root,
+            cause=f"run: spatialviz label --merge {where}" if unmerged else "did `spatialviz label` finish?",
+            path=where,
         )
     with as_input_error("the manifest is damaged", ValueError, AttributeError, got=str, path=file):
         content = read_json(file)

@@ -6,15 +6,26 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
+from types import MappingProxyType
 from typing import Any
 
 from pipeline.labels.reading import read_table
 from pipeline.system.arrow import pa, pq
-from pipeline.system.errors import InputError, as_input_error, extra_module, first_line, require
+from pipeline.system.errors import InputError, as_input_error, require
+from pipeline.system.remote import is_elsewhere, local_path
+from pipeline.system.remote_folder import RemoteFolder
 from pipeline.system.safe_files import opened, parse_json, read_text
-from pipeline.system.whole_files import clear_abandoned, sha256_of, temporary_folder, temporary_sibling, write_synced
+from pipeline.system.whole_files import (
+    clear_abandoned,
+    scratch_folder,
+    sha256_of,
+    temporary_folder,
+    temporary_sibling,
+    write_synced,
+)
 
 PARTS = "parts"
 PLAN_FILE = "plan.json"
@@ -26,31 +37,37 @@ class LabelStore:
     """A labels folder.
 
     A part is written under a hidden name of its own, synced, and renamed into
-    place; where the place cannot rename folders (object stores), its files come
-    first and `part.json` last. Either way a part that is there is whole.
+    place. At a URL its tables are put first, each under a name of its content, and
+    `part.json` last. Either way a part that is there is whole, whoever else writes it.
 
-    `where`: a path, or a URL such as "s3://bucket/labels" (extra: cluster).
+    `where`: a path, or a URL such as "s3://bucket/labels" (extra: remote). `folder`: what is at the URL, fetched there.
     """
 
-    def __init__(self, where: str | Path) -> None:
+    def __init__(self, where: str | Path, folder: Path | None = None) -> None:
         self.where = str(where)
-        self.remote = "://" in self.where
-        if self.remote:
-            fsspec = extra_module("fsspec", f"writing to {self.where}", "cluster")
-            with as_input_error(
-                "this kind of URL cannot be written to", ImportError, ValueError, got=first_line, path=self.where
-            ):
-                self._fs, self._root = fsspec.core.url_to_fs(self.where)
-        else:
-            self.folder = Path(self.where).expanduser()
+        self.there = RemoteFolder(self.where) if folder is None and is_elsewhere(where) else None
+        self.folder = folder or (Path() if self.there is not None else local_path(where))
+
+    @contextmanager
+    def nearby(self, parts: Sequence[str]) -> Iterator[LabelStore]:
+        """Give this store; of one at a URL a copy of these finished parts among the system's temporary files."""
+        if self.there is None:
+            yield self
+            return
+        with scratch_folder() as folder:
+            copy = LabelStore(self.where, folder)
+            at = {name: folder / PARTS / name for name in parts}
+            self.there.fetch({f"{PARTS}/{name}/{DONE_FILE}": path / DONE_FILE for name, path in at.items()})
+            tables = ((name, table, e) for name in parts for table, e in copy.part_record(name)["files"].items())
+            self.there.fetch({_address_of(*found): at[found[0]] / f"{found[1]}.parquet" for found in tables})
+            yield copy
 
     def prepare(self) -> None:
         """Make the folder.
 
         Raises InputError: it cannot be made or written.
         """
-        if self.remote:
-            self._fs.makedirs(f"{self._root}/{PARTS}", exist_ok=True)
+        if self.there is not None:
             return
         with (
             as_input_error("the folder cannot be made", OSError, got=lambda e: e.strerror, path=self.folder),
@@ -63,20 +80,21 @@ class LabelStore:
 
     def is_empty(self) -> bool:
         """Tell an empty or missing place."""
-        if self.remote:
-            return not self._fs.exists(self._root) or not self._fs.ls(self._root)
-        return not self.folder.exists() or (self.folder.is_dir() and not any(self.folder.iterdir()))
+        return not self._names()
 
     def holds_something_else(self) -> bool:
         """Tell folders of other files, without a plan."""
-        if self.remote or not self.folder.is_dir():
-            return False
-        names = {entry.name for entry in self.folder.iterdir()}
+        names = self._names()
         return PLAN_FILE not in names and any(n != PARTS and not n.startswith(".") for n in names)
+
+    def _names(self) -> set[str]:
+        if self.there is not None:
+            return self.there.names()
+        return {entry.name for entry in self.folder.iterdir()} if self.folder.is_dir() else set()
 
     def clear_unfinished(self) -> None:
         """Remove leftovers of killed runs, but no running process's files."""
-        if self.remote:
+        if self.there is not None:
             return
         clear_abandoned(self.folder / PARTS)
         clear_abandoned(self.folder)
@@ -84,8 +102,8 @@ class LabelStore:
     def read_text(self, name: str) -> str | None:
         """Read a small file; None if missing."""
         try:
-            return self._fs.cat_file(f"{self._root}/{name}").decode() if self.remote else read_text(self.folder / name)
-        except FileNotFoundError:
+            return read_text(self.folder / name) if self.there is None else self.there.read(name).decode()
+        except (FileNotFoundError, NotADirectoryError):
             return None
         except UnicodeDecodeError as error:
             raise InputError("not a text file", path=self._address(name)) from error
@@ -95,8 +113,8 @@ class LabelStore:
 
     def write_text(self, name: str, text: str) -> None:
         """Write a small file whole; an existing file stays, by whatever writer."""
-        if self.remote:
-            self._fs.pipe_file(f"{self._root}/{name}", text.encode())
+        if self.there is not None:
+            self.there.put(name, text.encode())
             return
         temporary = temporary_sibling(self.folder / name)
         try:
@@ -114,27 +132,36 @@ class LabelStore:
     def has_part(self, name: str) -> bool:
         """Tell finished parts."""
         path = f"{PARTS}/{name}/{DONE_FILE}"
-        return self._fs.exists(f"{self._root}/{path}") if self.remote else (self.folder / path).is_file()
+        return (self.folder / path).is_file() if self.there is None else self.there.exists(path)
+
+    def unfinished(self, parts: Sequence[str]) -> set[str]:
+        """Those of many parts that are not finished; at a URL by one listing."""
+        if self.there is None:
+            return {name for name in parts if not self.has_part(name)}
+        there = self.there.names_below(PARTS)
+        return {name for name in parts if f"{name}/{DONE_FILE}" not in there}
 
     def write_part(self, name: str, tables: Mapping[str, pa.Table], record: dict[str, Any]) -> None:
         """Write the tables of a part, with a record of row counts and hashes."""
         if self.has_part(name):
             return
-        contents = {f"{table}.parquet": parquet_bytes(rows) for table, rows in tables.items()}
-        files = {
-            table: {"rows": rows.num_rows, "sha256": hashlib.sha256(contents[f"{table}.parquet"]).hexdigest()}
+        contents = {table: parquet_bytes(rows) for table, rows in tables.items()}
+        files: dict[str, dict[str, Any]] = {
+            table: {"rows": rows.num_rows, "sha256": hashlib.sha256(contents[table]).hexdigest()}
             for table, rows in tables.items()
         }
-        contents[DONE_FILE] = json.dumps({**record, "files": files}).encode()
-        if self.remote:
-            self._fs.makedirs(f"{self._root}/{PARTS}/{name}", exist_ok=True)
-            for file, data in contents.items():
-                self._fs.pipe_file(f"{self._root}/{PARTS}/{name}/{file}", data)
+        if self.there is not None:
+            for table, entry in files.items():
+                # Of another task at the same part, with another Parquet writer, no file is overwritten.
+                entry["file"] = f"{table}-{entry['sha256'][:16]}.parquet"
+                self.there.put(_address_of(name, table, entry), contents[table])
+            self.there.put(f"{PARTS}/{name}/{DONE_FILE}", json.dumps({**record, "files": files}).encode())
             return
         final = self.folder / PARTS / name
         with temporary_folder(final) as temporary:
-            for file, data in contents.items():
-                write_synced(temporary / file, data)
+            for table, data in contents.items():
+                write_synced(temporary / f"{table}.parquet", data)
+            write_synced(temporary / DONE_FILE, json.dumps({**record, "files": files}).encode())
             try:
                 os.rename(temporary, final)
             except OSError:
@@ -148,11 +175,10 @@ class LabelStore:
 
         Raises InputError: the file is missing or damaged.
         """
-        path = f"{PARTS}/{name}/{table}.parquet"
-        if not self.remote:
-            return read_table(self.folder / path, table, columns)
-        with self._open_part(path) as file:
-            return read_table(file, table, columns, path=self._address(path))
+        if self.there is None:
+            return read_table(self.folder / _address_of(name, table), table, columns)
+        with self._open_table(name, table, self.part_record(name)["files"].get(table, {})) as file:
+            return read_table(file, table, columns, path=self._address(_address_of(name, table)))
 
     def part_record(self, name: str) -> dict[str, Any]:
         """The record of a finished part.
@@ -161,7 +187,8 @@ class LabelStore:
         """
         try:
             record = parse_json(self.read_text(f"{PARTS}/{name}/{DONE_FILE}") or "")
-            return {**record, "files": {table: dict(entry) for table, entry in record["files"].items()}}
+            files = {table: dict(entry) for table, entry in record["files"].items() if table.isidentifier()}
+            return {**record, "files": files}
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise self._damaged(name, f"an unreadable {DONE_FILE}") from error
 
@@ -175,15 +202,17 @@ class LabelStore:
             raise self._damaged(name, "the rows of another shard")
         for table, entry in record["files"].items():
             try:
-                with self._open_part(f"{PARTS}/{name}/{table}.parquet") as file:
+                with self._open_table(name, table, entry) as file:
                     sha256 = sha256_of(file)
             except FileNotFoundError as error:
                 raise self._damaged(name, f"no {table}.parquet") from error
             if sha256 != entry.get("sha256"):
                 raise self._damaged(name, f"another content of {table}.parquet")
 
-    def _open_part(self, path: str) -> Any:
-        return self._fs.open(f"{self._root}/{path}", "rb") if self.remote else opened(self.folder / path, "unpacked")
+    def _open_table(self, part: str, table: str, entry: Mapping[str, Any]) -> Any:
+        if self.there is None:
+            return opened(self.folder / _address_of(part, table), "unpacked")
+        return self.there.open(_address_of(part, table, entry))
 
     def _damaged(self, name: str, got: str) -> InputError:
         return InputError(
@@ -192,6 +221,10 @@ class LabelStore:
             cause="remove its folder, and run label again with --resume",
             path=self._address(f"{PARTS}/{name}"),
         )
+
+
+def _address_of(part: str, table: str, entry: Mapping[str, Any] = MappingProxyType({})) -> str:
+    return f"{PARTS}/{part}/{PurePosixPath(str(entry.get('file', f'{table}.parquet'))).name}"
 
 
 def parquet_bytes(table: pa.Table) -> bytes:

@@ -44,6 +44,7 @@ from pipeline.proposals.coco_files import (
     without_score,
 )
 from pipeline.proposals.detection_files import DETECTION_FORMATS, detection_files, format_of, read_detections
+from pipeline.system.contents import contents_hash
 from pipeline.system.errors import FrameUnusable, InputError, as_input_error, first_line, needed, require
 from pipeline.system.reading import Content, checked, read_content
 from pipeline.system.recent import Recent
@@ -213,9 +214,7 @@ class RecordedDetector:
                     expected=f"such as {frame_ids[0]!r}",
                     path=self.path,
                 )
-        maker = "" if self.made_by is None else f"<{self.made_by}"
-        stamps = [f"{p.resolve()}:{p.stat().st_mtime_ns}" for p in (self.path, *([] if key is None else [key]))]
-        self._fingerprint = f"recorded:{':'.join(stamps)}:{min_score}{maker}"
+        self._files = (self.path,) if key is None else (self.path, key)
         self._meanings: dict[str, tuple[str, ...]] = {}
         self._last: Playback | None = None
 
@@ -233,6 +232,12 @@ class RecordedDetector:
         for file in sorted(self.path.glob("*.npz")):
             names.update(_read_labels(file))
         return tuple(sorted(names))
+
+    @cached_property
+    def _fingerprint(self) -> str:
+        maker = "" if self.made_by is None else f"<{self.made_by}"
+        contents = ":".join(f"{path.resolve().name}:{contents_hash(path)}" for path in self._files)
+        return f"recorded:{contents}:{self.min_score}{maker}"
 
     def fingerprint(self) -> str:
         return self._fingerprint

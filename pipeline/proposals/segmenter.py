@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from time import perf_counter
 from typing import Protocol, runtime_checkable
@@ -16,6 +17,7 @@ from pipeline.geometry.masks import mask_box
 from pipeline.language.naming import Synonyms, match
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Detector, Proposals, detect_expression
+from pipeline.system.contents import contents_hash
 from pipeline.system.errors import FrameUnusable, InputError, needed, require
 from pipeline.system.safe_files import read_picture
 
@@ -264,8 +266,12 @@ class PngMasks:
     def __init__(self, path: Path) -> None:
         self.path = path
 
+    @cached_property
+    def _contents(self) -> str:
+        return contents_hash(self.path)
+
     def fingerprint(self) -> str:
-        return f"recorded-masks:png:{self.path.resolve()}:{self.path.stat().st_mtime_ns}"
+        return f"recorded-masks:png:{self._contents}"
 
     def segment(self, frame: Frame, boxes: np.ndarray, labels: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
         """Masks (N, H, W) bool of best box overlap (at least 0.5), and found (N,) bool."""

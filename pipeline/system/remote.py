@@ -26,6 +26,7 @@ from pipeline.system.paths import cache_folder
 _URL = re.compile(r"[a-z][a-z0-9+.-]+://")
 _VERSIONS = ("ETag", "etag", "md5Hash", "blob_id", "checksum", "LastModified", "last_modified", "mtime", "created")
 """Under one of these the file systems of fsspec tell a file's version."""
+_HERE = "file://"
 _UNKNOWN_SIZE = 1
 """The size that stands for one that the listing does not tell (HTTP)."""
 _LARGEST = 1 << 40
@@ -39,8 +40,15 @@ def is_url(path: str | Path) -> bool:
     return _URL.match(str(path)) is not None
 
 
-def local_path(path: str | Path) -> Path:
+def is_elsewhere(path: str | Path) -> bool:
+    """Return True for a URL but file://."""
+    return is_url(path) and not str(path).startswith(_HERE)
+
+
+def local_path(path: str | Path, without: str = "") -> Path:
     """Path of a dataset on this machine: a path unchanged, the copy of a URL (listed once a process).
+
+    `without`: a folder in it that is not wanted, and not listed.
 
     Raises
     ------
@@ -52,17 +60,34 @@ def local_path(path: str | Path) -> Path:
     if not is_url(path):
         return Path(path).expanduser()
     url = str(path)
-    if url.startswith("file://"):
+    if not is_elsewhere(url):
         return Path(unquote(urlsplit(url).path))
-    return _mirrored(url, _copies())
+    return _mirrored(url.rstrip("/") if without else url, _copies(), without)
+
+
+def list_anew() -> None:
+    """Forget what was listed in this process."""
+    _mirrored.cache_clear()
 
 
 def named_before(path: str) -> str:
-    """Dataset as named by a run or labels; InputError for a URL never opened on this machine."""
+    """Dataset or labels as named by a file; InputError for a URL never opened on this machine."""
     if is_url(path):
         known = (_copy_of(path, _copies()) / _INDEX).is_file()
-        require(known, "the dataset is at a URL that was not opened here", got=path, expected="its URL or path, given")
+        require(known, "a URL that was not opened here", got=path, expected="its URL or path, given")
     return path
+
+
+def url_of(path: Path) -> str | None:
+    """URL that a file or folder is the copy of; None for what is of this machine."""
+    cache, path = _copies(), Path(os.path.abspath(path))
+    if not path.is_relative_to(cache) or len(path.relative_to(cache).parts) < 2:
+        return None
+    copy, _, *below = path.relative_to(cache).parts
+    index = cache / copy / _INDEX
+    if not index.is_file():
+        return None
+    return "/".join((_read_index(index, index.stat().st_mtime_ns)[0].rstrip("/"), *below))
 
 
 def _copies() -> Path:
@@ -74,8 +99,10 @@ def _copy_of(url: str, cache: Path) -> Path:
 
 
 @lru_cache(maxsize=64)
-def _mirrored(url: str, cache: Path) -> Path:
-    system, root = _connected(url)
+def _mirrored(url: str, cache: Path, without: str = "") -> Path:
+    system, root = connected(url)
+    # What the file system listed before does not count: others write there too.
+    system.invalidate_cache()
     copy = _copy_of(url, cache)
     top, index = copy / (PurePosixPath(root).name or "root"), copy / _INDEX
     kept = f"what was fetched is in {top}" if index.is_file() else None
@@ -84,8 +111,9 @@ def _mirrored(url: str, cache: Path) -> Path:
         as_input_error("the URL cannot be listed", Exception, got=kind_and_text, cause=kept, path=url),
         suppress(FileNotFoundError),
     ):
-        found.update(_listed(system, root, url))
-    require(found, "there is no such dataset", expected="a folder or a file at this URL", cause=kept, path=url)
+        found.update(_listed(system, root, url, without))
+    what = "are no labels" if without else "is no such dataset"
+    require(found, f"there {what}", expected="a folder or a file at this URL", cause=kept, path=url)
     parents = {PurePosixPath(folder) for folder in {name.rpartition("/")[0] for name in found}}
     folders = {str(above) for parent in parents for above in (parent, *parent.parents)}
     # Object stores may have a file and a folder of one name; the file is left out.
@@ -105,19 +133,22 @@ def _mirrored(url: str, cache: Path) -> Path:
     return top
 
 
-def _connected(url: str) -> tuple[Any, str]:
-    """File system of a URL, and the place's name in it."""
-    fsspec = extra_module("fsspec", f"reading {url}", "remote")
+def connected(url: str) -> tuple[Any, str]:
+    """File system of a URL, and the place's name in it.
+
+    Raises InputError: an unknown kind of URL, or a package is missing for it; MissingExtra without fsspec.
+    """
+    fsspec = extra_module("fsspec", f"reaching {url}", "remote")
     package = "pip install 'spatialviz[remote]' for HTTP; s3fs, gcsfs or huggingface_hub for their own"
     with (
-        as_input_error("this kind of URL cannot be read", ValueError, got=first_line, path=url),
+        as_input_error("this kind of URL cannot be reached", ValueError, got=first_line, path=url),
         as_input_error("a package is missing for this URL", ImportError, got=first_line, cause=package, path=url),
     ):
         system, root = fsspec.core.url_to_fs(url)
     return system, root.rstrip("/")
 
 
-def _listed(system: Any, root: str, url: str) -> Iterator[tuple[str, Entry]]:
+def _listed(system: Any, root: str, url: str, without: str = "") -> Iterator[tuple[str, Entry]]:
     """Visible files below a place by relative name; "" for a file itself."""
     web = url.startswith(("http:", "https:"))
     # A web server says "file" of everything: there a name with an ending is one.
@@ -127,7 +158,9 @@ def _listed(system: Any, root: str, url: str) -> Iterator[tuple[str, Entry]]:
         yield "", _entry(info)
         return
     count = 0
-    for _, folders, files in system.walk(root, detail=True, on_error="raise"):
+    for above, folders, files in system.walk(root, detail=True, on_error="raise"):
+        if above.strip("/") == root.strip("/"):
+            folders.pop(without, None)
         count += len(folders) + len(files)
         within(count, "names", "a folder", url, current_limits())
         for info in files.values():
@@ -174,7 +207,7 @@ def fetch(path: Path, state: os.stat_result, limit: str, limits: Limits) -> None
     url, files = _read_index(index, index.stat().st_mtime_ns)
     name = "/".join(below)
     source, size = f"{url}: {name}" if name else url, files[name][0]
-    system, root = _connected(url)
+    system, root = connected(url)
     temporary = path.with_name(f".{uuid4().hex}.tmp")
     try:
         with (

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.labels import SelectConfig
-from pipeline.labels.merge import SCARCE, select
+from pipeline.labels.selection import SCARCE, select
 from pipeline.system import InputError
 
 Rows = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from label_checks import DEMO, FRAMES, demo  # noqa: F401
+from label_checks import DEMO, FRAMES, changed_within, demo  # noqa: F401
 from slow_cases import mostly_slow
 from waiting import wait_until
 
@@ -132,14 +132,14 @@ def test_a_second_run_has_the_same_hashes_and_another_seed_other_sentences(demo:
 
 
 @pytest.mark.slow
-def test_labels_at_a_url_are_merged_into_a_folder(demo: Path, tmp_path: Path) -> None:
+def test_labels_at_a_url_are_merged_there_or_into_a_folder(demo: Path, tmp_path: Path) -> None:
     pytest.importorskip("fsspec")
     where = f"memory://labels-{os.getpid()}"
     report = label_dataset(DEMO, where, limit=FRAMES, frames_a_shard=2)
-    assert report.manifest is None
-    assert hashes(merge_labels(where, out=tmp_path / "merged")) == hashes(open_labels(demo).manifest)
-    with pytest.raises(InputError, match="merged into a local folder"):
-        merge_labels(where)
+    expected = hashes(open_labels(demo).manifest)
+    assert hashes(report.manifest) == expected
+    assert hashes(merge_labels(where, out=tmp_path / "merged")) == expected
+    assert hashes(merge_labels(where)) == expected
 
 
 # Killed, resumed, refused.
@@ -207,6 +207,8 @@ def test_a_changed_input_file_is_noticed(tmp_path: Path) -> None:
     label_dataset(SourceSpec(str(copy)), out, limit=1)
     image = next((copy / "000001" / "rgb").iterdir())
     os.utime(image, ns=(1, 1))
+    assert label_dataset(SourceSpec(str(copy)), out, limit=1, resume=True).reused == 1
+    changed_within(image)
     with pytest.raises(InputError, match="other input files"):
         label_dataset(SourceSpec(str(copy)), out, limit=1, resume=True)
 

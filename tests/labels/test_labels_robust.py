@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from label_checks import changed_within
 from waiting import wait_until
 
 from pipeline import __version__
@@ -34,7 +35,9 @@ from pipeline.labels import (
     open_labels,
     save_plan,
 )
-from pipeline.labels.plan import files_hash
+from pipeline.labels.plan import BY_TIME, files_hash
+from pipeline.proposals.recorded import RecordedDetector
+from pipeline.relations import shipped_network
 from pipeline.system import InputError, MissingExtra, clear_abandoned, temporary_sibling, whole_files
 
 DEMO = SourceSpec("demo")
@@ -211,7 +214,7 @@ def test_a_dataset_that_changes_under_the_run_is_noticed(tmp_path: Path) -> None
     image = next((copy / "000001" / "rgb").iterdir())
     with pytest.raises(InputError, match="changed while it was labelled"):
         label_dataset(
-            SourceSpec(str(copy)), tmp_path / "out", QUICK, limit=1, progress=lambda *_: os.utime(image, ns=(1, 1))
+            SourceSpec(str(copy)), tmp_path / "out", QUICK, limit=1, progress=lambda *_: changed_within(image)
         )
     with pytest.raises(InputError, match="not merged yet"):
         open_labels(tmp_path / "out")
@@ -277,8 +280,9 @@ def test_a_damaged_part_at_a_url_is_an_input_error(tmp_path: Path) -> None:
     label_dataset(DEMO, where, QUICK, limit=1)
     store = LabelStore(where)
     (shard,) = load_plan(store).shards
-    with fsspec.filesystem("memory").open(f"/damaged-{os.getpid()}/parts/{shard.name}/frames.parquet", "wb") as file:
-        file.write(b"PAR1")
+    memory = fsspec.filesystem("memory")
+    (path,) = memory.glob(f"/damaged-{os.getpid()}/parts/{shard.name}/frames-*.parquet")
+    memory.pipe_file(path, b"PAR1")
     with pytest.raises(InputError, match="not a readable Parquet file"):
         store.read_part(shard.name, "frames")
     with pytest.raises(InputError, match="another content"):
@@ -393,3 +397,53 @@ def living(group: int) -> list[int]:
         if int(fields[2]) == group and fields[0] != "Z":
             found.append(int(stat.parent.name))
     return found
+
+
+# Machines.
+
+
+def test_machines_with_copies_of_their_own_share_a_folder(tmp_path: Path) -> None:
+    first, second = (tmp_path / name / "data" for name in ("one", "two"))
+    shutil.copytree(demo_path(), first)
+    shutil.copytree(demo_path(), second, copy_function=shutil.copyfile)
+    opinion = shutil.copy(shipped_network(), tmp_path / "opinion.onnx")
+    other = shutil.copy(opinion, tmp_path / "the_same.onnx")
+    for k, (root, network) in enumerate(((first, opinion), (second, other)), 1):
+        config = LabelConfig(second_opinion=str(network))
+        label_dataset(SourceSpec(str(root)), tmp_path / "out", config, limit=2, frames_a_shard=1, part=(k, 2))
+    assert merge_labels(tmp_path / "out").dataset["path"] == str(first)
+    rows = {name: entry.content_hash for name, entry in open_labels(tmp_path / "out").manifest.tables.items()}
+    alone = label_dataset(SourceSpec(str(second)), tmp_path / "alone", LabelConfig(second_opinion=str(other)), limit=2)
+    assert alone.manifest is not None
+    assert rows == {name: entry.content_hash for name, entry in alone.manifest.tables.items()}
+
+
+def test_a_plan_by_times_of_change_is_gone_on_with(tmp_path: Path) -> None:
+    """As plans were before files counted by content."""
+    copy = Path(shutil.copytree(demo_path(), tmp_path / "data"))
+    spec, out = SourceSpec(str(copy)), tmp_path / "out"
+    store = LabelStore(out)
+    store.prepare()
+    plan = make_plan(spec.absolute(), QUICK, limit=2, frames_a_shard=1, out=out, like=BY_TIME)
+    assert plan.input_hash == files_hash(copy, out, BY_TIME)
+    assert len(plan.input_hash) == 64
+    save_plan(plan, store)
+    assert label_dataset(spec, out, QUICK, limit=2, frames_a_shard=1, part=(1, 2)).frames == 1
+    report = label_dataset(spec, out, QUICK, limit=2, frames_a_shard=1, resume=True)
+    assert (report.reused, load_plan(store)) == (1, plan)
+    os.utime(next((copy / "000001" / "rgb").iterdir()), ns=(1, 1))
+    with pytest.raises(InputError, match="other input files"):
+        label_dataset(spec, out, QUICK, limit=2, frames_a_shard=1, resume=True)
+
+
+def test_a_recording_counts_by_content_wherever_it_is(tmp_path: Path) -> None:
+    recorded = tmp_path / "a" / "detections.json"
+    recorded.parent.mkdir()
+    recorded.write_text(json.dumps({"frames": {"000001/000000": []}}))
+    copy = Path(shutil.copyfile(recorded, tmp_path / "detections.json"))
+    os.utime(copy, ns=(1, 1))
+    one, two = (RecordedDetector(path).fingerprint() for path in (recorded, copy))
+    assert one == two
+    assert str(tmp_path) not in one
+    recorded.write_text(recorded.read_text().replace("000000", "000001"))
+    assert RecordedDetector(recorded).fingerprint() != one

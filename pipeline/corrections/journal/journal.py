@@ -27,7 +27,7 @@ from pipeline.corrections.journal.sqlite_file import network_file_system
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import labels_version
 from pipeline.system.errors import InputError, require
-from pipeline.system.remote import is_url
+from pipeline.system.remote import is_url, url_of
 
 JOURNAL_FILE = "journal.sqlite"
 _AT_ONCE = 500
@@ -260,6 +260,24 @@ def open_journal(where: str | Path, *, project: str = "", labels: str = "", must
     return Journal(store, project, labels, tuple(warnings))
 
 
+def journal_place(labels: Labels, where: str | Path | None) -> str | Path:
+    """Place of the journal of labels, by default beside the labels.
+
+    Raises InputError: the labels are at a URL, and no other place is named.
+    """
+    if where is not None:
+        return where
+    url = url_of(labels.root)
+    require(
+        url is None,
+        "labels at a URL have no journal beside them",
+        expected="--journal FILE or postgresql://...",
+        cause="their copy on this machine is no place for one: it may be cleared",
+        path=url,
+    )
+    return labels.root / JOURNAL_FILE
+
+
 def journal_of(
     labels: Labels, where: str | Path | None = None, *, project: str | None = None, must_exist: bool = False
 ) -> Journal:
@@ -267,10 +285,11 @@ def journal_of(
 
     In a shared database the project is by default the name of the dataset's folder.
     """
+    where = journal_place(labels, where)
     if project is None:
-        project = Path(str(labels.manifest.dataset.get("path", ""))).name if where is not None and is_url(where) else ""
+        project = Path(str(labels.manifest.dataset.get("path", ""))).name if is_url(where) else ""
     return open_journal(
-        labels.root / JOURNAL_FILE if where is None else where,
+        where,
         project=project,
         labels=labels_version(labels.manifest),
         must_exist=must_exist,
