@@ -15,6 +15,7 @@ from pipeline.geometry.boxes import Box3D, iou_2d
 from pipeline.geometry.camera import backproject
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftConfig, LiftedObject, MaskSource, depth_edges, lift
+from pipeline.geometry.masks import MaskCrop, MaskStack
 from pipeline.geometry.viewer import ViewerAxes, resolve_up, viewer_axes
 from pipeline.language.class_sizes import is_thin
 from pipeline.proposals.annotations import box_mask
@@ -70,7 +71,7 @@ class PreparedFrame:
         self.config = config or LiftConfig()
         camera = resolve_up(frame.depth, frame.camera)
         assert camera.up is not None
-        self.frame = replace(frame, camera=camera)
+        self.frame = frame.by_camera(camera)
         self.viewer: ViewerAxes = viewer_axes(camera.up, camera.up_source or "assumed", up_doubt)
         self.edges = depth_edges(frame.depth, self.config)
         self._lifted: dict[tuple[str, int, bool], tuple[LiftedObject, np.ndarray]] = {}
@@ -95,15 +96,15 @@ class PreparedFrame:
         lifted = lift(
             self.frame.depth,
             self.frame.camera,
-            [mask for mask, _ in masks],
+            [crop for _, crop, _ in masks],
             self.viewer,
             config=self.config,
-            mask_source=[source for _, source in masks],
+            mask_source=[source for _, _, source in masks],
             edges=self.edges,
             boxes=self.boxes,
             thin=[keys[i][2] for i in fresh.values()],
         )
-        for (place, i), (mask, _), item in zip(fresh.items(), masks, lifted, strict=True):
+        for (place, i), (mask, _, _), item in zip(fresh.items(), masks, lifted, strict=True):
             known[place] = self._with_fixed_box(item, keys[i][1]) if detector.exact else item, mask
             if keys[i][1] >= 0:
                 self._lifted[keys[i]] = known[place]
@@ -121,12 +122,12 @@ class PreparedFrame:
         box = next((a.box for a in self.frame.annotations if a.index == index and a.fixed), None)
         return lifted if box is None else lifted.moved_to(box, self.viewer)
 
-    def _mask(self, proposals: Proposals, i: int, exact: bool) -> tuple[np.ndarray, MaskSource]:
-        """Pixels of a proposal, and their source."""
+    def _mask(self, proposals: Proposals, i: int, exact: bool) -> tuple[np.ndarray, np.ndarray | MaskCrop, MaskSource]:
+        """Pixels of a proposal, in the picture and for lifting, and their source."""
         masked = proposals.masks is not None and (proposals.has_mask is None or bool(proposals.has_mask[i]))
         segmented = masked and proposals.segmented is not None and bool(proposals.segmented[i])
         if proposals.masks is not None and masked and not segmented:
-            return proposals.masks[i], "annotation" if exact else "detector"
+            return *_taken(proposals.masks, i), "annotation" if exact else "detector"
         mask = box_mask(proposals.boxes[i], self.frame.height, self.frame.width)
         if exact:
             box = next((a.box for a in self.frame.annotations if a.index == proposals.ids[i]), None)
@@ -135,10 +136,14 @@ class PreparedFrame:
                 if within.any():
                     # Before a segmenter's guess: in the demo the centre of what is lifted is more than
                     # 10 cm off for 7 % of the objects by these pixels, for 13 % by the depth segmenter's.
-                    return within, "box3d"
+                    return within, within, "box3d"
         if proposals.masks is not None and segmented:
-            return proposals.masks[i], "segmenter"
-        return mask, "box"
+            return *_taken(proposals.masks, i), "segmenter"
+        return mask, mask, "box"
+
+
+def _taken(masks: np.ndarray | MaskStack, i: int) -> tuple[np.ndarray, np.ndarray | MaskCrop]:
+    return masks[i], masks.crops[i] if isinstance(masks, MaskStack) else masks[i]
 
 
 def prepare_frame(
@@ -147,7 +152,7 @@ def prepare_frame(
     """Prepare a frame of a dataset: with a pose but no up vector of its own, its scene's is taken."""
     camera = resolved_camera(dataset, frame)
     doubt = "" if camera.untold else scene_doubt(dataset, frame, camera)
-    return PreparedFrame(replace(frame, camera=camera), config, boxes=boxes, up_doubt=doubt)
+    return PreparedFrame(frame.by_camera(camera), config, boxes=boxes, up_doubt=doubt)
 
 
 def pixels_inside(box: Box3D, mask: np.ndarray, frame: Frame, margin: float = BOX_MARGIN_M) -> np.ndarray:

@@ -19,13 +19,13 @@ import numpy as np
 from pipeline.datasets.base import DatasetFormat
 from pipeline.datasets.cameras import Stated, inverse, one_file, or_note, rigid
 from pipeline.datasets.files import as_floats, listing, read_bytes, read_json, readable
-from pipeline.datasets.images import read_mask
+from pipeline.datasets.images import read_crop
 from pipeline.datasets.pairing import COLOR_SUFFIXES
 from pipeline.datasets.recording import Listed, Recording
 from pipeline.datasets.settings import Settings
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.frame import Annotation
-from pipeline.geometry.masks import mask_box
+from pipeline.geometry.masks import MaskCrop
 from pipeline.system.errors import InputError, needed, require
 from pipeline.system.recent import Recent
 
@@ -119,8 +119,11 @@ class BopDataset(Recording):
             remarks: list[str] = []
             box = _box(entry, self._models.get(number, NO_MODEL)[1], path, remarks)
             try:
-                bbox, mask = _extent(mask_path, info, size, info_path, remarks)
-                found.append(Annotation(index, label, bbox, mask, box, _visible(info)))
+                extent = _extent(mask_path, info, size, info_path, remarks)
+                if isinstance(extent, MaskCrop):
+                    found.append(Annotation.of_crop(index, label, extent, size, box=box, visible=_visible(info)))
+                else:
+                    found.append(Annotation(index, label, extent, box=box, visible=_visible(info)))
             except InputError as error:
                 remarks = [error.what]
             notes.extend(f"annotation {index} ({label}): {what}" for what in remarks)
@@ -135,8 +138,8 @@ def _box(entry: Mapping[str, Any], box: Box3D | None, path: Path, remarks: list[
 
 def _extent(
     mask_path: Path | None, info: Mapping[str, Any], size: tuple[int, ...], info_path: Path, remarks: list[str]
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Box (4,) and mask of an annotation; the box is the mask's where a mask exists."""
+) -> MaskCrop | np.ndarray:
+    """Mask of an annotation, or its box (4,) without one."""
     if mask_path is not None and not mask_path.is_file():
         remarks.append(f"the mask {mask_path.name} is missing")
         mask_path = None
@@ -144,15 +147,13 @@ def _extent(
         require("bbox_visib" in info, "neither a mask nor a bbox_visib")
         x, y, w, h = as_floats(info["bbox_visib"], 4, info_path, "bbox_visib")
         require((np.isfinite([x, y, w, h]).all() and w > 0 and h > 0), "an empty bbox_visib")
-        return np.array([x, y, x + w, y + h]), None
+        return np.array([x, y, x + w, y + h])
     why: list[str] = []
-    mask = or_note(why, "a broken mask, ", read_mask, mask_path)
-    mask = needed(mask, f"{''.join(why)}, {mask_path.name}")
-    require(
-        mask.shape == size, f"the mask {mask_path.name} is {mask.shape[1]}x{mask.shape[0]}, not {size[1]}x{size[0]}"
-    )
-    require(mask.any(), "empty mask")
-    return np.array(mask_box(mask)), mask
+    found = or_note(why, "a broken mask, ", read_crop, mask_path)
+    own, crop = needed(found, f"{''.join(why)}, {mask_path.name}")
+    require(own == size, f"the mask {mask_path.name} is {own[1]}x{own[0]}, not {size[1]}x{size[0]}")
+    require(crop.mask.size, "empty mask")
+    return crop
 
 
 def _visible(info: Mapping[str, Any]) -> float | None:

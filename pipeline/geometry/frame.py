@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera, project
+from pipeline.geometry.masks import MaskCrop
 from pipeline.system.errors import InputError, as_input_error, require
 
 NEAREST_MEDIAN_M = 0.1
@@ -77,6 +80,19 @@ class Annotation:
         return f"<Annotation {self.index} {self.label!r} at {_pixels(self.bbox)}{''.join(f', {p}' for p in parts)}>"
 
 
+    @cached_property
+    def crop(self) -> MaskCrop | None:
+        """Non-empty part of the mask."""
+        return None if self.mask is None else MaskCrop.of(self.mask)
+
+    @classmethod
+    def of_crop(cls, index: int, label: str, crop: MaskCrop, size: Sequence[int], **more: Any) -> Annotation:
+        """Build an annotation of a mask in a picture of (height, width), with its box; `more`: further fields."""
+        found = cls(index, label, np.array(crop.box), crop.of_picture(size), **more)
+        found.__dict__["crop"] = crop
+        return found
+
+
 @dataclass(frozen=True)
 class Frame:
     """A registered colour and depth image, its camera and its annotations.
@@ -125,12 +141,7 @@ class Frame:
             got=f"{depth.dtype} {depth.shape}",
             cause="is this the raw depth and not the one registered to the picture?",
         )
-        require(
-            (camera.height, camera.width) == depth.shape,
-            f"frame {self.id}: the camera is for another image size",
-            got=f"{camera.width}x{camera.height}",
-            expected=f"{depth.shape[1]}x{depth.shape[0]}",
-        )
+        self._check_camera(camera)
         lowest, highest = float(depth.min()), float(depth.max())
         require(
             (np.isfinite(lowest) and np.isfinite(highest)) and lowest >= 0,
@@ -156,6 +167,22 @@ class Frame:
                     got=annotation.mask.shape,
                     expected=depth.shape,
                 )
+
+    def _check_camera(self, camera: Camera) -> None:
+        require(
+            (camera.height, camera.width) == self.depth.shape,
+            f"frame {self.id}: the camera is for another image size",
+            got=f"{camera.width}x{camera.height}",
+            expected=f"{self.depth.shape[1]}x{self.depth.shape[0]}",
+        )
+
+    def by_camera(self, camera: Camera, notes: tuple[str, ...] | None = None) -> Frame:
+        """Frame of the same pixels, which are not checked again, by another camera, and with other notes."""
+        self._check_camera(camera)
+        found = copy(self)
+        # As `replace` does; what is cached of the pixels holds.
+        found.__dict__.update(camera=camera, notes=self.notes if notes is None else notes)
+        return found
 
     @classmethod
     def of_arrays(

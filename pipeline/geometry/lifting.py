@@ -26,6 +26,7 @@ from pipeline.geometry.fitting import (
     upright_boxes,
     with_thin_parts,
 )
+from pipeline.geometry.masks import MaskCrop
 from pipeline.geometry.open_sides import open_sides
 from pipeline.geometry.surface import plane_depth, surface_step
 from pipeline.geometry.viewer import ViewerAxes
@@ -211,21 +212,23 @@ def flying_pixels(depth: np.ndarray, neighbours: int = 3) -> np.ndarray:
 
 
 def clean(
-    mask: np.ndarray, depth: np.ndarray, edges: np.ndarray, config: LiftConfig | None = None
+    mask: np.ndarray | MaskCrop, depth: np.ndarray, edges: np.ndarray, config: LiftConfig | None = None
 ) -> tuple[PixelEvidence, bool]:
     """Decide each pixel of a mask, (H, W) bool, by depth, (H, W) float32, metres, and edges from `depth_edges`.
 
     The flag is True where cleaning left fewer than `min_pixels` and all valid pixels of the raw mask are kept instead.
     """
     config = config or LiftConfig()
-    height, width = mask.shape
-    first = int(mask.argmax()) // width
-    x, y, w, h = cv2.boundingRect(mask[first:].view(np.uint8))
-    y += first
+    height, width = depth.shape
+    crop = mask if isinstance(mask, MaskCrop) else MaskCrop.of(mask)
+    left, top, right, bottom = crop.box
     # One pixel of margin keeps erosion right at the crop; at the image border
     # there is none, because there the object does not end.
-    x0, y0, x1, y1 = max(x - 1, 0), max(y - 1, 0), min(x + w + 1, width), min(y + h + 1, height)
-    inside = mask[y0:y1, x0:x1]
+    x0, y0, x1, y1 = max(left - 1, 0), max(top - 1, 0), min(right + 1, width), min(bottom + 1, height)
+    inside = np.zeros((y1 - y0, x1 - x0), np.bool_)
+    inside[top - y0 : bottom - y0, left - x0 : right - x0] = crop.mask[
+        top - crop.y : bottom - crop.y, left - crop.x : right - crop.x
+    ]
     z = depth[y0:y1, x0:x1]
     in_range = (z > config.near) & (z < config.far)
 
@@ -268,7 +271,7 @@ def _eroded(inside: np.ndarray, width: int, config: LiftConfig) -> tuple[np.ndar
 def lift(
     depth: np.ndarray,
     camera: Camera,
-    masks: Sequence[np.ndarray],
+    masks: Sequence[np.ndarray | MaskCrop],
     viewer: ViewerAxes,
     *,
     config: LiftConfig | None = None,
@@ -283,7 +286,7 @@ def lift(
     ----------
     depth : (H, W) float32
         Metres.
-    masks : sequence of (H, W) bool
+    masks : sequence of (H, W) bool or MaskCrop
     viewer : ViewerAxes
         The level frame for extents and boxes.
     mask_source : MaskSource, or a sequence of it
@@ -323,7 +326,7 @@ def lift(
 def _lifted(
     depth: np.ndarray,
     camera: Camera,
-    masks: Sequence[np.ndarray],
+    masks: Sequence[np.ndarray | MaskCrop],
     viewer: ViewerAxes,
     config: LiftConfig,
     sources: Sequence[MaskSource],
@@ -366,7 +369,7 @@ def _lifted(
 def _cleaned(
     depth: np.ndarray,
     camera: Camera,
-    mask: np.ndarray,
+    mask: np.ndarray | MaskCrop,
     config: LiftConfig,
     mask_source: MaskSource,
     edges: np.ndarray,

@@ -8,11 +8,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
-from pydantic import ConfigDict
 
 from pipeline.system.errors import InputError, require
 
@@ -24,7 +23,7 @@ _LONGEST = 7
 class RunLength:
     """A mask in COCO's run-length code."""
 
-    __pydantic_config__ = ConfigDict(extra="forbid")
+    __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
 
     size: tuple[int, int]  # Height and width, pixels
     counts: str | tuple[int, ...]  # Compressed, or the lengths themselves
@@ -136,6 +135,12 @@ class MaskCrop:
     y: int
     mask: np.ndarray  # (h, w) bool
 
+    @staticmethod
+    def of(mask: np.ndarray) -> MaskCrop:
+        """Cut the non-empty part out of a mask, (H, W) bool; a view."""
+        x0, y0, x1, y1 = mask_box(mask)
+        return MaskCrop(x0, y0, mask[y0:y1, x0:x1])
+
     @property
     def box(self) -> tuple[int, int, int, int]:
         """Box of the mask, x0, y0, x1, y1, with exclusive right and bottom edges; empty for an empty mask."""
@@ -161,8 +166,42 @@ class MaskCrop:
 
 def mask_box(mask: np.ndarray) -> tuple[int, int, int, int]:
     """Box of a mask, (H, W) bool: x0, y0, x1, y1, exclusive right and bottom edges; zeros for an empty mask."""
-    x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
-    return x, y, x + w, y + h
+    if not mask.size:
+        return 0, 0, 0, 0
+    first = int(mask.argmax()) // mask.shape[1]
+    x, y, w, h = cv2.boundingRect(mask[first:].view(np.uint8))
+    return (x, first + y, x + w, first + y + h) if w else (0, 0, 0, 0)
+
+
+class MaskStack:
+    """(N, H, W) bool masks of a picture, each an array of its own, and of each what is not empty.
+
+    It stands where one array of all would be a copy that nobody reads: masks are taken from it as from an array.
+    """
+
+    dtype, ndim = np.dtype(np.bool_), 3
+
+    def __init__(self, size: tuple[int, int], masks: Sequence[np.ndarray], crops: Sequence[MaskCrop]) -> None:
+        self.shape = len(masks), *size
+        self.masks, self.crops = masks, crops
+
+    def __len__(self) -> int:
+        return len(self.masks)
+
+    def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, (int, np.integer)):
+            return self.masks[index]
+        if isinstance(index, np.ndarray) and index.ndim == 1:
+            chosen = np.arange(len(self))[index].tolist()
+            return MaskStack(self.shape[1:], [self.masks[k] for k in chosen], [self.crops[k] for k in chosen])
+        return self.copy()[index]
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        return self.copy() if dtype is None else self.copy().astype(dtype)
+
+    def copy(self) -> np.ndarray:
+        """One array of all."""
+        return np.array(self.masks, np.bool_).reshape(self.shape)
 
 
 def outlines(mask: np.ndarray) -> list[np.ndarray]:
