@@ -64,6 +64,11 @@ def extents_of(coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return value[:, 0], value[:, 1]
 
 
+def mean_of(points: np.ndarray) -> np.ndarray:
+    """Mean of (N, 3) points, N > 0, as (3,) float64: numpy's own sum down the rows, several times as fast."""
+    return np.add.reduceat(points.astype(np.float64), [0], axis=0)[0] / len(points)
+
+
 def median(values: np.ndarray) -> float:
     """Median of (N,) values, N > 0, as numpy's, at a third of its cost for few values."""
     ordered = np.sort(values)
@@ -223,19 +228,27 @@ def pca_box(points: np.ndarray, viewer: ViewerAxes | None = None) -> tuple[Box3D
     With a viewer, the axes are renamed to be nearest to the level camera frame. Beside the box stands the confidence,
     1 - l2/l1 of the variances.
     """
-    cloud = points.astype(np.float64)
-    centred = cloud - cloud.mean(axis=0)
-    variance, axes = np.linalg.eigh(centred.T @ centred / len(cloud))
-    R = axes[:, ::-1].copy()
-    if np.linalg.det(R) < 0:
-        R[:, 2] = -R[:, 2]
-    box = _box_in(cloud, R)
+    return pca_boxes([points], viewer)[0]
+
+
+def pca_boxes(clouds: Sequence[np.ndarray], viewer: ViewerAxes | None = None) -> list[tuple[Box3D, float]]:
+    """Fit the boxes of `pca_box` to many clouds; each is the same, bit by bit, whatever is fitted beside it."""
+    if not clouds:
+        return []
+    spread = np.empty((len(clouds), 3, 3))
+    for own, points in zip(spread, clouds, strict=True):
+        centred = points - mean_of(points)
+        own[:] = centred.T @ centred / len(points)
+    variance, axes = np.linalg.eigh(spread)
+    R = axes[:, :, ::-1].copy()
+    R[np.linalg.det(R) < 0, :, 2] *= -1
+    boxes = [_box_in(points.astype(np.float64), own) for points, own in zip(clouds, R, strict=True)]
     if viewer is not None:
         R_level_camera = viewer.R_level_camera
-        level = canonicalised(Box3D(R_level_camera @ box.center, R_level_camera @ box.R, box.size))
-        box = Box3D(R_level_camera.T @ level.center, R_level_camera.T @ level.R, level.size)
-    confidence = 1.0 - float(max(variance[1], 0.0) / variance[2]) if variance[2] > 1e-12 else 0.0
-    return box, confidence
+        levels = (canonicalised(Box3D(R_level_camera @ b.center, R_level_camera @ b.R, b.size)) for b in boxes)
+        boxes = [Box3D(R_level_camera.T @ b.center, R_level_camera.T @ b.R, b.size) for b in levels]
+    sure = (1.0 - max(second, 0.0) / first if first > 1e-12 else 0.0 for _, second, first in variance.tolist())
+    return list(zip(boxes, sure, strict=True))
 
 
 def canonicalised(box: Box3D) -> Box3D:

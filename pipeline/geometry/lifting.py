@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import cached_property
 from typing import Literal, cast
 
 import cv2
@@ -20,6 +21,7 @@ from pipeline.geometry.camera import Camera, lift_pixels
 from pipeline.geometry.fitting import (
     extents_of,
     gravity_box,
+    mean_of,
     median,
     pca_box,
     upright_box,
@@ -149,6 +151,11 @@ class LiftedObject:
     quality: Quality
     # Sides that the view does not bound (`open_sides`), of boxes as `upright_box` fits them; None: not known of others
     open_sides: tuple[Side, ...] | None = None
+
+    @cached_property
+    def mean(self) -> np.ndarray:
+        """Mean of the points, (3,) float64, camera frame, metres; of N > 0."""
+        return mean_of(self.points)
 
     @property
     def goes_on(self) -> str:

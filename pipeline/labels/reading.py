@@ -85,7 +85,11 @@ def build_table(table: str, columns: Columns) -> pa.Table:
     length = len(next(iter(columns.values()))) if columns else 0
     values = (columns.get(name) for name in schema.names)
     arrays = [
-        pa.nulls(length, of) if v is None else pa.array(v, of, from_pandas=isinstance(v, np.ndarray))
+        pa.nulls(length, of)
+        if v is None
+        else v.cast(of)
+        if isinstance(v, pa.Array)
+        else pa.array(v, of, from_pandas=isinstance(v, np.ndarray))
         for v, of in zip(values, schema.types, strict=True)
     ]
     return pa.Table.from_arrays(arrays, schema=schema)
