@@ -18,7 +18,7 @@ import numpy as np
 from PIL import Image
 
 from pipeline.datasets.files import CUT_OFF, Blob, Part, read_bytes, shortened
-from pipeline.datasets.png_masks import mask_of_png
+from pipeline.datasets.png_masks import above_zero, mask_of_png
 from pipeline.geometry.masks import MaskCrop
 from pipeline.system import safe_files
 from pipeline.system.errors import InputError, as_input_error, needed, require
@@ -100,8 +100,7 @@ def read_crop(path: Blob) -> tuple[tuple[int, int], MaskCrop]:
     data, kind = _mask_bytes(path)
     if kind == "png" and (found := mask_of_png(data)) is not None:
         return found
-    pixels = _decode(data, kind, path, cv2.IMREAD_UNCHANGED)
-    mask = np.any(pixels[..., :3] > 0, axis=2) if pixels.ndim == 3 else pixels > 0
+    mask = above_zero(_decode(data, kind, path, cv2.IMREAD_UNCHANGED))
     return (mask.shape[0], mask.shape[1]), MaskCrop.of(mask)
 
 

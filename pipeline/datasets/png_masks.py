@@ -1,66 +1,86 @@
-"""Masks of PNG files in the form that most are written in, unpacked no further than to their pixels."""
+"""Masks of PNG files, decoded no further than the rows that hold pixels."""
 
 from __future__ import annotations
 
 import struct
 import zlib
 
+import cv2
 import numpy as np
 
 from pipeline.geometry.masks import MaskCrop
 
-_HEADER = struct.Struct(">I4s2I5B")
-_SIGNATURE_BYTES, _CHUNK_BYTES = 8, 12
-_NONE, _SUB = 0, 1
-"""Filters of rows (PNG 1.2, section 6): the bytes themselves, or the difference to the byte on the left."""
+_SIGNATURE, _HEADER = b"\x89PNG\r\n\x1a\n", struct.Struct(">2I5B")
+_CHANNELS = {0: 1, 2: 3, 4: 2, 6: 4}
+"""Channels by the type of colour, but for palettes, whose number 0 may be any colour (PNG 1.2, section 4)."""
+_SUB = 1
+"""The last filter of rows that reads its own row alone."""
 
 
 def mask_of_png(data: bytes) -> tuple[tuple[int, int], MaskCrop] | None:
-    """Size (height, width) of a mask and its pixels above 0, from a PNG whose chunks are whole.
+    """Size (height, width) of a mask and its pixels above 0 in any channel but alpha, from a PNG of whole chunks.
 
-    Grey of 1 or 8 bits, not interlaced, of rows filtered by `none` or `sub` alone, with no chunk but the three that
-    every PNG has: None for any other, and for what does not inflate to just its rows. A decoder of all PNGs says then
-    what it is.
+    None for a palette, an interlaced picture, one with chunks that are not in every PNG, and for what does not inflate
+    to just its rows: a decoder of whole files says then what it is.
     """
-    length, kind, width, height, depth, color, packing, filtering, interlaced = _HEADER.unpack_from(
-        data.ljust(_SIGNATURE_BYTES + _HEADER.size), _SIGNATURE_BYTES
-    )
-    if (length, kind, color, packing, filtering, interlaced) != (13, b"IHDR", 0, 0, 0, 0) or depth not in (1, 8):
+    if data[8:16] != b"\0\0\0\rIHDR" or len(data) < 45:
         return None
-    parts, at = [], _SIGNATURE_BYTES + _CHUNK_BYTES + length
+    width, height, depth, color, *methods = _HEADER.unpack_from(data, 16)
+    parts, at = [], 33
     while (kind := data[at + 4 : at + 8]) == b"IDAT":
-        end = at + _CHUNK_BYTES + int.from_bytes(data[at : at + 4], "big")
+        end = at + 12 + int.from_bytes(data[at : at + 4], "big")
         parts.append(data[at + 8 : end - 4])
         at = end
-    stride = 1 + -(-width * depth // 8)
-    if kind != b"IEND" or not width * height:
+    if kind != b"IEND" or color not in _CHANNELS or any(methods) or not width * height:
         return None
+    stride = 1 + -(-width * depth * _CHANNELS[color] // 8)
     stream = zlib.decompressobj()
     try:
-        # One byte more than there may be: the stream's own checksum is looked at behind its last byte.
+        # One byte more than there may be: the stream's checksum is read behind its last byte.
         raw = stream.decompress(b"".join(parts), height * stride + 1)
     except zlib.error:
         return None
     if len(raw) != height * stride or not stream.eof or stream.unused_data:
         return None
     rows = np.frombuffer(raw, np.uint8).reshape(height, stride)
-    filters, packed = rows[:, 0], rows[:, 1:]
-    if filters.max() > _SUB:
-        return None
-    # A row of zeros is one of no pixels by either filter.
-    filled = np.flatnonzero(packed.max(axis=1))
-    if not len(filled):
+    # Above the first byte that is not 0 every filter gives zeros, and below the last from a row on that reads no other.
+    told = np.flatnonzero(rows[:, 1:].max(axis=1))
+    if not len(told):
         return (height, width), MaskCrop(0, 0, np.zeros((0, 0), np.bool_))
-    top, bottom = int(filled[0]), int(filled[-1]) + 1
-    packed, filters = packed[top:bottom], filters[top:bottom]
+    top, bottom = int(told[0]), int(told[-1]) + 1
+    if color == 0 and depth in (1, 8) and rows[:, 0].max() <= _SUB:
+        crop = _own_rows(rows[top:bottom], width, depth)
+    else:
+        alone = rows[bottom:, 0] <= _SUB
+        bottom += int(alone.argmax()) if alone.any() else len(alone)
+        header = _HEADER.pack(width, bottom - top, depth, color, *methods)
+        body = zlib.compress(raw[top * stride : bottom * stride], 0)
+        small = _SIGNATURE + _chunk(b"IHDR", header) + _chunk(b"IDAT", body) + _chunk(b"IEND", b"")
+        pixels = cv2.imdecode(np.frombuffer(small, np.uint8), cv2.IMREAD_UNCHANGED)
+        if pixels is None:
+            return None
+        crop = MaskCrop.of(above_zero(pixels))
+    return (height, width), MaskCrop(crop.x, top + crop.y, crop.mask)
+
+
+def above_zero(pixels: np.ndarray) -> np.ndarray:
+    """Pixels of a decoded picture above 0 in any channel but alpha, (H, W) bool."""
+    return np.any(pixels[..., :3] > 0, axis=2) if pixels.ndim == 3 else pixels > 0
+
+
+def _own_rows(rows: np.ndarray, width: int, depth: int) -> MaskCrop:
+    """Mask of rows of grey, (H, 1 + bytes) uint8, that hold their filter, `none` or `sub`, and then its bytes."""
+    filters, packed = rows[:, :1], rows[:, 1:]
     if filters.any():
-        summed = np.add.accumulate(packed, axis=1, dtype=np.uint8)
-        packed = np.where(filters[:, None] == _SUB, summed, packed)
+        packed = np.where(filters == _SUB, np.add.accumulate(packed, axis=1, dtype=np.uint8), packed)
     filled = np.flatnonzero(packed.max(axis=0))
     left, right = int(filled[0]), int(filled[-1]) + 1
     packed = packed[:, left:right]
     if depth == 8:
-        return (height, width), MaskCrop(left, top, packed > 0)
-    pixels = np.unpackbits(packed, axis=1)[:, : width - 8 * left].view(np.bool_)
-    found = MaskCrop.of(pixels)
-    return (height, width), MaskCrop(8 * left + found.x, top + found.y, found.mask)
+        return MaskCrop(left, 0, packed > 0)
+    crop = MaskCrop.of(np.unpackbits(packed, axis=1)[:, : width - 8 * left].view(np.bool_))
+    return MaskCrop(8 * left + crop.x, crop.y, crop.mask)
+
+
+def _chunk(kind: bytes, content: bytes) -> bytes:
+    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(content, zlib.crc32(kind)))
