@@ -57,11 +57,30 @@ def extents_of(coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     ranks = np.array([LOW_PERCENT, HIGH_PERCENT]) / 100 * (n - 1)
     below = np.floor(ranks).astype(int)
     above = np.minimum(below + 1, n - 1)
-    # A whole sort: numpy vectorises it, and a partial one for several ranks it does not, which takes four times longer.
-    columns = np.sort(np.ascontiguousarray(coordinates.T), axis=1)
-    low = columns[:, below].astype(np.float64)
-    value = low + (columns[:, above] - low) * (ranks - below)
+    share = ranks - below
+    # Counted from their own end: what lies between need not be there.
+    below[1], above[1] = below[1] - n, above[1] - n
+    columns = np.ascontiguousarray(coordinates.T)
+    ordered = np.sort(columns, axis=1) if n < MANY else [_sorted_ends(c, above[0], below[1]) for c in columns]
+    low = np.array([column[below] for column in ordered], np.float64)
+    value = low + (np.array([column[above] for column in ordered]) - low) * share
     return value[:, 0], value[:, 1]
+
+
+MANY, EVERY, BEYOND = 1500, 8, 0.025
+"""From so many values on, every so many tell about where such a share of them ends."""
+
+
+def _sorted_ends(values: np.ndarray, low: int, high: int) -> np.ndarray:
+    """Values of (N,) in order, without most of those between the places `low` from the start and `high` from the end.
+
+    A whole sort is what numpy does fastest of all that gives several ranks; of the two ends it takes a third of that.
+    """
+    some = np.sort(values[::EVERY])
+    beyond = int(BEYOND * len(some)) + 2
+    least, most = some[beyond], some[-1 - beyond]
+    ends = np.sort(values[(values <= least) | (values >= most)])
+    return ends if ends[low] <= least and ends[high] >= most else np.sort(values)
 
 
 def mean_of(points: np.ndarray) -> np.ndarray:
@@ -71,8 +90,9 @@ def mean_of(points: np.ndarray) -> np.ndarray:
 
 def median(values: np.ndarray) -> float:
     """Median of (N,) values, N > 0, as numpy's, at a third of its cost for few values."""
-    ordered = np.sort(values)
-    return float((ordered[(len(values) - 1) // 2] + ordered[len(values) // 2]) / 2)
+    half = len(values) // 2
+    ordered = np.partition(values, half)
+    return float((ordered[half] + (ordered[half] if len(values) % 2 else ordered[:half].max())) / 2)
 
 
 def gravity_box(points: np.ndarray, viewer: ViewerAxes) -> tuple[Box3D, float]:
