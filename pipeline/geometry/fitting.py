@@ -202,7 +202,10 @@ def with_thin_parts(box: Box3D, dropped: np.ndarray, least: float) -> Box3D:
     within the box's plan and more than PART_GAP beyond its end; of these the outermost twentieth does not count.
     """
     local, half = (dropped - box.center) @ box.R, box.size / 2
-    heights = local[(np.abs(local[:, ::2]) <= half[::2] + PLAN_SLACK).all(axis=1), 1]
+    heights = local[np.abs(local[:, 1]) > half[1] + PART_GAP]
+    heights = heights[(np.abs(heights[:, ::2]) <= half[::2] + PLAN_SLACK).all(axis=1), 1]
+    if not len(heights):
+        return box
     ends = [half[1], half[1]]
     for k, outwards in enumerate((-heights, heights)):
         part = np.sort(outwards[outwards > half[1] + PART_GAP])
