@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from time import perf_counter
 
 import cv2
@@ -45,6 +46,11 @@ class SceneObject:
     def __repr__(self) -> str:
         return f"<SceneObject {self.label!r}, score {self.score:.2f}, {self.box or 'no 3D box'}>"
 
+    @cached_property
+    def crop(self) -> MaskCrop:
+        """Non-empty part of the mask."""
+        return MaskCrop.of(self.mask)
+
     @property
     def box(self) -> Box3D | None:
         """3D box in the camera frame, metres; None without depth."""
@@ -74,7 +80,7 @@ class PreparedFrame:
         self.frame = frame.by_camera(camera)
         self.viewer: ViewerAxes = viewer_axes(camera.up, camera.up_source or "assumed", up_doubt)
         self.edges = depth_edges(frame.depth, self.config)
-        self._lifted: dict[tuple[str, int, bool], tuple[LiftedObject, np.ndarray]] = {}
+        self._lifted: dict[tuple[str, int, bool], tuple[LiftedObject, np.ndarray, MaskCrop]] = {}
         self.seconds = perf_counter() - start
 
     def under(self, config: LiftConfig) -> PreparedFrame:
@@ -90,7 +96,7 @@ class PreparedFrame:
         keys = [(fingerprint, int(n), is_thin(label)) for n, label in zip(proposals.ids, labels, strict=True)]
         # Without an identity each is lifted anew, at its own place in the list.
         places = [key if key[1] >= 0 else i for i, key in enumerate(keys)]
-        known: dict[object, tuple[LiftedObject, np.ndarray]] = {**self._lifted}
+        known: dict[object, tuple[LiftedObject, np.ndarray, MaskCrop]] = {**self._lifted}
         fresh = {place: i for i, place in reversed([*enumerate(places)]) if place not in known}
         masks = [self._mask(proposals, i, detector.exact) for i in fresh.values()]
         lifted = lift(
@@ -104,14 +110,15 @@ class PreparedFrame:
             boxes=self.boxes,
             thin=[keys[i][2] for i in fresh.values()],
         )
-        for (place, i), (mask, _, _), item in zip(fresh.items(), masks, lifted, strict=True):
-            known[place] = self._with_fixed_box(item, keys[i][1]) if detector.exact else item, mask
+        for (place, i), (mask, crop, _), item in zip(fresh.items(), masks, lifted, strict=True):
+            known[place] = self._with_fixed_box(item, keys[i][1]) if detector.exact else item, mask, crop
             if keys[i][1] >= 0:
                 self._lifted[keys[i]] = known[place]
         found = []
         for i, place in enumerate(places):
-            own, mask = known[place]
+            own, mask, crop = known[place]
             entry = SceneObject(keys[i][1], labels[i], float(proposals.scores[i]), proposals.boxes[i], mask, own)
+            entry.__dict__["crop"] = crop
             # Imported boxes take the place of those that are made here.
             finished = getattr(detector, "finished", None)
             found.append(entry if finished is None else finished(entry, self))
@@ -122,7 +129,7 @@ class PreparedFrame:
         box = next((a.box for a in self.frame.annotations if a.index == index and a.fixed), None)
         return lifted if box is None else lifted.moved_to(box, self.viewer)
 
-    def _mask(self, proposals: Proposals, i: int, exact: bool) -> tuple[np.ndarray, np.ndarray | MaskCrop, MaskSource]:
+    def _mask(self, proposals: Proposals, i: int, exact: bool) -> tuple[np.ndarray, MaskCrop, MaskSource]:
         """Pixels of a proposal, in the picture and for lifting, and their source."""
         masked = proposals.masks is not None and (proposals.has_mask is None or bool(proposals.has_mask[i]))
         segmented = masked and proposals.segmented is not None and bool(proposals.segmented[i])
@@ -136,14 +143,14 @@ class PreparedFrame:
                 if within.any():
                     # Before a segmenter's guess: in the demo the centre of what is lifted is more than
                     # 10 cm off for 7 % of the objects by these pixels, for 13 % by the depth segmenter's.
-                    return within, within, "box3d"
+                    return within, MaskCrop.of(within), "box3d"
         if proposals.masks is not None and segmented:
             return *_taken(proposals.masks, i), "segmenter"
-        return mask, mask, "box"
+        return mask, MaskCrop.of(mask), "box"
 
 
-def _taken(masks: np.ndarray | MaskStack, i: int) -> tuple[np.ndarray, np.ndarray | MaskCrop]:
-    return masks[i], masks.crops[i] if isinstance(masks, MaskStack) else masks[i]
+def _taken(masks: np.ndarray | MaskStack, i: int) -> tuple[np.ndarray, MaskCrop]:
+    return masks[i], masks.crops[i] if isinstance(masks, MaskStack) else MaskCrop.of(masks[i])
 
 
 def prepare_frame(

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +109,7 @@ class BopDataset(Recording):
             infos = None
         has_masks = (folder / "mask_visib").is_dir()
         found: list[Annotation] = []
+        poses = _all_rigid_mm(entries, path) if self._models else None
         for index, entry in enumerate(entries):
             number = entry.get("obj_id") if isinstance(entry, Mapping) else None
             if not isinstance(number, int) or isinstance(number, bool) or number < 0:
@@ -117,7 +119,8 @@ class BopDataset(Recording):
             mask_path = folder / "mask_visib" / f"{image:06d}_{index:06d}.png" if has_masks else None
             label = self._label(number)
             remarks: list[str] = []
-            box = _box(entry, self._models.get(number, NO_MODEL)[1], path, remarks)
+            pose = None if poses is None else poses[index]
+            box = _box(entry, self._models.get(number, NO_MODEL)[1], path, remarks, pose)
             try:
                 extent = _extent(mask_path, info, size, info_path, remarks)
                 if isinstance(extent, MaskCrop):
@@ -130,10 +133,28 @@ class BopDataset(Recording):
         return tuple(found)
 
 
-def _box(entry: Mapping[str, Any], box: Box3D | None, path: Path, remarks: list[str]) -> Box3D | None:
-    """The exact box of an object in the camera frame."""
-    T = None if box is None else or_note(remarks, "no 3D box, ", _rigid_mm, entry, "cam_R_m2c", "cam_t_m2c", path)
+def _box(
+    entry: Mapping[str, Any], box: Box3D | None, path: Path, remarks: list[str], T: np.ndarray | None
+) -> Box3D | None:
+    """The exact box of an object in the camera frame; `T` is the entry's pose where it was read with the others'."""
+    if box is not None and T is None:
+        T = or_note(remarks, "no 3D box, ", _rigid_mm, entry, *_POSE, path)
     return None if box is None or T is None else box.transformed(T)
+
+
+_POSE = "cam_R_m2c", "cam_t_m2c"
+
+
+def _all_rigid_mm(entries: Sequence[Any], path: Path) -> np.ndarray | None:
+    """Poses of all objects, (N, 4, 4); None where one is none: each then says for itself what is wrong with it."""
+    try:
+        told = [[entry[key] for entry in entries] for key in _POSE]
+        if not entries or any(len(own) != size for kind, size in zip(told, (9, 3), strict=True) for own in kind):
+            return None
+        R, t = (as_floats([*chain(*kind)], size * len(entries), path) for kind, size in zip(told, (9, 3), strict=True))
+        return rigid(R.reshape(-1, 3, 3), t.reshape(-1, 3) * MM)
+    except (InputError, KeyError, TypeError):
+        return None
 
 
 def _extent(

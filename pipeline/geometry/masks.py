@@ -152,14 +152,12 @@ def _runs(size: Sequence[int], crop: MaskCrop) -> np.ndarray:
     height, pixels = int(size[0]), int(size[0]) * int(size[1])
     h, w = crop.mask.shape
     # Columns one after the other, each with a zero behind it, so that its runs end with it.
-    columns = np.zeros((w, h + 1), np.bool_)
-    columns[:, :h] = crop.mask.T
-    flat = columns.ravel()
-    edges = np.flatnonzero(flat[1:] != flat[:-1]) + 1 if w else np.zeros(0, np.int64)
-    if w and flat[0]:
-        edges = np.concatenate([[0], edges])
-    column, row = np.divmod(edges, h + 1)
-    edges = (crop.x + column) * height + crop.y + row
+    flat = np.zeros(1 + w * (h + 1), np.bool_)
+    flat[1:].reshape(w, h + 1)[:, :h] = crop.mask.T
+    edges = np.flatnonzero(flat[1:] != flat[:-1])
+    column = edges // (h + 1)
+    # `h + 1` places a column here, `height` there.
+    edges += column * (height - h - 1) + (crop.x * height + crop.y)
     if h == height:
         # A run goes on where the next column begins.
         ends, starts = edges[1:-1:2], edges[2::2]

@@ -124,7 +124,7 @@ def plane_depths(patches: Sequence[Patch], radius: int) -> list[tuple[np.ndarray
         u = places - v * has.shape[1]
         rows.append(v)
         columns.append(u)
-        sums.append(_plane_sums(depth, has, x, y, 2 * radius + 1, np.float32).reshape(9, -1)[:, places])
+        sums.append(_plane_sums(depth, has, x, y, 2 * radius + 1, np.float32).reshape(9, -1).take(places, axis=1))
         at_x.append(x[u])
         at_y.append(y[v])
         depths.append(depth[v, u])

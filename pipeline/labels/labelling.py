@@ -16,7 +16,7 @@ from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.fitting import pca_boxes
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.lifting import LiftedObject, Pixel, PixelEvidence
-from pipeline.geometry.masks import MaskCrop, encode_crops
+from pipeline.geometry.masks import encode_crops
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.plan import LabelConfig
 from pipeline.labels.profiles import GIVEN, JudgedPairs, as_given, doubted
@@ -76,7 +76,7 @@ def label_objects(
     known = {a.index: a for a in frame.annotations} if exact else {}
     boxed = [k for k, o in enumerate(objects) if len(o.lifted.points)]
     pca = dict(zip(boxed, pca_boxes([objects[k].lifted.points for k in boxed]), strict=True))
-    masks = encode_crops((frame.height, frame.width), [MaskCrop.of(o.mask) for o in objects])
+    masks = encode_crops((frame.height, frame.width), [o.crop for o in objects])
     rows = [
         {
             **_object_row(o, number, known.get(number), frame, frame_index, context.viewer, config),
