@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import cv2
@@ -308,11 +309,6 @@ def row_hash(seed: int, *parts: object) -> int:
     return xxhash.xxh3_64_intdigest("\x1f".join(str(p) for p in parts).encode(), seed=seed & (2**64 - 1))
 
 
-def row_key(seed: int, content: str) -> str:
-    """`row_hash` of content that is joined already, as 16 hexadecimal digits."""
-    return xxhash.xxh3_64_hexdigest(content.encode(), seed=seed & (2**64 - 1))
-
-
 def candidate_expressions(
     frame: str,
     frame_index: int,
@@ -358,9 +354,11 @@ def candidate_expressions(
         lists = pa.ListArray.from_arrays(np.concatenate([np.zeros(1, np.int32), ends]), numbers[np.nonzero(which)[1]])
         answers[name], several = lists.take(pa.array(row)), counts[row] > 1
     names, said, written = pa.array(labels, pa.string()), config.relations, [str(number) for number in ids]
+    hashed = partial(xxhash.xxh3_64_hexdigest, seed=config.seed & (2**64 - 1))
     keys = zip(a.tolist(), relation.tolist(), b.tolist(), strict=True)
     return {
-        "id": [row_key(config.seed, f"{frame}\x1f{written[i]}\x1f{said[r]}\x1f{written[j]}") for i, r, j in keys],
+        # `row_hash`, in hexadecimal digits.
+        "id": [hashed(f"{frame}\x1f{written[i]}\x1f{said[r]}\x1f{written[j]}".encode()) for i, r, j in keys],
         "frame": pa.repeat(frame, n),
         "frame_index": np.full(n, frame_index),
         "target": names.take(pa.array(a)),
