@@ -269,7 +269,7 @@ def _decided(
         area[0] = 0
         small = area < config.part * area.max()
         small[0] = False
-        codes[small[part]] = _SMALL_PART
+        np.putmask(codes, small.take(part), _SMALL_PART)
         pixels -= int(area[small].sum())
 
     fallback = pixels < config.min_pixels
@@ -466,10 +466,12 @@ def _dropped(depth: np.ndarray, evidence: PixelEvidence, camera: Camera) -> tupl
 def _lifted_places(places: np.ndarray, depth: np.ndarray, evidence: PixelEvidence, camera: Camera) -> np.ndarray:
     """Points, (N, 3), of places, (N,), in the evidence's rectangle, row by row."""
     # `divmod` is several times as slow.
-    v = places // evidence.codes.shape[1]
-    u = places - v * evidence.codes.shape[1] + evidence.x0
-    v += evidence.y0
-    return lift_pixels(depth[v, u], camera, v, u)
+    x0, y0, wide = (np.int32(k) for k in (evidence.x0, evidence.y0, evidence.codes.shape[1]))
+    places = places.astype(np.int32)
+    v = places // wide
+    u = places - v * wide + x0
+    v += y0
+    return lift_pixels(depth.take(v * np.int32(depth.shape[1]) + u), camera, v, u)
 
 
 def fit_box(points: np.ndarray, viewer: ViewerAxes, mode: BoxMode = "gravity") -> tuple[Box3D | None, float]:
