@@ -20,13 +20,13 @@ import numpy as np
 from pipeline.datasets.base import DatasetFormat
 from pipeline.datasets.cameras import Stated, inverse, one_file, or_note, rigid
 from pipeline.datasets.files import as_floats, listing, read_bytes, read_json, readable
-from pipeline.datasets.images import read_crop
+from pipeline.datasets.images import read_held_mask
 from pipeline.datasets.pairing import COLOR_SUFFIXES
 from pipeline.datasets.recording import Listed, Recording
 from pipeline.datasets.settings import Settings
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.frame import Annotation
-from pipeline.geometry.masks import MaskCrop
+from pipeline.geometry.masks import PictureMask
 from pipeline.system.errors import InputError, needed, require
 from pipeline.system.recent import Recent
 
@@ -123,8 +123,8 @@ class BopDataset(Recording):
             box = _box(entry, self._models.get(number, NO_MODEL)[1], path, remarks, pose)
             try:
                 extent = _extent(mask_path, info, size, info_path, remarks)
-                if isinstance(extent, MaskCrop):
-                    found.append(Annotation.of_crop(index, label, extent, size, box=box, visible=_visible(info)))
+                if isinstance(extent, PictureMask):
+                    found.append(Annotation.of_mask(index, label, extent, box=box, visible=_visible(info)))
                 else:
                     found.append(Annotation(index, label, extent, box=box, visible=_visible(info)))
             except InputError as error:
@@ -159,7 +159,7 @@ def _all_rigid_mm(entries: Sequence[Any], path: Path) -> np.ndarray | None:
 
 def _extent(
     mask_path: Path | None, info: Mapping[str, Any], size: tuple[int, ...], info_path: Path, remarks: list[str]
-) -> MaskCrop | np.ndarray:
+) -> PictureMask | np.ndarray:
     """Mask of an annotation, or its box (4,) without one."""
     if mask_path is not None and not mask_path.is_file():
         remarks.append(f"the mask {mask_path.name} is missing")
@@ -170,11 +170,13 @@ def _extent(
         require((np.isfinite([x, y, w, h]).all() and w > 0 and h > 0), "an empty bbox_visib")
         return np.array([x, y, x + w, y + h])
     why: list[str] = []
-    found = or_note(why, "a broken mask, ", read_crop, mask_path)
-    own, crop = needed(found, f"{''.join(why)}, {mask_path.name}")
-    require(own == size, f"the mask {mask_path.name} is {own[1]}x{own[0]}, not {size[1]}x{size[0]}")
-    require(crop.mask.size, "empty mask")
-    return crop
+    found = or_note(why, "a broken mask, ", read_held_mask, mask_path)
+    mask = needed(found, f"{''.join(why)}, {mask_path.name}")
+    require(
+        mask.size == size, f"the mask {mask_path.name} is {mask.size[1]}x{mask.size[0]}, not {size[1]}x{size[0]}"
+    )
+    require(mask.crop.mask.size, "empty mask")
+    return mask
 
 
 def _visible(info: Mapping[str, Any]) -> float | None:

@@ -19,7 +19,7 @@ from PIL import Image
 
 from pipeline.datasets.files import CUT_OFF, Blob, Part, read_bytes, shortened
 from pipeline.datasets.png_masks import above_zero, mask_of_png
-from pipeline.geometry.masks import MaskCrop
+from pipeline.geometry.masks import PictureMask
 from pipeline.system import safe_files
 from pipeline.system.errors import InputError, as_input_error, needed, require
 
@@ -91,17 +91,15 @@ def valid_pixels(path: Blob, size: tuple[int, ...]) -> np.ndarray:
 
 def read_mask(path: Blob) -> np.ndarray:
     """A mask file as (H, W) bool: whatever is above 0 in any channel but alpha."""
-    size, crop = read_crop(path)
-    return crop.of_picture(size)
+    return read_held_mask(path).whole
 
 
-def read_crop(path: Blob) -> tuple[tuple[int, int], MaskCrop]:
-    """Size (height, width) of a mask file, and the pixels of `read_mask`."""
+def read_held_mask(path: Blob) -> PictureMask:
+    """A mask file as of `read_mask`, held by its crop."""
     data, kind = _mask_bytes(path)
     if kind == "png" and (found := mask_of_png(data)) is not None:
         return found
-    mask = above_zero(_decode(data, kind, path, cv2.IMREAD_UNCHANGED))
-    return (mask.shape[0], mask.shape[1]), MaskCrop.of(mask)
+    return PictureMask.of(above_zero(_decode(data, kind, path, cv2.IMREAD_UNCHANGED)))
 
 
 END_OF_RANGE = 0.01

@@ -8,7 +8,7 @@ import zlib
 import cv2
 import numpy as np
 
-from pipeline.geometry.masks import MaskCrop
+from pipeline.geometry.masks import MaskCrop, PictureMask
 
 _SIGNATURE, _HEADER = b"\x89PNG\r\n\x1a\n", struct.Struct(">2I5B")
 _CHANNELS = {0: 1, 2: 3, 4: 2, 6: 4}
@@ -17,8 +17,8 @@ _SUB = 1
 """The last filter of rows that reads its own row alone."""
 
 
-def mask_of_png(data: bytes) -> tuple[tuple[int, int], MaskCrop] | None:
-    """Size (height, width) of a mask and its pixels above 0 in any channel but alpha, from a PNG of whole chunks.
+def mask_of_png(data: bytes) -> PictureMask | None:
+    """Mask of the pixels above 0 in any channel but alpha, from a PNG of whole chunks.
 
     None for a palette, an interlaced picture, one with chunks that are not in every PNG, and for what does not inflate
     to just its rows: a decoder of whole files says then what it is.
@@ -50,7 +50,7 @@ def mask_of_png(data: bytes) -> tuple[tuple[int, int], MaskCrop] | None:
     filters, rows[:, 0] = rows[:, 0].copy(), 0
     told = 8 * np.flatnonzero(words)
     if not len(told):
-        return (height, width), MaskCrop(0, 0, np.zeros((0, 0), np.bool_))
+        return PictureMask((height, width), MaskCrop(0, 0, np.zeros((0, 0), np.bool_)))
     # Above the first byte that is not 0 every filter gives zeros, and below the last from a row on that reads no other.
     top, bottom = int(told[0]) // stride, min((int(told[-1]) + 7) // stride + 1, height)
     if color == 0 and depth in (1, 8) and filters.max() <= _SUB:
@@ -65,7 +65,7 @@ def mask_of_png(data: bytes) -> tuple[tuple[int, int], MaskCrop] | None:
         if pixels is None:
             return None
         crop = MaskCrop.of(above_zero(pixels))
-    return (height, width), MaskCrop(crop.x, top + crop.y, crop.mask)
+    return PictureMask((height, width), MaskCrop(crop.x, top + crop.y, crop.mask))
 
 
 def above_zero(pixels: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera, project
-from pipeline.geometry.masks import MaskCrop
+from pipeline.geometry.masks import LazyMask, PictureMask
 from pipeline.system.errors import InputError, as_input_error, require
 
 NEAREST_MEDIAN_M = 0.1
@@ -81,16 +81,17 @@ class Annotation:
 
 
     @cached_property
-    def crop(self) -> MaskCrop | None:
-        """Non-empty part of the mask."""
-        return None if self.mask is None else MaskCrop.of(self.mask)
+    def held(self) -> PictureMask | None:
+        """The mask, as it is held by its crop."""
+        return None if self.mask is None else PictureMask.of(self.mask)
 
     @classmethod
-    def of_crop(cls, index: int, label: str, crop: MaskCrop, size: Sequence[int], **more: Any) -> Annotation:
-        """Build an annotation of a mask in a picture of (height, width), with its box; `more`: further fields."""
-        found = cls(index, label, np.array(crop.box), crop.of_picture(size), **more)
-        found.__dict__["crop"] = crop
-        return found
+    def of_mask(cls, index: int, label: str, mask: PictureMask, **more: Any) -> Annotation:
+        """Build an annotation of a mask, and of its box; `more`: further fields."""
+        return LazyMask.held_by(cls(index, label, np.array(mask.crop.box), **more), mask)
+
+
+Annotation.mask = LazyMask()  # pyright: ignore[reportAttributeAccessIssue]
 
 
 @dataclass(frozen=True)
@@ -161,10 +162,11 @@ class Frame:
             cause="is it in millimetres? the depth scale is the depth units in one metre, 1000 for millimetres",
         )
         for annotation in self.annotations:
-            if annotation.mask is not None and annotation.mask.shape != depth.shape:
+            held = annotation.held
+            if held is not None and held.size != depth.shape:
                 raise InputError(
                     f"frame {self.id}: the mask of annotation {annotation.index} has another size",
-                    got=annotation.mask.shape,
+                    got=held.size,
                     expected=depth.shape,
                 )
 

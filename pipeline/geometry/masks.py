@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import cv2
 import numpy as np
@@ -213,27 +214,66 @@ def mask_box(mask: np.ndarray) -> tuple[int, int, int, int]:
     return (x, first + y, x + w, first + y + h) if w else (0, 0, 0, 0)
 
 
+@dataclass(frozen=True, eq=False)
+class PictureMask:
+    """A mask of a picture, held by its crop."""
+
+    size: tuple[int, int]  # Height and width, pixels
+    crop: MaskCrop
+
+    @staticmethod
+    def of(mask: np.ndarray) -> PictureMask:
+        """Hold a mask, (H, W) bool."""
+        found = PictureMask((int(mask.shape[0]), int(mask.shape[1])), MaskCrop.of(mask))
+        found.__dict__["whole"] = mask
+        return found
+
+    @cached_property
+    def whole(self) -> np.ndarray:
+        """Mask of the whole picture, (H, W) bool, painted when it is first asked for."""
+        return self.crop.of_picture(self.size)
+
+
+Holder = TypeVar("Holder")
+
+
+class LazyMask:
+    """Attribute `mask` of what holds a `PictureMask` instead: most masks are never looked at as a whole."""
+
+    def __get__(self, holder: Any, _: type | None = None) -> Any:
+        if holder is None:
+            return None
+        mask = holder.__dict__["mask"] = holder.__dict__["held"].whole
+        return mask
+
+    @staticmethod
+    def held_by(holder: Holder, mask: PictureMask) -> Holder:
+        """Let a new object with a `LazyMask` hold a mask by its crop."""
+        holder.__dict__.pop("mask")
+        holder.__dict__["held"] = mask
+        return holder
+
+
 class MaskStack:
-    """(N, H, W) bool masks of a picture, each an array of its own, and of each what is not empty.
+    """(N, H, W) bool masks of a picture of `size`, held by their crops.
 
     It stands where one array of all would be a copy that nobody reads: masks are taken from it as from an array.
     """
 
     dtype, ndim = np.dtype(np.bool_), 3
 
-    def __init__(self, size: tuple[int, int], masks: Sequence[np.ndarray], crops: Sequence[MaskCrop]) -> None:
+    def __init__(self, size: tuple[int, int], masks: Sequence[PictureMask]) -> None:
         self.shape = len(masks), *size
-        self.masks, self.crops = masks, crops
+        self.masks = masks
 
     def __len__(self) -> int:
         return len(self.masks)
 
     def __getitem__(self, index: Any) -> Any:
         if isinstance(index, (int, np.integer)):
-            return self.masks[index]
+            return self.masks[index].whole
         if isinstance(index, np.ndarray) and index.ndim == 1:
-            chosen = np.arange(len(self))[index].tolist()
-            return MaskStack(self.shape[1:], [self.masks[k] for k in chosen], [self.crops[k] for k in chosen])
+            return MaskStack(self.shape[1:], [self.masks[k] for k in np.arange(len(self))[index].tolist()])
         return self.copy()[index]
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
@@ -241,7 +281,7 @@ class MaskStack:
 
     def copy(self) -> np.ndarray:
         """One array of all."""
-        return np.array(self.masks, np.bool_).reshape(self.shape)
+        return np.array([mask.whole for mask in self.masks], np.bool_).reshape(self.shape)
 
 
 def outlines(mask: np.ndarray) -> list[np.ndarray]:

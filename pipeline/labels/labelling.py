@@ -77,7 +77,7 @@ def label_objects(
     known = {a.index: a for a in frame.annotations} if exact else {}
     boxed = [k for k, o in enumerate(objects) if len(o.lifted.points)]
     pca = dict(zip(boxed, pca_boxes([objects[k].lifted.points for k in boxed]), strict=True))
-    masks = encode_crops((frame.height, frame.width), [o.crop for o in objects])
+    masks = encode_crops((frame.height, frame.width), [o.held.crop for o in objects])
     rows = [
         {
             **_object_row(o, number, known.get(number), frame, frame_index, context.viewer, config),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.masks import MaskCrop, MaskStack
+from pipeline.geometry.masks import MaskStack, PictureMask
 from pipeline.language.naming import Synonyms, match
 from pipeline.proposals.base import Proposals, no_proposals
 from pipeline.proposals.class_names import meant_names
@@ -55,16 +55,15 @@ class AnnotationDetector:
             return no_proposals(frame.height, frame.width)
         names = tuple(dict.fromkeys(a.label for a in found))
         size = frame.height, frame.width
-        masks = [box_mask(a.bbox, *size) if a.mask is None else a.mask for a in found]
-        crops = [a.crop or MaskCrop.of(mask) for a, mask in zip(found, masks, strict=True)]
+        masks = [a.held or PictureMask.of(box_mask(a.bbox, *size)) for a in found]
         return Proposals(
             np.stack([a.bbox for a in found]).astype(np.float32),
             np.ones(len(found), np.float32),
             np.array([names.index(a.label) for a in found], np.int64),
             names,
-            MaskStack(size, masks, crops),
+            MaskStack(size, masks),
             np.array([a.index for a in found], np.int64),
-            np.array([a.mask is not None for a in found]),
+            np.array([a.held is not None for a in found]),
         )
 
 
