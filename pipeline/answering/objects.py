@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, field
 from time import perf_counter
 
 import cv2
@@ -47,10 +46,10 @@ class SceneObject:
     def __repr__(self) -> str:
         return f"<SceneObject {self.label!r}, score {self.score:.2f}, {self.box or 'no 3D box'}>"
 
-    @cached_property
+    @property
     def held(self) -> PictureMask:
         """The mask, as it is held by its crop."""
-        return PictureMask.of(self.mask)
+        return LazyMask.of(self) or PictureMask.of(self.mask)
 
     @property
     def box(self) -> Box3D | None:

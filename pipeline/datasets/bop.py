@@ -172,9 +172,7 @@ def _extent(
     why: list[str] = []
     found = or_note(why, "a broken mask, ", read_held_mask, mask_path)
     mask = needed(found, f"{''.join(why)}, {mask_path.name}")
-    require(
-        mask.size == size, f"the mask {mask_path.name} is {mask.size[1]}x{mask.size[0]}, not {size[1]}x{size[0]}"
-    )
+    require(mask.size == size, f"the mask {mask_path.name} is {mask.size[1]}x{mask.size[0]}, not {size[1]}x{size[0]}")
     require(mask.crop.mask.size, "empty mask")
     return mask
 

@@ -79,11 +79,17 @@ class Annotation:
         parts = [f"{name}" for name in ("mask", "box") if getattr(self, name) is not None]
         return f"<Annotation {self.index} {self.label!r} at {_pixels(self.bbox)}{''.join(f', {p}' for p in parts)}>"
 
-
-    @cached_property
+    @property
     def held(self) -> PictureMask | None:
         """The mask, as it is held by its crop."""
-        return None if self.mask is None else PictureMask.of(self.mask)
+        own = LazyMask.of(self)
+        return own if own is not None or self.mask is None else PictureMask.of(self.mask)
+
+    @property
+    def mask_size(self) -> tuple[int, ...] | None:
+        """Height and width of the mask, which need not be painted for it."""
+        own = LazyMask.of(self)
+        return own.size if own is not None else None if self.mask is None else self.mask.shape
 
     @classmethod
     def of_mask(cls, index: int, label: str, mask: PictureMask, **more: Any) -> Annotation:
@@ -162,11 +168,11 @@ class Frame:
             cause="is it in millimetres? the depth scale is the depth units in one metre, 1000 for millimetres",
         )
         for annotation in self.annotations:
-            held = annotation.held
-            if held is not None and held.size != depth.shape:
+            size = annotation.mask_size
+            if size is not None and size != depth.shape:
                 raise InputError(
                     f"frame {self.id}: the mask of annotation {annotation.index} has another size",
-                    got=held.size,
+                    got=size,
                     expected=depth.shape,
                 )
 

@@ -243,14 +243,19 @@ class LazyMask:
     def __get__(self, holder: Any, _: type | None = None) -> Any:
         if holder is None:
             return None
-        mask = holder.__dict__["mask"] = holder.__dict__["held"].whole
+        mask = holder.__dict__["mask"] = holder.__dict__["_held"].whole
         return mask
+
+    @staticmethod
+    def of(holder: object) -> PictureMask | None:
+        """What an object holds instead of its mask, if it does."""
+        return holder.__dict__.get("_held")
 
     @staticmethod
     def held_by(holder: Holder, mask: PictureMask) -> Holder:
         """Let a new object with a `LazyMask` hold a mask by its crop."""
         holder.__dict__.pop("mask")
-        holder.__dict__["held"] = mask
+        holder.__dict__["_held"] = mask
         return holder
 
 
@@ -271,7 +276,7 @@ class MaskStack:
 
     def __getitem__(self, index: Any) -> Any:
         if isinstance(index, (int, np.integer)):
-            return self.masks[index].whole
+            return self.masks[int(index)].whole
         if isinstance(index, np.ndarray) and index.ndim == 1:
             return MaskStack(self.shape[1:], [self.masks[k] for k in np.arange(len(self))[index].tolist()])
         return self.copy()[index]

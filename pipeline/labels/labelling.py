@@ -21,7 +21,7 @@ from pipeline.geometry.masks import encode_crops
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.plan import LabelConfig
 from pipeline.labels.profiles import GIVEN, JudgedPairs, as_given, doubted
-from pipeline.labels.reading import PART_TABLES, SENTENCES, Columns
+from pipeline.labels.reading import PART_TABLES, SENTENCES, Columns, Repeated
 from pipeline.labels.wording import can_be_worded
 from pipeline.language.noun_phrase import same_names
 from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
@@ -261,7 +261,7 @@ def _relation_columns(
     a, b = (order[k] for k in np.nonzero(~np.eye(len(ids), dtype=np.bool_)))
     distance = judged.distance[a, b].astype(np.float32)
     columns: Columns = {
-        "frame": pa.repeat(frame, len(a)),
+        "frame": Repeated(pa.array([frame]), np.zeros(len(a), np.int32)),
         "frame_index": np.full(len(a), frame_index, np.int32),
         "a": number[a],
         "b": number[b],
@@ -352,25 +352,26 @@ def candidate_expressions(
         counts = which.sum(axis=1)
         ends = np.cumsum(counts, dtype=np.int32)
         lists = pa.ListArray.from_arrays(np.concatenate([np.zeros(1, np.int32), ends]), numbers[np.nonzero(which)[1]])
-        answers[name], several = lists.take(pa.array(row)), counts[row] > 1
+        answers[name], several = Repeated(lists, row), counts[row] > 1
     names, said, written = pa.array(labels, pa.string()), config.relations, [str(number) for number in ids]
+    every = np.zeros(n, np.int32)
     hashed = partial(xxhash.xxh3_64_hexdigest, seed=config.seed & (2**64 - 1))
     keys = zip(a.tolist(), relation.tolist(), b.tolist(), strict=True)
     return {
         # `row_hash`, in hexadecimal digits.
         "id": [hashed(f"{frame}\x1f{written[i]}\x1f{said[r]}\x1f{written[j]}".encode()) for i, r, j in keys],
-        "frame": pa.repeat(frame, n),
+        "frame": Repeated(pa.array([frame]), every),
         "frame_index": np.full(n, frame_index),
-        "target": names.take(pa.array(a)),
-        "relation": pa.array(said, pa.string()).take(pa.array(relation)),
-        "reference": names.take(pa.array(b)),
+        "target": Repeated(names, a),
+        "relation": Repeated(pa.array(said), relation),
+        "reference": Repeated(names, b),
         "target_object": numbers[a],
         "reference_object": numbers[b],
         **answers,
         "ambiguous": several,
         "margin": judged.margins[a, b, np.array(relations)[relation]],
         "same_class": same.sum(axis=1)[a],
-        "judged_in": pa.repeat("viewer", n),
-        "up_source": pa.repeat(up_source, n),
-        "profile": pa.repeat(config.profile, n),
+        "judged_in": Repeated(pa.array(["viewer"]), every),
+        "up_source": Repeated(pa.array([up_source]), every),
+        "profile": Repeated(pa.array([config.profile]), every),
     }

@@ -37,6 +37,20 @@ Columns = dict[str, Any]
 """A table as columns by name, each a sequence or an array of one length."""
 
 
+@dataclass(frozen=True)
+class Repeated(Sequence[Any]):
+    """A column of few different values."""
+
+    values: pa.Array
+    index: np.ndarray  # (N,) int: place of each row's value
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def __getitem__(self, row: Any) -> Any:
+        return self.values[int(self.index[row])].as_py()
+
+
 CANDIDATES = "candidates"
 """The table of a shard: expressions before some of them are chosen and put into words. `same_class` counts the
 objects of the frame that are of the target's class."""
@@ -87,8 +101,8 @@ def build_table(table: str, columns: Columns) -> pa.Table:
     arrays = [
         pa.nulls(length, of)
         if v is None
-        else v.cast(of)
-        if isinstance(v, pa.Array)
+        else v.values.cast(of).take(pa.array(v.index))
+        if isinstance(v, Repeated)
         else pa.array(v, of, from_pandas=isinstance(v, np.ndarray))
         for v, of in zip(values, schema.types, strict=True)
     ]
