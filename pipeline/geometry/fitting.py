@@ -80,9 +80,9 @@ def _sorted_ends(values: np.ndarray, low: int, high: int) -> np.ndarray:
     """
     some = np.sort(values[::EVERY])
     beyond = int(BEYOND * len(some)) + 2
-    least, most = some[beyond], some[-1 - beyond]
-    ends = np.sort(values[(values <= least) | (values >= most)])
-    return ends if ends[low] <= least and ends[high] >= most else np.sort(values)
+    first, last = values <= some[beyond], values >= some[-1 - beyond]
+    told = np.count_nonzero(first) > low and np.count_nonzero(last) >= -high
+    return np.sort(values[first | last] if told else values)
 
 
 def mean_of(points: np.ndarray) -> np.ndarray:

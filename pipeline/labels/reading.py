@@ -42,13 +42,13 @@ class Repeated(Sequence[Any]):
     """A column of few different values."""
 
     values: pa.Array
-    index: np.ndarray  # (N,) int: place of each row's value
+    places: np.ndarray  # (N,) int: place of each row's value
 
     def __len__(self) -> int:
-        return len(self.index)
+        return len(self.places)
 
     def __getitem__(self, row: Any) -> Any:
-        return self.values[int(self.index[row])].as_py()
+        return self.values[int(self.places[row])].as_py()
 
 
 CANDIDATES = "candidates"
@@ -101,7 +101,7 @@ def build_table(table: str, columns: Columns) -> pa.Table:
     arrays = [
         pa.nulls(length, of)
         if v is None
-        else v.values.cast(of).take(pa.array(v.index))
+        else v.values.cast(of).take(pa.array(v.places))
         if isinstance(v, Repeated)
         else pa.array(v, of, from_pandas=isinstance(v, np.ndarray))
         for v, of in zip(values, schema.types, strict=True)
