@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from time import perf_counter
 
 import cv2
@@ -15,12 +15,14 @@ from pipeline.geometry.boxes import Box3D, iou_2d
 from pipeline.geometry.camera import backproject
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftConfig, LiftedObject, MaskSource, depth_edges, lift
+from pipeline.geometry.masks import LazyMask, MaskStack, PictureMask
 from pipeline.geometry.viewer import ViewerAxes, resolve_up, viewer_axes
 from pipeline.language.class_sizes import is_thin
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Detector, Proposals
 from pipeline.relations.features import Appearance
 
+_UNPAINTED = np.zeros((0, 0), np.bool_)
 SAME_BOX_IOU = 0.7
 SAME_MASK_IOU = 0.5
 BOX_MARGIN_M = 0.02
@@ -45,6 +47,11 @@ class SceneObject:
         return f"<SceneObject {self.label!r}, score {self.score:.2f}, {self.box or 'no 3D box'}>"
 
     @property
+    def held(self) -> PictureMask:
+        """The mask, as it is held by its crop."""
+        return LazyMask.of(self) or PictureMask.of(self.mask)
+
+    @property
     def box(self) -> Box3D | None:
         """3D box in the camera frame, metres; None without depth."""
         return self.lifted.box
@@ -52,6 +59,9 @@ class SceneObject:
     def name(self, index: int, exact: bool) -> str:
         """Name in tables: by the dataset's own number for exact objects, else by place in the list."""
         return f"{self.label}·{self.id if exact else index}"
+
+
+SceneObject.mask = LazyMask()  # pyright: ignore[reportAttributeAccessIssue]
 
 
 class PreparedFrame:
@@ -70,10 +80,10 @@ class PreparedFrame:
         self.config = config or LiftConfig()
         camera = resolve_up(frame.depth, frame.camera)
         assert camera.up is not None
-        self.frame = replace(frame, camera=camera)
+        self.frame = frame.by_camera(camera)
         self.viewer: ViewerAxes = viewer_axes(camera.up, camera.up_source or "assumed", up_doubt)
         self.edges = depth_edges(frame.depth, self.config)
-        self._lifted: dict[tuple[str, int, bool], tuple[LiftedObject, np.ndarray]] = {}
+        self._lifted: dict[tuple[str, int, bool], tuple[LiftedObject, PictureMask]] = {}
         self.seconds = perf_counter() - start
 
     def under(self, config: LiftConfig) -> PreparedFrame:
@@ -89,13 +99,13 @@ class PreparedFrame:
         keys = [(fingerprint, int(n), is_thin(label)) for n, label in zip(proposals.ids, labels, strict=True)]
         # Without an identity each is lifted anew, at its own place in the list.
         places = [key if key[1] >= 0 else i for i, key in enumerate(keys)]
-        known: dict[object, tuple[LiftedObject, np.ndarray]] = {**self._lifted}
+        known: dict[object, tuple[LiftedObject, PictureMask]] = {**self._lifted}
         fresh = {place: i for i, place in reversed([*enumerate(places)]) if place not in known}
         masks = [self._mask(proposals, i, detector.exact) for i in fresh.values()]
         lifted = lift(
             self.frame.depth,
             self.frame.camera,
-            [mask for mask, _ in masks],
+            [mask.crop for mask, _ in masks],
             self.viewer,
             config=self.config,
             mask_source=[source for _, source in masks],
@@ -110,7 +120,8 @@ class PreparedFrame:
         found = []
         for i, place in enumerate(places):
             own, mask = known[place]
-            entry = SceneObject(keys[i][1], labels[i], float(proposals.scores[i]), proposals.boxes[i], mask, own)
+            entry = SceneObject(keys[i][1], labels[i], float(proposals.scores[i]), proposals.boxes[i], _UNPAINTED, own)
+            entry = LazyMask.held_by(entry, mask)
             # Imported boxes take the place of those that are made here.
             finished = getattr(detector, "finished", None)
             found.append(entry if finished is None else finished(entry, self))
@@ -121,12 +132,12 @@ class PreparedFrame:
         box = next((a.box for a in self.frame.annotations if a.index == index and a.fixed), None)
         return lifted if box is None else lifted.moved_to(box, self.viewer)
 
-    def _mask(self, proposals: Proposals, i: int, exact: bool) -> tuple[np.ndarray, MaskSource]:
+    def _mask(self, proposals: Proposals, i: int, exact: bool) -> tuple[PictureMask, MaskSource]:
         """Pixels of a proposal, and their source."""
         masked = proposals.masks is not None and (proposals.has_mask is None or bool(proposals.has_mask[i]))
         segmented = masked and proposals.segmented is not None and bool(proposals.segmented[i])
         if proposals.masks is not None and masked and not segmented:
-            return proposals.masks[i], "annotation" if exact else "detector"
+            return _taken(proposals.masks, i), "annotation" if exact else "detector"
         mask = box_mask(proposals.boxes[i], self.frame.height, self.frame.width)
         if exact:
             box = next((a.box for a in self.frame.annotations if a.index == proposals.ids[i]), None)
@@ -135,10 +146,14 @@ class PreparedFrame:
                 if within.any():
                     # Before a segmenter's guess: in the demo the centre of what is lifted is more than
                     # 10 cm off for 7 % of the objects by these pixels, for 13 % by the depth segmenter's.
-                    return within, "box3d"
+                    return PictureMask.of(within), "box3d"
         if proposals.masks is not None and segmented:
-            return proposals.masks[i], "segmenter"
-        return mask, "box"
+            return _taken(proposals.masks, i), "segmenter"
+        return PictureMask.of(mask), "box"
+
+
+def _taken(masks: np.ndarray | MaskStack, i: int) -> PictureMask:
+    return masks.masks[i] if isinstance(masks, MaskStack) else PictureMask.of(masks[i])
 
 
 def prepare_frame(
@@ -147,7 +162,7 @@ def prepare_frame(
     """Prepare a frame of a dataset: with a pose but no up vector of its own, its scene's is taken."""
     camera = resolved_camera(dataset, frame)
     doubt = "" if camera.untold else scene_doubt(dataset, frame, camera)
-    return PreparedFrame(replace(frame, camera=camera), config, boxes=boxes, up_doubt=doubt)
+    return PreparedFrame(frame.by_camera(camera), config, boxes=boxes, up_doubt=doubt)
 
 
 def pixels_inside(box: Box3D, mask: np.ndarray, frame: Frame, margin: float = BOX_MARGIN_M) -> np.ndarray:

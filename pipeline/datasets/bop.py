@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +20,13 @@ import numpy as np
 from pipeline.datasets.base import DatasetFormat
 from pipeline.datasets.cameras import Stated, inverse, one_file, or_note, rigid
 from pipeline.datasets.files import as_floats, listing, read_bytes, read_json, readable
-from pipeline.datasets.images import read_mask
+from pipeline.datasets.images import read_held_mask
 from pipeline.datasets.pairing import COLOR_SUFFIXES
 from pipeline.datasets.recording import Listed, Recording
 from pipeline.datasets.settings import Settings
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.frame import Annotation
-from pipeline.geometry.masks import mask_box
+from pipeline.geometry.masks import PictureMask
 from pipeline.system.errors import InputError, needed, require
 from pipeline.system.recent import Recent
 
@@ -108,6 +109,7 @@ class BopDataset(Recording):
             infos = None
         has_masks = (folder / "mask_visib").is_dir()
         found: list[Annotation] = []
+        poses = _all_rigid_mm(entries, path) if self._models else None
         for index, entry in enumerate(entries):
             number = entry.get("obj_id") if isinstance(entry, Mapping) else None
             if not isinstance(number, int) or isinstance(number, bool) or number < 0:
@@ -117,26 +119,48 @@ class BopDataset(Recording):
             mask_path = folder / "mask_visib" / f"{image:06d}_{index:06d}.png" if has_masks else None
             label = self._label(number)
             remarks: list[str] = []
-            box = _box(entry, self._models.get(number, NO_MODEL)[1], path, remarks)
+            pose = None if poses is None else poses[index]
+            box = _box(entry, self._models.get(number, NO_MODEL)[1], path, remarks, pose)
             try:
-                bbox, mask = _extent(mask_path, info, size, info_path, remarks)
-                found.append(Annotation(index, label, bbox, mask, box, _visible(info)))
+                extent = _extent(mask_path, info, size, info_path, remarks)
+                if isinstance(extent, PictureMask):
+                    found.append(Annotation.of_mask(index, label, extent, box=box, visible=_visible(info)))
+                else:
+                    found.append(Annotation(index, label, extent, box=box, visible=_visible(info)))
             except InputError as error:
                 remarks = [error.what]
             notes.extend(f"annotation {index} ({label}): {what}" for what in remarks)
         return tuple(found)
 
 
-def _box(entry: Mapping[str, Any], box: Box3D | None, path: Path, remarks: list[str]) -> Box3D | None:
-    """The exact box of an object in the camera frame."""
-    T = None if box is None else or_note(remarks, "no 3D box, ", _rigid_mm, entry, "cam_R_m2c", "cam_t_m2c", path)
+def _box(
+    entry: Mapping[str, Any], box: Box3D | None, path: Path, remarks: list[str], T: np.ndarray | None
+) -> Box3D | None:
+    """The exact box of an object in the camera frame; `T` is the entry's pose where it was read with the others'."""
+    if box is not None and T is None:
+        T = or_note(remarks, "no 3D box, ", _rigid_mm, entry, *_POSE, path)
     return None if box is None or T is None else box.transformed(T)
+
+
+_POSE = "cam_R_m2c", "cam_t_m2c"
+
+
+def _all_rigid_mm(entries: Sequence[Any], path: Path) -> np.ndarray | None:
+    """Poses of all objects, (N, 4, 4); None where one is none: each then says for itself what is wrong with it."""
+    try:
+        told = [[entry[key] for entry in entries] for key in _POSE]
+        if not entries or any(len(own) != size for kind, size in zip(told, (9, 3), strict=True) for own in kind):
+            return None
+        R, t = (as_floats([*chain(*kind)], size * len(entries), path) for kind, size in zip(told, (9, 3), strict=True))
+        return rigid(R.reshape(-1, 3, 3), t.reshape(-1, 3) * MM)
+    except (InputError, KeyError, TypeError):
+        return None
 
 
 def _extent(
     mask_path: Path | None, info: Mapping[str, Any], size: tuple[int, ...], info_path: Path, remarks: list[str]
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Box (4,) and mask of an annotation; the box is the mask's where a mask exists."""
+) -> PictureMask | np.ndarray:
+    """Mask of an annotation, or its box (4,) without one."""
     if mask_path is not None and not mask_path.is_file():
         remarks.append(f"the mask {mask_path.name} is missing")
         mask_path = None
@@ -144,15 +168,13 @@ def _extent(
         require("bbox_visib" in info, "neither a mask nor a bbox_visib")
         x, y, w, h = as_floats(info["bbox_visib"], 4, info_path, "bbox_visib")
         require((np.isfinite([x, y, w, h]).all() and w > 0 and h > 0), "an empty bbox_visib")
-        return np.array([x, y, x + w, y + h]), None
+        return np.array([x, y, x + w, y + h])
     why: list[str] = []
-    mask = or_note(why, "a broken mask, ", read_mask, mask_path)
-    mask = needed(mask, f"{''.join(why)}, {mask_path.name}")
-    require(
-        mask.shape == size, f"the mask {mask_path.name} is {mask.shape[1]}x{mask.shape[0]}, not {size[1]}x{size[0]}"
-    )
-    require(mask.any(), "empty mask")
-    return np.array(mask_box(mask)), mask
+    found = or_note(why, "a broken mask, ", read_held_mask, mask_path)
+    mask = needed(found, f"{''.join(why)}, {mask_path.name}")
+    require(mask.size == size, f"the mask {mask_path.name} is {mask.size[1]}x{mask.size[0]}, not {size[1]}x{size[0]}")
+    require(mask.crop.mask.size, "empty mask")
+    return mask
 
 
 def _visible(info: Mapping[str, Any]) -> float | None:

@@ -298,14 +298,14 @@ FARTHEST_M = 1e9
 
 
 def nearest_rotation(R: np.ndarray) -> np.ndarray:
-    """Nearest rotation to a rounded matrix, by SVD (orthogonal Procrustes). `R` (3, 3) float."""
+    """Nearest rotations to rounded matrices, by SVD (orthogonal Procrustes). `R` (..., 3, 3) float."""
     R = np.asarray(R, dtype=np.float64)
     require(np.isfinite(R).all(), "a rotation with inf or NaN")
-    deviation = float(np.abs(R @ R.T - np.eye(3)).max())
+    deviation, least = float(np.abs(R @ R.swapaxes(-1, -2) - np.eye(3)).max()), float(np.linalg.det(R).min())
     require(
-        deviation < ROUNDING and np.linalg.det(R) >= 0,
+        deviation < ROUNDING and least >= 0,
         "not a rotation",
-        got=lambda: f"det {np.linalg.det(R):.3g}, {deviation:.2g} from orthonormal",
+        got=lambda: f"det {least:.3g}, {deviation:.2g} from orthonormal",
         cause="is the matrix scaled or left-handed?",
     )
     U, _, Vt = np.linalg.svd(R)
@@ -313,13 +313,14 @@ def nearest_rotation(R: np.ndarray) -> np.ndarray:
 
 
 def rigid(R: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """The (4, 4) float64 transform of a (rounded) rotation (3, 3) and a translation (3,), metres."""
+    """The (..., 4, 4) float64 transforms of (rounded) rotations (..., 3, 3) and translations (..., 3), metres."""
     t = np.asarray(t, dtype=np.float64)
     require(np.isfinite(t).all(), "a position with inf or NaN")
     require(np.abs(t).max() < FARTHEST_M, "a position far from any place on Earth", got=t.tolist())
-    T = np.eye(4)
-    T[:3, :3] = nearest_rotation(R)
-    T[:3, 3] = t
+    T = np.zeros((*t.shape[:-1], 4, 4))
+    T[..., :3, :3] = nearest_rotation(R)
+    T[..., :3, 3] = t
+    T[..., 3, 3] = 1
     return T
 
 

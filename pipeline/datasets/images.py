@@ -18,6 +18,8 @@ import numpy as np
 from PIL import Image
 
 from pipeline.datasets.files import CUT_OFF, Blob, Part, read_bytes, shortened
+from pipeline.datasets.png_masks import above_zero, mask_of_png
+from pipeline.geometry.masks import PictureMask
 from pipeline.system import safe_files
 from pipeline.system.errors import InputError, as_input_error, needed, require
 
@@ -61,15 +63,20 @@ def read_color(path: Blob, upright: bool = False) -> np.ndarray:
     kind = _checked(content, path, "png, jpeg, tiff or ppm")
     require(kind not in _ARRAYS, "a colour file must be a png, jpeg, tiff or ppm", got=kind, path=path)
     bgr = _decode(content, kind, path, cv2.IMREAD_COLOR | (0 if upright else cv2.IMREAD_IGNORE_ORIENTATION))
-    return np.ascontiguousarray(bgr[..., ::-1])
+    return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
 
 
 def read_numbers(path: Blob) -> np.ndarray:
     """Stored mask or label picture, (H, W) or (H, W, C)."""
+    return _decode(*_mask_bytes(path), path, cv2.IMREAD_UNCHANGED)
+
+
+def _mask_bytes(path: Blob) -> tuple[bytes, str]:
+    """Bytes of a complete mask file, and its kind."""
     data = read_bytes(path)
     kind = _checked(data, path, "png")
     require(kind not in _ARRAYS, "a mask must be a png", got=kind, path=path)
-    return _decode(data, kind, path, cv2.IMREAD_UNCHANGED)
+    return data, kind
 
 
 def valid_pixels(path: Blob, size: tuple[int, ...]) -> np.ndarray:
@@ -84,8 +91,15 @@ def valid_pixels(path: Blob, size: tuple[int, ...]) -> np.ndarray:
 
 def read_mask(path: Blob) -> np.ndarray:
     """A mask file as (H, W) bool: whatever is above 0 in any channel but alpha."""
-    pixels = read_numbers(path)
-    return np.any(pixels[..., :3] > 0, axis=2) if pixels.ndim == 3 else pixels > 0
+    return read_held_mask(path).whole
+
+
+def read_held_mask(path: Blob) -> PictureMask:
+    """A mask file as of `read_mask`, held by its crop."""
+    data, kind = _mask_bytes(path)
+    if kind == "png" and (found := mask_of_png(data)) is not None:
+        return found
+    return PictureMask.of(above_zero(_decode(data, kind, path, cv2.IMREAD_UNCHANGED)))
 
 
 END_OF_RANGE = 0.01
@@ -141,10 +155,11 @@ def read_depth(
         units_per_metre = 1.0
     with np.errstate(over="ignore", invalid="ignore"):
         depth = np.divide(stored, np.float32(units_per_metre), dtype=np.float32, casting="same_kind")
-        none = ~(np.isfinite(depth) & (depth > 0))
+        # Integers are metres at least 0 as they stand, but for a unit that is next to nothing.
+        if stored.dtype.kind != "u" or not np.isfinite(depth.max()):
+            depth[~(np.isfinite(depth) & (depth > 0))] = 0
     if nothing is not None:
-        none |= stored == nothing
-    depth[none] = 0
+        depth[stored == nothing] = 0
     return depth
 
 

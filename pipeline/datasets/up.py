@@ -95,7 +95,7 @@ class UpGiven(ChangedFrames):
                 notes = (*notes, f"{which} is of the world, and this frame has no pose: it is not used")
         elif settings.up is not None and settings.up.frame is None:
             notes = (*notes, f"up {settings.up} is taken as {self.up}")
-        return replace(frame, camera=camera, notes=(*notes, *self.doubts(frame)))
+        return frame.by_camera(camera, (*notes, *self.doubts(frame)))
 
     def _camera(self, frame: Frame) -> Camera:
         """Camera of a frame with the user-set up, else the dataset's."""

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera, project
+from pipeline.geometry.masks import LazyMask, PictureMask
 from pipeline.system.errors import InputError, as_input_error, require
 
 NEAREST_MEDIAN_M = 0.1
@@ -76,6 +79,26 @@ class Annotation:
         parts = [f"{name}" for name in ("mask", "box") if getattr(self, name) is not None]
         return f"<Annotation {self.index} {self.label!r} at {_pixels(self.bbox)}{''.join(f', {p}' for p in parts)}>"
 
+    @property
+    def held(self) -> PictureMask | None:
+        """The mask, as it is held by its crop."""
+        own = LazyMask.of(self)
+        return own if own is not None or self.mask is None else PictureMask.of(self.mask)
+
+    @property
+    def mask_size(self) -> tuple[int, ...] | None:
+        """Height and width of the mask, which need not be painted for it."""
+        own = LazyMask.of(self)
+        return own.size if own is not None else None if self.mask is None else self.mask.shape
+
+    @classmethod
+    def of_mask(cls, index: int, label: str, mask: PictureMask, **more: Any) -> Annotation:
+        """Build an annotation of a mask, and of its box; `more`: further fields."""
+        return LazyMask.held_by(cls(index, label, np.array(mask.crop.box), **more), mask)
+
+
+Annotation.mask = LazyMask()  # pyright: ignore[reportAttributeAccessIssue]
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -125,12 +148,7 @@ class Frame:
             got=f"{depth.dtype} {depth.shape}",
             cause="is this the raw depth and not the one registered to the picture?",
         )
-        require(
-            (camera.height, camera.width) == depth.shape,
-            f"frame {self.id}: the camera is for another image size",
-            got=f"{camera.width}x{camera.height}",
-            expected=f"{depth.shape[1]}x{depth.shape[0]}",
-        )
+        self._check_camera(camera)
         lowest, highest = float(depth.min()), float(depth.max())
         require(
             (np.isfinite(lowest) and np.isfinite(highest)) and lowest >= 0,
@@ -150,12 +168,29 @@ class Frame:
             cause="is it in millimetres? the depth scale is the depth units in one metre, 1000 for millimetres",
         )
         for annotation in self.annotations:
-            if annotation.mask is not None and annotation.mask.shape != depth.shape:
+            size = annotation.mask_size
+            if size is not None and size != depth.shape:
                 raise InputError(
                     f"frame {self.id}: the mask of annotation {annotation.index} has another size",
-                    got=annotation.mask.shape,
+                    got=size,
                     expected=depth.shape,
                 )
+
+    def _check_camera(self, camera: Camera) -> None:
+        require(
+            (camera.height, camera.width) == self.depth.shape,
+            f"frame {self.id}: the camera is for another image size",
+            got=f"{camera.width}x{camera.height}",
+            expected=f"{self.depth.shape[1]}x{self.depth.shape[0]}",
+        )
+
+    def by_camera(self, camera: Camera, notes: tuple[str, ...] | None = None) -> Frame:
+        """Frame of the same pixels, which are not checked again, by another camera, and with other notes."""
+        self._check_camera(camera)
+        found = copy(self)
+        # As `replace` does; what is cached of the pixels holds.
+        found.__dict__.update(camera=camera, notes=self.notes if notes is None else notes)
+        return found
 
     @classmethod
     def of_arrays(

@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import cached_property
 from typing import Literal, cast
 
 import cv2
@@ -20,14 +21,16 @@ from pipeline.geometry.camera import Camera, lift_pixels
 from pipeline.geometry.fitting import (
     extents_of,
     gravity_box,
+    mean_of,
     median,
     pca_box,
     upright_box,
     upright_boxes,
     with_thin_parts,
 )
+from pipeline.geometry.masks import MaskCrop
 from pipeline.geometry.open_sides import open_sides
-from pipeline.geometry.surface import plane_depth, surface_step
+from pipeline.geometry.surface import plane_depths, surface_step
 from pipeline.geometry.viewer import ViewerAxes
 
 BoxMode = Literal["upright", "gravity", "pca", "pca-raw"]
@@ -59,8 +62,10 @@ DROPPED_POINTS = 500
 PART_PIXELS, PART_SHARE = 10, 0.02
 """Fewest dropped pixels that tell of a part of an object, and as a share of those kept."""
 SQUARE = np.ones((3, 3), np.uint8)
+_OUTSIDE, _KEPT, _NO_DEPTH, _OUT_OF_RANGE, _DEPTH_EDGE, _MASK_BORDER, _SMALL_PART = map(int, Pixel)
+# As plain numbers: to compare pixels with a member of an enumeration costs more than to compare them.
 DECIDED = np.zeros(256, np.uint8)
-DECIDED[:5] = Pixel.KEPT, Pixel.MASK_BORDER, Pixel.DEPTH_EDGE, Pixel.OUT_OF_RANGE, Pixel.NO_DEPTH
+DECIDED[:5] = _KEPT, _MASK_BORDER, _DEPTH_EDGE, _OUT_OF_RANGE, _NO_DEPTH
 """Outcomes of a pixel in rising precedence; OUTSIDE last."""
 OUTCOMES = tuple(p.name.lower() for p in Pixel if p is not Pixel.OUTSIDE)
 
@@ -149,6 +154,11 @@ class LiftedObject:
     # Sides that the view does not bound (`open_sides`), of boxes as `upright_box` fits them; None: not known of others
     open_sides: tuple[Side, ...] | None = None
 
+    @cached_property
+    def mean(self) -> np.ndarray:
+        """Mean of the points, (3,) float64, camera frame, metres; of N > 0."""
+        return mean_of(self.points)
+
     @property
     def goes_on(self) -> str:
         """Open sides in words, empty without any: "may go on: right, far"."""
@@ -211,33 +221,47 @@ def flying_pixels(depth: np.ndarray, neighbours: int = 3) -> np.ndarray:
 
 
 def clean(
-    mask: np.ndarray, depth: np.ndarray, edges: np.ndarray, config: LiftConfig | None = None
+    mask: np.ndarray | MaskCrop, depth: np.ndarray, edges: np.ndarray, config: LiftConfig | None = None
 ) -> tuple[PixelEvidence, bool]:
     """Decide each pixel of a mask, (H, W) bool, by depth, (H, W) float32, metres, and edges from `depth_edges`.
 
     The flag is True where cleaning left fewer than `min_pixels` and all valid pixels of the raw mask are kept instead.
     """
     config = config or LiftConfig()
-    height, width = mask.shape
-    first = int(mask.argmax()) // width
-    x, y, w, h = cv2.boundingRect(mask[first:].view(np.uint8))
-    y += first
+    return _decided(mask, depth, _ranks(depth, edges, config), config)
+
+
+def _ranks(depth: np.ndarray, edges: np.ndarray, config: LiftConfig) -> np.ndarray:
+    """What depth alone says of each pixel of a frame, (H, W) uint8, as a rank in DECIDED."""
+    out_of_range = ~((depth > config.near) & (depth < config.far))
+    # Arithmetic on bytes is faster than writing where a reason applies.
+    ranks = edges.view(np.uint8) * np.uint8(2)
+    for k, reason in ((3, out_of_range), (4, depth <= 0)):
+        np.maximum(ranks, reason.view(np.uint8) * np.uint8(k), out=ranks)
+    return ranks
+
+
+def _decided(
+    mask: np.ndarray | MaskCrop, depth: np.ndarray, ranks: np.ndarray, config: LiftConfig
+) -> tuple[PixelEvidence, bool]:
+    """`clean` by the ranks of all pixels of the frame."""
+    height, width = depth.shape
+    crop = mask if isinstance(mask, MaskCrop) else MaskCrop.of(mask)
+    left, top, right, bottom = crop.box
     # One pixel of margin keeps erosion right at the crop; at the image border
     # there is none, because there the object does not end.
-    x0, y0, x1, y1 = max(x - 1, 0), max(y - 1, 0), min(x + w + 1, width), min(y + h + 1, height)
-    inside = mask[y0:y1, x0:x1]
-    z = depth[y0:y1, x0:x1]
-    in_range = (z > config.near) & (z < config.far)
+    x0, y0, x1, y1 = max(left - 1, 0), max(top - 1, 0), min(right + 1, width), min(bottom + 1, height)
+    inside = np.zeros((y1 - y0, x1 - x0), np.bool_)
+    inside[top - y0 : bottom - y0, left - x0 : right - x0] = crop.mask[
+        top - crop.y : bottom - crop.y, left - crop.x : right - crop.x
+    ]
 
-    # The last outcome that applies, as a rank in DECIDED: arithmetic on bytes is faster than writing where it applies.
+    # The last outcome that applies.
     solid, eroded = _eroded(inside, width, config)
-    reasons = (~solid, edges[y0:y1, x0:x1], ~in_range, z <= 0, ~inside)
-    rank = np.zeros(inside.shape, np.uint8)
-    for k, reason in enumerate(reasons, 1):
-        np.maximum(rank, reason.view(np.uint8) * np.uint8(k), out=rank)
-    codes = cv2.LUT(rank, DECIDED)
+    codes = cv2.LUT(np.maximum(ranks[y0:y1, x0:x1], (~solid).view(np.uint8)), DECIDED)
+    np.multiply(codes, inside.view(np.uint8), out=codes)
 
-    kept = codes == Pixel.KEPT
+    kept = codes == _KEPT
     count, part = cv2.connectedComponents(kept.view(np.uint8), connectivity=4)
     pixels = int(np.count_nonzero(kept))
     if count > 2:
@@ -245,12 +269,13 @@ def clean(
         area[0] = 0
         small = area < config.part * area.max()
         small[0] = False
-        codes[small[part]] = Pixel.SMALL_PART
+        np.putmask(codes, small.take(part), _SMALL_PART)
         pixels -= int(area[small].sum())
 
     fallback = pixels < config.min_pixels
     if fallback:
-        codes[inside & in_range] = Pixel.KEPT
+        z = depth[y0:y1, x0:x1]
+        codes[inside & (z > config.near) & (z < config.far)] = _KEPT
     return PixelEvidence(codes, x0, y0, 0 if fallback else eroded), fallback
 
 
@@ -268,7 +293,7 @@ def _eroded(inside: np.ndarray, width: int, config: LiftConfig) -> tuple[np.ndar
 def lift(
     depth: np.ndarray,
     camera: Camera,
-    masks: Sequence[np.ndarray],
+    masks: Sequence[np.ndarray | MaskCrop],
     viewer: ViewerAxes,
     *,
     config: LiftConfig | None = None,
@@ -283,7 +308,7 @@ def lift(
     ----------
     depth : (H, W) float32
         Metres.
-    masks : sequence of (H, W) bool
+    masks : sequence of (H, W) bool or MaskCrop
     viewer : ViewerAxes
         The level frame for extents and boxes.
     mask_source : MaskSource, or a sequence of it
@@ -323,7 +348,7 @@ def lift(
 def _lifted(
     depth: np.ndarray,
     camera: Camera,
-    masks: Sequence[np.ndarray],
+    masks: Sequence[np.ndarray | MaskCrop],
     viewer: ViewerAxes,
     config: LiftConfig,
     sources: Sequence[MaskSource],
@@ -331,15 +356,16 @@ def _lifted(
     boxes: bool,
     thin: Sequence[bool],
 ) -> tuple[LiftedObject, ...]:
+    ranks = _ranks(depth, edges, config)
     cleaned = [
-        _cleaned(depth, camera, mask, config, source, edges) for mask, source in zip(masks, sources, strict=True)
+        _cleaned(depth, camera, mask, config, source, ranks) for mask, source in zip(masks, sources, strict=True)
     ]
     fits: list[tuple[Box3D | None, float]] = [(None, 0.0)] * len(masks)
     sides: dict[int, tuple[Side, ...]] = {}
     seen = [k for k, (_, _, quality) in enumerate(cleaned) if boxes and quality.points]
     if config.box == "upright":
         evidence = [cleaned[k][1] for k in seen]
-        smooth = [_smooth_points(depth, own, camera, config) for own in evidence]
+        smooth = _smooth_points(depth, evidence, camera, config)
         found = upright_boxes(
             [points for points, _, _ in smooth],
             viewer,
@@ -366,24 +392,22 @@ def _lifted(
 def _cleaned(
     depth: np.ndarray,
     camera: Camera,
-    mask: np.ndarray,
+    mask: np.ndarray | MaskCrop,
     config: LiftConfig,
     mask_source: MaskSource,
-    edges: np.ndarray,
+    ranks: np.ndarray,
 ) -> tuple[np.ndarray, PixelEvidence, Quality]:
     """Points of a mask, thinned, with what became of its pixels."""
-    evidence, fallback = clean(mask, depth, edges, config)
-    places = np.flatnonzero(evidence.codes == Pixel.KEPT)
+    evidence, fallback = _decided(mask, depth, ranks, config)
+    places = np.flatnonzero(evidence.codes == _KEPT)
     kept = len(places)
     if kept > config.max_points:
         places = places[np.linspace(0, kept - 1, config.max_points).astype(np.int64)]
-    v, u = np.divmod(places, evidence.codes.shape[1])
-    v, u = v + evidence.y0, u + evidence.x0
-    points = lift_pixels(depth[v, u], camera, v, u)
+    points = _lifted_places(places, depth, evidence, camera)
 
     codes = evidence.codes
     area = int(np.count_nonzero(codes))
-    missing = int(np.count_nonzero((codes == Pixel.NO_DEPTH) | (codes == Pixel.OUT_OF_RANGE)))
+    missing = int(np.count_nonzero((codes == _NO_DEPTH) | (codes == _OUT_OF_RANGE)))
     h, w = codes.shape
     border = bool(
         (evidence.y0 == 0 and codes[0].any())
@@ -405,35 +429,49 @@ def _cleaned(
 
 
 def _smooth_points(
-    depth: np.ndarray, evidence: PixelEvidence, camera: Camera, config: LiftConfig
-) -> tuple[np.ndarray, float, float]:
-    """Kept points, (N, 3), without the sensor's noise, which lengthens boxes; rim they lack, pixels; noise, metres."""
-    kept = evidence.codes == Pixel.KEPT
-    h, w = kept.shape
-    step = max(1, round(math.sqrt(np.count_nonzero(kept) / config.fit_pixels)))
-    if not kept[::step, ::step].any():
-        step = 1
-    kept = np.ascontiguousarray(kept[::step, ::step])
-    sensed = depth[evidence.y0 : evidence.y0 + h : step, evidence.x0 : evidence.x0 + w : step]
-    x = (np.arange(evidence.x0, evidence.x0 + w, step) - camera.cx) / camera.fx
-    y = (np.arange(evidence.y0, evidence.y0 + h, step) - camera.cy) / camera.fy
-    flat = plane_depth(sensed, kept, x, y, max(1, round(config.smooth * depth.shape[1] / 640)))
-    v, u = np.divmod(np.flatnonzero(kept), kept.shape[1])
-    z = flat[v, u]
-    off = np.abs(sensed[v, u] - z)
-    # What erosion and thinning leave out beyond the outermost points' centres.
-    rim = evidence.eroded + 0.5 + (step - 1) / 2
-    return np.array([x[u] * z, y[v] * z, z]).T, rim, MAD_TO_DEVIATION * median(off)
+    depth: np.ndarray, evidence: Sequence[PixelEvidence], camera: Camera, config: LiftConfig
+) -> list[tuple[np.ndarray, float, float]]:
+    """Kept points of objects, (N, 3), without the sensor's noise, which lengthens boxes; the rim that they lack,
+    pixels; their noise, metres.
+    """
+    patches, rims = [], []
+    for own in evidence:
+        kept = own.codes == _KEPT
+        h, w = kept.shape
+        step = max(1, round(math.sqrt(np.count_nonzero(kept) / config.fit_pixels)))
+        if not kept[::step, ::step].any():
+            step = 1
+        sensed = depth[own.y0 : own.y0 + h : step, own.x0 : own.x0 + w : step]
+        x = (np.arange(own.x0, own.x0 + w, step) - camera.cx) / camera.fx
+        y = (np.arange(own.y0, own.y0 + h, step) - camera.cy) / camera.fy
+        patches.append((sensed, np.ascontiguousarray(kept[::step, ::step]), x, y))
+        # What erosion and thinning leave out beyond the outermost points' centres.
+        rims.append(own.eroded + 0.5 + (step - 1) / 2)
+    found = []
+    planes = plane_depths(patches, max(1, round(config.smooth * depth.shape[1] / 640)))
+    for (sensed, _, x, y), rim, (v, u, z) in zip(patches, rims, planes, strict=True):
+        off = np.abs(sensed[v, u] - z)
+        found.append((np.array([x[u] * z, y[v] * z, z]).T, rim, MAD_TO_DEVIATION * median(off)))
+    return found
 
 
 def _dropped(depth: np.ndarray, evidence: PixelEvidence, camera: Camera) -> tuple[np.ndarray, float]:
     """Points of dropped pixels with a depth, thinned, (N, 3), and how many of them tell of a part of the object."""
-    places = np.flatnonzero(evidence.codes >= Pixel.DEPTH_EDGE)
+    places = np.flatnonzero(evidence.codes >= _DEPTH_EDGE)
     step = 1 + len(places) // DROPPED_POINTS
-    v, u = np.divmod(places[::step], evidence.codes.shape[1])
-    v, u = v + evidence.y0, u + evidence.x0
-    kept = np.count_nonzero(evidence.codes == Pixel.KEPT)
-    return lift_pixels(depth[v, u], camera, v, u), max(PART_PIXELS, PART_SHARE * kept) / step
+    kept = np.count_nonzero(evidence.codes == _KEPT)
+    return _lifted_places(places[::step], depth, evidence, camera), max(PART_PIXELS, PART_SHARE * kept) / step
+
+
+def _lifted_places(places: np.ndarray, depth: np.ndarray, evidence: PixelEvidence, camera: Camera) -> np.ndarray:
+    """Points, (N, 3), of places, (N,), in the evidence's rectangle, row by row."""
+    # `divmod` is several times as slow.
+    x0, y0, wide = (np.int32(k) for k in (evidence.x0, evidence.y0, evidence.codes.shape[1]))
+    places = places.astype(np.int32)
+    v = places // wide
+    u = places - v * wide + x0
+    v += y0
+    return lift_pixels(depth.take(v * np.int32(depth.shape[1]) + u), camera, v, u)
 
 
 def fit_box(points: np.ndarray, viewer: ViewerAxes, mode: BoxMode = "gravity") -> tuple[Box3D | None, float]:

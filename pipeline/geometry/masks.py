@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import cv2
 import numpy as np
@@ -23,7 +24,7 @@ _LONGEST = 7
 class RunLength:
     """A mask in COCO's run-length code."""
 
-    __pydantic_config__: ClassVar = {"extra": "forbid"}
+    __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
 
     size: tuple[int, int]  # Height and width, pixels
     counts: str | tuple[int, ...]  # Compressed, or the lengths themselves
@@ -120,11 +121,51 @@ def encode_run_length(mask: np.ndarray) -> str:
     >>> code, decode_run_length((2, 2), code).tolist()
     ('22', [[False, True], [False, True]])
     """
-    from pycocotools import mask as coco
+    return encode_crops(mask.shape, [MaskCrop.of(mask)])[0]
 
-    # The code runs down columns; OpenCV transposes several times faster than a strided copy.
-    code: Any = coco.encode(cv2.transpose(mask.view(np.uint8)).T)
-    return code["counts"].decode("ascii")
+
+def encode_crops(size: Sequence[int], crops: Sequence[MaskCrop]) -> list[str]:
+    """Encode masks of a picture of (height, width) as `encode_run_length` does, from their crops alone."""
+    runs = [_runs(size, crop) for crop in crops]
+    counts = np.concatenate([np.zeros(0, np.int64), *runs])
+    ends = np.cumsum([len(own) for own in runs], dtype=np.int64)
+    starts = np.concatenate([[0], ends])[:-1]
+    first = np.repeat(starts, ends - starts)
+    # From the fourth on, a number is the difference to the one two places before.
+    at = np.flatnonzero(np.arange(len(counts)) - first > 2)
+    numbers = counts.copy()
+    numbers[at] -= counts[at - 2]
+    # As many characters of five bits as hold the number and its sign.
+    digits = 1 + (np.where(numbers < 0, ~numbers, numbers)[:, None] >> _SIGN_BITS > 0).sum(axis=1)
+    code = (numbers[:, None] >> _DIGIT_BITS) & 31
+    code += 48 + 32 * (np.arange(_LONGEST) < digits[:, None] - 1)
+    text = code[np.arange(_LONGEST) < digits[:, None]].astype(np.uint8).tobytes().decode("ascii")
+    cuts = np.concatenate([[0], np.cumsum(digits)])
+    return [text[start:end] for start, end in zip(cuts[starts].tolist(), cuts[ends].tolist(), strict=True)]
+
+
+_DIGIT_BITS = 5 * np.arange(_LONGEST)
+_SIGN_BITS = 5 * np.arange(1, _LONGEST) - 1
+
+
+def _runs(size: Sequence[int], crop: MaskCrop) -> np.ndarray:
+    """Lengths of the runs of a mask, (M,) int64, column by column, from zeros to ones and back."""
+    height, pixels = int(size[0]), int(size[0]) * int(size[1])
+    h, w = crop.mask.shape
+    # Columns one after the other, each with a zero behind it, so that its runs end with it.
+    flat = np.zeros(1 + w * (h + 1), np.bool_)
+    flat[1:].reshape(w, h + 1)[:, :h] = crop.mask.T
+    edges = np.flatnonzero(flat[1:] != flat[:-1])
+    column = edges // (h + 1)
+    # `h + 1` places a column here, `height` there.
+    edges += column * (height - h - 1) + (crop.x * height + crop.y)
+    if h == height:
+        # A run goes on where the next column begins.
+        ends, starts = edges[1:-1:2], edges[2::2]
+        edges = np.delete(edges, 1 + 2 * np.flatnonzero(ends == starts)[:, None] + [0, 1])
+    runs = np.diff(edges, prepend=0, append=pixels)
+    # A mask that ends with ones has no run of zeros behind them.
+    return runs if runs[-1] or not len(edges) else runs[:-1]
 
 
 @dataclass(frozen=True)
@@ -134,6 +175,12 @@ class MaskCrop:
     x: int  # Upper left pixel in the picture
     y: int
     mask: np.ndarray  # (h, w) bool
+
+    @staticmethod
+    def of(mask: np.ndarray) -> MaskCrop:
+        """Cut the non-empty part out of a mask, (H, W) bool; a view."""
+        x0, y0, x1, y1 = mask_box(mask)
+        return MaskCrop(x0, y0, mask[y0:y1, x0:x1])
 
     @property
     def box(self) -> tuple[int, int, int, int]:
@@ -160,8 +207,86 @@ class MaskCrop:
 
 def mask_box(mask: np.ndarray) -> tuple[int, int, int, int]:
     """Box of a mask, (H, W) bool: x0, y0, x1, y1, exclusive right and bottom edges; zeros for an empty mask."""
-    x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
-    return x, y, x + w, y + h
+    if not mask.size:
+        return 0, 0, 0, 0
+    first = int(mask.argmax()) // mask.shape[1]
+    x, y, w, h = cv2.boundingRect(mask[first:].view(np.uint8))
+    return (x, first + y, x + w, first + y + h) if w else (0, 0, 0, 0)
+
+
+@dataclass(frozen=True, eq=False)
+class PictureMask:
+    """A mask of a picture, held by its crop."""
+
+    size: tuple[int, int]  # Height and width, pixels
+    crop: MaskCrop
+
+    @staticmethod
+    def of(mask: np.ndarray) -> PictureMask:
+        """Hold a mask, (H, W) bool."""
+        found = PictureMask((int(mask.shape[0]), int(mask.shape[1])), MaskCrop.of(mask))
+        found.__dict__["whole"] = mask
+        return found
+
+    @cached_property
+    def whole(self) -> np.ndarray:
+        """Mask of the whole picture, (H, W) bool, painted when it is first asked for."""
+        return self.crop.of_picture(self.size)
+
+
+Holder = TypeVar("Holder")
+
+
+class LazyMask:
+    """Attribute `mask` of what holds a `PictureMask` instead: most masks are never looked at as a whole."""
+
+    def __get__(self, holder: Any, _: type | None = None) -> Any:
+        if holder is None:
+            return None
+        mask = holder.__dict__["mask"] = holder.__dict__["_held"].whole
+        return mask
+
+    @staticmethod
+    def of(holder: object) -> PictureMask | None:
+        """What an object holds instead of its mask, if it does."""
+        return holder.__dict__.get("_held")
+
+    @staticmethod
+    def held_by(holder: Holder, mask: PictureMask) -> Holder:
+        """Let a new object with a `LazyMask` hold a mask by its crop."""
+        holder.__dict__.pop("mask")
+        holder.__dict__["_held"] = mask
+        return holder
+
+
+class MaskStack:
+    """(N, H, W) bool masks of a picture of `size`, held by their crops.
+
+    It stands where one array of all would be a copy that nobody reads: masks are taken from it as from an array.
+    """
+
+    dtype, ndim = np.dtype(np.bool_), 3
+
+    def __init__(self, size: tuple[int, int], masks: Sequence[PictureMask]) -> None:
+        self.shape = len(masks), *size
+        self.masks = masks
+
+    def __len__(self) -> int:
+        return len(self.masks)
+
+    def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, (int, np.integer)):
+            return self.masks[int(index)].whole
+        if isinstance(index, np.ndarray) and index.ndim == 1:
+            return MaskStack(self.shape[1:], [self.masks[k] for k in np.arange(len(self))[index].tolist()])
+        return self.copy()[index]
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        return self.copy() if dtype is None else self.copy().astype(dtype)
+
+    def copy(self) -> np.ndarray:
+        """One array of all."""
+        return np.array([mask.whole for mask in self.masks], np.bool_).reshape(self.shape)
 
 
 def outlines(mask: np.ndarray) -> list[np.ndarray]:

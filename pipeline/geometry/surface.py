@@ -9,7 +9,7 @@ A frame's surface is looked at in blocks of pixels: as much as its large planes 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -68,7 +68,8 @@ def surface_normals(
     x = (np.arange(depth.shape[1]) - camera.cx) / camera.fx
     y = (np.arange(depth.shape[0]) - camera.cy) / camera.fy
     side = 2 * radius + 1
-    count, *plane, explained = _planes(depth, has, x, y, side, np.float64)
+    sums = _plane_sums(depth, has, x, y, side, np.float64)[:, : len(depth)]
+    count, (*plane, explained) = sums[0], _planes(sums)
     plane = np.stack(plane, axis=-1)
     inverse = np.divide(1.0, depth, out=np.zeros(depth.shape, np.float64), where=has)
     spread = _sum(inverse * inverse, side) / np.maximum(count, 1)
@@ -100,21 +101,47 @@ def plane_depth(depth: np.ndarray, has: np.ndarray, x: np.ndarray, y: np.ndarray
         The depth itself where the window holds fewer than MIN_PIXELS pixels, where the plane is off by more than
         MOST_OFF, and where `has` is False.
     """
-    # About the middle, where single precision suffices.
-    x, y = (x - x[len(x) // 2]).astype(np.float32), (y - y[len(y) // 2]).astype(np.float32)
-    count, a, b, c, _ = _planes(depth, has, x, y, 2 * radius + 1, np.float32)
-    inverse = a * x + b * y[:, None] + c
-    fitted = has & (count >= MIN_PIXELS) & (inverse > 0)
-    plane = np.divide(1, inverse, out=depth.copy(), where=fitted)
-    return np.where(np.abs(plane - depth) < MOST_OFF * depth, plane, depth)
+    ((v, u, z),) = plane_depths([(depth, has, x, y)], radius)
+    smooth = depth.copy()
+    smooth[v, u] = z
+    return smooth
 
 
-def _planes(
+Patch = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""`depth`, `has`, `x` and `y` of `plane_depth`."""
+
+
+def plane_depths(patches: Sequence[Patch], radius: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Depths of `plane_depth` where there are any, of several patches: rows, columns, and (N,) float32 metres."""
+    if not patches:
+        return []
+    rows, columns, sums, at_x, at_y, depths = [], [], [], [], [], []
+    for depth, has, x, y in patches:
+        # About the middle, where single precision suffices.
+        x, y = (x - x[len(x) // 2]).astype(np.float32), (y - y[len(y) // 2]).astype(np.float32)
+        places = np.flatnonzero(has)
+        v = places // has.shape[1]
+        u = places - v * has.shape[1]
+        rows.append(v)
+        columns.append(u)
+        sums.append(_plane_sums(depth, has, x, y, 2 * radius + 1, np.float32).reshape(9, -1).take(places, axis=1))
+        at_x.append(x[u])
+        at_y.append(y[v])
+        depths.append(depth[v, u])
+    own, z = np.concatenate(sums, axis=1), np.concatenate(depths)
+    a, b, c, _ = _planes(own)
+    inverse = a * np.concatenate(at_x) + b * np.concatenate(at_y) + c
+    plane = np.divide(1, inverse, out=z.copy(), where=(own[0] >= MIN_PIXELS) & (inverse > 0))
+    smooth = np.where(np.abs(plane - z) < MOST_OFF * z, plane, z)
+    return list(zip(rows, columns, np.split(smooth, np.cumsum([len(d) for d in depths])[:-1]), strict=True))
+
+
+def _plane_sums(
     depth: np.ndarray, has: np.ndarray, x: np.ndarray, y: np.ndarray, side: int, dtype: type[np.floating[Any]]
-) -> tuple[np.ndarray, ...]:
-    """Planes 1/z = a x + b y + c around each pixel: pixels used, a, b, c, and mean square explained, each (H, W).
+) -> np.ndarray:
+    """Sums around each pixel that its plane is made of, (9, H + side // 2, W); the last rows are none of a pixel.
 
-    With x = X/Z and y = Y/Z that is the plane a X + b Y + c Z = 1.
+    In the order of the images below; the first counts pixels.
     """
     height, width = depth.shape
     # One filter for all: images one above the other, apart by more than its reach.
@@ -126,17 +153,24 @@ def _planes(
     np.divide(images[0], np.maximum(depth, dtype(1e-6)), out=images[3])
     np.multiply(images[1], images[1:4], out=images[4:7])
     np.multiply(images[2], images[2:4], out=images[7:9])
-    sums = _sum(apart.reshape(-1, width), side).reshape(apart.shape)[:, :height]
+    return _sum(apart.reshape(-1, width), side).reshape(apart.shape)
+
+
+def _planes(sums: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Planes 1/z = a x + b y + c of sums (9, ...): a, b, c, and mean square explained.
+
+    With x = X/Z and y = Y/Z that is the plane a X + b Y + c Z = 1.
+    """
     mx, my, mq, xx, xy, xq, yy, yq = sums[1:] * (1 / np.maximum(sums[0], 1))
     xx -= mx * mx
     xy -= mx * my
     xq -= mx * mq
     yy -= my * my
     yq -= my * mq
-    determinant = np.maximum(xx * yy - xy * xy, dtype(1e-18))
+    determinant = np.maximum(xx * yy - xy * xy, sums.dtype.type(1e-18))
     a = (xq * yy - yq * xy) / determinant
     b = (yq * xx - xq * xy) / determinant
-    return sums[0], a, b, mq - a * mx - b * my, mq * mq + a * xq + b * yq
+    return a, b, mq - a * mx - b * my, mq * mq + a * xq + b * yq
 
 
 def _sum(values: np.ndarray, side: int) -> np.ndarray:

@@ -24,7 +24,6 @@ from pipeline.labels.labelling import FrameLabels, broken_frame, label_objects
 from pipeline.labels.merge import merge_labels
 from pipeline.labels.plan import (
     BY_CONTENT,
-    PLAN_FILE,
     LabelConfig,
     Plan,
     Shard,
@@ -40,7 +39,7 @@ from pipeline.labels.reading import PART_TABLES, SENTENCES, Labels, arrow_schema
 from pipeline.labels.schema import Manifest
 from pipeline.labels.selection import SelectConfig
 from pipeline.labels.sentence_maker import make_sentences, sentence_rows
-from pipeline.labels.store import LabelStore
+from pipeline.labels.store import PLAN_FILE, LabelStore
 from pipeline.proposals.base import Proposals
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.arrow import pa

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -12,10 +13,11 @@ import xxhash
 
 from pipeline.answering.objects import PreparedFrame, SceneObject, appearance_of
 from pipeline.datasets import GivenExpression
-from pipeline.geometry.fitting import pca_box
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.fitting import pca_boxes
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.lifting import LiftedObject, Pixel, PixelEvidence
-from pipeline.geometry.masks import encode_run_length
+from pipeline.geometry.masks import encode_crops
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.plan import LabelConfig
 from pipeline.labels.profiles import GIVEN, JudgedPairs, as_given, doubted
@@ -24,6 +26,7 @@ from pipeline.language.noun_phrase import same_names
 from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import T, U
+from pipeline.system.arrow import Repeated, pa
 
 if TYPE_CHECKING:
     from pipeline.labels.reading import Columns
@@ -76,9 +79,16 @@ def label_objects(
     if numbers is None:
         numbers = [o.id if exact else k for k, o in enumerate(objects)]
     known = {a.index: a for a in frame.annotations} if exact else {}
+    boxed = [k for k, o in enumerate(objects) if len(o.lifted.points)]
+    pca = dict(zip(boxed, pca_boxes([objects[k].lifted.points for k in boxed]), strict=True))
+    masks = encode_crops((frame.height, frame.width), [o.held.crop for o in objects])
     rows = [
-        _object_row(o, number, known.get(number), frame, frame_index, context.viewer, config)
-        for o, number in zip(objects, numbers, strict=True)
+        {
+            **_object_row(o, number, known.get(number), frame, frame_index, context.viewer, config),
+            **_pca_columns(pca.get(k)),
+            "mask": mask,
+        }
+        for k, (o, number, mask) in enumerate(zip(objects, numbers, masks, strict=True))
     ]
     related = [k for k, o in enumerate(objects) if not config.is_background(o.label)]
     judged = judge_list(context, [objects[k] for k in related], config, network)
@@ -150,7 +160,7 @@ def judge_objects(lifted: Sequence[LiftedObject], viewer: ViewerAxes, config: La
 
 def centroid(lifted: LiftedObject, viewer: ViewerAxes) -> np.ndarray:
     """(3,) mean of an object's points along (right, up, forward), metres."""
-    return viewer.matrix @ lifted.points.mean(axis=0, dtype=np.float64)
+    return viewer.matrix @ lifted.mean
 
 
 def _frame_rows(frame: Frame, frame_index: int, scene: str, objects: int, doubt: str) -> Columns:
@@ -189,7 +199,6 @@ def _object_row(
     box, known = lifted.box, bool(np.isfinite(lifted.lo).all())
     exact = annotation.box if annotation is not None else None
     centre = centroid(lifted, viewer) if len(lifted.points) else None
-    pca = pca_box(lifted.points)[0] if len(lifted.points) else None
     reason = unusable(config, entry.label, quality.mask_pixels, quality.points, quality.fallback)
     return {
         "frame": frame.id,
@@ -199,7 +208,6 @@ def _object_row(
         "score": entry.score,
         "instance": getattr(annotation, "instance", None),
         "bbox": [float(x) for x in entry.bbox],
-        "mask": encode_run_length(entry.mask),
         "mask_source": quality.mask_source,
         "mask_pixels": quality.mask_pixels,
         "points": quality.points,
@@ -214,9 +222,6 @@ def _object_row(
         "yaw_confidence": float(np.clip(lifted.yaw_confidence, 0, 1)),
         "estimator": config.lift.box,
         "open_sides": None if lifted.open_sides is None else list(lifted.open_sides),
-        "pca_center": None if pca is None else pca.center.tolist(),
-        "pca_R": None if pca is None else pca.R.ravel().tolist(),
-        "pca_size": None if pca is None else pca.size.tolist(),
         "lo": lifted.lo.tolist() if known else None,
         "hi": lifted.hi.tolist() if known else None,
         "centroid": None if centre is None else centre.tolist(),
@@ -227,6 +232,15 @@ def _object_row(
         "occluded": 0.0 if lifted.evidence is None else occluded_share(lifted.evidence, frame.depth),
         "usable": reason is None,
         "reason": reason,
+    }
+
+
+def _pca_columns(fit: tuple[Box3D, float] | None) -> dict[str, Any]:
+    box = None if fit is None else fit[0]
+    return {
+        "pca_center": None if box is None else box.center.tolist(),
+        "pca_R": None if box is None else box.R.ravel().tolist(),
+        "pca_size": None if box is None else box.size.tolist(),
     }
 
 
@@ -251,11 +265,11 @@ def _relation_columns(
     a, b = (order[k] for k in np.nonzero(~np.eye(len(ids), dtype=np.bool_)))
     distance = judged.distance[a, b].astype(np.float32)
     columns: Columns = {
-        "frame": [frame] * len(a),
+        "frame": Repeated([frame], np.zeros(len(a), np.int32)),
         "frame_index": np.full(len(a), frame_index, np.int32),
         "a": number[a],
         "b": number[b],
-        "distance": [None if np.isnan(d) else d for d in distance.tolist()],
+        "distance": distance,
         "doubted": np.zeros(len(a), np.int32) if judged.doubted is None else judged.doubted[a, b],
     }
     for relation in config.relations:
@@ -287,13 +301,11 @@ def occluded_share(evidence: PixelEvidence, depth: np.ndarray) -> float:
     inside = (evidence.codes != Pixel.OUTSIDE).view(np.uint8)
     mask = cv2.copyMakeBorder(inside, top, bottom, left, right, cv2.BORDER_CONSTANT, value=0)
     z = depth[evidence.y0 - top : evidence.y0 + h + bottom, evidence.x0 - left : evidence.x0 + w + right]
-    kernel = np.ones((2 * REACH + 1, 2 * REACH + 1), np.uint8)
-    ring = (cv2.dilate(mask, kernel) > 0) & (mask == 0) & (z > 0)
-    own = np.where(mask > 0, z, 0).astype(np.float32)
-    nearest = cv2.dilate(own, kernel)
-    ring &= nearest > 0
-    total = int(ring.sum())
-    return float((z[ring] < nearest[ring] - NEARER_M).sum() / total) if total else 0.0
+    # The farthest depth of the mask in reach: 0 where there is none.
+    farthest = cv2.dilate(mask * z, np.ones((2 * REACH + 1, 2 * REACH + 1), np.uint8))
+    ring = (farthest > 0) & (z > 0) & (mask == 0)
+    total = np.count_nonzero(ring)
+    return np.count_nonzero(ring & (z < farthest - np.float32(NEARER_M))) / total if total else 0.0
 
 
 def row_hash(seed: int, *parts: object) -> int:
@@ -322,58 +334,48 @@ def candidate_expressions(
     if len(ids) < 2:
         return {}
     same = same_names(labels)
-    kinds = same.astype(np.int32)
-    kind, rivals = same.argmax(axis=1), same.sum(axis=1)
+    kind = same.argmax(axis=1)
     asked = usable & np.array([can_be_worded(label) for label in labels], np.bool_)
-    number = np.asarray(ids)
-    found: dict[str, list[Any]] = {name: [] for name in _OWN_COLUMNS}
-    for relation in config.relations:
-        k = PAIRWISE.index(relation)
-        state = np.where(np.eye(len(ids), dtype=np.bool_), -1, judged.states[..., k])
-        # satisfied[a, b]: object a has the relation to some object of b's class.
-        sure = (state == T).astype(np.int32) @ kinds > 0
-        likely = (state >= U).astype(np.int32) @ kinds > 0
-        targets, references = np.nonzero((state == T) & asked[:, None] & asked[None, :])
-        answers: dict[tuple[int, int], tuple[list[int], list[int]]] = {}
-        for a, b in zip(targets.tolist(), references.tolist(), strict=True):
-            question = int(kind[a]), int(kind[b])
-            if question not in answers:
-                answers[question] = number[same[a] & sure[:, b]].tolist(), number[same[a] & likely[:, b]].tolist()
-            strict, acceptable = answers[question]
-            found["id"].append(f"{row_hash(config.seed, frame, ids[a], relation, ids[b]):016x}")
-            found["target"].append(labels[a])
-            found["reference"].append(labels[b])
-            found["targets"].append(strict)
-            found["acceptable"].append(acceptable)
-            found["ambiguous"].append(len(acceptable) > 1)
-            found["same_class"].append(int(rivals[a]))
-        found["relation"] += [relation] * len(targets)
-        found["target_object"] += number[targets].tolist()
-        found["reference_object"] += number[references].tolist()
-        found["margin"] += judged.margins[targets, references, k].tolist()
-    n = len(found["id"])
+    apart = ~np.eye(len(ids), dtype=np.bool_)
+    relations = [PAIRWISE.index(relation) for relation in config.relations]
+    states = np.moveaxis(judged.states[..., relations], -1, 0)
+    relation, a, b = np.nonzero((states == T) & apart & asked[:, None] & asked)
+    n = len(relation)
     if not n:
         return {}
-    shared = {
-        "frame": frame,
-        "frame_index": frame_index,
-        "judged_in": "viewer",
-        "up_source": up_source,
-        "profile": config.profile,
+    # Rows of one relation and two classes ask the same, and have the same answers.
+    question = (relation * len(ids) + kind[a]) * len(ids) + kind[b]
+    _, first, row = np.unique(question, return_index=True, return_inverse=True)
+    _, column, of_name = np.unique(labels, return_index=True, return_inverse=True)
+    alike = same[:, column].astype(np.float32)
+    numbers, answers, several = np.asarray(ids, np.int32), {}, np.zeros(0, np.bool_)
+    for name, holds in (("targets", states == T), ("acceptable", states >= U)):
+        # satisfied[r, a, c]: object a has the relation to some object of the class c.
+        satisfied = (holds & apart).astype(np.float32) @ alike > 0
+        which = same[a[first]] & satisfied[relation[first], :, of_name[b[first]]]
+        counts = which.sum(axis=1)
+        ends = np.cumsum(counts, dtype=np.int32)
+        lists = pa.ListArray.from_arrays(np.concatenate([np.zeros(1, np.int32), ends]), numbers[np.nonzero(which)[1]])
+        answers[name], several = Repeated(lists, row), counts[row] > 1
+    said, written = config.relations, [str(number) for number in ids]
+    every = np.zeros(n, np.int32)
+    hashed = partial(xxhash.xxh3_64_hexdigest, seed=config.seed & (2**64 - 1))
+    keys = zip(a.tolist(), relation.tolist(), b.tolist(), strict=True)
+    return {
+        # `row_hash`, in hexadecimal digits.
+        "id": [hashed(f"{frame}\x1f{written[i]}\x1f{said[r]}\x1f{written[j]}".encode()) for i, r, j in keys],
+        "frame": Repeated([frame], every),
+        "frame_index": np.full(n, frame_index),
+        "target": Repeated(labels, a),
+        "relation": Repeated(said, relation),
+        "reference": Repeated(labels, b),
+        "target_object": numbers[a],
+        "reference_object": numbers[b],
+        **answers,
+        "ambiguous": several,
+        "margin": judged.margins[a, b, np.array(relations)[relation]],
+        "same_class": same.sum(axis=1)[a],
+        "judged_in": Repeated(["viewer"], every),
+        "up_source": Repeated([up_source], every),
+        "profile": Repeated([config.profile], every),
     }
-    return {**{name: [value] * n for name, value in shared.items()}, **found}
-
-
-_OWN_COLUMNS = (
-    "id",
-    "target",
-    "relation",
-    "reference",
-    "target_object",
-    "reference_object",
-    "targets",
-    "acceptable",
-    "ambiguous",
-    "margin",
-    "same_class",
-)

@@ -7,6 +7,7 @@ import json
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -310,6 +311,11 @@ BACKGROUND = (
 """Classes that surround the others: nobody stands left of the floor."""
 
 
+@lru_cache(maxsize=8)
+def _normal_forms(names: tuple[str, ...]) -> frozenset[str]:
+    return frozenset(map(normal_form, names))
+
+
 @dataclass(frozen=True)
 class LabelConfig:
     """How a frame is labelled. Everything here changes the labels, and so their hash."""
@@ -364,7 +370,7 @@ class LabelConfig:
         return tuple(r for r in PAIRWISE if r in wanted and r in self.rules.relations)
 
     def is_background(self, label: str) -> bool:
-        return normal_form(label) in {normal_form(b) for b in self.background}
+        return normal_form(label) in _normal_forms(self.background)
 
     @property
     def settings(self) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from pipeline.datasets import Dataset, open_dataset
 from pipeline.datasets.demo import DEMO_NAME, demo_path
 from pipeline.labels.schema import ADDED_COLUMNS, SCHEMA_VERSION, TABLES, Manifest
 from pipeline.language.relation_names import PAIRWISE
-from pipeline.system.arrow import pa, pc, pq, typed
+from pipeline.system.arrow import Repeated, pa, pc, pq, typed
 from pipeline.system.errors import InputError, Shown, as_input_error, first_line, needed, require
 from pipeline.system.reading import checked
 from pipeline.system.remote import local_path, named_before, url_of
@@ -85,7 +85,11 @@ def build_table(table: str, columns: Columns) -> pa.Table:
     length = len(next(iter(columns.values()))) if columns else 0
     values = (columns.get(name) for name in schema.names)
     arrays = [
-        pa.nulls(length, of) if v is None else pa.array(v, of, from_pandas=isinstance(v, np.ndarray))
+        pa.nulls(length, of)
+        if v is None
+        else v.array(of)
+        if isinstance(v, Repeated)
+        else pa.array(v, of, from_pandas=isinstance(v, np.ndarray))
         for v, of in zip(values, schema.types, strict=True)
     ]
     return pa.Table.from_arrays(arrays, schema=schema)

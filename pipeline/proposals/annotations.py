@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.geometry.frame import Frame
+from pipeline.geometry.masks import MaskStack, PictureMask
 from pipeline.language.naming import Synonyms, match
 from pipeline.proposals.base import Proposals, no_proposals
 from pipeline.proposals.class_names import meant_names
@@ -53,15 +54,16 @@ class AnnotationDetector:
         if not found:
             return no_proposals(frame.height, frame.width)
         names = tuple(dict.fromkeys(a.label for a in found))
-        masks = [box_mask(a.bbox, frame.height, frame.width) if a.mask is None else a.mask for a in found]
+        size = frame.height, frame.width
+        masks = [a.held or PictureMask.of(box_mask(a.bbox, *size)) for a in found]
         return Proposals(
             np.stack([a.bbox for a in found]).astype(np.float32),
             np.ones(len(found), np.float32),
             np.array([names.index(a.label) for a in found], np.int64),
             names,
-            np.stack(masks),
+            MaskStack(size, masks),
             np.array([a.index for a in found], np.int64),
-            np.array([a.mask is not None for a in found]),
+            np.array([a.held is not None for a in found]),
         )
 
 

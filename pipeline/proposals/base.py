@@ -10,6 +10,7 @@ import numpy as np
 
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Frame
+from pipeline.geometry.masks import MaskStack
 from pipeline.language.naming import suggest
 from pipeline.system.errors import InputError, UnknownClass, listed, require
 
@@ -29,7 +30,7 @@ class Proposals:
     labels : tuple of str
         The names the detector gives; these may be more exact than what was asked for ("cracker box" for "box").
     masks : (N, H, W) bool or None
-        None where the detector gives boxes only.
+        None where the detector gives boxes only. A `MaskStack` stands for an array of all.
     ids : (N,) int64
         The detector's own identity of each detection: the same number in two runs means the same detection. For
         `annotations` it is the annotation's index.
@@ -52,7 +53,7 @@ class Proposals:
     scores: np.ndarray
     label_index: np.ndarray
     labels: tuple[str, ...]
-    masks: np.ndarray | None
+    masks: np.ndarray | MaskStack | None
     ids: np.ndarray
     has_mask: np.ndarray | None = None
     segmented: np.ndarray | None = None

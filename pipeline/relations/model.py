@@ -34,6 +34,8 @@ from pipeline.system.errors import InputError, require
 from pipeline.system.onnx_session import metadata, open_session, run_limited, signature
 from pipeline.system.whole_files import file_with_companions
 
+BLOCK = 1024
+"""Pairs that a network is given together: with more, what lies between its layers leaves the processor's cache."""
 _NAMED = 8
 
 
@@ -222,11 +224,14 @@ class OnnxScorer:
         shape = (*rows.shape[:-1], rows.shape[-2], len(vocabulary))
         if 0 in shape:
             return np.zeros(shape)
-        features = (self.features.pair(rows) - self.contract.mean) / self.contract.std
-        flat = features.reshape(-1, features.shape[-1]).astype(np.float32)
-        (found,) = run_limited(self._session, None, {self._input: flat}, self.path)
+        features = self.features.pair(rows).reshape(-1, self.features.dimension)
+        found = np.concatenate([self._run(part) for part in np.array_split(features, -(-len(features) // BLOCK))])
         mirrored = antisymmetric if self.contract.output == "sigmoid" else antisymmetric_log_softmax
         return mirrored(found.astype(np.float64).reshape(shape), vocabulary)
+
+    def _run(self, features: np.ndarray) -> np.ndarray:
+        flat = ((features - self.contract.mean) / self.contract.std).astype(np.float32)
+        return run_limited(self._session, None, {self._input: flat}, self.path)[0]
 
     def probabilities(self, rows: np.ndarray) -> np.ndarray:
         """(N, N, R) calibrated probabilities; 0.5 where either object is not known (NaN).

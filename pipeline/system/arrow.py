@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from pipeline.system.errors import as_input_error, require
 
@@ -26,6 +30,26 @@ if TYPE_CHECKING:
     import pyarrow.parquet as pq
 else:
     pa, pc, pj, pq = (LazyModule(f"pyarrow{part}") for part in ("", ".compute", ".json", ".parquet"))
+
+
+@dataclass(frozen=True)
+class Repeated(Sequence[Any]):
+    """A column of few different values."""
+
+    values: Any  # A sequence or an Arrow array
+    places: np.ndarray  # (N,) int: place of each row's value
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+    def __getitem__(self, row: Any) -> Any:
+        value = self.values[int(self.places[row])]
+        return value.as_py() if hasattr(value, "as_py") else value
+
+    def array(self, kind: Any) -> Any:
+        """Arrow array of a type."""
+        values = self.values.cast(kind) if hasattr(self.values, "cast") else pa.array(self.values, kind)
+        return values.take(pa.array(self.places))
 
 
 def typed(rows: pa.Table, schema: pa.Schema, what: str, path: Any) -> pa.Table:

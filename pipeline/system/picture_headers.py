@@ -19,6 +19,9 @@ _PLUGINS = {
     **{b"P%d" % kind: "Ppm" for kind in range(1, 7)},
 }
 """Pillow's readers by the first bytes."""
+_PLAIN_PNG = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
+_PLAIN_KINDS = {bytes([depth, 0, 0, 0, 0]) for depth in (1, 8, 16)}
+"""Grey PNGs without a word between header and pixels, of which datasets have dozens a frame, need no reader."""
 _TIFF_SIZE = {256: 0, 257: 1}
 """Tags ImageWidth and ImageLength (TIFF 6.0, section 3)."""
 
@@ -26,6 +29,9 @@ _TIFF_SIZE = {256: 0, 257: 1}
 def header_size(data: bytes) -> tuple[int, int] | None:
     """(width, height) of an encoded picture: PNG, JPEG, WebP, BMP, PNM, TIFF, OpenEXR; None without a sound header."""
     try:
+        if data.startswith(_PLAIN_PNG) and data[24:29] in _PLAIN_KINDS and data[37:41] == b"IDAT":
+            width, height = struct.unpack_from(">2I", data, 16)
+            return (width, height) if width and height else None
         if data[:4] in (b"II*\0", b"MM\0*"):
             return _tiff(data)
         if data[:4] == b"\x76\x2f\x31\x01":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import sys
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -25,6 +26,7 @@ from pipeline.datasets import (
     read_color,
 )
 from pipeline.datasets.images import read_depth, read_mask
+from pipeline.datasets.png_masks import mask_of_png
 from pipeline.system import InputError
 
 # Files that are not what they should be
@@ -198,6 +200,50 @@ def test_sixteen_bit_and_coloured_masks_keep_every_pixel(tmp_path: Path) -> None
     bgra[3, 4, 2] = 1
     assert cv2.imwrite(str(tmp_path / "1.png"), bgra)
     assert np.array_equal(read_mask(tmp_path / "1.png"), mask > 0)
+
+
+def png_of(rows: np.ndarray, width: int, depth: int, filters: int) -> bytes:
+    """Grey PNG of rows of bytes, all filtered by one of none, sub and up."""
+    if filters == 1:
+        rows = np.diff(rows, axis=1, prepend=np.uint8(0))
+    elif filters == 2:
+        rows = np.diff(rows, axis=0, prepend=np.zeros_like(rows[:1]))
+    raw = np.concatenate([np.full((len(rows), 1), filters, np.uint8), rows.astype(np.uint8)], axis=1).tobytes()
+    header = struct.pack(">2I5B", width, len(rows), depth, 0, 0, 0, 0)
+    parts = ((b"IHDR", header), (b"IDAT", zlib.compress(raw)), (b"IEND", b""))
+    chunks = (struct.pack(">I", len(d)) + k + d + struct.pack(">I", zlib.crc32(k + d)) for k, d in parts)
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0, 1, 2]), st.sampled_from([1, 8]))
+def test_a_mask_is_read_as_opencv_decodes_it(seed: int, filters: int, depth: int) -> None:
+    rng = np.random.default_rng(seed)
+    height, width = (int(k) for k in rng.integers(1, 40, 2))
+    mask = np.zeros((height, width), np.bool_)
+    top, left = rng.integers(0, [height, width])
+    mask[top : top + rng.integers(0, 20), left : left + rng.integers(0, 20)] = True
+    mask &= rng.random(mask.shape) < rng.choice([0.5, 1.0])
+    rows = np.packbits(mask, axis=1) if depth == 1 else mask.astype(np.uint8) * np.uint8(200)
+    data = png_of(rows, width, depth, filters)
+    found = mask_of_png(data)
+    assert found is not None
+    assert found.size == (height, width)
+    np.testing.assert_array_equal(found.whole, mask)
+    np.testing.assert_array_equal(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) > 0, mask)
+
+
+def test_a_mask_of_more_or_fewer_rows_than_it_says_is_left_to_the_decoder() -> None:
+    rows = np.ones((6, 9), np.uint8)
+    data = png_of(rows, 9, 8, 0)
+    assert mask_of_png(data) is not None
+    for height in (5, 7, 0, 2**31 - 1):
+        header = struct.pack(">2I5B", 9, height, 8, 0, 0, 0, 0)
+        sized = data[:16] + header + struct.pack(">I", zlib.crc32(b"IHDR" + header)) + data[33:]
+        assert mask_of_png(sized) is None
+    palette = data[:25] + b"\x03" + data[26:]
+    assert mask_of_png(palette) is None
+    assert mask_of_png(data[:20]) is None
 
 
 def test_colour_and_depth_of_different_sizes_are_refused(tmp_path: Path) -> None:
