@@ -1,0 +1,62 @@
+"""Figures that single documents tell: names, frames, the doctor, attributes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from time import process_time
+
+from pipeline.bench.clock import Figure, Setup, least, side_by_side
+from pipeline.bench.worlds import crowded_frame, decode, demo_frames, pictures
+from pipeline.datasets.demo import demo_path
+from pipeline.datasets.doctor.examine import examine
+from pipeline.datasets.frame_reports import survey
+from pipeline.datasets.opening import open_dataset
+from pipeline.language import name_table
+from pipeline.language.name_lookup import known_as
+from pipeline.language.naming import meanings
+from pipeline.relations.attributes import object_colors
+from pipeline.system.whole_files import scratch_folder
+from pipeline.system.worker_pool import one_thread
+
+FRAMES, DECODED = 1000, 60
+
+
+def measure(setup: Setup) -> Iterator[Figure]:
+    """Measure all in processor time."""
+    files = sorted((Path(name_table.__file__).parent / "names").glob("*.json"))
+    load = name_table.default_synonyms.__wrapped__
+    found = side_by_side([load, lambda: [json.loads(f.read_bytes()) for f in files]], setup.times(5))
+    yield "docs.names_load", found[0] * 1000, found[1] * 1000
+    lvis = json.loads(next(f for f in files if f.stem == "lvis").read_bytes())
+    names = tuple((*lvis["names"], *(name for group in lvis["groups"] for name in group)))[:1203]
+    table = load()
+    index = least(lambda: known_as.__wrapped__(names, table), 1)
+    known_as(names, table)
+    asked = json.loads(next(f for f in files if f.stem == "indoor").read_bytes())["names"][:200]
+    # Once each: answers are kept.
+    start = process_time()
+    for query in asked:
+        meanings(query, names, table)
+    yield "docs.names_query", (process_time() - start) / len(asked) * 1000, index * 1000
+    with scratch_folder() as folder, one_thread():
+        count = setup.times(FRAMES, FRAMES // 10)
+        root = demo_frames(folder / "many", count)
+        dataset, scale = open_dataset(str(root)), FRAMES / count
+        listed = _surveyed(dataset, max(1, DECODED * count // FRAMES))
+        yield "docs.frames", listed * scale, least(lambda: pictures(root), 1) * scale
+        few = open_dataset(str(demo_frames(folder / "few", 25)))
+        floor = pictures(folder / "few")
+        yield "docs.decode", _surveyed(few, None) * FRAMES / 25, least(lambda: decode(floor), 1) * FRAMES / 25
+        demo = pictures(Path(demo_path()))
+        yield "docs.doctor", *side_by_side([lambda: examine(demo_path()), lambda: decode(demo)], 1)
+        dataset = open_dataset(str(crowded_frame(folder / "fifty", 50, cell=64)))
+        frame, floor = dataset.load(dataset.frame_ids[0]), pictures(folder / "fifty")
+        masks = [a.mask for a in frame.annotations if a.mask is not None]
+        found = side_by_side([lambda: object_colors(frame.rgb, masks), lambda: decode(floor)], setup.times(9))
+        yield "docs.attributes", found[0] * 1000, found[1] * 1000
+
+
+def _surveyed(dataset: object, decoded: int | None) -> float:
+    return least(lambda: list(survey(dataset, decoded)), 1)  # pyright: ignore[reportArgumentType]

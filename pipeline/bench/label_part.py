@@ -1,0 +1,71 @@
+"""Labelling: a frame beside decoding its files, the whole job, and its memory over many frames."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+from pipeline.bench.clock import Figure, Setup, resident_mb, side_by_side
+from pipeline.bench.worlds import decode, demo_frames, pictures
+from pipeline.datasets.demo import demo_path
+from pipeline.labels.job import Labeller, label_dataset, label_frame, open_labeller, shard_tables
+from pipeline.labels.plan import SENTENCE_KINDS, LabelConfig, SourceSpec
+from pipeline.system.whole_files import scratch_folder
+from pipeline.system.worker_pool import one_thread
+
+MANY = 400
+
+
+def measure(setup: Setup) -> Iterator[Figure]:
+    """Measure labelling."""
+    times = setup.times(12, 4)
+    with scratch_folder() as folder, one_thread():
+        for name, written in (("packed", False), ("written", True)):
+            root = demo_frames(folder / name, 1, written)
+            labeller, frame = opened(root)
+            job, floor = side_by_side([lambda: labelled(labeller, frame), lambda of=pictures(root): decode(of)], times)
+            yield f"label.{name}", job * 1000, floor * 1000
+        wordy = replace(labeller, config=replace(labeller.config, sentences=SENTENCE_KINDS))
+        job, floor = side_by_side([lambda: labelled(wordy, frame), lambda: labelled(labeller, frame)], times)
+        yield "label.sentences", job * 1000, floor * 1000
+        yield "label.job", *_rates(folder)
+        yield "label.memory", *_memory(demo_frames(folder / "many", setup.times(MANY, MANY // 4)))
+
+
+def opened(root: Path) -> tuple[Labeller, str]:
+    """A labeller of a dataset's own masks, and its first frame."""
+    labeller = open_labeller(SourceSpec(str(root)), LabelConfig())
+    return labeller, labeller.source.dataset.frame_ids[0]
+
+
+def labelled(labeller: Labeller, frame: str) -> None:
+    """A frame from its files to its tables."""
+    found = label_frame(labeller, frame, 0)
+    shard_tables([found], tuple(found.tables()))
+
+
+def _rates(folder: Path) -> tuple[float, float]:
+    """Frames a second of the whole job, and of decoding alone."""
+    report = label_dataset(SourceSpec("demo"), folder / "labels", LabelConfig(), workers=1)
+    files = pictures(Path(demo_path()))
+    start = perf_counter()
+    decode(files)
+    return report.frames / report.seconds, report.frames / (perf_counter() - start)
+
+
+def _memory(root: Path) -> tuple[float, float]:
+    """Resident memory after all frames, and after the first quarter: means of the eighth before."""
+    labeller, _ = opened(root)
+    seen = []
+    for k, frame in enumerate(labeller.source.dataset.frame_ids):
+        labelled(labeller, frame)
+        seen.append(resident_mb())
+        if k % 50 == 0:
+            gc.collect()
+    eighth = len(seen) // 8
+    return float(np.mean(seen[-eighth:])), float(np.mean(seen[eighth : 2 * eighth]))
