@@ -17,7 +17,8 @@ def main(file: str, setup: str) -> None:
     out = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
     spec = spec_from_file_location("bench_part", Path(file))
-    assert spec is not None and spec.loader is not None
+    assert spec is not None
+    assert spec.loader is not None
     part = module_from_spec(spec)
     sys.modules["bench_part"] = part
     try:

@@ -55,7 +55,7 @@ class Claim:
 
     @property
     def kept(self) -> str:
-        """"yes", "no", "not measured", or "" where nothing is promised."""
+        """ "yes", "no", "not measured", or "" where nothing is promised."""
         if self.value is None:
             return "not measured"
         if not self.promise:
@@ -78,7 +78,7 @@ CLAIMS = (
     Claim("label.packed", "a labelled frame of 29 objects, masks as the demo's", "ms", DECODING, "ratio <= 2.5"),
     Claim("label.written", "the same, masks written by `cv2.imwrite`", "ms", DECODING, "ratio <= 3.5"),
     Claim("label.sentences", "the same with sentences of every kind", "ms", "without"),
-    Claim("label.job", "`label` of the demo by one process, wall clock", "frames/s", "decoding alone"),
+    Claim("label.job", "`label` of the demo by one process", "frames/s", "decoding alone"),
     Claim("label.memory", "memory after all of many frames", "MB", "after the first quarter"),
     _lifts("open3d", "Open3D recipe", "ratio >= 60"),
     _lifts("spatialrgpt", "SpatialRGPT's functions"),
@@ -94,7 +94,9 @@ CLAIMS = (
     Claim("start.help", "`--help`", "s", "`python -c pass`", "value <= 0.3"),
     Claim("page.first_byte", "`view demo` until its first byte, wall clock", "s", BARE, "value <= 0.8"),
     Claim("page.first_points", "`view demo` until points are drawn, wall clock", "s", BARE, "value <= 2"),
-    Claim("page.frame", "another frame until its points are sent, wall clock", "ms", "reading and lifting", "extra <= 150"),
+    Claim(
+        "page.frame", "another frame until its points are sent, wall clock", "ms", "reading and lifting", "extra <= 150"
+    ),
     Claim("page.first_cloud", "points sent of a frame before anything is seen", "MB", "all as float32", "value <= 0.8"),
     Claim("page.cloud", "points sent of a frame", "MB", "all as float32", "value <= 2.8"),
     Claim("page.label", "a label set, processor of the page's server", "ms", "a row synced by SQLite", "value <= 20"),
@@ -160,7 +162,9 @@ def declared(only: tuple[str, ...] = ()) -> tuple[Claim, ...]:
     parts = dict.fromkeys(c.name.partition(".")[0] for c in CLAIMS)
     for name in only:
         if name not in parts and not any(c.name == name for c in CLAIMS):
-            raise InputError("there is no such claim", got=name, expected=f"{', '.join(parts)}, or a claim as label.packed")
+            raise InputError(
+                "there is no such claim", got=name, expected=f"{', '.join(parts)}, or a claim as label.packed"
+            )
     return tuple(c for c in CLAIMS if not only or {c.name, c.name.partition(".")[0]} & set(only))
 
 

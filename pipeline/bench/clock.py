@@ -12,6 +12,8 @@ from pathlib import Path
 from time import perf_counter, process_time
 from typing import Any
 
+ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+"""What libraries of arithmetic take their threads from; processor seconds are compared with one."""
 Figure = tuple[str, float | str, float | None]
 """Name of a claim, its value or why there is none, and its floor in the same run."""
 

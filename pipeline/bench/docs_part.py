@@ -30,7 +30,7 @@ def measure(setup: Setup) -> Iterator[Figure]:
     found = side_by_side([load, lambda: [json.loads(f.read_bytes()) for f in files]], setup.times(5))
     yield "docs.names_load", found[0] * 1000, found[1] * 1000
     lvis = json.loads(next(f for f in files if f.stem == "lvis").read_bytes())
-    names = tuple((*lvis["names"], *(name for group in lvis["groups"] for name in group)))[:1203]
+    names = (*lvis["names"], *(name for group in lvis["groups"] for name in group))[:1203]
     table = load()
     index = least(lambda: known_as.__wrapped__(names, table), 1)
     known_as(names, table)
@@ -50,7 +50,8 @@ def measure(setup: Setup) -> Iterator[Figure]:
         floor = pictures(folder / "few")
         yield "docs.decode", _surveyed(few, None) * FRAMES / 25, least(lambda: decode(floor), 1) * FRAMES / 25
         demo = pictures(Path(demo_path()))
-        yield "docs.doctor", *side_by_side([lambda: examine(demo_path()), lambda: decode(demo)], 1)
+        found = side_by_side([lambda: examine(demo_path()), lambda: decode(demo)], 1)
+        yield "docs.doctor", found[0], found[1]
         dataset = open_dataset(str(crowded_frame(folder / "fifty", 50, cell=64)))
         frame, floor = dataset.load(dataset.frame_ids[0]), pictures(folder / "fifty")
         masks = [a.mask for a in frame.annotations if a.mask is not None]

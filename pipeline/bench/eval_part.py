@@ -74,7 +74,7 @@ def answered(spec: EvalSpec) -> tuple[Evaluator, pa.Table, float, float]:
             if k:
                 seconds[at] += process_time() - start
                 tables += [table] if at == 0 else []
-    return both[0], pa.concat_tables(tables), *seconds
+    return both[0], pa.concat_tables(tables), seconds[0], seconds[1]
 
 
 def asked_singly(evaluator: Evaluator, records: pa.Table, count: int) -> tuple[float, list[str]]:
@@ -133,4 +133,6 @@ def large_run(run: Path, rows: int) -> None:
     at, ids = table.schema.get_field_index("id"), table.column("id").to_pylist()
     with pq.ParquetWriter(run / "records.parquet", table.schema) as writer:
         for k in range(-(-rows // len(ids))):
-            writer.write_table(table.set_column(at, "id", [[f"{k}.{name}" for name in ids]]).slice(0, rows - k * len(ids)))
+            writer.write_table(
+                table.set_column(at, "id", [[f"{k}.{name}" for name in ids]]).slice(0, rows - k * len(ids))
+            )

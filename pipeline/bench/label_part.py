@@ -5,8 +5,9 @@ from __future__ import annotations
 import gc
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 
 import numpy as np
 
@@ -25,14 +26,14 @@ def measure(setup: Setup) -> Iterator[Figure]:
     """Measure labelling."""
     times = setup.times(12, 4)
     with scratch_folder() as folder, one_thread():
-        for name, written in (("packed", False), ("written", True)):
-            root = demo_frames(folder / name, 1, written)
-            labeller, frame = opened(root)
-            job, floor = side_by_side([lambda: labelled(labeller, frame), lambda of=pictures(root): decode(of)], times)
-            yield f"label.{name}", job * 1000, floor * 1000
+        for name in ("written", "packed"):
+            labeller, frame = opened(demo_frames(folder / name, 1, written=name == "written"))
+            job = partial(labelled, labeller, frame)
+            seconds, floor = side_by_side([job, partial(decode, pictures(folder / name))], times)
+            yield f"label.{name}", seconds * 1000, floor * 1000
         wordy = replace(labeller, config=replace(labeller.config, sentences=SENTENCE_KINDS))
-        job, floor = side_by_side([lambda: labelled(wordy, frame), lambda: labelled(labeller, frame)], times)
-        yield "label.sentences", job * 1000, floor * 1000
+        seconds, floor = side_by_side([partial(labelled, wordy, frame), job], times)
+        yield "label.sentences", seconds * 1000, floor * 1000
         yield "label.job", *_rates(folder)
         yield "label.memory", *_memory(demo_frames(folder / "many", setup.times(MANY, MANY // 4)))
 
@@ -51,11 +52,13 @@ def labelled(labeller: Labeller, frame: str) -> None:
 
 def _rates(folder: Path) -> tuple[float, float]:
     """Frames a second of the whole job, and of decoding alone."""
+    start = process_time()
     report = label_dataset(SourceSpec("demo"), folder / "labels", LabelConfig(), workers=1)
+    ended = process_time()
     files = pictures(Path(demo_path()))
-    start = perf_counter()
+    decoded = process_time()
     decode(files)
-    return report.frames / report.seconds, report.frames / (perf_counter() - start)
+    return report.frames / (ended - start), report.frames / (process_time() - decoded)
 
 
 def _memory(root: Path) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.bench.claims import BenchRun, Claim, declared, machine, read_bench, unmeasured
-from pipeline.bench.clock import Setup
+from pipeline.bench.clock import ONE_THREAD, Setup
 from pipeline.system.errors import require
 from pipeline.system.whole_files import scratch_folder
 
@@ -66,7 +66,7 @@ def run_bench(
         require((folder / "pipeline" / "__init__.py").exists(), "this folder is no checkout", path=before)
         trees.append(folder)
     elif before is not None:
-        earlier = read_bench(before)
+        earlier = replace(read_bench(before), before=None)
     parts = {**PARTS, **(further or {})}
     found: list[dict[str, Claim]] = [{c.name: c for c in unmeasured(claims, STOPPED)} for _ in trees]
     try:
@@ -77,9 +77,7 @@ def run_bench(
                 _measure(parts.get(part), trees[at], setup, part, found[at], progress)
     except KeyboardInterrupt:
         progress(STOPPED)
-    runs = [
-        BenchRun(machine(tree), tuple(of.values()), setup.quick) for tree, of in zip(trees, found, strict=True)
-    ]
+    runs = [BenchRun(machine(tree), tuple(of.values()), setup.quick) for tree, of in zip(trees, found, strict=True)]
     return replace(runs[0], before=runs[1] if len(runs) > 1 else earlier)
 
 
@@ -88,29 +86,46 @@ def _measure(
 ) -> None:
     """Put the figures of one part of a tree in their places."""
     reason = "" if file is not None else "the page is not installed"
-    for line in _figures(file, tree, setup) if file is not None else ():
+    for line in _figures(file.resolve(), tree, setup) if file is not None else ():
         reason = line.get("reason", reason)
         claim = found.get(line.get("name", ""))
         if claim is not None:
-            measured = replace(claim, value=_short(line["value"]), floor=_short(line["floor"]), reason=line.get("why", ""))
+            measured = replace(
+                claim, value=_short(line["value"]), floor=_short(line["floor"]), reason=line.get("why", "")
+            )
             found[claim.name] = measured
             progress(f"{claim.name} {measured.reason or f'{measured.value:g} {claim.unit}'}")
+        if not any(_waits(c, part) for c in found.values()):
+            return
     if reason:
         progress(f"{part} not measured: {reason}")
     for name, claim in found.items():
-        if name.startswith(f"{part}.") and claim.value is None and claim.reason == STOPPED:
+        if _waits(claim, part):
             found[name] = replace(claim, reason=reason or "the part gave no figure")
+
+
+def _waits(claim: Claim, part: str) -> bool:
+    return claim.name.startswith(f"{part}.") and claim.reason == STOPPED
 
 
 def _figures(file: Path, tree: Path, setup: Setup) -> Iterator[dict[str, Any]]:
     """Lines of a part's process, and at its end the reason where it did not end well."""
-    one = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")}
     with scratch_folder() as folder:
-        own = {"PYTHONPATH": str(tree), "XDG_DATA_HOME": str(folder / "data"), "XDG_CONFIG_HOME": str(folder / "config")}
-        env = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"} | one | own
+        own = {
+            "PYTHONPATH": str(tree),
+            "XDG_DATA_HOME": str(folder / "data"),
+            "XDG_CONFIG_HOME": str(folder / "config"),
+        }
+        env = (
+            {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
+            | dict.fromkeys(ONE_THREAD, "1")
+            | own
+        )
         words = [sys.executable, "-c", _STARTER, str(HERE), str(file), json.dumps(asdict(setup))]
         # A folder without modules: Python looks where it stands before it looks anywhere else.
-        with subprocess.Popen(words, cwd=folder, env=env, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as it:
+        with subprocess.Popen(
+            words, cwd=folder, env=env, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        ) as it:
             try:
                 assert it.stdout is not None
                 yield from map(json.loads, it.stdout)

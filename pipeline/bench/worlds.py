@@ -32,7 +32,8 @@ def demo_frames(root: Path, frames: int, written: bool = False) -> Path:
         for path in sorted((source / folder).glob(f"{FRAME:06d}*")):
             first = scene / folder / path.name.replace(f"{FRAME:06d}", "000000", 1)
             if written and folder == "mask_visib":
-                cv2.imwrite(str(first), np.where(cv2.imread(str(path), cv2.IMREAD_UNCHANGED) > 0, 255, 0).astype(np.uint8))
+                mask = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_GRAYSCALE)
+                cv2.imwrite(str(first), np.asarray(mask))
             else:
                 shutil.copy(path, first)
             for n in range(1, frames):
@@ -55,7 +56,9 @@ def crowded_frame(root: Path, objects: int, names: Sequence[str] = THINGS, cell:
         mask = (np.abs(u - x) < 0.4 * cell) & (np.abs(v - y) < 0.4 * cell)
         depth[mask] = rng.uniform(1, 3) + 0.002 * (u - x)[mask]
         cv2.imwrite(str(scene / "mask_visib" / f"000000_{k:06d}.png"), mask.astype(np.uint8) * 255, ONE_BIT)
-        things.append({"obj_id": k % len(names) + 1, "cam_R_m2c": np.eye(3).ravel().tolist(), "cam_t_m2c": [0, 0, 1000]})
+        things.append(
+            {"obj_id": k % len(names) + 1, "cam_R_m2c": np.eye(3).ravel().tolist(), "cam_t_m2c": [0, 0, 1000]}
+        )
     millimetres = np.rint(depth * 1000 + rng.normal(0, 2, depth.shape)).astype(np.uint16)
     cv2.imwrite(str(scene / "depth" / "000000.png"), millimetres)
     cv2.imwrite(str(scene / "rgb" / "000000.png"), rng.integers(0, 255, (HEIGHT, WIDTH, 3), np.uint8))
