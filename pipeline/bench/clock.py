@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import resource
+import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -81,8 +82,6 @@ def resident_mb(process: int | str = "self") -> float:
 
 def synced_row(folder: Path) -> Iterator[None]:
     """Floor of a saved action: every step writes a row into SQLite and waits until the disk has it."""
-    import sqlite3
-
     with sqlite3.connect(folder / "floor.sqlite", isolation_level=None) as link:
         link.execute("PRAGMA journal_mode=WAL")
         link.execute("PRAGMA synchronous=FULL")
