@@ -151,7 +151,7 @@ class BenchCommand(Output):
     """Measure the speed of every part, each figure beside its peer or floor in the same run."""
 
     only: tuple[str, ...] = ()
-    """Parts (label, lift, start, page, steps, growth, eval, docs) or claims (label.packed). Default: all."""
+    """Parts (label, lift, start, page, steps, eval, docs) or claims (label.packed). Default: all."""
     quick: Flag = False
     """Fewer passes; figures of large numbers are scaled up."""
     peers: Path | None = None

@@ -9,14 +9,10 @@ from time import process_time
 
 from pipeline.bench.clock import Figure, Setup, least, side_by_side
 from pipeline.bench.worlds import crowded_frame, decode, demo_frames, pictures
-from pipeline.datasets.demo import demo_path
-from pipeline.datasets.doctor.examine import examine
-from pipeline.datasets.frame_reports import survey
-from pipeline.datasets.opening import open_dataset
-from pipeline.language import name_table
+from pipeline.datasets import demo_path, examine, open_dataset, survey
+from pipeline.language import meanings, name_table
 from pipeline.language.name_lookup import known_as
-from pipeline.language.naming import meanings
-from pipeline.relations.attributes import object_colors
+from pipeline.relations import object_colors
 from pipeline.system.whole_files import scratch_folder
 from pipeline.system.worker_pool import one_thread
 

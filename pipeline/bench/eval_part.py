@@ -11,18 +11,13 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pipeline.answering.detector_runs import record_detections
-from pipeline.answering.pipeline import open_pipeline
+from pipeline.answering import open_pipeline, record_detections
 from pipeline.bench.clock import Figure, Setup, least, resident_mb
 from pipeline.datasets import demo_run
-from pipeline.evaluation.browsing import RunRows
+from pipeline.evaluation import EvalSpec, RunRows, open_run
 from pipeline.evaluation.relation_cases import frames_in, spread
 from pipeline.evaluation.run import Evaluator, blocks_of
-from pipeline.evaluation.run_folder import open_run
-from pipeline.evaluation.systems import EvalSpec
-from pipeline.labels.job import label_dataset
-from pipeline.labels.plan import SourceSpec
-from pipeline.labels.reading import open_labels
+from pipeline.labels import SourceSpec, label_dataset, open_labels
 from pipeline.system.whole_files import scratch_folder
 from pipeline.system.worker_pool import one_thread
 

@@ -1,4 +1,4 @@
-"""Labelling: a frame beside decoding its files, the whole job, and its memory over many frames."""
+"""Labelling: a frame beside decoding its files, the whole job, its memory over many frames, and many objects."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from time import process_time
 import numpy as np
 
 from pipeline.bench.clock import Figure, Setup, resident_mb, side_by_side
-from pipeline.bench.worlds import decode, demo_frames, pictures
-from pipeline.datasets.demo import demo_path
-from pipeline.labels.job import Labeller, label_dataset, label_frame, open_labeller, shard_tables
-from pipeline.labels.plan import SENTENCE_KINDS, LabelConfig, SourceSpec
+from pipeline.bench.worlds import crowded_frame, decode, demo_frames, pictures
+from pipeline.datasets import demo_path
+from pipeline.labels import SENTENCE_KINDS, LabelConfig, SourceSpec, label_dataset, open_labeller
+from pipeline.labels.job import Labeller, label_frame, shard_tables
 from pipeline.system.whole_files import scratch_folder
 from pipeline.system.worker_pool import one_thread
 
@@ -36,6 +36,10 @@ def measure(setup: Setup) -> Iterator[Figure]:
         yield "label.sentences", seconds * 1000, floor * 1000
         yield "label.job", *_rates(folder)
         yield "label.memory", *_memory(demo_frames(folder / "many", setup.times(MANY, MANY // 4)))
+        # Last: so many objects leave memory behind.
+        few, many = (partial(labelled, *opened(crowded_frame(folder / str(n), n))) for n in (30, 300))
+        seconds, floor = side_by_side([many, few], setup.times(5))
+        yield "label.growth", seconds * 1000, floor * 1000
 
 
 def opened(root: Path) -> tuple[Labeller, str]:
@@ -53,7 +57,7 @@ def labelled(labeller: Labeller, frame: str) -> None:
 def _rates(folder: Path) -> tuple[float, float]:
     """Frames a second of the whole job, and of decoding alone."""
     start = process_time()
-    report = label_dataset(SourceSpec("demo"), folder / "labels", LabelConfig(), workers=1)
+    report = label_dataset(SourceSpec("demo"), folder / "labels", workers=1)
     ended = process_time()
     files = pictures(Path(demo_path()))
     decoded = process_time()

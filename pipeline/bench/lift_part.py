@@ -13,14 +13,10 @@ from typing import Any
 import numpy as np
 
 from pipeline.bench.clock import Figure, Setup, side_by_side
-from pipeline.geometry.camera import Camera, backproject
-from pipeline.geometry.fitting import extents_of
-from pipeline.geometry.lifting import depth_edges, lift
-from pipeline.geometry.viewer import ViewerAxes, viewer_axes
+from pipeline.geometry import Camera, ViewerAxes, backproject, depth_edges, extents_of, lift, viewer_axes
 from pipeline.labels.profiles import judge_viewer_cone
-from pipeline.language.relation_names import DIRECTIONAL
-from pipeline.synthetic import choose_views, exact_view, make_room
-from pipeline.synthetic.render import sense
+from pipeline.language import DIRECTIONAL
+from pipeline.synthetic import choose_views, exact_view, make_room, sense
 from pipeline.system.worker_pool import one_thread
 from pipeline.training.training_data import MIN_PIXELS, degraded
 

@@ -8,8 +8,6 @@ from __future__ import annotations
 import importlib
 import random
 import sys
-from importlib.abc import Loader, MetaPathFinder
-from importlib.machinery import ModuleSpec
 from itertools import permutations
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -20,45 +18,41 @@ import numpy as np
 
 from pipeline.system.whole_files import scratch_folder
 
-UNUSED = ("torch", "torchvision", "vggt", "wis3d", "matplotlib", "osdsynth.processor.wrappers")
+WRAPPERS = "osdsynth.processor.wrappers"
+UNUSED = (
+    *("torch", "torchvision", "vggt.models.vggt", "vggt.utils.pose_enc", "vggt.utils.geometry", "wis3d", "matplotlib"),
+    *(f"{WRAPPERS}.metric3d_v2", f"{WRAPPERS}.perspective_fields"),
+)
 SIX = ("left", "right", "above", "below", "behind", "front")
 JITTER_SEED = 0
 
 
-class _StandIns(MetaPathFinder, Loader):
-    """Makes any module of UNUSED an object that takes every call."""
+def _modules(folder: Path, *names: str) -> list[Any]:
+    """Modules of a package in this folder, without its `__init__`, which may ask for networks."""
+    packages = {parent for name in names for parent in _parents(name)}
+    given: dict[str, Any] = {name: ModuleType(name) for name in packages}
+    for name, package in given.items():
+        package.__path__ = [str(folder.joinpath(*name.split(".")))]
+    unused = {name: MagicMock() for name in UNUSED if name not in sys.modules}
+    if "torch" in unused:
+        unused["torch"].cuda.is_available.return_value = False
+    sys.modules.update(given | unused)
+    found = [importlib.import_module(name) for name in names]
+    for name in unused:
+        # What else asks for torch is not to be given this.
+        del sys.modules[name]
+    return found
 
-    def find_spec(self, name: str, path: Any, target: Any = None) -> ModuleSpec | None:
-        unused = any(name == u or name.startswith(f"{u}.") for u in UNUSED)
-        return ModuleSpec(name, self, is_package=True) if unused else None
 
-    def create_module(self, spec: ModuleSpec) -> ModuleType:
-        made = MagicMock(name=spec.name, __path__=[], __spec__=spec)
-        made.cuda.is_available.return_value = False
-        return made
-
-    def exec_module(self, module: ModuleType) -> None:
-        """Leave it empty."""
-
-
-def _module(folder: Path, name: str) -> Any:
-    for path in (folder / "SpatialRGPT" / "dataset_pipeline", folder / "VQASynth"):
-        # As their own programs run: beside their packages, whose __init__ may ask for networks.
-        package = path / name.partition(".")[0]
-        if package.is_dir():
-            parts = name.split(".")[:-1]
-            for k in range(len(parts)):
-                made = sys.modules.setdefault(".".join(parts[: k + 1]), ModuleType(".".join(parts[: k + 1])))
-                made.__path__ = [str(path.joinpath(*parts[: k + 1]))]
-            if not any(isinstance(f, _StandIns) for f in sys.meta_path):
-                sys.meta_path.insert(0, _StandIns())
-            return importlib.import_module(name)
-    raise FileNotFoundError(f"{name} is not in {folder}")
+def _parents(name: str) -> list[str]:
+    parts = name.split(".")
+    return [".".join(parts[:k]) for k in range(1, len(parts))]
 
 
 def spatialrgpt(folder: Path) -> Any:
     """Its clouds of objects, their cleaning, both boxes, and six predicates of every ordered pair."""
-    clouds, words = (_module(folder, f"osdsynth.processor.{name}") for name in ("pointcloud", "prompt"))
+    names = ("osdsynth.processor.pointcloud", "osdsynth.processor.prompt")
+    clouds, words = _modules(folder / "SpatialRGPT" / "dataset_pipeline", *names)
     cfg = SimpleNamespace(dbscan_remove_noise=True, dbscan_eps=0.2, dbscan_min_points=10)
     predicates = [getattr(words, f"{name}_predicate") for name in SIX]
 
@@ -82,7 +76,7 @@ def vqasynth(folder: Path, canonical: bool = True) -> Any:
     """Its canonicalised scene, its clouds of objects, cut from that as its `run` does, saved and restored, and six
     predicates of every ordered pair.
     """
-    scene, words = (_module(folder, f"vqasynth.{name}") for name in ("scene_fusion", "prompts"))
+    scene, words = _modules(folder / "VQASynth", "vqasynth.scene_fusion", "vqasynth.prompts")
     maker = object.__new__(scene.SpatialSceneConstructor)
     generator = words.PromptGenerator()
     predicates = [getattr(generator, f"{name}_predicate") for name in SIX]

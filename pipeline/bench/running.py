@@ -18,7 +18,7 @@ from pipeline.system.whole_files import scratch_folder
 
 HERE = Path(__file__).resolve().parent
 TREE = HERE.parents[1]
-PARTS = {name: HERE / f"{name}_part.py" for name in ("label", "lift", "start", "steps", "growth", "eval", "docs")}
+PARTS = {name: HERE / f"{name}_part.py" for name in ("label", "lift", "start", "steps", "eval", "docs")}
 _STARTER = """
 import importlib.util, sys
 spec = importlib.util.spec_from_file_location(

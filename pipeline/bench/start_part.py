@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from pipeline.bench.clock import Figure, Setup, child_seconds
-from pipeline.labels.job import label_dataset
-from pipeline.labels.plan import LabelConfig, SourceSpec
+from pipeline.labels import SourceSpec, label_dataset
 from pipeline.system.whole_files import scratch_folder
 
 BARE_IMPORTS = ("-c", "import numpy, cv2, onnxruntime")
@@ -17,7 +16,7 @@ def measure(setup: Setup) -> Iterator[Figure]:
     """Measure commands in processor seconds."""
     with scratch_folder() as folder:
         labels = folder / "labels"
-        label_dataset(SourceSpec("demo"), labels, LabelConfig())
+        label_dataset(SourceSpec("demo"), labels)
         commands = {
             "ask": (*FRAME, "mug left of the laptop"),
             "relations": FRAME,

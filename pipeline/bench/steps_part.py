@@ -8,19 +8,13 @@ from itertools import count
 from pathlib import Path
 from time import process_time
 
-from pipeline.answering.pipeline import open_pipeline
+from pipeline.answering import open_pipeline
 from pipeline.bench.clock import Figure, Setup, least, side_by_side, synced_row
 from pipeline.bench.worlds import SCENE, crowded_frame
-from pipeline.corrections.journal.events import Edit
-from pipeline.corrections.journal.field_refs import object_ref
-from pipeline.corrections.label_editor import LabelEditor
-from pipeline.corrections.unsaved import JournalLocation
+from pipeline.corrections import Edit, JournalLocation, LabelEditor, object_ref
+from pipeline.diagnosis.whatif import Baseline, Edits, rerun
 from pipeline.diagnosis.whatif.answer_view import answer_view
-from pipeline.diagnosis.whatif.edits import Edits
-from pipeline.diagnosis.whatif.rerun import Baseline, rerun
-from pipeline.labels.job import label_dataset
-from pipeline.labels.plan import LabelConfig, SourceSpec
-from pipeline.labels.reading import open_labels
+from pipeline.labels import SourceSpec, label_dataset, open_labels
 from pipeline.system.whole_files import scratch_folder
 from pipeline.system.worker_pool import one_thread
 
@@ -32,7 +26,7 @@ FRAME, NUMBER = f"{SCENE}/000001", 3
 def measure(setup: Setup) -> Iterator[Figure]:
     """Measure both in processor time."""
     with scratch_folder() as folder, one_thread():
-        label_dataset(SourceSpec("demo"), folder / "labels", LabelConfig(), limit=3)
+        label_dataset(SourceSpec("demo"), folder / "labels", limit=3)
         labels, names = open_labels(folder / "labels"), count()
         place = JournalLocation(labels, folder / "journal.sqlite")
         editor = LabelEditor(labels, place, "bench", open_pipeline("demo").dataset)

@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from pipeline.datasets.demo import demo_path
+from pipeline.datasets import demo_path
 
 TABLES = ("scene_camera", "scene_gt", "scene_gt_info")
 SCENE, FRAME = "000001", 1

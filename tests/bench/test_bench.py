@@ -69,7 +69,7 @@ def test_claims_are_of_parts_that_there_are() -> None:
     assert all(file.is_file() for file in PARTS.values())
     given = re.findall(r'yield "(\w+\.\w+)"', "".join(file.read_text() for file in PARTS.values()))
     assert set(given) <= {c.name for c in CLAIMS}
-    assert [c.name for c in declared(("growth", "label.packed"))] == ["label.packed", "growth.label"]
+    assert [c.name for c in declared(("docs.doctor", "label.packed"))] == ["label.packed", "docs.doctor"]
     with pytest.raises(InputError, match=r"label\.packed"):
         declared(("nothing",))
 
