@@ -1,7 +1,7 @@
-#!/bin/sh
+#!/usr/bin/env bash
 # Fetch the files of SpatialRGPT and VQASynth whose functions `spatialviz bench --peers FOLDER` times.
 # They are not part of this project and keep their own licences (Apache-2.0 both; see their repositories).
-set -eu
+set -euo pipefail
 folder=${1:?usage: bench_peers.sh FOLDER}
 
 fetch() { # REPOSITORY COMMIT DIRECTORY FILES...
