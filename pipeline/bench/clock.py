@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter, process_time
+from time import process_time
 from typing import Any
 
 if sys.platform != "win32":
@@ -37,10 +37,11 @@ class Setup:
 def least(job: Callable[[], Any], times: int, clock: Callable[[], float] = process_time) -> float:
     """Seconds of the cheapest of some passes, after one that is not counted."""
     job()
-    return min(_seconds(job, clock) for _ in range(max(times, 1)))
+    return min(seconds(job, clock) for _ in range(max(times, 1)))
 
 
-def _seconds(job: Callable[[], Any], clock: Callable[[], float] = perf_counter) -> float:
+def seconds(job: Callable[[], Any], clock: Callable[[], float] = process_time) -> float:
+    """Seconds of one pass."""
     start = clock()
     job()
     return clock() - start
@@ -50,7 +51,7 @@ def side_by_side(jobs: Sequence[Callable[[], Any]], times: int) -> list[float]:
     """Least processor seconds of each job, their passes in turn, so that all see the same machine."""
     for job in jobs:
         job()
-    passes = [[_seconds(job, process_time) for job in jobs] for _ in range(max(times, 1))]
+    passes = [[seconds(job) for job in jobs] for _ in range(max(times, 1))]
     return [min(column) for column in zip(*passes, strict=True)]
 
 

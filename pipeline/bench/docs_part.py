@@ -5,13 +5,11 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from time import process_time
 
-from pipeline.bench.clock import Figure, Setup, least, side_by_side
+from pipeline.bench.clock import Figure, Setup, least, seconds, side_by_side
 from pipeline.bench.worlds import crowded_frame, decode, demo_frames, pictures
 from pipeline.datasets import demo_path, examine, open_dataset, survey
-from pipeline.language import meanings, name_table
-from pipeline.language.name_lookup import known_as
+from pipeline.language import default_synonyms, meanings, name_table
 from pipeline.relations import object_colors
 from pipeline.system.whole_files import scratch_folder
 from pipeline.system.worker_pool import one_thread
@@ -22,20 +20,15 @@ FRAMES, DECODED = 1000, 60
 def measure(setup: Setup) -> Iterator[Figure]:
     """Measure all in processor time."""
     files = sorted((Path(name_table.__file__).parent / "names").glob("*.json"))
-    load = name_table.default_synonyms.__wrapped__
-    found = side_by_side([load, lambda: [json.loads(f.read_bytes()) for f in files]], setup.times(5))
-    yield "docs.names_load", found[0] * 1000, found[1] * 1000
-    lvis = json.loads(next(f for f in files if f.stem == "lvis").read_bytes())
+    # As a user meets them: each once, with nothing remembered.
+    loading = seconds(default_synonyms)
+    yield "docs.names_load", loading * 1000, least(lambda: [json.loads(f.read_bytes()) for f in files], 5) * 1000
+    tables = {f.stem: json.loads(f.read_bytes()) for f in files if f.stem in ("lvis", "indoor")}
+    lvis, asked = tables["lvis"], tables["indoor"]["names"][:200]
     names = (*lvis["names"], *(name for group in lvis["groups"] for name in group))[:1203]
-    table = load()
-    index = least(lambda: known_as.__wrapped__(names, table), 1)
-    known_as(names, table)
-    asked = json.loads(next(f for f in files if f.stem == "indoor").read_bytes())["names"][:200]
-    # Once each: answers are kept.
-    start = process_time()
-    for query in asked:
-        meanings(query, names, table)
-    yield "docs.names_query", (process_time() - start) / len(asked) * 1000, index * 1000
+    index = seconds(lambda: meanings("mug", names))
+    each = seconds(lambda: [meanings(query, names) for query in asked]) / len(asked)
+    yield "docs.names_query", each * 1000, index * 1000
     with scratch_folder() as folder, one_thread():
         count = setup.times(FRAMES, FRAMES // 10)
         root = demo_frames(folder / "many", count)
