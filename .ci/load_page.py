@@ -13,157 +13,24 @@ import subprocess
 import sys
 import time
 import urllib.request
-from collections import Counter, defaultdict
+from collections import defaultdict
 from contextlib import suppress
 from itertools import cycle, islice
 from pathlib import Path
-from secrets import token_hex
 from typing import Any
 
 import msgspec
 import numpy as np
 import viser
-import zstandard
-from websockets.asyncio.client import ClientConnection, connect
-from websockets.exceptions import ConnectionClosed
+from websockets.asyncio.client import connect
 from websockets.typing import Subprotocol
 
+from spatialviz.bench_page import Client
+
 PORT = 8233
-SERVED_WITHIN, ANSWERED_WITHIN = 60.0, 60.0
-QUIET_SECONDS = 0.5
-"""Nothing more comes after so long."""
+SERVED_WITHIN = 60.0
 MOST_FRAME, MOST_FIRST, MOST_SELECTION = 2_800_000, 800_000, 4_000
 """Bytes."""
-CAMERA = {
-    "type": "ViewerCameraMessage", "wxyz": [1.0, 0.0, 0.0, 0.0], "position": [1.0, 1.0, 1.0], "fov": 0.8,
-    "near": 0.01, "far": 100.0, "image_height": 600, "image_width": 800, "look_at": [0.0, 0.0, 0.0],
-    "up_direction": [0.0, 0.0, 1.0],
-}  # fmt: skip
-
-
-class Counted(ClientConnection):
-    """A connection that counts what comes over the wire."""
-
-    taken = 0
-
-    def data_received(self, data: bytes) -> None:
-        self.taken += len(data)
-        super().data_received(data)
-
-
-class Client:
-    """A page without a browser: its own socket, and viser's of its scene."""
-
-    def __init__(self, port: int) -> None:
-        self.port, self.id = port, token_hex(16)
-        self.page: Counted | None = None
-        self.scene: Counted | None = None
-        self.first = self.last = 0.0
-        self.cloud = Counter()
-        """Bytes of points and colours by node of the scene, since the last command."""
-        self._heard = asyncio.Event()
-        self._typed = ""
-        self._tasks: list[asyncio.Task[None]] = []
-
-    @property
-    def taken(self) -> tuple[int, int]:
-        """Bytes of the page and of its scene so far."""
-        return (self.page.taken if self.page else 0), (self.scene.taken if self.scene else 0)
-
-    async def open(self, scene: bool = True) -> None:
-        """Show the page, and its scene."""
-        address = f"ws://127.0.0.1:{self.port}"
-        self.page = await connect(
-            f"{address}/app/socket?id={self.id}", max_size=None, create_connection=Counted, origin=self._origin
-        )
-        self._tasks.append(asyncio.create_task(self._hear()))
-        await self.page.send(json.dumps({"type": "hello"}))
-        await self.fence()
-        if scene:
-            self.scene = await connect(
-                f"{address}/scene/{self.id}",
-                max_size=None,
-                create_connection=Counted,
-                compression=None,
-                subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
-                origin=self._origin,
-            )
-            await self.scene.send(msgspec.msgpack.encode(CAMERA))
-            self._tasks.append(asyncio.create_task(self._look()))
-            await self.quiet(cloud=True)
-
-    @property
-    def _origin(self):
-        return f"http://127.0.0.1:{self.port}"
-
-    async def close(self) -> None:
-        for connection in (self.scene, self.page):
-            if connection is not None:
-                await connection.close()
-        for task in self._tasks:
-            task.cancel()
-        for end in await asyncio.gather(*self._tasks, return_exceptions=True):
-            assert end is None or isinstance(end, asyncio.CancelledError), end
-
-    async def _hear(self) -> None:
-        assert self.page is not None
-        with suppress(ConnectionClosed):
-            async for text in self.page:
-                message = json.loads(text)
-                if message["type"] == "patch":
-                    self.first = self.first or time.monotonic()
-                elif message["type"] == "call" and message["name"] == "asking":
-                    self._typed = message["data"]["typed"]
-                    self._heard.set()
-                self.last = time.monotonic()
-
-    async def _look(self) -> None:
-        assert self.scene is not None
-        with suppress(ConnectionClosed):
-            async for data in self.scene:
-                assert isinstance(data, bytes)
-                size = int.from_bytes(data[8:16], "little")
-                window = msgspec.msgpack.decode(zstandard.decompress(data[16 : 16 + size]))
-                for message in window["messages"]:
-                    for name, value in message.get("props", {}).items():
-                        if message["type"] == "PointCloudMessage" and name in ("points", "colors"):
-                            self.cloud[message["name"]] += window["binaryBufferLengths"][value["__binary_index"]]
-                self.last = time.monotonic()
-
-    async def send(self, command: str) -> None:
-        assert self.page is not None
-        name, _, argument = command.partition(":")
-        await self.page.send(json.dumps({"type": "command", "name": name, "arguments": [argument]}))
-
-    async def fence(self) -> bool:
-        """Wait until everything that was sent is answered: offers for what nobody types come last."""
-        nonce = token_hex(8)
-        await self.send(f"ask-typed:{nonce}")
-        try:
-            while self._typed != nonce:
-                self._heard.clear()
-                await asyncio.wait_for(self._heard.wait(), ANSWERED_WITHIN)
-        except asyncio.TimeoutError:
-            return False
-        return True
-
-    async def act(self, command: str) -> float | None:
-        """Seconds from a command to the first thing that changes in the page; None where nothing answers."""
-        self.first, start = 0.0, time.monotonic()
-        self.cloud.clear()
-        await self.send(command)
-        if not await self.fence():
-            return None
-        return (self.first or time.monotonic()) - start
-
-    async def quiet(self, cloud: bool = False, most: float = 10.0) -> None:
-        """Wait until nothing more comes, and, where a `cloud` does, not before the rest of it."""
-        self.last = time.monotonic()
-        end = self.last + most
-        while time.monotonic() < min(end, self.last + QUIET_SECONDS) or (
-            cloud and time.monotonic() < end and not any("/rest" in name for name in self.cloud)
-        ):
-            await asyncio.sleep(0.05)
 
 
 def steps(number: int):

@@ -70,6 +70,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         "train": ("cli_models", "run_training"),
         "retrain": ("cli_models", "run_training"),
         "ablation": ("cli_models", "run_training"),
+        "bench": ("cli_models", "run_bench"),
     },
 }
 """The commands that are listed: the module of their options, and that of the function that runs them."""
@@ -109,7 +110,6 @@ _BY_ANSWERS = (
 )
 REMOVED = {
     "agree": _BY_ANSWERS,
-    "bench": "benches are scripts of a checkout: `cd tests; python -m benchmarks.stages`, and others beside it",
     "import-recording": "every command reads the recording where it is; `frames DATASET --remember` keeps what you say "
     "of its camera and unit in spatialviz.toml beside it",
 }

@@ -144,3 +144,19 @@ class AblationCommand(Training):
     """What the networks are given of a pair."""
     networks: int = 3
     """Networks of each kind, each with its own seed and its own draw of pairs."""
+
+
+@dataclass(frozen=True)
+class BenchCommand(Output):
+    """Measure the speed of every part, each figure beside its peer or floor in the same run."""
+
+    only: tuple[str, ...] = ()
+    """Parts (label, lift, start, page, steps, eval, docs) or claims (label.packed). Default: all."""
+    quick: Flag = False
+    """Fewer passes; figures of large numbers are scaled up."""
+    peers: Path | None = None
+    """Folder of SpatialRGPT's and VQASynth's files, as docs/examples/bench_peers.sh fetches them."""
+    before: Path | None = None
+    """To compare with: a file of --out, or the folder of another checkout, which is measured in turns with this one."""
+    out: Path | None = None
+    """JSON file to write."""

@@ -30,6 +30,7 @@ ROOMS = (
     "corrections",
     "audit",
     "paper",
+    "bench",
 )
 """From the ground up."""
 

@@ -65,6 +65,7 @@ HANDED = {
 """What gets its content from the door, and why it has a name of `OPENERS`."""
 OWN = {
     "answering/predictions.py open": "written to",
+    "bench/": "what was made for it, /proc, documents of a checkout",
     "corrections/journal/": "the journal, which has checks of its own",
     "datasets/depth/estimator.py np.load": "the cache",
     "diagnosis/story_words.py": "comes with the program",

@@ -49,9 +49,19 @@ def test_what_cannot_be_used_is_told_in_a_line(words: list[object], message: str
     assert message in spatialviz(2, *(str(word).replace("WORK", str(tmp_path)) for word in words)).err
 
 
-@pytest.mark.parametrize("words", [("bench",), ("bench", "label", "--views", 1), ("bench-eval",)])
-def test_a_removed_command_says_where_it_went(words: tuple[object, ...]) -> None:
-    assert "python -m benchmarks.stages" in spatialviz(2, *words).err
+def test_the_bench_tells_ratios_and_keeps_them(tmp_path: Path) -> None:
+    file = tmp_path / "bench.json"
+    words = ("bench", "--only", "start.help", "--quick")
+    (claim,) = spatialviz(0, *words, "--out", file, "--json").record["claims"]
+    assert claim["ratio"] > 1
+    assert claim["kept"] == "yes"
+    printed = spatialviz(0, *words, "--before", file)
+    assert "start.help" in printed.out
+    assert "ratio before" in printed.out
+    assert "start.help" in printed.err
+    assert "label.packed" in spatialviz(2, "bench", "--only", "nonsense").err
+    assert "no checkout" in spatialviz(2, "bench", "--before", tmp_path).err
+    assert spatialviz(0, "bench", "srm", "--help").out == spatialviz(0, "ablation", "--help").out
 
 
 def test_an_option_stands_for_a_command_of_before() -> None:

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
+
+from pipeline.bench.claims import read_bench
+from pipeline.bench.table import renewed
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = [*(ROOT / "docs").glob("*.md"), ROOT / ".github" / "CONTRIBUTING.md", ROOT / "README.md"]
@@ -56,3 +60,10 @@ def test_accuracy_is_claimed_with_a_date_or_with_what_was_measured() -> None:
     dated = re.compile(r"\b20\d\d-\d\d-\d\d\b|#what-was-measured")
     texts = {d.name: d.read_text() for d in DOCUMENTS}
     assert [name for name, text in texts.items() if claims.search(text) and not dated.search(text)] == []
+
+
+def test_figures_of_speed_are_those_of_the_bench() -> None:
+    """`python -m pipeline.bench.table docs/bench.json README.md docs/*.md` renews them."""
+    run = replace(read_bench(ROOT / "docs" / "bench.json"), before=None)
+    assert "<!-- bench: table -->" in (ROOT / "docs" / "speed.md").read_text()
+    assert [d.name for d in DOCUMENTS if renewed(d.read_text(), run) != d.read_text()] == []

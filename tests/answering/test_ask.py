@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks.stages import bench_source
 from dataset_writers import write_bop
 from expression_checks import expression_of
 from scenes import frame_of, upright
@@ -408,17 +407,6 @@ def test_a_folder_of_datasets_opens_what_can_be_opened(shared_data: Path, tmp_pa
     for bad in (tmp_path, tmp_path / "empty", tmp_path / "absent"):
         with pytest.raises(InputError):
             open_sources(bad)
-
-
-def test_the_bench_times_every_stage(tmp_path: Path) -> None:
-    write_bop(tmp_path, {"000001": [0, 1]})
-    found = bench_source(open_pipeline(tmp_path), repeat=1)
-    assert found["frames"] == 2
-    assert found["objects"] == 6
-    assert set(found["ms_per_frame"]) >= {"decode", "up vector", "depth edges", "lift", "relations"}
-    assert all(ms > 0 for ms in found["ms_per_frame"].values())
-    assert set(found["ratios"]) == {"lift / backproject", "relations / lift", "pair loop / all at once"}
-    json.dumps(found, allow_nan=False)
 
 
 # Pictures.

@@ -310,7 +310,7 @@ def test_the_command_lists_what_there_is(tmp_path: Path) -> None:
 
 
 def test_a_long_run_is_counted_and_keeps_its_memory(files: dict[str, Path], tmp_path: Path) -> None:
-    from benchmarks.stages import run_endurance
+    from benchmarks.endurance import run_endurance
 
     from pipeline.answering import open_pipeline
 

@@ -1,20 +1,17 @@
-"""The benchmark of evaluation measures what it says, and its shortcuts change no answer."""
+"""The shortcuts of evaluation change no answer."""
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks import evaluation_stages as bench
-from benchmarks.peak_memory import PeakMemory
 
 from pipeline.answering import PreparedFrame, StageClock, open_pipeline, record_detections
 from pipeline.answering.objects import mask_iou
+from pipeline.bench import eval_part
 from pipeline.datasets import load_picture
 from pipeline.evaluation import EvalSpec, evaluate_labels
 from pipeline.geometry import lift
@@ -41,64 +38,25 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_answers_agree_and_figures_follow_from_each_other(labels: Path, recording: Path) -> None:
-    record = bench.bench_evaluation("demo", labels, recording=recording, workers=1, singly=12, pairs=500)
-    assert record.keys() == {
-        "frames",
-        "expressions",
-        "k",
-        "scorer",
-        "stages_s",
-        "expressions_per_s",
-        "asked_singly",
-        "job",
-        "training",
-        "extrapolated",
-    }
-    assert record["frames"] == FRAMES
-    assert record["k"] == 10
-    assert tuple(record["stages_s"]) == bench.STAGES
-    assert all(seconds > 0 for seconds in record["stages_s"].values())
-    answering = sum(s for name, s in record["stages_s"].items() if name != "tables")
-    assert record["expressions_per_s"] == pytest.approx(record["expressions"] / answering, rel=0.02)
-    alone = record["asked_singly"]
-    assert alone["expressions"] == alone["same_answers"] == 12
-    assert alone["differ"] == []
-    assert alone["ratio"] == pytest.approx(record["expressions_per_s"] / alone["expressions_per_s"], rel=0.05)
-    assert set(record["job"]) == {"workers", "seconds", "expressions_per_s", "peak_memory_mb", "processes"}
-    found = record["extrapolated"]
-    assert set(found) == {"workers", "seconds_for_50000_expressions", "seconds_for_75000_pairs"}
-    assert found["seconds_for_50000_expressions"] >= 50_000 / record["expressions_per_s"]
-    if "skipped" not in record["training"]:
-        assert record["training"]["pairs"] == 500
-
-
-@pytest.mark.slow
-def test_an_answer_that_differs_is_told(labels: Path, recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    record = bench._same_answer
+def test_answers_by_frames_are_those_of_asking_singly(
+    labels: Path, recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    evaluator, records, *seconds = eval_part.answered(
+        EvalSpec("demo", str(labels), {"detector": "recorded", "model": recording})
+    )
+    assert records.num_rows > 100
+    assert min(seconds) > 0
+    rate, differing = eval_part.asked_singly(evaluator, records, 12)
+    assert rate > 0
+    assert differing == []
+    same = eval_part._same_answer
 
     def shifted(row: dict[str, Any], trace: Any) -> bool:
         box = row["box"]
-        return record(row if box is None else row | {"box": [box[0] + 1, *box[1:]]}, trace)
+        return same(row if box is None else row | {"box": [box[0] + 1, *box[1:]]}, trace)
 
-    monkeypatch.setattr(bench, "_same_answer", shifted)
-    found = bench.bench_evaluation("demo", labels, recording=recording, singly=6, pairs=100)["asked_singly"]
-    assert found["same_answers"] < 6
-    assert len(found["differ"]) == 6 - found["same_answers"]
-
-
-@pytest.mark.slow
-def test_training_without_torch_is_said_plainly(labels: Path, recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "torch", None)
-    record = bench.bench_evaluation("demo", labels, recording=recording, singly=1, pairs=100)
-    assert "train" in record["training"]["skipped"]
-    assert record["extrapolated"]["seconds_for_75000_pairs"] is None
-
-
-@pytest.mark.parametrize("wrong", [{"singly": 0}, {"workers": 0}, {"pairs": 1}])
-def test_nothing_to_measure_is_an_error(wrong: dict[str, int]) -> None:
-    with pytest.raises(InputError):
-        bench.bench_evaluation("demo", **wrong)  # pyright: ignore[reportArgumentType]
+    monkeypatch.setattr(eval_part, "_same_answer", shifted)
+    assert eval_part.asked_singly(evaluator, records, 6)[1]
 
 
 @pytest.mark.slow
@@ -171,21 +129,3 @@ def test_inner_stages_do_not_count_for_outer_ones() -> None:
     with pytest.raises(ValueError, match="wrong"), clock.stage("failing"):
         raise ValueError("wrong")
     assert set(clock.seconds) == {"outer", "inner", "failing"}
-
-
-@pytest.mark.skipif(not Path("/proc/self/smaps_rollup").exists(), reason="only Linux tells the memory of processes")
-def test_memory_of_children_counts() -> None:
-    hold = "import time; b = bytearray(b'x') * (64 << 20); print(1, flush=True); time.sleep(60)"
-    with PeakMemory() as alone:
-        pass
-    with PeakMemory() as together, subprocess.Popen([sys.executable, "-c", hold], stdout=subprocess.PIPE) as child:
-        try:
-            assert child.stdout is not None
-            child.stdout.readline()
-            together._look()
-        finally:
-            child.kill()
-    assert alone.megabytes is not None
-    assert together.megabytes is not None
-    assert together.megabytes > alone.megabytes + 50
-    assert together.processes >= 2

@@ -1,4 +1,4 @@
-"""Speed of the stages in one run, so that ratios hold on any machine; and a detector's rate and memory over many."""
+"""A detector's rate and memory over many pictures."""
 
 from __future__ import annotations
 
@@ -7,108 +7,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 
-from pipeline.answering.objects import PreparedFrame, all_objects, appearance_of
-from pipeline.answering.pipeline import Pipeline, contexts
-from pipeline.geometry.camera import backproject
+from pipeline.answering.pipeline import Pipeline
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.level_plane import level_plane
-from pipeline.geometry.lifting import depth_edges, lift
 from pipeline.proposals.cache import CachedDetector, CachedSegmenter
-from pipeline.relations.features import Appearance
 from pipeline.system.errors import InputError, require
 from pipeline.system.whole_files import scratch_folder
-
-MAX_FRAMES = 8
-
-
-def bench_source(source: Pipeline, repeat: int = 5) -> dict[str, Any]:
-    """Time each stage on up to eight frames of a dataset.
-
-    Returns
-    -------
-    dict
-        frames, objects, width, height; ms_per_frame by stage (fastest of
-        `repeat` passes, mean over frames); ratios: lifting all objects against
-        one back-projection of the whole frame, relations against lifting, and
-        scoring pair by pair in a Python loop against all pairs at once.
-    """
-    detector = source.needed_detector()
-    totals: dict[str, float] = {}
-    loops: list[tuple[float, float]] = []
-    frames = objects = width = height = 0
-    for context in contexts(source, None, lambda *_: None):
-        if frames == MAX_FRAMES:
-            break
-        frames += 1
-        frame, viewer = context.frame, context.viewer
-        found = all_objects(context, detector)
-        lifted = [o.lifted for o in found]
-        seen = appearance_of(found, frame)
-        objects += len(found)
-        width, height = frame.width, frame.height
-        masks = [o.mask for o in found]
-        stages: dict[str, Callable[[], Any]] = {
-            "decode": lambda i=frame.id: source.dataset.load(i),
-            "up vector": lambda f=frame: level_plane(f.depth, f.camera),
-            "backproject frame": lambda f=frame: _whole_cloud(f),
-            "depth edges": lambda f=frame: depth_edges(f.depth),
-            "lift": lambda f=frame, m=masks, v=viewer, e=context.edges: lift(
-                f.depth, f.camera, m, v, config=source.config.lift, edges=e
-            ),
-            "relations": lambda k=lifted, v=viewer, s=seen: source.scorer.score(k, v, s),
-            "frame context": lambda f=frame: PreparedFrame(f, source.config.lift),
-        }
-        for name, job in stages.items():
-            totals[name] = totals.get(name, 0.0) + fastest(job, repeat)
-        if len(lifted) > 1:
-            loops.append(
-                (
-                    fastest(lambda k=lifted, v=viewer, s=seen: source.scorer.score(k, v, s), repeat),
-                    fastest(lambda k=lifted, v=viewer, s=seen: _pair_by_pair(source, k, v, s), 1),
-                )
-            )
-    require(frames, "no frame of the dataset can be used", path=source.dataset.root)
-    ms = {name: round(total / frames * 1000, 3) for name, total in totals.items()}
-    ratios = {
-        "lift / backproject": round(totals["lift"] / totals["backproject frame"], 2),
-        "relations / lift": round(totals["relations"] / max(totals["lift"], 1e-9), 3),
-    }
-    if loops:
-        ratios["pair loop / all at once"] = round(sum(b for _, b in loops) / sum(a for a, _ in loops), 1)
-    return {
-        "frames": frames,
-        "objects": objects,
-        "width": width,
-        "height": height,
-        "ms_per_frame": ms,
-        "ratios": ratios,
-    }
-
-
-def fastest(job: Callable[[], Any], repeat: int) -> float:
-    """Seconds of the fastest of some passes."""
-    best = np.inf
-    for _ in range(max(repeat, 1)):
-        start = perf_counter()
-        job()
-        best = min(best, perf_counter() - start)
-    return float(best)
-
-
-def _whole_cloud(frame: Any) -> np.ndarray:
-    v, u = np.nonzero(frame.depth > 0)
-    return backproject(frame.depth, frame.camera, v, u)
-
-
-def _pair_by_pair(source: Pipeline, lifted: list, viewer: Any, seen: Appearance) -> None:
-    for i, a in enumerate(lifted):
-        for j, b in enumerate(lifted[:i]):
-            source.scorer.score([a, b], viewer, seen.take([i, j]))
-
 
 SAMPLES = 20
 """How often the memory is looked at."""
@@ -227,13 +133,3 @@ def _resident_mb() -> list[float]:
     except (OSError, ValueError, IndexError):
         return []
     return [pages * os.sysconf("SC_PAGE_SIZE") / 2**20]
-
-
-if __name__ == "__main__":
-    # cd tests && python -m benchmarks.stages [DATASET]
-    import json
-    import sys
-
-    from pipeline.answering.pipeline import open_pipeline
-
-    print(json.dumps(bench_source(open_pipeline((sys.argv[1:] or ["demo"])[0])), indent=2))
