@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from operator import is_
 from typing import Any
@@ -11,6 +11,7 @@ import numpy as np
 import viser.transforms as vtf
 
 from pipeline.answering.frame_store import LoadedFrame, frame_colors
+from pipeline.answering.objects import SceneObject
 from pipeline.datasets.scene_mesh import fuse_context
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import intrinsics
@@ -238,7 +239,7 @@ class SceneAids(Part):
         boxes = [o.lifted.box for o in state.shown.objects]
         drawn = (objects, self.ctx.scene.to_show, *boxes)
         if len(of) != len(drawn) or not all(map(is_, of, drawn)):
-            if not of or of[0] is not objects:
+            if not of or not _same_places(of[0], objects):
                 known = {"map": index_map(objects), "rects": [np.round(o.bbox, 1).tolist() for o in objects]}
             shown = [None if box is None else _hover_box(self.ctx.scene.shown_box(box)) for box in boxes]
             self._mapped = drawn, {**known, "boxes": shown}
@@ -251,9 +252,7 @@ class SceneAids(Part):
         if centers:
             center, name = np.mean(centers, axis=0), "the pair"
         else:
-            points = loaded.cloud.points
-            center = np.median(points, axis=0) if len(points) else np.array([0.0, 2.0, 0.0])
-            name = "the middle"
+            center, name = loaded.cloud.middle, "the middle"
         nearest = NEAREST_BY_HAND * spacing_at(center[None], loaded.context.frame.camera)
         return {"center": _rounded(center), "name": name, "nearest": round(nearest, 3)}
 
@@ -264,6 +263,14 @@ class SceneAids(Part):
         grid = metre_grid(loaded.context.frame, loaded.context.viewer, loaded.cloud.points)
         for name, color, width, lines in zip(("cells", "fine"), GRID_COLORS[dark], (1.6, 0.8), grid, strict=True):
             self.ctx.client.lines(f"/grid/{name}", lines, color, width)
+
+
+def _same_places(before: Sequence[SceneObject], objects: Sequence[SceneObject]) -> bool:
+    """True for objects of the same pixels and 2D boxes, such as one with another class."""
+    return len(before) == len(objects) and all(
+        a is b or (np.array_equal(a.bbox, b.bbox) and np.array_equal(a.mask, b.mask))
+        for a, b in zip(before, objects, strict=True)
+    )
 
 
 def _hover_box(box: Box3D) -> dict[str, object]:
