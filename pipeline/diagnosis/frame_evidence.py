@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -201,41 +201,52 @@ class FrameEvidence:
     def _score(self, relations: Sequence[str]) -> None:
         pipeline, d = self.answers.source, self.detections
         points = any(needs_points(pipeline.scorer, relation) for relation in relations)
-        indices = self._involved(relations)
+        roles = [role for _, roles in self._asked(relations) for role in roles]
+        indices = np.unique(np.concatenate([np.zeros(0, np.int64), *roles]))
         true = {k: self.objects.get(k, points) for k in (indices[indices >= d] - d).tolist()}
         indices = np.array([p for p in indices.tolist() if p < d or true[p - d] is not None], np.int64)
         objects = [self.answers.objects[p] if p < d else true[p - d] for p in indices.tolist()]
         present = [o for o in objects if o is not None]
+        given = {relation: self.answers.probabilities(relation) for relation in relations}
+        wanted = self._wanted(relations) if isinstance(pipeline.scorer, OnnxScorer) else None
+        if wanted is not None:
+            wanted[:d, :d] &= any(found is None for found in given.values())
+            wanted = wanted[np.ix_(indices, indices)]
         kept = [(pipeline, self._probabilities)]
         if not self.asked_again:
             kept.append(
                 (replace(pipeline, scorer=getattr(pipeline.scorer, "stand_in", pipeline.scorer)), self._stand_ins)
             )
         for own, tables in kept:
-            scores = own.score(self.answers.context, present, relations) if present else None
+            scores = own.score(self.answers.context, present, relations, wanted) if present else None
             for relation in relations:
                 table = tables[relation] = np.full((d + self.labelled, d + self.labelled), np.nan)
                 if scores is not None:
                     table[np.ix_(indices, indices)] = scores.of(relation)
-        for relation in relations:
-            given = self.answers.probabilities(relation)
-            if given is not None:
-                self._probabilities[relation][:d, :d] = given
+        for relation, found in given.items():
+            if found is not None:
+                self._probabilities[relation][:d, :d] = found
 
-    def _involved(self, relations: Sequence[str]) -> np.ndarray:
-        """Indices of the candidates and labelled objects in the cases of these relations, rising."""
-        candidates = [np.zeros(0, np.int64)]
-        labelled = np.zeros(self.labelled, np.bool_)
+    def _asked(self, relations: Sequence[str]) -> Iterator[tuple[Case, list[np.ndarray]]]:
+        """Cases of these relations, each with the indices of its roles: candidates and labelled objects, rising."""
         for case in self._cases:
-            if case.relations.isdisjoint(relations):
-                continue
-            for name, asked in self.truth.roles(case):
-                candidates.append(self.answers.candidates[name].index)
-                labelled |= asked
-        indices = np.unique(np.concatenate(candidates))
-        matched = self.match[indices]
-        labelled[matched[matched >= 0]] = True
-        return np.concatenate([indices, self.detections + np.flatnonzero(labelled)])
+            if not case.relations.isdisjoint(relations):
+                yield case, [self._role(*role) for role in self.truth.roles(case)]
+
+    def _role(self, name: str, asked: np.ndarray) -> np.ndarray:
+        candidates = self.answers.candidates[name].index
+        labelled = np.concatenate([self.match[candidates], np.flatnonzero(asked)])
+        return np.unique(np.concatenate([candidates, self.detections + labelled[labelled >= 0]]))
+
+    def _wanted(self, relations: Sequence[str]) -> np.ndarray | None:
+        """(D + N, D + N) bool: targets with references, as found and as labelled; None for all pairs."""
+        wanted = np.zeros((self.detections + self.labelled,) * 2, np.bool_)
+        for case, roles in self._asked(relations):
+            # In a sentence any two objects may meet.
+            if case.meant is not None:
+                return None
+            wanted[np.ix_(*roles)] = True
+        return wanted
 
 
 class TrueObjects:

@@ -158,10 +158,10 @@ class ReviewQueue(LabelPart):
         found = [i for i in items if work is not None and i is not None and i.plain in work.indices]
         # The same said the other way round is taken back with it; many answers at once are no item.
         one = len({(i.frame, frozenset((i.a, i.b))) for i in found}) == 1
-        again = one and work is not None and self.state.labels is not None
-        if again:
-            self.open(work.keys[work.indices[found[0].plain]])
-        return again
+        if not one or work is None or self.state.labels is None:
+            return False
+        self.open(work.keys[work.indices[found[0].plain]])
+        return True
 
     def _caught_up(self) -> Worklist | None:
         """List of the current pipeline, updated with everybody's saved edits."""
