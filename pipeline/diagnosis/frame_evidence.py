@@ -57,7 +57,7 @@ class FrameEvidence:
     object that each detection is, of whatever class: the best overlap of at least a half; -1 for none; `same`: (D + N,
     D + N) bool: one and the same thing; `same_box`: (D + N, D + N) bool: the same, by identity and 2D box alone,
     whatever the masks; `mask_sizes`: (D + N,) int64: pixels; `roles`: what may fill the roles of expressions, kept by
-    `substitution`.
+    `substitution`; `before`: evidence before an edit, whose scores of the same objects are taken over.
     """
 
     def __init__(
@@ -66,6 +66,7 @@ class FrameEvidence:
         answers: FrameAnswers,
         confidence: float = DEFAULT_CONFIDENCE,
         cases: Sequence[Case] | None = None,
+        before: FrameEvidence | None = None,
     ) -> None:
         self.truth, self.answers, self.confidence = truth, answers, confidence
         self._cases = truth.cases if cases is None else tuple(cases)
@@ -91,6 +92,18 @@ class FrameEvidence:
         self.roles: dict[tuple[str, bytes], Any] = {}
         self._probabilities: dict[str, np.ndarray] = {}
         self._stand_ins: dict[str, np.ndarray] = {}
+        self._known: dict[str, np.ndarray] = {}
+        if before is not None and self._is_edit_of(before):
+            self.objects = before.objects
+            same = [_same_to_scorer(*pair) for pair in zip(before.answers.objects, answers.objects, strict=True)]
+            stays = np.concatenate([np.array(same, np.bool_), np.ones(n, np.bool_)])
+            both = stays[:, None] & stays
+            self._known = {r: np.where(both, table, np.nan) for r, table in before._probabilities.items()}
+
+    def _is_edit_of(self, before: FrameEvidence) -> bool:
+        own, other = self.answers, before.answers
+        same = own.context is other.context and own.source.scorer is other.source.scorer
+        return same and self.truth.geometry is before.truth.geometry and self.detections == before.detections
 
     def object_at(self, index: int) -> SceneObject:
         """Detection at an index, from D on a labelled object with its own pixels; no pixels for a mere box."""
@@ -203,26 +216,33 @@ class FrameEvidence:
         points = any(needs_points(pipeline.scorer, relation) for relation in relations)
         roles = [role for _, roles in self._asked(relations) for role in roles]
         indices = np.unique(np.concatenate([np.zeros(0, np.int64), *roles]))
+        given = {relation: self.answers.probabilities(relation) for relation in relations}
+        wanted = self._wanted(relations) if isinstance(pipeline.scorer, OnnxScorer) else None
+        known = self._known if wanted is not None and self._known.keys() >= set(relations) else {}
+        if wanted is not None:
+            wanted[:d, :d] &= any(found is None for found in given.values())
+            if known:
+                wanted &= np.isnan([known[relation] for relation in relations]).any(axis=0)
+            indices = np.flatnonzero(wanted.any(axis=0) | wanted.any(axis=1))
         true = {k: self.objects.get(k, points) for k in (indices[indices >= d] - d).tolist()}
         indices = np.array([p for p in indices.tolist() if p < d or true[p - d] is not None], np.int64)
         objects = [self.answers.objects[p] if p < d else true[p - d] for p in indices.tolist()]
         present = [o for o in objects if o is not None]
-        given = {relation: self.answers.probabilities(relation) for relation in relations}
-        wanted = self._wanted(relations) if isinstance(pipeline.scorer, OnnxScorer) else None
-        if wanted is not None:
-            wanted[:d, :d] &= any(found is None for found in given.values())
-            wanted = wanted[np.ix_(indices, indices)]
         kept = [(pipeline, self._probabilities)]
         if not self.asked_again:
             kept.append(
                 (replace(pipeline, scorer=getattr(pipeline.scorer, "stand_in", pipeline.scorer)), self._stand_ins)
             )
         for own, tables in kept:
-            scores = own.score(self.answers.context, present, relations, wanted) if present else None
+            block = np.ix_(indices, indices)
+            only = None if wanted is None else wanted[block]
+            scores = own.score(self.answers.context, present, relations, only) if present else None
             for relation in relations:
                 table = tables[relation] = np.full((d + self.labelled, d + self.labelled), np.nan)
                 if scores is not None:
-                    table[np.ix_(indices, indices)] = scores.of(relation)
+                    table[block] = scores.of(relation)
+                if known:
+                    np.copyto(table, known[relation], where=np.isnan(table))
         for relation, found in given.items():
             if found is not None:
                 self._probabilities[relation][:d, :d] = found
@@ -247,6 +267,10 @@ class FrameEvidence:
                 return None
             wanted[np.ix_(*roles)] = True
         return wanted
+
+
+def _same_to_scorer(a: SceneObject, b: SceneObject) -> bool:
+    return a.lifted is b.lifted and a.label == b.label and np.array_equal(a.bbox, b.bbox)
 
 
 class TrueObjects:

@@ -183,7 +183,7 @@ class OnnxScorer:
         relations: Collection[str] = PAIRWISE,
         wanted: np.ndarray | None = None,
     ) -> RelationScores:
-        """Probabilities by the network, NaN for pairs beyond `wanted`, (N, N) bool; states are the rule's.
+        """Probabilities by the network, perhaps NaN beyond the `wanted` pairs, (N, N) bool; states are the rule's.
 
         Raises
         ------
@@ -202,7 +202,7 @@ class OnnxScorer:
     ) -> np.ndarray:
         """(N, N, R) float64: network's probabilities of the vocabulary, for all ordered pairs.
 
-        `wanted`, (N, N) bool, by default all; other pairs of two objects are NaN.
+        `wanted`, (N, N) bool, by default all; the others may be NaN.
         """
         require(
             not self.features.needs_appearance or appearance is not None,
@@ -218,7 +218,9 @@ class OnnxScorer:
         if wanted is None:
             return self.probabilities(rows)
         first, second = np.nonzero(np.triu(wanted | wanted.T, 1))
-        # Each pair is a scene of two: the network judges it by these alone.
+        if 4 * len(first) >= len(rows) ** 2:
+            return self.probabilities(rows)
+        # Each pair is a scene of two, of four ordered pairs: the network judges it by these alone.
         found = self.probabilities(rows[np.stack([first, second], axis=1)])
         result = np.full((len(rows), len(rows), found.shape[-1]), np.nan)
         result[first, second], result[second, first] = found[:, 0, 1], found[:, 1, 0]
@@ -238,15 +240,11 @@ class OnnxScorer:
         shape = (*rows.shape[:-1], rows.shape[-2], len(vocabulary))
         if 0 in shape:
             return np.zeros(shape)
-        # What a thing is to itself is not a question for a network.
-        two = ~np.eye(rows.shape[-2], dtype=np.bool_)
-        features = (self.features.pair(rows)[..., two, :] - self.contract.mean) / self.contract.std
+        features = (self.features.pair(rows) - self.contract.mean) / self.contract.std
         flat = features.reshape(-1, features.shape[-1]).astype(np.float32)
         (found,) = run_limited(self._session, None, {self._input: flat}, self.path)
-        logits = np.zeros(shape)
-        logits[..., two, :] = found.reshape(*shape[:-3], -1, len(vocabulary))
         mirrored = antisymmetric if self.contract.output == "sigmoid" else antisymmetric_log_softmax
-        return mirrored(logits, vocabulary)
+        return mirrored(found.astype(np.float64).reshape(shape), vocabulary)
 
     def probabilities(self, rows: np.ndarray) -> np.ndarray:
         """(N, N, R) calibrated probabilities; 0.5 where either object is not known (NaN).

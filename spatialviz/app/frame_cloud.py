@@ -20,6 +20,7 @@ from pipeline.geometry.masks import encode_run_length
 from pipeline.geometry.palette import dimming, hex_color
 from pipeline.geometry.viewer import surface_point
 from pipeline.system.errors import FrameUnusable, MissingExtra
+from pipeline.system.recent import Recent
 from spatialviz.app.context import Context, Part
 from spatialviz.app.picture import index_map
 from spatialviz.app.scene import Tag, plain_color
@@ -199,6 +200,7 @@ class SceneAids(Part):
     def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
         self._mapped: tuple[tuple[Any, ...], dict[str, object]] = ((), {})
+        self._hovered = Recent[int, tuple[Box3D, dict[str, object]]](1000)
 
     def follow(self) -> list[Tag]:
         """Draw the aids for the state; returns the name tags to show."""
@@ -241,9 +243,13 @@ class SceneAids(Part):
         if len(of) != len(drawn) or not all(map(is_, of, drawn)):
             if not of or not _same_places(of[0], objects):
                 known = {"map": index_map(objects), "rects": [np.round(o.bbox, 1).tolist() for o in objects]}
-            shown = [None if box is None else _hover_box(self.ctx.scene.shown_box(box)) for box in boxes]
+            shown = [None if box is None else self._hover_box(box) for box in boxes]
             self._mapped = drawn, {**known, "boxes": shown}
         return self._mapped[1]
+
+    def _hover_box(self, box: Box3D) -> dict[str, object]:
+        shown = self.ctx.scene.shown_box(box)
+        return self._hovered.get(id(shown), lambda: (shown, _box_record(shown)))[1]
 
     def _looked_at(self, state: State, loaded: LoadedFrame) -> dict[str, object]:
         """Point of the depth scale: the middle of the chosen pair, else of the cloud."""
@@ -273,7 +279,7 @@ def _same_places(before: Sequence[SceneObject], objects: Sequence[SceneObject]) 
     )
 
 
-def _hover_box(box: Box3D) -> dict[str, object]:
+def _box_record(box: Box3D) -> dict[str, object]:
     return {
         "center": _rounded(box.center),
         "R": _rounded(box.R.ravel()),
