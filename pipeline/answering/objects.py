@@ -18,7 +18,7 @@ from pipeline.geometry.lifting import LiftConfig, LiftedObject, MaskSource, dept
 from pipeline.geometry.viewer import ViewerAxes, resolve_up, viewer_axes
 from pipeline.language.class_sizes import is_thin
 from pipeline.proposals.annotations import box_mask
-from pipeline.proposals.base import Detector, Proposals
+from pipeline.proposals.base import Detector, Proposals, numbers_of
 from pipeline.relations.features import Appearance
 
 SAME_BOX_IOU = 0.7
@@ -74,6 +74,7 @@ class PreparedFrame:
         self.viewer: ViewerAxes = viewer_axes(camera.up, camera.up_source or "assumed", up_doubt)
         self.edges = depth_edges(frame.depth, self.config)
         self._lifted: dict[tuple[str, int, bool], tuple[LiftedObject, np.ndarray]] = {}
+        self._numbers: dict[str, dict[int, int]] = {}
         self.seconds = perf_counter() - start
 
     def under(self, config: LiftConfig) -> PreparedFrame:
@@ -81,6 +82,13 @@ class PreparedFrame:
         if config == self.config:
             return self
         return PreparedFrame(self.frame, config, boxes=self.boxes, up_doubt=self.viewer.up_doubt)
+
+    def numbers(self, detector: Detector) -> dict[int, int]:
+        """Rank of each id among all that a detector lists in the frame, worked out once: see `numbers_of`."""
+        fingerprint = detector.fingerprint()
+        if fingerprint not in self._numbers:
+            self._numbers[fingerprint] = numbers_of(detector, self.frame)
+        return self._numbers[fingerprint]
 
     def lift(self, proposals: Proposals, detector: Detector) -> tuple[SceneObject, ...]:
         """Lift proposals to 3D, each once."""
