@@ -18,7 +18,7 @@ from pipeline.geometry.lifting import LiftConfig, LiftedObject, MaskSource, dept
 from pipeline.geometry.viewer import ViewerAxes, resolve_up, viewer_axes
 from pipeline.language.class_sizes import is_thin
 from pipeline.proposals.annotations import box_mask
-from pipeline.proposals.base import Detector, Proposals, numbers_of
+from pipeline.proposals.base import Detector, Proposals, lists_things
 from pipeline.relations.features import Appearance
 
 SAME_BOX_IOU = 0.7
@@ -83,11 +83,18 @@ class PreparedFrame:
             return self
         return PreparedFrame(self.frame, config, boxes=self.boxes, up_doubt=self.viewer.up_doubt)
 
-    def numbers(self, detector: Detector) -> dict[int, int]:
-        """Rank of each id among all that a detector lists in the frame, worked out once: see `numbers_of`."""
+    def numbers(self, detector: Detector, ids: np.ndarray | None = None) -> dict[int, int]:
+        """Rank of each id among all listed detections, made once; empty for detectors of pictures.
+
+        `ids`, (N,) int64: those of all detections, where they are known.
+        """
+        if not lists_things(detector):
+            return {}
         fingerprint = detector.fingerprint()
         if fingerprint not in self._numbers:
-            self._numbers[fingerprint] = numbers_of(detector, self.frame)
+            # In the order of the identities, as `all_objects` has them.
+            listed = np.sort(detector.detect(self.frame, None).ids if ids is None else ids).tolist()
+            self._numbers[fingerprint] = {number: place for place, number in enumerate(listed) if number >= 0}
         return self._numbers[fingerprint]
 
     def lift(self, proposals: Proposals, detector: Detector) -> tuple[SceneObject, ...]:
@@ -171,6 +178,7 @@ def pixels_inside(box: Box3D, mask: np.ndarray, frame: Frame, margin: float = BO
 def all_objects(context: PreparedFrame, detector: Detector) -> tuple[SceneObject, ...]:
     """Detect everything in the frame, in the order of identities."""
     proposals = detector.detect(context.frame, None)
+    context.numbers(detector, proposals.ids)
     return context.lift(proposals.take(np.argsort(proposals.ids, kind="stable")), detector)
 
 
