@@ -21,7 +21,7 @@ from pipeline.language.expression import Reader, parse
 from pipeline.language.lexicon import wording
 from pipeline.language.naming import Synonyms
 from pipeline.language.tree import Attachment, Node, Query
-from pipeline.proposals.base import Detector, Proposals, is_final, numbers_of, told_by_ids, top_k
+from pipeline.proposals.base import Detector, Proposals, is_final, told_by_ids, top_k
 from pipeline.proposals.score_calibration import ScoreCalibration
 from pipeline.relations.scorer import (
     BEYOND_PAIRS,
@@ -201,7 +201,7 @@ def ask(
         detector=detector.name,
         scorer=scorer.name,
         exact=detector.exact,
-        numbers=numbers_of(detector, context.frame),
+        numbers=context.numbers(detector),
         score_calibration=calibration,
     )
     return ranked(trace, config.rank, lambda objects: same_object(objects, told_by_ids(detector)))

@@ -333,15 +333,19 @@ def frame_colors(
         return depth_colors(frame.depth)
     if mode == "rgb" or not objects:
         return frame.rgb
-    grey = np.repeat(frame.rgb.mean(axis=2, keepdims=True), 3, axis=2)
-    image = (grey * 0.55 + (20 if dark else 110)).astype(np.uint8)
+    # Of each sum of three bytes, and below of each byte, once.
+    greys = (np.arange(3 * 256) / 3 * 0.55 + (20 if dark else 110)).astype(np.uint8)
+    red, green, blue = np.moveaxis(frame.rgb, 2, 0)
+    sums = np.add(red, green, dtype=np.uint16) + blue
+    image = np.repeat(greys[sums][..., None], 3, axis=2)
     order = sorted(range(len(objects)), key=lambda i: -int(objects[i].lifted.quality.mask_pixels))
     if mode == "objects":
-        calm = instance_colors(len(objects))
+        calm, pixels = instance_colors(len(objects)), image.reshape(-1, 3)
         for i in order:
-            color = ON_DARK[roles[i]] if i in roles else calm[i]
-            mask = objects[i].mask
-            image[mask] = (image[mask] * 0.35 + np.array(color) * 0.65).astype(np.uint8)
+            color = np.array(ON_DARK[roles[i]] if i in roles else calm[i])
+            tinted = (np.arange(256)[:, None] * 0.35 + color * 0.65).astype(np.uint8)
+            at = np.flatnonzero(objects[i].mask)
+            pixels[at] = tinted[pixels[at], np.arange(3)]
         return image
     for i in order:
         evidence = objects[i].lifted.evidence

@@ -19,7 +19,7 @@ from pipeline.geometry.masks import LazyMask, MaskStack, PictureMask
 from pipeline.geometry.viewer import ViewerAxes, resolve_up, viewer_axes
 from pipeline.language.class_sizes import is_thin
 from pipeline.proposals.annotations import box_mask
-from pipeline.proposals.base import Detector, Proposals
+from pipeline.proposals.base import Detector, Proposals, lists_things
 from pipeline.relations.features import Appearance
 
 _UNPAINTED = np.zeros((0, 0), np.bool_)
@@ -84,6 +84,7 @@ class PreparedFrame:
         self.viewer: ViewerAxes = viewer_axes(camera.up, camera.up_source or "assumed", up_doubt)
         self.edges = depth_edges(frame.depth, self.config)
         self._lifted: dict[tuple[str, int, bool], tuple[LiftedObject, PictureMask]] = {}
+        self._numbers: dict[str, dict[int, int]] = {}
         self.seconds = perf_counter() - start
 
     def under(self, config: LiftConfig) -> PreparedFrame:
@@ -91,6 +92,20 @@ class PreparedFrame:
         if config == self.config:
             return self
         return PreparedFrame(self.frame, config, boxes=self.boxes, up_doubt=self.viewer.up_doubt)
+
+    def numbers(self, detector: Detector, ids: np.ndarray | None = None) -> dict[int, int]:
+        """Rank of each id among all listed detections, made once; empty for detectors of pictures.
+
+        `ids`, (N,) int64: those of all detections, where they are known.
+        """
+        if not lists_things(detector):
+            return {}
+        fingerprint = detector.fingerprint()
+        if fingerprint not in self._numbers:
+            # In the order of the identities, as `all_objects` has them.
+            listed = np.sort(detector.detect(self.frame, None).ids if ids is None else ids).tolist()
+            self._numbers[fingerprint] = {number: place for place, number in enumerate(listed) if number >= 0}
+        return self._numbers[fingerprint]
 
     def lift(self, proposals: Proposals, detector: Detector) -> tuple[SceneObject, ...]:
         """Lift proposals to 3D, each once."""
@@ -178,6 +193,7 @@ def pixels_inside(box: Box3D, mask: np.ndarray, frame: Frame, margin: float = BO
 def all_objects(context: PreparedFrame, detector: Detector) -> tuple[SceneObject, ...]:
     """Detect everything in the frame, in the order of identities."""
     proposals = detector.detect(context.frame, None)
+    context.numbers(detector, proposals.ids)
     return context.lift(proposals.take(np.argsort(proposals.ids, kind="stable")), detector)
 
 

@@ -9,6 +9,8 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
 from pipeline.answering.ask import AskConfig, Trace, ask
 from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects, appearance_of, prepare_frame
 from pipeline.datasets import Dataset, open_dataset, resolve_frame
@@ -91,11 +93,18 @@ class Pipeline:
         return self.detector
 
     def score(
-        self, context: PreparedFrame, objects: Sequence[SceneObject], relations: Collection[str] = PAIRWISE
+        self,
+        context: PreparedFrame,
+        objects: Sequence[SceneObject],
+        relations: Collection[str] = PAIRWISE,
+        wanted: np.ndarray | None = None,
     ) -> RelationScores:
-        """Relations of every ordered pair of the frame's objects; InputError for a class unknown to the scorer."""
-        appearance = appearance_of(objects, context.frame)
-        return self.scorer.score([o.lifted for o in objects], context.viewer, appearance, relations)
+        """Relations of every ordered pair of the frame's objects; InputError for a class unknown to the scorer.
+
+        `wanted`, (N, N) bool: the only pairs that a network is asked about.
+        """
+        appearance, only = appearance_of(objects, context.frame), {} if wanted is None else {"wanted": wanted}
+        return self.scorer.score([o.lifted for o in objects], context.viewer, appearance, relations, **only)
 
     @property
     def names(self) -> tuple[str, ...]:

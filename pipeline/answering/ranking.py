@@ -284,9 +284,10 @@ def _links(
     factors = [Factor(kind, text, solved.mention, here, float(p[at])) for kind, text, p in solved.factors]
     product = float(solved.side.scores[at]) * math.prod(f.probability for f in factors)
     for number, branch in enumerate(solved.branches):
-        block = branch.total[at]
-        best = tuple(int(x) for x in np.unravel_index(int(block.argmax()), block.shape))
-        ends = first_ends if number == 0 and first_ends is not None else best
+        ends = first_ends if number == 0 else None
+        if ends is None:
+            block = branch.total[at]
+            ends = tuple(int(x) for x in np.unravel_index(int(block.argmax()), block.shape))
         objects = [int(e.side.index[k]) for e, k in zip(branch.ends, ends, strict=True)]
         probability = float(branch.probability[(at, *ends)])
         product *= probability

@@ -86,11 +86,12 @@ class Judge:
         trace: Trace,
         expression: str | None = None,
         rank: RankConfig | None = None,
+        before: Diagnosis | str | None = None,
     ) -> Diagnosis | str | None:
         """Verdict on an answer, the reason why none is possible, or None without truth.
 
         `name` is the source of the truth, `source` what has answered, `expression` the id of the labelled one that was
-        asked, `rank` the weights of an edited trace.
+        asked, `rank` the weights of an edited trace, `before` what came of it before the last edit.
         """
         try:
             truth, corrected = self.truth(name, source, context), self._corrected(name, context.frame.id)
@@ -103,7 +104,8 @@ class Judge:
             case = known["case"] or labelled_case(truth, trace.query.text)
             if corrected is not None and case is not None:
                 known["case"] = answered_case(corrected, truth, case, trace)
-            return judge_trace(trace, source, context, truth, rank=rank, **known)
+            evidence = before.evidence if isinstance(before, Diagnosis) else None
+            return judge_trace(trace, source, context, truth, rank=rank, before=evidence, **known)
         except InputError as error:
             return str(error)
 

@@ -312,6 +312,7 @@ def judge_trace(
     mark: str | None = None,
     confidence: float | None = None,
     rank: RankConfig | None = None,
+    before: FrameEvidence | None = None,
 ) -> Diagnosis | str:
     """Verdict on a trace, or the reason for none.
 
@@ -329,6 +330,8 @@ def judge_trace(
         Score of an object that RECALL adds.
     rank : RankConfig, optional
         The weights the trace was ranked with, where they are not the pipeline's.
+    before : FrameEvidence, optional
+        Of the answer before an edit: what the edit leaves alone is not scored again.
     """
     pipeline = pipeline.asked(context.frame.id, trace.query.text)
     case = case or labelled_case(truth, trace.query.text)
@@ -349,7 +352,7 @@ def judge_trace(
         answers = FrameAnswers(pipeline, context, names, case.relations)
         # What the detector does not know was read all the same.
         query = read_query(case, pipeline.dataset.class_names, pipeline.reader)[0] or query
-    return judge_answers(answers, truth, case, query, mark=mark, confidence=confidence)
+    return judge_answers(answers, truth, case, query, mark=mark, confidence=confidence, before=before)
 
 
 def judge_sentence(
@@ -371,8 +374,10 @@ def judge_answers(
     mark: str | None = None,
     confidence: float | None = None,
     problem: InputError | None = None,
+    before: FrameEvidence | None = None,
 ) -> Diagnosis:
     """Verdict on an expression by the detections of its frame; `problem`: reason for not reading it."""
-    evidence = FrameEvidence(truth, answers, DEFAULT_CONFIDENCE if confidence is None else confidence, (case,))
+    confidence = DEFAULT_CONFIDENCE if confidence is None else confidence
+    evidence = FrameEvidence(truth, answers, confidence, (case,), before)
     gold = query is not None and is_gold(query, case)
     return diagnose(evidence, case, parse_ok=gold, mark=mark, query=query, problem=problem)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -58,7 +58,7 @@ class FrameEvidence:
     object that each detection is, of whatever class: the best overlap of at least a half; -1 for none; `same`: (D + N,
     D + N) bool: one and the same thing; `same_box`: (D + N, D + N) bool: the same, by identity and 2D box alone,
     whatever the masks; `mask_sizes`: (D + N,) int64: pixels; `roles`: what may fill the roles of expressions, kept by
-    `substitution`.
+    `substitution`; `before`: evidence before an edit, whose scores of the same objects are taken over.
     """
 
     def __init__(
@@ -67,6 +67,7 @@ class FrameEvidence:
         answers: FrameAnswers,
         confidence: float = DEFAULT_CONFIDENCE,
         cases: Sequence[Case] | None = None,
+        before: FrameEvidence | None = None,
     ) -> None:
         self.truth, self.answers, self.confidence = truth, answers, confidence
         self._cases = truth.cases if cases is None else tuple(cases)
@@ -92,6 +93,18 @@ class FrameEvidence:
         self.roles: dict[tuple[str, bytes], Any] = {}
         self._probabilities: dict[str, np.ndarray] = {}
         self._stand_ins: dict[str, np.ndarray] = {}
+        self._known: dict[str, np.ndarray] = {}
+        if before is not None and self._is_edit_of(before):
+            self.objects = before.objects
+            same = [_same_to_scorer(*pair) for pair in zip(before.answers.objects, answers.objects, strict=True)]
+            stays = np.concatenate([np.array(same, np.bool_), np.ones(n, np.bool_)])
+            both = stays[:, None] & stays
+            self._known = {r: np.where(both, table, np.nan) for r, table in before._probabilities.items()}
+
+    def _is_edit_of(self, before: FrameEvidence) -> bool:
+        own, other = self.answers, before.answers
+        same = own.context is other.context and own.source.scorer is other.source.scorer
+        return same and self.truth.geometry is before.truth.geometry and self.detections == before.detections
 
     def object_at(self, index: int) -> SceneObject:
         """Detection at an index, from D on a labelled object with its own pixels; no pixels for a mere box."""
@@ -206,7 +219,16 @@ class FrameEvidence:
     def _score(self, relations: Sequence[str]) -> None:
         pipeline, d = self.answers.source, self.detections
         points = any(needs_points(pipeline.scorer, relation) for relation in relations)
-        indices = self._involved(relations)
+        roles = [role for _, roles in self._asked(relations) for role in roles]
+        indices = np.unique(np.concatenate([np.zeros(0, np.int64), *roles]))
+        given = {relation: self.answers.probabilities(relation) for relation in relations}
+        wanted = self._wanted(relations) if isinstance(pipeline.scorer, OnnxScorer) else None
+        known = self._known if wanted is not None and self._known.keys() >= set(relations) else {}
+        if wanted is not None:
+            wanted[:d, :d] &= any(found is None for found in given.values())
+            if known:
+                wanted &= np.isnan([known[relation] for relation in relations]).any(axis=0)
+            indices = np.flatnonzero(wanted.any(axis=0) | wanted.any(axis=1))
         true = {k: self.objects.get(k, points) for k in (indices[indices >= d] - d).tolist()}
         indices = np.array([p for p in indices.tolist() if p < d or true[p - d] is not None], np.int64)
         objects = [self.answers.objects[p] if p < d else true[p - d] for p in indices.tolist()]
@@ -217,30 +239,43 @@ class FrameEvidence:
                 (replace(pipeline, scorer=getattr(pipeline.scorer, "stand_in", pipeline.scorer)), self._stand_ins)
             )
         for own, tables in kept:
-            scores = own.score(self.answers.context, present, relations) if present else None
+            block = np.ix_(indices, indices)
+            only = None if wanted is None else wanted[block]
+            scores = own.score(self.answers.context, present, relations, only) if present else None
             for relation in relations:
                 table = tables[relation] = np.full((d + self.labelled, d + self.labelled), np.nan)
                 if scores is not None:
-                    table[np.ix_(indices, indices)] = scores.of(relation)
-        for relation in relations:
-            given = self.answers.probabilities(relation)
-            if given is not None:
-                self._probabilities[relation][:d, :d] = given
+                    table[block] = scores.of(relation)
+                if known:
+                    np.copyto(table, known[relation], where=np.isnan(table))
+        for relation, found in given.items():
+            if found is not None:
+                self._probabilities[relation][:d, :d] = found
 
-    def _involved(self, relations: Sequence[str]) -> np.ndarray:
-        """Indices of the candidates and labelled objects in the cases of these relations, rising."""
-        candidates = [np.zeros(0, np.int64)]
-        labelled = np.zeros(self.labelled, np.bool_)
+    def _asked(self, relations: Sequence[str]) -> Iterator[tuple[Case, list[np.ndarray]]]:
+        """Cases of these relations, each with the indices of its roles: candidates and labelled objects, rising."""
         for case in self._cases:
-            if case.relations.isdisjoint(relations):
-                continue
-            for name, asked in self.truth.roles(case):
-                candidates.append(self.answers.candidates[name].index)
-                labelled |= asked
-        indices = np.unique(np.concatenate(candidates))
-        matched = self.match[indices]
-        labelled[matched[matched >= 0]] = True
-        return np.concatenate([indices, self.detections + np.flatnonzero(labelled)])
+            if not case.relations.isdisjoint(relations):
+                yield case, [self._role(*role) for role in self.truth.roles(case)]
+
+    def _role(self, name: str, asked: np.ndarray) -> np.ndarray:
+        candidates = self.answers.candidates[name].index
+        labelled = np.concatenate([self.match[candidates], np.flatnonzero(asked)])
+        return np.unique(np.concatenate([candidates, self.detections + labelled[labelled >= 0]]))
+
+    def _wanted(self, relations: Sequence[str]) -> np.ndarray | None:
+        """(D + N, D + N) bool: targets with references, as found and as labelled; None for all pairs."""
+        wanted = np.zeros((self.detections + self.labelled,) * 2, np.bool_)
+        for case, roles in self._asked(relations):
+            # In a sentence any two objects may meet.
+            if case.meant is not None:
+                return None
+            wanted[np.ix_(*roles)] = True
+        return wanted
+
+
+def _same_to_scorer(a: SceneObject, b: SceneObject) -> bool:
+    return a.lifted is b.lifted and a.label == b.label and np.array_equal(a.bbox, b.bbox)
 
 
 class TrueObjects:

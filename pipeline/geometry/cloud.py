@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -49,6 +50,11 @@ class Cloud:
     u: np.ndarray  # (N,) int32, columns
     points: np.ndarray  # (N, 3) float32, in the shown frame: x right, y forward, z up, metres
     parts: tuple[CloudPart, ...]  # Those of the first cloud come first
+
+    @cached_property
+    def middle(self) -> np.ndarray:
+        """Median of the points, (3,), shown frame, metres; two metres ahead without any."""
+        return np.median(self.points, axis=0) if len(self.points) else np.array([0.0, 2.0, 0.0])
 
     def painted(self, colors: np.ndarray) -> np.ndarray:
         """Colours of the points, (N, 3) uint8, from colours of the frame's pixels, (H, W, 3)."""

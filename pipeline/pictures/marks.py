@@ -8,6 +8,7 @@ from typing import Literal
 
 import cv2
 import numpy as np
+import xxhash
 
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
@@ -16,6 +17,7 @@ from pipeline.geometry.boxes import Box3D, Side, dashed, drawn_edges
 from pipeline.geometry.camera import Camera, project
 from pipeline.geometry.masks import outlines
 from pipeline.geometry.palette import ON_DARK, RGB, Role
+from pipeline.system.recent import Recent
 
 TINT = 0.45
 
@@ -73,9 +75,17 @@ def edges_path(
     return "".join(f"M{a[0]:.1f} {a[1]:.1f}L{b[0]:.1f} {b[1]:.1f}" for a, b in edges)
 
 
+_outlines = Recent[tuple[tuple[int, ...], bytes], str](64)
+
+
 def outline_path(mask: np.ndarray) -> str:
-    """SVG path of the outlines of a mask."""
-    return "".join("M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in line.tolist()) + "Z" for line in outlines(mask))
+    """SVG path of the outlines of a mask; those of the last few masks are kept."""
+    mask = np.ascontiguousarray(mask)
+
+    def draw() -> str:
+        return "".join("M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in line.tolist()) + "Z" for line in outlines(mask))
+
+    return _outlines.get((mask.shape, xxhash.xxh3_128_digest(mask.data)), draw)
 
 
 @dataclass(frozen=True)

@@ -192,13 +192,6 @@ def lists_things(detector: Detector) -> bool:
     return bool(getattr(detector, "lists_things", False))
 
 
-def numbers_of(detector: Detector, frame: Frame) -> dict[int, int]:
-    """Rank of each id among all listed detections of a frame; empty for detectors of pictures."""
-    # In the order of the identities, as `all_objects` has them.
-    ids = np.sort(detector.detect(frame, None).ids).tolist() if lists_things(detector) else ()
-    return {number: place for place, number in enumerate(ids) if number >= 0}
-
-
 def unknown_class(label: str, names: Sequence[str], where: str, advice: str | None = None) -> UnknownClass:
     """Error for a class name outside a limited vocabulary, with `advice`."""
     close = suggest(label, names)

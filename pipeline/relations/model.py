@@ -183,8 +183,9 @@ class OnnxScorer:
         viewer: ViewerAxes,
         appearance: Appearance | None = None,
         relations: Collection[str] = PAIRWISE,
+        wanted: np.ndarray | None = None,
     ) -> RelationScores:
-        """Probabilities by the network; states are the rule's.
+        """Probabilities by the network, perhaps NaN beyond the `wanted` pairs, (N, N) bool; states are the rule's.
 
         Raises
         ------
@@ -192,12 +193,19 @@ class OnnxScorer:
             The network is given 2D boxes or class names and there is no appearance, or a class it does not know.
         """
         rule = RuleScorer().score(objects, viewer, relations=relations)
-        return combined(rule.states, self.of_pairs(objects, viewer, appearance), self, rule.relations)
+        return combined(rule.states, self.of_pairs(objects, viewer, appearance, wanted), self, rule.relations)
 
     def of_pairs(
-        self, objects: Sequence[LiftedObject], viewer: ViewerAxes, appearance: Appearance | None = None
+        self,
+        objects: Sequence[LiftedObject],
+        viewer: ViewerAxes,
+        appearance: Appearance | None = None,
+        wanted: np.ndarray | None = None,
     ) -> np.ndarray:
-        """(N, N, R) float64: network's probabilities of the vocabulary, for all ordered pairs."""
+        """(N, N, R) float64: network's probabilities of the vocabulary, for all ordered pairs.
+
+        `wanted`, (N, N) bool, by default all; the others may be NaN.
+        """
         require(
             not self.features.needs_appearance or appearance is not None,
             f"the relation network's {self.name} needs what objects look like in the image",
@@ -208,7 +216,17 @@ class OnnxScorer:
                 "objects and their appearance differ in number", got=f"{len(objects)} and {len(appearance.labels)}"
             )
         rows = self.features.describe(objects, viewer, appearance)
-        return self.probabilities(self.with_words(rows, () if appearance is None else appearance.labels))
+        rows = self.with_words(rows, () if appearance is None else appearance.labels)
+        if wanted is None:
+            return self.probabilities(rows)
+        first, second = np.nonzero(np.triu(wanted | wanted.T, 1))
+        if 4 * len(first) >= len(rows) ** 2:
+            return self.probabilities(rows)
+        # Each pair is a scene of two, of four ordered pairs: the network judges it by these alone.
+        found = self.probabilities(rows[np.stack([first, second], axis=1)])
+        result = np.full((len(rows), len(rows), found.shape[-1]), np.nan)
+        result[first, second], result[second, first] = found[:, 0, 1], found[:, 1, 0]
+        return result
 
     def with_words(self, rows: np.ndarray, labels: Sequence[str]) -> np.ndarray:
         """Rows of geometry, for a language network followed by the vector of each object's class name."""

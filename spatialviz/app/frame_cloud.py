@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from operator import is_
 from typing import Any
@@ -11,6 +11,7 @@ import numpy as np
 import viser.transforms as vtf
 
 from pipeline.answering.frame_store import LoadedFrame, frame_colors
+from pipeline.answering.objects import SceneObject
 from pipeline.datasets.scene_mesh import fuse_context
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import intrinsics
@@ -19,6 +20,7 @@ from pipeline.geometry.masks import encode_run_length
 from pipeline.geometry.palette import dimming, hex_color
 from pipeline.geometry.viewer import surface_point
 from pipeline.system.errors import FrameUnusable, MissingExtra
+from pipeline.system.recent import Recent
 from spatialviz.app.context import Context, Part
 from spatialviz.app.picture import index_map
 from spatialviz.app.scene import Tag, plain_color
@@ -198,6 +200,7 @@ class SceneAids(Part):
     def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
         self._mapped: tuple[tuple[Any, ...], dict[str, object]] = ((), {})
+        self._hovered = Recent[int, tuple[Box3D, dict[str, object]]](1000)
 
     def follow(self) -> list[Tag]:
         """Draw the aids for the state; returns the name tags to show."""
@@ -238,11 +241,15 @@ class SceneAids(Part):
         boxes = [o.lifted.box for o in state.shown.objects]
         drawn = (objects, self.ctx.scene.to_show, *boxes)
         if len(of) != len(drawn) or not all(map(is_, of, drawn)):
-            if not of or of[0] is not objects:
+            if not of or not _same_places(of[0], objects):
                 known = {"map": index_map(objects), "rects": [np.round(o.bbox, 1).tolist() for o in objects]}
-            shown = [None if box is None else _hover_box(self.ctx.scene.shown_box(box)) for box in boxes]
+            shown = [None if box is None else self._hover_box(box) for box in boxes]
             self._mapped = drawn, {**known, "boxes": shown}
         return self._mapped[1]
+
+    def _hover_box(self, box: Box3D) -> dict[str, object]:
+        shown = self.ctx.scene.shown_box(box)
+        return self._hovered.get(id(shown), lambda: (shown, _box_record(shown)))[1]
 
     def _looked_at(self, state: State, loaded: LoadedFrame) -> dict[str, object]:
         """Point of the depth scale: the middle of the chosen pair, else of the cloud."""
@@ -251,9 +258,7 @@ class SceneAids(Part):
         if centers:
             center, name = np.mean(centers, axis=0), "the pair"
         else:
-            points = loaded.cloud.points
-            center = np.median(points, axis=0) if len(points) else np.array([0.0, 2.0, 0.0])
-            name = "the middle"
+            center, name = loaded.cloud.middle, "the middle"
         nearest = NEAREST_BY_HAND * spacing_at(center[None], loaded.context.frame.camera)
         return {"center": _rounded(center), "name": name, "nearest": round(nearest, 3)}
 
@@ -266,7 +271,15 @@ class SceneAids(Part):
             self.ctx.client.lines(f"/grid/{name}", lines, color, width)
 
 
-def _hover_box(box: Box3D) -> dict[str, object]:
+def _same_places(before: Sequence[SceneObject], objects: Sequence[SceneObject]) -> bool:
+    """True for objects of the same pixels and 2D boxes, such as one with another class."""
+    return len(before) == len(objects) and all(
+        a is b or (np.array_equal(a.bbox, b.bbox) and np.array_equal(a.mask, b.mask))
+        for a, b in zip(before, objects, strict=True)
+    )
+
+
+def _box_record(box: Box3D) -> dict[str, object]:
     return {
         "center": _rounded(box.center),
         "R": _rounded(box.R.ravel()),

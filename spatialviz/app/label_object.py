@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from operator import is_
 from typing import Any, Literal
 
 import numpy as np
@@ -182,6 +183,7 @@ class SidePanel(LabelPart):
         super().__init__(ctx)
         self._key = ""
         self._views: SideViews | None = None
+        self._cropped: tuple[tuple[object, ...], Element | None] = (), None
 
     @property
     def _chosen(self) -> tuple[LabelView, int, SceneObject] | None:
@@ -235,7 +237,7 @@ class SidePanel(LabelPart):
     def follow(self) -> None:
         """Draw the views for the state; points are sent only on a change of points or box."""
         chosen = self._chosen
-        self.ctx.page.show("crop", None if chosen is None else crops(self.ctx, chosen[0]))
+        self.ctx.page.show("crop", None if chosen is None else self._crops(chosen[0]))
         box = None if chosen is None else chosen[2].lifted.box
         if chosen is None or box is None or chosen[0].frame.row["up"] is None:
             self._told("", None)
@@ -261,24 +263,37 @@ class SidePanel(LabelPart):
             self._key, self._views = key, views
             self.ctx.page.call("sides", None if views is None else {"key": key, "name": name, **views.record()})
 
+    def _crops(self, view: LabelView) -> Element | None:
+        """Large crop of the current item, beside the labeller's version where different; made once."""
+        state = self.state
+        if state.loaded is None or state.selected is None:
+            return None
+        frame = state.loaded.context.frame
+        places = [state.selected] if state.pair is None or state.selected not in state.pair else list(state.pair[:2])
+        entries = [state.shown.objects[k] for k in dict.fromkeys(places)]
+        merge = state.pair is not None and state.pair[0] != state.pair[1]
+        # What is corrected of an object makes another entry of it.
+        drawn = (frame, merge, *entries)
+        if len(drawn) != len(self._cropped[0]) or not all(map(is_, drawn, self._cropped[0])):
+            names = [state.shown.names[k] for k in dict.fromkeys(places)]
+            before = view.as_labelled(view.numbers[state.selected], (frame.height, frame.width))
+            self._cropped = drawn, _crops(frame, entries, names, before, merge)
+        return self._cropped[1]
 
-def crops(ctx: Context, view: LabelView) -> Element | None:
-    """Large crop of the current item, beside the labeller's version where different."""
-    state = ctx.state
-    if state.loaded is None or state.selected is None:
-        return None
-    frame = state.loaded.context.frame
-    places = [state.selected] if state.pair is None or state.selected not in state.pair else list(state.pair[:2])
-    entries = [state.shown.objects[k] for k in dict.fromkeys(places)]
-    names = [state.shown.names[k] for k in dict.fromkeys(places)]
+
+def _crops(
+    frame: Frame,
+    entries: Sequence[SceneObject],
+    names: Sequence[str],
+    before: tuple[np.ndarray, Box3D | None] | None,
+    merge: bool,
+) -> Element:
     around = _around(np.array([e.bbox for e in entries]), frame)
     colors = palette(True)
     now = [(e.mask, e.lifted.box, colors["truth"]) for e in entries]
     found = [_crop(" and ".join(names), "now", frame, around, now)]
-    before = view.as_labelled(view.numbers[state.selected], (frame.height, frame.width))
     if before is not None:
         found.insert(0, _crop("before", "as labelled", frame, around, [(*before, colors["other"])]))
-    merge = state.pair is not None and state.pair[0] != state.pair[1]
     tools = h.div(
         button("Pixels", "px-tool:brush", "edit its pixels (Shift+I)"),
         button("Merge", "px-merge", f"{' becomes a part of '.join(names)} (Shift+M)") if merge else None,

@@ -99,8 +99,9 @@ class LabelPart(Part):
         undo = "" if bad or verb.startswith("taken") else "take-back"
         self.tell(said, bad, None if isinstance(outcome, Conflict) else before, undo)
         if isinstance(outcome, Saved):
-            for listener in self.ctx.editors.on_saved:
-                listener(outcome.events)
+            shown = [listener(outcome.events) for listener in self.ctx.editors.on_saved]
+            # A listener that shows something else has drawn the page.
+            draw &= not any(shown)
         if draw:
             self.ctx.draw()
         if isinstance(outcome, Conflict):

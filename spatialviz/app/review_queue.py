@@ -152,14 +152,16 @@ class ReviewQueue(LabelPart):
             stopped = now.problem == CANCELLED
             self.ctx.note("the review queue is not made" if stopped else f"no review queue: {now.problem}")
 
-    def _saved(self, events: Sequence[Event]) -> None:
-        """Update the list; an item whose answer was taken back is shown again."""
+    def _saved(self, events: Sequence[Event]) -> bool:
+        """Update the list; an item whose answer was taken back is shown again: True then."""
         work, items = self._caught_up(), [item_of(e.ref) for e in events if e.action == "undo" and _answers(e.ref)]
         found = [i for i in items if work is not None and i is not None and i.plain in work.indices]
         # The same said the other way round is taken back with it; many answers at once are no item.
         one = len({(i.frame, frozenset((i.a, i.b))) for i in found}) == 1
-        if one and work is not None and self.state.labels is not None:
-            self.open(work.keys[work.indices[found[0].plain]])
+        if not one or work is None or self.state.labels is None:
+            return False
+        self.open(work.keys[work.indices[found[0].plain]])
+        return True
 
     def _caught_up(self) -> Worklist | None:
         """List of the current pipeline, updated with everybody's saved edits."""

@@ -381,7 +381,7 @@ class PageSession(Part):
         state, expression = self.state, self.state.expression_id(trace.query.text)
         source = self.ctx.answering
         context = there(state.loaded).context.under(source.config.lift)
-        return self._judge.judge(state.source, source, context, trace, expression, rank)
+        return self._judge.judge(state.source, source, context, trace, expression, rank, state.judged)
 
     def _answered(self, loaded: LoadedFrame, trace: Trace) -> None:
         """Take an answer into the state, with verdict and the other run's answer."""

@@ -431,3 +431,25 @@ def test_depth_colours_darken_from_near_to_far() -> None:
     assert colors[0, 0].tolist() == [40, 42, 46]
     assert (np.diff(colors.ravel().reshape(-1, 3)[1:].astype(int).sum(axis=1)) <= 0).all()
     assert depth_colors(np.zeros((2, 2), np.float32)).shape == (2, 2, 3)
+
+
+def test_what_a_detector_lists_of_a_frame_is_asked_for_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    source, asked = open_pipeline("demo", detector="simulated"), list[object]()
+    detector = source.needed_detector()
+    detect = type(detector).detect
+
+    def counted(own: Any, frame: Frame, labels: Any) -> Proposals:
+        asked.append(labels)
+        return detect(own, frame, labels)
+
+    monkeypatch.setattr(type(detector), "detect", counted)
+    context = source.prepare(0)
+    traces = [source.ask(context, DEMO_EXPRESSION), source.ask(context, "book near the lamp")]
+    assert asked.count(None) == 1
+    objects = all_objects(context, detector)
+    assert traces[0].numbers == traces[1].numbers == {o.id: place for place, o in enumerate(objects)}
+    fresh = source.prepare(0)
+    all_objects(fresh, detector)
+    asked.clear()
+    assert source.ask(fresh, DEMO_EXPRESSION).numbers == traces[0].numbers
+    assert None not in asked

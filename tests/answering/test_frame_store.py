@@ -12,7 +12,8 @@ import pytest
 from waiting import LONG_S
 
 from pipeline.answering import BackgroundPictures, FrameStore, Pipeline, UpHint, open_pipeline
-from pipeline.answering.frame_store import FEWEST_KEPT
+from pipeline.answering.frame_store import FEWEST_KEPT, frame_colors
+from pipeline.geometry.palette import ON_DARK, instance_colors
 from pipeline.system import InputError
 
 
@@ -120,3 +121,18 @@ def test_pictures_and_plans_are_made_behind(source: Pipeline, monkeypatch: pytes
 
 def _broken(*_: object) -> Any:
     raise InputError("the picture is damaged")
+
+
+@pytest.mark.parametrize("dark", [True, False])
+def test_the_colours_of_things_are_their_pixels_beside_a_colour(source: Pipeline, dark: bool) -> None:
+    """Greyed and mixed as floats would be, to the byte."""
+    loaded = FrameStore({"demo": source}).load("demo", source.dataset.frame_ids[0])
+    frame, objects = loaded.context.frame, loaded.objects
+    grey = frame.rgb.mean(axis=2, keepdims=True).repeat(3, axis=2)
+    expected = (grey * 0.55 + (20 if dark else 110)).astype(np.uint8)
+    colors = instance_colors(len(objects))
+    for i in sorted(range(len(objects)), key=lambda i: -int(objects[i].lifted.quality.mask_pixels)):
+        color, mask = np.array(ON_DARK["target"] if i == 2 else colors[i]), objects[i].mask
+        expected[mask] = (expected[mask] * 0.35 + color * 0.65).astype(np.uint8)
+    found = frame_colors("objects", frame, objects, {2: "target"}, dark)
+    np.testing.assert_array_equal(found, expected)

@@ -215,6 +215,15 @@ def test_labelled_objects_are_what_the_rows_say(demo_labels: Labels, place: Jour
             np.testing.assert_allclose(entry.lifted.lo, row["lo"])
 
 
+def test_a_new_class_makes_one_object_anew(demo_labels: Labels, place: JournalLocation) -> None:
+    desk = LabelEditor(demo_labels, place, "ann")
+    frame = desk.frame(FRAME)
+    objects, number = labelled_objects(frame), min(frame.objects)
+    desk.save(set_class(frame, number, "mug" if frame.objects[number]["label"] != "mug" else "lamp"))
+    now = labelled_objects(desk.frame(FRAME))
+    assert [a.id for a, b in zip(objects, now, strict=True) if a is not b] == [number]
+
+
 def test_a_card_mirrors_the_pair_the_other_way_round(demo_labels: Labels, place: JournalLocation) -> None:
     frame = LabelEditor(demo_labels, place, "ann").frame(FRAME)
     a, b = frame.pairs.numbers[:2].tolist()

@@ -5,15 +5,18 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from journal_world import FRAME, an_expression
 
 from pipeline.answering import Pipeline, open_pipeline
 from pipeline.corrections import FieldRef, JournalLocation, Judge, LabelEditor, set_mark, set_status
 from pipeline.datasets import demo_run
-from pipeline.diagnosis import Diagnosis, annotated_truth, judge_trace
+from pipeline.diagnosis import Baseline, Diagnosis, Edits, annotated_truth, judge_trace
+from pipeline.diagnosis.whatif import rerun
 from pipeline.evaluation import open_run
 from pipeline.labels import Labels
+from pipeline.relations.model import OnnxScorer
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +41,40 @@ def test_without_labels_the_annotations_say_what_is_true_and_are_worked_out_once
     bare = source.prepare(replace(context.frame, annotations=()))
     assert judge.judge("demo", source, bare, trace) is not None, "the frame's truth is known already"
     assert Judge({}, {}, {}, nobody).judge("demo", source, bare, trace) is None
+
+
+def test_an_edited_answer_is_judged_by_what_the_edit_leaves_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The verdict is the one without the evidence before; the network is asked about what is new only."""
+    source = open_pipeline("demo")
+    context, asked = source.prepare(FRAME), list[int]()
+    network = OnnxScorer.probabilities
+
+    def counted(scorer: OnnxScorer, rows: np.ndarray) -> np.ndarray:
+        asked.append(rows.size)
+        return network(scorer, rows)
+
+    monkeypatch.setattr(OnnxScorer, "probabilities", counted)
+    judge = Judge({}, {}, {}, nobody)
+    baseline = Baseline(source, context, "book right of the mug")
+    before = judge.judge("demo", source, context, baseline.outcome.trace)
+    assert isinstance(before, Diagnosis)
+    thing = baseline.outcome.trace.objects[0].lifted.box
+    assert thing is not None
+    key, moved = baseline.outcome.keys[0], replace(thing, center=thing.center + np.array([0.4, 0.0, 0.1]))
+    less_sure = replace(Edits(), confidences={("book", baseline.keys["book"][0]): 0.2})
+    for edits, share in ((less_sure, 0.0), (Edits().with_box(key, moved), 0.5)):
+        trace = rerun(baseline, edits).trace
+        asked.clear()
+        whole = judge.judge("demo", source, context, trace)
+        of_whole = sum(asked)
+        asked.clear()
+        found = judge.judge("demo", source, context, trace, before=before)
+        assert sum(asked) <= share * of_whole
+        assert of_whole
+        assert isinstance(found, Diagnosis)
+        assert isinstance(whole, Diagnosis)
+        assert (found.verdict, found.repair, found.story) == (whole.verdict, whole.repair, whole.story)
+        np.testing.assert_array_equal(found.margins, whole.margins)
 
 
 def test_corrected_labels_come_first(source: Pipeline, demo_labels: Labels, tmp_path: Path) -> None:

@@ -336,6 +336,8 @@ def effective_frame(
     stage = known.stage if known is not None and known.made_of == made_of else None
     if stage is None:
         stage = EffectiveFrame.untouched(auto, setting)
+        if known is not None:
+            stage.shown = known.shown
         correct_objects(stage, said["object"])
         relifted = _lift(stage, relift)
         _rename(stage)

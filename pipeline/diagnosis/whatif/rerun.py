@@ -31,7 +31,7 @@ from pipeline.geometry.masks import RunLength, mask_box
 from pipeline.language.class_sizes import is_thin
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import Attachment
-from pipeline.proposals.base import Proposals, is_final, numbers_of, told_by_ids, top_k_indices
+from pipeline.proposals.base import Proposals, is_final, told_by_ids, top_k_indices
 from pipeline.relations import make_scorer
 from pipeline.relations.relations import Profile
 from pipeline.relations.scorer import RelationScorer, RelationScores
@@ -189,7 +189,7 @@ def _rerun(baseline: Baseline, edits: Edits) -> Outcome:
         detector=detector.name,
         scorer=scorer.name,
         exact=detector.exact,
-        numbers=numbers_of(detector, context.frame),
+        numbers=context.numbers(detector),
         score_calibration=calibration,
     )
     rank_config = replace(config.rank, **edits.rank)
