@@ -45,9 +45,14 @@ def _known(
 
 
 def missed_of(evidence: FrameEvidence, name: str, objects: np.ndarray) -> Missed:
-    pipeline, frame = evidence.answers.source, evidence.answers.context.frame
-    right = evidence.truth.boxes[objects]
-    return why_missed(frame, name, right, pipeline.config.k, pipeline.needed_detector(), pipeline.unfiltered_detector)
+    """Reason for missing these labelled objects (indices); made once for all expressions of the frame."""
+    key, pipeline = (name, objects.tobytes()), evidence.answers.source
+    if key not in evidence.missed:
+        frame, right, detector = evidence.answers.context.frame, evidence.truth.boxes[objects], pipeline.needed_detector()
+        evidence.missed[key] = why_missed(
+            frame, name, right, pipeline.config.k, detector, pipeline.unfiltered_detector
+        )
+    return evidence.missed[key]
 
 
 NEAR_MISS = 0.1
