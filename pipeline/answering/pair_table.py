@@ -294,9 +294,18 @@ class PairTable:
         # The pair after it is the second largest, or in a tie with that.
         return float(scores[first] - np.partition(scores, -2)[-2]) if len(scores) > 1 else math.inf
 
+    def places(self, at: int) -> list[int]:
+        """Place of a pair along each axis of `shape`."""
+        # Not np.unravel_index, which for one number costs as much as the rest of a pair.
+        found = []
+        for size in reversed(self.shape[1:]):
+            at, place = divmod(at, size)
+            found.append(place)
+        return [at, *reversed(found)]
+
     def pair(self, at: int) -> ScoredPair:
         """Pair of the only scene, for a single relation of two objects; without a relation a single object."""
-        i, *ends = (int(x) for x in np.unravel_index(at, self.shape))
+        i, *ends = self.places(at)
         p_target, p = float(self.target.scores[i]), float(self.p_relation.flat[at])
         reference, second = (*(int(e.index[k]) for e, k in zip(self.ends, ends, strict=True)), None, None)[:2]
         p_reference, p_second = (*(float(e.scores[k]) for e, k in zip(self.ends, ends, strict=True)), 1.0, 1.0)[:2]

@@ -253,9 +253,7 @@ def blamed_together(found: OracleScores, diagnosis: Diagnosis, bits: Sequence[in
 def _denied(found: OracleScores) -> bool:
     """True where the relation favoured the answer, or is wrong of the right pair or of the answer."""
     p = found.pair_relations[[0, SRM]].reshape(2, -1)
-    (mine, true_mine), (its, true_its) = (
-        p[:, k] for k in (int(found.winners[0]), found.first_acceptable)
-    )
+    (mine, true_mine), (its, true_its) = (p[:, k] for k in (int(found.winners[0]), found.first_acceptable))
     return bool(mine > its or mine > HIT > true_mine or its < HIT < true_its)
 
 

@@ -48,9 +48,13 @@ def missed_of(evidence: FrameEvidence, name: str, objects: np.ndarray) -> Missed
     """Reason for missing these labelled objects (indices); made once for all expressions of the frame."""
     key, pipeline = (name, objects.tobytes()), evidence.answers.source
     if key not in evidence.missed:
-        frame, right, detector = evidence.answers.context.frame, evidence.truth.boxes[objects], pipeline.needed_detector()
         evidence.missed[key] = why_missed(
-            frame, name, right, pipeline.config.k, detector, pipeline.unfiltered_detector
+            evidence.answers.context.frame,
+            name,
+            evidence.truth.boxes[objects],
+            pipeline.config.k,
+            pipeline.needed_detector(),
+            pipeline.unfiltered_detector,
         )
     return evidence.missed[key]
 

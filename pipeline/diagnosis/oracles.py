@@ -187,7 +187,9 @@ def margins_of(table: PairTable, covered: np.ndarray) -> np.ndarray:
 
     `covered`, (T, R) bool or (B, P) with pairs of every scene.
     """
-    flat, right = table.flat, covered.reshape(-1, table.flat.shape[1])
+    flat = table.flat
+    pairs = flat.shape[1]
+    right = covered.reshape(covered.size // pairs if pairs else 1, pairs)
     best = np.where(right, flat, -np.inf).max(axis=1, initial=-np.inf)
     other = np.where(right, -np.inf, flat).max(axis=1, initial=-np.inf)
     with np.errstate(invalid="ignore"):

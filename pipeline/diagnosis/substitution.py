@@ -45,41 +45,50 @@ from pipeline.language.attributes import Attribute
 from pipeline.language.tree import Attachment
 from pipeline.relations.scorer import probabilities_beyond
 
-
 PAIRS_AT_ONCE = 1 << 20
 """Pairs, under all subsets, of the expressions that are ranked together: a few dozen megabytes."""
+_Roles = tuple[CandidateSet, CandidateSet]
 
 
 def substitute(evidence: FrameEvidence, case: Case) -> OracleScores:
     """Rank an expression's pairs with every subset of the oracles, on its gold triple; a sentence as read."""
-    return next(substitutions(evidence, [case]))[1]
+    return next(substitutions(evidence, [case]))
 
 
-def substitutions(evidence: FrameEvidence, cases: Sequence[Case]) -> Iterator[tuple[int, OracleScores]]:
-    """Rank the pairs of many expressions as `substitute` does each, with their places among `cases`.
-
-    Plain expressions with equally many candidates are ranked together, and so come in an order of their own.
-    """
-    alike: dict[tuple[int, int], list[tuple[int, tuple[CandidateSet, CandidateSet]]]] = {}
-    for place, case in enumerate(cases):
+def substitutions(evidence: FrameEvidence, cases: Sequence[Case]) -> Iterator[OracleScores]:
+    """Rank the pairs of each expression as `substitute` does, those with equally many candidates together."""
+    # An imported ranking, and a scorer that cannot be asked again, know of one expression only.
+    most = PAIRS_AT_ONCE if evidence.asked_again and evidence.answers.source.config.rank.rule is None else 0
+    waiting: list[tuple[Case, _Roles]] = []
+    size = 0
+    for case in cases:
         if case.meant is not None:
-            yield place, substitute_sentence(evidence, case, case.meant)
+            yield from _ranked(evidence, waiting)
+            waiting, size = [], 0
+            yield substitute_sentence(evidence, case, case.meant)
             continue
         target, reference = (role_of(evidence, name, asked) for name, asked in evidence.truth.roles(case))
-        alike.setdefault((len(target.index), len(reference.index)), []).append((place, (target, reference)))
-    # An imported ranking, and a scorer that cannot be asked again, know of one expression only.
-    several = evidence.asked_again and evidence.answers.source.config.rank.rule is None
-    for (rows, columns), members in alike.items():
-        at_once = max(1, PAIRS_AT_ONCE // (SUBSETS * max(1, rows * columns))) if several else 1
-        for start in range(0, len(members), at_once):
-            part = members[start : start + at_once]
-            places, roles = [place for place, _ in part], [both for _, both in part]
-            yield from zip(places, _ranked_together(evidence, [cases[k] for k in places], roles), strict=True)
+        waiting.append((case, (target, reference)))
+        size += SUBSETS * len(target.index) * len(reference.index)
+        if size >= most:
+            yield from _ranked(evidence, waiting)
+            waiting, size = [], 0
+    yield from _ranked(evidence, waiting)
 
 
-def _ranked_together(
-    evidence: FrameEvidence, cases: Sequence[Case], roles: Sequence[tuple[CandidateSet, CandidateSet]]
-) -> Iterator[OracleScores]:
+def _ranked(evidence: FrameEvidence, asked: Sequence[tuple[Case, _Roles]]) -> list[OracleScores]:
+    """Rank plain expressions, in their order."""
+    alike: dict[tuple[int, int], list[int]] = {}
+    for k, (_, (target, reference)) in enumerate(asked):
+        alike.setdefault((len(target.index), len(reference.index)), []).append(k)
+    found: dict[int, OracleScores] = {}
+    for places in alike.values():
+        cases, roles = zip(*(asked[k] for k in places), strict=True)
+        found |= zip(places, _ranked_together(evidence, cases, roles), strict=True)
+    return [found[k] for k in range(len(asked))]
+
+
+def _ranked_together(evidence: FrameEvidence, cases: Sequence[Case], roles: Sequence[_Roles]) -> Iterator[OracleScores]:
     """Rank G plain expressions with equally many candidates, each under every subset."""
     truth, config = evidence.truth, evidence.answers.source.config.rank
     both = tuple(together(one) for one in zip(*roles, strict=True))
@@ -97,14 +106,14 @@ def _ranked_together(
     forbidden = np.where(lift[:, None, None] > 0, same_lifted[:, None], same[:, None]) | hidden
     weights = config.target_weight, config.reference_weight
     ends = [_side(one, conf, weight, config.true_scores) for one, weight in zip(both, weights, strict=True)]
-    table = _table(*ends, p[:, lift, srm], forbidden, evidence.mask_sizes, config)
+    table = _table(ends, p[:, lift, srm], forbidden, evidence.mask_sizes, config)
     pairs = np.stack([truth.acceptable_pairs(case) for case in cases]).astype(np.float32)
     hits = [one.overlap >= HIT for one in both]
     covered = (hits[0].astype(np.float32) @ pairs @ hits[1].astype(np.float32).transpose(0, 2, 1)) > 0
     acceptable = np.zeros((len(cases), evidence.labelled), np.bool_)
     for k, case in enumerate(cases):
         acceptable[k, case.acceptable] = True
-    right = (hits[0] & acceptable[:, None]).any(axis=2)
+    right = np.asarray((hits[0] & acceptable[:, None]).any(axis=2))
     shape = len(cases), SUBSETS
     winners = table.first().reshape(shape)
     of_all = np.repeat(covered.reshape(len(cases), -1), SUBSETS, axis=0)
@@ -135,21 +144,21 @@ def _side(roles: CandidateSet, conf: np.ndarray, weight: float, scores: tuple[fl
 def _part(table: PairTable, index: Sequence[np.ndarray], at: Any) -> PairTable:
     """Part of the scenes, with the index of its target and reference."""
     target, reference = (
-        Side(own, end.scores[at], end.log[at])
-        for own, end in zip(index, (table.target, *table.ends), strict=True)
+        Side(own, end.scores[at], end.log[at]) for own, end in zip(index, (table.target, *table.ends), strict=True)
     )
     return PairTable(target, (reference,), table.p_relation[at], table.log_score[at], table.sizes, table.config)
 
 
 def _table(
-    target: Side, reference: Side, p: np.ndarray, forbidden: np.ndarray, sizes: np.ndarray, config: RankConfig
+    ends: Sequence[Side], p: np.ndarray, forbidden: np.ndarray, sizes: np.ndarray, config: RankConfig
 ) -> PairTable:
     """Pairs of G expressions under every subset; by an imported ranking of one."""
+    target, *others = ends
     if config.rule is None:
-        return pair_table(target, (reference,), p, forbidden, sizes, config)
-    one, its = (Side(end.index[0, 0], end.scores[0], end.log[0]) for end in (target, reference))
-    ranked = pair_table(one, (its,), p[0], forbidden[0], sizes, config)
-    return PairTable(target, (reference,), p, ranked.log_score[None], sizes, config)
+        return pair_table(target, others, p, forbidden, sizes, config)
+    one, *its = (Side(end.index[0, 0], end.scores[0], end.log[0]) for end in ends)
+    ranked = pair_table(one, its, p[0], forbidden[0], sizes, config)
+    return PairTable(target, tuple(others), p, ranked.log_score[None], sizes, config)
 
 
 @dataclass(frozen=True, eq=False)

@@ -196,19 +196,12 @@ class OwnPipeline:
                 return rows
             with clock.stage("verdicts"):
                 evidence = FrameEvidence(truth, answers, confidence_of(spec))
-                for place, found in substitutions(evidence, truth.cases):
-                    case, row = truth.cases[place], rows[place]
+                ranked = substitutions(evidence, truth.cases)
+                for case, row, found in zip(truth.cases, rows, ranked, strict=True):
                     mark, (query, problem) = spec.marks.get((row["frame"], case.id)), parsed[case.text]
+                    read = row["parse_ok"]
                     row |= diagnosis_columns(
-                        diagnose(
-                            evidence,
-                            case,
-                            parse_ok=row["parse_ok"],
-                            mark=mark,
-                            query=query,
-                            problem=problem,
-                            found=found,
-                        )
+                        diagnose(evidence, case, parse_ok=read, mark=mark, query=query, problem=problem, found=found)
                     )
             return rows
 
