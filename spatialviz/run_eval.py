@@ -13,19 +13,20 @@ from rich.text import Text
 from pipeline.answering.pipeline import open_pipeline
 from pipeline.diagnosis.marks import read_marks
 from pipeline.diagnosis.verdict import VERDICTS, shown_verdict
-from pipeline.evaluation.browsing import RunRows, shown_rows
+from pipeline.evaluation.browsing import RunRows
 from pipeline.evaluation.causes import with_figures
 from pipeline.evaluation.comparing import CHANGES, Comparison, answer_differences, compare
 from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.leakage import Share, shares_of_run, with_caveats
 from pipeline.evaluation.place_reading import told_reading
 from pipeline.evaluation.records import read_records
+from pipeline.evaluation.records_file import open_records
 from pipeline.evaluation.relation_cases import RelationSpec, uses_language
 from pipeline.evaluation.run_figures import doubts_of
 from pipeline.evaluation.run_folder import labels_of, manifest_of, open_database, open_run
-from pipeline.evaluation.search import among_failures, find_failures
+from pipeline.evaluation.search import among_failures, failing_rows
 from pipeline.evaluation.sentences import SentenceReport, evaluate_sentences
-from pipeline.evaluation.slices import Slices, dimension_named, slice_by, slice_table
+from pipeline.evaluation.slices import Slices, dimension_named, figure_rows, slice_by, slice_table
 from pipeline.evaluation.summary import RunSummary, cost_words, need_verdicts, summarise_run, summary_tables
 from pipeline.evaluation.systems import EvalSpec
 from pipeline.language.counted import counted
@@ -204,7 +205,7 @@ def run_failures(command: FailuresCommand) -> int:
         with rate_bar("drawing", "failures") as advance:
             write_picture(failures_sheet(open_run(command.run_folder), command.search, advance), command.sheet)
     second = None if command.compare is None else read_records(command.compare)
-    record, show = failures_of(command, read_records(command.run_folder), second)
+    record, show = failures_of(command, second)
     command.write(record, show)
     return FINE if record["found"] else NO
 
@@ -242,28 +243,42 @@ def _shown_boxes(answer: dict[str, list[float] | None]) -> str:
 
 
 def failures_of(
-    command: FailuresCommand, records: pa.Table, second: pa.Table | None
+    command: FailuresCommand, second: pa.Table | None
 ) -> tuple[dict[str, Any], Callable[[dict[str, Any]], None]]:
     """Record of `failures --json` of a run (and of `--compare`), with a printer for people."""
     dimensions = [dimension_named(name) for name in (command.slices or "relation").split(",") if name.strip()]
+    records = open_records(command.run_folder)
     need_verdicts(records)
     rows = RunRows(records, command.run_folder, second)
-    found = find_failures(rows.records, command.search)
+    found = failing_rows(rows.records, command.search)
     manifest = manifest_of(command.run_folder)
     name = str(manifest.get("name") or command.run_folder.name)
-    shares, summary = shares_of_run(manifest, labels_of(command.run_folder)), summarise_run(records)
-    cuts = [slice_by({name: records}, d, most=None if command.json else MOST_ROWS) for d in dimensions]
-    comparison = None if second is None else compare(records, second)
+    shares = shares_of_run(manifest, labels_of(command.run_folder))
+    summary, cuts = None, []
+    if command.json or not command.search or command.slices is not None:
+        figures = figure_rows(records)
+        summary = summarise_run(figures)
+        cuts = [slice_by({name: figures}, d, most=None if command.json else MOST_ROWS) for d in dimensions]
+    comparison = None if second is None else compare(records.select(records.column_names), second)
     doubts: tuple[str, ...] = ()
     with suppress(InputError):
         # A run of the first releases does not say what it was made of.
         doubts = doubts_of(open_run(command.run_folder))
-    shown = shown_rows(found.slice(0, command.limit))
+    shown = rows.read(found[: command.limit])
+
+    def show(_: dict[str, Any]) -> None:
+        judged = records.num_rows - records.column("verdict").null_count
+        print_failures(command, name, shares, summary, cuts, (len(found), judged, shown), comparison)
+        say_lines(doubts, "yellow")
+
+    if not command.json or summary is None:
+        return {"found": len(found)}, show
     of_found = None
-    if command.search and command.json and found.num_rows:
-        parts = [slice_by({name: found}, d) for d in dimensions]
+    if command.search and len(found):
+        figures = figure_rows(records, found)
+        parts = [slice_by({name: figures}, d) for d in dimensions]
         of_found = {
-            "summary": summarise_run(found).record(),
+            "summary": summarise_run(figures).record(),
             "slices": {s.dimension.name: s.record() for s in parts},
         }
     record = {
@@ -271,7 +286,7 @@ def failures_of(
         "system": name,
         "shares": [share.record() for share in shares],
         "doubts": list(doubts),
-        "found": found.num_rows,
+        "found": len(found),
         "failures": [{name: plain(row[name]) for name in SHOWN if name in row} for row in shown],
         "of_found": of_found,
         "summary": summary.record(),
@@ -280,11 +295,6 @@ def failures_of(
         "filters": rows.notes.filters,
         "comparison": None if comparison is None else comparison.record(),
     }
-
-    def show(_: dict[str, Any]) -> None:
-        print_failures(command, name, shares, summary, cuts, found, comparison)
-        say_lines(doubts, "yellow")
-
     return record, show
 
 
@@ -375,31 +385,33 @@ def print_failures(
     command: FailuresCommand,
     name: str,
     shares: Sequence[Share],
-    summary: RunSummary,
+    summary: RunSummary | None,
     cuts: Sequence[Slices],
-    found: pa.Table,
+    found: tuple[int, int, list[dict[str, Any]]],
     comparison: Comparison | None,
 ) -> None:
-    """Print the results of a search before verdicts, costs and slices of the run; without a search after."""
+    """Print the results of a search before verdicts, costs and slices of the run; without a search after.
+
+    `found`: number of rows, of how many, and those that are shown.
+    """
     if comparison is not None:
         print_comparison(comparison, 0)
     if command.search:
-        _print_found(command, name, summary.expressions, found)
-    if not command.search or command.slices is not None:
+        _print_found(command, name, *found)
+    if summary is not None:
         for table in (*summary_tables({name: summary}), *(slice_table(s, intervals=False) for s in cuts)):
             print_table(with_caveats(table, {name: shares}), caveats=False)
             say()
         say(cost_words(summary))
     if not command.search:
-        _print_found(command, name, summary.expressions, found)
+        _print_found(command, name, *found)
     say_lines((share.sentence for share in shares), "yellow")
 
 
-def _print_found(command: FailuresCommand, name: str, expressions: int, found: pa.Table) -> None:
+def _print_found(command: FailuresCommand, name: str, count: int, of: int, shown: list[dict[str, Any]]) -> None:
     what = f"search {command.search}" if command.search else "failed"
-    of = counted(expressions, "expression")
-    say((f"{what}: {found.num_rows} of {of}", "bold"), (f"  in {name}", "dim"))
-    for row in shown_rows(found.slice(0, command.limit)):
+    say((f"{what}: {count} of {counted(of, 'expression')}", "bold"), (f"  in {name}", "dim"))
+    for row in shown:
         verdict = shown_verdict(row["verdict"], row["detail"], bool(row["lucky"]))
         changed = ""
         if row.get("change") not in (None, "same"):
@@ -408,5 +420,5 @@ def _print_found(command: FailuresCommand, name: str, expressions: int, found: p
         told = (f"  {row['head']}", "bold yellow"), (f"  {verdict}", "yellow")
         say((row["frame"], "dim"), "  ", row["text"], *told, changed, (marks, "cyan"))
         say(f"    {row['said'] or ''}  ({row['id']})", style="dim")
-    if found.num_rows > command.limit:
-        say(f"and {found.num_rows - command.limit} more (--limit)", style="dim")
+    if count > command.limit:
+        say(f"and {count - command.limit} more (--limit)", style="dim")

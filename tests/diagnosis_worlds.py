@@ -101,7 +101,7 @@ def world(seed: int, rank: RankConfig | None = None) -> tuple[FrameEvidence, Cas
     best = evidence.overlap.argmax(axis=1) if d else np.zeros(0, np.int64)
     evidence.match = np.where(evidence.overlap[np.arange(d), best] >= 0.5, best, -1)
     evidence.objects = SimpleNamespace(known=rng.random(n) < 0.9, pseudo=np.zeros(n, np.bool_))
-    evidence._cases, evidence._probabilities, evidence.roles = (case,), {}, {}
+    evidence._cases, evidence._probabilities, evidence.roles, evidence.missed = (case,), {}, {}, {}
     evidence.same = np.zeros((d + n, d + n), np.bool_)
     evidence.same[:d, :d] = same
     evidence.same[:d, d:] = evidence.overlap >= 0.7

@@ -126,7 +126,7 @@ class ScoredPair:
 class Side:
     """Candidates of a place of a pair."""
 
-    index: np.ndarray  # (K,) int64: places in the list of objects
+    index: np.ndarray  # (K,) or (..., K) int64: places in the list of objects
     scores: np.ndarray  # (..., K) float64: P(x | name), 0..1
     # (..., K) float64: what each adds to S: its own weighted log score, and the best of everything that hangs on it
     log: np.ndarray
@@ -241,17 +241,16 @@ class PairTable:
     def _ties(self, scene: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, ...]:
         """Tie-breakers between pairs of equal S, the last first: relation, target's score, its mask, lower places."""
         i, rest = np.divmod(at, math.prod(self.shape[1:]))
-        target = self.target.index[i]
-        reference = self.ends[0].index[rest // math.prod(self.shape[2:])] if self.ends else np.zeros_like(target)
-        p = self.p_relation.reshape(-1, self.flat.shape[1])
-        scores = self.target.scores.reshape(-1, self.shape[0])
-        return (
-            reference,
-            target,
-            -self.sizes[target],
-            -scores[scene if len(scores) > 1 else 0, i],
-            -p[scene if len(p) > 1 else 0, at],
-        )
+
+        def of_scene(values: np.ndarray, places: np.ndarray) -> np.ndarray:
+            rows = values.reshape(-1, values.shape[-1])
+            return rows[scene if len(rows) > 1 else 0, places]
+
+        target = of_scene(self.target.index, i)
+        end = rest // math.prod(self.shape[2:])
+        reference = of_scene(self.ends[0].index, end) if self.ends else np.zeros_like(target)
+        p = of_scene(self.p_relation.reshape(-1, self.flat.shape[1]), at)
+        return reference, target, -self.sizes[target], -of_scene(self.target.scores, i), -p
 
     def order(self) -> np.ndarray:
         """(K,) int64: pairs of the only scene, best first."""
@@ -295,9 +294,18 @@ class PairTable:
         # The pair after it is the second largest, or in a tie with that.
         return float(scores[first] - np.partition(scores, -2)[-2]) if len(scores) > 1 else math.inf
 
+    def places(self, at: int) -> list[int]:
+        """Place of a pair along each axis of `shape`."""
+        # Not np.unravel_index, which for one number costs as much as the rest of a pair.
+        found = []
+        for size in reversed(self.shape[1:]):
+            at, place = divmod(at, size)
+            found.append(place)
+        return [at, *reversed(found)]
+
     def pair(self, at: int) -> ScoredPair:
         """Pair of the only scene, for a single relation of two objects; without a relation a single object."""
-        i, *ends = (int(x) for x in np.unravel_index(at, self.shape))
+        i, *ends = self.places(at)
         p_target, p = float(self.target.scores[i]), float(self.p_relation.flat[at])
         reference, second = (*(int(e.index[k]) for e, k in zip(self.ends, ends, strict=True)), None, None)[:2]
         p_reference, p_second = (*(float(e.scores[k]) for e, k in zip(self.ends, ends, strict=True)), 1.0, 1.0)[:2]

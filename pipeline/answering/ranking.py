@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import overload
 
 import numpy as np
 
@@ -49,11 +50,43 @@ class Candidates:
         return self.scores if self.raw_scores is None else self.raw_scores
 
 
+class RankedPairs(Sequence[ScoredPair]):
+    """Pairs in their order, each made when it is first looked at: of a hundred candidates a side few ever are.
+
+    `order`: (P,) int64: numbers of the pairs, best first; `made`: gives the pair of a number.
+    """
+
+    def __init__(self, order: np.ndarray, made: Callable[[int], ScoredPair]) -> None:
+        self._order, self._made = order, made
+        self._known: dict[int, ScoredPair] = {}
+
+    def __len__(self) -> int:
+        return len(self._order)
+
+    @overload
+    def __getitem__(self, index: int) -> ScoredPair: ...
+    @overload
+    def __getitem__(self, index: slice) -> tuple[ScoredPair, ...]: ...
+    def __getitem__(self, index: int | slice) -> ScoredPair | tuple[ScoredPair, ...]:
+        if isinstance(index, slice):
+            return tuple(self[k] for k in range(len(self))[index])
+        at = int(self._order[index])
+        if at not in self._known:
+            self._known[at] = self._made(at)
+        return self._known[at]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Sequence) and len(self) == len(other) and tuple(self) == tuple(other)
+
+    def __hash__(self) -> int:
+        return hash(tuple(self))
+
+
 @dataclass(frozen=True)
 class Ranking:
     """Allowed pairs, best first."""
 
-    pairs: tuple[ScoredPair, ...]
+    pairs: Sequence[ScoredPair]
     reading: Reading  # The reading of the expression that was taken
     margin: float  # Posterior of the winner minus the runner-up's; 1 where there is only one pair
     log_margin: float  # S of the winner minus the runner-up's; inf where there is only one pair
@@ -99,17 +132,19 @@ def rank(
         np.argmax([s - (0.0 if r.is_default else NON_DEFAULT_PENALTY) for r, s in zip(readings, best_of, strict=True)])
     )
     found = SolvedReading(solved[chosen], _table(solved[chosen], mask_sizes, config))
-    pairs = tuple(found.pair(at) for at in found.table.order().tolist())
-    degenerate = not pairs
+    order = found.table.order()
+    pairs: Sequence[ScoredPair] = RankedPairs(order, found.pair)
+    posterior, log_scores = found.table.posterior[0, order], found.table.flat[0, order]
+    degenerate = not len(order)
     if degenerate:
         pairs = _targets_alone(candidates[readings[chosen].root.label])
-    posterior = np.array([p.probability for p in pairs])
+        posterior, log_scores = (np.array([getattr(p, name) for p in pairs]) for name in ("probability", "log_score"))
     positive = posterior[posterior > 0]
     return Ranking(
         pairs=pairs,
         reading=readings[chosen],
         margin=float(posterior[0] - posterior[1]) if len(pairs) > 1 else float(len(pairs)),
-        log_margin=pairs[0].log_score - pairs[1].log_score if len(pairs) > 1 else float("inf"),
+        log_margin=float(log_scores[0] - log_scores[1]) if len(pairs) > 1 else float("inf"),
         entropy=float(-(positive * np.log(positive)).sum()) if len(positive) else 0.0,
         degenerate=degenerate,
         reading_scores=best_of,
@@ -256,7 +291,7 @@ class SolvedReading:
 
     def pair(self, at: int) -> ScoredPair:
         """Pair of the table with its links and factors."""
-        i, *ends = (int(x) for x in np.unravel_index(at, self.table.shape))
+        i, *ends = self.table.places(at)
         links, factors, product = _links(self.root, i, tuple(ends))
         return replace(self.table.pair(at), product=product, links=links, factors=factors)
 

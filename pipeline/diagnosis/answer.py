@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, Protocol, TypeAlias
 
@@ -166,7 +166,7 @@ def _srm(trace: Trace, pair: ScoredPair | None) -> Stage:
 def _attribute(trace: Trace, pair: ScoredPair | None) -> Stage | None:
     """Stage of questions about attributes."""
     ranking = trace.ranking
-    if ranking is None or ranking.degenerate or not any(p.factors for p in ranking.pairs):
+    if ranking is None or ranking.degenerate or not ranking.pairs[0].factors:
         return None
     factors = () if pair is None else pair.factors
     words = ", ".join(f"“{f.text}” has {probability(f.probability)}" for f in factors) or "no pair is chosen"
@@ -239,7 +239,7 @@ class Answer(InNotebook):
         return () if self.trace is None else self.trace.objects
 
     @property
-    def pairs(self) -> tuple[ScoredPair, ...]:
+    def pairs(self) -> Sequence[ScoredPair]:
         """Candidate pairs, best first; empty where a name was not found."""
         ranking = None if self.trace is None else self.trace.ranking
         return () if ranking is None or ranking.degenerate else ranking.pairs

@@ -78,6 +78,7 @@ def diagnose(
     mark: str | None = None,
     query: Query | None = None,
     problem: InputError | None = None,
+    found: OracleScores | None = None,
 ) -> Diagnosis:
     """Name the module that failed on an expression, and the reason.
 
@@ -91,30 +92,31 @@ def diagnose(
         What the parser read.
     problem : InputError, optional
         Why it could not be read.
+    found : OracleScores, optional
+        What `substitute` finds, where it was worked out with other expressions.
     """
-    found = _decided(evidence, case, parse_ok, mark)
-    if found.verdict == "PARSE":
-        found = replace(found, detail=misread(query, case, problem))
-    return replace(found, story=judged_story(found, query, problem, evidence.answers.unknown))
-
-
-def _decided(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | None) -> Diagnosis:
     if (line := evidence.answers.source.line) is not None and not line.ranked:
-        return judge_without_ranking(evidence, case, parse_ok, mark)
-    found = substitute(evidence, case)
+        decided = judge_without_ranking(evidence, case, parse_ok, mark)
+    else:
+        decided = _decided(evidence, case, parse_ok, mark, found or substitute(evidence, case))
+    if decided.verdict == "PARSE":
+        decided = replace(decided, detail=misread(query, case, problem))
+    return replace(decided, story=judged_story(decided, query, problem, evidence.answers.unknown))
+
+
+def _decided(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | None, found: OracleScores) -> Diagnosis:
     pair, alone = found.pair(), found.alone()
     winner = None if pair is None else found.pair_at(int(found.winners[0]))
     index = found.best_acceptable
     target = pair[0] if pair is not None else alone
     overlap = 0.0 if target is None or not parse_ok else float(found.target.overlap[target, case.target_object])
-    flip = _smallest(found, range(1, found.subsets))
-    right = None if index is None else index[0] * found.covered.shape[1] + index[1]
+    right = None if index is None else found.first_acceptable
     lost = pair is not None and right is not None and not found.covered[pair]
     diagnosis = Diagnosis(
         verdict="",
         detail=None,
         lucky=False,
-        repair=() if flip is None else names_of(flip),
+        repair=(),
         right_with=int((found.right_target << np.arange(found.subsets)).sum()),
         margins=found.margins,
         winner=winner if parse_ok else None,
@@ -133,6 +135,8 @@ def _decided(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | No
     right = target is not None and bool(found.right[target])
     if (known := decided_by_label(diagnosis, overlap >= HIT, mark, right, fits, lucky=not fits)) is not None:
         return known
+    flip = _smallest(found, range(1, found.subsets))
+    diagnosis = replace(diagnosis, repair=() if flip is None else names_of(flip))
     unproposed = not_proposed(evidence, case, found, diagnosis)
     if unproposed is not None:
         return unproposed

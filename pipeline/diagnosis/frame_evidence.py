@@ -58,7 +58,8 @@ class FrameEvidence:
     object that each detection is, of whatever class: the best overlap of at least a half; -1 for none; `same`: (D + N,
     D + N) bool: one and the same thing; `same_box`: (D + N, D + N) bool: the same, by identity and 2D box alone,
     whatever the masks; `mask_sizes`: (D + N,) int64: pixels; `roles`: what may fill the roles of expressions, kept by
-    `substitution`; `before`: evidence before an edit, whose scores of the same objects are taken over.
+    `substitution`; `missed`: why objects are missing, kept by `missed`; `before`: evidence before an edit, whose scores
+    of the same objects are taken over.
     """
 
     def __init__(
@@ -91,6 +92,7 @@ class FrameEvidence:
         true_sizes = np.where(np.isfinite(sizes), sizes, 0).astype(np.int64)
         self.mask_sizes = np.concatenate([answers.mask_sizes, true_sizes])
         self.roles: dict[tuple[str, bytes], Any] = {}
+        self.missed: dict[tuple[str, bytes], Any] = {}
         self._probabilities: dict[str, np.ndarray] = {}
         self._stand_ins: dict[str, np.ndarray] = {}
         self._known: dict[str, np.ndarray] = {}

@@ -153,13 +153,12 @@ def decided_by_label(
 
     `right`: the answer is another acceptable target; `fits`: the labels' relations hold of the answered pair.
     """
-    plain = replace(diagnosis, repair=())
     if correct:
-        return replace(plain, verdict="CORRECT", lucky=lucky)
+        return replace(diagnosis, verdict="CORRECT", lucky=lucky)
     if not diagnosis.gold:
-        return replace(plain, verdict="PARSE")
+        return replace(diagnosis, verdict="PARSE")
     detail = "AMBIGUOUS" if right else mark or ("SUSPECT" if fits else None)
-    return None if detail is None else replace(plain, verdict="LABEL", detail=detail)
+    return None if detail is None else replace(diagnosis, verdict="LABEL", detail=detail)
 
 
 def _one_for_both(evidence: FrameEvidence, case: Case, found: OracleScores, diagnosis: Diagnosis) -> Diagnosis | None:
@@ -224,7 +223,7 @@ def _says_nothing(found: OracleScores) -> bool:
     """True for an uninformative relation: about equal for all pairs, and true of the right pair, not of the answer."""
     p = found.pair_relations[[0, LIFT, SRM]].reshape(3, -1)
     ranked = p[:2, np.isfinite(found.plain.flat[0])]
-    mine, its = p[2, int(found.winners[0])], p[2, int(found.plain.first(found.covered)[0])]
+    mine, its = p[2, int(found.winners[0])], p[2, found.first_acceptable]
     return bool(ranked.shape[1] >= FEWEST_ALIKE and (np.ptp(ranked, axis=1) < ALIKE).all() and mine < HIT < its)
 
 
@@ -261,9 +260,7 @@ def blamed_together(found: OracleScores, diagnosis: Diagnosis, bits: Sequence[in
 def _denied(found: OracleScores) -> bool:
     """True where the relation favoured the answer, or is wrong of the right pair or of the answer."""
     p = found.pair_relations[[0, SRM]].reshape(2, -1)
-    (mine, true_mine), (its, true_its) = (
-        p[:, k] for k in (int(found.winners[0]), int(found.plain.first(found.covered)[0]))
-    )
+    (mine, true_mine), (its, true_its) = (p[:, k] for k in (int(found.winners[0]), found.first_acceptable))
     return bool(mine > its or mine > HIT > true_mine or its < HIT < true_its)
 
 
@@ -289,7 +286,7 @@ def blamed_alone(found: OracleScores, diagnosis: Diagnosis, flips: Sequence[int]
 def _misled(found: OracleScores, diagnosis: Diagnosis) -> bool:
     """True where a box of the answer or of the right pair is unusually far off for the frame."""
     r = found.covered.shape[1]
-    pairs = (int(found.winners[0]), int(found.plain.first(found.covered)[0]))
+    pairs = (int(found.winners[0]), found.first_acceptable)
     ends = np.array([(found.target.index[k // r], found.reference.index[k % r]) for k in pairs]).ravel()
     return bool(diagnosis.evidence.unusual(ends).any())
 
@@ -298,6 +295,6 @@ def _follows(found: OracleScores) -> bool:
     """True where true boxes move the relation of the right pair at least half the way to the answer's likelier one."""
     p = np.clip(found.pair_relations[[0, LIFT]].reshape(2, -1), 0.01, 0.99)
     odds = np.log(p / (1 - p))
-    right = int(found.plain.first(found.covered)[0])
+    right = found.first_acceptable
     before, after = odds[:, right] - odds[:, int(found.winners[0])]
     return bool(before < 0 and after > before / 2)

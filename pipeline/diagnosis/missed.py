@@ -45,9 +45,18 @@ def _known(
 
 
 def missed_of(evidence: FrameEvidence, name: str, objects: np.ndarray) -> Missed:
-    pipeline, frame = evidence.answers.source, evidence.answers.context.frame
-    right = evidence.truth.boxes[objects]
-    return why_missed(frame, name, right, pipeline.config.k, pipeline.needed_detector(), pipeline.unfiltered_detector)
+    """Reason for missing these labelled objects (indices); made once for all expressions of the frame."""
+    key, pipeline = (name, objects.tobytes()), evidence.answers.source
+    if key not in evidence.missed:
+        evidence.missed[key] = why_missed(
+            evidence.answers.context.frame,
+            name,
+            evidence.truth.boxes[objects],
+            pipeline.config.k,
+            pipeline.needed_detector(),
+            pipeline.unfiltered_detector,
+        )
+    return evidence.missed[key]
 
 
 NEAR_MISS = 0.1

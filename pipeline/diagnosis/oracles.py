@@ -29,6 +29,7 @@ relations and confidences, and are worked out anew from what these became.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -96,6 +97,10 @@ class OracleScores:
     p_relation: np.ndarray
     covered: np.ndarray  # (T, R) bool: acceptable pairs; without a relation R is 1
     right: np.ndarray  # (T,) bool: targets of which the expression is or may be true
+    winners: np.ndarray  # (S,) int64: winning pair under each subset as i * R + j; -1 without a pair
+    # (S,) float64: margin of the best acceptable pair over the best other; -inf, inf where either is missing
+    margins: np.ndarray
+    first_acceptable: int  # Highest acceptable pair by the ranking's order, without any oracle; -1 for none
 
     @property
     def subsets(self) -> int:
@@ -116,15 +121,10 @@ class OracleScores:
         """Pairs without any oracle, as ranked."""
         return self.table.scene(0)
 
-    @cached_property
-    def winners(self) -> np.ndarray:
-        """(S,) int64: winning pair under each subset as i * R + j; -1 without a pair."""
-        return self.table.first()
-
-    @cached_property
+    @property
     def best_acceptable(self) -> tuple[int, int] | None:
-        """Highest acceptable pair among the candidates, by the ranking's order, without any oracle."""
-        at = int(self.plain.first(self.covered)[0])
+        """Highest acceptable pair as indices in the two roles."""
+        at = self.first_acceptable
         return None if at < 0 else divmod(at, self.covered.shape[1])
 
     def pair(self, subset: int = 0) -> tuple[int, int] | None:
@@ -135,8 +135,8 @@ class OracleScores:
     @cached_property
     def accepted(self) -> np.ndarray:
         """(S,) bool: an acceptable pair wins."""
-        flat = self.covered.ravel()
-        return np.array([w >= 0 and bool(flat[w]) for w in self.winners])
+        there = self.winners >= 0
+        return there & self.covered.ravel()[self.winners] if there.any() else there
 
     def mends(self, subset: int) -> bool:
         """True where an acceptable pair wins under a subset, or nearly ties by a merely fitted ranking."""
@@ -148,9 +148,14 @@ class OracleScores:
     @cached_property
     def right_target(self) -> np.ndarray:
         """(S,) bool: right target by set-valued accuracy; without any pair the best target answers."""
-        columns = self.covered.shape[1]
-        answers = [self.alone(s) if w < 0 else w // columns for s, w in enumerate(self.winners.tolist())]
-        return np.array([target is not None and bool(self.right[target]) for target in answers])
+        found = self.winners >= 0
+        nothing = np.flatnonzero(~found).tolist()
+        if found.any():
+            found = found & self.right[self.winners // self.covered.shape[1]]
+        for subset in nothing:
+            target = self.alone(subset)
+            found[subset] = target is not None and self.right[target]
+        return found
 
     def alone(self, subset: int = 0) -> int | None:
         """Answering target where all pairs are a single object; None for a role without candidates."""
@@ -159,21 +164,16 @@ class OracleScores:
             return None
         return int(np.argmax(self.table.target.scores[subset, :t]))
 
-    @cached_property
-    def margins(self) -> np.ndarray:
-        """(S,) float64: margin of the best acceptable pair over the best other; -inf, inf where either is missing."""
-        return margins_of(_levelled(self.table), self.covered)
-
     def decided_margin(self, subset: int) -> float:
         """Margin by decided relations: above .5 counts as the truth's .99, below as .01.
 
         An attribute likewise from its threshold on.
         """
         table = self.table.scene(subset)
-        return float(margins_of(_levelled(table.with_relation(decided(table.p_relation, HOLDS))), self.covered)[0])
+        return float(margins_of(levelled(table.with_relation(decided(table.p_relation, HOLDS))), self.covered)[0])
 
 
-def _levelled(table: PairTable) -> PairTable:
+def levelled(table: PairTable) -> PairTable:
     """Table with the scores of a fitted ranking on their fitted scale."""
     rule = table.config.rule
     if rule is None or rule.scale == "values":
@@ -183,8 +183,13 @@ def _levelled(table: PairTable) -> PairTable:
 
 
 def margins_of(table: PairTable, covered: np.ndarray) -> np.ndarray:
-    """(S,) float64: S of the best covered pair less that of the best other one; NaN without any pair."""
-    flat, right = table.flat, covered.ravel()
+    """(B,) float64: S of the best covered pair of each scene less that of the best other one; NaN without any pair.
+
+    `covered`, (T, R) bool or (B, P) with pairs of every scene.
+    """
+    flat = table.flat
+    pairs = flat.shape[1]
+    right = covered.reshape(covered.size // pairs if pairs else 1, pairs)
     best = np.where(right, flat, -np.inf).max(axis=1, initial=-np.inf)
     other = np.where(right, -np.inf, flat).max(axis=1, initial=-np.inf)
     with np.errstate(invalid="ignore"):
@@ -217,49 +222,80 @@ def role_of(evidence: FrameEvidence, name: str, asked: np.ndarray) -> CandidateS
     return evidence.roles[key]
 
 
-def relation_of(evidence: FrameEvidence, relation: str, target: CandidateSet, reference: CandidateSet) -> np.ndarray:
-    """(2, 2, T, R): without and with LIFT, without and with SRM."""
-    table = evidence.probabilities(relation)
-    base = table[target.index[:, None], reference.index]
+def relations_of(
+    evidence: FrameEvidence, relations: Sequence[str], target: CandidateSet, reference: CandidateSet
+) -> np.ndarray:
+    """(G, 2, 2, T, R): of G expressions without and with LIFT, without and with SRM.
+
+    `target`, `reference`: roles of all of them, side by side (`together`).
+    """
+    names = list(dict.fromkeys(relations))
+    which = np.array([names.index(name) for name in relations])[:, None, None]
+    table = np.stack([evidence.probabilities(name) for name in names])
+    base = table[which, target.index[:, :, None], reference.index[:, None, :]]
     shaped = [
         np.where(role.shape_of >= 0, evidence.detections + role.shape_of, role.index) for role in (target, reference)
     ]
-    lifted = table[shaped[0][:, None], shaped[1]]
+    lifted = table[which, shaped[0][:, :, None], shaped[1][:, None, :]]
     # Two candidates that are one object stand in no relation to each other.
-    lifted = np.where(shaped[0][:, None] == shaped[1][None, :], STATE_PROBABILITY[-1], lifted)
-    moved = (target.shape_of >= 0)[:, None] | (reference.shape_of >= 0)[None, :]
+    lifted = np.where(shaped[0][:, :, None] == shaped[1][:, None, :], STATE_PROBABILITY[-1], lifted)
+    moved = (target.shape_of >= 0)[:, :, None] | (reference.shape_of >= 0)[:, None, :]
     lifted = np.where(moved & np.isfinite(lifted), lifted, base)
-    stand_in = evidence.stand_in(relation)
-    if stand_in is not None:
-        # A scorer that cannot be asked again says the same as before, but where a box is off and what stands in for it
-        # decides as it did: then the box is what it went by, and of a true one it would say so much more or less.
-        before, after = stand_in[target.index[:, None], reference.index], stand_in[shaped[0][:, None], shaped[1]]
-        off = [evidence.off(role.index, role.shape_of) for role in (target, reference)]
-        low, high = np.nanquantile(stand_in, [0.05, 0.95]) if np.isfinite(stand_in).any() else (0.0, 1.0)
-        explained = (np.abs(base - before) < EXPLAINED * (high - low)) | ((base > HOLDS) == (before > HOLDS))
-        changed = explained & (off[0][:, None] | off[1]) & (np.abs(after - before) > 1e-9) & evidence.follows(relation)
-        shifted = 1 / (1 + np.exp(-(_odds(base) + _odds(after) - _odds(before))))
-        # What it decides of a true box it decides as surely as it does elsewhere: a stand-in never is.
-        surest = max(STATE_PROBABILITY[1], float(np.nanmax(base, initial=0.0)))
-        sides = ((after > HOLDS) != (before > HOLDS)) | (shifted > SURE) | (shifted < 1 - SURE)
-        sure = np.where(after > HOLDS, surest, STATE_PROBABILITY[-1])
-        told = np.where(sides, sure, shifted)
-        if len(evidence.words):
-            told = evidence.words[np.abs(told[..., None] - evidence.words).argmin(axis=-1)]
-        lifted = np.where(changed, told, base)
+    if not evidence.asked_again:
+        for k, relation in enumerate(relations):
+            ends = [(role.index[k], role.shape_of[k]) for role in (target, reference)]
+            lifted[k] = _as_told(evidence, relation, ends, base[k], lifted[k])
+    found = np.empty((len(base), 2, 2, *base.shape[1:]))
+    found[:, 0] = base[:, None]
+    found[:, 1] = lifted[:, None]
     a, b = (np.where(role.object >= 0, role.object, evidence.match_at(role.index)) for role in (target, reference))
     if evidence.labelled:
         known = np.array([STATE_PROBABILITY[k] for k in (-1, 0, 1)])
-        states = evidence.truth.states[relation][a[:, None], b[None, :]]
-        judged = evidence.truth.judged[a[:, None], b[None, :]] & (a >= 0)[:, None] & (b >= 0)[None, :]
-        told = np.where(
-            (a[:, None] == b[None, :]) & (a >= 0)[:, None], STATE_PROBABILITY[-1], known[states.astype(int) + 1]
-        )
-        judged |= (a[:, None] == b[None, :]) & (a >= 0)[:, None]
-    else:
-        judged, told = np.zeros(base.shape, np.bool_), base
-    found = np.array([[p, np.where(judged, told, p)] for p in (base, lifted)])
+        states = np.stack([evidence.truth.states[name] for name in names])[which, a[:, :, None], b[:, None, :]]
+        both = (a >= 0)[:, :, None] & (b >= 0)[:, None, :]
+        one = (a[:, :, None] == b[:, None, :]) & both
+        told = np.where(one, STATE_PROBABILITY[-1], known[states.astype(int) + 1])
+        judged = (evidence.truth.judged[a[:, :, None], b[:, None, :]] & both) | one
+        found[:, :, 1] = np.where(judged[:, None], told[:, None], found[:, :, 1])
     return np.where(np.isfinite(found), found, MIN_RELATION)
+
+
+def _as_told(
+    evidence: FrameEvidence,
+    relation: str,
+    ends: Sequence[tuple[np.ndarray, np.ndarray]],
+    base: np.ndarray,
+    lifted: np.ndarray,
+) -> np.ndarray:
+    """(T, R): relation with LIFT of a scorer that cannot be asked again; `ends`: index and shape_of of both roles.
+
+    It says the same as before, but where a box is off and what stands in for it decides as it did: then the box is what
+    it went by, and of a true one it would say so much more or less.
+    """
+    stand_in = evidence.stand_in(relation)
+    if stand_in is None:
+        return lifted
+    shaped = [np.where(shape_of >= 0, evidence.detections + shape_of, index) for index, shape_of in ends]
+    before, after = stand_in[ends[0][0][:, None], ends[1][0]], stand_in[shaped[0][:, None], shaped[1]]
+    off = [evidence.off(index, shape_of) for index, shape_of in ends]
+    low, high = np.nanquantile(stand_in, [0.05, 0.95]) if np.isfinite(stand_in).any() else (0.0, 1.0)
+    explained = (np.abs(base - before) < EXPLAINED * (high - low)) | ((base > HOLDS) == (before > HOLDS))
+    changed = explained & (off[0][:, None] | off[1]) & (np.abs(after - before) > 1e-9) & evidence.follows(relation)
+    shifted = 1 / (1 + np.exp(-(_odds(base) + _odds(after) - _odds(before))))
+    # What it decides of a true box it decides as surely as it does elsewhere: a stand-in never is.
+    surest = max(STATE_PROBABILITY[1], float(np.nanmax(base, initial=0.0)))
+    sides = ((after > HOLDS) != (before > HOLDS)) | (shifted > SURE) | (shifted < 1 - SURE)
+    sure = np.where(after > HOLDS, surest, STATE_PROBABILITY[-1])
+    told = np.where(sides, sure, shifted)
+    if len(evidence.words):
+        told = evidence.words[np.abs(told[..., None] - evidence.words).argmin(axis=-1)]
+    return np.where(changed, told, base)
+
+
+def together(roles: Sequence[CandidateSet]) -> CandidateSet:
+    """Roles of G expressions with equally many candidates: each array with an axis of G in front."""
+    parts = ("index", "scores", "object", "shape_of", "overlap")
+    return CandidateSet(found=0, **{part: np.stack([getattr(role, part) for role in roles]) for part in parts})
 
 
 def names_of(subset: int) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from string import Formatter
 from typing import Any, Literal, TypeAlias
@@ -75,6 +76,7 @@ def words(group: str, kind: str, **values: Any) -> str:
     return WORDS[group][kind].format(**values)
 
 
+@cache
 def values_of(template: str) -> set[str]:
     """Names of the values in a template."""
     return {name for _, name, _, _ in Formatter().parse(template) if name}

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import prod
+from typing import Any
 
 import numpy as np
 
@@ -13,9 +14,9 @@ from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import (
     MIN_RELATION,
     PairTable,
+    RankConfig,
     ScoredPair,
     Side,
-    one_object_twice,
     pair_table,
     side,
 )
@@ -31,9 +32,11 @@ from pipeline.diagnosis.oracles import (
     CandidateSet,
     OracleScores,
     decided,
+    levelled,
     margins_of,
-    relation_of,
+    relations_of,
     role_of,
+    together,
 )
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.viewer import ViewerAxes
@@ -42,53 +45,120 @@ from pipeline.language.attributes import Attribute
 from pipeline.language.tree import Attachment
 from pipeline.relations.scorer import probabilities_beyond
 
+PAIRS_AT_ONCE = 1 << 20
+"""Pairs, under all subsets, of the expressions that are ranked together: a few dozen megabytes."""
+_Roles = tuple[CandidateSet, CandidateSet]
+
 
 def substitute(evidence: FrameEvidence, case: Case) -> OracleScores:
     """Rank an expression's pairs with every subset of the oracles, on its gold triple; a sentence as read."""
-    if case.meant is not None:
-        return substitute_sentence(evidence, case, case.meant)
-    truth, answers = evidence.truth, evidence.answers
-    target = role_of(evidence, case.target, truth.alike[case.target_object])
-    reference = role_of(evidence, case.reference, truth.alike[case.reference_object])
-    pairs = truth.acceptable_pairs(case).astype(np.int32)
-    hits, ends = ((role.overlap >= HIT).astype(np.int32) for role in (target, reference))
-    p = relation_of(evidence, case.relation, target, reference)
-    config = answers.source.config.rank
+    return next(substitutions(evidence, [case]))
+
+
+def substitutions(evidence: FrameEvidence, cases: Sequence[Case]) -> Iterator[OracleScores]:
+    """Rank the pairs of each expression as `substitute` does, those with equally many candidates together."""
+    # An imported ranking, and a scorer that cannot be asked again, know of one expression only.
+    most = PAIRS_AT_ONCE if evidence.asked_again and evidence.answers.source.config.rank.rule is None else 0
+    waiting: list[tuple[Case, _Roles]] = []
+    size = 0
+    for case in cases:
+        if case.meant is not None:
+            yield from _ranked(evidence, waiting)
+            waiting, size = [], 0
+            yield substitute_sentence(evidence, case, case.meant)
+            continue
+        target, reference = (role_of(evidence, name, asked) for name, asked in evidence.truth.roles(case))
+        waiting.append((case, (target, reference)))
+        size += SUBSETS * len(target.index) * len(reference.index)
+        if size >= most:
+            yield from _ranked(evidence, waiting)
+            waiting, size = [], 0
+    yield from _ranked(evidence, waiting)
+
+
+def _ranked(evidence: FrameEvidence, asked: Sequence[tuple[Case, _Roles]]) -> list[OracleScores]:
+    """Rank plain expressions, in their order."""
+    alike: dict[tuple[int, int], list[int]] = {}
+    for k, (_, (target, reference)) in enumerate(asked):
+        alike.setdefault((len(target.index), len(reference.index)), []).append(k)
+    found: dict[int, OracleScores] = {}
+    for places in alike.values():
+        cases, roles = zip(*(asked[k] for k in places), strict=True)
+        found |= zip(places, _ranked_together(evidence, cases, roles), strict=True)
+    return [found[k] for k in range(len(asked))]
+
+
+def _ranked_together(evidence: FrameEvidence, cases: Sequence[Case], roles: Sequence[_Roles]) -> Iterator[OracleScores]:
+    """Rank G plain expressions with equally many candidates, each under every subset."""
+    truth, config = evidence.truth, evidence.answers.source.config.rank
+    both = tuple(together(one) for one in zip(*roles, strict=True))
+    target, reference = both
+    p = relations_of(evidence, [case.relation for case in cases], target, reference)
     every = np.arange(SUBSETS)
     lift, srm, conf = (((every & bit) > 0).astype(int) for bit in (LIFT, SRM, CONF))
-    unseen = (every & RECALL) == 0
-    same, same_box = (
-        one_object_twice((target.index, reference.index), table) for table in (evidence.same, evidence.same_box)
-    )
-    a, b = target.shape_of[:, None], reference.shape_of[None, :]
+    here = target.index[:, :, None], reference.index[:, None, :]
+    same, same_box = evidence.same[here], evidence.same_box[here]
+    a, b = target.shape_of[:, :, None], reference.shape_of[:, None, :]
     # LIFT also gives the true masks, and those of two objects are never alike.
     same_lifted = np.where((a >= 0) & (b >= 0) & (a != b), same_box, same)
-    forbidden = np.where(lift[:, None, None] > 0, same_lifted, same)
-    forbidden[unseen, target.found :] = True
-    forbidden[unseen, :, reference.found :] = True
-    table = pair_table(
-        _side(target, conf, config.target_weight, config.true_scores),
-        (_side(reference, conf, config.reference_weight, config.true_scores),),
-        p[lift, srm],
-        forbidden,
-        evidence.mask_sizes,
-        config,
-    )
-    return OracleScores(
-        target=target,
-        reference=reference,
-        table=table,
-        p_relation=p,
-        covered=(hits @ pairs @ ends.T) > 0,
-        right=np.asarray(hits[:, case.acceptable].any(axis=1)),
-    )
+    unseen = [np.arange(one.index.shape[1]) >= np.array([[r[k].found] for r in roles]) for k, one in enumerate(both)]
+    hidden = (unseen[0][:, :, None] | unseen[1][:, None, :])[:, None] & ((every & RECALL) == 0)[:, None, None]
+    forbidden = np.where(lift[:, None, None] > 0, same_lifted[:, None], same[:, None]) | hidden
+    weights = config.target_weight, config.reference_weight
+    ends = [_side(one, conf, weight, config.true_scores) for one, weight in zip(both, weights, strict=True)]
+    table = _table(ends, p[:, lift, srm], forbidden, evidence.mask_sizes, config)
+    pairs = np.stack([truth.acceptable_pairs(case) for case in cases]).astype(np.float32)
+    hits = [one.overlap >= HIT for one in both]
+    covered = (hits[0].astype(np.float32) @ pairs @ hits[1].astype(np.float32).transpose(0, 2, 1)) > 0
+    acceptable = np.zeros((len(cases), evidence.labelled), np.bool_)
+    for k, case in enumerate(cases):
+        acceptable[k, case.acceptable] = True
+    right = np.asarray((hits[0] & acceptable[:, None]).any(axis=2))
+    shape = len(cases), SUBSETS
+    winners = table.first().reshape(shape)
+    of_all = np.repeat(covered.reshape(len(cases), -1), SUBSETS, axis=0)
+    margins = margins_of(levelled(table), of_all).reshape(shape)
+    first = _part(table, [end.index[:, 0] for end in ends], np.s_[:, 0]).first(covered)
+    for k, (mine, its) in enumerate(roles):
+        yield OracleScores(
+            target=mine,
+            reference=its,
+            table=_part(table, [mine.index, its.index], k),
+            p_relation=p[k],
+            covered=covered[k],
+            right=right[k],
+            winners=winners[k],
+            margins=margins[k],
+            first_acceptable=int(first[k]),
+        )
 
 
-def _side(role: CandidateSet, conf: np.ndarray, weight: float, scores: tuple[float, float]) -> Side:
-    """Role under every subset; `conf` marks the subsets with true confidences, `scores` are these."""
-    true = np.where(role.object >= 0, *scores)
-    both = side(role.index, np.stack([role.scores, true]), weight)
-    return Side(both.index, both.scores[conf], both.log[conf])
+def _side(roles: CandidateSet, conf: np.ndarray, weight: float, scores: tuple[float, float]) -> Side:
+    """G roles under every subset; `conf` marks the subsets with true confidences, `scores` are these."""
+    true = np.where(roles.object >= 0, *scores)
+    both = side(roles.index, np.stack([roles.scores, true], axis=1), weight)
+    of_subsets = both.scores[:, conf]
+    return Side(np.broadcast_to(roles.index[:, None], of_subsets.shape), of_subsets, both.log[:, conf])
+
+
+def _part(table: PairTable, index: Sequence[np.ndarray], at: Any) -> PairTable:
+    """Part of the scenes, with the index of its target and reference."""
+    target, reference = (
+        Side(own, end.scores[at], end.log[at]) for own, end in zip(index, (table.target, *table.ends), strict=True)
+    )
+    return PairTable(target, (reference,), table.p_relation[at], table.log_score[at], table.sizes, table.config)
+
+
+def _table(
+    ends: Sequence[Side], p: np.ndarray, forbidden: np.ndarray, sizes: np.ndarray, config: RankConfig
+) -> PairTable:
+    """Pairs of G expressions under every subset; by an imported ranking of one."""
+    target, *others = ends
+    if config.rule is None:
+        return pair_table(target, others, p, forbidden, sizes, config)
+    one, *its = (Side(end.index[0, 0], end.scores[0], end.log[0]) for end in ends)
+    ranked = pair_table(one, its, p[0], forbidden[0], sizes, config)
+    return PairTable(target, tuple(others), p, ranked.log_score[None], sizes, config)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,13 +200,17 @@ def substitute_sentence(evidence: FrameEvidence, case: Case, meant: Meant) -> Se
     covered = right[:, None]
     if top is not None:
         covered = (hits[0] @ evidence.truth.acceptable_pairs(case).astype(np.int32) @ hits[1].T) > 0
+    table = PairTable(target, tuple(ends), p, log, evidence.mask_sizes, config)
     return SentenceScores(
         target=roles[0],
         reference=_no_one(evidence) if top is None else roles[1],
-        table=PairTable(target, tuple(ends), p, log, evidence.mask_sizes, config),
+        table=table,
         p_relation=p,
         covered=covered,
         right=right,
+        winners=table.first(),
+        margins=margins_of(levelled(table), covered),
+        first_acceptable=int(table.scene(0).first(covered)[0]),
         tree=tree,
     )
 
@@ -192,7 +266,8 @@ class SubstitutedTree:
                 p = probabilities_beyond(relation, lifted, heads, ends, self._same[lift], given, ids)
             else:
                 if relation not in self._relations:
-                    self._relations[relation] = relation_of(self._evidence, relation, every, every)
+                    one = together([every])
+                    self._relations[relation] = relations_of(self._evidence, [relation], one, one)[0]
                 table = self._relations[relation][lift, srm]
                 p = table[np.ix_(ends[0], heads)].T if attachment.inverse else table[np.ix_(heads, ends[0])]
             return decided(p, HOLDS) if decide else p

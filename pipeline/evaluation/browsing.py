@@ -10,16 +10,28 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.diagnosis.oracles import ALL_ORACLES
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.comparing import CHANGE, CHANGES, SECOND, SECOND_COLUMNS, with_second
+from pipeline.evaluation.records_file import some_rows
 from pipeline.evaluation.row_stories import READ, row_head
 from pipeline.evaluation.run_notes import MARKS, Key, keep_filter, mark, notes_path, read_notes
-from pipeline.evaluation.search import SORT, Field, Term, Value, fields_of, find_rows, quote, read_terms, terms_of
+from pipeline.evaluation.search import (
+    SORT,
+    Field,
+    Term,
+    Value,
+    fields_of,
+    find_rows,
+    quote,
+    read_terms,
+    rows_where,
+    terms_of,
+)
 from pipeline.evaluation.slices import DIMENSIONS, YES_NO, Coded, Dimension, coded
 from pipeline.labels.reading import Labels, read_table
 from pipeline.language.expression import UNREAD
@@ -27,6 +39,9 @@ from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import QUERY_KINDS
 from pipeline.system.arrow import pa, pc
 from pipeline.system.errors import require
+
+if TYPE_CHECKING:
+    from pipeline.evaluation.records_file import Records
 
 _OPEN_WORD = re.compile(r'(?:[^\s"]|"(?:[^"\\]|\\.)*(?:"|$))+')
 """A quote that is open or closed belongs to its word, blanks included."""
@@ -98,12 +113,12 @@ class Facet:
         return asdict(self)
 
 
-def coded_columns(records: pa.Table) -> dict[str, Coded]:
+def coded_columns(records: Records) -> dict[str, Coded]:
     """Columns of the facets of a run's records, by column; with `change` and `marks` where there are any."""
     return {d.column: _coded(records, d) for d in FACETS if d.column in records.column_names}
 
 
-def facets_of(records: pa.Table, query: str = "", columns: Mapping[str, Coded] | None = None) -> tuple[Facet, ...]:
+def facets_of(records: Records, query: str = "", columns: Mapping[str, Coded] | None = None) -> tuple[Facet, ...]:
     """The facets of a run's records under a search; `columns` as by `coded_columns`.
 
     Raises InputError: the search cannot be read.
@@ -123,7 +138,7 @@ def facets_of(records: pa.Table, query: str = "", columns: Mapping[str, Coded] |
     return tuple(f for f in found if f.values)
 
 
-def _coded(records: pa.Table, cut: Dimension) -> Coded:
+def _coded(records: Records, cut: Dimension) -> Coded:
     return coded(records, cut, known=_ORDERS.get(cut.name, ()))
 
 
@@ -194,7 +209,7 @@ def _more(terms: list[Term], term: Term) -> list[Term]:
     return [replace(term, operator=operator, values=values)]
 
 
-def completions(records: pa.Table, most: int = 200) -> tuple[Field, ...]:
+def completions(records: Records, most: int = 200) -> tuple[Field, ...]:
     """List the fields of a run with their values, for completion."""
     found = fields_of(records.schema).values()
     return tuple(replace(f, values=_occurring(f, records.column(f.column), most)) for f in found)
@@ -274,10 +289,14 @@ SHOWN = (
 """Columns of a row that is shown."""
 
 
+def shown_columns(names: Sequence[str]) -> list[str]:
+    """Columns that rows are shown by, of those that a run has."""
+    return [name for name in dict.fromkeys((*SHOWN, *READ)) if name in names]
+
+
 def shown_rows(records: pa.Table) -> list[dict[str, Any]]:
     """Rows as they are shown: SHOWN, with the `tone` and `head` of their stories."""
-    names = [name for name in dict.fromkeys((*SHOWN, *READ)) if name in records.column_names]
-    rows = records.select(names).to_pylist()
+    rows = records.select(shown_columns(records.column_names)).to_pylist()
     found: list[dict[str, Any]] = []
     for row in rows:
         tone, head = row_head(row)
@@ -305,45 +324,60 @@ def labelled_boxes(records: pa.Table, labels: Labels) -> np.ndarray:
 class RunRows:
     """The expressions of a run, by their numbers in its records.
 
-    `second`: records of a run to compare with.
+    `records`: a table, or those of `open_records`, read as they are asked for. `second`: records of a run to compare
+    with; then the first are a table too.
 
     Raises InputError: the two have no expression in common, or the notes of the run cannot be read.
     """
 
-    def __init__(self, records: pa.Table, folder: Path, second: pa.Table | None = None) -> None:
-        self._bare = records if second is None else with_second(records, second)
+    def __init__(self, records: Records, folder: Path, second: pa.Table | None = None) -> None:
+        if second is not None:
+            records = with_second(records.select(records.column_names), second)
+        self._bare = records
         self.path = notes_path(folder)
         self.notes = read_notes(self.path)
         self.records = self._marked()
-        self._coded = coded_columns(self.records)
         self.stamp = 0
         """Another number after every mark."""
 
-    def _marked(self) -> pa.Table:
-        return self._bare.append_column(MARKS, pa.array(self.notes.marks_of(self.keys), pa.list_(pa.string())))
+    def _marked(self) -> Records:
+        marks = dict[int, list[str]]()
+        for name in sorted(self.notes.marks):
+            for row in self._numbers(self.notes.marks[name]):
+                marks.setdefault(row, []).append(name)
+        count = np.zeros(self._bare.num_rows + 1, np.int32)
+        rows = sorted(marks)
+        count[np.array(rows, np.int64) + 1] = [len(marks[row]) for row in rows]
+        values = pa.array([name for row in rows for name in marks[row]], pa.string())
+        return self._bare.append_column(
+            MARKS, pa.ListArray.from_arrays(pa.array(np.cumsum(count, dtype=np.int32)), values)
+        )
 
     @cached_property
-    def keys(self) -> list[Key]:
-        """(frame, id) of every expression."""
-        columns = (self._bare.column(name).to_pylist() for name in ("frame", "id"))
+    def _coded(self) -> dict[str, Coded]:
+        return coded_columns(self.records)
+
+    def _numbers(self, keys: Sequence[Key]) -> list[int]:
+        """Rows of some expressions, by frame and id; those that the run does not have are left out."""
+        if not keys:
+            return []
+        where = "(frame, id) IN (SELECT unnest(CAST(? AS VARCHAR[])), unnest(CAST(? AS VARCHAR[])))"
+        given = [list(part) for part in zip(*keys, strict=True)]
+        return rows_where(self._bare, where, given, ("frame", "id")).tolist()
+
+    def keys(self, rows: np.ndarray) -> list[Key]:
+        """(frame, id) of some rows."""
+        columns = (column.to_pylist() for column in some_rows(self._bare, rows, ["frame", "id"]).columns)
         return list(zip(*columns, strict=True))
-
-    @cached_property
-    def _index(self) -> dict[Key, int]:
-        return {key: k for k, key in enumerate(self.keys)}
-
-    @cached_property
-    def _words(self) -> dict[Key, int]:
-        columns = (self._bare.column(name).to_pylist() for name in ("frame", "text"))
-        return {key: k for k, key in reversed(list(enumerate(zip(*columns, strict=True))))}
 
     def asked(self, frame: str, text: str) -> int | None:
         """First row of a frame with these words as its expression."""
-        return self._words.get((frame, text))
+        found = rows_where(self._bare, "frame = ? AND text = ?", (frame, text), ("frame", "text"))
+        return next(iter(found.tolist()), None)
 
     def number(self, frame: str, expression: str) -> int | None:
         """The row of an expression."""
-        return self._index.get((frame, expression))
+        return next(iter(self._numbers([(frame, expression)])), None)
 
     def add_column(self, name: str, values: Sequence[Any]) -> None:
         """Add a column to search by."""
@@ -360,11 +394,11 @@ class RunRows:
 
     def read(self, rows: np.ndarray) -> list[dict[str, Any]]:
         """Read the columns of these rows for a list."""
-        return shown_rows(self.records.take(pa.array(rows)))
+        return shown_rows(some_rows(self.records, rows, shown_columns(self.records.column_names)))
 
     def filled(self, rows: np.ndarray, names: Iterable[str]) -> list[str]:
         """Columns of `names` that say something of any of these rows."""
-        found = self.records.select([n for n in names if n in self.records.column_names]).take(pa.array(rows))
+        found = some_rows(self.records, rows, [n for n in names if n in self.records.column_names])
         empty = {n: c.null_count == len(c) for n, c in zip(found.column_names, found.columns, strict=True)}
         if MARKS in empty:
             empty[MARKS] = not any(found.column(MARKS).to_pylist())
@@ -373,11 +407,17 @@ class RunRows:
     @cached_property
     def widest_frame(self) -> int:
         """Characters of the longest id of a frame."""
-        return max(map(len, self._bare.column("frame").unique().to_pylist()), default=0)
+        return max(map(len, self.frames[0]), default=0)
+
+    @cached_property
+    def frames(self) -> tuple[list[str], np.ndarray]:
+        """Frames of the run, and (N,) int32: the frame of each row, a place among them."""
+        coded = self._bare.column("frame").combine_chunks().dictionary_encode()
+        return coded.dictionary.to_pylist(), coded.indices.to_numpy()
 
     def mark(self, rows: Iterable[int], name: str, on: bool = True) -> None:
         """Mark rows, or remove a mark; raises InputError as `run_notes.mark`."""
-        self.notes = mark(self.path, [self.keys[k] for k in rows], name, on)
+        self.notes = mark(self.path, self.keys(np.array(list(rows), np.int64)), name, on)
         self.records = self._marked()
         self._coded[MARKS] = _coded(self.records, _MARKS)
         self.stamp += 1

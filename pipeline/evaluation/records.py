@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -351,7 +352,13 @@ def read_records(run: Path, columns: list[str] | None = None) -> pa.Table:
         require(not alone, "this run has no expressions", cause="made with --tables relations", path=run)
         require(path.is_file(), "no evaluation run here", expected="a folder that `eval` wrote", path=run)
         rows = typed(read_parquet(path, columns), records_schema(), "the records", path)
-    needed = () if columns is not None else ASKED + JUDGED if "verdict" in rows.column_names else ASKED
-    lost = next((name for name in needed if name not in rows.column_names), None)
-    require(lost is None, f"the records lack the column {lost!r}", cause="is this a run of `eval`?", path=path)
+    if columns is None:
+        need_columns(rows.column_names, path)
     return rows
+
+
+def need_columns(names: Collection[str], path: Path) -> None:
+    """Raise InputError where a file lacks a column that its release wrote."""
+    needed = ASKED + JUDGED if "verdict" in names else ASKED
+    lost = next((name for name in needed if name not in names), None)
+    require(lost is None, f"the records lack the column {lost!r}", cause="is this a run of `eval`?", path=path)

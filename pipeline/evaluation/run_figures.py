@@ -15,6 +15,7 @@ from pipeline.diagnosis.verdict import RULES_VERSION, Diagnosis
 from pipeline.evaluation.browsing import RunRows, completions, labelled_boxes
 from pipeline.evaluation.comparing import Comparison, compare, shared_rows
 from pipeline.evaluation.confusion import Confusion, Standings, answer_standings, count_standings
+from pipeline.evaluation.records_file import open_records
 from pipeline.evaluation.row_stories import row_head
 from pipeline.evaluation.run_folder import Run
 from pipeline.evaluation.run_names import told_apart
@@ -62,8 +63,9 @@ class Listing:
 
     def first_of(self, frame: str) -> int | None:
         """Index of the first match in a frame."""
-        keys = self.figures.rows.keys
-        return next((k for k, number in enumerate(self.found.tolist()) if keys[number][0] == frame), None)
+        names, of_row = self.figures.rows.frames
+        here = of_row[self.found] == names.index(frame) if frame in names else np.zeros(0, np.bool_)
+        return next(iter(np.flatnonzero(here).tolist()), None)
 
     def place_of(self, number: int | None) -> int | None:
         """Index of a row of the run among the matches."""
@@ -131,7 +133,8 @@ class RunFigures(FoundFigures):
             cause="made by an earlier release? run `eval` again",
             path=run.folder,
         )
-        self.rows = RunRows(run.records, run.folder, None if second is None else second.records)
+        rows = open_records(run.folder) if second is None else run.records
+        self.rows = RunRows(rows, run.folder, None if second is None else second.records)
         self._frames: Recent[str, np.ndarray] = Recent(FRAMES)
         self._recorded: Recent[int, tuple[Recorded | None]] = Recent(FRAMES)
         self._parts: Recent[bytes, FoundFigures] = Recent(PARTS)

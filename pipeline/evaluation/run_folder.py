@@ -26,6 +26,7 @@ from pipeline.diagnosis.verdict import VERDICTS, shown_verdict
 from pipeline.evaluation.browsing import RunRows
 from pipeline.evaluation.leakage import Share, shares_of_run
 from pipeline.evaluation.records import read_records
+from pipeline.evaluation.records_file import open_records
 from pipeline.evaluation.search import find_failures
 from pipeline.evaluation.systems import OWN, EvalSpec
 from pipeline.labels.reading import Labels, open_labels, read_table
@@ -204,7 +205,9 @@ class Run(InNotebook):
         InputError
             The search cannot be read, or the run has no verdicts.
         """
-        return Failures(search, find_failures(RunRows(self.records, self.folder).records, search), self.answer)
+        return Failures(
+            search, find_failures(RunRows(open_records(self.folder), self.folder).records, search), self.answer
+        )
 
     def answer(self, frame: str, expression: str) -> Answer:
         """Answer an expression of the labels by id, with the run's models now, judged as in the run.

@@ -14,8 +14,10 @@ from __future__ import annotations
 import atexit
 import difflib
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -24,6 +26,7 @@ from pipeline.diagnosis.oracles import ALL_ORACLES
 from pipeline.diagnosis.verdict import MODULE_OF, VERDICTS
 from pipeline.evaluation.comparing import CHANGE, CHANGES, SECOND
 from pipeline.evaluation.records import DIAGNOSIS_COLUMNS
+from pipeline.evaluation.records_file import RecordsFile
 from pipeline.evaluation.run_notes import MARKS
 from pipeline.evaluation.summary import need_verdicts
 from pipeline.labels.statistics import quoted
@@ -34,6 +37,8 @@ from pipeline.system.limits import current_limits
 
 if TYPE_CHECKING:
     import duckdb
+
+    from pipeline.evaluation.records_file import Records
 
 _HEAD = re.compile(r"(-)?(?:([A-Za-z_]\w*)(:|\s*(?:<=|>=|!=|<|>|=)\s*))?")
 _QUOTED = re.compile(r'"((?:[^"\\]|\\.)*)"', re.DOTALL)
@@ -224,8 +229,10 @@ def compile_search(query: str, schema: pa.Schema) -> Search:
     return Search(where, tuple(parameters), tuple(order), tuple(dict.fromkeys(columns)), about_right)
 
 
-def find_rows(records: pa.Table, query: str) -> np.ndarray:
+def find_rows(records: Records, query: str) -> np.ndarray:
     """(N,) int64: indices of the rows of a search, in the order of the run or as asked.
+
+    `records`: a table, or those of `open_records`, of which only the columns of the search are read.
 
     Raises InputError: the search cannot be read.
     """
@@ -245,13 +252,18 @@ def terms_of(query: str, schema: pa.Schema) -> list[tuple[str, Term]]:
     return found
 
 
-def find_failures(records: pa.Table, query: str = "") -> pa.Table:
+def find_failures(records: Records, query: str = "") -> pa.Table:
+    """Rows of `failing_rows`; raises as it."""
+    return records.take(failing_rows(records, query))
+
+
+def failing_rows(records: Records, query: str = "") -> np.ndarray:
     """Search among FAILURES, or among all rows where the search names a verdict or correctness (`lucky`).
 
     Raises InputError: as in `find_rows`; or the run has no verdicts.
     """
     need_verdicts(records)
-    return records.take(_rows(records, compile_search(among_failures(query, records.schema), records.schema)))
+    return find_rows(records, among_failures(query, records.schema))
 
 
 def among_failures(query: str, schema: pa.Schema) -> str:
@@ -264,18 +276,44 @@ def narrowed(query: str, more: str) -> str:
     return " ".join(dict.fromkeys(term.written for text in (query, more) for term in read_terms(text)))
 
 
-def _rows(records: pa.Table, search: Search) -> np.ndarray:
+def _rows(records: Records, search: Search) -> np.ndarray:
     if not search.columns:
         return np.arange(records.num_rows)
-    index = "row of the run"
-    rows = records.select(list(search.columns)).append_column(index, [np.arange(records.num_rows)])
-    order = [f"{_defined(n, rows.schema)} {'DESC' if down else 'ASC'} NULLS LAST" for n, down in search.order]
-    order.append(quoted(index))
-    sql = f"SELECT {quoted(index)} AS location FROM run WHERE {search.where} ORDER BY {', '.join(order)}"
+    order = [f"{_defined(n, records.schema)} {'DESC' if down else 'ASC'} NULLS LAST" for n, down in search.order]
+    return rows_where(records, search.where, search.parameters, search.columns, order)
+
+
+_ROW = "row of the run"
+
+
+def rows_where(
+    records: Records, where: str, parameters: Sequence[Any], columns: Sequence[str], order: Sequence[str] = ()
+) -> np.ndarray:
+    """(N,) int64: indices of the rows with a condition of SQL over these columns, in the run's order or as asked."""
+    row = quoted(_ROW)
     with _database().cursor() as connection:
-        connection.register("run", rows)
-        found = connection.execute(sql, list(search.parameters)).fetchnumpy()
+        source, given = "held", []
+        if isinstance(records, RecordsFile):
+            source, given = (
+                f"(SELECT *, file_row_number AS {row} FROM read_parquet(?, file_row_number = true))",
+                [_literal(records.path)],
+            )
+            held = [name for name in columns if name in records.added]
+            if held:
+                source = f"(SELECT * FROM {source} JOIN held USING ({row}))"
+        else:
+            held = columns
+        if source == "held" or held:
+            rows = records.select(list(held)).append_column(_ROW, [np.arange(records.num_rows)])
+            connection.register("held", rows)
+        sql = f"SELECT {row} AS location FROM {source} WHERE {where} ORDER BY {', '.join([*order, row])}"
+        found = connection.execute(sql, [*given, *parameters]).fetchnumpy()
     return np.asarray(found["location"], np.int64)
+
+
+def _literal(path: Path) -> str:
+    """Path in which no character stands for others."""
+    return re.sub(r"([*?\[])", r"[\1]", str(path.absolute()))
 
 
 @lru_cache(maxsize=1)
@@ -285,7 +323,10 @@ def _database() -> duckdb.DuckDBPyConnection:
 
     # One that outlives the interpreter makes DuckDB print what it leaks.
     atexit.register(_database.cache_clear)
-    return duckdb.connect(":memory:", config={"threads": 1, "memory_limit": f"{current_limits().query}B"})
+    database = duckdb.connect(":memory:", config={"threads": 1, "memory_limit": f"{current_limits().query}B"})
+    # The footer of a file with many row groups takes longer to read than a search; a changed file is read anew.
+    database.execute("SET parquet_metadata_cache = true")
+    return database
 
 
 def _defined(name: str, schema: pa.Schema) -> str:

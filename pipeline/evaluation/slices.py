@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from pipeline.diagnosis.verdict import VERDICTS, shown_verdicts
 from pipeline.evaluation.grounding_tables import clusters_of, column
+from pipeline.evaluation.records_file import some_rows
 from pipeline.evaluation.search import quote
 from pipeline.evaluation.summary import has_verdicts
 from pipeline.language.relation_names import PAIRWISE, PHRASE
@@ -17,6 +18,9 @@ from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, rat
 from pipeline.metrics.tables import Cell, Row, Table
 from pipeline.system.arrow import pa, pc
 from pipeline.system.errors import InputError
+
+if TYPE_CHECKING:
+    from pipeline.evaluation.records_file import Records
 
 UNKNOWN = "unknown"
 MEASURES = ("set_correct", "correct", "lucky")
@@ -105,6 +109,20 @@ class Slices:
         }
 
 
+FIGURE_COLUMNS = tuple(
+    dict.fromkeys(
+        (*MEASURES, "verdict", "detail", "right_with", "untold", "parse_ok", *(d.column for d in DIMENSIONS.values()))
+    )
+)
+"""Columns of the records that summaries and slices are made of."""
+
+
+def figure_rows(records: Records, rows: np.ndarray | None = None) -> pa.Table:
+    """FIGURE_COLUMNS of all rows, or of some ((K,) int64)."""
+    names = [name for name in FIGURE_COLUMNS if name in records.column_names]
+    return records.select(names) if rows is None else some_rows(records, rows, names)
+
+
 def dimension_named(name: str) -> Dimension:
     """A dimension.
 
@@ -181,27 +199,26 @@ def _sliced(
 
 @dataclass(frozen=True)
 class Coded:
-    """A column as numbers: expression `row[k]` has value `code[k]`."""
+    """A column as numbers: expression `row[k]`, or k itself, has value `code[k]`."""
 
     cut: Dimension
     # keys: values, or of a number its bins, in the order in which they are shown; unknown ones, None or -1, come last
     keys: list[Any]
     parts: tuple[tuple[str, str], ...]  # the name of each value, and the search that finds it
-    # row, code (N,) int64
-    row: np.ndarray
-    code: np.ndarray
+    row: np.ndarray | None  # (N,) int64; None where each expression has one value, in their order
+    code: np.ndarray  # (N,) int, as narrow as the values allow: a long run has twenty of these
 
     def counts(self, chosen: np.ndarray) -> np.ndarray:
         """(V,) int64: how many of the chosen expressions ((N,) bool) have each value."""
-        return np.bincount(self.code[chosen[self.row]], minlength=len(self.parts))
+        return np.bincount(self.code[chosen if self.row is None else chosen[self.row]], minlength=len(self.parts))
 
 
 YES_NO = ("yes", "no")
 
 
-def coded(records: pa.Table, cut: Dimension, known: Sequence[str] = ()) -> Coded:
+def coded(records: Records, cut: Dimension, known: Sequence[str] = ()) -> Coded:
     """Code the values of a column; `known` values come first, an expression has several codes in a list column."""
-    row = np.arange(records.num_rows)
+    row = None
     column = records.column(cut.column).combine_chunks()
     if cut.edges:
         numbers = column.cast("float64").to_numpy(zero_copy_only=False)
@@ -209,10 +226,10 @@ def coded(records: pa.Table, cut: Dimension, known: Sequence[str] = ()) -> Coded
         code = np.searchsorted(np.array(cut.edges, np.float32).astype(np.float64), numbers, side="right")
         keys: list[Any] = [*range(len(cut.edges) + 1), -1]
         code = np.where(np.isnan(numbers), len(keys) - 1, code)
-        return Coded(cut, keys, tuple(part_of(cut, k) for k in keys), row, code)
+        return Coded(cut, keys, tuple(part_of(cut, k) for k in keys), row, code.astype(np.min_scalar_type(len(keys))))
     several = "list" in str(column.type)
     if several:
-        row = np.repeat(row, np.diff(column.offsets.to_numpy()))
+        row = np.repeat(np.arange(len(column)), np.diff(column.offsets.to_numpy()))
         column = column.flatten()
     elif str(column.type) == "bool":
         column = pc.if_else(column, *YES_NO)  # pyright: ignore[reportAttributeAccessIssue]
@@ -220,7 +237,8 @@ def coded(records: pa.Table, cut: Dimension, known: Sequence[str] = ()) -> Coded
     keys = encoded.dictionary.to_pylist()
     rank = {name: k for k, name in enumerate(known or (PAIRWISE if cut.order == "relation" else ()))}
     order = sorted(range(len(keys)), key=lambda k: (keys[k] is None, rank.get(keys[k], len(rank)), str(keys[k])))
-    place = np.argsort(order)[encoded.indices.to_numpy(zero_copy_only=False)]
+    places = np.argsort(order).astype(np.min_scalar_type(len(order)))
+    place = places[encoded.indices.to_numpy(zero_copy_only=False)]
     operator = ":" if several or known else "="
     parts = tuple(part_of(cut, keys[k], operator) for k in order)
     return Coded(cut, [keys[k] for k in order], parts, row, place)

@@ -20,6 +20,7 @@ from pipeline.datasets.base import load_picture
 from pipeline.diagnosis.decision import diagnose
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence, matched
 from pipeline.diagnosis.imported_answers import answered_box, answered_overlap
+from pipeline.diagnosis.substitution import substitutions
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.evaluation.leakage import Measured, measured_of
 from pipeline.evaluation.records import asked_columns, diagnosis_columns, record
@@ -195,10 +196,12 @@ class OwnPipeline:
                 return rows
             with clock.stage("verdicts"):
                 evidence = FrameEvidence(truth, answers, confidence_of(spec))
-                for case, row in zip(truth.cases, rows, strict=True):
+                ranked = substitutions(evidence, truth.cases)
+                for case, row, found in zip(truth.cases, rows, ranked, strict=True):
                     mark, (query, problem) = spec.marks.get((row["frame"], case.id)), parsed[case.text]
+                    read = row["parse_ok"]
                     row |= diagnosis_columns(
-                        diagnose(evidence, case, parse_ok=row["parse_ok"], mark=mark, query=query, problem=problem)
+                        diagnose(evidence, case, parse_ok=read, mark=mark, query=query, problem=problem, found=found)
                     )
             return rows
 

@@ -240,7 +240,8 @@ class Evaluate(Part):
     def _from_here(self, step: int) -> int:
         """Position in the list of the next expression, or the previous, from the current frame on."""
         listing, indices = self._listing, self.ctx.shared.pictures.timeline(self.state.source).indices
-        frames = np.array([indices.get(listing.figures.rows.keys[k][0], 0) for k in listing.found.tolist()])
+        names, of_row = listing.figures.rows.frames
+        frames = np.array([indices.get(name, 0) for name in names])[of_row[listing.found]]
         ahead = (frames - indices[self.state.frame_id]) * step % len(indices)
         return int(np.flatnonzero(ahead == ahead.min())[0 if step > 0 else -1])
 

@@ -190,7 +190,7 @@ class State(AnswerView):
         if at is not None and (at[0], at[2]) == (self.frame_id, text):
             return at[1]
         number = rows.asked(self.frame_id, text)
-        return None if number is None else rows.keys[number][1]
+        return None if number is None else rows.keys(np.array([number]))[0][1]
 
     @cached_property
     def listed(self) -> int | None:

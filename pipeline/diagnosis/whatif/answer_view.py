@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TypeVar
@@ -187,7 +187,7 @@ class AnswerView:
         return ids.get(key, key)
 
     @property
-    def ranked(self) -> tuple[ScoredPair, ...]:
+    def ranked(self) -> Sequence[ScoredPair]:
         """Ranked pairs; without a relation, single objects."""
         if self.trace is None or self.trace.ranking is None or self.trace.ranking.degenerate:
             return ()

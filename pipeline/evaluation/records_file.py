@@ -1,0 +1,103 @@
+"""Records of a run on their file: a search, a column or some rows are read when they are asked for, and no more."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from pipeline.evaluation.records import need_columns, read_records, records_schema
+from pipeline.system.arrow import pa
+from pipeline.system.errors import as_input_error, first_line
+from pipeline.system.safe_files import open_parquet
+
+UNREAD = "the records of the run cannot be read"
+if TYPE_CHECKING:
+    Records: TypeAlias = "pa.Table | RecordsFile"
+
+
+@dataclass(frozen=True, eq=False)
+class RecordsFile:
+    """Rows of a file that answers as a `pyarrow.Table` does, as far as searches, facets and lists ask.
+
+    Of rows that are taken only the row groups in which they lie are read, one after the other.
+    """
+
+    path: Path
+    schema: pa.Schema
+    num_rows: int
+    # added: columns that are not in the file, of as many rows
+    added: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def column_names(self) -> list[str]:
+        """Names of the columns of the file, and of those that were added."""
+        return self.schema.names
+
+    def append_column(self, name: str, values: Any) -> RecordsFile:
+        """Add a column, a `pyarrow.Array` of as many rows."""
+        return replace(self, schema=self.schema.append(pa.field(name, values.type)), added={**self.added, name: values})
+
+    def column(self, name: str) -> Any:
+        """One column, a `pyarrow.ChunkedArray`; raises as `read_records`."""
+        return self.select([name]).column(0)
+
+    def select(self, names: Sequence[str]) -> pa.Table:
+        """Some columns of all rows; raises as `read_records`."""
+        rows = read_records(self.path.parent, [n for n in names if n not in self.added])
+        columns = {n: self.added[n] if n in self.added else rows.column(n) for n in names}
+        return pa.table(columns, schema=self._schema_of(names))
+
+    def take(self, indices: Any, names: Sequence[str] | None = None) -> pa.Table:
+        """Some rows ((K,) int, in any order), by default with all columns.
+
+        Raises InputError: the file is damaged.
+        """
+        names = self.column_names if names is None else names
+        wanted = np.asarray(indices, np.int64)
+        rows, place = np.unique(wanted, return_inverse=True)
+        inside = [n for n in names if n not in self.added]
+        parts = [self._schema_of(inside).empty_table()]
+        with (
+            as_input_error(
+                "the records of the run cannot be read", ValueError, OSError, got=first_line, path=self.path
+            ),
+            open_parquet(self.path) as file,
+        ):
+            start = 0
+            for group in range(file.num_row_groups):
+                stop = start + file.metadata.row_group(group).num_rows
+                here = rows[np.searchsorted(rows, start) : np.searchsorted(rows, stop)] - start
+                if len(here):
+                    parts.append(file.read_row_group(group, columns=inside).select(inside).take(here))
+                start = stop
+        found = pa.concat_tables(parts).take(place)
+        columns = {n: self.added[n].take(pa.array(wanted)) if n in self.added else found.column(n) for n in names}
+        return pa.table(columns, schema=self._schema_of(names))
+
+    def _schema_of(self, names: Sequence[str]) -> pa.Schema:
+        return pa.schema([self.schema.field(name) for name in names])
+
+
+def some_rows(records: Records, rows: np.ndarray, names: Sequence[str]) -> pa.Table:
+    """Some columns of some rows ((K,) int, in any order)."""
+    if isinstance(records, RecordsFile):
+        return records.take(rows, names)
+    return records.select(list(names)).take(pa.array(rows))
+
+
+def open_records(run: Path) -> Records:
+    """Records of a run folder: on their file, but of an older release with columns of other types in memory.
+
+    Raises InputError: as `read_records`.
+    """
+    read_records(run, [])
+    path, known = Path(run) / "records.parquet", records_schema()
+    with open_parquet(path) as file:
+        schema, rows = file.schema_arrow, file.metadata.num_rows
+    need_columns(schema.names, path)
+    alike = all(f.name not in known.names or known.field(f.name).type == f.type for f in schema)
+    return RecordsFile(path, schema.remove_metadata(), rows) if alike else read_records(run)
