@@ -230,7 +230,9 @@ def test_a_mask_is_read_as_opencv_decodes_it(seed: int, filters: int, depth: int
     assert found is not None
     assert found.size == (height, width)
     np.testing.assert_array_equal(found.whole, mask)
-    np.testing.assert_array_equal(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) > 0, mask)
+    decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert decoded is not None
+    np.testing.assert_array_equal(decoded > 0, mask)
 
 
 def test_a_mask_of_more_or_fewer_rows_than_it_says_is_left_to_the_decoder() -> None:
