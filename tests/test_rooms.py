@@ -116,6 +116,8 @@ HEAVY = frozenset(
         "huggingface_hub",
         "threadpoolctl",
         "platformdirs",
+        "tomllib",
+        "tomli",
         "xxhash",
         "numpy",
         "pydantic",
