@@ -392,7 +392,7 @@ class SourceOptions(ReaderOptions, ProposalOptions):
     def arguments(self, frame: str | None = None) -> dict[str, Any]:
         """Arguments as of `ProposalOptions`, with the relation scorer and the settings of an answer."""
         from pipeline.answering.ask import AskConfig
-        from pipeline.geometry.lifting import LiftConfig
+        from pipeline.geometry.cleaning import LiftConfig
         from pipeline.proposals.score_calibration import load_calibration
 
         calibration = None if self.score_calibration is None else load_calibration(self.score_calibration)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
-from pipeline.geometry.lifting import LiftConfig
+from pipeline.geometry.cleaning import LiftConfig
 from pipeline.labels.by_hand import begun_labels, with_frames
 from pipeline.labels.job import LabelReport, label_dataset
 from pipeline.labels.merge import merge_labels

@@ -14,8 +14,8 @@ from pipeline.answering.evidence import SceneEvidence
 from pipeline.answering.objects import PreparedFrame, SceneObject, appearance_of, same_object
 from pipeline.answering.pair_table import TIE, ScoredPair
 from pipeline.answering.ranking import Candidates, RankConfig, Ranking, RelationLookup, rank
+from pipeline.geometry.cleaning import LiftConfig
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.lifting import LiftConfig
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.expression import Reader, parse
 from pipeline.language.lexicon import wording

@@ -27,9 +27,9 @@ from pipeline.datasets.plausible import depth_doubt
 from pipeline.datasets.settings import Vector
 from pipeline.datasets.timeline import Timeline, timeline_of
 from pipeline.datasets.up import with_frame_up
+from pipeline.geometry.cleaning import Pixel
 from pipeline.geometry.cloud import Cloud, cloud_of
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.lifting import Pixel
 from pipeline.geometry.palette import DROPPED, ON_DARK, Role, depth_colors, instance_colors
 from pipeline.system.encoded_pictures import jpeg, resized, thumbnail
 from pipeline.system.errors import InputError

@@ -13,8 +13,9 @@ from pipeline.datasets.base import Dataset
 from pipeline.datasets.up import resolved_camera, scene_doubt
 from pipeline.geometry.boxes import Box3D, iou_2d
 from pipeline.geometry.camera import backproject
+from pipeline.geometry.cleaning import LiftConfig, depth_edges
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.lifting import LiftConfig, LiftedObject, MaskSource, depth_edges, lift
+from pipeline.geometry.lifting import LiftedObject, MaskSource, lift
 from pipeline.geometry.masks import LazyMask, MaskStack, PictureMask
 from pipeline.geometry.viewer import ViewerAxes, resolve_up, viewer_axes
 from pipeline.language.class_sizes import is_thin

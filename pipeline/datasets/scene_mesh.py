@@ -16,8 +16,8 @@ import numpy as np
 
 from pipeline.datasets.base import Dataset, load_picture, readable_frames
 from pipeline.geometry.camera import project
+from pipeline.geometry.cleaning import depth_edges, flying_pixels
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.lifting import depth_edges, flying_pixels
 from pipeline.system.errors import FrameUnusable, MissingExtra, needed, require
 from pipeline.system.recent import Recent
 from pipeline.system.whole_files import write_whole

@@ -18,11 +18,12 @@ if TYPE_CHECKING:
         standard_poses,
         to_world,
     )
+    from pipeline.geometry.cleaning import LiftConfig, Pixel, clean, depth_edges
     from pipeline.geometry.cloud import Cloud, cloud_of, drawn_pixels, metre_grid, over_floor, viewpoint
     from pipeline.geometry.fitting import canonicalised, extents_of, pca_box
     from pipeline.geometry.frame import Annotation, Frame
     from pipeline.geometry.level_plane import MIN_SCORE, decided, far_from_level, level_normal_at, up_hypotheses
-    from pipeline.geometry.lifting import LiftConfig, LiftedObject, Pixel, Quality, clean, depth_edges, extents, lift
+    from pipeline.geometry.lifting import LiftedObject, Quality, extents, lift
     from pipeline.geometry.masks import MaskCrop, RunLength, decode_crop, decode_run_length, encode_run_length
     from pipeline.geometry.palette import RGB, depth_colors, hex_color, ink, instance_colors
     from pipeline.geometry.picture_input import place_picture

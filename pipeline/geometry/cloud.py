@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 
 from pipeline.geometry.camera import Camera, lift_pixels
+from pipeline.geometry.cleaning import flying_pixels
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.lifting import flying_pixels
 from pipeline.geometry.viewer import ViewerAxes
 
 MAX_POINTS = 320_000

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.geometry.lifting import Pixel
+from pipeline.geometry.cleaning import Pixel
 
 Role = Literal["target", "reference", "other", "truth", "edited", "bad"]
 RGB = tuple[int, int, int]

@@ -12,7 +12,7 @@ from typing import Any
 from pipeline.answering.objects import prepare_frame
 from pipeline.datasets import Dataset
 from pipeline.datasets.base import scene_of
-from pipeline.geometry.lifting import LiftConfig
+from pipeline.geometry.cleaning import LiftConfig
 from pipeline.labels.labelling import label_objects
 from pipeline.labels.merge import environment, move_all, write_labels, write_merged
 from pipeline.labels.plan import LabelConfig, files_hash

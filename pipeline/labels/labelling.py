@@ -14,9 +14,10 @@ import xxhash
 from pipeline.answering.objects import PreparedFrame, SceneObject, appearance_of
 from pipeline.datasets import GivenExpression
 from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.cleaning import Pixel, PixelEvidence
 from pipeline.geometry.fitting import pca_boxes
 from pipeline.geometry.frame import Annotation, Frame
-from pipeline.geometry.lifting import LiftedObject, Pixel, PixelEvidence
+from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.masks import encode_crops
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.plan import LabelConfig

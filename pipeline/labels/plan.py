@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from pipeline.answering.ask import AskConfig
 from pipeline.answering.pipeline import Pipeline, open_pipeline
 from pipeline.datasets import Dataset, splits
-from pipeline.geometry.lifting import LiftConfig
+from pipeline.geometry.cleaning import LiftConfig
 from pipeline.labels.profiles import RuleProfile, canonical_hash, fingerprint, profile_of
 from pipeline.language.naming import normal_form
 from pipeline.language.relation_names import PAIRWISE, VOCABULARIES

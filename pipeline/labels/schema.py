@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from pipeline.geometry.boxes import Side
 from pipeline.geometry.camera import UpSource
-from pipeline.geometry.lifting import BoxMode
+from pipeline.geometry.cleaning import BoxMode
 from pipeline.labels.profiles import canonical_hash
 from pipeline.language.relation_names import PAIRWISE, RELATIONS, version_numbers
 

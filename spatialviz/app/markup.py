@@ -27,7 +27,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TypeAlias, cast
 
-from pipeline.geometry.lifting import Pixel
+from pipeline.geometry.cleaning import Pixel
 from pipeline.geometry.palette import RGB, hex_color
 from pipeline.language.glossary import explained, find_term
 

@@ -13,7 +13,7 @@ from pipeline.answering.ranking import Candidates
 from pipeline.diagnosis.story_words import capital
 from pipeline.diagnosis.verdict import Diagnosis, Missed
 from pipeline.diagnosis.whatif.region import AskedPair, asked_pair
-from pipeline.geometry.lifting import Pixel
+from pipeline.geometry.cleaning import Pixel
 from pipeline.geometry.palette import DROPPED, RGB, palette
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import F, T, U

@@ -11,9 +11,7 @@ from scenes import filled_cloud, random_rotation, solid, up_of, upright
 
 from pipeline.geometry import Box3D, canonicalised, extents_of, iou_3d, pca_box, viewer_axes
 from pipeline.geometry.fitting import AXIS_RELABELLINGS, gravity_box
-from pipeline.geometry.lifting import (
-    fit_box,
-)
+from pipeline.geometry.lifting import fit_box
 
 # Fitting.
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.geometry import RGB, depth_colors, hex_color, ink
-from pipeline.geometry.lifting import Pixel
+from pipeline.geometry.cleaning import Pixel
 from pipeline.geometry.palette import DROPPED, ON_DARK, SATURATION, TOWARD, VERDICTS, dimming, palette
 
 LEAST = 19.0

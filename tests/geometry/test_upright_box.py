@@ -15,8 +15,9 @@ from scenes import Plane, camera_of, cast, up_of, upright
 from pipeline.answering.objects import prepare_frame
 from pipeline.datasets import open_dataset
 from pipeline.geometry import Box3D, iou_3d, lift, viewer_axes
+from pipeline.geometry.cleaning import BoxMode, LiftConfig
 from pipeline.geometry.fitting import LEAST_DEPTH, THIN_DEPTH, plan_yaws, upright_box, with_thin_parts
-from pipeline.geometry.lifting import BoxMode, LiftConfig, fit_box
+from pipeline.geometry.lifting import fit_box
 from pipeline.geometry.surface import depth_noise, plane_depth
 from pipeline.language import is_thin
 

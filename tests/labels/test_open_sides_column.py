@@ -9,7 +9,7 @@ import pytest
 from label_sets import label_demo, validate_rows
 
 from pipeline.geometry.boxes import SIDES
-from pipeline.geometry.lifting import LiftConfig
+from pipeline.geometry.cleaning import LiftConfig
 from pipeline.labels import LabelConfig, Labels, SourceSpec, export_labels, label_dataset, open_labels
 from pipeline.labels.reading import content_hash
 

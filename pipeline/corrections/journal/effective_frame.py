@@ -17,7 +17,7 @@ from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.corrections.journal.frame_rows import AT, BOX_COLUMNS, Asked, FrameRows, Pairs, Row
 from pipeline.corrections.journal.replay import ORIGIN_FIELDS, Origin, Replayed, Unapplied
-from pipeline.geometry.lifting import LiftConfig
+from pipeline.geometry.cleaning import LiftConfig
 from pipeline.labels.check.relations import MIRRORED_PROFILES
 from pipeline.labels.exports.base import made_by
 from pipeline.labels.plan import LabelConfig

@@ -27,7 +27,7 @@ from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter
 
 from pipeline.answering.ranking import RankConfig
 from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.lifting import LiftConfig
+from pipeline.geometry.cleaning import LiftConfig
 from pipeline.geometry.masks import RunLength
 from pipeline.relations.relations import Profile
 from pipeline.system.errors import InputError, as_input_error, in_file, require

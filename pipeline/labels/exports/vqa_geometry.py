@@ -19,7 +19,7 @@ from pipeline.datasets import Dataset
 from pipeline.datasets.base import load_picture
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera, lift_pixels
-from pipeline.geometry.lifting import LiftConfig, Pixel, clean, depth_edges, flying_pixels
+from pipeline.geometry.cleaning import LiftConfig, Pixel, clean, depth_edges, flying_pixels
 from pipeline.geometry.masks import decode_run_length
 from pipeline.geometry.surface import surface_step
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
