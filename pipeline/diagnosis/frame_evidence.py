@@ -101,6 +101,8 @@ class FrameEvidence:
             same = [_same_to_scorer(*pair) for pair in zip(before.answers.objects, answers.objects, strict=True)]
             stays = np.concatenate([np.array(same, np.bool_), np.ones(n, np.bool_)])
             both = stays[:, None] & stays
+            # Pairs of detections are the answer's own, which may be edited.
+            both[:d, :d] = False
             self._known = {r: np.where(both, table, np.nan) for r, table in before._probabilities.items()}
 
     def _is_edit_of(self, before: FrameEvidence) -> bool:
