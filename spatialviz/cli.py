@@ -42,15 +42,15 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     },
     "label, check, correct": {
         "label": ("cli_labels", "run_labels"),
-        "check": ("cli_labels", "run_labels"),
+        "check": ("cli_labels", "run_check"),
         "audit": ("cli_labels", "run_review"),
         "show": ("cli_labels", "run_corrections"),
         "review": ("cli_labels", "run_review"),
         "correct": ("cli_labels", "run_corrections"),
         "undo": ("cli_labels", "run_corrections"),
         "journal": ("cli_labels", "run_corrections"),
-        "export": ("cli_labels", "run_labels"),
-        "import": ("cli_labels", "run_labels"),
+        "export": ("cli_labels", "run_exchange"),
+        "import": ("cli_labels", "run_exchange"),
     },
     "evaluate, debug": {
         "eval": ("cli_runs", "run_eval"),

@@ -240,6 +240,19 @@ def iou_3d(a: Box3D, b: Box3D) -> float:
     return float(np.clip(volume / (a.volume + b.volume - volume), 0.0, 1.0))
 
 
+def most_iou_3d(a: Box3D, b: Box3D) -> float:
+    """Bound that `iou_3d` of two boxes does not exceed: each shares at most its part within the extents of the other
+    along its own axes."""
+    shared = min(a.volume, b.volume)
+    for box, other in ((a, b), (b, a)):
+        corners = (other.corners - box.center) @ box.R
+        low, high = np.maximum(corners.min(axis=0), -box.size / 2), np.minimum(corners.max(axis=0), box.size / 2)
+        shared = min(shared, float(np.clip(high - low, 0, None).prod()))
+    union = a.volume + b.volume - shared
+    # What rounding may take away is given back.
+    return shared / union + 1e-9 if union > 0 else 0.0
+
+
 def _inside(points: np.ndarray, box: Box3D) -> np.ndarray:
     local = (points - box.center) @ box.R
     return points[(np.abs(local) <= box.size / 2 + 1e-9).all(axis=1)]

@@ -25,7 +25,7 @@ from pipeline.geometry import (
     project,
     to_world,
 )
-from pipeline.geometry.boxes import ray_entry
+from pipeline.geometry.boxes import most_iou_3d, ray_entry
 from pipeline.system import InputError
 
 CAMERAS = st.builds(
@@ -241,6 +241,8 @@ def test_iou_3d_is_symmetric_bounded_and_rigid(seed: int) -> None:
     assert iou_3d(b, a) == pytest.approx(overlap, abs=1e-9)
     assert iou_3d(a.transformed(T), b.transformed(T)) == pytest.approx(overlap, abs=1e-7)
     assert iou_3d(a, a) == pytest.approx(1, abs=1e-9)
+    assert overlap <= most_iou_3d(a, b) <= 1 + 1e-8
+    assert most_iou_3d(a, a) == pytest.approx(1, abs=1e-8)
 
 
 @given(SEEDS)

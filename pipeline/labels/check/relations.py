@@ -154,9 +154,9 @@ def _cycles(view: FrameView, relations: Sequence[str], expected: Expected | None
     holds = np.array([view.states[relation] == T for relation in relations]).reshape(-1, n, n)
     # Two ways at once is a finding of its own; without those edges the longer cycles remain.
     holds &= ~np.swapaxes(holds, 1, 2)
-    which, a, b = np.nonzero(holds)
-    if not len(which):
+    if not has_cycle(holds):
         return
+    which, a, b = np.nonzero(holds)
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -179,6 +179,16 @@ def _cycles(view: FrameView, relations: Sequence[str], expected: Expected | None
             {"relation": relation, "objects_in_knot": len(members), **named},
             "error" if _impossible(relation, expected, n)[tuple(edges)].any() else "warning",
         )
+
+
+def has_cycle(holds: np.ndarray) -> bool:
+    """Whether any of the graphs (R, N, N) bool has a cycle: nodes without a way in are taken away as long as any is."""
+    ways_in, left = holds.sum(axis=1, dtype=np.int64), np.ones(holds.shape[:2], np.bool_)
+    while (free := left & (ways_in == 0)).any():
+        left &= ~free
+        graphs, nodes = np.nonzero(free)
+        np.subtract.at(ways_in, graphs, holds[graphs, nodes])
+    return bool(left.any())
 
 
 def shortest_cycle(holds: np.ndarray) -> np.ndarray:
