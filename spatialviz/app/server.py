@@ -15,6 +15,7 @@ import webbrowser
 from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
 from functools import partial
+from importlib import import_module
 
 import rich
 import viser
@@ -162,14 +163,16 @@ def serve(
     _end_in_order()
     try:
         announced("Ctrl-C")
-        # Present objects stay: excluded from cyclic garbage collection.
-        gc.freeze()
         # Results for a page closed meanwhile are dropped; no news to a user.
         warnings.filterwarnings("ignore", r"Queued a \w+ on a closed connection", UserWarning)
         # Nor are messages foreign to viser's client.
         warnings.filterwarnings("ignore", r"\[viser\] .* does not match annotation", UserWarning)
         # Products of a few numbers: a second thread costs more than it gains, at the expense of other clients.
         with one_thread():
+            # What pages are made of is loaded while the browser starts.
+            import_module("spatialviz.app.session")
+            # Present objects stay: excluded from cyclic garbage collection.
+            gc.freeze()
             # Short sleeps: a signal delivered to another thread wakes no sleeper; it is seen at the next turn.
             while True:
                 time.sleep(SIGNAL_SECONDS)

@@ -11,9 +11,10 @@ import time
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable
 from contextvars import ContextVar
+from functools import cached_property
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import SplitResult, parse_qs, quote, urlsplit
 
 import viser
@@ -27,9 +28,11 @@ from spatialviz.app.access import KINDS, Access, response
 from spatialviz.app.channel import Hello, read
 from spatialviz.app.context import Shared
 from spatialviz.app.frames import IMAGES
-from spatialviz.app.session import PageSession
 from spatialviz.app.viser_socket import SceneConnection, scene_page, subprotocol
 from spatialviz.options import warn
+
+if TYPE_CHECKING:
+    from spatialviz.app.session import PageSession
 
 PAGE_ID: ContextVar[str] = ContextVar("page_id")
 """Page of viser's socket during the handling of its connection."""
@@ -134,6 +137,13 @@ class Gate:
         while len(self._paces) > REMEMBERED:
             self._paces.popitem(last=False)
         return pace
+
+
+def new_session(page_id: str, shared: Shared) -> PageSession:
+    """Session of a page. What pages are made of is a third of the program: a server listens before it is loaded."""
+    from spatialviz.app.session import PageSession
+
+    return PageSession(page_id, shared)
 
 
 class Pages:
@@ -245,7 +255,7 @@ class Pages:
                 return None
             if connection.close_code is not None:
                 return None
-            session = self._sessions[page_id] = await asyncio.to_thread(PageSession, page_id, self._shared)
+            session = self._sessions[page_id] = await asyncio.to_thread(new_session, page_id, self._shared)
             return session
 
     async def _listen_to(self, connection: Any, session: PageSession) -> None:
@@ -304,7 +314,12 @@ class Site:
         if shared.dark is not None:
             given = b"dark" if shared.dark else b"light"
             self._files["index.html"] = self._files["index.html"].replace(b'data-given=""', b'data-given="%s"' % given)
-        self._scene = gzip.compress(scene_page().replace("</title>", "</title>" + SCENE_STYLE, 1).encode(), 6)
+        self._scene_page = scene_page().replace("</title>", "</title>" + SCENE_STYLE, 1).encode()
+
+    @cached_property
+    def _scene(self) -> bytes:
+        """Page of viser's client, compressed when it is first asked for."""
+        return gzip.compress(self._scene_page, 6)
 
     def inside(self, target: str) -> str:
         return self._access.inside(target)
