@@ -7,9 +7,10 @@ import sys
 import warnings
 from contextlib import suppress
 from functools import lru_cache
-from importlib import metadata
-from importlib.metadata import EntryPoints, PackageNotFoundError, version
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoints
 
 
 def entry_points(group: str) -> EntryPoints:
@@ -22,7 +23,9 @@ def entry_points(group: str) -> EntryPoints:
 
 @lru_cache(maxsize=16)
 def _entry_points(group: str, _folders: tuple[tuple[str, int], ...]) -> EntryPoints:
-    return metadata.entry_points(group=group)
+    from importlib.metadata import entry_points
+
+    return entry_points(group=group)
 
 
 def _last_change(folder: str) -> int:
@@ -55,6 +58,8 @@ def load_plugins(group: str, what: str, kind: Any) -> tuple[tuple[str, Any], ...
 
 def versions_of(*packages: str) -> dict[str, str]:
     """Versions of packages, if installed."""
+    from importlib.metadata import PackageNotFoundError, version
+
     found = {}
     for package in packages:
         with suppress(PackageNotFoundError):
