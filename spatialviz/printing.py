@@ -3,55 +3,41 @@
 from __future__ import annotations
 
 import math
+import os
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from functools import lru_cache
-from typing import Any
-
-from rich.console import Console
-from rich.segment import Segment
-from rich.table import Table
-from rich.text import Text
+from typing import TYPE_CHECKING, Any
 
 from pipeline.language.counted import counted, listed, share_text
 from pipeline.metrics.intervals import Estimate
-from pipeline.metrics.tables import Cell, with_heads
+from pipeline.metrics.tables import Cell
 from pipeline.metrics.tables import Table as ResultTable
-from spatialviz.plain_text import one_line, plain, unfiltered
+from spatialviz.plain_text import one_line, plain
 
-NAME_WIDTH = 32
-
-
-class _PipeConsole(Console):
-    """Console with plain output, leaving a closed pipe to the command line with its exit status."""
-
-    @property
-    def file(self) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
-        return unfiltered(super().file)
-
-    def _render_buffer(self, buffer: Iterable[Segment]) -> str:
-        return super()._render_buffer(s if s.control else Segment(plain(s.text), s.style) for s in buffer)
-
-    def on_broken_pipe(self) -> None:
-        raise BrokenPipeError
-
-
-@lru_cache(maxsize=1)
-def console() -> Console:
-    """Console without wrapping in a pipe, robust to a closed pipe."""
-    made = _PipeConsole(highlight=False, soft_wrap=True)
-    if not made.is_terminal:
-        # In a pipe there is no edge to wrap at.
-        made.width = 160
-    return made
+if TYPE_CHECKING:
+    from rich.text import Text
 
 
 def say(*parts: str | Text | tuple[str, str], style: str = "") -> None:
     """Print a line of parts: text, not markup, or (text, style)."""
+    texts = [p if isinstance(p, str) else p[0] if isinstance(p, tuple) else p.plain for p in parts]
+    if not colored() and "\t" not in (line := one_line("".join(texts))):
+        # A line to a file or a pipe is its text: rich takes 30 ms to load, and as long for 400 lines.
+        print(line, flush=True)
+        return
+    from rich.text import Text
+
+    from spatialviz.terminal import console
+
     console().print(Text.assemble(*map(_on_one_line, parts), style=style))
+
+
+def colored() -> bool:
+    """Whether lines may be more than their text: on a terminal, and where the environment asks for colours."""
+    return sys.stdout.isatty() or any(map(os.environ.get, ("TTY_COMPATIBLE", "FORCE_COLOR")))
 
 
 def say_lines(lines: Iterable[str], style: str = "", most: int | None = None, where: str = "") -> None:
@@ -64,26 +50,15 @@ def say_lines(lines: Iterable[str], style: str = "", most: int | None = None, wh
 
 
 def _on_one_line(part: str | Text | tuple[str, str]) -> str | Text | tuple[str, str]:
-    if isinstance(part, Text):
-        return part
-    return one_line(part) if isinstance(part, str) else (one_line(part[0]), part[1])
-
-
-def table(columns: Iterable[str], rows: Iterable[Iterable[str | Text]], **each: Any) -> Table:
-    """Table of rows under heads; a head beginning with ">" is right-aligned.
-
-    Cells are text, not markup. `each` is for every column, as `rich.table.Table.add_column` takes it.
-    """
-    found = Table(box=None, pad_edge=False, header_style="dim")
-    for name in columns:
-        found.add_column(Text(name.removeprefix(">")), justify="right" if name.startswith(">") else "left", **each)
-    for row in rows:
-        found.add_row(*(Text(one_line(cell)) if isinstance(cell, str) else cell for cell in row))
-    return found
+    if isinstance(part, str):
+        return one_line(part)
+    return (one_line(part[0]), part[1]) if isinstance(part, tuple) else part
 
 
 def print_rows(columns: Iterable[str], rows: Iterable[Iterable[str | Text]], **each: Any) -> None:
-    """Print a `table`."""
+    """Print a table of `terminal.table`."""
+    from spatialviz.terminal import console, table
+
     console().print(table(columns, rows, **each))
 
 
@@ -103,9 +78,11 @@ def progress_bars() -> Iterator[Callable[..., None]]:
     # A hundredth of a second of imports, which most commands need not.
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
+    from spatialviz.terminal import PipeConsole
+
     columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[note]}"), TimeRemainingColumn())
     shown = (TextColumn("{task.description}"), *columns)
-    with Progress(*shown, console=_PipeConsole(stderr=True), transient=True) as progress:
+    with Progress(*shown, console=PipeConsole(stderr=True), transient=True) as progress:
         tasks: dict[str, TaskID] = {}
 
         def tell(what: str, done: int, total: int, note: str = "") -> None:
@@ -152,6 +129,8 @@ def rate_bar(what: str, unit: str) -> Iterator[Callable[[int, int], None]]:
 
 def print_table(found: ResultTable, caveats: bool = True) -> None:
     """Print a table with title and caveats."""
+    from spatialviz.terminal import console, rich_table
+
     say(found.title, style="bold")
     console().print(rich_table(found))
     say_lines([found.note], "dim")
@@ -166,22 +145,6 @@ def table_record(found: ResultTable) -> dict[str, Any]:
 def rows_record(tables: Iterable[ResultTable]) -> dict[str, Any]:
     """Sources of table rows: by table and row, `source` and `shares` of `tables.Row`."""
     return {t.key: {row.name: {"source": row.source, "shares": row.shares} for row in t.rows} for t in tables}
-
-
-def rich_table(found: ResultTable) -> Table:
-    """Table of figures for the terminal; a too wide table has intervals below the figures."""
-    texts = [found.shown(row) for row in found.rows]
-    names = [row.name if row.source == "measured" else f"{row.name} ({row.source})" for row in found.rows]
-    longest = max(map(len, names), default=0)
-    columns = zip(found.columns, *texts, strict=True)
-    wide = longest + sum(2 + max(map(len, column)) for column in columns) > console().width
-    made = table(("", *(f">{name}" for name in found.columns)), ())
-    made.columns[0].min_width = min(longest, NAME_WIDTH)
-    for (head, _), name, cells in zip(with_heads(found.rows), names, texts, strict=True):
-        if head:
-            made.add_row(Text(head, "italic"))
-        made.add_row(Text(name), *(text.replace(" [", "\n[") if wide else text for text in cells))
-    return made
 
 
 def _plain(cell: Cell) -> Any:

@@ -22,9 +22,11 @@ from rich.text import Text
 
 from pipeline.datasets.demo import demo_path, demo_run
 from pipeline.system.errors import InputError
+from spatialviz import printing
 from spatialviz.options import LONGEST_LINE, error_line, print_json, warn
 from spatialviz.plain_text import plain, plain_streams
-from spatialviz.printing import console, print_rows, say
+from spatialviz.printing import print_rows, say
+from spatialviz.terminal import console
 
 CODES = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 NASTY = "a\x1b[8m\x1b]0;x\x07\x7f\x9b31m\u202eb\u2066\u2028\x85c\rd"
@@ -42,6 +44,18 @@ def test_whatever_is_printed_holds_no_code(text: str) -> None:
         warn(text)
         print(text, file=sys.stderr)
     assert not CODES.search(out.getvalue() + err.getvalue())
+
+
+@given(texts, texts)
+def test_a_line_without_colours_is_as_rich_prints_it(text: str, more: str) -> None:
+    lines = []
+    for colored in (False, True):
+        out = io.StringIO()
+        with redirect_stdout(out), pytest.MonkeyPatch.context() as patch:
+            patch.setattr(printing, "colored", lambda colored=colored: colored)
+            say(text, (more, "bold"), style="dim")
+        lines.append(out.getvalue())
+    assert lines[0] == lines[1]
 
 
 @given(texts.filter(lambda text: not re.search(r"[\ud800-\udfff]", text)))
