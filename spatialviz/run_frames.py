@@ -7,11 +7,14 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from pipeline.answering.json_records import frame_record
-from pipeline.answering.pipeline import open_pipeline, open_sources
-from pipeline.datasets import Dataset, FrameReport, SurveyCounts, survey, write_settings
+from pipeline.datasets.base import Dataset
+from pipeline.datasets.demo import found_by_name
+from pipeline.datasets.frame_reports import FrameReport, SurveyCounts, survey
 from pipeline.datasets.odd_frames import MOST_DEPTHS, OddFrame, odd_frames
+from pipeline.datasets.opening import open_dataset, open_each
+from pipeline.datasets.report_records import frame_record
 from pipeline.datasets.scene_mesh import export_mesh, fuse_context
+from pipeline.datasets.settings import write_settings
 from pipeline.datasets.up import told_up
 from pipeline.language.counted import counted
 from spatialviz.cli_ask import (
@@ -28,15 +31,17 @@ DECODED = 60
 
 def run_frames(command: FramesCommand) -> int:
     camera = command.camera.camera()
-    pipelines, left_out = open_sources(command.dataset, **camera, srm="rule", browse=True)
+    datasets, left_out = open_each(
+        command.dataset, lambda path: open_dataset(found_by_name(path), **camera, browse=True)
+    )
     warn(*(f"left out {name}: {reason}" for name, reason in list(left_out.items())[:SHOWN_LEFT_OUT]))
     if len(left_out) > SHOWN_LEFT_OUT:
         warn(f"left out {len(left_out) - SHOWN_LEFT_OUT} more folders in which no dataset is recognised")
     usable = 0
-    for name, pipeline in pipelines.items():
+    for name, dataset in datasets.items():
         # One dataset alone needs no name in its records.
-        named = {"dataset": name} if len(pipelines) > 1 else {}
-        usable += _survey_frames(command, pipeline.dataset, camera, named)
+        named = {"dataset": name} if len(datasets) > 1 else {}
+        usable += _survey_frames(command, dataset, camera, named)
     return FINE if usable else NO
 
 
@@ -71,7 +76,7 @@ def _survey_frames(command: FramesCommand, dataset: Dataset, camera: dict[str, A
 
 
 def run_context(command: ContextCommand) -> None:
-    dataset = open_pipeline(command.dataset, **command.camera.camera(command.frame)).dataset
+    dataset = open_dataset(found_by_name(command.dataset), **command.camera.camera(command.frame))
     frame = dataset.load(one_frame(dataset.frame_ids, command.frame, dataset.root))
     mesh = fuse_context(dataset, frame)
     export_mesh(mesh, command.out)

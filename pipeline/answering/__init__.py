@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pipeline.answering.fitted_models import FittedRanking, Scale
     from pipeline.answering.frame_store import BackgroundPictures, FrameStore, LoadedFrame, UpHint
     from pipeline.answering.imported import ImportedPipeline
-    from pipeline.answering.json_records import frame_record, relation_records, trace_record
+    from pipeline.answering.json_records import relation_records, trace_record
     from pipeline.answering.model_catalogue import describe_file
     from pipeline.answering.objects import (
         PreparedFrame,

@@ -21,8 +21,6 @@ from pipeline.answering.detector_prompts import taken_as, unused_words
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import Link, ScoredPair
 from pipeline.answering.pipeline import FrameRelations
-from pipeline.datasets.frame_reports import FrameReport
-from pipeline.datasets.odd_frames import OddFrame
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.naming import Meaning
 from pipeline.language.relation_names import PAIRWISE
@@ -283,33 +281,6 @@ def relation_records(found: FrameRelations, relations: Sequence[str] = PAIRWISE)
                 },
                 **up,
             }
-
-
-def frame_record(report: FrameReport, odd: OddFrame | None = None) -> Record:
-    """Record of `frames --json`; "moves" only where the dataset has moves. "dataset_notes" are equal in all.
-
-    With `odd` also "oddness", from 1 on odd, null where nothing was compared, and "odd", the reasons in words.
-    """
-    oddness = None if odd is None or odd.oddness is None else round(odd.oddness, 4)
-    return {
-        "index": report.index,
-        "frame": report.id,
-        "ok": report.ok,
-        "problem": report.problem,
-        "width": report.width,
-        "height": report.height,
-        "decoded": report.decoded,
-        "annotations": report.annotations if report.decoded else None,
-        "labels": list(report.labels),
-        "depth_valid": report.depth_valid if report.decoded else None,
-        "median_depth": report.median_depth,
-        "has_pose": report.has_pose,
-        "up_source": report.up_source,
-        "up": None if report.up is None else _numbers(np.array(report.up), 6),
-        "notes": list(report.notes),
-        "dataset_notes": list(report.dataset_notes),
-        **({} if odd is None else {"oddness": oddness, "odd": list(odd.reasons)}),
-    } | present(moves=None if report.moves is None else dict(report.moves))
 
 
 ALWAYS = ("product", "probability", "log_factors")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -13,8 +13,8 @@ from pipeline.answering.ask import AskConfig, Trace, ask
 from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects, appearance_of, prepare_frame
 from pipeline.datasets import Dataset, open_dataset, resolve_frame
 from pipeline.datasets.base import Frames
-from pipeline.datasets.demo import DEMO_NAME, demo_path
-from pipeline.datasets.unread import telling_files
+from pipeline.datasets.demo import found_by_name
+from pipeline.datasets.opening import open_each
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.expression import Reader, parse
@@ -25,9 +25,7 @@ from pipeline.proposals import Detector, Segmented, Segmenter, make_segmenter
 from pipeline.proposals.registry import SegmenterFiles, open_detector
 from pipeline.relations import RelationScorer, RelationScores, make_scorer
 from pipeline.system.detector_setup import DetectorSetup, Fusion
-from pipeline.system.errors import FrameUnusable, InputError, UnknownFormat, require
-from pipeline.system.remote import local_path
-from pipeline.system.safe_files import watched
+from pipeline.system.errors import FrameUnusable, InputError, require
 
 if TYPE_CHECKING:
     from pipeline.answering.predictions import Prediction, Predictions
@@ -193,9 +191,7 @@ def open_pipeline(
         "registration": registration,
     }
     if isinstance(path, str | Path):
-        if str(path) == DEMO_NAME and not Path(path).exists():
-            path = demo_path()
-        dataset = open_dataset(path, **camera, browse=browse)
+        dataset = open_dataset(found_by_name(path), **camera, browse=browse)
     else:
         _refuse(camera, "a dataset that is open already")
         dataset = path
@@ -295,24 +291,7 @@ def open_sources(path: str | Path, **options: Any) -> tuple[dict[str, Pipeline],
     InputError
         Where nothing can be opened; the reason is that of the folder itself.
     """
-    try:
-        return {Path(path).name or str(path): open_pipeline(path, **options)}, {}
-    except UnknownFormat:
-        folder = local_path(path)
-        if not folder.is_dir():
-            raise
-        pipelines: dict[str, Pipeline] = {}
-        left_out: dict[str, str] = {}
-        with watched() as seen:
-            for inside in sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith(".")):
-                try:
-                    pipelines[inside.name] = open_pipeline(inside, **options)
-                except InputError as error:
-                    left_out[inside.name] = str(error)
-        if not pipelines:
-            raise
-        left_out |= dict.fromkeys(telling_files(folder, seen), "not read; a camera, poses or a unit may stand in it")
-        return pipelines, left_out
+    return open_each(path, partial(open_pipeline, **options))
 
 
 def frame_range(dataset: Dataset, key: str | int | None) -> tuple[str, ...]:

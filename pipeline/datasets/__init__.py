@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from pipeline.datasets.frame_reports import FrameReport, SurveyCounts, survey
     from pipeline.datasets.images import read_color
     from pipeline.datasets.opening import open_dataset
+    from pipeline.datasets.report_records import frame_record
     from pipeline.datasets.saved_case import MANIFEST
     from pipeline.datasets.scene_mesh import export_mesh, fuse_context
     from pipeline.datasets.semantic_abstraction_splits import SUBSETS, subsets_of

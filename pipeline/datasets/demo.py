@@ -22,6 +22,11 @@ def demo_path() -> Path:
     return asset_path(DEMO_NAME)
 
 
+def found_by_name(path: str | Path) -> str | Path:
+    """A dataset's path; of "demo", where nothing is called so, the built-in one. Raises as `demo_path`."""
+    return demo_path() if str(path) == DEMO_NAME and not Path(path).exists() else path
+
+
 def demo_labels() -> Path:
     """Merged labels of the demo run."""
     return asset_path(DEMO_RUN_NAME, "labels")

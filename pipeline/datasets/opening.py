@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
+from typing import TypeVar
 
 from pipeline.datasets.base import Dataset, DatasetFormat
 from pipeline.datasets.cameras import ShiftedPoses
@@ -15,14 +16,15 @@ from pipeline.datasets.meant import AsMeant
 from pipeline.datasets.pairing import COLOR_SUFFIXES, FLOAT_SUFFIXES, role_of
 from pipeline.datasets.parquet import is_lerobot_depth, lerobot_features
 from pipeline.datasets.settings import OR_ESTIMATED, GivenUp, read_settings
-from pipeline.datasets.unread import naming_unread, say_unread
+from pipeline.datasets.unread import naming_unread, say_unread, telling_files
 from pipeline.datasets.up import with_given_up
 from pipeline.language.counted import counted
-from pipeline.system.errors import UnknownFormat, require
+from pipeline.system.errors import InputError, UnknownFormat, require
 from pipeline.system.plugins import load_plugins
 from pipeline.system.remote import local_path
 from pipeline.system.safe_files import enter, watched
 
+Opened = TypeVar("Opened")
 FORMATS = (
     "bop.FORMAT",
     "saved_case.FORMAT",
@@ -148,6 +150,36 @@ def open_dataset(
                 return with_given_up(dataset, settings, level_at)
     known = tuple(_formats(root, model is not None))
     raise unknown(root, lambda path: any(candidate.recognises(path) for candidate in known))
+
+
+def open_each(path: str | Path, open_one: Callable[[str | Path], Opened]) -> tuple[dict[str, Opened], dict[str, str]]:
+    """Open a dataset, or all datasets in the folders of a folder, by `open_one`.
+
+    Returns what was opened by the folder's name, at least one, and folders that could not be opened, and why.
+
+    Raises
+    ------
+    InputError
+        Where nothing can be opened; the reason is that of the folder itself.
+    """
+    try:
+        return {Path(path).name or str(path): open_one(path)}, {}
+    except UnknownFormat:
+        folder = local_path(path)
+        if not folder.is_dir():
+            raise
+        opened: dict[str, Opened] = {}
+        left_out: dict[str, str] = {}
+        with watched() as seen:
+            for inside in sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith(".")):
+                try:
+                    opened[inside.name] = open_one(inside)
+                except InputError as error:
+                    left_out[inside.name] = str(error)
+        if not opened:
+            raise
+        left_out |= dict.fromkeys(telling_files(folder, seen), "not read; a camera, poses or a unit may stand in it")
+        return opened, left_out
 
 
 def _formats(root: Path, estimated: bool) -> Iterator[DatasetFormat]:

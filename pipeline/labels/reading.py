@@ -19,7 +19,7 @@ from typing import IO, Any
 import numpy as np
 
 from pipeline.datasets import Dataset, open_dataset
-from pipeline.datasets.demo import DEMO_NAME, demo_path
+from pipeline.datasets.demo import found_by_name
 from pipeline.labels.schema import ADDED_COLUMNS, SCHEMA_VERSION, TABLES, Manifest
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.arrow import pa, pc, pq, typed
@@ -355,15 +355,13 @@ def labelled_dataset(manifest: Manifest, path: str | None = None, **options: Any
     """
     record = manifest.dataset
     where = path or named_before(needed(record.get("path") or None, "the labels do not say which dataset they are of"))
-    if where == DEMO_NAME and not Path(where).exists():
-        where = demo_path()
     declared = record.get("options") or {}
     known = {name: declared[name] for name in ("depth_model", "poses") if declared.get(name)}
     for name, count in (("intrinsics", 4), ("registration", 7), ("depth_scale", 1)):
         if declared.get(name) and options.get(name) is None:
             known[name] = _numbers(declared[name], count, name)
     given = {name: value for name, value in options.items() if value is not None}
-    return open_dataset(where, **labelled_up(manifest, {**known, **given}))
+    return open_dataset(found_by_name(where), **labelled_up(manifest, {**known, **given}))
 
 
 def labelled_up(manifest: Manifest, options: Mapping[str, Any]) -> dict[str, Any]:

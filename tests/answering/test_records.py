@@ -14,7 +14,6 @@ from pipeline.answering import (
     FrameRelations,
     PreparedFrame,
     all_objects,
-    frame_record,
     open_pipeline,
     relate_frames,
     relation_records,
@@ -23,7 +22,7 @@ from pipeline.answering import (
 )
 from pipeline.answering.ask import ask
 from pipeline.answering.json_records import object_record
-from pipeline.datasets import open_dataset, survey
+from pipeline.datasets import frame_record, open_dataset, survey
 from pipeline.geometry import Frame
 from pipeline.language import PAIRWISE
 from pipeline.proposals import AnnotationDetector, Proposals

@@ -27,8 +27,8 @@ from avd_writer import (
 )
 from dataset_writers import random_rotation, write_png
 
-from pipeline.answering import frame_record, open_pipeline
-from pipeline.datasets import MOVES, has_moves, moves, open_dataset, splits, survey
+from pipeline.answering import open_pipeline
+from pipeline.datasets import MOVES, frame_record, has_moves, moves, open_dataset, splits, survey
 from pipeline.datasets.avd import FARTHEST_M, SPLITS, read_names, read_poses
 from pipeline.geometry import Frame
 from pipeline.system import InputError
