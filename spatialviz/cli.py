@@ -35,7 +35,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     "browse, ask": {
         "view": ("cli_ask", "run_view"),
         "ask": ("cli_ask", "run_ask"),
-        "relations": ("cli_ask", "run_ask"),
+        "relations": ("cli_ask", "run_relations"),
         "frames": ("cli_ask", "run_frames"),
         "doctor": ("cli_ask", "run_doctor"),
         "render": ("cli_ask", "run_render"),
@@ -76,7 +76,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
 FORMS: dict[str, tuple[str, str]] = {
     "glossary": ("cli_ask", "run_ask"),
     "confirm": ("cli_labels", "run_corrections"),
-    "measure": ("cli_ask", "run_ask"),
+    "measure": ("cli_ask", "run_relations"),
     "merge": ("cli_labels", "run_labels"),
     "redo": ("cli_labels", "run_corrections"),
     "effective": ("cli_labels", "run_corrections"),

@@ -1,9 +1,9 @@
-"""Commands on answers, relations, frames and recordings, with their output for people."""
+"""Commands on answers and words, with their output for people."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,29 +11,23 @@ from typing import TYPE_CHECKING, Any
 from pipeline.answering.answer_words import probability, reading_notes, why_no_answer, words_of_answer
 from pipeline.answering.ask import Trace
 from pipeline.answering.detector_prompts import taken_as, unused_words
-from pipeline.answering.json_records import relation_records
 from pipeline.answering.pair_table import ScoredPair
-from pipeline.answering.pipeline import FrameRelations, Pipeline, open_pipeline, relate_frames
+from pipeline.answering.pipeline import Pipeline
 from pipeline.datasets.demo import DEMO_NAME, demo_run
-from pipeline.datasets.settings import ASSUMED, DECLARE
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.asking import ask_and_judge
 from pipeline.diagnosis.suggestions import SURE, MissedNames, missed_names
 from pipeline.diagnosis.verdict import shown_verdict
-from pipeline.geometry.viewer import ViewerAxes, measure
-from pipeline.language.counted import counted, listed
+from pipeline.language.counted import listed
 from pipeline.language.glossary import find_term, glossary, glossary_markdown
-from pipeline.language.relation_names import PHRASE, VOCABULARIES
-from pipeline.relations.relations import letter
 from pipeline.system.errors import require
 from spatialviz.cli_ask import (
     AskCommand,
     GlossaryCommand,
-    MeasureCommand,
-    RelationsCommand,
 )
-from spatialviz.options import ALL_FRAMES, FINE, NO, SourceOptions, numbers, one_frame, warn_skipped
+from spatialviz.options import ALL_FRAMES, FINE, NO, SourceOptions, warn_skipped
 from spatialviz.printing import print_rows, say, say_lines
+from spatialviz.run_relations import warn_assumed
 
 if TYPE_CHECKING:
     from pipeline.evaluation.run_folder import Run
@@ -122,29 +116,6 @@ def _tried(answer: Answer, run: Run | None) -> dict[str, Any]:
     return {} if answer.story.tone != "wrong" else {"tried": told, "over_run": over}
 
 
-def run_relations(command: RelationsCommand) -> int:
-    relations = VOCABULARIES[command.vocabulary]
-    pairs = 0
-    for found in relate_frames(command.source.open(command.dataset, command.frame), command.frame, warn_skipped):
-        pairs += len(found.objects) * max(len(found.objects) - 1, 0)
-        command.write(relation_records(found, relations), print_relations, found, relations)
-    return FINE if pairs else NO
-
-
-def run_measure(command: MeasureCommand) -> None:
-    pipeline = open_pipeline(command.dataset, **command.camera.camera(command.frame))
-    context = pipeline.prepare(one_frame(pipeline.dataset.frame_ids, command.frame, pipeline.dataset.root))
-    (u0, v0), (u1, v1) = (
-        numbers(text, "U,V", int, "a pixel is two numbers") for text in (command.first, command.second)
-    )
-    found = measure(context.frame.depth, context.frame.camera, context.viewer, (u0, v0), (u1, v1))
-    estimated = {"depth_source": context.frame.depth_source} if context.frame.depth_source else {}
-    record = {"frame": context.frame.id, **found.record(), "up_source": context.viewer.up_source, **estimated}
-    command.write(record, say, f"{found.distance:.3f} m  {'  '.join(found.words)}")
-    if not command.json:
-        _warn_assumed(context.viewer, context.frame.depth_source)
-
-
 def run_glossary(command: GlossaryCommand) -> None:
     if command.markdown:
         print(glossary_markdown(), end="")
@@ -160,7 +131,7 @@ def print_answer(answer: Answer, trace: Trace) -> None:
     say_lines([no_answer or ""], "yellow")
     if trace.ranking is not None and no_answer is None:
         print_ranking(trace)
-    _warn_assumed(trace.viewer, trace.frame.depth_source)
+    warn_assumed(trace.viewer, trace.frame.depth_source)
     stages = " · ".join(f"{k} {v * 1000:.1f} ms" for k, v in trace.timings.items())
     made = f"detector {trace.detector} · relations by {trace.scorer} · up {trace.viewer.up_source}"
     say(f"{stages} · {made}", style="dim")
@@ -227,15 +198,6 @@ def print_ranking(trace: Trace) -> None:
             say_lines([lifted.goes_on and f"{role} {name(index)} {lifted.goes_on}"], "dim")
 
 
-def _warn_assumed(viewer: ViewerAxes | None, depth_source: str) -> None:
-    """Warn of unmeasured bases of all geometry: an assumed up vector, an estimated depth."""
-    lines = [f"depth is {depth_source}" if depth_source else ""]
-    if viewer is not None:
-        lines.append(f"{ASSUMED}; {DECLARE}" if viewer.up_source == "assumed" else "")
-        lines.append(f"up may be wrong: {viewer.up_doubt}" if viewer.up_doubt else "")
-    say_lines(lines, "yellow")
-
-
 def print_overlooked(found: MissedNames) -> None:
     """Print the detector's other findings for missing names, a line each."""
     for name, score in found.below.items():
@@ -244,21 +206,3 @@ def print_overlooked(found: MissedNames) -> None:
             say(f"the best {name!r} has {score:.3f}: --min-score {least:.2f} keeps it", style="yellow")
     if found.seen:
         say(f"detections of at least {SURE:.2f}: {listed(found.seen)}", style="dim")
-
-
-def print_relations(found: FrameRelations, relations: Sequence[str]) -> None:
-    """Print relations of a frame held (T) or undecided (U), a line for each pair."""
-    up = "" if found.viewer is None else f"  up {found.viewer.up_source}"
-    say(("frame ", "dim"), found.frame_id, (f"  {counted(len(found.objects), 'object')}{up}", "dim"))
-    _warn_assumed(found.viewer, found.depth_source)
-    columns = [(PHRASE[r], found.scores.relations.index(r)) for r in relations]
-    for i, a in enumerate(found.objects):
-        for j, b in enumerate(found.objects):
-            states = {phrase: letter(found.scores.states[i, j, n]) for phrase, n in columns} if i != j else {}
-            text = ", ".join(
-                f"{phrase} {found.scores.probabilities[i, j, n]:.2f}{'?' if states[phrase] == 'U' else ''}"
-                for phrase, n in columns
-                if states.get(phrase, "F") != "F"
-            )
-            if text:
-                say(a.name(i, found.exact), (" — ", "dim"), text, (" — ", "dim"), b.name(j, found.exact))

@@ -115,6 +115,8 @@ HEAVY = frozenset(
         "huggingface_hub",
         "threadpoolctl",
         "platformdirs",
+        "tomllib",
+        "tomli",
         "xxhash",
         "numpy",
         "pydantic",

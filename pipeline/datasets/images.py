@@ -15,7 +15,6 @@ from zipfile import BadZipFile
 
 import cv2
 import numpy as np
-from PIL import Image
 
 from pipeline.datasets.files import CUT_OFF, Blob, Part, read_bytes, shortened
 from pipeline.system import safe_files
@@ -189,6 +188,8 @@ DIAGONAL_35MM = 43.2666
 def exif_focal(path: Blob, height: int, width: int) -> tuple[float, float] | None:
     """Focal length of the picture's EXIF: (pixels, millimetres as of 35 mm film), or None. The diagonals are compared,
     as in `depth_pro/utils.py` of apple/ml-depth-pro (CIPA DCG-001)."""
+    from PIL import Image
+
     try:
         with Image.open(io.BytesIO(read_bytes(path))) as picture:
             millimetres = float(picture.getexif().get_ifd(EXIF_TABLE).get(FOCAL_35MM) or 0)
@@ -199,6 +200,8 @@ def exif_focal(path: Blob, height: int, width: int) -> tuple[float, float] | Non
 
 def picture_size(path: Path) -> tuple[int, int] | None:
     """Picture size (width, height) from the header, or None."""
+    from PIL import Image
+
     try:
         with safe_files.opened(path) as file, Image.open(file) as picture:
             return picture.size

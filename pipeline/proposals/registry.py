@@ -15,7 +15,6 @@ from pipeline.language.naming import Synonyms, suggest
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.proposals.base import Detector
 from pipeline.proposals.cache import CachedDetector, CachedSegmenter
-from pipeline.proposals.depth_segmenter import DepthSegmenter
 from pipeline.proposals.ensemble import EnsembleDetector
 from pipeline.proposals.segmenter import DetectorSegmenter, PngMasks, Segmenter
 from pipeline.system.detector_setup import DetectorSetup, named_model
@@ -193,7 +192,7 @@ class SegmenterRequest:
 
 def _depth(request: SegmenterRequest) -> Segmenter:
     require(request.model is None, "--segmenter depth takes no model", path=request.model)
-    return DepthSegmenter()
+    return _loaded("depth_segmenter.DepthSegmenter")()
 
 
 def _recorded_masks(request: SegmenterRequest) -> Segmenter:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-import platformdirs
-
 from pipeline.system.errors import InputError
 
 
@@ -22,4 +20,8 @@ def asset_path(*parts: str) -> Path:
 
 def cache_folder() -> Path:
     """Folder of cached results: SPATIALVIZ_CACHE, or the user's cache folder."""
-    return Path(os.environ.get("SPATIALVIZ_CACHE") or platformdirs.user_cache_dir("spatialviz"))
+    if told := os.environ.get("SPATIALVIZ_CACHE"):
+        return Path(told)
+    import platformdirs
+
+    return Path(platformdirs.user_cache_dir("spatialviz"))

@@ -14,11 +14,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from pipeline.system.errors import InputError, as_input_error, first_line, require
 from pipeline.system.safe_files import parse_json, read_text
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib  # pyright: ignore[reportMissingImports]
-
 if TYPE_CHECKING:
     from pydantic import ValidationError
 
@@ -27,6 +22,11 @@ Checked = TypeVar("Checked")
 
 def parse_toml(text: str) -> dict[str, Any]:
     """Parse TOML; ValueError on malformed text."""
+    if sys.version_info >= (3, 11):
+        import tomllib
+    else:
+        import tomli as tomllib  # pyright: ignore[reportMissingImports]
+
     try:
         return tomllib.loads(text)
     except RecursionError as error:
