@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
+from tyro.conf import Positional, UseAppendAction, arg
 
 from spatialviz.options import (
     ALL_FRAMES,
@@ -14,11 +14,13 @@ from spatialviz.options import (
     DatasetArg,
     Flag,
     FrameArg,
+    JournalArg,
     JournalOptions,
     NewFolder,
     OfCamera,
     OnFrame,
     Output,
+    SourceArg,
     SourceOptions,
     Truth,
     Workers,
@@ -38,14 +40,14 @@ class ViewCommand:
     """With --run: another run on the same dataset, whose answers are shown beside."""
     labels: str | None = None
     """Labels that say what is true. Default: the run's, else the frame's annotations."""
-    journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
+    journal: JournalArg = JournalOptions()
     author: str | None = None
     """Under whose name labels are corrected. Default: the name that the browser's tab used last, else that of the
     login."""
     state: str | None = None
     """A view as a string, "sv1:...", as the page copies it: what is opened, and what is looked at first. It holds
     edits, too, which the page's address does not."""
-    source: OmitArgPrefixes[SourceOptions] = SourceOptions()
+    source: SourceArg = SourceOptions()
     port: int = 8080
     """Port; if it is taken, the next free one is used."""
     host: str = "127.0.0.1"
@@ -77,7 +79,7 @@ class AskCommand(Output):
     frame: FrameArg
     expressions: Positional[tuple[str, ...]]
     """TARGET RELATION REFERENCE, each in quotes."""
-    source: OmitArgPrefixes[SourceOptions] = SourceOptions()
+    source: SourceArg = SourceOptions()
     run_folder: Annotated[Path | None, arg(name="run")] = None
     """A run folder: its detector, relation scorer and labels answer and judge, as in `view --run`. "demo" is the run of
     the built-in demo, which `view` opens."""
@@ -96,7 +98,7 @@ class RelationsCommand(Output):
 
     dataset: DatasetArg
     frame: FrameArg = ALL_FRAMES
-    source: OmitArgPrefixes[SourceOptions] = SourceOptions()
+    source: SourceArg = SourceOptions()
     vocabulary: Literal["avd", "semantic-abstraction", "all"] = "all"
     """Which relations."""
 

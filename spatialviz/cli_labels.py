@@ -13,7 +13,9 @@ from spatialviz.options import (
     Box,
     DatasetArg,
     Flag,
+    JournalArg,
     JournalOptions,
+    LabelledArg,
     LabelledOptions,
     LabelsArg,
     NewFolder,
@@ -24,6 +26,7 @@ from spatialviz.options import (
     OnPictures,
     Output,
     Overwrite,
+    SourceArg,
     SourceOptions,
     Workers,
 )
@@ -45,6 +48,9 @@ class Selection:
     """Keep sentences that every object of the target's class answers."""
 
 
+SelectionArg = OmitArgPrefixes[Annotated[Selection, arg(help=Selection.__doc__)]]
+
+
 @dataclass(frozen=True)
 class LabelCommand(Output):
     """Label a dataset: objects, every relation between them, and true sentences about them; --merge: join shards."""
@@ -52,8 +58,8 @@ class LabelCommand(Output):
     dataset: DatasetArg
     out: str
     """Folder for the labels, or a URL that fsspec knows (extra: remote)."""
-    source: OmitArgPrefixes[LabelledOptions] = LabelledOptions()
-    selection: OmitArgPrefixes[Selection] = Selection()
+    source: LabelledArg = LabelledOptions()
+    selection: SelectionArg = Selection()
     vocabulary: Literal["avd", "semantic-abstraction", "all"] = "avd"
     """Which relations."""
     profile: Literal["viewer-cone-v1", "semantic-abstraction-published", "given"] = "viewer-cone-v1"
@@ -95,7 +101,7 @@ class MergeCommand(Output):
     """Labels folder, or URL."""
     to: str | None = None
     """Folder or URL for the merged tables. Default: where the shards are."""
-    selection: OmitArgPrefixes[Selection] = Selection()
+    selection: SelectionArg = Selection()
 
 
 @dataclass(frozen=True)
@@ -132,7 +138,7 @@ class AuditCommand(Output):
     """Write every item with its evidence, as JSON lines."""
     limit: int = 20
     """Items shown; --out holds all."""
-    source: OmitArgPrefixes[SourceOptions] = SourceOptions()
+    source: SourceArg = SourceOptions()
 
 
 @dataclass(frozen=True)
@@ -151,7 +157,7 @@ class ExportCommand:
     Default: where it was labelled."""
     corrected: Flag = False
     """Apply the journal first, as `effective` does."""
-    journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
+    journal: JournalArg = JournalOptions()
     overwrite: Overwrite = False
     licence: str | None = None
     """The labels' licence, for the card of parquet. Default: said to be unknown."""
@@ -253,7 +259,7 @@ class ConfirmCommand(OfAnswer):
     """Who says so."""
     pair: int = 1
     """Which of the ranked pairs, from 1."""
-    journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
+    journal: JournalArg = JournalOptions()
 
 
 @dataclass(frozen=True)

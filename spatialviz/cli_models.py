@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from tyro.conf import OmitArgPrefixes, Positional, arg
+from tyro.conf import Positional, arg
 
 from spatialviz.options import (
     CPUS,
@@ -15,6 +15,7 @@ from spatialviz.options import (
     Epochs,
     Features,
     Flag,
+    FramesArg,
     FramesOptions,
     OnPictures,
     Output,
@@ -33,7 +34,7 @@ class DetectCommand(Output):
     dataset: DatasetArg
     out: Path
     """A JSON file (NAME.json), or a folder, new or empty, for one NPZ file a frame: better for many frames."""
-    source: OmitArgPrefixes[FramesOptions] = FramesOptions()
+    source: FramesArg = FramesOptions()
     classes: tuple[str, ...] = ()
     """Names to ask for, each by itself. Default: the dataset's classes; without any, all that the detector knows."""
 
@@ -46,7 +47,7 @@ class CalibrateCommand(Output):
     """Dataset folder with annotations, or "demo"."""
     out: Path
     """JSON file to write, for --score-calibration."""
-    source: OmitArgPrefixes[FramesOptions] = FramesOptions()
+    source: FramesArg = FramesOptions()
     names: Literal["frame", "dataset"] = "frame"
     """Ask each frame for the classes that are in it, as expressions about it do, or for all of the dataset's."""
 

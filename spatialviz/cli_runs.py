@@ -6,12 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from tyro.conf import OmitArgPrefixes, Positional
+from tyro.conf import Positional
 
 from spatialviz.options import (
     CPUS,
     DatasetArg,
     Flag,
+    JournalArg,
     JournalOptions,
     NewFolder,
     OfAnswer,
@@ -19,6 +20,7 @@ from spatialviz.options import (
     Output,
     Overwrite,
     RunArg,
+    SourceArg,
     SourceOptions,
     Truth,
     Workers,
@@ -53,7 +55,7 @@ class EvalCommand(WritesRun):
     --overwrite and --json."""
     out: Path | None = None
     """Run folder to write; with --sentences, where it is given, one with a line for each in sentences.jsonl."""
-    source: OmitArgPrefixes[SourceOptions] = SourceOptions()
+    source: SourceArg = SourceOptions()
     system: Literal["pipeline", "referring", "vlm"] = "pipeline"
     """pipeline | referring: the detector fed the whole expression | vlm: a vision-language model."""
     vlm_url: str | None = None
@@ -255,7 +257,7 @@ class ReportCommand(Output):
     """TARGET RELATION REFERENCE, in quotes."""
     out: Path = Path("report.html")
     """File to write."""
-    source: OmitArgPrefixes[SourceOptions] = SourceOptions()
+    source: SourceArg = SourceOptions()
     labels: Truth = None
     scene: bool = True
     """Show the scene in 3D, about 1.5 MB."""
@@ -274,5 +276,5 @@ class McpCommand:
     """Let agents correct --labels too: show, correct, confirm, undo, redo, journal. Without it nothing is written."""
     author: str | None = None
     """By whom it is said: the name of their corrections in the journal."""
-    journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
-    source: OmitArgPrefixes[SourceOptions] = SourceOptions()
+    journal: JournalArg = JournalOptions()
+    source: SourceArg = SourceOptions()

@@ -232,6 +232,10 @@ class CameraOptions:
         return {"intrinsics": found, **told, "poses": self.poses, "registration": warp}
 
 
+# Docstrings of common options are named to tyro, which would look for comments in the source of commands: 15 ms.
+CameraArg = OmitArgPrefixes[Annotated[CameraOptions, arg(help=CameraOptions.__doc__)]]
+
+
 @dataclass(frozen=True)
 class DatasetOptions(CameraOptions):
     """Dataset of the pictures, for corrections of masks and boxes."""
@@ -252,6 +256,9 @@ class DatasetOptions(CameraOptions):
             return None
 
 
+OpenDatasetArg = OmitArgPrefixes[Annotated[DatasetOptions, arg(help=DatasetOptions.__doc__)]]
+
+
 @dataclass(frozen=True)
 class JournalOptions:
     """Journal of corrections."""
@@ -270,25 +277,28 @@ class JournalOptions:
         return opened
 
 
+JournalArg = OmitArgPrefixes[Annotated[JournalOptions, arg(help=JournalOptions.__doc__)]]
+
+
 @dataclass(frozen=True, kw_only=True)
 class OnJournal(OnLabels):
     """Command on a labels folder and its corrections."""
 
-    journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
+    journal: JournalArg = JournalOptions()
 
 
 @dataclass(frozen=True, kw_only=True)
 class OnPictures(OnJournal):
     """Command on corrections with possible need of the pictures."""
 
-    source: OmitArgPrefixes[DatasetOptions] = DatasetOptions()
+    source: OpenDatasetArg = DatasetOptions()
 
 
 @dataclass(frozen=True, kw_only=True)
 class OfCamera(Output):
     """Command on a recording without models."""
 
-    camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
+    camera: CameraArg = CameraOptions()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -346,6 +356,9 @@ class FramesOptions(ProposalOptions):
         return source, frame_range(source.dataset, self.frames)
 
 
+FramesArg = OmitArgPrefixes[Annotated[FramesOptions, arg(help=FramesOptions.__doc__)]]
+
+
 @dataclass(frozen=True)
 class LabelledOptions(ProposalOptions):
     """Dataset to label, and the finder of its objects."""
@@ -358,6 +371,9 @@ class LabelledOptions(ProposalOptions):
         from pipeline.labels.plan import SourceSpec
 
         return SourceSpec(dataset, with_files(self.arguments(), str))
+
+
+LabelledArg = OmitArgPrefixes[Annotated[LabelledOptions, arg(help=LabelledOptions.__doc__)]]
 
 
 @dataclass(frozen=True)
@@ -430,9 +446,12 @@ class SourceOptions(ReaderOptions, ProposalOptions):
         return source
 
 
+SourceArg = OmitArgPrefixes[Annotated[SourceOptions, arg(help=SourceOptions.__doc__)]]
+
+
 @dataclass(frozen=True, kw_only=True)
 class OfAnswer(OnFrame):
     """Command on the answer to an expression."""
 
     expression: ExpressionArg
-    source: OmitArgPrefixes[SourceOptions] = SourceOptions()
+    source: SourceArg = SourceOptions()

@@ -6,9 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from pipeline.answering.coordinate_conventions import box_at_hand
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.pipeline import Pipeline, open_pipeline
 from pipeline.datasets import Dataset, resolve_frame
@@ -17,11 +16,13 @@ from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.asking import edited_trace, judged, truth_or_reason
 from pipeline.geometry.frame import Frame
 from pipeline.labels.cases import FrameCases
-from pipeline.labels.reading import Labels, labelled_up, open_labels
 from pipeline.proposals import Detector
 from pipeline.relations import TRAINED, make_scorer
 from pipeline.relations.scorer import supplied_relations
 from pipeline.system.errors import InputError
+
+if TYPE_CHECKING:
+    from pipeline.labels.reading import Labels
 
 KEPT_FRAMES = 4
 """So many frames stay ready for the next question."""
@@ -125,9 +126,13 @@ def open(
     >>> answer.target.label, answer.reference.label, answer.holds, answer.verdict
     ('mug', 'laptop', True, 'CORRECT')
     """
-    found = open_labels(labels) if isinstance(labels, str | Path) else labels
+    found = None
     options |= {"detector": detector, "model": None if model is None else Path(model)}
-    options = options if found is None else labelled_up(found.manifest, options)
+    if labels is not None:
+        from pipeline.labels.reading import labelled_up, open_labels
+
+        found = open_labels(labels) if isinstance(labels, str | Path) else labels
+        options = labelled_up(found.manifest, options)
     if isinstance(dataset, Frame):
         dataset = [dataset]
     if isinstance(dataset, Sequence) and not isinstance(dataset, str):
@@ -151,7 +156,11 @@ def open_arrays(
     `relations`: P("a RELATION b") by relation, (N, N) float or {(a, b): p}, objects by their place in `masks`;
     `arrays`: masks, names, up, T_world_camera, id: as for `Frame.of_arrays`.
     """
-    found = None if boxes is None else [box_at_hand(box, f"boxes[{k}]") for k, box in enumerate(boxes)]
+    found = None
+    if boxes is not None:
+        from pipeline.answering.coordinate_conventions import box_at_hand
+
+        found = [box_at_hand(box, f"boxes[{k}]") for k, box in enumerate(boxes)]
     frame = Frame.of_arrays(rgb, depth, K, boxes=found, **arrays)
     scorer = make_scorer(TRAINED)
     if relations is not None:

@@ -27,6 +27,7 @@ from pipeline.system.arrow import pq
 from pipeline.system.errors import InputError, require
 from pipeline.system.limits import LIMITS_OPTION, Limits, current_limits, within
 from pipeline.system.picture_headers import array_header, header_size
+from pipeline.system.remote import fetch
 
 
 class _Root(NamedTuple):
@@ -132,8 +133,6 @@ def opened(path: Path, limit: str = "bytes") -> Iterator[IO[bytes]]:
         seen.add(os.fspath(path))
     # Where nobody may write a file, it may be one of a URL that is not here yet.
     if not state.st_mode & stat.S_IWUSR:
-        from pipeline.system.remote import fetch
-
         fetch(path, state, limit, limits_of(path))
     # What was a file a moment ago may be a FIFO now: opening must not wait.
     with open(path, "rb", opener=lambda name, flags: os.open(name, flags | _FLAGS)) as file:

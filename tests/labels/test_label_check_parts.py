@@ -13,7 +13,7 @@ from scenes import camera_of, frame_of, upright
 from pipeline.geometry import MaskCrop, encode_run_length, paired_iou_2d
 from pipeline.labels import PROFILES, TABLES, expression_text, projected, says_the
 from pipeline.labels.check.objects import SizeSurvey, corners_of, moved_towards
-from pipeline.labels.check.relations import shortest_cycle
+from pipeline.labels.check.relations import has_cycle, shortest_cycle
 from pipeline.labels.check.stream import Violation, column_arrays, violations
 from pipeline.labels.check.view import read_mask
 from pipeline.labels.reading import arrow_schema
@@ -206,6 +206,8 @@ def test_a_shortest_cycle_is_a_cycle_and_none_is_shorter(seed: int, n: int) -> N
     holds[ring, np.roll(ring, -1)] = True
     a, b = rng.integers(0, n, 2)
     holds[a, b] |= a != b and not holds[b, a]
+    assert has_cycle(np.stack([np.zeros_like(holds), holds]))
+    assert not has_cycle(np.triu(holds, 1)[None])
     cycle = shortest_cycle(holds)
     assert holds[cycle, np.roll(cycle, -1)].all()
     assert len(set(cycle.tolist())) == len(cycle)
