@@ -260,7 +260,7 @@ class FailuresVerb(Verb):
         run = chosen(session.runs, self.run, "run").run
         second = None if self.compare is None else chosen(session.runs, self.compare, "run").run.records
         command = cli_runs.FailuresCommand(run.folder, self.search, self.limit, self.slices, json=True)
-        record, _ = failures_of(command, second)
+        record, _ = failures_of(command, run.records, second)
         record["slices"] = {name: cut(found, self.limit, "slices") for name, found in record["slices"].items()}
         for part in {"summary", "slices", "facets"} - set(self.parts):
             del record[part]

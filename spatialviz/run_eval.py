@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from rich.text import Text
 
@@ -46,6 +46,9 @@ from spatialviz.cli_runs import (
 from spatialviz.options import FINE, NO, print_json, warn
 from spatialviz.printing import print_rows, print_table, rate_bar, rows_record, say, say_lines, table_record
 from spatialviz.query_rows import plain, print_answer, print_json_rows
+
+if TYPE_CHECKING:
+    from pipeline.evaluation.records_file import Records
 
 MOST_ROWS = 15
 """Of a slice on the terminal."""
@@ -205,7 +208,7 @@ def run_failures(command: FailuresCommand) -> int:
         with rate_bar("drawing", "failures") as advance:
             write_picture(failures_sheet(open_run(command.run_folder), command.search, advance), command.sheet)
     second = None if command.compare is None else read_records(command.compare)
-    record, show = failures_of(command, second)
+    record, show = failures_of(command, open_records(command.run_folder), second)
     command.write(record, show)
     return FINE if record["found"] else NO
 
@@ -243,11 +246,10 @@ def _shown_boxes(answer: dict[str, list[float] | None]) -> str:
 
 
 def failures_of(
-    command: FailuresCommand, second: pa.Table | None
+    command: FailuresCommand, records: Records, second: pa.Table | None
 ) -> tuple[dict[str, Any], Callable[[dict[str, Any]], None]]:
     """Record of `failures --json` of a run (and of `--compare`), with a printer for people."""
     dimensions = [dimension_named(name) for name in (command.slices or "relation").split(",") if name.strip()]
-    records = open_records(command.run_folder)
     need_verdicts(records)
     rows = RunRows(records, command.run_folder, second)
     found = failing_rows(rows.records, command.search)

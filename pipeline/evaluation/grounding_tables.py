@@ -51,10 +51,23 @@ def column(records: pa.Table, name: str) -> np.ndarray:
 
 def clusters_of(records: pa.Table) -> tuple[np.ndarray, str]:
     """Clusters for intervals: the scene of each row; the frame in a run of one scene."""
-    scenes = np.array(records.column("scene").to_pylist(), object)
-    if len(set(scenes.tolist())) > 1:
-        return scenes.astype(str), "scene"
-    return np.array(records.column("frame").to_pylist(), object).astype(str), "frame"
+    codes, unit = cluster_codes(records)
+    return np.array([str(name) for name in coded_texts(records, unit)[0]])[codes], unit
+
+
+def cluster_codes(records: pa.Table) -> tuple[np.ndarray, str]:
+    """Clusters as (N,) int64: places in the order of their names; and what they are."""
+    scenes, codes = coded_texts(records, "scene")
+    return (codes, "scene") if len(scenes) > 1 else (coded_texts(records, "frame")[1], "frame")
+
+
+def coded_texts(records: pa.Table, name: str) -> tuple[list[str | None], np.ndarray]:
+    """Texts of a column in order, null as "None", and (N,) int64: the place of each row's among them."""
+    coded = records.column(name).combine_chunks().dictionary_encode(null_encoding="encode")
+    names = coded.dictionary.to_pylist()
+    order = sorted(range(len(names)), key=lambda k: str(names[k]))
+    places = np.argsort(np.array(order, np.int64))
+    return [names[k] for k in order], places[coded.indices.to_numpy()] if len(coded) else np.zeros(0, np.int64)
 
 
 def full_row(name: str, records: pa.Table, config: BootstrapConfig | None = None) -> Row:

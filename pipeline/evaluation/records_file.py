@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -11,7 +12,7 @@ import numpy as np
 
 from pipeline.evaluation.records import need_columns, read_records, records_schema
 from pipeline.system.arrow import pa
-from pipeline.system.errors import as_input_error, first_line
+from pipeline.system.errors import as_input_error, first_line, require
 from pipeline.system.safe_files import open_parquet
 
 UNREAD = "the records of the run cannot be read"
@@ -29,6 +30,8 @@ class RecordsFile:
     path: Path
     schema: pa.Schema
     num_rows: int
+    footer: Any  # a pyarrow.parquet.FileMetaData: of many row groups it takes longer to read than a column
+    stamp: tuple[int, int]  # size and time of the file that was opened
     # added: columns that are not in the file, of as many rows
     added: dict[str, Any] = field(default_factory=dict)
 
@@ -46,36 +49,44 @@ class RecordsFile:
         return self.select([name]).column(0)
 
     def select(self, names: Sequence[str]) -> pa.Table:
-        """Some columns of all rows; raises as `read_records`."""
-        rows = read_records(self.path.parent, [n for n in names if n not in self.added])
-        columns = {n: self.added[n] if n in self.added else rows.column(n) for n in names}
-        return pa.table(columns, schema=self._schema_of(names))
+        """Some columns of all rows; raises as `take`."""
+        inside = [n for n in names if n not in self.added]
+        with self._opened() as file:
+            rows = file.read(columns=inside)
+        return self._table(names, lambda n: rows.column(n), lambda added: added)
 
     def take(self, indices: Any, names: Sequence[str] | None = None) -> pa.Table:
         """Some rows ((K,) int, in any order), by default with all columns.
 
-        Raises InputError: the file is damaged.
+        Raises InputError: the file is damaged, or another one than it was.
         """
         names = self.column_names if names is None else names
         wanted = np.asarray(indices, np.int64)
         rows, place = np.unique(wanted, return_inverse=True)
         inside = [n for n in names if n not in self.added]
         parts = [self._schema_of(inside).empty_table()]
-        with (
-            as_input_error(
-                "the records of the run cannot be read", ValueError, OSError, got=first_line, path=self.path
-            ),
-            open_parquet(self.path) as file,
-        ):
+        with self._opened() as file:
             start = 0
             for group in range(file.num_row_groups):
                 stop = start + file.metadata.row_group(group).num_rows
-                here = rows[np.searchsorted(rows, start) : np.searchsorted(rows, stop)] - start
+                here = rows[slice(*np.searchsorted(rows, (start, stop)))] - start
                 if len(here):
                     parts.append(file.read_row_group(group, columns=inside).select(inside).take(here))
                 start = stop
         found = pa.concat_tables(parts).take(place)
-        columns = {n: self.added[n].take(pa.array(wanted)) if n in self.added else found.column(n) for n in names}
+        return self._table(names, lambda n: found.column(n), lambda added: added.take(pa.array(wanted)))
+
+    @contextmanager
+    def _opened(self) -> Iterator[Any]:
+        with as_input_error(UNREAD, ValueError, OSError, got=first_line, path=self.path):
+            require(
+                stamp_of(self.path) == self.stamp, "the run was written anew", expected="open it again", path=self.path
+            )
+            with open_parquet(self.path, metadata=self.footer) as file:
+                yield file
+
+    def _table(self, names: Sequence[str], inside: Callable[[str], Any], beside: Callable[[Any], Any]) -> pa.Table:
+        columns = {n: beside(self.added[n]) if n in self.added else inside(n) for n in names}
         return pa.table(columns, schema=self._schema_of(names))
 
     def _schema_of(self, names: Sequence[str]) -> pa.Schema:
@@ -96,8 +107,15 @@ def open_records(run: Path) -> Records:
     """
     read_records(run, [])
     path, known = Path(run) / "records.parquet", records_schema()
+    stamp = stamp_of(path)
     with open_parquet(path) as file:
-        schema, rows = file.schema_arrow, file.metadata.num_rows
+        schema, footer = file.schema_arrow, file.metadata
     need_columns(schema.names, path)
     alike = all(f.name not in known.names or known.field(f.name).type == f.type for f in schema)
-    return RecordsFile(path, schema.remove_metadata(), rows) if alike else read_records(run)
+    return RecordsFile(path, schema.remove_metadata(), footer.num_rows, footer, stamp) if alike else read_records(run)
+
+
+def stamp_of(path: Path) -> tuple[int, int]:
+    """Size and time of a file."""
+    told = path.stat()
+    return told.st_size, told.st_mtime_ns

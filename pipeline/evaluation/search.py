@@ -283,28 +283,19 @@ def _rows(records: Records, search: Search) -> np.ndarray:
     return rows_where(records, search.where, search.parameters, search.columns, order)
 
 
-_ROW = "row of the run"
-
-
 def rows_where(
     records: Records, where: str, parameters: Sequence[Any], columns: Sequence[str], order: Sequence[str] = ()
 ) -> np.ndarray:
     """(N,) int64: indices of the rows with a condition of SQL over these columns, in the run's order or as asked."""
-    row = quoted(_ROW)
+    held, given, source, row = list(columns), [], "held", "held_row"
+    if isinstance(records, RecordsFile):
+        held, given = [name for name in columns if name in records.added], [_literal(records.path)]
+        source, row = "read_parquet(?, file_row_number = true)", "file_row_number"
+        if held:
+            source = f"{source} JOIN held ON file_row_number = held_row"
     with _database().cursor() as connection:
-        source, given = "held", []
-        if isinstance(records, RecordsFile):
-            source, given = (
-                f"(SELECT *, file_row_number AS {row} FROM read_parquet(?, file_row_number = true))",
-                [_literal(records.path)],
-            )
-            held = [name for name in columns if name in records.added]
-            if held:
-                source = f"(SELECT * FROM {source} JOIN held USING ({row}))"
-        else:
-            held = columns
-        if source == "held" or held:
-            rows = records.select(list(held)).append_column(_ROW, [np.arange(records.num_rows)])
+        if held:
+            rows = records.select(held).append_column("held_row", [np.arange(records.num_rows)])
             connection.register("held", rows)
         sql = f"SELECT {row} AS location FROM {source} WHERE {where} ORDER BY {', '.join([*order, row])}"
         found = connection.execute(sql, [*given, *parameters]).fetchnumpy()
@@ -325,7 +316,7 @@ def _database() -> duckdb.DuckDBPyConnection:
     atexit.register(_database.cache_clear)
     database = duckdb.connect(":memory:", config={"threads": 1, "memory_limit": f"{current_limits().query}B"})
     # The footer of a file with many row groups takes longer to read than a search; a changed file is read anew.
-    database.execute("SET parquet_metadata_cache = true")
+    database.execute("SET GLOBAL parquet_metadata_cache = true")
     return database
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from pipeline.diagnosis.verdict import VERDICTS, shown_verdicts
-from pipeline.evaluation.grounding_tables import clusters_of, column
+from pipeline.evaluation.grounding_tables import cluster_codes, coded_texts, column
 from pipeline.evaluation.records_file import some_rows
 from pipeline.evaluation.search import quote
 from pipeline.evaluation.summary import has_verdicts
@@ -135,7 +135,7 @@ def dimension_named(name: str) -> Dimension:
 
 
 def slice_by(
-    systems: Mapping[str, pa.Table],
+    systems: Mapping[str, Records],
     dimension: str | Dimension,
     config: BootstrapConfig | None = None,
     most: int | None = None,
@@ -155,15 +155,17 @@ def slice_by(
         if cut.column not in records.column_names:
             cause = "it was made by an older release; run `eval` again"
             raise InputError(f"the run {system} cannot be cut by {cut.name}", cause=cause)
-        clusters, unit = clusters_of(records)
-        found += _sliced(system, records, clusters, cut, config, most)
+        read = dict.fromkeys((*MEASURES, "verdict", "right_with", cut.column))
+        rows = records.select([name for name in read if name in records.column_names])
+        clusters, unit = cluster_codes(records)
+        found += _sliced(system, rows, clusters, cut, config, most)
     return Slices(cut, tuple(found), unit)
 
 
 def _sliced(
     system: str,
     records: pa.Table,
-    clusters: np.ndarray,
+    index: np.ndarray,
     cut: Dimension,
     config: BootstrapConfig | None,
     most: int | None,
@@ -172,16 +174,21 @@ def _sliced(
         return []
     judged = has_verdicts(records)
     found = coded(records, cut)
-    _, index = np.unique(clusters, return_inverse=True)
-    flags: list[np.ndarray | None] = [None]
-    # Null is not true.
-    flags += [column(records, m) == 1 if judged or m != "lucky" else np.zeros(len(index)) for m in MEASURES]
-    verdicts = np.array(records.column("verdict").to_pylist() if judged else [None] * len(index), object)
-    flags += [verdicts == v for v in VERDICTS]
     # (C, V, M): of each cluster and value how many expressions, and how many of each kind.
     shape = int(index.max()) + 1, len(found.parts)
     cell = index * shape[1] + found.code
-    sums = np.stack([np.bincount(cell, f, shape[0] * shape[1]).reshape(shape) for f in flags], axis=2).astype(float)
+    # Null is not true.
+    flags = [column(records, m) == 1 if judged or m != "lucky" else np.zeros(len(index), np.bool_) for m in MEASURES]
+    kinds = [np.bincount(cell, minlength=shape[0] * shape[1])]
+    kinds += [np.bincount(cell[flag], minlength=shape[0] * shape[1]) for flag in flags]
+    names, verdict = coded_texts(records, "verdict") if judged else ([], np.zeros(0, np.int64))
+    of_verdicts = np.zeros((shape[0] * shape[1], len(VERDICTS)), np.int64)
+    place = np.array([VERDICTS.index(v) if v in VERDICTS else len(VERDICTS) for v in names], np.int64)
+    if judged:
+        width = len(VERDICTS) + 1
+        of_verdicts = np.bincount(cell * width + place[verdict], minlength=len(of_verdicts) * width)
+        of_verdicts = of_verdicts.reshape(-1, width)[:, :-1]
+    sums = np.concatenate([np.stack(kinds, axis=1), of_verdicts], axis=1).reshape(*shape, -1).astype(float)
     counts, names, queries = sums.sum(axis=0), [n for n, _ in found.parts], [q for _, q in found.parts]
     order = [k for k in range(shape[1]) if counts[k, 0]]
     if not cut.edges and cut.order == "count":
