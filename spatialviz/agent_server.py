@@ -26,7 +26,8 @@ from pipeline.system.encoded_pictures import jpeg_url
 from pipeline.system.errors import needed, require
 from spatialviz import cli_labels
 from spatialviz.agent_verbs import VERBS, FrameOf, Limit, Reply, Session, Verb, Words, cut
-from spatialviz.options import CameraOptions, DatasetOptions, error_line
+from spatialviz.error_lines import error_line
+from spatialviz.options import CameraOptions, DatasetOptions
 from spatialviz.run_corrections import apply_edits, run_confirm, run_journal, run_redo, run_show, run_undo
 
 Group = Annotated[str | None, Field(description="The group of that action, and not the newest.")]

@@ -28,7 +28,8 @@ from pipeline import __version__
 from pipeline.system.errors import InputError
 from pipeline.system.execution import PROVIDER_VARIABLE, VERBOSE_VARIABLE
 from pipeline.system.limits import LIMITS_OPTION, LIMITS_VARIABLE, set_limits
-from spatialviz.options import BAD, FINE, INTERRUPTED, TOLD, UNREAD, error_line, one_line_warnings, warn
+from spatialviz.error_lines import TOLD, error_line
+from spatialviz.options import BAD, FINE, INTERRUPTED, UNREAD, one_line_warnings, warn
 from spatialviz.plain_text import plain_streams, unfiltered
 
 GROUPS: dict[str, dict[str, tuple[str, str]]] = {

@@ -23,7 +23,8 @@ from rich.text import Text
 from pipeline.datasets.demo import demo_path, demo_run
 from pipeline.system.errors import InputError
 from spatialviz import printing
-from spatialviz.options import LONGEST_LINE, error_line, print_json, warn
+from spatialviz.error_lines import LONGEST_LINE, error_line
+from spatialviz.options import print_json, warn
 from spatialviz.plain_text import plain, plain_streams
 from spatialviz.printing import print_rows, say
 from spatialviz.terminal import console

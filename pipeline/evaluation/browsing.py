@@ -17,7 +17,7 @@ import numpy as np
 from pipeline.diagnosis.oracles import ALL_ORACLES
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.comparing import CHANGE, CHANGES, SECOND, SECOND_COLUMNS, with_second
-from pipeline.evaluation.records_file import some_rows
+from pipeline.evaluation.records_file import rows_where, some_rows
 from pipeline.evaluation.row_stories import READ, row_head
 from pipeline.evaluation.run_notes import MARKS, Key, keep_filter, mark, notes_path, read_notes
 from pipeline.evaluation.search import (
@@ -29,7 +29,6 @@ from pipeline.evaluation.search import (
     find_rows,
     quote,
     read_terms,
-    rows_where,
     terms_of,
 )
 from pipeline.evaluation.slices import DIMENSIONS, YES_NO, Coded, Dimension, coded

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import atexit
+import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -13,10 +16,13 @@ import numpy as np
 from pipeline.evaluation.records import need_columns, read_records, records_schema
 from pipeline.system.arrow import pa
 from pipeline.system.errors import as_input_error, first_line, require
+from pipeline.system.limits import current_limits
 from pipeline.system.safe_files import open_parquet
 
 UNREAD = "the records of the run cannot be read"
 if TYPE_CHECKING:
+    import duckdb
+
     Records: TypeAlias = "pa.Table | RecordsFile"
 
 
@@ -119,3 +125,40 @@ def stamp_of(path: Path) -> tuple[int, int]:
     """Size and time of a file."""
     told = path.stat()
     return told.st_size, told.st_mtime_ns
+
+
+def rows_where(
+    records: Records, where: str, parameters: Sequence[Any], columns: Sequence[str], order: Sequence[str] = ()
+) -> np.ndarray:
+    """(N,) int64: indices of the rows with a condition of SQL over these columns, in the run's order or as asked."""
+    held, given, source, row = list(columns), [], "held", "held_row"
+    if isinstance(records, RecordsFile):
+        held, given = [name for name in columns if name in records.added], [_literal(records.path)]
+        source, row = "read_parquet(?, file_row_number = true)", "file_row_number"
+        if held:
+            source = f"{source} JOIN held ON file_row_number = held_row"
+    with _database().cursor() as connection:
+        if held:
+            rows = records.select(held).append_column("held_row", [np.arange(records.num_rows)])
+            connection.register("held", rows)
+        sql = f"SELECT {row} AS location FROM {source} WHERE {where} ORDER BY {', '.join([*order, row])}"
+        found = connection.execute(sql, [*given, *parameters]).fetchnumpy()
+    return np.asarray(found["location"], np.int64)
+
+
+def _literal(path: Path) -> str:
+    """Path in which no character stands for others."""
+    return re.sub(r"([*?\[])", r"[\1]", str(path.absolute()))
+
+
+@lru_cache(maxsize=1)
+def _database() -> duckdb.DuckDBPyConnection:
+    """Keep an empty database: opening takes longer than a search."""
+    import duckdb
+
+    # One that outlives the interpreter makes DuckDB print what it leaks.
+    atexit.register(_database.cache_clear)
+    database = duckdb.connect(":memory:", config={"threads": 1, "memory_limit": f"{current_limits().query}B"})
+    # The footer of a file with many row groups takes longer to read than a search; a changed file is read anew.
+    database.execute("SET GLOBAL parquet_metadata_cache = true")
+    return database

@@ -11,13 +11,10 @@ quotes, must stand in the expression. `sort:margin`, `sort:-margin`: rows withou
 
 from __future__ import annotations
 
-import atexit
 import difflib
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache
-from pathlib import Path
+from functools import cache
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -26,18 +23,15 @@ from pipeline.diagnosis.oracles import ALL_ORACLES
 from pipeline.diagnosis.verdict import MODULE_OF, VERDICTS
 from pipeline.evaluation.comparing import CHANGE, CHANGES, SECOND
 from pipeline.evaluation.records import DIAGNOSIS_COLUMNS
-from pipeline.evaluation.records_file import RecordsFile
+from pipeline.evaluation.records_file import rows_where
 from pipeline.evaluation.run_notes import MARKS
 from pipeline.evaluation.summary import need_verdicts
 from pipeline.labels.statistics import quoted
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
-from pipeline.system.limits import current_limits
 
 if TYPE_CHECKING:
-    import duckdb
-
     from pipeline.evaluation.records_file import Records
 
 _HEAD = re.compile(r"(-)?(?:([A-Za-z_]\w*)(:|\s*(?:<=|>=|!=|<|>|=)\s*))?")
@@ -281,43 +275,6 @@ def _rows(records: Records, search: Search) -> np.ndarray:
         return np.arange(records.num_rows)
     order = [f"{_defined(n, records.schema)} {'DESC' if down else 'ASC'} NULLS LAST" for n, down in search.order]
     return rows_where(records, search.where, search.parameters, search.columns, order)
-
-
-def rows_where(
-    records: Records, where: str, parameters: Sequence[Any], columns: Sequence[str], order: Sequence[str] = ()
-) -> np.ndarray:
-    """(N,) int64: indices of the rows with a condition of SQL over these columns, in the run's order or as asked."""
-    held, given, source, row = list(columns), [], "held", "held_row"
-    if isinstance(records, RecordsFile):
-        held, given = [name for name in columns if name in records.added], [_literal(records.path)]
-        source, row = "read_parquet(?, file_row_number = true)", "file_row_number"
-        if held:
-            source = f"{source} JOIN held ON file_row_number = held_row"
-    with _database().cursor() as connection:
-        if held:
-            rows = records.select(held).append_column("held_row", [np.arange(records.num_rows)])
-            connection.register("held", rows)
-        sql = f"SELECT {row} AS location FROM {source} WHERE {where} ORDER BY {', '.join([*order, row])}"
-        found = connection.execute(sql, [*given, *parameters]).fetchnumpy()
-    return np.asarray(found["location"], np.int64)
-
-
-def _literal(path: Path) -> str:
-    """Path in which no character stands for others."""
-    return re.sub(r"([*?\[])", r"[\1]", str(path.absolute()))
-
-
-@lru_cache(maxsize=1)
-def _database() -> duckdb.DuckDBPyConnection:
-    """Keep an empty database: opening takes longer than a search."""
-    import duckdb
-
-    # One that outlives the interpreter makes DuckDB print what it leaks.
-    atexit.register(_database.cache_clear)
-    database = duckdb.connect(":memory:", config={"threads": 1, "memory_limit": f"{current_limits().query}B"})
-    # The footer of a file with many row groups takes longer to read than a search; a changed file is read anew.
-    database.execute("SET GLOBAL parquet_metadata_cache = true")
-    return database
 
 
 def _defined(name: str, schema: pa.Schema) -> str:

@@ -233,14 +233,10 @@ class RecordedDetector:
             names.update(_read_labels(file))
         return tuple(sorted(names))
 
-    @cached_property
-    def _fingerprint(self) -> str:
+    def fingerprint(self) -> str:
         maker = "" if self.made_by is None else f"<{self.made_by}"
         contents = ":".join(f"{path.resolve().name}:{contents_hash(path)}" for path in self._files)
         return f"recorded:{contents}:{self.min_score}{maker}"
-
-    def fingerprint(self) -> str:
-        return self._fingerprint
 
     def assumed(self) -> list[str]:
         """Assumptions so far, a sentence each: scores that the file lacks, and names that it has cut."""

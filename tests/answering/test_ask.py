@@ -30,7 +30,7 @@ from pipeline.answering import (
 from pipeline.answering.ask import ask
 from pipeline.datasets import DEMO_EXPRESSION, demo_path, open_dataset
 from pipeline.diagnosis import suggest_expressions
-from pipeline.geometry import Frame, depth_colors, hex_color, instance_colors
+from pipeline.geometry import Frame
 from pipeline.language import VOCABULARIES, match
 from pipeline.proposals import AnnotationDetector, Proposals, make_detector
 from pipeline.system import InputError
@@ -410,27 +410,6 @@ def test_a_folder_of_datasets_opens_what_can_be_opened(shared_data: Path, tmp_pa
 
 
 # Pictures.
-
-
-# Colours.
-
-
-def test_objects_have_colours_of_their_own() -> None:
-    assert hex_color((255, 138, 51)) == "#ff8a33"
-    colors = instance_colors(20)
-    assert colors.shape == (20, 3)
-    assert len(np.unique(colors, axis=0)) == 20
-    assert instance_colors(0).shape == (0, 3)
-
-
-def test_depth_colours_darken_from_near_to_far() -> None:
-    depth = np.linspace(1, 3, 100, dtype=np.float32).reshape(10, 10)
-    depth[0, 0] = 0
-    colors = depth_colors(depth)
-    assert colors.shape == (10, 10, 3)
-    assert colors[0, 0].tolist() == [40, 42, 46]
-    assert (np.diff(colors.ravel().reshape(-1, 3)[1:].astype(int).sum(axis=1)) <= 0).all()
-    assert depth_colors(np.zeros((2, 2), np.float32)).shape == (2, 2, 3)
 
 
 def test_what_a_detector_lists_of_a_frame_is_asked_for_once(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,7 @@ from itertools import combinations, product
 import numpy as np
 import pytest
 
-from pipeline.geometry import RGB, depth_colors, hex_color, ink
+from pipeline.geometry import RGB, depth_colors, hex_color, ink, instance_colors
 from pipeline.geometry.cleaning import Pixel
 from pipeline.geometry.palette import DROPPED, ON_DARK, SATURATION, TOWARD, VERDICTS, dimming, palette
 
@@ -160,3 +160,21 @@ def test_a_verdict_is_no_role_and_no_other_verdict(seen):
 )
 def test_distances_are_those_of_the_published_table(one, other, apart):
     assert ciede2000(np.array(one), np.array(other)) == pytest.approx(apart, abs=1e-4)
+
+
+def test_objects_have_colours_of_their_own() -> None:
+    assert hex_color((255, 138, 51)) == "#ff8a33"
+    colors = instance_colors(20)
+    assert colors.shape == (20, 3)
+    assert len(np.unique(colors, axis=0)) == 20
+    assert instance_colors(0).shape == (0, 3)
+
+
+def test_depth_colours_darken_from_near_to_far() -> None:
+    depth = np.linspace(1, 3, 100, dtype=np.float32).reshape(10, 10)
+    depth[0, 0] = 0
+    colors = depth_colors(depth)
+    assert colors.shape == (10, 10, 3)
+    assert colors[0, 0].tolist() == [40, 42, 46]
+    assert (np.diff(colors.ravel().reshape(-1, 3)[1:].astype(int).sum(axis=1)) <= 0).all()
+    assert depth_colors(np.zeros((2, 2), np.float32)).shape == (2, 2, 3)
