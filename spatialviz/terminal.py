@@ -14,6 +14,7 @@ from rich.text import Text
 from pipeline.metrics.tables import Table as ResultTable
 from pipeline.metrics.tables import with_heads
 from spatialviz.plain_text import one_line, plain, unfiltered
+from spatialviz.printing import PIPE_WIDTH
 
 NAME_WIDTH = 32
 
@@ -37,8 +38,7 @@ def console() -> Console:
     """Console without wrapping in a pipe, robust to a closed pipe."""
     made = PipeConsole(highlight=False, soft_wrap=True)
     if not made.is_terminal:
-        # In a pipe there is no edge to wrap at.
-        made.width = 160
+        made.width = PIPE_WIDTH
     return made
 
 

@@ -59,6 +59,23 @@ def test_a_line_without_colours_is_as_rich_prints_it(text: str, more: str) -> No
     assert lines[0] == lines[1]
 
 
+cells = st.text(st.sampled_from("ab 1·é-.\t漢\n\u202e"), max_size=30)
+
+
+@given(st.integers(1, 4), st.data())
+def test_a_table_without_colours_is_as_rich_draws_it(columns: int, data: st.DataObject) -> None:
+    row = st.lists(cells, min_size=columns, max_size=columns)
+    heads, rows = data.draw(row), data.draw(st.lists(row, max_size=3))
+    drawn = []
+    for colored in (False, True):
+        out = io.StringIO()
+        with redirect_stdout(out), pytest.MonkeyPatch.context() as patch:
+            patch.setattr(printing, "colored", lambda colored=colored: colored)
+            print_rows([f">{heads[0]}", *heads[1:]], rows)
+        drawn.append(out.getvalue())
+    assert drawn[0] == drawn[1]
+
+
 @given(texts.filter(lambda text: not re.search(r"[\ud800-\udfff]", text)))
 def test_json_says_the_same(text: str) -> None:
     out = io.StringIO()

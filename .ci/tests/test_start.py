@@ -25,7 +25,7 @@ MODELS = {"onnxruntime", "cv2", "PIL", "rich", "platformdirs"}
 ASKED = "mug left of the laptop"
 MOST = [
     (("--help",), 17, {*TABLES, *NETWORKS, *PAGES, *MODELS, "numpy", "xxhash"}),
-    (("ask", "demo", "0", ASKED), 150, {*TABLES, *NETWORKS, *PAGES}),
+    (("ask", "demo", "0", ASKED), 145, {*TABLES, *NETWORKS, *PAGES, "rich"}),
     (("relations", "demo", "0"), 120, {*TABLES, *NETWORKS, *PAGES, "rich"}),
     (("frames", "demo"), 70, {*TABLES, *NETWORKS, *PAGES, "rich", "onnxruntime", "xxhash"}),
     (("check", str(demo_labels())), 115, {*NETWORKS, *PAGES, "onnxruntime"}),
