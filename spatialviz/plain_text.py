@@ -19,6 +19,8 @@ from pipeline.system.execution import VERBOSE_VARIABLE
 _CODES = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 """C0 without tabs and ends of lines, DEL, C1, marks of direction, separators of lines, half characters."""
 
+PIPE_WIDTH = 160
+"""Columns of a table in a pipe, which has no edge to wrap at."""
 _ERRORS = 2
 """The descriptor of standard error, which libraries write to."""
 

@@ -16,7 +16,7 @@ from pipeline.language.counted import counted, listed, share_text
 from pipeline.metrics.intervals import Estimate
 from pipeline.metrics.tables import Cell
 from pipeline.metrics.tables import Table as ResultTable
-from spatialviz.plain_text import one_line, plain
+from spatialviz.plain_text import PIPE_WIDTH, one_line, plain
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -67,8 +67,6 @@ def print_rows(columns: Iterable[str], rows: Iterable[Iterable[str | Text]], **e
     console().print(table(heads, cells, **each))
 
 
-PIPE_WIDTH = 160
-"""In a pipe there is no edge to wrap at."""
 _LATIN = re.compile("|[ -~\u00a1-\u02ff]*[!-~\u00a1-\u02ff]")
 """Characters of one column each, without a blank at the end; all else is for rich to measure."""
 

@@ -13,8 +13,7 @@ from rich.text import Text
 
 from pipeline.metrics.tables import Table as ResultTable
 from pipeline.metrics.tables import with_heads
-from spatialviz.plain_text import one_line, plain, unfiltered
-from spatialviz.printing import PIPE_WIDTH
+from spatialviz.plain_text import PIPE_WIDTH, one_line, plain, unfiltered
 
 NAME_WIDTH = 32
 
