@@ -24,12 +24,12 @@ _SIGNS = {"<=": le, ">=": ge}
 
 
 @dataclass(frozen=True)
-class Claim:
+class SpeedClaim:
     """One figure and the figure beside it.
 
     Examples
     --------
-    >>> Claim("start.ask", "`ask`", "s", "bare imports", "ratio <= 2.5", value=0.3, floor=0.15).kept
+    >>> SpeedClaim("start.ask", "`ask`", "s", "bare imports", "ratio <= 2.5", value=0.3, floor=0.15).kept
     'yes'
     """
 
@@ -66,53 +66,59 @@ class Claim:
         return "not measured" if found is None else "yes" if _SIGNS[sign](found, float(bound)) else "no"
 
 
-def _starts(command: str, what: str) -> Claim:
-    return Claim(f"start.{command}", what, "s", BARE, "ratio <= 2.5")
+def _starts(command: str, what: str) -> SpeedClaim:
+    return SpeedClaim(f"start.{command}", what, "s", BARE, "ratio <= 2.5")
 
 
-def _lifts(key: str, peer: str, promise: str = "") -> Claim:
-    return Claim(f"lift.{key}", "lifting and relations of a frame", "frames/s", peer, promise)
+def _lifts(key: str, peer: str, promise: str = "") -> SpeedClaim:
+    return SpeedClaim(f"lift.{key}", "lifting and relations of a frame", "frames/s", peer, promise)
 
 
 CLAIMS = (
-    Claim("label.packed", "a labelled frame of 29 objects, masks as the demo's", "ms", DECODING, "ratio <= 2.5"),
-    Claim("label.written", "the same, masks written by `cv2.imwrite`", "ms", DECODING, "ratio <= 3.5"),
-    Claim("label.sentences", "the same with sentences of every kind", "ms", "without"),
-    Claim("label.growth", "a labelled frame of 300 objects", "ms", "of 30 objects", "ratio <= 12"),
-    Claim("label.job", "`label` of the demo by one process", "frames/s", "decoding alone"),
-    Claim("label.memory", "memory after all of many frames", "MB", "after the first quarter"),
+    SpeedClaim("label.packed", "a labelled frame of 29 objects, masks as the demo's", "ms", DECODING, "ratio <= 2.5"),
+    SpeedClaim("label.written", "the same, masks written by `cv2.imwrite`", "ms", DECODING, "ratio <= 3.5"),
+    SpeedClaim("label.sentences", "the same with sentences of every kind", "ms", "without"),
+    SpeedClaim("label.growth", "a labelled frame of 300 objects", "ms", "of 30 objects", "ratio <= 12"),
+    SpeedClaim("label.job", "`label` of the demo by one process", "frames/s", "decoding alone"),
+    SpeedClaim("label.memory", "memory after all of many frames", "MB", "after the first quarter"),
     _lifts("open3d", "Open3D recipe", "ratio >= 60"),
     _lifts("spatialrgpt", "SpatialRGPT's functions"),
     _lifts("vqasynth", "VQASynth's functions"),
     _lifts("vqasynth_cut", "the same, without its canonicalisation"),
     _lifts("trimesh", "trimesh: oriented bounds of the same points"),
-    Claim("lift.faces", "error of box faces, mean", "cm", "Open3D recipe"),
-    Claim("lift.pairs", "six relations of 60 objects with margins", "pairs/s", "pair by pair"),
+    SpeedClaim("lift.faces", "error of box faces, mean", "cm", "Open3D recipe"),
+    SpeedClaim("lift.pairs", "six relations of 60 objects with margins", "pairs/s", "pair by pair"),
     _starts("ask", '`ask demo 000001/000000 "mug left of the laptop"`'),
     _starts("relations", "`relations demo 000001/000000`"),
     _starts("frames", "`frames demo`"),
     _starts("check", "`check` of the demo's labels"),
-    Claim("start.help", "`--help`", "s", "`python -c pass`", "value <= 0.3"),
-    Claim("page.first_byte", "`view demo` until its first byte, wall clock", "s", BARE, "value <= 0.8"),
-    Claim("page.first_points", "`view demo` until points are drawn, wall clock", "s", BARE, "value <= 2"),
-    Claim(
+    SpeedClaim("start.help", "`--help`", "s", "`python -c pass`", "value <= 0.3"),
+    SpeedClaim("page.first_byte", "`view demo` until its first byte, wall clock", "s", BARE, "value <= 0.8"),
+    SpeedClaim("page.first_points", "`view demo` until points are drawn, wall clock", "s", BARE, "value <= 2"),
+    SpeedClaim(
         "page.frame", "another frame until its points are sent, wall clock", "ms", "reading and lifting", "extra <= 150"
     ),
-    Claim("page.first_cloud", "points sent of a frame before anything is seen", "MB", "all as float32", "value <= 0.8"),
-    Claim("page.cloud", "points sent of a frame", "MB", "all as float32", "value <= 2.8"),
-    Claim("page.label", "a label set, processor of the page's server", "ms", "a row synced by SQLite", "value <= 20"),
-    Claim("steps.label", "a label set, the core's part", "ms", "a row synced by SQLite", "value <= 20"),
-    Claim("steps.whatif", "a what-if step with 60 objects", "ms", "answering anew", "value <= 50"),
-    Claim("eval.verdicts", "50,000 expressions with verdicts on two cores", "s", "answering alone", "ratio <= 1.5"),
-    Claim("eval.singly", "expressions answered by frames", "1/s", "asked one by one"),
-    Claim("eval.search", "a search of 500,000 records", "ms", "DuckDB on the same file", "value <= 100"),
-    Claim("eval.memory", "memory that the opened records take", "MB", "their file"),
-    Claim("docs.names_load", "loading the table of names", "ms", "reading its files"),
-    Claim("docs.names_query", "a name among 1,203", "ms", "the first one, with the index"),
-    Claim("docs.frames", "`frames`, 1,000 frames", "s", "opening their files"),
-    Claim("docs.decode", "`frames --decode`, 1,000 frames", "s", "decoding with OpenCV"),
-    Claim("docs.doctor", "`doctor` of a dataset", "s", "decoding its files"),
-    Claim("docs.attributes", "attributes of 50 objects", "ms", "decoding the frame"),
+    SpeedClaim(
+        "page.first_cloud", "points sent of a frame before anything is seen", "MB", "all as float32", "value <= 0.8"
+    ),
+    SpeedClaim("page.cloud", "points sent of a frame", "MB", "all as float32", "value <= 2.8"),
+    SpeedClaim(
+        "page.label", "a label set, processor of the page's server", "ms", "a row synced by SQLite", "value <= 20"
+    ),
+    SpeedClaim("steps.label", "a label set, the core's part", "ms", "a row synced by SQLite", "value <= 20"),
+    SpeedClaim("steps.whatif", "a what-if step with 60 objects", "ms", "answering anew", "value <= 50"),
+    SpeedClaim(
+        "eval.verdicts", "50,000 expressions with verdicts on two cores", "s", "answering alone", "ratio <= 1.5"
+    ),
+    SpeedClaim("eval.singly", "expressions answered by frames", "1/s", "asked one by one"),
+    SpeedClaim("eval.search", "a search of 500,000 records", "ms", "DuckDB on the same file", "value <= 100"),
+    SpeedClaim("eval.memory", "memory that the opened records take", "MB", "their file"),
+    SpeedClaim("docs.names_load", "loading the table of names", "ms", "reading its files"),
+    SpeedClaim("docs.names_query", "a name among 1,203", "ms", "the first one, with the index"),
+    SpeedClaim("docs.frames", "`frames`, 1,000 frames", "s", "opening their files"),
+    SpeedClaim("docs.decode", "`frames --decode`, 1,000 frames", "s", "decoding with OpenCV"),
+    SpeedClaim("docs.doctor", "`doctor` of a dataset", "s", "decoding its files"),
+    SpeedClaim("docs.attributes", "attributes of 50 objects", "ms", "decoding the frame"),
 )
 """Everything that is measured, in the order of the table."""
 
@@ -123,13 +129,13 @@ class BenchRun:
 
     machine: dict[str, Any]
     """processor, cores, ram_gb, os, python, versions of numpy, cv2 and onnxruntime, date, version, commit."""
-    claims: tuple[Claim, ...]
+    claims: tuple[SpeedClaim, ...]
     quick: bool = False
     """Fewer passes, and rates of fewer expressions and records scaled up."""
     before: BenchRun | None = None
     """Another tree by the same script, in turns; or an earlier run."""
 
-    def claim(self, name: str) -> Claim | None:
+    def claim(self, name: str) -> SpeedClaim | None:
         """Find a claim by its name."""
         return next((c for c in self.claims if c.name == name), None)
 
@@ -151,13 +157,13 @@ def read_bench(path: Path) -> BenchRun:
 
 
 def _run_of(record: dict[str, Any]) -> BenchRun:
-    names = {f.name for f in fields(Claim)}
-    claims = tuple(Claim(**{k: v for k, v in c.items() if k in names}) for c in record["claims"])
+    names = {f.name for f in fields(SpeedClaim)}
+    claims = tuple(SpeedClaim(**{k: v for k, v in c.items() if k in names}) for c in record["claims"])
     before = record.get("before")
     return BenchRun(record["machine"], claims, bool(record["quick"]), None if before is None else _run_of(before))
 
 
-def declared(only: tuple[str, ...] = ()) -> tuple[Claim, ...]:
+def declared(only: tuple[str, ...] = ()) -> tuple[SpeedClaim, ...]:
     """Claims to measure, all or those of these names or parts; InputError for an unknown one."""
     parts = dict.fromkeys(c.name.partition(".")[0] for c in CLAIMS)
     for name in only:
@@ -168,7 +174,7 @@ def declared(only: tuple[str, ...] = ()) -> tuple[Claim, ...]:
     return tuple(c for c in CLAIMS if not only or {c.name, c.name.partition(".")[0]} & set(only))
 
 
-def unmeasured(claims: tuple[Claim, ...], reason: str) -> tuple[Claim, ...]:
+def unmeasured(claims: tuple[SpeedClaim, ...], reason: str) -> tuple[SpeedClaim, ...]:
     """Claims with the reason why there is no figure."""
     return tuple(replace(c, reason=reason) for c in claims)
 

@@ -11,7 +11,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from pipeline.bench.claims import BenchRun, Claim, declared, machine, read_bench, unmeasured
+from pipeline.bench.claims import BenchRun, SpeedClaim, declared, machine, read_bench, unmeasured
 from pipeline.bench.clock import ONE_THREAD, Setup
 from pipeline.system.errors import require
 from pipeline.system.whole_files import scratch_folder
@@ -68,7 +68,7 @@ def run_bench(
     elif before is not None:
         earlier = replace(read_bench(before), before=None)
     parts = {**PARTS, **(further or {})}
-    found: list[dict[str, Claim]] = [{c.name: c for c in unmeasured(claims, STOPPED)} for _ in trees]
+    found: list[dict[str, SpeedClaim]] = [{c.name: c for c in unmeasured(claims, STOPPED)} for _ in trees]
     try:
         for turn, part in enumerate(dict.fromkeys(c.name.partition(".")[0] for c in claims)):
             # The other tree first in every other part: what comes second has warmer files.
@@ -82,7 +82,12 @@ def run_bench(
 
 
 def _measure(
-    file: Path | None, tree: Path, setup: Setup, part: str, found: dict[str, Claim], progress: Callable[[str], None]
+    file: Path | None,
+    tree: Path,
+    setup: Setup,
+    part: str,
+    found: dict[str, SpeedClaim],
+    progress: Callable[[str], None],
 ) -> None:
     """Put the figures of one part of a tree in their places."""
     reason = "" if file is not None else "the page is not installed"
@@ -104,7 +109,7 @@ def _measure(
             found[name] = replace(claim, reason=reason or "the part gave no figure")
 
 
-def _waits(claim: Claim, part: str) -> bool:
+def _waits(claim: SpeedClaim, part: str) -> bool:
     return claim.name.startswith(f"{part}.") and claim.reason == STOPPED
 
 

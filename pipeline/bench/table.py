@@ -13,7 +13,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from pipeline.bench.claims import BenchRun, Claim, read_bench
+from pipeline.bench.claims import BenchRun, SpeedClaim, read_bench
 from pipeline.system.errors import needed
 from pipeline.system.whole_files import write_whole
 
@@ -44,13 +44,13 @@ def table_rows(run: BenchRun) -> list[tuple[str, ...]]:
     return [(*_cells(c), *(() if run.before is None else _before(run.before.claim(c.name)))) for c in run.claims]
 
 
-def _cells(claim: Claim) -> tuple[str, ...]:
+def _cells(claim: SpeedClaim) -> tuple[str, ...]:
     kept = f"not measured: {claim.reason}" if claim.value is None else claim.kept
     figures = shown(claim.value, claim.unit), claim.beside, shown(claim.floor, claim.unit), shown(claim.ratio)
     return claim.name, claim.what, *figures, claim.promise, kept
 
 
-def _before(claim: Claim | None) -> tuple[str, ...]:
+def _before(claim: SpeedClaim | None) -> tuple[str, ...]:
     return ("-", "-") if claim is None else (shown(claim.value, claim.unit), shown(claim.ratio))
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.bench import BenchRun, Claim, run_bench
+from pipeline.bench import BenchRun, SpeedClaim, run_bench
 from pipeline.bench.claims import CLAIMS, declared, read_bench
 from pipeline.bench.running import PARTS, TREE
 from pipeline.bench.table import markdown, renewed, shown, table_head, table_rows
@@ -49,7 +49,7 @@ def part(folder: Path, text: str) -> Path:
 def test_a_promise_is_of_the_ratio_the_value_or_what_it_adds(
     promise: str, value: float | None, floor: float | None, kept: str
 ) -> None:
-    assert Claim("a.b", "what", "ms", "beside", promise, value, floor).kept == kept
+    assert SpeedClaim("a.b", "what", "ms", "beside", promise, value, floor).kept == kept
 
 
 def test_a_run_is_read_as_it_was_written(tmp_path: Path) -> None:
