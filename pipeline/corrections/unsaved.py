@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from threading import Lock
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pipeline.corrections.journal.connection import without_password
 from pipeline.corrections.journal.effective_expressions import SETS
@@ -25,12 +25,14 @@ from pipeline.corrections.journal.events import Conflict, Edit, Event, Rival, Sa
 from pipeline.corrections.journal.examining import DamagedJournal
 from pipeline.corrections.journal.field_refs import FieldRef, shown_value
 from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, journal_of, journal_place
-from pipeline.corrections.review.label_jobs import LabelJobs
 from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.errors import InputError, require
 from pipeline.system.remote import is_url
 from pipeline.system.whole_files import write_synced
+
+if TYPE_CHECKING:
+    from pipeline.corrections.review.label_jobs import LabelJobs
 
 
 @dataclass(frozen=True)
@@ -261,7 +263,7 @@ class JournalLocation:
     def __init__(self, labels: Labels, where: str | Path | None = None, project: str | None = None) -> None:
         self.labels, self.where, self.project = labels, where, project
         self.unsaved = Unsaved()
-        self.jobs = LabelJobs()
+        self._jobs: LabelJobs | None = None
         self._journal: Journal | None = None
         self._lock = Lock()
 
@@ -269,6 +271,20 @@ class JournalLocation:
         if self._journal is not None:
             return self._journal.location
         return str(self.labels.root / JOURNAL_FILE) if self.where is None else self.address
+
+    @property
+    def jobs(self) -> LabelJobs:
+        """Jobs on the labels, of all that correct them. Training and evaluation are loaded when somebody may ask."""
+        from pipeline.corrections.review.label_jobs import LabelJobs
+
+        with self._lock:
+            self._jobs = self._jobs or LabelJobs()
+            return self._jobs
+
+    def end_jobs(self) -> None:
+        """End running jobs for good."""
+        if self._jobs is not None:
+            self._jobs.end()
 
     @property
     def address(self) -> str:

@@ -178,7 +178,7 @@ def serve(
                 time.sleep(SIGNAL_SECONDS)
     finally:
         for place in (journals or {}).values():
-            place.jobs.end()
+            place.end_jobs()
         end_all(ENDS_WITHIN)
         with redirect_stdout(io.StringIO()):
             server.stop()
