@@ -21,6 +21,15 @@ from pipeline.labels import SourceSpec, label_dataset, open_labels
 from pipeline.system.whole_files import scratch_folder
 from pipeline.system.worker_pool import one_thread
 
+try:
+    from pipeline.evaluation.records_file import open_records
+except ImportError:
+
+    def open_records(folder: Path) -> Any:
+        """Records of a run by a tree that reads them whole."""
+        return open_run(folder).records
+
+
 GOAL, CORES, RECORDS = 50_000, 2, 500_000
 SINGLY = 48
 P_TOLERANCE = 1e-5
@@ -108,7 +117,7 @@ def search(folder: Path, rows: int, setup: Setup) -> Iterator[Figure]:
     run, file = folder / "run", folder / "run" / "records.parquet"
     large_run(run, rows)
     before, scale = resident_mb(), RECORDS / rows
-    found = RunRows(_records(run), run)
+    found = RunRows(open_records(run), run)
     hits = len(found.find(SEARCH))
     held = resident_mb() - before
     ours = least(lambda: found.find(SEARCH), setup.times(9), perf_counter)
@@ -117,15 +126,6 @@ def search(folder: Path, rows: int, setup: Setup) -> Iterator[Figure]:
         assert len(link.execute(SQL, [str(file)]).fetchall()) == hits
     yield "eval.search", ours * 1000 * scale, theirs * 1000 * scale
     yield "eval.memory", held * scale, file.stat().st_size / 2**20 * scale
-
-
-def _records(run: Path) -> Any:
-    try:
-        from pipeline.evaluation.records_file import open_records
-    except ImportError:
-        # Of a tree that read them whole.
-        return open_run(run).records
-    return open_records(run)
 
 
 def large_run(run: Path, rows: int) -> None:
