@@ -25,9 +25,9 @@ try:
     from pipeline.evaluation.records_file import open_records
 except ImportError:
 
-    def open_records(folder: Path) -> Any:
+    def open_records(run: Path) -> Any:
         """Records of a run by a tree that reads them whole."""
-        return open_run(folder).records
+        return open_run(run).records
 
 
 GOAL, CORES, RECORDS = 50_000, 2, 500_000
