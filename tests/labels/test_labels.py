@@ -77,7 +77,7 @@ def test_ray_gives_the_same_rows(demo: Path, tmp_path: Path) -> None:
     if not REQUIRED:
         pytest.importorskip("ray", reason="the extra cluster is not installed")
     ray: Any = import_module("ray")
-    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
+    ray.init("local", num_cpus=2, include_dashboard=False, log_to_driver=False)
     try:
         report = label_dataset(DEMO, tmp_path / "out", limit=FRAMES, frames_a_shard=3, engine="ray", workers=2)
         assert hashes(report.manifest) == hashes(open_labels(demo).manifest)
