@@ -73,6 +73,8 @@ _LATIN = re.compile("|[ -~\u00a1-\u02ff]*[!-~\u00a1-\u02ff]")
 
 def _plain_lines(heads: list[str], rows: list[list[str | Text]]) -> list[str]:
     """Lines of a table as rich draws them without colours, which takes it 40 ms to load; none where it may differ."""
+    if any(len(row) != len(heads) for row in rows):
+        return []
     names = [head.removeprefix(">") for head in heads]
     texts = [names, *([cell if isinstance(cell, str) else cell.plain for cell in row] for row in rows)]
     widths = [max(map(len, column)) for column in zip(*texts, strict=True)]

@@ -64,8 +64,8 @@ cells = st.text(st.sampled_from("ab 1·é-.\t漢\n\u202e"), max_size=30)
 
 @given(st.integers(1, 4), st.data())
 def test_a_table_without_colours_is_as_rich_draws_it(columns: int, data: st.DataObject) -> None:
-    row = st.lists(cells, min_size=columns, max_size=columns)
-    heads, rows = data.draw(row), data.draw(st.lists(row, max_size=3))
+    row, short = (st.lists(cells, min_size=least, max_size=columns) for least in (columns, 0))
+    heads, rows = data.draw(row), data.draw(st.lists(row | short, max_size=3))
     drawn = []
     for colored in (False, True):
         out = io.StringIO()
