@@ -5,7 +5,7 @@ Codes are untrusted input, and decoded no further than to the mask's box.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -280,6 +280,15 @@ class MaskStack:
         if isinstance(index, np.ndarray) and index.ndim == 1:
             return MaskStack(self.shape[1:], [self.masks[k] for k in np.arange(len(self))[index].tolist()])
         return self.copy()[index]
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        return (mask.whole for mask in self.masks)
+
+    def __getattr__(self, name: str) -> Any:
+        # What else an array has is asked of one.
+        if name.startswith("__") or name in ("masks", "shape"):
+            raise AttributeError(name)
+        return getattr(self.copy(), name)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
         return self.copy() if dtype is None else self.copy().astype(dtype)

@@ -54,7 +54,7 @@ CANCELLED = "cancelled"
 class CorrectedLabelsJob:
     """Work on corrected labels, for a process of its own."""
 
-    labels: Path
+    labels: str | Path
     """As they were made."""
     journal: str | None = None
     project: str | None = None
