@@ -30,8 +30,8 @@ from pipeline.geometry.masks import PictureMask
 from pipeline.system.errors import InputError, needed, require
 from pipeline.system.recent import Recent
 
-TABLES_KEPT = 24
-"""How many tables of scenes stay parsed in memory."""
+TABLES_BYTES = 16 << 20
+"""Bytes of the files of scenes' tables that stay parsed; parsed they take about four times as many."""
 MM = 1e-3
 Model = tuple[str | None, Box3D | None]
 """The extra key `name`, which BOP itself does not have, and the exact box in the object's own frame, metres."""
@@ -54,7 +54,7 @@ class BopDataset(Recording):
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
         self._models = read_models(root)
-        self._tables: Recent[Path, dict[int, Any]] = Recent(TABLES_KEPT)
+        self._tables: Recent[Path, dict[int, Any]] = Recent(TABLES_BYTES, os.path.getsize)
         self._folders = _scene_folders(root)
         gray = [f for f in self._folders.values() if (f / "gray").is_dir() and not (f / "rgb").is_dir()]
         if gray and len(gray) == len(self._folders):

@@ -112,13 +112,15 @@ def judge_viewer_cone(
     # Those that are not of the extents' axes alone cost the most.
     names = DIRECTIONAL if set(relations) <= set(DIRECTIONAL) else PAIRWISE
     measured = AllMeasures(pairs, profile, clouds)
-    shape, columns = (len(lo), len(lo), len(PAIRWISE)), [PAIRWISE.index(name) for name in names]
-    states, margins = np.full(shape, U, np.int8), np.zeros(shape)
-    states[..., columns] = pair_states(measured, known, names)
-    margins[..., columns] = pair_margins(measured, states[..., columns], names)
+    # A relation after the other: numbers side by side are worked through several times as fast.
+    shape, columns = (len(PAIRWISE), len(lo), len(lo)), [PAIRWISE.index(name) for name in names]
+    found = pair_states(measured, known, names)
     both = known[:, None] & known[None, :] & ~np.eye(len(lo), dtype=np.bool_)
-    margins[~both] = 0.0
-    return JudgedPairs(states, margins, np.where(both, np.linalg.norm(pairs.gap, axis=2), np.nan))
+    states, margins = np.full(shape, U, np.int8), np.zeros(shape)
+    states[columns] = np.moveaxis(found, -1, 0)
+    margins[columns] = np.where(both, np.moveaxis(pair_margins(measured, found, names), -1, 0), 0.0)
+    distance = np.where(both, np.linalg.norm(pairs.gap, axis=2), np.nan)
+    return JudgedPairs(np.moveaxis(states, 0, -1), np.moveaxis(margins, 0, -1), distance)
 
 
 SA_SCALE = 0.6
@@ -298,14 +300,15 @@ def doubted(
 
     The network answers inverse questions alike, and so inverse labels stay inverse.
     """
-    states, margins = judged.states.copy(), judged.margins.copy()
-    found = network.of_pairs(objects, viewer, appearance)
+    states, margins = judged.states.copy("K"), judged.margins.copy("K")
+    apart = ~np.eye(len(states), dtype=np.bool_)
+    found = network.of_pairs(objects, viewer, appearance, apart & (states != U).any(axis=2))
     bits = np.zeros(states.shape[:2], np.int32) if judged.doubted is None else judged.doubted.copy()
     for k, relation in enumerate(network.contract.vocabulary):
         column = PAIRWISE.index(relation)
         state, p = states[..., column], found[..., k]
         opposed = ((state == T) & (p < LEAST_OF_T)) | ((state == F) & (p > MOST_OF_F))
-        opposed &= ~np.eye(len(state), dtype=np.bool_)
+        opposed &= apart
         state[opposed] = U
         margins[..., column][opposed] = 0.0
         bits |= opposed.astype(np.int32) << column

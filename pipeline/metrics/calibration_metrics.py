@@ -88,7 +88,7 @@ def antisymmetric(logits: np.ndarray, vocabulary: Sequence[str]) -> np.ndarray:
 
     Relations without their inverse in the vocabulary stay as they are.
     """
-    result = logits.copy()
+    result = logits.copy("K")
     for k, relation in enumerate(vocabulary):
         inverse = INVERSE.get(relation)
         if inverse in vocabulary:

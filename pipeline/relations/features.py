@@ -1,7 +1,7 @@
 """Features of object pairs for the network: `rel32`, `rel26`, `rel14`, `paper30`, `canon30`, `geom2d8` and `+lang`.
 
 Each contract first describes every object by a row of numbers, then every
-ordered pair by a row made from two of them, all pairs at once. `+lang` after
+ordered pair by parts made from two of them, many pairs at once. `+lang` after
 any of the names appends the phrase vectors of both class names.
 """
 
@@ -17,8 +17,7 @@ from pipeline.geometry.fitting import pca_box
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.class_sizes import size_range
-from pipeline.relations.pair_measures import Profile
-from pipeline.relations.relations import measure_pairs
+from pipeline.relations.pair_measures import Profile, measures_between
 from pipeline.system.errors import InputError, needed, require
 
 LANGUAGE = "+lang"
@@ -40,6 +39,7 @@ CLI_FEATURES = {
 _AXES = ("right", "up", "forward")
 
 
+Parts = Callable[[np.ndarray, np.ndarray], Sequence[np.ndarray]]
 Describe = Callable[..., np.ndarray]
 """(objects, viewer, appearance) -> a row of numbers for each object."""
 
@@ -53,8 +53,8 @@ class FeatureSet:
     # (N, K) float64, one row an object; NaN for an object without points and box. With
     # language, its geometry alone.
     describe: Describe
-    # (N, K + language) -> (N, N, D) float64: the features of "a to b" at [a, b]. Leading dimensions are a batch.
-    pair: Callable[[np.ndarray], np.ndarray]
+    # Features of "a to b" in parts, (d, ...) each, of rows of a and of b, (K + language, ...) each
+    parts: Parts
     lengths: tuple[int, ...]  # Columns of the description that are lengths: they grow with the scene, the others do not
     named: tuple[int, ...] = ()  # Columns that follow from the class name, all 0 where that tells nothing
     shown: bool = False  # Objects are described by their 2D boxes or class names: `describe` needs the appearance
@@ -68,6 +68,22 @@ class FeatureSet:
     @property
     def needs_appearance(self) -> bool:
         return self.shown or self.language > 0
+
+    def pair(self, rows: np.ndarray) -> np.ndarray:
+        """Features of "a to b" at [a, b], (N, N, D) float64, of (N, K + language) rows; leading dimensions are a batch.
+        """
+        own = np.ascontiguousarray(np.moveaxis(rows, -1, 0))
+        return np.ascontiguousarray(np.moveaxis(self.between(own[..., :, None], own[..., None, :]), 0, -1))
+
+    def between(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Features, (D, ...) float64, of rows of a and of b, (K + language, ...), that are broadcast."""
+        parts = self.parts(a, b)
+        found = np.empty((self.dimension, *np.broadcast_shapes(a.shape[1:], b.shape[1:])))
+        start = 0
+        for part in parts:
+            found[start : start + len(part)] = part
+            start += len(part)
+        return found
 
 
 def feature_set(name: str, language: int = 0) -> FeatureSet:
@@ -101,12 +117,12 @@ def geometry_of(name: str) -> str:
 
 
 def _with_language(base: FeatureSet, dimension: int) -> FeatureSet:
-    def pair(rows: np.ndarray) -> np.ndarray:
-        split = rows.shape[-1] - dimension
-        return np.concatenate([base.pair(rows[..., :split]), pair_side_by_side(rows[..., split:])], axis=-1)
+    def parts(a: np.ndarray, b: np.ndarray) -> Sequence[np.ndarray]:
+        split = len(a) - dimension
+        return *base.parts(a[:split], b[:split]), a[split:], b[split:]
 
     words = tuple(f"{which}_word{k}" for which in ("a", "b") for k in range(dimension))
-    return replace(base, name=base.name + LANGUAGE, columns=base.columns + words, pair=pair, language=dimension)
+    return replace(base, name=base.name + LANGUAGE, columns=base.columns + words, parts=parts, language=dimension)
 
 
 def describe_extents(
@@ -159,28 +175,22 @@ def _rows(boxes: Sequence[Box3D | None]) -> np.ndarray:
     return rows
 
 
-def pair_relative(rows: np.ndarray) -> np.ndarray:
-    """`rel14` of all ordered pairs: (N, 6) extents -> (N, N, 14).
+def relative(a: np.ndarray, b: np.ndarray) -> Sequence[np.ndarray]:
+    """`rel14` of extents, (6, ...).
 
     Differences of centres, signed gaps, overlap shares and the logarithm of the
     ratio of extents (a over b), each along (right, up, forward); the forward
     coordinates of both centres. Metres.
     """
-    measured = measure_pairs(rows[..., :3], rows[..., 3:])
-    size = np.log(measured.extent)
-    depth = measured.center[..., 2]
-    shape = (*measured.delta.shape[:-1], 1)
-    return np.concatenate(
-        [
-            measured.delta,
-            measured.gap,
-            measured.overlap_share,
-            size[..., :, None, :] - size[..., None, :, :],
-            np.broadcast_to(depth[..., :, None, None], shape),
-            np.broadcast_to(depth[..., None, :, None], shape),
-        ],
-        axis=-1,
-    )
+    own = [(rows[:3], rows[3:], *_measured(rows)) for rows in (a, b)]
+    delta, gap, _, share = measures_between(*own)
+    (*_, center_a, extent_a), (*_, center_b, extent_b) = own
+    return delta, gap, share, np.log(extent_a) - np.log(extent_b), center_a[2:], center_b[2:]
+
+
+def _measured(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Centres and extents, as `measure_pairs`, of (6, ...) rows."""
+    return (rows[:3] + rows[3:6]) / 2, np.maximum(rows[3:6] - rows[:3], Profile().min_extent)
 
 
 def describe_viewed_extents(
@@ -191,15 +201,16 @@ def describe_viewed_extents(
     return np.concatenate([describe_extents(objects, viewer), cut], axis=1)
 
 
-def pair_viewed(rows: np.ndarray) -> np.ndarray:
+def viewed(a: np.ndarray, b: np.ndarray) -> Sequence[np.ndarray]:
     """`rel26`: `rel14`, and of a and of b the viewing direction, apparent size, and cut by the image border.
 
     A camera sees the near side and, from above, the top: what is hidden of a thing depends on where it stands.
     """
-    lo, hi = rows[..., :3], rows[..., 3:6]
-    center, extent = (lo + hi) / 2, np.maximum(hi - lo, Profile().min_extent)
-    own = np.concatenate([center[..., :2], np.log(extent), rows[..., 6:]], axis=-1)
-    return np.concatenate([pair_relative(rows[..., :6]), pair_side_by_side(own)], axis=-1)
+    parts = [*relative(a[:6], b[:6])]
+    for rows in (a, b):
+        center, extent = _measured(rows)
+        parts += center[:2], np.log(extent), rows[6:]
+    return parts
 
 
 def describe_named_extents(
@@ -210,7 +221,7 @@ def describe_named_extents(
     return with_class_lengths(describe_viewed_extents(objects, viewer), shown.labels)
 
 
-def with_class_lengths(viewed: np.ndarray, labels: Sequence[str] | np.ndarray) -> np.ndarray:
+def with_class_lengths(extents: np.ndarray, labels: Sequence[str] | np.ndarray) -> np.ndarray:
     """(N, 10): rows of `describe_viewed_extents` with lengths of classes.
 
     Of a class: 1 and the logarithms of the shortest and longest that its longest edge can be; 0, 0, 0 of one whose
@@ -218,22 +229,18 @@ def with_class_lengths(viewed: np.ndarray, labels: Sequence[str] | np.ndarray) -
     """
     ranges = [size_range(str(label)) for label in labels]
     lengths = np.array([(0.0, 0.0, 0.0) if r is None else (1.0, *np.log(r)) for r in ranges]).reshape(-1, 3)
-    return np.concatenate([viewed, lengths], axis=1)
+    return np.concatenate([extents, lengths], axis=1)
 
 
-def pair_named(rows: np.ndarray) -> np.ndarray:
+def named(a: np.ndarray, b: np.ndarray) -> Sequence[np.ndarray]:
     """`rel32`: `rel26`, and of a and of b the usual length of the class: a bed cut by the border is as long as beds
     are."""
-    viewed, lengths = rows[..., :_VIEWED], rows[..., _VIEWED:]
-    return np.concatenate([pair_viewed(viewed), pair_side_by_side(lengths)], axis=-1)
+    return *viewed(a[:_VIEWED], b[:_VIEWED]), a[_VIEWED:], b[_VIEWED:]
 
 
-def pair_side_by_side(rows: np.ndarray) -> np.ndarray:
-    """The row of a, then the row of b: (N, K) -> (N, N, 2K)."""
-    *batch, n, k = rows.shape
-    shape = (*batch, n, n, k)
-    first, second = np.broadcast_to(rows[..., :, None, :], shape), np.broadcast_to(rows[..., None, :, :], shape)
-    return np.concatenate([first, second], axis=-1)
+def side_by_side(a: np.ndarray, b: np.ndarray) -> Sequence[np.ndarray]:
+    """The row of a, then the row of b."""
+    return a, b
 
 
 def _box_columns() -> tuple[str, ...]:
@@ -260,14 +267,14 @@ _NAMED_COLUMNS = _VIEWED_COLUMNS + tuple(
 )
 
 FEATURES: dict[str, FeatureSet] = {
-    "rel14": FeatureSet("rel14", _RELATIVE_COLUMNS, describe_extents, pair_relative, tuple(range(6))),
-    "rel26": FeatureSet("rel26", _VIEWED_COLUMNS, describe_viewed_extents, pair_viewed, tuple(range(6))),
+    "rel14": FeatureSet("rel14", _RELATIVE_COLUMNS, describe_extents, relative, tuple(range(6))),
+    "rel26": FeatureSet("rel26", _VIEWED_COLUMNS, describe_viewed_extents, viewed, tuple(range(6))),
     "rel32": FeatureSet(
-        "rel32", _NAMED_COLUMNS, describe_named_extents, pair_named, tuple(range(6)), (7, 8, 9), shown=True
+        "rel32", _NAMED_COLUMNS, describe_named_extents, named, tuple(range(6)), (7, 8, 9), shown=True
     ),
-    "paper30": FeatureSet("paper30", _box_columns(), describe_raw_boxes, pair_side_by_side, _BOX_LENGTHS),
-    "canon30": FeatureSet("canon30", _box_columns(), describe_level_boxes, pair_side_by_side, _BOX_LENGTHS),
-    "geom2d8": FeatureSet("geom2d8", _FLAT_COLUMNS, describe_boxes_2d, pair_side_by_side, (), shown=True),
+    "paper30": FeatureSet("paper30", _box_columns(), describe_raw_boxes, side_by_side, _BOX_LENGTHS),
+    "canon30": FeatureSet("canon30", _box_columns(), describe_level_boxes, side_by_side, _BOX_LENGTHS),
+    "geom2d8": FeatureSet("geom2d8", _FLAT_COLUMNS, describe_boxes_2d, side_by_side, (), shown=True),
 }
 
 

@@ -15,6 +15,7 @@ import shutil
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,7 @@ from pipeline.relations.contract import NetworkContract
 from pipeline.relations.features import Appearance
 from pipeline.relations.scorer import RelationScorer, RelationScores, RuleScorer, rule_probabilities
 from pipeline.system.errors import InputError, require
-from pipeline.system.onnx_session import metadata, open_session, run_limited, signature
+from pipeline.system.onnx_session import metadata, open_session, run_blocks, signature
 from pipeline.system.whole_files import file_with_companions
 
 BLOCK = 1024
@@ -217,52 +218,61 @@ class OnnxScorer:
             )
         rows = self.features.describe(objects, viewer, appearance)
         rows = self.with_words(rows, () if appearance is None else appearance.labels)
-        if wanted is None:
-            return self.probabilities(rows)
-        first, second = np.nonzero(np.triu(wanted | wanted.T, 1))
-        if 4 * len(first) >= len(rows) ** 2:
-            return self.probabilities(rows)
-        # Each pair is a scene of two, of four ordered pairs: the network judges it by these alone.
-        found = self.probabilities(rows[np.stack([first, second], axis=1)])
-        result = np.full((len(rows), len(rows), found.shape[-1]), np.nan)
-        result[first, second], result[second, first] = found[:, 0, 1], found[:, 1, 0]
-        return result
+        return self.probabilities(rows, None if wanted is None else wanted | wanted.T)
 
     def with_words(self, rows: np.ndarray, labels: Sequence[str]) -> np.ndarray:
         """Rows of geometry, for a language network followed by the vector of each object's class name."""
         return rows if self._classes is None else np.concatenate([rows, self._classes.rows(labels)], axis=1)
 
-    def logits(self, rows: np.ndarray) -> np.ndarray:
+    def logits(self, rows: np.ndarray, wanted: np.ndarray | None = None) -> np.ndarray:
         """(N, N, R) float64 logits, antisymmetric, of all ordered pairs of objects described by (N, K) rows.
 
-        Rows with leading dimensions are a batch of scenes.
+        Rows with leading dimensions are a batch of scenes. `wanted`, (N, N) bool, of each pair both ways or neither:
+        the others are NaN.
         Those of a softmax network are logarithms of probabilities.
         """
         vocabulary = self.contract.vocabulary
-        shape = (*rows.shape[:-1], rows.shape[-2], len(vocabulary))
-        if 0 in shape:
-            return np.zeros(shape)
-        features = self.features.pair(rows).reshape(-1, self.features.dimension)
-        found = np.concatenate([self._run(part) for part in np.array_split(features, -(-len(features) // BLOCK))])
+        *batch, n, width = rows.shape
+        count = prod(batch) * n
+        # A relation after the other: numbers side by side are worked through several times as fast.
+        found = np.full((len(vocabulary), count, n), np.nan)
+        if not count * n:
+            return np.zeros((*batch, n, n, len(vocabulary)))
+        scenes = np.ascontiguousarray(np.moveaxis(rows.reshape(-1, n, width), -1, 0))
+        chosen = np.ones((count, n), np.bool_) if wanted is None else np.broadcast_to(wanted, (*batch, n, n)).reshape(-1, n)
+        step = max(1, BLOCK // n)
+        blocks = [slice(start, start + step) for start in range(0, count, step)]
+        feeds = (self._feed(scenes, block, chosen[block]) for block in blocks)
+        for block, logits in zip(blocks, run_blocks(self._session, feeds, self.path), strict=True):
+            found[:, block][:, chosen[block]] = logits[0].T
         mirrored = antisymmetric if self.contract.output == "sigmoid" else antisymmetric_log_softmax
-        return mirrored(found.astype(np.float64).reshape(shape), vocabulary)
+        return mirrored(np.moveaxis(found.reshape(-1, *batch, n, n), 0, -1), vocabulary)
 
-    def _run(self, features: np.ndarray) -> np.ndarray:
-        flat = ((features - self.contract.mean) / self.contract.std).astype(np.float32)
-        return run_limited(self._session, None, {self._input: flat}, self.path)[0]
+    def _feed(self, scenes: np.ndarray, block: slice, chosen: np.ndarray) -> dict[str, np.ndarray]:
+        """Network's input, (P, D) float32, of chosen pairs, (B, N) bool, of a block of all scenes' objects, (K, M, N),
+        with each of its scene.
+        """
+        width, _, n = scenes.shape
+        first = scenes.reshape(width, -1)[:, block, None]
+        # What is of an object alone is worked out once where all are of one scene.
+        others = scenes if scenes.shape[1] == 1 else scenes[:, np.arange(block.start, block.start + len(chosen)) // n]
+        features = self.features.between(first, others)[:, chosen]
+        scaled = (features - self.contract.mean[:, None]) / self.contract.std[:, None]
+        return {self._input: np.ascontiguousarray(scaled.T, np.float32)}
 
-    def probabilities(self, rows: np.ndarray) -> np.ndarray:
-        """(N, N, R) calibrated probabilities; 0.5 where either object is not known (NaN).
+    def probabilities(self, rows: np.ndarray, wanted: np.ndarray | None = None) -> np.ndarray:
+        """(N, N, R) calibrated probabilities; 0.5 where either object is not known (NaN), NaN beyond `wanted` pairs.
 
         A softmax network's classes are as frequent as its training pairs had
         them. What ranks pairs is P(relation | pair) / prior(relation), made
         to sum to 1 again: the answer as if all relations were equally frequent.
         """
         known = np.logical_and.reduce(np.isfinite(rows), axis=-1)
-        scaled = self._calibrated(np.where(known[..., None], rows, 0.0))
+        scaled = self._calibrated(np.where(known[..., None], rows, 0.0), wanted)
         softened = self.contract.output == "softmax"
         result = softmax(scaled - np.log(self.contract.prior)) if softened else sigmoid(scaled)
-        result[~(known[..., :, None] & known[..., None, :])] = 0.5
+        if not known.all():
+            result[~(known[..., :, None] & known[..., None, :])] = 0.5
         return result
 
     def class_probabilities(self, rows: np.ndarray) -> np.ndarray:
@@ -272,9 +282,9 @@ class OnnxScorer:
         result[~(known[:, None] & known[None, :])] = np.nan
         return result
 
-    def _calibrated(self, rows: np.ndarray) -> np.ndarray:
+    def _calibrated(self, rows: np.ndarray, wanted: np.ndarray | None = None) -> np.ndarray:
         slope, shift = np.array([self.contract.calibration[r] for r in self.contract.vocabulary]).T
-        return self.logits(rows) * slope + shift
+        return self.logits(rows, wanted) * slope + shift
 
 
 def combined(

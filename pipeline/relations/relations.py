@@ -76,7 +76,7 @@ def predicate(relation: str) -> Callable[[Slacks], Slacks]:
     def registered(slacks: Slacks) -> Slacks:
         def states(measured: AllMeasures) -> tuple[np.ndarray]:
             holds, allows = slacks(measured.pairs, measured.profile)
-            return (np.where(holds >= 0, T, np.where(allows >= 0, U, F)),)
+            return (three_valued(holds >= 0, allows >= 0),)
 
         def margins(measured: AllMeasures) -> tuple[np.ndarray]:
             return (margin_of(*slacks(measured.pairs, measured.profile)),)
@@ -110,7 +110,7 @@ def _stacked(relations: Sequence[str], of: Callable[[Predicate], Sequence[np.nda
     found: dict[str, np.ndarray] = {}
     for one in predicates_of(relations):
         found.update(zip(one.relations, of(one), strict=True))
-    return np.stack([found[name] for name in relations], axis=-1)
+    return np.moveaxis(np.stack([found[name] for name in relations]), 0, -1)
 
 
 def pair_states(measured: AllMeasures, known: np.ndarray, relations: Sequence[str]) -> np.ndarray:
@@ -119,8 +119,10 @@ def pair_states(measured: AllMeasures, known: np.ndarray, relations: Sequence[st
     U where the extents of either are not known (`known` is (..., N) bool), F of an object to itself.
     """
     result = _stacked(relations, lambda p: p.states(measured)).astype(np.int8)
-    result[~(known[..., :, None] & known[..., None, :])] = U
-    result[..., np.eye(known.shape[-1], dtype=bool), :] = F
+    if not known.all():
+        result[~(known[..., :, None] & known[..., None, :])] = U
+    own = np.arange(known.shape[-1])
+    result[..., own, own, :] = F
     return result
 
 
@@ -176,22 +178,27 @@ def directional_states(lo: np.ndarray, hi: np.ndarray, profile: Profile | None =
     return pairwise_states(lo, hi, profile=profile, relations=DIRECTIONAL)
 
 
+def three_valued(holds: np.ndarray, allows: np.ndarray) -> np.ndarray:
+    """States, int8: T where something holds, U where it is allowed, elsewhere F."""
+    return np.where(holds, np.int8(T), np.where(allows, np.int8(U), np.int8(F)))
+
+
 def _horizontal_states(measured: AllMeasures) -> tuple[np.ndarray, ...]:
     """(..., N, N) states of left, right, front and behind."""
-    pairs, profile = measured.pairs, measured.profile
-    widest_gap = np.abs(pairs.gap[..., [0, 2]]).max(axis=-1)
-    by_gap = _horizontal(pairs, pairs.gap, profile)
-    by_center = _horizontal(pairs, pairs.delta, profile)
-    states = np.where((widest_gap < profile.gap_switch)[..., None], by_center, by_gap)
+    profile = measured.profile
+    widest_gap = measured.displacements[0].max(axis=0)
+    by_gap, by_center = _horizontal(measured)
+    states = np.where(widest_gap < profile.gap_switch, by_center, by_gap)
     low, high = profile.gap_switch_band
     switching = (widest_gap >= low) & (widest_gap <= high)
-    states[switching[..., None] & (by_gap != by_center)] = U
-    return tuple(np.moveaxis(states, -1, 0))
+    states[switching & (by_gap != by_center)] = U
+    return tuple(states)
 
 
-def _horizontal(pairs: PairMeasures, displacement: np.ndarray, profile: Profile) -> np.ndarray:
-    """(..., N, N, 4) states of left, right, front, behind for a single reading of the displacement."""
-    angle = np.rad2deg(np.arctan2(np.abs(displacement[..., 2]), np.abs(displacement[..., 0])))
+def _horizontal(measured: AllMeasures) -> tuple[np.ndarray, np.ndarray]:
+    """(4, ..., N, N) states of left, right, front, behind for each reading of the displacement: gaps and centres."""
+    pairs, profile = measured.pairs, measured.profile
+    angle = np.rad2deg(measured.turns[:, 0])
     lateral = _overlap_gate(_cone(angle, profile), pairs.overlap_share[..., 0], profile)
     depth = _overlap_gate(_cone(90 - angle, profile), pairs.overlap_share[..., 2], profile)
     distance = np.abs(pairs.center[..., 2])
@@ -200,28 +207,30 @@ def _horizontal(pairs: PairMeasures, displacement: np.ndarray, profile: Profile)
         profile.dead_zone_depth_relative * np.maximum(distance[..., :, None], distance[..., None, :]),
     )
     right, forward = pairs.delta[..., 0], pairs.delta[..., 2]
-    return np.stack(
+    found = np.stack(
         [
             _sign_gate(lateral, -right, profile.dead_zone),
             _sign_gate(lateral, right, profile.dead_zone),
             _sign_gate(depth, -forward, dead_depth),
             _sign_gate(depth, forward, dead_depth),
         ],
-        axis=-1,
+        axis=1,
     )
+    return found[0], found[1]
 
 
 def _cone(angle: np.ndarray, profile: Profile) -> np.ndarray:
-    return np.where(angle <= profile.cone, T, np.where(angle <= profile.doubtful_cone, U, F))
+    return three_valued(angle <= profile.cone, angle <= profile.doubtful_cone)
 
 
 def _overlap_gate(state: np.ndarray, share: np.ndarray, profile: Profile) -> np.ndarray:
-    doubted = np.where(share >= profile.overlap_doubts, np.minimum(state, U), state)
-    return np.where(share >= profile.overlap_excludes, F, doubted)
+    doubted = np.where(share >= profile.overlap_doubts, np.minimum(state, np.int8(U)), state)
+    return np.where(share >= profile.overlap_excludes, np.int8(F), doubted)
 
 
 def _sign_gate(state: np.ndarray, signed: np.ndarray, dead_zone: np.ndarray | float) -> np.ndarray:
-    return np.where(signed <= 0, F, np.where(signed < dead_zone, np.minimum(state, U), state))
+    doubted = np.where(signed < dead_zone, np.minimum(state, np.int8(U)), state)
+    return np.where(signed <= 0, np.int8(F), doubted)
 
 
 def _vertical_states(measured: AllMeasures) -> tuple[np.ndarray, np.ndarray]:
@@ -239,7 +248,7 @@ def _vertical_states(measured: AllMeasures) -> tuple[np.ndarray, np.ndarray]:
     resting, raised = clearance >= -tolerance, clearance > profile.clear_height
     holds = (plan >= profile.plan_overlap) & resting | raised & (elevation >= profile.elevation)
     undecided = (plan >= profile.plan_overlap_doubtful) & resting | raised & (elevation >= profile.elevation_doubtful)
-    state = np.where(holds, T, np.where(undecided, U, F))
+    state = three_valued(holds, undecided)
     above = _sign_gate(state, pairs.delta[..., 1], profile.dead_zone)
     return above, above.swapaxes(-1, -2)
 
@@ -282,9 +291,9 @@ def judged_relations(relations: Collection[str]) -> tuple[str, ...]:
 
 def horizontal_margins(measured: AllMeasures) -> tuple[np.ndarray, ...]:
     """(N, N) float64 margins of left, right, front and behind, metres; see the module."""
-    pairs, profile = measured.pairs, measured.profile
-    holds, allows = _horizontal_slacks(pairs, profile)
-    widest = np.abs(pairs.gap[..., ::2]).max(axis=2)[..., None]
+    profile = measured.profile
+    holds, allows = _horizontal_slacks(measured)
+    widest = measured.displacements[0].max(axis=0)
     low, high = profile.gap_switch_band
     below = widest < low
     between = ~below & (widest <= high)
@@ -295,8 +304,7 @@ def horizontal_margins(measured: AllMeasures) -> tuple[np.ndarray, ...]:
     # decide otherwise, that edge is as near as any threshold.
     edge = np.where(below, low - widest, widest - high)
     differs = ~between & (np.sign(other) != np.sign(own))
-    own = np.where(differs, np.sign(own) * np.minimum(np.abs(own), np.maximum(edge, 0)), own)
-    return tuple(np.moveaxis(own, -1, 0))
+    return tuple(np.where(differs, np.sign(own) * np.minimum(np.abs(own), np.maximum(edge, 0)), own))
 
 
 def vertical_margins(measured: AllMeasures) -> tuple[np.ndarray, np.ndarray]:
@@ -305,33 +313,32 @@ def vertical_margins(measured: AllMeasures) -> tuple[np.ndarray, np.ndarray]:
     return above, above.T
 
 
-def _horizontal_slacks(pairs: PairMeasures, profile: Profile) -> tuple[np.ndarray, np.ndarray]:
+def _horizontal_slacks(measured: AllMeasures) -> tuple[np.ndarray, np.ndarray]:
     """Slack of T and of "T or U" of left, right, front, behind.
 
-    Returns (2, N, N, 4) float64 each: by gaps, and by centres.
+    Returns (2, 4, N, N) float64 each: by gaps, and by centres.
     """
+    pairs, profile = measured.pairs, measured.profile
     n = len(pairs.center)
-    displacement = np.abs(np.stack([pairs.gap[..., ::2], pairs.delta[..., ::2]]))
-    distance = np.sqrt(np.square(displacement).sum(axis=-1))[..., None]
-    # How far the displacement is off each of the two axes, radians.
-    off = np.arctan2(displacement[..., ::-1], displacement)
-    extent = pairs.extent[:, ::2]
-    shorter = np.minimum(extent[:, None], extent[None, :])
+    distance = np.sqrt(np.square(measured.displacements).sum(axis=1))[:, None]
+    extent = pairs.extent[:, ::2].T
+    shorter = np.minimum(extent[:, :, None], extent[:, None, :])
+    share = np.moveaxis(pairs.overlap_share[..., ::2], -1, 0)
     away = np.abs(pairs.center[:, 2])
-    dead = np.full((n, n, 2), profile.dead_zone)
-    dead[..., 1] = np.maximum(
+    dead = np.full((2, n, n), profile.dead_zone)
+    dead[1] = np.maximum(
         profile.dead_zone_depth, profile.dead_zone_depth_relative * np.maximum(away[:, None], away[None, :])
     )
-    side = np.stack([-pairs.delta[..., ::2], pairs.delta[..., ::2]], axis=-1)
+    delta = np.moveaxis(pairs.delta[..., ::2], -1, 0)
+    side = np.stack([-delta, delta], axis=1)
     slacks = []
-    for cone, excess, zone in (
-        (profile.cone, profile.overlap_doubts, dead),
-        (profile.doubtful_cone, profile.overlap_excludes, 0.0 * dead),
+    for cone, excess, beyond in (
+        (profile.cone, profile.overlap_doubts, side - dead[:, None]),
+        (profile.doubtful_cone, profile.overlap_excludes, side),
     ):
-        in_cone = distance * np.sin(np.deg2rad(cone) - off)
-        apart = (excess - pairs.overlap_share[..., ::2]) * shorter
-        gate = np.minimum(in_cone, apart)[..., None]
-        slacks.append(np.minimum(gate, side - zone[..., None]).reshape(2, n, n, 4))
+        in_cone = distance * np.sin(np.deg2rad(cone) - measured.turns)
+        gate = np.minimum(in_cone, (excess - share) * shorter)[:, :, None]
+        slacks.append(np.minimum(gate, beyond).reshape(2, 4, n, n))
     return slacks[0], slacks[1]
 
 

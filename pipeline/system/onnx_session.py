@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -116,16 +116,25 @@ def run_limited(session: Any, outputs: Sequence[str] | None, feed: Mapping[str, 
 
     ONNX Runtime looks between two operators for the order to stop: a loop ends, a single operator does not.
     """
+    (found,) = run_blocks(session, [feed], path, outputs)
+    return found
+
+
+def run_blocks(
+    session: Any, feeds: Iterable[Mapping[str, np.ndarray]], path: Path, outputs: Sequence[str] | None = None
+) -> Iterator[list[Any]]:
+    """Run a session on one input after the other within one limit of seconds; errors as of `run_limited`."""
     import onnxruntime as ort
 
     options, seconds = ort.RunOptions(), current_limits().seconds
     with stopped_after(seconds, lambda: setattr(options, "terminate", True)) as running:
-        try:
-            return session.run(None if outputs is None else list(outputs), feed, options)
-        except Exception as error:
-            if running.stopped:
-                raise _endless("running the model", seconds, path) from error
-            raise
+        for feed in feeds:
+            try:
+                yield session.run(None if outputs is None else list(outputs), feed, options)
+            except Exception as error:
+                if running.stopped:
+                    raise _endless("running the model", seconds, path) from error
+                raise
 
 
 def _legible(session: Any, path: Path) -> Any:
