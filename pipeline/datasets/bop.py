@@ -107,7 +107,8 @@ class BopDataset(Recording):
         if infos is not None and (not isinstance(infos, list) or len(infos) != len(entries)):
             notes.append(f"scene_gt_info.json is ignored: its list does not match the {len(entries)} objects")
             infos = None
-        has_masks = (folder / "mask_visib").is_dir()
+        masks = folder / "mask_visib"
+        has_masks = masks.is_dir()
         found: list[Annotation] = []
         poses = _all_rigid_mm(entries, path) if self._models else None
         for index, entry in enumerate(entries):
@@ -116,7 +117,7 @@ class BopDataset(Recording):
                 notes.append(f"annotation {index}: no obj_id")
                 continue
             info = infos[index] if infos is not None and isinstance(infos[index], Mapping) else {}
-            mask_path = folder / "mask_visib" / f"{image:06d}_{index:06d}.png" if has_masks else None
+            mask_path = masks / f"{image:06d}_{index:06d}.png" if has_masks else None
             label = self._label(number)
             remarks: list[str] = []
             pose = None if poses is None else poses[index]
@@ -161,7 +162,9 @@ def _extent(
     mask_path: Path | None, info: Mapping[str, Any], size: tuple[int, ...], info_path: Path, remarks: list[str]
 ) -> PictureMask | np.ndarray:
     """Mask of an annotation, or its box (4,) without one."""
-    if mask_path is not None and not mask_path.is_file():
+    why: list[str] = []
+    mask = None if mask_path is None else or_note(why, "a broken mask, ", read_held_mask, mask_path)
+    if mask is None and mask_path is not None and not mask_path.is_file():
         remarks.append(f"the mask {mask_path.name} is missing")
         mask_path = None
     if mask_path is None:
@@ -169,10 +172,9 @@ def _extent(
         x, y, w, h = as_floats(info["bbox_visib"], 4, info_path, "bbox_visib")
         require((np.isfinite([x, y, w, h]).all() and w > 0 and h > 0), "an empty bbox_visib")
         return np.array([x, y, x + w, y + h])
-    why: list[str] = []
-    found = or_note(why, "a broken mask, ", read_held_mask, mask_path)
-    mask = needed(found, f"{''.join(why)}, {mask_path.name}")
-    require(mask.size == size, f"the mask {mask_path.name} is {mask.size[1]}x{mask.size[0]}, not {size[1]}x{size[0]}")
+    mask = needed(mask, f"{''.join(why)}, {mask_path.name}")
+    if mask.size != size:
+        raise InputError(f"the mask {mask_path.name} is {mask.size[1]}x{mask.size[0]}, not {size[1]}x{size[0]}")
     require(mask.crop.mask.size, "empty mask")
     return mask
 

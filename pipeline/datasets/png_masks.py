@@ -42,18 +42,23 @@ def mask_of_png(data: bytes) -> PictureMask | None:
         return None
     if len(raw) != height * stride or not stream.eof or stream.unused_data:
         return None
-    # Eight bytes are looked at together: with the filters taken out, few are not 0.
-    words = np.zeros(-(-len(raw) // 8), np.uint64)
-    whole = words.view(np.uint8)[: len(raw)]
-    whole[:] = np.frombuffer(raw, np.uint8)
-    rows = whole.reshape(height, stride)
-    filters, rows[:, 0] = rows[:, 0].copy(), 0
+    rows = np.frombuffer(raw, np.uint8).reshape(height, stride)
+    filters = rows[:, 0]
+    filtered = filters.any()
+    if filtered:
+        rows = rows.copy()
+        filters, rows[:, 0] = filters.copy(), 0
+    # Eight bytes are looked at together: without the filters, few are not 0.
+    whole = rows.reshape(-1)
+    words = whole[: len(whole) & ~7].view(np.uint64)
     told = 8 * np.flatnonzero(words)
+    if whole[8 * len(words) :].any():
+        told = np.append(told, 8 * len(words))
     if not len(told):
-        return PictureMask((height, width), MaskCrop(0, 0, np.zeros((0, 0), np.bool_)))
+        return PictureMask((height, width), MaskCrop.tight(0, 0, np.zeros((0, 0), np.bool_)))
     # Above the first byte that is not 0 every filter gives zeros, and below the last from a row on that reads no other.
     top, bottom = int(told[0]) // stride, min((int(told[-1]) + 7) // stride + 1, height)
-    if color == 0 and depth in (1, 8) and filters.max() <= _SUB:
+    if color == 0 and depth in (1, 8) and (not filtered or filters.max() <= _SUB):
         crop = _own_rows(filters[top:bottom], rows[top:bottom, 1:], width, depth)
     else:
         alone = filters[bottom:] <= _SUB
@@ -65,7 +70,7 @@ def mask_of_png(data: bytes) -> PictureMask | None:
         if pixels is None:
             return None
         crop = MaskCrop.of(above_zero(pixels))
-    return PictureMask((height, width), MaskCrop(crop.x, top + crop.y, crop.mask))
+    return PictureMask((height, width), MaskCrop.tight(crop.x, top + crop.y, crop.mask))
 
 
 def above_zero(pixels: np.ndarray) -> np.ndarray:
@@ -85,7 +90,7 @@ def _own_rows(filters: np.ndarray, packed: np.ndarray, width: int, depth: int) -
         left *= 8
         pixels = np.unpackbits(packed, axis=1)[:, : width - left].view(np.bool_)
     crop = MaskCrop.of(pixels)
-    return MaskCrop(left + crop.x, crop.y, crop.mask)
+    return MaskCrop.tight(left + crop.x, crop.y, crop.mask)
 
 
 def _chunk(kind: bytes, content: bytes) -> bytes:

@@ -55,14 +55,18 @@ def extents_of(coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     Linear interpolation between order statistics, as numpy's default.
     """
-    n = len(coordinates)
+    return extents_along(np.ascontiguousarray(coordinates.T))
+
+
+def extents_along(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`extents_of` of (D, N) coordinates, an axis after the other."""
+    n = columns.shape[1]
     ranks = np.array([LOW_PERCENT, HIGH_PERCENT]) / 100 * (n - 1)
     below = np.floor(ranks).astype(int)
     above = np.minimum(below + 1, n - 1)
     share = ranks - below
     # Counted from their own end: what lies between need not be there.
     below[1], above[1] = below[1] - n, above[1] - n
-    columns = np.ascontiguousarray(coordinates.T)
     ordered = np.sort(columns, axis=1) if n < MANY else [_sorted_ends(c, above[0], below[1]) for c in columns]
     low = np.array([column[below] for column in ordered], np.float64)
     value = low + (np.array([column[above] for column in ordered]) - low) * share
@@ -109,7 +113,7 @@ def gravity_box(points: np.ndarray, viewer: ViewerAxes) -> tuple[Box3D, float]:
     centred = plan - plan.mean(axis=0)
     variance, axes = np.linalg.eigh(centred.T @ centred / max(len(plan), 1))
     cos, sin = axes[:, 1]
-    box = _box_in(level, np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]]))
+    box = _box_in(level.T, np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]]))
     confidence = 1.0 - float(max(variance[0], 0.0) / variance[1]) if variance[1] > 1e-12 else 0.0
     box = canonicalised(box)
     return Box3D(R_level_camera.T @ box.center, R_level_camera.T @ box.R, box.size), confidence
@@ -159,23 +163,25 @@ def upright_boxes(
     counts, flat = np.array([len(points) for points in clouds]), np.array(thin, np.bool_)
     # One array for all: shorter clouds end in copies of their first point. Sums are taken by cloud: a box is the same,
     # bit by bit, whatever is fitted beside it.
-    level, center = np.empty((len(clouds), 3, counts.max())), np.empty((len(clouds), 3))
-    for own, middle, points in zip(level, center, clouds, strict=True):
-        own[:, : len(points)] = R_level_camera @ points.T.astype(np.float64)
-        own[:, len(points) :] = own[:, :1]
-        middle[:] = own[:, : len(points)].mean(axis=1)
+    level, center = np.empty((3, len(clouds), counts.max())), np.empty((len(clouds), 3))
+    for k, points in enumerate(clouds):
+        n, own = len(points), level[:, k]
+        own[:, :n] = found = R_level_camera @ np.asarray(points.T, np.float64)
+        own[:, n:] = found[:, :1]
+        center[k] = np.add.reduce(found, axis=1) / n
+    x, y, z = level
+    k = np.arange(len(clouds))
     even = np.linspace(0, counts - 1, YAW_POINTS, axis=1).astype(np.intp)
-    yaw, contrast = plan_yaws(np.take_along_axis(level[:, ::2], even[:, None], axis=2))
+    yaw, contrast = plan_yaws(np.stack([x[k[:, None], even], z[k[:, None], even]], axis=1))
     claimed = flat | (contrast > CONTRAST)
     yaw = np.where(claimed, yaw, np.arctan2(center[:, 2], center[:, 0]) - np.pi / 2)
     # A quarter turn only exchanges width and depth: with less than half of one the axes are near right and forward.
     yaw = (yaw + np.pi / 4) % (np.pi / 2) - np.pi / 4
     cos, sin, zero = np.cos(yaw), np.sin(yaw), np.zeros(len(clouds))
     R = np.array([[cos, zero, -sin], [zero, zero + 1, zero], [sin, zero, cos]]).transpose(2, 0, 1)
-    x, z = level[:, 0].copy(), level[:, 2].copy()
-    level[:, 0] = cos[:, None] * x + sin[:, None] * z
-    level[:, 2] = cos[:, None] * z - sin[:, None] * x
-    near, far, ray = level.min(axis=2), level.max(axis=2), (center[:, None] @ R)[:, 0]
+    axes = cos[:, None] * x + sin[:, None] * z, y, cos[:, None] * z - sin[:, None] * x
+    near, far = (np.stack([end.reduce(axis, axis=1) for axis in axes], axis=1) for end in (np.minimum, np.maximum))
+    ray = (center[:, None] @ R)[:, 0]
     length = np.maximum(np.linalg.norm(ray, axis=1), 1e-9)[:, None]
     noisy = np.minimum(NOISE_ENDS * np.array(noises)[:, None] * np.abs(ray) / length, (far - near) / 4)
     # Distances of the sides that are seen, of two opposite ones at most one.
@@ -184,7 +190,6 @@ def upright_boxes(
     slant = np.maximum(seen[:, [1, 0, 0]], seen[:, [2, 2, 1]])
     rim = np.array(margins)[:, None] * np.minimum(length / np.maximum(slant, 1e-9), MOST_SLANT) * (slant > 0)
     lo, hi = near + noisy - rim * (near <= 0), far - noisy + rim * (far >= 0)
-    k = np.arange(len(clouds))
     deep = np.where(np.abs(ray[:, 0]) > np.abs(ray[:, 2]), 0, 2)
     least = np.where(claimed, np.where(flat, THIN_DEPTH, LEAST_DEPTH), 1.0)
     behind = np.maximum(least * (hi - lo)[k, 2 - deep] - (hi - lo)[k, deep], 0)
@@ -266,14 +271,15 @@ def pca_boxes(clouds: Sequence[np.ndarray], viewer: ViewerAxes | None = None) ->
     """Fit the boxes of `pca_box` to many clouds; each is the same, bit by bit, whatever is fitted beside it."""
     if not clouds:
         return []
-    spread = np.empty((len(clouds), 3, 3))
+    spread, columns = np.empty((len(clouds), 3, 3)), []
     for own, points in zip(spread, clouds, strict=True):
-        centred = points - mean_of(points)
-        own[:] = centred.T @ centred / len(points)
+        columns.append(np.ascontiguousarray(points.T, np.float64))
+        centred = columns[-1] - mean_of(points)[:, None]
+        own[:] = centred @ centred.T / len(points)
     variance, axes = np.linalg.eigh(spread)
     R = axes[:, :, ::-1].copy()
     R[np.linalg.det(R) < 0, :, 2] *= -1
-    boxes = [_box_in(points.astype(np.float64), own) for points, own in zip(clouds, R, strict=True)]
+    boxes = [_box_in(own, R) for own, R in zip(columns, R, strict=True)]
     if viewer is not None:
         R_level_camera = viewer.R_level_camera
         levels = (canonicalised(Box3D(R_level_camera @ b.center, R_level_camera @ b.R, b.size)) for b in boxes)
@@ -294,6 +300,7 @@ def canonicalised(box: Box3D) -> Box3D:
     return Box3D(box.center, box.R @ M.T, np.abs(M) @ box.size)
 
 
-def _box_in(points: np.ndarray, R: np.ndarray) -> Box3D:
-    lo, hi = extents_of(points @ R)
+def _box_in(columns: np.ndarray, R: np.ndarray) -> Box3D:
+    """Box along the columns of R of points, (3, N)."""
+    lo, hi = extents_along(R.T @ columns)
     return Box3D(R @ ((lo + hi) / 2), R, hi - lo)

@@ -29,7 +29,7 @@ from pipeline.geometry.cleaning import (
     depth_ranks,
 )
 from pipeline.geometry.fitting import (
-    extents_of,
+    extents_along,
     gravity_box,
     mean_of,
     median,
@@ -130,7 +130,7 @@ def extents(points: np.ndarray, box: Box3D | None, viewer: ViewerAxes) -> tuple[
     1st and 99th percentile of the points; of the box's corners where there are no points; NaN where there is neither.
     """
     if len(points):
-        return extents_of(points @ viewer.matrix.T.astype(points.dtype))
+        return extents_along(viewer.matrix.astype(points.dtype) @ points.T)
     if box is not None:
         corners = box.corners @ viewer.matrix.T
         return corners.min(axis=0), corners.max(axis=0)
@@ -204,54 +204,61 @@ def _lifted(
     thin: Sequence[bool],
 ) -> tuple[LiftedObject, ...]:
     ranks = depth_ranks(depth, edges, config)
-    cleaned = [
-        _cleaned(depth, camera, mask, config, source, ranks) for mask, source in zip(masks, sources, strict=True)
+    decisions = [decided(mask, depth, ranks, config) for mask in masks]
+    upright = boxes and config.box == "upright"
+    kept = [np.flatnonzero(own.codes == KEPT) for own, _ in decisions]
+    thinned = [_evenly(places, config.max_points) for places in kept]
+    dropped = [np.flatnonzero(own.codes >= DEPTH_EDGE) if upright else thinned[0][:0] for own, _ in decisions]
+    steps = [1 + len(places) // DROPPED_POINTS for places in dropped]
+    thinned += [places[::step] for places, step in zip(dropped, steps, strict=True)]
+    clouds = _lifted_places(thinned, [own for own, _ in decisions] * 2, depth, camera)
+    qualities = [
+        _quality(own, len(places), points, depth, fallback, source)
+        for (own, fallback), places, points, source in zip(decisions, kept, clouds, sources, strict=False)
     ]
     fits: list[tuple[Box3D | None, float]] = [(None, 0.0)] * len(masks)
     sides: dict[int, tuple[Side, ...]] = {}
-    seen = [k for k, (_, _, quality) in enumerate(cleaned) if boxes and quality.points]
-    if config.box == "upright":
-        evidence = [cleaned[k][1] for k in seen]
+    seen = [k for k, quality in enumerate(qualities) if boxes and quality.points]
+    if upright:
+        evidence = [decisions[k][0] for k in seen]
         smooth = _smooth_points(depth, evidence, camera, config)
         found = upright_boxes(
             [points for points, _, _ in smooth],
             viewer,
-            margins=[rim * cleaned[k][2].distance / camera.fx for k, (_, rim, _) in zip(seen, smooth, strict=True)],
+            margins=[rim * qualities[k].distance / camera.fx for k, (_, rim, _) in zip(seen, smooth, strict=True)],
             noises=[noise for _, _, noise in smooth],
             thin=[thin[k] for k in seen],
         )
+        # So many dropped points tell of a part of the object.
+        least = [max(PART_PIXELS, PART_SHARE * qualities[k].points) / steps[k] for k in seen]
         found = [
-            (with_thin_parts(box, *_dropped(depth, own, camera)), sure)
-            for (box, sure), own in zip(found, evidence, strict=True)
+            (with_thin_parts(box, clouds[len(masks) + k], enough), sure)
+            for (box, sure), k, enough in zip(found, seen, least, strict=True)
         ]
         crops = [(own.codes, own.x0, own.y0) for own in evidence]
         sides.update(zip(seen, open_sides([box for box, _ in found], crops, depth, camera), strict=True))
     else:
-        found = [fit_box(cleaned[k][0], viewer, config.box) for k in seen]
+        found = [fit_box(clouds[k], viewer, config.box) for k in seen]
     for k, fit in zip(seen, found, strict=True):
         fits[k] = fit
     return tuple(
-        LiftedObject(points, box, sure, *extents(points, box, viewer), evidence, quality, sides.get(k))
-        for k, ((points, evidence, quality), (box, sure)) in enumerate(zip(cleaned, fits, strict=True))
+        LiftedObject(points, box, sure, *extents(points, box, viewer), own, quality, sides.get(k))
+        for k, ((own, _), points, (box, sure), quality) in enumerate(
+            zip(decisions, clouds, fits, qualities, strict=False)
+        )
     )
 
 
-def _cleaned(
-    depth: np.ndarray,
-    camera: Camera,
-    mask: np.ndarray | MaskCrop,
-    config: LiftConfig,
-    mask_source: MaskSource,
-    ranks: np.ndarray,
-) -> tuple[np.ndarray, PixelEvidence, Quality]:
-    """Points of a mask, thinned, with what became of its pixels."""
-    evidence, fallback = decided(mask, depth, ranks, config)
-    places = np.flatnonzero(evidence.codes == KEPT)
-    kept = len(places)
-    if kept > config.max_points:
-        places = places[np.linspace(0, kept - 1, config.max_points).astype(np.int64)]
-    points = _lifted_places(places, depth, evidence, camera)
+def _evenly(places: np.ndarray, most: int) -> np.ndarray:
+    """At most so many of (N,) places."""
+    n = len(places)
+    return places[np.linspace(0, n - 1, most).astype(np.int64)] if n > most else places
 
+
+def _quality(
+    evidence: PixelEvidence, kept: int, points: np.ndarray, depth: np.ndarray, fallback: bool, source: MaskSource
+) -> Quality:
+    """Quality of an object of so many kept pixels and its points."""
     codes = evidence.codes
     area = int(np.count_nonzero(codes))
     missing = int(np.count_nonzero((codes == NO_DEPTH) | (codes == OUT_OF_RANGE)))
@@ -262,7 +269,7 @@ def _cleaned(
         or (evidence.y0 + h == depth.shape[0] and codes[-1].any())
         or (evidence.x0 + w == depth.shape[1] and codes[:, -1].any())
     )
-    quality = Quality(
+    return Quality(
         mask_pixels=area,
         points=kept,
         kept=kept / max(area, 1),
@@ -270,9 +277,8 @@ def _cleaned(
         touches_border=border,
         distance=median(points[:, 2]) if kept else float("nan"),
         fallback=fallback,
-        mask_source=mask_source,
+        mask_source=source,
     )
-    return points, evidence, quality
 
 
 def _smooth_points(
@@ -294,31 +300,42 @@ def _smooth_points(
         patches.append((sensed, np.ascontiguousarray(kept[::step, ::step]), x, y))
         # What erosion and thinning leave out beyond the outermost points' centres.
         rims.append(own.eroded + 0.5 + (step - 1) / 2)
-    found = []
     planes = plane_depths(patches, max(1, round(config.smooth * depth.shape[1] / 640)))
-    for (sensed, _, x, y), rim, (v, u, z) in zip(patches, rims, planes, strict=True):
-        off = np.abs(sensed[v, u] - z)
-        found.append((np.array([x[u] * z, y[v] * z, z]).T, rim, MAD_TO_DEVIATION * median(off)))
-    return found
+    if not planes:
+        return []
+    z = np.concatenate([smooth for *_, smooth in planes])
+    # All at once; what is of one object is only cut out of it.
+    x = np.concatenate([patch[2].take(u) for patch, (_, u, _) in zip(patches, planes, strict=True)])
+    y = np.concatenate([patch[3].take(v) for patch, (v, _, _) in zip(patches, planes, strict=True)])
+    off = np.abs(np.concatenate([patch[0][v, u] for patch, (v, u, _) in zip(patches, planes, strict=True)]) - z)
+    points = np.array([x * z, y * z, z])
+    ends = np.cumsum([len(smooth) for *_, smooth in planes]).tolist()
+    return [
+        (points[:, start:end].T, rim, MAD_TO_DEVIATION * median(off[start:end]))
+        for start, end, rim in zip([0, *ends], ends, rims, strict=False)
+    ]
 
 
-def _dropped(depth: np.ndarray, evidence: PixelEvidence, camera: Camera) -> tuple[np.ndarray, float]:
-    """Points of dropped pixels with a depth, thinned, (N, 3), and how many of them tell of a part of the object."""
-    places = np.flatnonzero(evidence.codes >= DEPTH_EDGE)
-    step = 1 + len(places) // DROPPED_POINTS
-    kept = np.count_nonzero(evidence.codes == KEPT)
-    return _lifted_places(places[::step], depth, evidence, camera), max(PART_PIXELS, PART_SHARE * kept) / step
-
-
-def _lifted_places(places: np.ndarray, depth: np.ndarray, evidence: PixelEvidence, camera: Camera) -> np.ndarray:
-    """Points, (N, 3), of places, (N,), in the evidence's rectangle, row by row."""
-    # `divmod` is several times as slow.
-    x0, y0, wide = (np.int32(k) for k in (evidence.x0, evidence.y0, evidence.codes.shape[1]))
-    places = places.astype(np.int32)
-    v = places // wide
-    u = places - v * wide + x0
-    v += y0
-    return lift_pixels(depth.take(v * np.int32(depth.shape[1]) + u), camera, v, u)
+def _lifted_places(
+    places: Sequence[np.ndarray], evidence: Sequence[PixelEvidence], depth: np.ndarray, camera: Camera
+) -> list[np.ndarray]:
+    """Points, (N, 3) each, of places, (N,) each, in rectangles of evidence, row by row."""
+    if not places:
+        return []
+    wide = np.int32(depth.shape[1])
+    pixels = []
+    for own, part in zip(evidence, places, strict=True):
+        part = part.astype(np.int32)
+        # `divmod` is several times as slow.
+        row = part // np.int32(own.codes.shape[1])
+        row *= wide - np.int32(own.codes.shape[1])
+        part += row
+        part += np.int32(own.y0) * wide + np.int32(own.x0)
+        pixels.append(part)
+    pixel = np.concatenate(pixels)
+    v = pixel // wide
+    points = lift_pixels(depth.take(pixel), camera, v, pixel - v * wide)
+    return np.split(points, np.cumsum([len(part) for part in places])[:-1])
 
 
 def fit_box(points: np.ndarray, viewer: ViewerAxes, mode: BoxMode = "gravity") -> tuple[Box3D | None, float]:

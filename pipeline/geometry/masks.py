@@ -100,7 +100,7 @@ def decode_crop(
     starts = ends - runs[1::2]
     starts, ends = starts[ends > starts], ends[ends > starts]
     if not len(starts):
-        return MaskCrop(0, 0, np.zeros((0, 0), np.bool_))
+        return MaskCrop.tight(0, 0, np.zeros((0, 0), np.bool_))
     x0, x1 = int(starts[0]) // height, int(ends[-1] - 1) // height + 1
     edges = np.empty(2 * len(starts) + 1, np.int64)
     edges[:-1:2], edges[1::2], edges[-1] = starts, ends, x1 * height
@@ -109,7 +109,7 @@ def decode_crop(
     columns = np.repeat(filled, np.diff(edges, prepend=x0 * height)).reshape(x1 - x0, height)
     rows = np.flatnonzero(columns.any(axis=0))
     y0, y1 = int(rows[0]), int(rows[-1]) + 1
-    return MaskCrop(x0, y0, np.ascontiguousarray(columns[:, y0:y1].T))
+    return MaskCrop.tight(x0, y0, np.ascontiguousarray(columns[:, y0:y1].T))
 
 
 def encode_run_length(mask: np.ndarray) -> str:
@@ -163,7 +163,8 @@ def _runs(size: Sequence[int], crop: MaskCrop) -> np.ndarray:
         # A run goes on where the next column begins.
         ends, starts = edges[1:-1:2], edges[2::2]
         edges = np.delete(edges, 1 + 2 * np.flatnonzero(ends == starts)[:, None] + [0, 1])
-    runs = np.diff(edges, prepend=0, append=pixels)
+    bounds = np.concatenate([[0], edges, [pixels]])
+    runs = bounds[1:] - bounds[:-1]
     # A mask that ends with ones has no run of zeros behind them.
     return runs if runs[-1] or not len(edges) else runs[:-1]
 
@@ -180,9 +181,16 @@ class MaskCrop:
     def of(mask: np.ndarray) -> MaskCrop:
         """Cut the non-empty part out of a mask, (H, W) bool; a view."""
         x0, y0, x1, y1 = mask_box(mask)
-        return MaskCrop(x0, y0, mask[y0:y1, x0:x1])
+        return MaskCrop.tight(x0, y0, mask[y0:y1, x0:x1])
 
-    @property
+    @staticmethod
+    def tight(x: int, y: int, mask: np.ndarray) -> MaskCrop:
+        """Hold a crop with set pixels in its outermost rows and columns, or of no pixel: its box need not be looked for."""
+        crop = MaskCrop(x, y, mask)
+        crop.__dict__["box"] = x, y, x + mask.shape[1], y + mask.shape[0]
+        return crop
+
+    @cached_property
     def box(self) -> tuple[int, int, int, int]:
         """Box of the mask, x0, y0, x1, y1, with exclusive right and bottom edges; empty for an empty mask."""
         x0, y0, x1, y1 = mask_box(self.mask)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -14,7 +13,7 @@ import xxhash
 from pipeline.answering.objects import PreparedFrame, SceneObject, appearance_of
 from pipeline.datasets import GivenExpression
 from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.cleaning import Pixel, PixelEvidence
+from pipeline.geometry.cleaning import OUTSIDE, PixelEvidence
 from pipeline.geometry.fitting import pca_boxes
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.lifting import LiftedObject
@@ -299,7 +298,7 @@ def occluded_share(evidence: PixelEvidence, depth: np.ndarray) -> float:
     h, w = evidence.codes.shape
     top, left = min(REACH, evidence.y0), min(REACH, evidence.x0)
     bottom, right = min(REACH, height - evidence.y0 - h), min(REACH, width - evidence.x0 - w)
-    inside = (evidence.codes != Pixel.OUTSIDE).view(np.uint8)
+    inside = (evidence.codes != OUTSIDE).view(np.uint8)
     mask = cv2.copyMakeBorder(inside, top, bottom, left, right, cv2.BORDER_CONSTANT, value=0)
     z = depth[evidence.y0 - top : evidence.y0 + h + bottom, evidence.x0 - left : evidence.x0 + w + right]
     # The farthest depth of the mask in reach: 0 where there is none.
@@ -358,13 +357,17 @@ def candidate_expressions(
         ends = np.cumsum(counts, dtype=np.int32)
         lists = pa.ListArray.from_arrays(np.concatenate([np.zeros(1, np.int32), ends]), numbers[np.nonzero(which)[1]])
         answers[name], several = Repeated(lists, row), counts[row] > 1
-    said, written = config.relations, [str(number) for number in ids]
-    every = np.zeros(n, np.int32)
-    hashed = partial(xxhash.xxh3_64_hexdigest, seed=config.seed & (2**64 - 1))
-    keys = zip(a.tolist(), relation.tolist(), b.tolist(), strict=True)
+    said, every = config.relations, np.zeros(n, np.int32)
+    # The text of `row_hash`: once what many rows begin with.
+    heads = [f"{frame}\x1f{i}\x1f{r}\x1f".encode() for r in said for i in ids]
+    tails = [str(j).encode() for j in ids]
+    keys = zip((relation * len(ids) + a).tolist(), b.tolist(), strict=True)
+    seed, digest = config.seed & (2**64 - 1), xxhash.xxh3_64_digest
+    digits = b"".join([digest(heads[begin] + tails[j], seed) for begin, j in keys]).hex().encode()
+    ends = np.arange(0, 16 * n + 1, 16, dtype=np.int32)
+    hashes = pa.StringArray.from_buffers(n, pa.py_buffer(ends), pa.py_buffer(digits))
     return {
-        # `row_hash`, in hexadecimal digits.
-        "id": [hashed(f"{frame}\x1f{written[i]}\x1f{said[r]}\x1f{written[j]}".encode()) for i, r, j in keys],
+        "id": Repeated(hashes, np.arange(n)),
         "frame": Repeated([frame], every),
         "frame_index": np.full(n, frame_index),
         "target": Repeated(labels, a),

@@ -70,8 +70,7 @@ class FeatureSet:
         return self.shown or self.language > 0
 
     def pair(self, rows: np.ndarray) -> np.ndarray:
-        """Features of "a to b" at [a, b], (N, N, D) float64, of (N, K + language) rows; leading dimensions are a batch.
-        """
+        """Features of "a to b" at [a, b], (N, N, D) float64, of (N, K + language) rows; leading dimensions are a batch."""
         own = np.ascontiguousarray(np.moveaxis(rows, -1, 0))
         return np.ascontiguousarray(np.moveaxis(self.between(own[..., :, None], own[..., None, :]), 0, -1))
 
@@ -269,9 +268,7 @@ _NAMED_COLUMNS = _VIEWED_COLUMNS + tuple(
 FEATURES: dict[str, FeatureSet] = {
     "rel14": FeatureSet("rel14", _RELATIVE_COLUMNS, describe_extents, relative, tuple(range(6))),
     "rel26": FeatureSet("rel26", _VIEWED_COLUMNS, describe_viewed_extents, viewed, tuple(range(6))),
-    "rel32": FeatureSet(
-        "rel32", _NAMED_COLUMNS, describe_named_extents, named, tuple(range(6)), (7, 8, 9), shown=True
-    ),
+    "rel32": FeatureSet("rel32", _NAMED_COLUMNS, describe_named_extents, named, tuple(range(6)), (7, 8, 9), shown=True),
     "paper30": FeatureSet("paper30", _box_columns(), describe_raw_boxes, side_by_side, _BOX_LENGTHS),
     "canon30": FeatureSet("canon30", _box_columns(), describe_level_boxes, side_by_side, _BOX_LENGTHS),
     "geom2d8": FeatureSet("geom2d8", _FLAT_COLUMNS, describe_boxes_2d, side_by_side, (), shown=True),

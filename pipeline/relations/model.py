@@ -239,7 +239,9 @@ class OnnxScorer:
         if not count * n:
             return np.zeros((*batch, n, n, len(vocabulary)))
         scenes = np.ascontiguousarray(np.moveaxis(rows.reshape(-1, n, width), -1, 0))
-        chosen = np.ones((count, n), np.bool_) if wanted is None else np.broadcast_to(wanted, (*batch, n, n)).reshape(-1, n)
+        chosen = (
+            np.ones((count, n), np.bool_) if wanted is None else np.broadcast_to(wanted, (*batch, n, n)).reshape(-1, n)
+        )
         step = max(1, BLOCK // n)
         blocks = [slice(start, start + step) for start in range(0, count, step)]
         feeds = (self._feed(scenes, block, chosen[block]) for block in blocks)

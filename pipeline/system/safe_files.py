@@ -38,7 +38,7 @@ class _Root(NamedTuple):
 
 
 _ROOTS: dict[str, _Root] = {}
-_FLAGS = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
+_FLAGS = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0)
 _OPENED = Path("/proc/self/fd")
 _HAS_OPENED = _OPENED.is_dir()
 _POINTER, _POINTER_BYTES = b"version https://git-lfs.github.com/spec/", 200
@@ -127,6 +127,16 @@ def opened(path: Path, limit: str = "bytes") -> Iterator[IO[bytes]]:
     OSError
         What the system says: missing, not to be read.
     """
+    descriptor, size = _descriptor(path, limit)
+    with open(descriptor, "rb") as file:
+        if size < _POINTER_BYTES:
+            _no_pointer(file.read(len(_POINTER)), path)
+            file.seek(0)
+        yield file
+
+
+def _descriptor(path: Path, limit: str) -> tuple[int, int]:
+    """Descriptor and bytes of a file that is opened to read; raises as `opened`."""
     state = os.stat(path)
     _check(path, state, limit)
     if (seen := _WATCHED.get()) is not None:
@@ -135,18 +145,24 @@ def opened(path: Path, limit: str = "bytes") -> Iterator[IO[bytes]]:
     if not state.st_mode & stat.S_IWUSR:
         fetch(path, state, limit, limits_of(path))
     # What was a file a moment ago may be a FIFO now: opening must not wait.
-    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | _FLAGS)) as file:
-        _check(path, os.fstat(file.fileno()), limit)
-        _check_place(path, file.fileno())
-        if os.fstat(file.fileno()).st_size < _POINTER_BYTES:
-            require(
-                file.read(len(_POINTER)) != _POINTER,
-                "a pointer of Git LFS stands in place of the file",
-                expected="the file: git lfs pull",
-                path=path,
-            )
-            file.seek(0)
-        yield file
+    descriptor = os.open(path, os.O_RDONLY | _FLAGS)
+    try:
+        state = os.fstat(descriptor)
+        _check(path, state, limit)
+        _check_place(path, descriptor)
+    except BaseException:
+        os.close(descriptor)
+        raise
+    return descriptor, state.st_size
+
+
+def _no_pointer(begin: bytes, path: Path) -> None:
+    require(
+        not begin.startswith(_POINTER),
+        "a pointer of Git LFS stands in place of the file",
+        expected="the file: git lfs pull",
+        path=path,
+    )
 
 
 def checked_path(path: Path, limit: str = "bytes") -> Path:
@@ -228,8 +244,15 @@ def _check_place(path: Path, descriptor: int) -> None:
 
 def read_bytes(path: Path, limit: str = "bytes") -> bytes:
     """Read a whole file; raises as `opened`."""
-    with opened(path, limit) as file:
-        return file.read()
+    # Thousands of masks are read a minute: a file object costs as much as reading one.
+    descriptor, size = _descriptor(path, limit)
+    try:
+        data = b"".join(iter(lambda: os.read(descriptor, max(size + 1, 1 << 12)), b""))
+    finally:
+        os.close(descriptor)
+    if len(data) < _POINTER_BYTES:
+        _no_pointer(data, path)
+    return data
 
 
 def read_text(path: Path, encoding: str = "utf-8") -> str:
