@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -207,7 +208,7 @@ def _object_row(
         "label": entry.label,
         "score": entry.score,
         "instance": getattr(annotation, "instance", None),
-        "bbox": [float(x) for x in entry.bbox],
+        "bbox": np.asarray(entry.bbox).tolist(),
         "mask_source": quality.mask_source,
         "mask_pixels": quality.mask_pixels,
         "points": quality.points,
@@ -215,11 +216,11 @@ def _object_row(
         "depth_missing": quality.depth_missing,
         "touches_border": quality.touches_border,
         "fallback": quality.fallback,
-        "distance": None if np.isnan(quality.distance) else quality.distance,
+        "distance": None if math.isnan(quality.distance) else quality.distance,
         "center": None if box is None else box.center.tolist(),
         "R": None if box is None else box.R.ravel().tolist(),
         "size": None if box is None else box.size.tolist(),
-        "yaw_confidence": float(np.clip(lifted.yaw_confidence, 0, 1)),
+        "yaw_confidence": min(max(float(lifted.yaw_confidence), 0.0), 1.0),
         "estimator": config.lift.box,
         "open_sides": None if lifted.open_sides is None else list(lifted.open_sides),
         "lo": lifted.lo.tolist() if known else None,
@@ -263,19 +264,20 @@ def _relation_columns(
     # Rows run by (a, b) as numbers, whatever the order of the objects.
     order = np.argsort(number, kind="stable")
     a, b = (order[k] for k in np.nonzero(~np.eye(len(ids), dtype=np.bool_)))
-    distance = judged.distance[a, b].astype(np.float32)
+    pair = a * len(ids) + b
+    distance = judged.distance.take(pair).astype(np.float32)
     columns: Columns = {
         "frame": Repeated([frame], np.zeros(len(a), np.int32)),
         "frame_index": np.full(len(a), frame_index, np.int32),
         "a": number[a],
         "b": number[b],
         "distance": distance,
-        "doubted": np.zeros(len(a), np.int32) if judged.doubted is None else judged.doubted[a, b],
+        "doubted": np.zeros(len(a), np.int32) if judged.doubted is None else judged.doubted.take(pair),
     }
     for relation in config.relations:
         k = PAIRWISE.index(relation)
-        columns[relation] = judged.states[a, b, k]
-        columns[f"{relation}_margin"] = judged.margins[a, b, k].astype(np.float32)
+        columns[relation] = judged.states[..., k].take(pair)
+        columns[f"{relation}_margin"] = judged.margins[..., k].take(pair).astype(np.float32)
     return columns
 
 
