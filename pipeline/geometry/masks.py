@@ -185,7 +185,7 @@ class MaskCrop:
 
     @staticmethod
     def tight(x: int, y: int, mask: np.ndarray) -> MaskCrop:
-        """Hold a crop with set pixels in its outermost rows and columns, or of no pixel: its box need not be looked for."""
+        """Hold a crop with set pixels in its outermost rows and columns, or without any: its box is known."""
         crop = MaskCrop(x, y, mask)
         crop.__dict__["box"] = x, y, x + mask.shape[1], y + mask.shape[0]
         return crop

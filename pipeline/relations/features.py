@@ -70,7 +70,7 @@ class FeatureSet:
         return self.shown or self.language > 0
 
     def pair(self, rows: np.ndarray) -> np.ndarray:
-        """Features of "a to b" at [a, b], (N, N, D) float64, of (N, K + language) rows; leading dimensions are a batch."""
+        """Features of "a to b" at [a, b], (N, N, D) float64, of (N, K + language) rows or a batch of such."""
         own = np.ascontiguousarray(np.moveaxis(rows, -1, 0))
         return np.ascontiguousarray(np.moveaxis(self.between(own[..., :, None], own[..., None, :]), 0, -1))
 

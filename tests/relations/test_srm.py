@@ -7,6 +7,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,6 +35,7 @@ from pipeline.relations import (
     stacked_extents,
     with_class_lengths,
 )
+from pipeline.relations.model import BLOCK
 from pipeline.system import InputError, asset_path
 from pipeline.training.card import clear_cut, clear_cut_report, evaluate
 
@@ -70,6 +72,34 @@ def test_a_permutation_of_the_objects_permutes_the_probabilities(shipped: OnnxSc
     np.testing.assert_allclose(
         shipped.probabilities(rows[order]), shipped.probabilities(rows)[np.ix_(order, order)], atol=1e-5
     )
+
+
+def test_only_wanted_pairs_are_asked_and_they_get_the_same_to_the_last_bit(
+    shipped: OnnxScorer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = np.concatenate([named_rows(seed) for seed in range(8)])
+    wanted = np.triu(np.random.default_rng(0).random((len(rows), len(rows))) < 0.2, 1)
+    wanted |= wanted.T
+    asked: list[int] = []
+    feed = OnnxScorer._feed
+
+    def counted(self: OnnxScorer, *args: Any) -> dict[str, np.ndarray]:
+        found = feed(self, *args)
+        asked.extend(len(value) for value in found.values())
+        return found
+
+    monkeypatch.setattr(OnnxScorer, "_feed", counted)
+    every, some = shipped.probabilities(rows), shipped.probabilities(rows, wanted)
+    np.testing.assert_array_equal(some[wanted], every[wanted])
+    assert np.isnan(some[~wanted]).all()
+    # Blocks of rows bound what is held at once.
+    assert max(asked) <= BLOCK
+    assert sum(asked) == len(rows) ** 2 + wanted.sum()
+
+
+def test_a_batch_of_scenes_is_judged_as_each_alone(shipped: OnnxScorer) -> None:
+    scenes = np.stack([named_rows(seed, 3) for seed in range(400)])
+    np.testing.assert_array_equal(shipped.logits(scenes), np.stack([shipped.logits(rows) for rows in scenes]))
 
 
 def test_relations_without_their_inverse_keep_their_logits() -> None:
