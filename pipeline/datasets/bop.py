@@ -31,7 +31,7 @@ from pipeline.system.errors import InputError, needed, require
 from pipeline.system.recent import Recent
 
 TABLES_BYTES = 16 << 20
-"""Bytes of the files of scenes' tables that stay parsed; parsed they take about four times as many."""
+"""Bytes of the files of scenes' tables that stay parsed; parsed they take some seven times as many."""
 MM = 1e-3
 Model = tuple[str | None, Box3D | None]
 """The extra key `name`, which BOP itself does not have, and the exact box in the object's own frame, metres."""
