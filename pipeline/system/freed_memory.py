@@ -18,12 +18,14 @@ _trimmed = 0.0
 
 
 def return_freed_memory() -> None:
-    """Ask glibc to return large freed blocks and to keep few arenas; no effect elsewhere.
+    """Ask glibc to return the largest freed blocks and the end of its heap, and to keep few arenas; no effect elsewhere.
 
     By default glibc raises its threshold to the largest block that was ever
-    freed, and from then on keeps such blocks in one pool for each thread.
+    freed, and from then on keeps such blocks in one pool for each thread. The
+    arrays of a frame, of some megabytes, stay below: mapped and returned one
+    by one, they cost a frame more time than its points; `trim` returns them.
     """
-    for parameter, value in ((_M_MMAP_THRESHOLD, 1 << 18), (_M_TRIM_THRESHOLD, 1 << 20), (_M_ARENA_MAX, 2)):
+    for parameter, value in ((_M_MMAP_THRESHOLD, 1 << 23), (_M_TRIM_THRESHOLD, 1 << 25), (_M_ARENA_MAX, 2)):
         _glibc("mallopt", parameter, value)
 
 
