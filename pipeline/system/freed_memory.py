@@ -18,7 +18,7 @@ _trimmed = 0.0
 
 
 def return_freed_memory() -> None:
-    """Ask glibc to return the largest freed blocks and the end of its heap, and to keep few arenas; no effect elsewhere.
+    """Ask glibc to return the largest freed blocks and its heap's end, and to keep few arenas; no effect elsewhere.
 
     By default glibc raises its threshold to the largest block that was ever
     freed, and from then on keeps such blocks in one pool for each thread. The
