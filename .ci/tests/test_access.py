@@ -140,7 +140,7 @@ def test_every_document_has_a_policy() -> None:
         def __getattr__(self, name: str) -> object:
             return lambda *_: False
 
-    site: Any = Site(Access("127.0.0.1"), NoPages(), NoPages())  # pyright: ignore[reportArgumentType]
+    site: Any = Site(Access("127.0.0.1"), NoPages(), None)  # pyright: ignore[reportArgumentType]
     for path in ("/", "/app/index.html", f"/scene/{'0' * 32}/"):
         answer = asyncio.run(site.answer(None, request(path)))
         if answer.headers["Content-Type"].startswith("text/html"):

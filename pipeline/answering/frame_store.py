@@ -134,6 +134,7 @@ class FrameStore:
         self._ahead: OrderedDict[Key, Callable[[LoadedFrame], object] | None] = OrderedDict()
         self._ahead_runs = False
         self._lock = threading.Lock()
+        self._beside = ThreadPoolExecutor(1, "cloud")
         self.up_hints: dict[str, UpHint] = {}
         """By source what was said last of its up."""
         self._untold: dict[str, Dataset] = {}
@@ -227,6 +228,8 @@ class FrameStore:
         self.give_way(making)
         context = prepare_frame(opened.dataset, raw, opened.config.lift)
         self.give_way(making)
+        # Whoever waits is shown its points, made beside its objects.
+        cloud = self._beside.submit(cloud_of, context.frame, context.viewer) if making.wanted else None
         objects, problem = tuple[SceneObject, ...](), ""
         if opened.detector is not None:
             try:
@@ -234,7 +237,10 @@ class FrameStore:
             except InputError as error:
                 problem = str(error)
         doubt = _doubt(context.frame, opened.dataset.root)
-        return LoadedFrame(context, objects, problem, self.up_hints.get(key[0]), doubt)
+        loaded = LoadedFrame(context, objects, problem, self.up_hints.get(key[0]), doubt)
+        if cloud is not None:
+            loaded.__dict__["cloud"] = cloud.result()
+        return loaded
 
     def give_way(self, making: _Making | None = None) -> None:
         """Pause unawaited work while somebody is being answered."""

@@ -260,6 +260,8 @@ AROUND_M, AROUND_SHARE = 0.15, 0.35
 """How far around the box other points are shown: metres, and share of its longest side."""
 TRIMMED = (1.0, 99.0)
 """Percentiles of the points that a face is fitted to: as extents are, see `lifting.extents`."""
+DOUBT = 1e-5
+"""Share of the largest depth by which single precision may be wrong."""
 NEAREST_M = 0.05
 """Before the camera: what is nearer has no end in the picture."""
 FARTHEST_M = 20.0
@@ -306,15 +308,41 @@ def side_views(frame: Frame, viewer: ViewerAxes, box: Box3D, mask: np.ndarray, m
     # Only the part of the picture in which the views' points can be.
     corners = box.center + np.stack(np.meshgrid(*[(-1, 1)] * 3), -1).reshape(-1, 3) * half @ axes
     part = _seen_part(corners, frame)
-    v, u = np.nonzero(frame.depth[part] > 0)
-    v, u = v + part[0].start, u + part[1].start
-    found = (lift_pixels(frame.depth[v, u], frame.camera, v, u) - box.center.astype(np.float32)) @ axes.T
-    near = (np.abs(found) <= half).all(axis=1)
-    own = mask[v, u]
-    chosen = np.concatenate(
-        [_thinned(np.flatnonzero(near & own), most // 2), _thinned(np.flatnonzero(near & ~own), most // 2)]
-    )
-    return SideViews(axes, box, np.rint(found[chosen] * 1000).clip(-32767, 32767).astype(np.int16), own[chosen])
+    near, edge = _within(frame, part, axes, box.center, half)
+
+    def along(pixels: np.ndarray) -> np.ndarray:
+        """(N, 3) float64 along the axes of pixels of the part."""
+        v, u = np.unravel_index(pixels, near.shape)
+        v, u = v + part[0].start, u + part[1].start
+        return (lift_pixels(frame.depth[v, u], frame.camera, v, u) - box.center.astype(np.float32)) @ axes.T
+
+    near.flat[edge] = (np.abs(along(edge)) <= half).all(axis=1)
+    own = mask[part]
+    mine, others = (_thinned(np.flatnonzero(near & which), most // 2) for which in (own, ~own))
+    points = np.rint(along(np.concatenate([mine, others])) * 1000).clip(-32767, 32767).astype(np.int16)
+    return SideViews(axes, box, points, np.arange(len(points)) < len(mine))
+
+
+def _within(
+    frame: Frame, part: tuple[slice, slice], axes: np.ndarray, center: np.ndarray, half: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels of a part of the picture that are as near to a place as a box of half sides is large, (H, W) bool; and
+    those, (N,) int, for which single precision cannot tell."""
+    depth, camera = frame.depth[part], frame.camera
+    v, u = (np.arange(side.start, side.stop, dtype=np.float32) for side in part)
+    doubt = np.float32(DOUBT * max(1.0, float(depth.max(initial=0.0))))
+    near = depth > 0
+    sure = near.copy()
+    for (x, y, z), reach in zip(axes, half, strict=True):
+        down = ((v - camera.cy) * (y / camera.fy) + z).astype(np.float32)
+        across = ((u - camera.cx) * (x / camera.fx)).astype(np.float32)
+        away = down[:, None] + across
+        away *= depth
+        away -= np.float32((x, y, z) @ center)
+        np.abs(away, out=away)
+        near &= away <= np.float32(reach) + doubt
+        sure &= away < np.float32(reach) - doubt
+    return near, np.flatnonzero(near & ~sure)
 
 
 def _seen_part(corners: np.ndarray, frame: Frame) -> tuple[slice, slice]:

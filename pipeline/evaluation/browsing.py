@@ -38,10 +38,13 @@ from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import QUERY_KINDS
 from pipeline.system.arrow import pa, pc
 from pipeline.system.errors import require
+from pipeline.system.recent import Recent
 
 if TYPE_CHECKING:
     from pipeline.evaluation.records_file import Records
 
+_ASKED = 64
+"""Expressions whose rows are remembered: a page asks for the one that it shows at every drawing."""
 _OPEN_WORD = re.compile(r'(?:[^\s"]|"(?:[^"\\]|\\.)*(?:"|$))+')
 """A quote that is open or closed belongs to its word, blanks included."""
 _VERDICT, _CHANGE, _SECOND, _MARKS = (
@@ -333,6 +336,7 @@ class RunRows:
         if second is not None:
             records = with_second(records.select(records.column_names), second)
         self._bare = records
+        self._asked: Recent[Key, list[int]] = Recent(_ASKED)
         self.path = notes_path(folder)
         self.notes = read_notes(self.path)
         self.records = self._marked()
@@ -371,8 +375,11 @@ class RunRows:
 
     def asked(self, frame: str, text: str) -> int | None:
         """First row of a frame with these words as its expression."""
-        found = rows_where(self._bare, "frame = ? AND text = ?", (frame, text), ("frame", "text"))
-        return next(iter(found.tolist()), None)
+
+        def find() -> list[int]:
+            return rows_where(self._bare, "frame = ? AND text = ?", (frame, text), ("frame", "text")).tolist()
+
+        return next(iter(self._asked.get((frame, text), find)), None)
 
     def number(self, frame: str, expression: str) -> int | None:
         """The row of an expression."""

@@ -310,17 +310,9 @@ class Evaluate(Part):
             return
         rows = listing.figures.rows
         facets = () if listing.error else rows.facets(listing.query)
-        page.fill(
-            {
-                "search": search_html(listing.query, examples(facets)),
-                "offers": None,
-                "filters": filters_html(listing, rows.notes, self._first, self._view),
-                "facet-list": facets_html(facets, self._opened, listing.error),
-            }
-        )
-        self._show_bar()
         self._told = self.state.listed
         self._columns = rows.filled(listing.found, COLUMNS)
+        # Before it is said how many there are: who scrolls then scrolls these.
         page.call(
             "found",
             {
@@ -334,6 +326,15 @@ class Evaluate(Part):
                 "noted": rows.stamp,
             },
         )
+        page.fill(
+            {
+                "search": search_html(listing.query, examples(facets)),
+                "offers": None,
+                "filters": filters_html(listing, rows.notes, self._first, self._view),
+                "facet-list": facets_html(facets, self._opened, listing.error),
+            }
+        )
+        self._show_bar()
         self._show_chosen()
         self._show_figures(listing)
 

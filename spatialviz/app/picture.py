@@ -17,7 +17,8 @@ from pipeline.geometry.palette import DROPPED, ON_DARK, RGB, depth_colors, depth
 from pipeline.pictures.marks import TINT, edges_path, outline_path
 from pipeline.system.encoded_pictures import jpeg
 from pipeline.system.recent import Recent
-from spatialviz.app.frames import IMAGES, png_url, thumb_url
+from spatialviz.app.frames import png_url, thumb_url
+from spatialviz.app.kept_pictures import IMAGES
 from spatialviz.app.markup import Child, Element, dot, h, heading, named, note, panel, score_text, term, words
 from spatialviz.app.state import State
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import gc
 import io
 import shlex
 import signal
-import socket
 import sys
 import threading
 import time
@@ -17,7 +15,6 @@ from contextlib import redirect_stdout
 from functools import partial
 from importlib import import_module
 
-import rich
 import viser
 
 from pipeline.answering.frame_store import FrameStore
@@ -28,14 +25,14 @@ from pipeline.diagnosis.whatif.state import ViewState
 from pipeline.evaluation.run_folder import Run
 from pipeline.labels.reading import Labels
 from pipeline.language.counted import counted
-from pipeline.system.errors import InputError, require
-from pipeline.system.freed_memory import return_freed_memory
+from pipeline.system.errors import require
+from pipeline.system.freed_memory import uncollected
 from pipeline.system.worker_pool import one_thread
 from spatialviz.app.access import Access
 from spatialviz.app.channel import answering, end_all
 from spatialviz.app.context import Shared
-from spatialviz.app.site import MAX_CLIENTS, Pages, Site
-from spatialviz.app.viser_socket import close_tunnels, served_by
+from spatialviz.app.listening import Listening, listen
+from spatialviz.app.site import MAX_CLIENTS
 from spatialviz.plain_text import one_line
 
 ENDS_WITHIN = 10.0
@@ -59,66 +56,36 @@ def start(
     dark: bool | None = None,
     access: Access | None = None,
     max_clients: int = MAX_CLIENTS,
+    listening: Listening | None = None,
 ) -> viser.ViserServer:
     """Start the server on its own threads, and return the server.
 
     Mappings are by the names in `sources`; the first source is shown first. The other arguments are the fields of
-    `Shared`; without an `author`, names come from the browser, else the login. `port` 0 lets the system choose, and a
-    taken port becomes the next free. By default, `access` admits everybody on this machine, nobody else. `max_clients`
-    limits the open pages.
+    `Shared`, and those of `listen`; without an `author`, names come from the browser, else the login. By default,
+    `access` admits everybody on this machine, nobody else. `listening` is a server that was made by `listen` with these
+    arguments, by default a new one.
 
     InputError for a dataset without frames, or an unusable address.
     """
     for name, source in sources.items():
         require(source.dataset.frame_ids, f"the dataset {name} has no frames", path=source.dataset.root)
-    _check_address(host, port)
-    return_freed_memory()
-    store = FrameStore(sources, answering)
     access = access or Access.of(host)
-    shared = Shared(
-        store,
-        runs or {},
-        others or {},
-        labels or {},
-        journals or {},
-        author,
-        tuple(opened_by),
-        first_view,
-        dark,
-        access.open,
+    listening = listening or listen(access, host, port, dark, max_clients)
+    listening.shared.set_result(
+        Shared(
+            FrameStore(sources, answering),
+            runs or {},
+            others or {},
+            labels or {},
+            journals or {},
+            author,
+            tuple(opened_by),
+            first_view,
+            dark,
+            access.open,
+        )
     )
-    pages = Pages(shared, access, max_clients)
-    # In a notebook viser's own words are no lines of the standard output.
-    console = rich.get_console()
-    quiet, console.quiet = console.quiet, True
-    try:
-        with served_by(Site(access, pages, shared)), redirect_stdout(io.StringIO()):
-            server = viser.ViserServer(host=host, port=port, label="spatialviz", verbose=False)
-    except (OSError, RuntimeError) as error:
-        raise InputError(f"cannot listen on {host}:{port}", got=str(error)) from error
-    finally:
-        console.quiet = quiet
-    access.listens(server.get_port())
-    close_tunnels(server)
-    server.gui.configure_theme(dark_mode=dark is not False, show_logo=False, show_share_button=False)
-    server.scene.configure_environment_map(hdri=None)
-    server.scene.configure_default_lights(True, cast_shadow=False)
-    server.scene.world_axes.visible = False
-    pages.listen(server)
-    return server
-
-
-def _check_address(host: str, port: int) -> None:
-    """Reject an address foreign to this machine; viser would try a thousand ports."""
-    require(0 <= port <= 65535, "there is no such port", got=port, expected="0 to 65535")
-    try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host or None, 0, type=socket.SOCK_STREAM)[0]
-        with socket.socket(family, kind, protocol) as probe:
-            probe.bind(address)
-    except OSError as error:
-        raise InputError(
-            f"cannot listen on {host}", got=error.strerror or str(error), cause="is it an address of this machine?"
-        ) from error
+    return listening.server
 
 
 def serve(
@@ -138,6 +105,7 @@ def serve(
     access: Access | None = None,
     max_clients: int = MAX_CLIENTS,
     block: bool = True,
+    listening: Listening | None = None,
 ) -> viser.ViserServer | None:
     """Start the server, print the address, and wait for the end; without `block`, return the server instead."""
     access = access or Access.of(host)
@@ -155,6 +123,7 @@ def serve(
         dark=dark,
         access=access,
         max_clients=max_clients,
+        listening=listening,
     )
     announced = partial(announce, server, access, sources, host, port, open_browser)
     if not block:
@@ -170,9 +139,8 @@ def serve(
         # Products of a few numbers: a second thread costs more than it gains, at the expense of other clients.
         with one_thread():
             # What pages are made of is loaded while the browser starts.
-            import_module("spatialviz.app.session")
-            # Present objects stay: excluded from cyclic garbage collection.
-            gc.freeze()
+            with uncollected():
+                import_module("spatialviz.app.session")
             # Short sleeps: a signal delivered to another thread wakes no sleeper; it is seen at the next turn.
             while True:
                 time.sleep(SIGNAL_SECONDS)

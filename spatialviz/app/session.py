@@ -433,11 +433,12 @@ class PageSession(Part):
             self._correcting, self.state = correcting, replace(self.state, mode="off")
             # Questions belong to answers, not to labels.
             self.ctx.page.call("question", "" if correcting else self.state.text)
+        # What is largest is on its way while the rest is made.
+        self._cloud.follow()
         self._filling.fill()
         self._runs.follow()
         self._labels.follow()
         self._browse.follow()
-        self._cloud.follow()
         self._draw_scene()
         self.say_address()
 

@@ -10,6 +10,7 @@ import re
 import time
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable
+from concurrent.futures import Future
 from contextvars import ContextVar
 from functools import cached_property
 from importlib import resources
@@ -26,12 +27,12 @@ from pipeline.system.errors import InputError, require
 from pipeline.system.freed_memory import collect
 from spatialviz.app.access import KINDS, Access, response
 from spatialviz.app.channel import Hello, read
-from spatialviz.app.context import Shared
-from spatialviz.app.frames import IMAGES
+from spatialviz.app.kept_pictures import IMAGES
 from spatialviz.app.viser_socket import SceneConnection, scene_page, subprotocol
 from spatialviz.options import warn
 
 if TYPE_CHECKING:
+    from spatialviz.app.context import Shared
     from spatialviz.app.session import PageSession
 
 PAGE_ID: ContextVar[str] = ContextVar("page_id")
@@ -149,7 +150,7 @@ def new_session(page_id: str, shared: Shared) -> PageSession:
 class Pages:
     """Sessions by the page ids chosen by the browsers."""
 
-    def __init__(self, shared: Shared, access: Access, max_clients: int) -> None:
+    def __init__(self, shared: Future[Shared], access: Access, max_clients: int) -> None:
         self._shared, self._access, self._most = shared, access, max_clients
         self._sessions: dict[str, PageSession] = {}
         self._scenes: dict[str, Any] = {}
@@ -157,6 +158,10 @@ class Pages:
         self._gate = Gate(max_clients)
         self._logged = -LOGGED_SECONDS
         self._unsaid = 0
+
+    async def shared(self) -> Shared:
+        """What the pages show, once it is known."""
+        return await asyncio.shield(asyncio.wrap_future(self._shared))
 
     def listen(self, server: viser.ViserServer) -> None:
         """Attach the scenes of viser's clients to the pages."""
@@ -255,7 +260,7 @@ class Pages:
                 return None
             if connection.close_code is not None:
                 return None
-            session = self._sessions[page_id] = await asyncio.to_thread(new_session, page_id, self._shared)
+            session = self._sessions[page_id] = await asyncio.to_thread(new_session, page_id, await self.shared())
             return session
 
     async def _listen_to(self, connection: Any, session: PageSession) -> None:
@@ -290,7 +295,7 @@ class Pages:
             self._sessions.pop(key).close()
         if over:
             if not self._sessions:
-                self._shared.store.let_go()
+                self._shared.result().store.let_go()
             loop = asyncio.get_running_loop()
             loop.call_later(FORGOTTEN_SECONDS, loop.run_in_executor, None, collect)
 
@@ -306,13 +311,13 @@ class Pages:
 class Site:
     """Answers every request of a server."""
 
-    def __init__(self, access: Access, pages: Pages, shared: Shared) -> None:
-        self._access, self._pages, self._pictures = access, pages, shared.pictures
+    def __init__(self, access: Access, pages: Pages, dark: bool | None) -> None:
+        self._access, self._pages = access, pages
         self._waiting = 0
         static = resources.files("spatialviz.app") / "static"
         self._files = {f.name: f.read_bytes() for f in static.iterdir() if Path(f.name).suffix in KINDS}
-        if shared.dark is not None:
-            given = b"dark" if shared.dark else b"light"
+        if dark is not None:
+            given = b"dark" if dark else b"light"
             self._files["index.html"] = self._files["index.html"].replace(b'data-given=""', b'data-given="%s"' % given)
         self._scene_page = scene_page().replace("</title>", "</title>" + SCENE_STYLE, 1).encode()
 
@@ -338,7 +343,7 @@ class Site:
         if entered is not None:
             return entered
         if parts.path.startswith("/app/frame/"):
-            picture = await self._pictures.get(parts.path)
+            picture = await (await self._pages.shared()).pictures.get(parts.path)
             if picture is None:
                 return response(http.HTTPStatus.NOT_FOUND, b"no such picture\n")
             return response(http.HTTPStatus.OK, picture, ".jpg", {"Cache-Control": "private, max-age=600"})

@@ -35,7 +35,7 @@ from pipeline.system.encoded_pictures import jpeg_url
 from pipeline.system.errors import InputError
 from pipeline.system.whole_files import write_whole
 from spatialviz.app.answer import verdict_chip_of
-from spatialviz.app.frames import IMAGES
+from spatialviz.app.kept_pictures import IMAGES
 from spatialviz.app.markup import Element, h, note
 from spatialviz.app.scene import SceneView
 from spatialviz.app.scene_client import SceneClient, triple

@@ -211,7 +211,7 @@ def provenance_schema() -> pa.Schema:
 
 
 Turn = Literal["undo", "redo"]
-PAGE = 64
+PAGE = 16
 """Events that are read at first to know what may be taken back."""
 
 

@@ -42,6 +42,7 @@ class PairTables:
     clouds: tuple[np.ndarray, ...]  # tuple of (M, 3) float32: points along (right, up, forward)
     rows: np.ndarray  # (N, K) float64: what the network is given of each object; K is 0 for the rule
     scores: RelationScores  # Of PAIRWISE
+    profile: Profile
     scored: int  # How many unordered pairs were scored anew
 
 
@@ -61,7 +62,8 @@ def score_pairs(
 ) -> PairTables:
     """Score all relations of all ordered pairs.
 
-    `before`: scored by the same scorer, profile and viewer; pairs of two objects that are in it are taken from it.
+    `before`: scored by the same scorer and viewer; pairs of two objects that are in it are taken from it, or, where it
+    is of another profile and all objects are in it, what a network says of them.
     """
     objects = tuple(objects)
     n = len(objects)
@@ -76,18 +78,29 @@ def score_pairs(
         for o, k in zip(objects, old.tolist(), strict=True)
     )
     rows = _described(objects, fresh, old, viewer, frame, scorer, before)
-    new = np.triu((old < 0)[:, None] | (old < 0)[None, :], 1)
+    other = before is not None and before.profile != profile
+    new = np.triu((old < 0)[:, None] | (old < 0)[None, :] | other, 1)
     first, second = np.nonzero(new)
     if not isinstance(scorer, RuleScorer | OnnxScorer):
         # The thresholds of the rule are none of a scorer of one's own.
         scores = scorer.score([o.lifted for o in objects], viewer, appearance_of(objects, frame))
     elif before is None or len(first) > _WHOLE * n * (n - 1) / 2:
         states = pairwise_states(lo, hi, clouds, profile)
-        scores = combined(states, scorer.probabilities(rows) if isinstance(scorer, OnnxScorer) else None, scorer)
+        network = None
+        if isinstance(scorer, OnnxScorer):
+            said = None if before is None or not other or len(fresh) else before.scores.probabilities
+            network = scorer.probabilities(rows) if said is None else _of_vocabulary(said, old, scorer)
+        scores = combined(states, network, scorer)
     else:
         scores = _renewed(old, first, second, (lo, hi), clouds, rows, scorer, profile, before)
     index = {one: at for at, one in enumerate(identities)}
-    return PairTables(objects, index, lo, hi, clouds, rows, scores, len(first))
+    return PairTables(objects, index, lo, hi, clouds, rows, scores, profile, len(first))
+
+
+def _of_vocabulary(probabilities: np.ndarray, old: np.ndarray, network: OnnxScorer) -> np.ndarray:
+    """(N, N, V) float64: what a network has said of the objects `old`, from probabilities of PAIRWISE."""
+    heads = [PAIRWISE.index(relation) for relation in network.contract.vocabulary]
+    return probabilities[old[:, None], old][..., heads]
 
 
 def _described(

@@ -88,7 +88,7 @@ class Baseline:
         self.keys = {name: detection_keys(name, found) for name, found in self.found.items()}
         self._lock = RLock()
         self._shelves: defaultdict[str, OrderedDict[Hashable, Any]] = defaultdict(OrderedDict)
-        self.tables: dict[Hashable, PairTables] = {}
+        self.tables: dict[tuple[tuple[Any, ...], bool], PairTables] = {}
         self._most_objects = _MOST_KEPT["context"] * max(1, sum(len(keys) for keys in self.keys.values()))
         self.outcome = rerun(self, Edits())
 
@@ -316,8 +316,10 @@ def _tables(
     profile = replace(Profile(), **edits.profile)
     plain = not edits.boxes and not edits.masks and not edits.added
     kind = (context.config, edits.scorer, profile)
-    known = [t for t in (baseline.tables.get((kind, p)) for p in (False, True)) if t is not None]
     indices = {identity(o) for o in objects}
+    known = [t for t in (baseline.tables.get((kind, p)) for p in (False, True)) if t is not None]
+    # By other thresholds a network says the same of the same objects.
+    known = known or [t for (of, _), t in baseline.tables.items() if of[:2] == kind[:2] and indices <= t.index.keys()]
     before = max(known, key=lambda t: len(indices & t.index.keys()), default=None)
     tables = score_pairs(objects, context.viewer, context.frame, scorer, profile, before)
     widest = baseline.tables.get((kind, True))
