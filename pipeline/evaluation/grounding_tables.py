@@ -64,7 +64,7 @@ def clusters_of(records: Records) -> tuple[np.ndarray, str]:
 
 def coded_texts(records: Records, name: str) -> tuple[list[str | None], np.ndarray]:
     """Texts of a column in order, null as "None", and (N,) int64: the place of each row's among them."""
-    names, codes = text_codes(some_rows(records, None, [name]).column(0))
+    names, codes = text_codes(some_rows(records, None, [name], coded=True).column(0))
     order = sorted(range(len(names)), key=lambda k: str(names[k]))
     return [names[k] for k in order], np.argsort(np.array(order, np.int64))[codes]
 

@@ -132,10 +132,10 @@ class OtherColumn:
         return values.take(pa.array(np.cumsum(there) - 1, mask=~there))
 
 
-def some_rows(records: Records, rows: np.ndarray | None, names: Sequence[str]) -> pa.Table:
-    """Some columns of some rows ((K,) int, in any order), or of all; texts of a file as dictionaries."""
+def some_rows(records: Records, rows: np.ndarray | None, names: Sequence[str], coded: bool = False) -> pa.Table:
+    """Some columns of some rows ((K,) int, in any order), or of all; `coded` as of a `RecordsFile`."""
     if isinstance(records, RecordsFile):
-        return records.select(names, coded=True) if rows is None else records.take(rows, names, coded=True)
+        return records.select(names, coded) if rows is None else records.take(rows, names, coded)
     found = records.select(list(names))
     return found if rows is None else found.take(pa.array(rows))
 
@@ -154,7 +154,7 @@ def text_codes(column: Any) -> tuple[list[str | None], np.ndarray]:
 
 def texts_of(records: Records, name: str) -> np.ndarray:
     """Texts of a column, (N,) object; None for null."""
-    names, codes = text_codes(some_rows(records, None, [name]).column(0))
+    names, codes = text_codes(some_rows(records, None, [name], coded=True).column(0))
     return np.array([*names, None], object)[codes]
 
 

@@ -119,7 +119,8 @@ FIGURE_COLUMNS = tuple(
 
 def figure_rows(records: Records, rows: np.ndarray | None = None) -> pa.Table:
     """FIGURE_COLUMNS of all rows, or of some ((K,) int64)."""
-    return some_rows(records, rows, [name for name in FIGURE_COLUMNS if name in records.column_names])
+    names = [name for name in FIGURE_COLUMNS if name in records.column_names]
+    return some_rows(records, rows, names, coded=True)
 
 
 def dimension_named(name: str) -> Dimension:
@@ -155,7 +156,7 @@ def slice_by(
             cause = "it was made by an older release; run `eval` again"
             raise InputError(f"the run {system} cannot be cut by {cut.name}", cause=cause)
         read = dict.fromkeys((*MEASURES, "verdict", "right_with", cut.column))
-        rows = some_rows(records, None, [name for name in read if name in records.column_names])
+        rows = some_rows(records, None, [n for n in read if n in records.column_names], coded=True)
         clusters, unit = clusters_of(records)
         found += _sliced(system, rows, clusters, cut, config, most)
     return Slices(cut, tuple(found), unit)
@@ -243,7 +244,7 @@ YES_NO = ("yes", "no")
 def coded(records: Records, cut: Dimension, known: Sequence[str] = ()) -> Coded:
     """Code the values of a column; `known` values come first, an expression has several codes in a list column."""
     row = None
-    column = some_rows(records, None, [cut.column]).column(0)
+    column = some_rows(records, None, [cut.column], coded=True).column(0)
     if cut.edges:
         numbers = column.combine_chunks().cast("float64").to_numpy(zero_copy_only=False)
         # An edge means the number nearest to it that the column can hold, as in a search.
