@@ -19,7 +19,6 @@ from pipeline.evaluation.comparing import CHANGES, Comparison, answer_difference
 from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.leakage import Share, shares_of_run, with_caveats
 from pipeline.evaluation.place_reading import told_reading
-from pipeline.evaluation.records import read_records
 from pipeline.evaluation.records_file import open_records
 from pipeline.evaluation.relation_cases import RelationSpec, uses_language
 from pipeline.evaluation.run_figures import doubts_of
@@ -35,7 +34,6 @@ from pipeline.paper.systems import Referring, Vlm
 from pipeline.paper.tables import tables_of_folder, tables_of_run
 from pipeline.pictures.sheet import failures_sheet
 from pipeline.pictures.writing import check_target, write_picture
-from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
 from spatialviz.cli_runs import (
     EvalCommand,
@@ -207,7 +205,7 @@ def run_failures(command: FailuresCommand) -> int:
         check_target(command.sheet)
         with rate_bar("drawing", "failures") as advance:
             write_picture(failures_sheet(open_run(command.run_folder), command.search, advance), command.sheet)
-    second = None if command.compare is None else read_records(command.compare)
+    second = None if command.compare is None else open_records(command.compare)
     record, show = failures_of(command, open_records(command.run_folder), second)
     command.write(record, show)
     return FINE if record["found"] else NO
@@ -246,7 +244,7 @@ def _shown_boxes(answer: dict[str, list[float] | None]) -> str:
 
 
 def failures_of(
-    command: FailuresCommand, records: Records, second: pa.Table | None
+    command: FailuresCommand, records: Records, second: Records | None
 ) -> tuple[dict[str, Any], Callable[[dict[str, Any]], None]]:
     """Record of `failures --json` of a run (and of `--compare`), with a printer for people."""
     dimensions = [dimension_named(name) for name in (command.slices or "relation").split(",") if name.strip()]
@@ -261,7 +259,7 @@ def failures_of(
         figures = figure_rows(records)
         summary = summarise_run(figures)
         cuts = [slice_by({name: figures}, d, most=None if command.json else MOST_ROWS) for d in dimensions]
-    comparison = None if second is None else compare(records.select(records.column_names), second)
+    comparison = None if second is None else compare(records, second)
     doubts: tuple[str, ...] = ()
     with suppress(InputError):
         # A run of the first releases does not say what it was made of.

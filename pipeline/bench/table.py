@@ -3,7 +3,8 @@
     python -m pipeline.bench.table docs/bench.json README.md docs/*.md
 
 renews the table between `<!-- bench: table -->` and `<!-- bench: end -->`, and each figure that stands before a mark:
-`2.1<!-- bench: label.packed ratio -->`, or `value` or `floor`.
+`2.1<!-- bench: label.packed ratio -->`, or `value` or `floor`, or what is worked out of one, from left to right:
+`14.8<!-- bench: label.packed value / 3.6 -->`.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import re
 import sys
 from dataclasses import replace
+from operator import add, mul, sub, truediv
 from pathlib import Path
 
 from pipeline.bench.claims import BenchRun, SpeedClaim, read_bench
@@ -19,7 +21,8 @@ from pipeline.system.whole_files import write_whole
 
 HEAD = ("claim", "what", "figure", "beside", "its figure", "ratio", "promise", "kept")
 _TABLE = re.compile(r"(<!-- bench: table -->\n).*?(<!-- bench: end -->)", re.DOTALL)
-_FIGURE = re.compile(r"[\d.,]+(<!-- bench: ([\w.]+) (value|floor|ratio) -->)")
+_FIGURE = re.compile(r"[\d.,]+(<!-- bench: ([\w.]+) (value|floor|ratio)((?: [-+*/] [\d.]+)*) -->)")
+_SIGNS = {"+": add, "-": sub, "*": mul, "/": truediv}
 
 
 def shown(figure: float | None, unit: str = "") -> str:
@@ -74,7 +77,10 @@ def renewed(text: str, run: BenchRun) -> str:
 
     def figure(found: re.Match[str]) -> str:
         value = getattr(run.claim(found[2]), found[3], None)
-        return shown(needed(value, "the bench has no such figure", got=f"{found[2]} {found[3]}")) + found[1]
+        value = needed(value, "the bench has no such figure", got=f"{found[2]} {found[3]}")
+        for sign, number in re.findall(r"(\S) (\S+)", found[4]):
+            value = _SIGNS[sign](value, float(number))
+        return shown(value) + found[1]
 
     return _FIGURE.sub(figure, _TABLE.sub(lambda found: found[1] + markdown(run) + found[2], text))
 

@@ -326,16 +326,13 @@ def labelled_boxes(records: pa.Table, labels: Labels) -> np.ndarray:
 class RunRows:
     """The expressions of a run, by their numbers in its records.
 
-    `records`: a table, or those of `open_records`, read as they are asked for. `second`: records of a run to compare
-    with; then the first are a table too.
+    `records`, and `second` of a run to compare with: a table, or those of `open_records`, read as they are asked for.
 
     Raises InputError: the two have no expression in common, or the notes of the run cannot be read.
     """
 
-    def __init__(self, records: Records, folder: Path, second: pa.Table | None = None) -> None:
-        if second is not None:
-            records = with_second(records.select(records.column_names), second)
-        self._bare = records
+    def __init__(self, records: Records, folder: Path, second: Records | None = None) -> None:
+        self._bare = records if second is None else with_second(records, second)
         self._asked: Recent[Key, list[int]] = Recent(_ASKED)
         self.path = notes_path(folder)
         self.notes = read_notes(self.path)

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.grounding_tables import clusters_of, column
 from pipeline.evaluation.records import read_records
+from pipeline.evaluation.records_file import OtherColumn, RecordsFile, paired_rows, some_rows, texts_of
 from pipeline.evaluation.summary import has_verdicts
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT
@@ -19,6 +20,9 @@ from pipeline.metrics.intervals import Estimate, McNemar, mcnemar, mean_estimate
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
 from pipeline.system.safe_files import parse_json, read_text
+
+if TYPE_CHECKING:
+    from pipeline.evaluation.records_file import Records
 
 MEASURES = ("correct", "strict_correct", "set_correct", "reference_correct", "pair_correct")
 CHANGES = {
@@ -33,6 +37,8 @@ times by another target, another reference or a pair that is acceptable only onc
 verdict, or none of all this."""
 CHANGE, SECOND = "change", "second_"
 """The column that says what became of an expression, and what stands before the names of the second run's columns."""
+COMPARED = (*MEASURES, "matched_target", "matched_reference", "verdict", "right_with", "scene", "frame")
+"""Columns that comparisons read, of those that a run has."""
 SECOND_COLUMNS = ("verdict", "detail", "lucky", "said", "margin", "box", "reference_box")
 
 
@@ -74,42 +80,47 @@ class Comparison:
         }
 
 
-def compare(before: pa.Table, after: pa.Table, measure: str = "set_correct") -> Comparison:
+def compare(
+    before: Records, after: Records, measure: str = "set_correct", part: np.ndarray | None = None
+) -> Comparison:
     """Compare two runs by their common expressions.
 
-    `before`, `after`: records. `measure`: one of MEASURES.
+    `before`, `after`: records. `measure`: one of MEASURES. `part`: rows of `before` ((P,) int64) that count; what only
+    the run after has is no part of them.
 
     Raises InputError: they have no expression in common.
     """
-    shared = shared_rows(before, after)
-    require(len(shared[0]), "the two runs have no expression in common", cause="were they made with other labels?")
-    first, second = before.take(shared[0]), after.take(shared[1])
+    own, other = shared_rows(before, after)
+    if part is not None:
+        kept = np.isin(own, part)
+        own, other = own[kept], other[kept]
+    require(len(own), "the two runs have no expression in common", cause="were they made with other labels?")
+    first, second = (_compared(records, rows) for records, rows in ((before, own), (after, other)))
     clusters, _ = clusters_of(second)
     columns = {name: (column(first, name), column(second, name)) for name in MEASURES}
     differences = {name: mean_estimate(b, clusters, other=a) for name, (a, b) in columns.items()}
     tests = {name: mcnemar(b > 0, a > 0) for name, (a, b) in columns.items()}
     change = changes(first, second, measure)
     return Comparison(
-        first.num_rows,
-        before.num_rows - first.num_rows,
-        after.num_rows - first.num_rows,
+        len(own),
+        (before.num_rows if part is None else len(part)) - len(own),
+        after.num_rows - len(own) if part is None else 0,
         differences,
         tests,
-        _named(second, change == "fixed"),
-        _named(second, change == "broken"),
-        _named(second, change == "other_reason"),
+        *(_named(after, other[change == name]) for name in ("fixed", "broken", "other_reason")),
         measure,
         {name: int((change == name).sum()) for name in CHANGES},
         verdict_transitions(first, second),
     )
 
 
-def shared_rows(before: pa.Table, after: pa.Table) -> tuple[np.ndarray, np.ndarray]:
+def shared_rows(before: Records, after: Records) -> tuple[np.ndarray, np.ndarray]:
     """(K,) int64 twice: the rows of the same expressions in two runs, in the order of the run after."""
-    keys = [list(zip(t.column("frame").to_pylist(), t.column("id").to_pylist(), strict=True)) for t in (before, after)]
-    index = {key: k for k, key in enumerate(keys[0])}
-    own = np.array([index.get(key, -1) for key in keys[1]], np.int64)
-    return own[own >= 0], np.flatnonzero(own >= 0)
+    return paired_rows(before, after, ["frame", "id"])
+
+
+def _compared(records: Records, rows: np.ndarray) -> pa.Table:
+    return some_rows(records, rows, [name for name in COMPARED if name in records.column_names], coded=True)
 
 
 def changes(first: pa.Table, second: pa.Table, measure: str = "set_correct") -> np.ndarray:
@@ -120,14 +131,13 @@ def changes(first: pa.Table, second: pa.Table, measure: str = "set_correct") -> 
         # An object that is no labelled one has no index: two of them count as the same.
         same &= np.nan_to_num(column(first, name), nan=-1) == np.nan_to_num(column(second, name), nan=-1)
     judged = has_verdicts(first) and has_verdicts(second)
-    verdicts = [np.array(t.column("verdict").to_pylist() if judged else [], object) for t in (first, second)]
-    other = verdicts[0] != verdicts[1] if judged else False
+    other = texts_of(first, "verdict") != texts_of(second, "verdict") if judged else False
     return np.select(
         [~was & now, was & ~now, was & now & ~same, np.broadcast_to(other, was.shape)], list(CHANGES)[:4], "same"
     )
 
 
-def with_second(records: pa.Table, second: pa.Table, measure: str = "set_correct") -> pa.Table:
+def with_second(records: Records, second: Records, measure: str = "set_correct") -> Records:
     """Add `change` and the second run's columns (`second_verdict`, …) to a run's records; null without a counterpart.
 
     Raises InputError: they have no expression in common.
@@ -135,14 +145,16 @@ def with_second(records: pa.Table, second: pa.Table, measure: str = "set_correct
     own, other = shared_rows(records, second)
     require(len(own), "the two runs have no expression in common", cause="were they made with other labels?")
     change = np.full(records.num_rows, None, object)
-    change[own] = changes(records.take(own), second.take(other), measure)
+    change[own] = changes(_compared(records, own), _compared(second, other), measure)
     at = np.full(records.num_rows, -1, np.int64)
     at[own] = other
     index = pa.array(at, mask=at < 0)
     found = records.append_column(CHANGE, pa.array(change.tolist(), pa.string()))
     for name in SECOND_COLUMNS:
         if name in second.column_names:
-            found = found.append_column(f"{SECOND}{name}", second.column(name).take(index))
+            beside = OtherColumn(second, name, index)
+            whole = beside if isinstance(records, RecordsFile) else beside.take(pa.array(np.arange(records.num_rows)))
+            found = found.append_column(f"{SECOND}{name}", whole)
     return found
 
 
@@ -150,14 +162,14 @@ def verdict_transitions(before: pa.Table, after: pa.Table) -> dict[str, dict[str
     """Count expressions by verdict before and after, row by row; None without verdicts."""
     if not (has_verdicts(before) and has_verdicts(after)):
         return None
-    pairs = zip(before.column("verdict").to_pylist(), after.column("verdict").to_pylist(), strict=True)
+    pairs = zip(texts_of(before, "verdict").tolist(), texts_of(after, "verdict").tolist(), strict=True)
     counts = Counter((a, b) for a, b in pairs if a is not None and b is not None)
     found = {a: {b: counts[a, b] for b in VERDICTS if counts[a, b]} for a in VERDICTS}
     return {a: line for a, line in found.items() if line}
 
 
-def _named(records: pa.Table, chosen: np.ndarray) -> tuple[dict[str, Any], ...]:
-    return tuple(records.select(["id", "frame", "text", "relation"]).take(np.flatnonzero(chosen)).to_pylist())
+def _named(records: Records, rows: np.ndarray) -> tuple[dict[str, Any], ...]:
+    return tuple(some_rows(records, rows, ["id", "frame", "text", "relation"]).to_pylist())
 
 
 Boxes = tuple[list[float] | None, list[float] | None]

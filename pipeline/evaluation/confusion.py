@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.evaluation.records_file import some_rows, text_codes
 from pipeline.labels.reading import Labels
 from pipeline.labels.statistics import add_views, quoted
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.metrics.tables import Row, Table
 from pipeline.relations.relations import F, T, U
-from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
 from pipeline.system.sql import bounded_database
+
+if TYPE_CHECKING:
+    from pipeline.evaluation.records_file import Records
 
 UNDECIDED, NOTHING, UNJUDGED, UNLABELLED, NO_ANSWER = "in doubt", "none", "not judged", "no such objects", "no answer"
 OTHERS = (UNDECIDED, NOTHING, UNJUDGED, UNLABELLED, NO_ANSWER)
@@ -77,7 +80,7 @@ class Standings:
         return [columns[k] for k in self.cell.tolist()]
 
 
-def answer_standings(records: pa.Table, labels: Labels, content_hash: str | None = None) -> Standings:
+def answer_standings(records: Records, labels: Labels, content_hash: str | None = None) -> Standings:
     """Relation between the two objects of each answer by their labels; see `count_standings`.
 
     `labels`: the labels that the run was made with. `content_hash`: of their expressions when the run was made; other
@@ -91,17 +94,17 @@ def answer_standings(records: pa.Table, labels: Labels, content_hash: str | None
         path=labels.root,
     )
     names = tuple(r for r in PAIRWISE if r in labels.relation_names)
-    asked = np.array(records.column("relation").to_pylist(), object)
-    for name in sorted(set(asked.tolist())):
+    asked, meant = text_codes(some_rows(records, None, ["relation"], coded=True).column(0))
+    for name in sorted(map(str, asked)):
         require(name in names, "the run asks for a relation that the labels do not have", got=name, path=labels.root)
     index, states, margins = _pairs_of_answers(records, labels, names)
     answered = records.column("box").is_valid().to_numpy(zero_copy_only=False)
-    matched = np.ones(len(asked), np.bool_)
+    matched = np.ones(records.num_rows, np.bool_)
     for name in ("matched_target", "matched_reference"):
         matched &= records.column(name).is_valid().to_numpy(zero_copy_only=False)
     other = {name: len(names) + k for k, name in enumerate(OTHERS)}
-    meant = np.array([names.index(r) for r in asked.tolist()], np.int64)
-    cell = np.full(len(asked), other[NO_ANSWER], np.int64)
+    meant = np.array([names.index(str(r)) for r in asked], np.int64)[meant]
+    cell = np.full(records.num_rows, other[NO_ANSWER], np.int64)
     cell[answered] = other[UNLABELLED]
     cell[answered & matched] = other[UNJUDGED]
     cell[index] = stands_in(states, margins, meant[index], other[UNDECIDED], other[NOTHING])
@@ -142,7 +145,7 @@ def stands_in(states: np.ndarray, margins: np.ndarray, meant: np.ndarray, undeci
 
 
 def _pairs_of_answers(
-    records: pa.Table, labels: Labels, names: tuple[str, ...]
+    records: Records, labels: Labels, names: tuple[str, ...]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(P,) rows of answers with a judged pair, their (P, R) states and (P, R) margins."""
     import duckdb

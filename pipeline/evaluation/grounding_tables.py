@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.answering.ask import AskConfig
 from pipeline.answering.pipeline import Pipeline
 from pipeline.evaluation.leakage import Share, rank, title_of, with_caveats
+from pipeline.evaluation.records_file import some_rows, text_codes
 from pipeline.labels.cases import HIT
 from pipeline.labels.reading import Labels, read_table
 from pipeline.language.relation_names import PAIRWISE, PHRASE
@@ -18,6 +19,9 @@ from pipeline.metrics.intervals import BootstrapConfig, Estimate, McNemar, mcnem
 from pipeline.metrics.tables import NOTHING_SHARED, Row, Table, in_blocks
 from pipeline.proposals.score_calibration import ScoreCalibration
 from pipeline.system.arrow import pa
+
+if TYPE_CHECKING:
+    from pipeline.evaluation.records_file import Records
 
 ACCURACIES = {"Acc@0.5 single truth": "iou", "strict set": "strict_iou", "set-valued": "set_iou"}
 COLUMNS = (*ACCURACIES, "only with the relation", "only by OPM alone", "McNemar p", "n")
@@ -49,25 +53,20 @@ def column(records: pa.Table, name: str) -> np.ndarray:
     return np.asarray(found, np.float64)
 
 
-def clusters_of(records: pa.Table) -> tuple[np.ndarray, str]:
-    """Clusters for intervals: the scene of each row; the frame in a run of one scene."""
-    codes, unit = cluster_codes(records)
-    return np.array([str(name) for name in coded_texts(records, unit)[0]])[codes], unit
+def clusters_of(records: Records) -> tuple[np.ndarray, str]:
+    """Clusters for intervals, (N,) int64: the scene of each row; the frame in a run of one scene; and what they are.
 
-
-def cluster_codes(records: pa.Table) -> tuple[np.ndarray, str]:
-    """Clusters as (N,) int64: places in the order of their names; and what they are."""
+    They are places in the order of the names.
+    """
     scenes, codes = coded_texts(records, "scene")
     return (codes, "scene") if len(scenes) > 1 else (coded_texts(records, "frame")[1], "frame")
 
 
-def coded_texts(records: pa.Table, name: str) -> tuple[list[str | None], np.ndarray]:
+def coded_texts(records: Records, name: str) -> tuple[list[str | None], np.ndarray]:
     """Texts of a column in order, null as "None", and (N,) int64: the place of each row's among them."""
-    coded = records.column(name).combine_chunks().dictionary_encode(null_encoding="encode")
-    names = coded.dictionary.to_pylist()
+    names, codes = text_codes(some_rows(records, None, [name], coded=True).column(0))
     order = sorted(range(len(names)), key=lambda k: str(names[k]))
-    places = np.argsort(np.array(order, np.int64))
-    return [names[k] for k in order], places[coded.indices.to_numpy()] if len(coded) else np.zeros(0, np.int64)
+    return [names[k] for k in order], np.argsort(np.array(order, np.int64))[codes]
 
 
 def full_row(name: str, records: pa.Table, config: BootstrapConfig | None = None) -> Row:

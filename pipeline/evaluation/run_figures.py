@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from typing import Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 
@@ -13,19 +13,20 @@ from pipeline.datasets.base import load_picture
 from pipeline.diagnosis.story_words import Tone
 from pipeline.diagnosis.verdict import RULES_VERSION, Diagnosis
 from pipeline.evaluation.browsing import RunRows, completions, labelled_boxes
-from pipeline.evaluation.comparing import Comparison, compare, shared_rows
+from pipeline.evaluation.comparing import Comparison, compare
 from pipeline.evaluation.confusion import Confusion, Standings, answer_standings, count_standings
-from pipeline.evaluation.records_file import open_records
 from pipeline.evaluation.row_stories import row_head
 from pipeline.evaluation.run_folder import Run
 from pipeline.evaluation.run_names import told_apart
 from pipeline.evaluation.search import Field
-from pipeline.evaluation.slices import Slices, slice_by
+from pipeline.evaluation.slices import Slices, figure_rows, slice_by
 from pipeline.evaluation.summary import RunSummary, summarise_run
-from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
 from pipeline.system.recent import Recent
 from pipeline.system.version import __version__
+
+if TYPE_CHECKING:
+    from pipeline.evaluation.records_file import Records
 
 STANDS_IN = "stands_in"
 """The column, and the field of a search, that says in which relation an answer stands."""
@@ -73,19 +74,22 @@ class Listing:
 
 
 class FoundFigures:
-    """Figures of some expressions of a run; each is made when it is first read, or says why it cannot be."""
+    """Figures of some expressions of a run ((K,) int64, rising), or of all; each is made when it is first read, or says
+    why it cannot be."""
 
     def __init__(
-        self, run: Run, records: pa.Table, second: Run | None, standings: Callable[[], Standings | str]
+        self, run: Run, second: Run | None, standings: Callable[[], Standings | str], rows: np.ndarray | None = None
     ) -> None:
-        self.run, self.records, self.second = run, records, second
-        self._standings = standings
+        self.run, self.second = run, second
+        self.columns = run.on_file.column_names
+        self.count = run.on_file.num_rows if rows is None else len(rows)
+        self._rows, self._standings = rows, standings
         self._slices: dict[str, Slices | str] = {}
 
     @cached_property
     def summary(self) -> RunSummary | str:
         """Verdicts and costs of modules."""
-        return _or_why(lambda: summarise_run(self.records))
+        return _or_why(lambda: summarise_run(figure_rows(self.run.on_file, self._rows)))
 
     @cached_property
     def names(self) -> tuple[str, str] | None:
@@ -96,19 +100,17 @@ class FoundFigures:
     def comparison(self) -> Comparison | str | None:
         """Changes by the second run."""
         other = self.second
-        return None if other is None else _or_why(lambda: self._compared(other.records))
-
-    def _compared(self, second: pa.Table) -> Comparison:
-        # Of a part, what only the second run has is no part of it.
-        part = self.records.num_rows < self.run.records.num_rows
-        return compare(self.records, second.take(shared_rows(self.records, second)[1]) if part else second)
+        return None if other is None else _or_why(lambda: compare(self.run.on_file, other.on_file, part=self._rows))
 
     def slices(self, dimension: str) -> Slices | str:
         """Slices by a dimension; the most frequent values of texts."""
         if dimension not in self._slices:
-            of_run = {self.run.name: self.records}
-            self._slices[dimension] = _or_why(lambda: slice_by(of_run, dimension, most=MOST_SHOWN))
+            self._slices[dimension] = _or_why(lambda: slice_by({self.run.name: self._some}, dimension, most=MOST_SHOWN))
         return self._slices[dimension]
+
+    @property
+    def _some(self) -> Records:
+        return self.run.on_file if self._rows is None else figure_rows(self.run.on_file, self._rows)
 
     @cached_property
     def confusion(self) -> Confusion | str:
@@ -126,15 +128,14 @@ class RunFigures(FoundFigures):
     """
 
     def __init__(self, run: Run, second: Run | None) -> None:
-        super().__init__(run, run.records, second, lambda: self.standings)
+        super().__init__(run, second, lambda: self.standings)
         require(
-            "verdict" in run.records.column_names,
+            "verdict" in self.columns,
             "the run has no verdicts",
             cause="made by an earlier release? run `eval` again",
             path=run.folder,
         )
-        rows = open_records(run.folder) if second is None else run.records
-        self.rows = RunRows(rows, run.folder, None if second is None else second.records)
+        self.rows = RunRows(run.on_file, run.folder, None if second is None else second.on_file)
         self._frames: Recent[str, np.ndarray] = Recent(FRAMES)
         self._recorded: Recent[int, tuple[Recorded | None]] = Recent(FRAMES)
         self._parts: Recent[bytes, FoundFigures] = Recent(PARTS)
@@ -142,21 +143,20 @@ class RunFigures(FoundFigures):
     def of(self, found: np.ndarray) -> FoundFigures:
         """Figures of some of its rows ((F,) int64, in any order)."""
         rows = np.sort(found)
-        if len(rows) == self.records.num_rows:
+        if len(rows) == self.count:
             return self
 
         def standings() -> Standings | str:
             found = self.standings
             return found if isinstance(found, str) else found.take(rows)
 
-        return self._parts.get(
-            rows.tobytes(), lambda: FoundFigures(self.run, self.records.take(pa.array(rows)), self.second, standings)
-        )
+        return self._parts.get(rows.tobytes(), lambda: FoundFigures(self.run, self.second, standings, rows))
 
     @cached_property
     def counts(self) -> dict[tuple[str, str | None], int]:
         """Number of answers by verdict and detail."""
-        told = self.run.records.group_by(["verdict", "detail"]).aggregate([([], "count_all")]).to_pylist()
+        rows = self.run.on_file.select(["verdict", "detail"])
+        told = rows.group_by(["verdict", "detail"]).aggregate([([], "count_all")]).to_pylist()
         return {(row["verdict"], row["detail"]): row["count_all"] for row in told}
 
     @cached_property
@@ -164,7 +164,7 @@ class RunFigures(FoundFigures):
         """Relation in which each answer stands; makes rows searchable by it."""
         run = self.run
         made_with = (run.manifest.get("labels") or {}).get("content_hash")
-        found = _or_why(lambda: answer_standings(run.records, run.labels, made_with))
+        found = _or_why(lambda: answer_standings(run.on_file, run.labels, made_with))
         if not isinstance(found, str):
             self.rows.add_column(STANDS_IN, found.column())
         return found
@@ -177,7 +177,7 @@ class RunFigures(FoundFigures):
 
     @cached_property
     def _labelled(self) -> np.ndarray | str:
-        return _or_why(lambda: labelled_boxes(self.run.records, self.run.labels))
+        return _or_why(lambda: labelled_boxes(self.run.on_file, self.run.labels))
 
     def recorded(self, number: int) -> Recorded | None:
         """Verdict of a row; None for a row without."""

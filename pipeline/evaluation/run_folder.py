@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, overload
+from typing import TYPE_CHECKING, Any, overload
 
 from pydantic import TypeAdapter
 
@@ -26,7 +26,7 @@ from pipeline.diagnosis.verdict import VERDICTS, shown_verdict
 from pipeline.evaluation.browsing import RunRows
 from pipeline.evaluation.leakage import Share, shares_of_run
 from pipeline.evaluation.records import read_records
-from pipeline.evaluation.records_file import open_records
+from pipeline.evaluation.records_file import open_records, texts_of
 from pipeline.evaluation.search import find_failures
 from pipeline.evaluation.systems import OWN, EvalSpec
 from pipeline.labels.reading import Labels, open_labels, read_table
@@ -42,6 +42,9 @@ from pipeline.system.remote import is_url, local_path, named_before
 from pipeline.system.safe_files import enter, read_json, read_text
 from pipeline.system.sql import QueryDatabase
 from pipeline.system.whole_files import scratch_folder
+
+if TYPE_CHECKING:
+    from pipeline.evaluation.records_file import Records
 
 RUN_FILE = "run.json"
 """The manifest of a run; a folder that holds it may be overwritten by another run."""
@@ -157,9 +160,9 @@ class Run(InNotebook):
     @cached_property
     def verdicts(self) -> dict[str, int]:
         """How many expressions have each verdict, in the order of VERDICTS; empty for a run without any."""
-        if "verdict" not in self.records.column_names:
+        if "verdict" not in self.on_file.column_names:
             return {}
-        counts = Counter(self.records.column("verdict").to_pylist())
+        counts = Counter(texts_of(self.on_file, "verdict").tolist())
         return {name: counts[name] for name in VERDICTS if counts[name]}
 
     @cached_property
@@ -174,9 +177,14 @@ class Run(InNotebook):
         return read_records(self.folder)
 
     @cached_property
+    def on_file(self) -> Records:
+        """The same, read as they are asked for; raises as `open_records`."""
+        return open_records(self.folder)
+
+    @cached_property
     def frame_counts(self) -> dict[str, tuple[int, int]]:
         """By frame, how many expressions are answered right, by any of the acceptable answers, and how many are not."""
-        table = self.records.select(["frame", "set_correct"]).group_by("frame", use_threads=False)
+        table = self.on_file.select(["frame", "set_correct"]).group_by("frame", use_threads=False)
         table = table.aggregate([("set_correct", "sum"), ("set_correct", "count")])
         frames, right, all_ = (table.column(c).to_pylist() for c in ("frame", "set_correct_sum", "set_correct_count"))
         return {f: (r or 0, n - (r or 0)) for f, r, n in zip(frames, right, all_, strict=True)}
@@ -205,9 +213,7 @@ class Run(InNotebook):
         InputError
             The search cannot be read, or the run has no verdicts.
         """
-        return Failures(
-            search, find_failures(RunRows(open_records(self.folder), self.folder).records, search), self.answer
-        )
+        return Failures(search, find_failures(RunRows(self.on_file, self.folder).records, search), self.answer)
 
     def answer(self, frame: str, expression: str) -> Answer:
         """Answer an expression of the labels by id, with the run's models now, judged as in the run.
@@ -388,7 +394,7 @@ def open_database(run: Path) -> Iterator[QueryDatabase]:
             read_table(root / f"{name}.parquet", name, [])
     moved = f", and the labels of this run are not at {root}" if len(tables) == 1 else ""
     with scratch_folder() as spill:
-        database = QueryDatabase(tables, (RECORDS,), spill, f"there is {', '.join(tables)}{moved}")
+        database = QueryDatabase(tables, spill, f"there is {', '.join(tables)}{moved}")
         try:
             yield database
         finally:

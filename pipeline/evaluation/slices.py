@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from pipeline.diagnosis.verdict import VERDICTS, shown_verdicts
-from pipeline.evaluation.grounding_tables import cluster_codes, coded_texts, column
-from pipeline.evaluation.records_file import some_rows
+from pipeline.evaluation.grounding_tables import clusters_of, coded_texts
+from pipeline.evaluation.records_file import some_rows, text_codes
 from pipeline.evaluation.search import quote
 from pipeline.evaluation.summary import has_verdicts
 from pipeline.language.relation_names import PAIRWISE, PHRASE
@@ -120,7 +120,7 @@ FIGURE_COLUMNS = tuple(
 def figure_rows(records: Records, rows: np.ndarray | None = None) -> pa.Table:
     """FIGURE_COLUMNS of all rows, or of some ((K,) int64)."""
     names = [name for name in FIGURE_COLUMNS if name in records.column_names]
-    return records.select(names) if rows is None else some_rows(records, rows, names)
+    return some_rows(records, rows, names, coded=True)
 
 
 def dimension_named(name: str) -> Dimension:
@@ -156,8 +156,8 @@ def slice_by(
             cause = "it was made by an older release; run `eval` again"
             raise InputError(f"the run {system} cannot be cut by {cut.name}", cause=cause)
         read = dict.fromkeys((*MEASURES, "verdict", "right_with", cut.column))
-        rows = records.select([name for name in read if name in records.column_names])
-        clusters, unit = cluster_codes(records)
+        rows = some_rows(records, None, [n for n in read if n in records.column_names], coded=True)
+        clusters, unit = clusters_of(records)
         found += _sliced(system, rows, clusters, cut, config, most)
     return Slices(cut, tuple(found), unit)
 
@@ -174,34 +174,52 @@ def _sliced(
         return []
     judged = has_verdicts(records)
     found = coded(records, cut)
-    # (C, V, M): of each cluster and value how many expressions, and how many of each kind.
-    shape = int(index.max()) + 1, len(found.parts)
-    cell = index * shape[1] + found.code
-    # Null is not true.
-    flags = [column(records, m) == 1 if judged or m != "lucky" else np.zeros(len(index), np.bool_) for m in MEASURES]
-    kinds = [np.bincount(cell, minlength=shape[0] * shape[1])]
-    kinds += [np.bincount(cell[flag], minlength=shape[0] * shape[1]) for flag in flags]
-    names, verdict = coded_texts(records, "verdict") if judged else ([], np.zeros(0, np.int64))
-    of_verdicts = np.zeros((shape[0] * shape[1], len(VERDICTS)), np.int64)
-    place = np.array([VERDICTS.index(v) if v in VERDICTS else len(VERDICTS) for v in names], np.int64)
+    values = len(found.parts)
+    cell = index * values + found.code
+    # Of many scenes and frames few meet.
+    if (cells := (int(index.max()) + 1) * values) > len(index):
+        meeting, cell = np.unique(cell, return_inverse=True)
+    else:
+        meeting = np.arange(cells)
+    # (M, K): of each cluster and value that meet how many expressions, and how many of each kind.
+    kinds = [np.bincount(cell, minlength=len(meeting))]
+    kinds += [np.bincount(cell[_flag(records, m, judged)], minlength=len(meeting)) for m in MEASURES]
+    of_verdicts = np.zeros((len(meeting), len(VERDICTS)), np.int64)
     if judged:
+        names, verdict = coded_texts(records, "verdict")
+        place = np.array([VERDICTS.index(v) if v in VERDICTS else len(VERDICTS) for v in names], np.int64)
         width = len(VERDICTS) + 1
-        of_verdicts = np.bincount(cell * width + place[verdict], minlength=len(of_verdicts) * width)
+        of_verdicts = np.bincount(cell * width + place[verdict], minlength=len(meeting) * width)
         of_verdicts = of_verdicts.reshape(-1, width)[:, :-1]
-    sums = np.concatenate([np.stack(kinds, axis=1), of_verdicts], axis=1).reshape(*shape, -1).astype(float)
-    counts, names, queries = sums.sum(axis=0), [n for n, _ in found.parts], [q for _, q in found.parts]
-    order = [k for k in range(shape[1]) if counts[k, 0]]
+    sums = np.concatenate([np.stack(kinds, axis=1), of_verdicts], axis=1)
+    cluster, value = np.divmod(meeting, values)
+    by_value = np.argsort(value, kind="stable")
+    ends = np.cumsum(np.bincount(value, minlength=values))
+    own = [rows.astype(float) for rows in np.split(sums[by_value], ends[:-1])]
+    counts = np.stack([rows.sum(axis=0) for rows in own])
+    names, queries = [n for n, _ in found.parts], [q for _, q in found.parts]
+    order = [k for k in range(values) if counts[k, 0]]
     if not cut.edges and cut.order == "count":
         order.sort(key=lambda k: (found.keys[k] is None, -counts[k, 0], names[k]))
-    parts: list[tuple[str, str | None, np.ndarray]] = [(names[k], queries[k], sums[:, k]) for k in order]
+    parts: list[tuple[str, str | None, np.ndarray]] = [(names[k], queries[k], own[k]) for k in order]
     if most is not None and not cut.edges and len(order) > most:
         ranked = sorted(order, key=lambda k: (-counts[k, 0], names[k]))
         kept, rest = set(ranked[:most]), ranked[most:]
         parts = [part for k, part in zip(order, parts, strict=True) if k in kept]
-        parts.append((f"{len(rest)} others", None, sums[:, rest].sum(axis=1)))
+        left = np.isin(value, rest)
+        together = np.zeros((int(index.max()) + 1, sums.shape[1]))
+        np.add.at(together, cluster[left], sums[left])
+        parts.append((f"{len(rest)} others", None, together))
     occurring = [v for v, n in zip(VERDICTS, counts[:, 1 + len(MEASURES) :].sum(axis=0), strict=True) if n]
     kinds = shown_verdicts(occurring) if judged else ()
     return [_slice(system, *part, kinds, config) for part in parts]
+
+
+def _flag(records: pa.Table, measure: str, judged: bool) -> np.ndarray:
+    """(N,) bool: null is not true, and nothing is lucky without verdicts."""
+    if measure == "lucky" and not judged:
+        return np.zeros(records.num_rows, np.bool_)
+    return records.column(measure).cast("bool").combine_chunks().fill_null(False).to_numpy(zero_copy_only=False)
 
 
 @dataclass(frozen=True)
@@ -226,9 +244,9 @@ YES_NO = ("yes", "no")
 def coded(records: Records, cut: Dimension, known: Sequence[str] = ()) -> Coded:
     """Code the values of a column; `known` values come first, an expression has several codes in a list column."""
     row = None
-    column = records.column(cut.column).combine_chunks()
+    column = some_rows(records, None, [cut.column], coded=True).column(0)
     if cut.edges:
-        numbers = column.cast("float64").to_numpy(zero_copy_only=False)
+        numbers = column.combine_chunks().cast("float64").to_numpy(zero_copy_only=False)
         # An edge means the number nearest to it that the column can hold, as in a search.
         code = np.searchsorted(np.array(cut.edges, np.float32).astype(np.float64), numbers, side="right")
         keys: list[Any] = [*range(len(cut.edges) + 1), -1]
@@ -236,16 +254,15 @@ def coded(records: Records, cut: Dimension, known: Sequence[str] = ()) -> Coded:
         return Coded(cut, keys, tuple(part_of(cut, k) for k in keys), row, code.astype(np.min_scalar_type(len(keys))))
     several = "list" in str(column.type)
     if several:
-        row = np.repeat(np.arange(len(column)), np.diff(column.offsets.to_numpy()))
-        column = column.flatten()
+        lists = column.combine_chunks()
+        row = np.repeat(np.arange(len(lists)), np.diff(lists.offsets.to_numpy()))
+        column = pa.chunked_array([lists.flatten()])
     elif str(column.type) == "bool":
         column = pc.if_else(column, *YES_NO)  # pyright: ignore[reportAttributeAccessIssue]
-    encoded = column.cast("string").dictionary_encode(null_encoding="encode")
-    keys = encoded.dictionary.to_pylist()
+    keys, codes = text_codes(column)
     rank = {name: k for k, name in enumerate(known or (PAIRWISE if cut.order == "relation" else ()))}
     order = sorted(range(len(keys)), key=lambda k: (keys[k] is None, rank.get(keys[k], len(rank)), str(keys[k])))
-    places = np.argsort(order).astype(np.min_scalar_type(len(order)))
-    place = places[encoded.indices.to_numpy(zero_copy_only=False)]
+    place = np.argsort(order).astype(np.min_scalar_type(len(order)))[codes]
     operator = ":" if several or known else "="
     parts = tuple(part_of(cut, keys[k], operator) for k in order)
     return Coded(cut, [keys[k] for k in order], parts, row, place)

@@ -217,6 +217,7 @@ class RecordedDetector:
         self._files = (self.path,) if key is None else (self.path, key)
         self._meanings: dict[str, tuple[str, ...]] = {}
         self._last: Playback | None = None
+        self._hashed: tuple[list[tuple[int, int, int]], str] = [], ""
 
     @property
     def vocabulary(self) -> tuple[str, ...] | None:
@@ -234,9 +235,14 @@ class RecordedDetector:
         return tuple(sorted(names))
 
     def fingerprint(self) -> str:
+        states = [path.stat() for path in self._files]
+        seen = [(state.st_ino, state.st_size, state.st_mtime_ns) for state in states]
+        if self._hashed[0] != seen:
+            # Asked for each name of each frame: to look at all files of a folder takes longer than an answer.
+            contents = ":".join(f"{path.resolve().name}:{contents_hash(path)}" for path in self._files)
+            self._hashed = seen, contents
         maker = "" if self.made_by is None else f"<{self.made_by}"
-        contents = ":".join(f"{path.resolve().name}:{contents_hash(path)}" for path in self._files)
-        return f"recorded:{contents}:{self.min_score}{maker}"
+        return f"recorded:{self._hashed[1]}:{self.min_score}{maker}"
 
     def assumed(self) -> list[str]:
         """Assumptions so far, a sentence each: scores that the file lacks, and names that it has cut."""

@@ -14,7 +14,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +22,6 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from pipeline.system.errors import InputError, kind_and_text, require
 from pipeline.system.limits import LIMITS_OPTION, current_limits, shown, shown_above
-from pipeline.system.safe_files import read_parquet
 from pipeline.system.whole_files import scratch_folder
 
 if sys.platform == "linux":
@@ -85,12 +84,12 @@ class QueryRows:
 class QueryDatabase:
     """Parquet files as views for strangers' SELECTs, which a process of its own answers.
 
-    `tables`: files by the names of the views. `held`: those that are read into memory. `spill`: folder for the
-    overflow. `lacking`: cause that is said where a query names another view.
+    `tables`: files by the names of the views. `spill`: folder for the overflow. `lacking`: cause that is said where a
+    query names another view.
     """
 
-    def __init__(self, tables: Mapping[str, Path], held: Collection[str], spill: Path, lacking: str) -> None:
-        self.tables, self.held, self.spill, self.lacking = dict(tables), tuple(held), spill, lacking
+    def __init__(self, tables: Mapping[str, Path], spill: Path, lacking: str) -> None:
+        self.tables, self.spill, self.lacking = dict(tables), spill, lacking
         self._process: subprocess.Popen[bytes] | None = None
         self._last = object()
 
@@ -127,7 +126,7 @@ class QueryDatabase:
                 stderr=subprocess.DEVNULL,
             )
             assert self._process.stdin is not None
-            pickle.dump((self.tables, self.held, str(self.spill)), self._process.stdin)
+            pickle.dump((self.tables, str(self.spill)), self._process.stdin)
         return self._process
 
     def _answer(self, question: Question, left: float, allowed: float) -> tuple[Any, float]:
@@ -220,8 +219,8 @@ def _send(out: BinaryIO, answer: tuple[str, Any]) -> None:
     out.flush()
 
 
-def _opened(tables: Mapping[str, Path], held: Collection[str], spill: str) -> duckdb.DuckDBPyConnection:
-    """Database of Parquet files as views, some held in memory, without access to anything else."""
+def _opened(tables: Mapping[str, Path], spill: str) -> duckdb.DuckDBPyConnection:
+    """Database of Parquet files as views without access to anything else."""
     import duckdb
     from pyarrow import dataset
 
@@ -229,7 +228,7 @@ def _opened(tables: Mapping[str, Path], held: Collection[str], spill: str) -> du
     for name, path in tables.items():
         # Arrow reads these files, piece by piece: DuckDB needs leave for no path, since a path that it may read is one
         # that it may write, by a COPY within a SELECT.
-        connection.register(name, read_parquet(path) if name in held else dataset.dataset(path, format="parquet"))
+        connection.register(name, dataset.dataset(path, format="parquet"))
     for setting in _TURNED_OFF:
         with suppress(duckdb.CatalogException):
             connection.execute(f"SET {setting} = false")

@@ -44,7 +44,7 @@ class Sample:
     @property
     def said(self) -> str:
         """How many expressions, in words."""
-        count = self.figures.records.num_rows
+        count = self.figures.count
         return f"the {count:,} found" if self.query else f"all {count:,}"
 
     def finds(self, query: str) -> dict[str, str]:
@@ -55,7 +55,7 @@ class Sample:
 def summary_html(of: Sample) -> Element:
     """Losses of accuracy, and the verdicts with confidence intervals; of the whole run, or of what is found."""
     summary, run = of.figures.summary, of.figures.run
-    total = run.records.num_rows
+    total = run.on_file.num_rows
     choice: Child = h.span(counted(total, "expression"))
     if 0 < of.found < total:
         choices = {"all": f"all {total:,}", "found": f"{of.found:,} found"}
@@ -105,7 +105,7 @@ def _waterfall(of: Sample, summary: RunSummary) -> tuple[Child, ...]:
     queries = {
         "PARSE": "verdict:PARSE",
         "residual": f"verdict:{causes or 'LABEL'}",
-        "unknown": f"{FAILURES} -untold:none" if "untold" in of.figures.records.column_names else FAILURES,
+        "unknown": f"{FAILURES} -untold:none" if "untold" in of.figures.columns else FAILURES,
     }
     for name, e in shares.items():
         said = f"{_named(name)}: {hint(_named(name) if name == 'unknown' else name)}"

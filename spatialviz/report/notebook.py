@@ -18,6 +18,7 @@ from pipeline.diagnosis.oracles import shown_oracle
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.evaluation.plots import LOSS_COLORS
 from pipeline.evaluation.run_folder import Failure, Failures, Run
+from pipeline.evaluation.slices import figure_rows
 from pipeline.evaluation.summary import cost_words, summarise_run
 from pipeline.geometry.palette import ON_LIGHT, VERDICTS, hex_color
 from pipeline.language.counted import counted
@@ -139,8 +140,7 @@ def _pairs(name: Callable[[int], str], pairs: Sequence[ScoredPair]) -> Element:
 
 
 def _run(run: Run) -> Element:
-    records = run.records
-    summary = summarise_run(records) if run.verdicts else None
+    summary = summarise_run(figure_rows(run.on_file)) if run.verdicts else None
     parts = (
         []
         if summary is None
@@ -158,7 +158,7 @@ def _run(run: Run) -> Element:
     whose = "" if theirs is None else f", imported, level {theirs['level']} of 3"
     return element(
         "div",
-        element("p", element("b", run.name), f" {counted(records.num_rows, 'expression')}{whose}"),
+        element("p", element("b", run.name), f" {counted(run.on_file.num_rows, 'expression')}{whose}"),
         *parts,
         *(_figures(name, rows) for name, rows in run.tables.items() if name == "grounding"),
         *(element("p", share.sentence, style=_QUIET) for share in run.shares),

@@ -134,6 +134,8 @@ def test_documents_take_their_figures_from_a_run() -> None:
     assert markdown(run) in new
     assert "old" not in new
     assert renewed(new, run) == new
+    worked_out = "9<!-- bench: label.packed value / 3.6 + 1 * 100 -->, 9<!-- bench: label.packed ratio - 0.5 -->"
+    assert re.sub(r"<.*?>", "", renewed(worked_out, run)) == "933, 1.5"
     with pytest.raises(InputError, match=r"label\.written"):
         renewed("9<!-- bench: label.written value -->", run)
     assert len(table_head(run)) == len(table_rows(run)[0])

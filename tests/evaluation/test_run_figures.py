@@ -35,7 +35,7 @@ def test_figures_are_made_once_and_say_why_they_cannot_be(run: Run, figures: Run
 
 def test_a_run_without_verdicts_has_none(run: Run) -> None:
     bare = copy(run)
-    vars(bare)["records"] = run.records.drop_columns(["verdict"])
+    vars(bare)["on_file"] = run.records.drop_columns(["verdict"])
     with pytest.raises(InputError, match="no verdicts"):
         RunFigures(bare, None)
 
@@ -95,7 +95,7 @@ def test_figures_of_what_a_search_finds_are_those_of_its_rows(run: Run, figures:
 
 def test_a_second_run_is_compared_on_what_is_found(run: Run) -> None:
     other = copy(run)
-    vars(other)["records"] = run.records.slice(200)
+    vars(other)["on_file"] = run.records.slice(200)
     figures = RunFigures(run, other)
     found = np.arange(150, 260)
     part = figures.of(found).comparison
