@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from contextlib import redirect_stdout
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from inspect import getdoc, signature
 from io import StringIO
 from pathlib import Path
@@ -24,6 +24,7 @@ from pipeline.corrections.journal.batch import actions_of
 from pipeline.diagnosis.whatif.edits import adapter, validated
 from pipeline.system.encoded_pictures import jpeg_url
 from pipeline.system.errors import needed, require
+from pipeline.system.frozen import dataclass
 from spatialviz import cli_labels
 from spatialviz.agent_verbs import VERBS, FrameOf, Limit, Reply, Session, Verb, Words, cut
 from spatialviz.error_lines import error_line

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
@@ -22,6 +22,7 @@ from pipeline.diagnosis.whatif import Baseline
 from pipeline.evaluation.run_folder import Run, asked_again, open_database
 from pipeline.pictures.looks import frame_picture
 from pipeline.system.errors import InputError, needed, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.sql import QueryDatabase
 from spatialviz import cli_runs
 from spatialviz.options import JournalOptions, SourceOptions

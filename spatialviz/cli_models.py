@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from pipeline.system.frozen import dataclass
 from spatialviz.options import (
     CPUS,
     Batch,

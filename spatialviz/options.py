@@ -7,7 +7,7 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -16,6 +16,7 @@ from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
 from pipeline.system.detector_setup import DetectorSetup, with_files
 from pipeline.system.errors import InputError, require
 from pipeline.system.execution import Provider, ProviderWarning, use_execution
+from pipeline.system.frozen import dataclass
 from spatialviz.plain_text import one_line
 
 if TYPE_CHECKING:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from pipeline.language.choices import compares
 from pipeline.language.lexicon import wording
 from pipeline.language.tree import Node
 from pipeline.relations.attributes import SIZES
+from pipeline.system.frozen import dataclass
 
 NOTHING = Candidates(np.zeros(0, np.int64), np.zeros(0))
 SEVERAL = 5

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from time import perf_counter
 
 import numpy as np
@@ -31,6 +31,7 @@ from pipeline.relations.scorer import (
     probabilities_beyond,
 )
 from pipeline.system.errors import Unsupported, require
+from pipeline.system.frozen import dataclass
 
 
 @dataclass(frozen=True)

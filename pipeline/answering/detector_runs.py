@@ -7,7 +7,7 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -40,6 +40,7 @@ from pipeline.proposals.score_calibration import (
     score_logit,
 )
 from pipeline.system.errors import InputError, UnknownClass, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.whole_files import temporary_folder, text_file, whole_file
 
 Record = dict[str, Any]

@@ -7,7 +7,6 @@ the probability that a thing is the k-th in some order is that it fits, times th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
@@ -19,6 +18,7 @@ from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.attributes import Attribute
 from pipeline.language.tree import Choice
 from pipeline.relations.attributes import SIZES, attribute_probabilities, size_keys
+from pipeline.system.frozen import dataclass
 
 Kind = Literal["attribute", "choice", "negation", "viewer"]
 HOLDS = 0.5

@@ -16,7 +16,7 @@ sees it; where the fit decides nearly all pairs as they are, it stands in. Else 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -32,6 +32,7 @@ from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.features import Appearance
 from pipeline.relations.scorer import RelationScores, RuleScorer
+from pipeline.system.frozen import dataclass
 
 LEAST_COMPARED, MOST_COMPARED = 30, 12_000
 """Comparisons: of fewer nothing is said, of more some are taken, evenly."""

@@ -9,7 +9,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TypeAlias
@@ -34,6 +34,7 @@ from pipeline.geometry.palette import DROPPED, ON_DARK, Role, depth_colors, inst
 from pipeline.system.encoded_pictures import jpeg, resized, thumbnail
 from pipeline.system.errors import InputError
 from pipeline.system.freed_memory import trim
+from pipeline.system.frozen import dataclass
 from pipeline.system.recent import Recent
 
 KEPT_BYTES, FEWEST_KEPT = 128 * 2**20, 3

@@ -8,7 +8,7 @@ else by the rule, a stand-in named as such.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -41,6 +41,7 @@ from pipeline.proposals.class_names import meant_names
 from pipeline.relations import make_scorer
 from pipeline.relations.scorer import RelationScorer, SuppliedRelations
 from pipeline.system.errors import InputError, UnknownClass, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.reading import checked
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from pipeline.proposals.mismatch import BOXES, SEGMENTERS, FileKind, recognise
 from pipeline.proposals.network import find_tokenizer
 from pipeline.relations.model import installed_networks
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.model_files import (
     HubId,
     KnownModel,

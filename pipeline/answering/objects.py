@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from time import perf_counter
 
 import cv2
@@ -22,6 +22,7 @@ from pipeline.language.class_sizes import is_thin
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Detector, Proposals, lists_things
 from pipeline.relations.features import Appearance
+from pipeline.system.frozen import dataclass
 
 _UNPAINTED = np.zeros((0, 0), np.bool_)
 SAME_BOX_IOU = 0.7

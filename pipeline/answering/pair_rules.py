@@ -9,7 +9,7 @@ separable into modules, and nothing is said of them.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property, lru_cache, partial
 from typing import Any
 
@@ -21,6 +21,7 @@ from pipeline.answering.predictions import Header, PredictedAnswer, Prediction, 
 from pipeline.language.expression import parse
 from pipeline.language.naming import match
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 
 Pair = tuple[int, int]
 Factors = dict[Pair, tuple[float, float, float]]

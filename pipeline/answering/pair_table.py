@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -16,6 +15,7 @@ import numpy as np
 
 from pipeline.answering.evidence import HOLDS, Factor
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 
 MIN_RELATION = 1e-6
 MIN_SCORE = 1e-6

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -28,6 +28,7 @@ from pipeline.proposals.registry import SegmenterFiles, open_detector
 from pipeline.relations import RelationScorer, RelationScores, make_scorer
 from pipeline.system.detector_setup import DetectorSetup, Fusion
 from pipeline.system.errors import FrameUnusable, InputError, require
+from pipeline.system.frozen import dataclass
 
 if TYPE_CHECKING:
     from pipeline.answering.predictions import Prediction, Predictions

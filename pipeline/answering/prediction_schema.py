@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -18,6 +18,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, FiniteFloat, StrictBool
 
 from pipeline.geometry.masks import RunLength
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 
 VERSION = 1
 """Of the schema; a reader refuses files of a later one."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import cached_property, partial
 from pathlib import Path
 from types import TracebackType
@@ -30,6 +30,7 @@ from pipeline.answering.prediction_schema import (
 )
 from pipeline.language.relation_names import RELATIONS
 from pipeline.system.errors import InputError, as_input_error, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.reading import checked
 from pipeline.system.safe_files import opened, parse_json, read_bytes
 from pipeline.system.whole_files import sha256_of, whole_file

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import overload
 
 import numpy as np
@@ -27,6 +27,7 @@ from pipeline.answering.pair_table import (
     side,
 )
 from pipeline.language.tree import Attachment, Node, Reading
+from pipeline.system.frozen import dataclass
 
 NON_DEFAULT_PENALTY = 0.1
 

@@ -7,7 +7,7 @@ import shlex
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,7 @@ from pipeline.evaluation.sentence_files import read_sentence_file
 from pipeline.labels.reading import MANIFEST_FILE
 from pipeline.metrics.tables import Row, Table
 from pipeline.system.errors import InputError, needed, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.reading import Content
 from pipeline.system.whole_files import write_whole
 

@@ -8,7 +8,6 @@ told.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from difflib import SequenceMatcher
 
 import numpy as np
@@ -24,6 +23,7 @@ from pipeline.language.tree import Attachment
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.relations.pair_measures import AllMeasures, F, Profile, T, U, known_extents, measure_pairs
 from pipeline.relations.relations import PREDICATES, pair_margins, pair_states
+from pipeline.system.frozen import dataclass
 
 NEARLY_M = 0.4
 """Farther than this beyond the threshold of "near" nothing is near."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -36,6 +35,7 @@ from pipeline.language.relation_names import HORIZONTAL
 from pipeline.language.tree import Node, Query
 from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import InputError
+from pipeline.system.frozen import dataclass
 
 HOLDS, UNDECIDED = 0.015, 0.1
 """Weights where the rule says that the relation holds of what is right, or that it is too close to call."""

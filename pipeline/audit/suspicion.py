@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -26,6 +25,7 @@ from pipeline.evaluation.sentences import FILE
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT
 from pipeline.system.errors import InputError, as_input_error, first_line
+from pipeline.system.frozen import dataclass
 from pipeline.system.safe_files import parse_json, read_text
 
 Kind = Literal["geometry", "several", "frame", "class", "systems", "region", "contradiction"]

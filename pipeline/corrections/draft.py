@@ -6,7 +6,7 @@ never share a pixel.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -20,6 +20,7 @@ from pipeline.geometry.lifting import LiftedObject, lift
 from pipeline.geometry.masks import decode_run_length, encode_run_length
 from pipeline.language.class_sizes import is_thin
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 
 MOST_STEPS = 500
 LEAST_PIXELS, LEAST_SHARE = 30, 0.03

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import getpass
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from datetime import datetime, timezone
 from functools import cached_property
 from threading import Lock
@@ -21,6 +20,7 @@ from pipeline.datasets import Dataset
 from pipeline.labels.by_hand import NewLabels, grows, seen_with, with_frames
 from pipeline.labels.reading import Labels
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 
 NOT_IN_THE_JOURNAL = 2**62
 """Edits that wait to be saved come after every event of the journal."""

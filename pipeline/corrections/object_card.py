@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -23,6 +23,7 @@ from pipeline.labels.provenance import BOX_FITS
 from pipeline.proposals.annotations import box_mask
 from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import needed, require
+from pipeline.system.frozen import dataclass
 
 FIELDS = ("label", "status", "mask", "bbox", "box")
 """What of an object can be corrected, in the order in which it is shown."""

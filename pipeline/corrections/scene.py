@@ -8,7 +8,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache, reduce
 from operator import is_
 from typing import Any
@@ -35,6 +35,7 @@ from pipeline.language.relation_names import PAIRWISE
 from pipeline.proposals.annotations import box_mask
 from pipeline.relations.relations import U, letter
 from pipeline.system.errors import InputError, Shown, needed, require
+from pipeline.system.frozen import dataclass
 
 # An edit changes one object of a frame; the pixels of the others are known already.
 _crop = lru_cache(maxsize=256)(decode_crop)

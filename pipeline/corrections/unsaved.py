@@ -12,7 +12,7 @@ import re
 import tempfile
 from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from threading import Lock
@@ -28,6 +28,7 @@ from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, journal_
 from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.remote import is_url
 from pipeline.system.whole_files import write_synced
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -12,6 +11,7 @@ from pipeline.corrections.journal.journal import Journal
 from pipeline.datasets import Dataset
 from pipeline.labels.reading import Labels
 from pipeline.language.naming import Synonyms, default_synonyms, normal_form
+from pipeline.system.frozen import dataclass
 
 MOST = 8
 _NONE = 4

@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,6 +24,7 @@ from pipeline.datasets.settings import Settings
 from pipeline.geometry.camera import intrinsics
 from pipeline.geometry.frame import Annotation
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 from pipeline.system.recent import Recent
 
 FARTHEST_M = 7.0

@@ -10,7 +10,6 @@ import difflib
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Protocol, overload
 
@@ -19,6 +18,7 @@ import numpy as np
 from pipeline.datasets.settings import Settings
 from pipeline.geometry.frame import Frame
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 
 
 class Dataset(Protocol):

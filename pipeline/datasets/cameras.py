@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path, PurePath
 from typing import Any, TypeVar
 
@@ -21,6 +21,7 @@ from pipeline.geometry.camera import intrinsics, rotations
 from pipeline.geometry.frame import Frame
 from pipeline.system import safe_files
 from pipeline.system.errors import InputError, as_input_error, require
+from pipeline.system.frozen import dataclass
 
 CAMERA_SUFFIXES = (".json", ".yml", ".yaml", ".txt", ".toml", ".ini", ".cfg", ".mat", ".npy", ".npz", ".pincam", ".csv")
 LARGEST_BYTES = 64 * 1024

@@ -11,7 +11,6 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
@@ -19,6 +18,7 @@ import numpy as np
 
 from pipeline.system import safe_files
 from pipeline.system.errors import InputError, as_input_error, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.limits import within
 
 CUT_OFF = "was the copy or the download interrupted?"

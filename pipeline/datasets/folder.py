@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import partial
 from pathlib import Path
 from typing import ClassVar
@@ -47,6 +47,7 @@ from pipeline.geometry.frame import Annotation
 from pipeline.geometry.masks import mask_box
 from pipeline.language.counted import counted
 from pipeline.system.errors import in_file, needed, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.safe_files import without_use
 
 NAME_FILES = ("labels.txt", "classes.txt", "image_sets/classes.txt", "label_names.txt")

@@ -7,13 +7,13 @@ back, in a world whose y is up: https://developer.apple.com/documentation/arkit/
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.datasets.cameras import inverse, named_numbers, or_note, pose_from_matrix
 from pipeline.datasets.files import Blob
 from pipeline.system.errors import needed
+from pipeline.system.frozen import dataclass
 
 OPENCV_OF_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 """From OpenCV's camera frame to OpenGL's: y and z are turned round."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from pipeline.datasets.settings import ASSUMED, DECLARE, DEPTH_SCALE
 from pipeline.datasets.up import resolved_camera, scene_doubt, scene_vote
 from pipeline.geometry.camera import UpSource
 from pipeline.system.errors import InputError
+from pipeline.system.frozen import dataclass
 
 
 @dataclass(frozen=True)

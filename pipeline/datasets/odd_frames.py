@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -16,6 +15,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from pipeline.datasets.base import Dataset, load_depth, load_pose, scenes_of
 from pipeline.datasets.cameras import or_note
 from pipeline.datasets.frame_reports import spread
+from pipeline.system.frozen import dataclass
 
 MOST_POSES, MOST_DEPTHS = 100_000, 2_000
 """So many frames are asked for their pose and for their depth, which must be decoded; evenly spread over more."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path, PurePath
 
 import numpy as np
@@ -15,6 +15,7 @@ from pipeline.datasets.files import natural, readable
 from pipeline.datasets.images import DEPTH_SUFFIXES
 from pipeline.datasets.stamps import ROUNDING, WITHIN, as_seconds, match_times, nearest
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 
 COLOR_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".ppm")
 SUFFIXES = {

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from pipeline.geometry.camera import Camera, lift_pixels
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.level_plane import level_plane
 from pipeline.language.class_sizes import SizeFactor, size_factor
+from pipeline.system.frozen import dataclass
 
 EVERY = 8
 """Of rows and columns, one in so many is looked at for the range of depth."""

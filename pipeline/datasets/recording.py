@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
@@ -28,6 +27,7 @@ from pipeline.geometry.camera import Camera, intrinsics, standard_poses
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.registration import Registration, registered
 from pipeline.system.errors import InputError, in_file, needed, require
+from pipeline.system.frozen import dataclass
 
 Value = TypeVar("Value")
 SAME_SHAPE = 0.02

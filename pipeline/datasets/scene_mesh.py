@@ -7,7 +7,7 @@ mesh: there its own cloud stands.
 from __future__ import annotations
 
 import importlib
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from pipeline.geometry.camera import project
 from pipeline.geometry.cleaning import depth_edges, flying_pixels
 from pipeline.geometry.frame import Frame
 from pipeline.system.errors import FrameUnusable, MissingExtra, needed, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.recent import Recent
 from pipeline.system.whole_files import write_whole
 

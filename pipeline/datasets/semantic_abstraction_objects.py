@@ -8,7 +8,6 @@ may be meant, and the one that puts it onto the points of the same objects is ta
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -17,6 +16,7 @@ from pipeline.datasets.cameras import inverse, nearest_rotation
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.frame import Annotation
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 
 LEAST_POINTS = 20
 """An object with fewer points in the scene has no exact box."""

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from pipeline.geometry.camera import UpSource, check_convention
 from pipeline.geometry.registration import Registration
 from pipeline.system.errors import InputError, as_input_error, in_file, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.reading import parse_toml
 from pipeline.system.safe_files import read_text
 from pipeline.system.whole_files import write_whole

@@ -6,13 +6,13 @@ A byte is a share of something in the frame, such as of its wrong answers, so th
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from pipeline.datasets.base import Dataset, scenes_of
 from pipeline.datasets.odd_frames import OddFrame
+from pipeline.system.frozen import dataclass
 
 ALL, UNKNOWN = 254, 255
 """Bytes of a whole share and of none that is known. Rounded up: only a share of nothing is 0."""

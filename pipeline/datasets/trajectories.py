@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ from pipeline.datasets.cameras import named_numbers, pose_from_matrix, pose_from
 from pipeline.datasets.files import as_floats, numbered_lines, read_bytes
 from pipeline.datasets.stamps import ROUNDING, WITHIN, as_seconds, nearest
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 
 NAMES = re.compile(
     r"(camera_?|cam_?|key_?frame_?|gt_?|est_?|estimated_?)?(traj(ectory)?|odom(etry)?|ground_?truth|poses?|path|arkit_?poses?)"

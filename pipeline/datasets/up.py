@@ -6,7 +6,7 @@ One up vector for all posed frames of a scene comes of a vote of some of them.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, partial
 from threading import Lock
 from weakref import WeakKeyDictionary
@@ -38,6 +38,7 @@ from pipeline.geometry.level_plane import (
 )
 from pipeline.geometry.viewer import resolve_up
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 
 FAR_FROM_DECLARED_DEG = 5.0
 """An up that was told is worth a note where it is so far off the one that the dataset declares."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from typing import Any, Literal, Protocol, TypeAlias
 
 import numpy as np
@@ -22,6 +22,7 @@ from pipeline.diagnosis.verdict import MODULE_OF, Diagnosis
 from pipeline.language.counted import counted
 from pipeline.language.glossary import glossary
 from pipeline.system.errors import InputError
+from pipeline.system.frozen import dataclass
 from pipeline.system.in_notebook import InNotebook
 
 Mark: TypeAlias = Literal["good", "doubt", "bad", "idle"]

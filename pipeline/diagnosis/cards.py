@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -14,6 +13,7 @@ from pipeline.diagnosis.story import really
 from pipeline.diagnosis.story_words import words
 from pipeline.diagnosis.verdict import Diagnosis, Missed
 from pipeline.labels.cases import HIT
+from pipeline.system.frozen import dataclass
 
 End: TypeAlias = Literal["target", "reference"]
 

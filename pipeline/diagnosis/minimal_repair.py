@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import exp, inf, prod
 
 import numpy as np
 
 from pipeline.answering.pair_table import MIN_RELATION, MIN_SCORE, PairTable
+from pipeline.system.frozen import dataclass
 
 FACTORS = ("target", "reference", "relation", "attributes")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import exp, inf, log
 
 import numpy as np
@@ -11,6 +10,7 @@ from pipeline.answering.pair_table import MIN_SCORE
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.oracles import RECALL, OracleScores, margins_of
 from pipeline.labels.cases import HIT, Case
+from pipeline.system.frozen import dataclass
 
 Named = tuple[tuple[str, int], ...]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +20,7 @@ from pipeline.proposals import Detector
 from pipeline.relations import TRAINED, make_scorer
 from pipeline.relations.scorer import supplied_relations
 from pipeline.system.errors import InputError
+from pipeline.system.frozen import dataclass
 
 if TYPE_CHECKING:
     from pipeline.labels.reading import Labels

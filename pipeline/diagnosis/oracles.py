@@ -30,7 +30,7 @@ relations and confidences, and are worked out anew from what these became.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -44,6 +44,7 @@ from pipeline.answering.pair_table import (
 from pipeline.diagnosis.frame_evidence import FrameEvidence, matched
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT
+from pipeline.system.frozen import dataclass
 
 ORACLES = ("RECALL", "LIFT", "SRM", "CONF")
 ALL_ORACLES = (*ORACLES, "ATTRIBUTE")

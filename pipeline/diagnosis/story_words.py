@@ -8,11 +8,12 @@ spoken of, `really` what it is; `ours`, `theirs`: a number of the answer and of 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from string import Formatter
 from typing import Any, Literal, TypeAlias
+
+from pipeline.system.frozen import dataclass
 
 Tone: TypeAlias = Literal["right", "also right", "wrong", "none"]
 LONGEST = 25

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import prod
 from typing import Any
 
@@ -44,6 +44,7 @@ from pipeline.labels.cases import HIT, Case, Meant
 from pipeline.language.attributes import Attribute
 from pipeline.language.tree import Attachment
 from pipeline.relations.scorer import probabilities_beyond
+from pipeline.system.frozen import dataclass
 
 PAIRS_AT_ONCE = 1 << 20
 """Pairs, under all subsets, of the expressions that are ranked together: a few dozen megabytes."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,6 +23,7 @@ from pipeline.proposals import Segmented
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.relations.scorer import RelationScores
 from pipeline.system.errors import InputError
+from pipeline.system.frozen import dataclass
 
 
 def suggest_expressions(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Literal
 
 import numpy as np
@@ -17,6 +17,7 @@ from pipeline.diagnosis.story_words import UNTOLD, Story
 from pipeline.diagnosis.substitution import substitute
 from pipeline.geometry.boxes import Box3D
 from pipeline.labels.cases import Case, FrameCases
+from pipeline.system.frozen import dataclass
 
 Miss = Literal["RANK", "THRESHOLD", "LOCALISATION", "ABSENT"]
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 
@@ -11,6 +9,7 @@ from pipeline.geometry.camera import lift_pixels
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.surface import surface_normals, surface_step
 from pipeline.system.errors import needed, require
+from pipeline.system.frozen import dataclass
 
 TOLERANCE = 0.015
 """The default."""

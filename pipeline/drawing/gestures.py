@@ -7,7 +7,6 @@ A pixel belongs to a shape where its centre does; that of pixel (u, v) is
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Any, Literal
 
@@ -19,6 +18,7 @@ from pipeline.drawing.depth_region import LEAST, MOST, TOLERANCE, Surface, grown
 from pipeline.proposals.depth_segmenter import DepthSegmenter
 from pipeline.proposals.segmenter import Segmenter, mask_at
 from pipeline.system.errors import InputError, needed, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.reading import checked
 
 Kind = Literal["stroke", "polygon", "rectangle", "surface", "depth", "segment", "cut"]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -38,6 +38,7 @@ from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import QUERY_KINDS
 from pipeline.system.arrow import pa, pc
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 from pipeline.system.recent import Recent
 
 if TYPE_CHECKING:

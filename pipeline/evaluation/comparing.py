@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +18,7 @@ from pipeline.labels.cases import HIT
 from pipeline.metrics.intervals import Estimate, McNemar, mcnemar, mean_estimate
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.safe_files import parse_json, read_text
 
 if TYPE_CHECKING:

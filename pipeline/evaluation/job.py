@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
 from time import perf_counter
@@ -46,6 +46,7 @@ from pipeline.metrics.intervals import BootstrapConfig
 from pipeline.metrics.tables import NOTHING_SHARED, Table, as_csv, latex, markdown
 from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import MissingExtra, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.version import __version__
 from pipeline.system.whole_files import staged_folder, write_json
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -26,6 +26,7 @@ from pipeline.relations import RULE, TRAINED, RelationScorer, RuleScorer
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import PROFILE
 from pipeline.system.errors import InputError
+from pipeline.system.frozen import dataclass
 from pipeline.system.onnx_session import file_hash
 from pipeline.system.remote import named_before
 from pipeline.system.version import __version__

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import lru_cache
 from math import ceil, floor, log10
 from time import perf_counter
@@ -18,6 +18,7 @@ from pipeline.evaluation.run import Evaluator
 from pipeline.evaluation.run_folder import Run
 from pipeline.evaluation.systems import OWN
 from pipeline.labels.cases import read_cases
+from pipeline.system.frozen import dataclass
 
 SECONDS = 60.0
 """Time to count in, by default."""

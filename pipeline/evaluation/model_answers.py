@@ -6,8 +6,10 @@ import math
 import re
 import unicodedata
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
+
+from pipeline.system.frozen import dataclass
 
 _YES = frozenset({"yes", "yeah", "yep", "yup"})
 _NO = frozenset({"nope", "nah"})

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -23,6 +23,7 @@ from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT
 from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 
 KNOWN, ASKED, HINTED = 6.0, 8.0, 4.0
 """What the documentation of a model, the question, and the form of an answer count, in nats."""

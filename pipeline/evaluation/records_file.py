@@ -6,7 +6,7 @@ import atexit
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -16,6 +16,7 @@ import numpy as np
 from pipeline.evaluation.records import need_columns, read_records, records_schema
 from pipeline.system.arrow import pa
 from pipeline.system.errors import as_input_error, first_line, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.limits import current_limits
 from pipeline.system.safe_files import open_parquet
 

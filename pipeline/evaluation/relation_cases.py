@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,6 +23,7 @@ from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import pairwise_states
 from pipeline.relations.scorer import rule_probabilities
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 from pipeline.system.onnx_session import metadata, open_session
 from pipeline.system.safe_files import read_json, read_parquet
 from pipeline.training.label_data import GEOMETRY_COLUMNS, column_arrays, known_pairs, object_rows, rows_of_frame

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +27,7 @@ from pipeline.metrics.splits import DROPPED, PARTS
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.arrow import pa, pc
 from pipeline.system.errors import as_input_error, first_line, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.safe_files import parse_json, read_parquet
 from pipeline.training.label_data import parts_seen
 

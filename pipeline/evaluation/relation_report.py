@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +42,7 @@ from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import T
 from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 from pipeline.training.label_data import same_dataset
 
 SHOWN_SCENES = 5

@@ -11,7 +11,6 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -27,6 +26,7 @@ from pipeline.evaluation.model_answers import parse_yes_no
 from pipeline.metrics.tables import Row, Table
 from pipeline.system.arrow import pa
 from pipeline.system.errors import as_input_error, first_line, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.safe_files import parquet_columns, read_parquet
 
 POINTING = "context"

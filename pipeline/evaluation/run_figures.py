@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
@@ -22,6 +22,7 @@ from pipeline.evaluation.search import Field
 from pipeline.evaluation.slices import Slices, figure_rows, slice_by
 from pipeline.evaluation.summary import RunSummary, summarise_run
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.recent import Recent
 from pipeline.system.version import __version__
 

@@ -8,7 +8,7 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
@@ -35,6 +35,7 @@ from pipeline.language.counted import counted
 from pipeline.system.arrow import pa
 from pipeline.system.detector_setup import with_files
 from pipeline.system.errors import InputError, as_input_error, needed, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.in_notebook import InNotebook
 from pipeline.system.model_files import parse_hub_id
 from pipeline.system.reading import checked

@@ -7,7 +7,7 @@ import json
 import os
 import re
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 
 from platformdirs import user_data_path
@@ -15,6 +15,7 @@ from pydantic import TypeAdapter
 
 from pipeline.datasets.demo import demo_run
 from pipeline.system.errors import InputError, as_input_error, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.reading import checked
 from pipeline.system.safe_files import read_bytes
 from pipeline.system.whole_files import alone, write_whole

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import difflib
 import re
-from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -30,6 +29,7 @@ from pipeline.labels.statistics import quoted
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 
 if TYPE_CHECKING:
     from pipeline.evaluation.records_file import Records

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -29,6 +28,7 @@ from pipeline.datasets.base import Dataset, resolve_frame
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, FrameCases
 from pipeline.system.errors import InputError, Shown, as_input_error, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.plain_pickle import read_plain_pickle
 from pipeline.system.reading import checked
 from pipeline.system.safe_files import read_bytes, read_json

@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -31,6 +31,7 @@ from pipeline.language.chain import why_unread, why_unused
 from pipeline.metrics.intervals import Estimate, share_estimate
 from pipeline.metrics.tables import Cell, Row, Table
 from pipeline.system.errors import InputError, ServerError, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.whole_files import check_target, staged_folder, text_file
 
 Outcome = Literal["CORRECT", "PARSE", "REFUSED", "WRONG"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -18,6 +18,7 @@ from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, rat
 from pipeline.metrics.tables import Cell, Row, Table
 from pipeline.system.arrow import pa, pc
 from pipeline.system.errors import InputError
+from pipeline.system.frozen import dataclass
 
 if TYPE_CHECKING:
     from pipeline.evaluation.records_file import Records

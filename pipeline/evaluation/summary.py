@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import product
 from math import factorial
 from typing import Any
@@ -19,6 +18,7 @@ from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, mea
 from pipeline.metrics.tables import Cell, Row, Table
 from pipeline.system.arrow import pa, pc
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 
 EVERY = SUBSETS - 1
 """The bits of all ORACLES."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from shutil import copyfile
 from typing import Any, Protocol
@@ -35,6 +35,7 @@ from pipeline.language.relation_names import PHRASE
 from pipeline.language.tree import Query
 from pipeline.proposals.base import reads_annotations
 from pipeline.system.errors import InputError
+from pipeline.system.frozen import dataclass
 
 PREDICTIONS_FILE = "predictions.jsonl"
 """Copy of what was imported, in its run's folder."""

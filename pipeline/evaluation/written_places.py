@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from pipeline.evaluation.model_answers import box_numbers, named_numbers
+from pipeline.system.frozen import dataclass
 
 _NUMBER = r"-?\d+(?:\.\d+)?"
 _PAIR = re.compile(rf"[(\[]\s*({_NUMBER})\s*,\s*({_NUMBER})\s*[)\]]")

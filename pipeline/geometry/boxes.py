@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 
 CORNER_SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
 """Corner k of a box has the signs of row k: bit 2 of k is x, bit 1 is y, bit 0 is z."""

@@ -7,12 +7,13 @@ backprojects along ((u - cx) / fx, (v - cy) / fy, 1).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 
 UpSource = Literal["given", "declared", "imu", "scene", "plane", "assumed"]
 """How an up vector is known: given by the user, declared by the dataset, measured by an

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import Literal
 
@@ -11,6 +10,7 @@ import numpy as np
 
 from pipeline.geometry.masks import MaskCrop
 from pipeline.geometry.surface import surface_step
+from pipeline.system.frozen import dataclass
 
 BoxMode = Literal["upright", "gravity", "pca", "pca-raw"]
 """upright: sides along the outline in plan, the eroded rim given back, what hides behind it allowed for. gravity:

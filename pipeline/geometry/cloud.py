@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import cv2
@@ -12,6 +11,7 @@ from pipeline.geometry.camera import Camera, lift_pixels
 from pipeline.geometry.cleaning import flying_pixels
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.viewer import ViewerAxes
+from pipeline.system.frozen import dataclass
 
 MAX_POINTS = 320_000
 BAND_RATIO = 1.3

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 from typing import Any
 
@@ -14,6 +14,7 @@ from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera, project
 from pipeline.geometry.masks import LazyMask, PictureMask
 from pipeline.system.errors import InputError, as_input_error, require
+from pipeline.system.frozen import dataclass
 
 NEAREST_MEDIAN_M = 0.1
 FARTHEST_MEDIAN_M = 20.0

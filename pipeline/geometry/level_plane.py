@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import cv2
@@ -23,6 +23,7 @@ from pipeline.geometry.surface import (
     surface_normals,
 )
 from pipeline.system.errors import InputError
+from pipeline.system.frozen import dataclass
 
 SAME_SURFACE_DEG = 15.0
 """Normals of one surface differ by no more than this."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Literal, cast
 
@@ -42,6 +42,7 @@ from pipeline.geometry.masks import MaskCrop
 from pipeline.geometry.open_sides import open_sides
 from pipeline.geometry.surface import plane_depths
 from pipeline.geometry.viewer import ViewerAxes
+from pipeline.system.frozen import dataclass
 
 MaskSource = Literal["annotation", "detector", "box3d", "segmenter", "box", "human"]
 """Whose pixels they are: the dataset's mask, the detector's, those inside the

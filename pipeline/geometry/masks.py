@@ -6,7 +6,6 @@ Codes are untrusted input, and decoded no further than to the mask's box.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
@@ -15,6 +14,7 @@ import cv2
 import numpy as np
 
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 
 _LONGEST = 7
 """Characters of a number at most: their 35 bits are more than any picture has pixels, and no sum of them overflows."""

@@ -7,13 +7,14 @@ and depth are of two cameras and are taken for one, the outlines of one picture 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
 
 from pipeline.geometry.camera import Camera, check_focals, intrinsics
 from pipeline.geometry.frame import Frame
+from pipeline.system.frozen import dataclass
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ A frame's surface is looked at in blocks of pixels: as much as its large planes 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -18,6 +17,7 @@ import cv2
 import numpy as np
 
 from pipeline.geometry.camera import Camera, lift_pixels
+from pipeline.system.frozen import dataclass
 
 MIN_SHARE = 0.4
 """A plane is fitted where at least this share of the window has a depth."""

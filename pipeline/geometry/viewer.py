@@ -8,13 +8,13 @@ same axes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from pipeline.geometry.camera import IMAGE_UP, Camera, UpSource, depth_at, lift_pixels
 from pipeline.geometry.level_plane import assumed, decided, up_hypotheses
+from pipeline.system.frozen import dataclass
 
 STEEP = 0.94
 """Above this |z . up| the camera looks so steeply that its z axis no longer says where forward is."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest
 from pipeline.labels.selection import SelectConfig
 from pipeline.system.arrow import pa
 from pipeline.system.errors import as_input_error, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.remote import is_elsewhere, local_path, url_of
 from pipeline.system.version import __version__
 from pipeline.system.whole_files import alone, temporary_folder

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +17,7 @@ from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import Node, Query
 from pipeline.relations.relations import U
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.safe_files import read_parquet
 
 if TYPE_CHECKING:

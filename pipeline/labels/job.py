@@ -7,7 +7,7 @@ import os
 import pickle
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
@@ -45,6 +45,7 @@ from pipeline.relations.model import OnnxScorer
 from pipeline.system.arrow import pa
 from pipeline.system.detector_setup import with_files
 from pipeline.system.errors import InputError, as_input_error, extra_module, first_line, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.remote import is_url, list_anew, local_path
 from pipeline.system.worker_pool import one_thread, results_of
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -28,6 +28,7 @@ from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import T, U
 from pipeline.system.arrow import Repeated, pa
+from pipeline.system.frozen import dataclass
 
 if TYPE_CHECKING:
     from pipeline.labels.reading import Columns

@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, field
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -22,6 +22,7 @@ from pipeline.relations.relations import PROFILE
 from pipeline.system.contents import contents_hash, walk
 from pipeline.system.detector_setup import with_files
 from pipeline.system.errors import InputError, needed, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.model_files import parse_hub_id
 from pipeline.system.remote import is_url
 from pipeline.system.safe_files import parse_json, read_bytes

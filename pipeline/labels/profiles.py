@@ -16,7 +16,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +42,7 @@ from pipeline.relations.relations import (
     pair_states,
 )
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.onnx_session import file_hash
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import PurePath
 from typing import Any
 
 from pipeline.labels.profiles import NONE, canonical_hash
 from pipeline.labels.schema import Manifest
+from pipeline.system.frozen import dataclass
 
 ANNOTATIONS = "annotations"
 RECORDED = "recorded"

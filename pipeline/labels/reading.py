@@ -11,7 +11,6 @@ import os
 import types
 import typing
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import IO, Any
@@ -24,6 +23,7 @@ from pipeline.labels.schema import ADDED_COLUMNS, SCHEMA_VERSION, TABLES, Manife
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.arrow import Repeated, pa, pc, pq, typed
 from pipeline.system.errors import InputError, Shown, as_input_error, first_line, needed, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.reading import checked
 from pipeline.system.remote import local_path, named_before, url_of
 from pipeline.system.safe_files import enter, open_parquet, read_json, read_parquet

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import inf
 
 import numpy as np
 
 from pipeline.labels.labelling import row_hash
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 
 
 @dataclass(frozen=True)

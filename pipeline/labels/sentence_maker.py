@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from itertools import combinations, islice, product
 
@@ -32,6 +32,7 @@ from pipeline.language.tokens import MAX_LENGTH
 from pipeline.language.tree import Attachment, Choice, Node, Order, described
 from pipeline.relations.relations import T, U
 from pipeline.system.errors import InputError
+from pipeline.system.frozen import dataclass
 
 LOOKS = (*((color,) for color in BASIC_COLORS), ("big", "large"), ("small",))
 COUNTED = ("second", "third", "fourth", "fifth")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
 
@@ -16,6 +15,7 @@ from pipeline.language.relation import SEMANTIC_ABSTRACTION
 from pipeline.language.relation_names import PAIRWISE, PHRASE, RELATIONS
 from pipeline.language.tokens import MAX_LENGTH, words_of
 from pipeline.system.errors import InputError, Shown, require
+from pipeline.system.frozen import dataclass
 
 __all__ = ["STYLES", "can_be_worded", "expression_text", "question_text"]
 

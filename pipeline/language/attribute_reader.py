@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 from itertools import takewhile
 
 from pipeline.language import choices, lexicon
@@ -13,6 +12,7 @@ from pipeline.language.name_lookup import is_packed
 from pipeline.language.naming import DETERMINERS, default_synonyms, is_compound, key_of, normal_form, singular
 from pipeline.language.tokens import Token, attribute_meant, joined_words
 from pipeline.language.tree import Choice, Role
+from pipeline.system.frozen import dataclass
 
 MODALS = frozenset({"can", "could", "may", "should", "would", "might", "must", "will", "shall"})
 

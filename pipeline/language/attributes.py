@@ -7,9 +7,10 @@ a material and the others are only known as such, so that a sentence can say wha
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
+
+from pipeline.system.frozen import dataclass
 
 KINDS = Literal["color", "size", "shape", "material", "other"]
 Shade = Literal["light", "dark"]

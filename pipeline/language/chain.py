@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Literal
 
 from pipeline.language import choices, lexicon
@@ -15,6 +15,7 @@ from pipeline.language.relation_names import PHRASE, RELATIONS
 from pipeline.language.tokens import EXAMPLE, Token
 from pipeline.language.tree import Choice, Query, Role, Span
 from pipeline.system.errors import InputError, UnknownClass, Unsupported, require
+from pipeline.system.frozen import dataclass
 
 FORM = "TARGET RELATION REFERENCE"
 NOT_EXACT = "how exactly it stands so is not judged"

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.language.naming import normal_form, same_class
+from pipeline.system.frozen import dataclass
 
 TABLE = Path(__file__).with_name("object_sizes.json")
 LEAST_UNFIT, MOST_FIT, LEAST_MENDED = 3, 0.6, 0.9

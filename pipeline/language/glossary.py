@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from functools import cache
 from itertools import groupby
 from pathlib import Path
 
 from pipeline.system.errors import InputError
+from pipeline.system.frozen import dataclass
 
 
 @dataclass(frozen=True)

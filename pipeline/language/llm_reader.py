@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import count
 from typing import Any
 
@@ -25,6 +25,7 @@ from pipeline.language.tokens import NameIndex, check_text, label_of, tokenize, 
 from pipeline.language.tree import Attachment, Node, Query, Reading, Role, Span, described
 from pipeline.system.chat import ChatClient
 from pipeline.system.errors import InputError, ServerError, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.reading import checked
 
 MOST_CHARACTERS, MOST_THINGS = 20_000, 100

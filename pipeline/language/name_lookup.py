@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from functools import lru_cache
 from string import ascii_lowercase
 from typing import Literal
 
 from pipeline.language.name_forms import HEAD_ENDS, base_of, forms_of, key_of, singular, spellings
 from pipeline.language.name_table import Synonyms, default_synonyms
+from pipeline.system.frozen import dataclass
 
 How = Literal["exact", "synonym", "kind", "spelling"]
 

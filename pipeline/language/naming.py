@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from itertools import groupby
 
@@ -20,6 +20,7 @@ from pipeline.language.name_forms import (
 )
 from pipeline.language.name_lookup import How, KnownNames, known_as, lookups, respelled
 from pipeline.language.name_table import Synonyms, default_synonyms
+from pipeline.system.frozen import dataclass
 
 __all__ = [
     "CAMEL_CASE",

@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from pipeline.language.naming import CAMEL_CASE, DETERMINERS, HEAD_ENDS, QUALIFIER, normal_form, same_class, singular
+from pipeline.system.frozen import dataclass
 
 
 def _words(text: str) -> frozenset[str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ import numpy as np
 from pipeline.language.naming import HEAD_ENDS, normal_form, singular
 from pipeline.language.noun_phrase import readable
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 
 _NAMED = 8
 """At most so many names in an error."""

@@ -6,8 +6,9 @@ shows how one is added.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
+
+from pipeline.system.frozen import dataclass
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ import re
 import unicodedata
 from bisect import bisect, bisect_left
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
 
@@ -26,6 +25,7 @@ from pipeline.language.lexicon import (
 from pipeline.language.name_lookup import one_letter_away, two_swapped
 from pipeline.language.naming import DETERMINERS, Synonyms, default_synonyms, singular
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 
 _CHOICE_WORDS = {
     w for phrase in (*choices.EXTREMES, *choices.SIDES, *choices.ORDINALS) for w in phrase.split() if len(w) > 4

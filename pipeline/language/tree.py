@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Literal
 
 from pipeline.language.attributes import Attribute
 from pipeline.language.lexicon import ANYTHING, wording
+from pipeline.system.frozen import dataclass
 
 Role = Literal["target", "relation", "reference", "attribute", "choice", "unused"]
 Order = Literal[

@@ -9,7 +9,7 @@ import zipfile
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from pipeline.language.naming import normal_form
 from pipeline.language.noun_phrase import readable
 from pipeline.language.phrase_vectors import LanguageContract, VectorFile
 from pipeline.system.errors import InputError, as_input_error, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.safe_files import opened, opened_arrays
 
 __all__ = ["LanguageContract", "VectorFile", "open_vectors"]

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from pipeline.language.relation_names import INVERSE
 from pipeline.metrics.intervals import ratio
+from pipeline.system.frozen import dataclass
 
 ECE_BINS = 15
 

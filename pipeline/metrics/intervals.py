@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 
 FEWEST_CLUSTERS = 10
 """Below this number of clusters a percentile interval is too narrow to be relied on."""

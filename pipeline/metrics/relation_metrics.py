@@ -6,13 +6,14 @@ Cells whose true state is U are neither right nor wrong: they are masked, and co
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, f1_of, mean_of_defined, numbered, ratio
+from pipeline.system.frozen import dataclass
 
 THRESHOLD = 0.5
 """A relation is said to hold where its probability is greater, so that a doubt of exactly one half is a no."""

@@ -8,13 +8,14 @@ one scene blocks of camera positions with a gap between them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
 import xxhash
 
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 
 SplitKind = Literal["scene", "blocks"]
 TRAIN, VALIDATION, TEST, DROPPED = 0, 1, 2, -1

@@ -6,11 +6,11 @@ import csv
 import io
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
 from pipeline.metrics.intervals import Estimate
+from pipeline.system.frozen import dataclass
 
 Cell = Estimate | float | int | str | None
 """What stands in a table. Estimates and floats are shares, and are written as percentages."""

@@ -7,7 +7,7 @@ robot's cameras, as the training rooms are, and from other heights, tilts and ro
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +23,7 @@ from pipeline.relations.scorer import rule_probabilities
 from pipeline.synthetic import choose_views, make_room
 from pipeline.synthetic.render import camera_at
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 from pipeline.system.whole_files import scratch_folder
 from pipeline.system.worker_pool import results_of
 from pipeline.training.card import save_onnx

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -19,6 +18,7 @@ from pipeline.labels.exports.vqa_questions import ask_grounding
 from pipeline.labels.reading import Labels
 from pipeline.system.chat import ChatAnswer, ChatClient, ChatPicture, ChatQuestion
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 
 PADDING = (122, 116, 104)
 """CLIP's mean colour, with which LLaVA-1.5 makes pictures square (llava/mm_utils.py, expand2square)."""

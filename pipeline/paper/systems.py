@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,7 @@ from pipeline.proposals.base import Detector, detect_expression
 from pipeline.system.arrow import pa, pq
 from pipeline.system.chat import ChatAnswer, ChatClient, ChatQuestion
 from pipeline.system.errors import InputError
+from pipeline.system.frozen import dataclass
 
 VLM_FILE = "relation_records_vlm.parquet"
 UNKNOWN = 0.5

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,7 @@ from pipeline.metrics.tables import NOTHING_SHARED, Cell, Row, Table, in_blocks
 from pipeline.relations.relations import T
 from pipeline.system.arrow import pa
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 from pipeline.system.safe_files import read_json
 
 FIGURES = Path(__file__).with_name("reported.json")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import cv2
@@ -23,6 +22,7 @@ from pipeline.pictures.marks import AnswerRoles, Stroke, answer_roles, draw_outl
 from pipeline.pictures.scene_view import PictureView, Wire, quiet_colors, scene_picture
 from pipeline.pictures.shapes import CHECK, Box, paste, strokes
 from pipeline.pictures.text import draw_text, font, plain, shortened, width_of
+from pipeline.system.frozen import dataclass
 
 GROUND: RGB = (9, 11, 14)
 INK: RGB = (18, 20, 24)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 import cv2
@@ -17,6 +16,7 @@ from pipeline.geometry.boxes import Box3D, Side, dashed, drawn_edges
 from pipeline.geometry.camera import Camera, project
 from pipeline.geometry.masks import outlines
 from pipeline.geometry.palette import ON_DARK, RGB, Role
+from pipeline.system.frozen import dataclass
 from pipeline.system.recent import Recent
 
 TINT = 0.45

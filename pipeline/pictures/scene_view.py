@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -11,6 +10,7 @@ import numpy as np
 from pipeline.geometry.boxes import dashed
 from pipeline.geometry.cloud import Cloud, Viewed
 from pipeline.geometry.palette import RGB
+from pipeline.system.frozen import dataclass
 
 LEAST_DEPTH = 0.05
 """What is nearer to the eye is not drawn, metres."""

@@ -6,7 +6,6 @@ The font has the letters of Latin, Greek and Cyrillic; any other letter is drawn
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -14,6 +13,7 @@ import numpy as np
 from PIL import ImageFont
 
 from pipeline.geometry.palette import RGB
+from pipeline.system.frozen import dataclass
 
 FILES = Path(__file__).with_name("font")
 MOST = 400

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -11,6 +10,7 @@ import numpy as np
 from PIL import Image
 
 from pipeline.system.errors import as_input_error, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.whole_files import write_whole
 
 FILMS = (".gif", ".webp")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from pipeline.geometry.masks import MaskStack, PictureMask
 from pipeline.language.naming import Synonyms, match
 from pipeline.proposals.base import Proposals, no_proposals
 from pipeline.proposals.class_names import meant_names
+from pipeline.system.frozen import dataclass
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -13,6 +12,7 @@ from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import MaskStack
 from pipeline.language.naming import suggest
 from pipeline.system.errors import InputError, UnknownClass, listed, require
+from pipeline.system.frozen import dataclass
 
 
 @dataclass(frozen=True)

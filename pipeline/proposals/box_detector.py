@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -25,6 +24,7 @@ from pipeline.proposals.base import Proposals, class_wise
 from pipeline.proposals.class_names import metadata_names, names_hash, read_class_names
 from pipeline.proposals.network import MAX_PER_NAME, NetworkDetector, proposals_of, sigmoid
 from pipeline.system.errors import InputError, in_file, needed, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.onnx_session import run_session
 
 EXAMPLES = Path(__file__).with_name("detectors")

@@ -21,7 +21,7 @@ from __future__ import annotations
 import ast
 from collections import Counter
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -31,6 +31,7 @@ from pydantic import BaseModel, BeforeValidator, Field, FiniteFloat
 from pipeline.datasets.frame_names import Picture
 from pipeline.geometry.masks import RunLength, decode_crop
 from pipeline.system.errors import as_input_error, needed, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.plain_pickle import plain, read_plain_pickle
 from pipeline.system.reading import Content, checked, read_content
 

@@ -33,7 +33,6 @@ of one core.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -41,6 +40,7 @@ import numpy as np
 from pipeline.geometry.camera import lift_pixels
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.surface import depth_noise, surface_normals
+from pipeline.system.frozen import dataclass
 
 VERSION = "1"
 """Part of the fingerprint: a change of what comes out must change it."""

@@ -24,7 +24,7 @@ ConceptGraphs: see `pipeline.proposals.coco_files`.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -45,6 +45,7 @@ from pipeline.proposals.coco_files import (
     read_map,
 )
 from pipeline.system.errors import needed, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.reading import Content, checked, read_content
 
 PICTURE_COLUMNS = (

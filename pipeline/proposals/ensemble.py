@@ -9,7 +9,6 @@ since 2022; the tests hold figures that it gave.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
@@ -31,6 +30,7 @@ from pipeline.proposals.base import (
 )
 from pipeline.proposals.class_names import known_names, knows, name_groups, same_name
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 
 Fusion = Literal["wbf", "nms"]
 FUSIONS: tuple[str, ...] = get_args(Fusion)

@@ -10,7 +10,6 @@ where that threshold is low.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +35,7 @@ from pipeline.proposals.network import (
     to_pixels,
 )
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 from pipeline.system.onnx_session import run_session
 
 MAX_TOKENS = 256

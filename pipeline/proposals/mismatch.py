@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -25,6 +24,7 @@ from pipeline.proposals.contracts import (
     yolo_seg_tensors,
 )
 from pipeline.system.errors import InputError
+from pipeline.system.frozen import dataclass
 from pipeline.system.onnx_session import metadata
 
 BOXES = "--detector boxes"

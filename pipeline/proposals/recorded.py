@@ -19,7 +19,7 @@ detection of a frame has none, each is a thing of its own.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -46,6 +46,7 @@ from pipeline.proposals.coco_files import (
 from pipeline.proposals.detection_files import DETECTION_FORMATS, detection_files, format_of, read_detections
 from pipeline.system.contents import contents_hash
 from pipeline.system.errors import FrameUnusable, InputError, as_input_error, first_line, needed, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.reading import Content, checked, read_content
 from pipeline.system.recent import Recent
 from pipeline.system.safe_files import opened_arrays, read_picture

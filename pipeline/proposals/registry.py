@@ -6,7 +6,6 @@ Others add theirs through the entry point group `spatialviz.detectors`.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
@@ -19,6 +18,7 @@ from pipeline.proposals.ensemble import EnsembleDetector
 from pipeline.proposals.segmenter import DetectorSegmenter, PngMasks, Segmenter
 from pipeline.system.detector_setup import DetectorSetup, named_model
 from pipeline.system.errors import InputError, needed, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.model_files import resolve_model
 from pipeline.system.plugins import load_plugins
 

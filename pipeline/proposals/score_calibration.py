@@ -9,7 +9,7 @@ makes them: for each name by itself, suppressed, the K best. A detection is a hi
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ import numpy as np
 from pipeline.metrics.calibration_metrics import IDENTITY, Platt, fit_platt, sigmoid
 from pipeline.proposals.base import Detector
 from pipeline.system.errors import as_input_error, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.reading import checked
 from pipeline.system.safe_files import read_json
 from pipeline.system.whole_files import write_whole

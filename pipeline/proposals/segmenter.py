@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from time import perf_counter
@@ -19,6 +19,7 @@ from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Detector, Proposals, detect_expression
 from pipeline.system.contents import contents_hash
 from pipeline.system.errors import FrameUnusable, InputError, needed, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.safe_files import read_picture
 
 BEST = 50

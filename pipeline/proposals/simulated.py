@@ -15,7 +15,6 @@ on other frames, names or processes, and with another recall, say, the same obje
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from statistics import NormalDist
@@ -33,6 +32,7 @@ from pipeline.language.naming import Synonyms, default_synonyms
 from pipeline.proposals.base import Proposals, no_proposals
 from pipeline.proposals.class_names import meant_names
 from pipeline.system.errors import as_input_error
+from pipeline.system.frozen import dataclass
 from pipeline.system.reading import checked, parse_toml
 from pipeline.system.safe_files import read_json, read_text
 

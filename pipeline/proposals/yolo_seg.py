@@ -11,7 +11,6 @@ score, class number and coefficients instead.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -26,6 +25,7 @@ from pipeline.proposals.contracts import MASK_COEFFICIENTS, YOLO_SEG_CONTRACTS, 
 from pipeline.proposals.mismatch import fitting
 from pipeline.proposals.network import NetworkDetector
 from pipeline.system.errors import InputError, needed, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.onnx_session import run_session
 
 MIN_SCORE = 0.15

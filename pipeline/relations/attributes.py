@@ -9,7 +9,6 @@ part in the fit; `object_colors` says what is done about light and shade.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -18,6 +17,7 @@ from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import IMAGE_UP
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.language.attributes import BASIC_COLORS, FURTHER_COLORS, Attribute
+from pipeline.system.frozen import dataclass
 
 _TERMS: dict[str, tuple[float, ...]] = {
     "black": (6.5, -12.6, -5.7, -2.0, -8.4, 3.1, 1.1, 0.1, -1.2, 2.0),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,6 +14,7 @@ from pipeline.language.relation_names import INVERSE, PAIRWISE
 from pipeline.metrics.calibration_metrics import Platt
 from pipeline.relations.features import FEATURES, FeatureSet, feature_set, geometry_of
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.safe_files import parse_json
 
 CONTRACT = "spatialviz-srm-1"

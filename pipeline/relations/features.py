@@ -8,7 +8,7 @@ any of the names appends the phrase vectors of both class names.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.class_sizes import size_range
 from pipeline.relations.pair_measures import Profile, measures_between
 from pipeline.system.errors import InputError, needed, require
+from pipeline.system.frozen import dataclass
 
 LANGUAGE = "+lang"
 """What the name of a contract with class names ends with."""

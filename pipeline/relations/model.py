@@ -13,7 +13,6 @@ import os
 import re
 import shutil
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from math import prod
 from pathlib import Path
@@ -32,6 +31,7 @@ from pipeline.relations.contract import NetworkContract
 from pipeline.relations.features import Appearance
 from pipeline.relations.scorer import RelationScorer, RelationScores, RuleScorer, rule_probabilities
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.onnx_session import metadata, open_session, run_blocks, signature
 from pipeline.system.whole_files import file_with_companions
 

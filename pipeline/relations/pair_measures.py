@@ -9,10 +9,11 @@ States are three-valued: T (+1) a relation holds, F (-1) it does not, U (0) it i
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+
+from pipeline.system.frozen import dataclass
 
 T, U, F = 1, 0, -1
 NOT_JUDGED = -128

@@ -20,7 +20,6 @@ T by its own slack, F by how much even U is missed, U by 0.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -41,6 +40,7 @@ from pipeline.relations.pair_measures import (
     on_states,
 )
 from pipeline.system.errors import InputError
+from pipeline.system.frozen import dataclass
 
 Judge = Callable[[AllMeasures], Sequence[np.ndarray]]
 Slacks = Callable[[PairMeasures, Profile], tuple[np.ndarray, np.ndarray]]

@@ -6,7 +6,7 @@ Relations by rule that involve more than two objects, closest, farthest and betw
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -18,6 +18,7 @@ from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
 from pipeline.relations.features import Appearance
 from pipeline.relations.relations import PROFILE, F, Indices, T, U, judged_relations, measure_pairs, pairwise_states
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 
 RULE_PROBABILITY = {1: 0.95, 0: 0.50, -1: 0.05}
 """T, U and F as probabilities."""

@@ -6,7 +6,7 @@ import json
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from pipeline.synthetic.raycast import pose_of, silhouette
 from pipeline.synthetic.render import RenderedFrame, choose_views, render_view
 from pipeline.synthetic.rooms import make_room
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 from pipeline.system.plugins import versions_of
 from pipeline.system.whole_files import temporary_folder
 from pipeline.system.worker_pool import results_of

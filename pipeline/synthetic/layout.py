@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from pipeline.synthetic.model import (
     rod,
     sheet,
 )
+from pipeline.system.frozen import dataclass
 
 FLOOR, WALL = -1, -2
 """What an instance rests on, where that is not another instance."""

@@ -3,7 +3,6 @@ antialiased, developed for display."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
 
@@ -21,6 +20,7 @@ from pipeline.synthetic.raycast import (
     reflectance,
     resolve,
 )
+from pipeline.system.frozen import dataclass
 
 SUN = np.array([3.7, 3.2, 2.5], dtype=np.float32)
 LAMP = np.array([3.3, 2.9, 2.4], dtype=np.float32)

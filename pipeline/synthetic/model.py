@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, lru_cache
 from typing import TypeVar
 
 import numpy as np
+
+from pipeline.system.frozen import dataclass
 
 WOODS = {"oak": "#c59a6b", "walnut": "#7d5638", "birch": "#dcbf94", "teak": "#a66f42", "ash": "#cdb492"}
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -13,6 +12,7 @@ from pipeline.synthetic import textures
 from pipeline.synthetic.layout import Room
 from pipeline.synthetic.model import Material, ObjectModel
 from pipeline.system.errors import extra_module, needed
+from pipeline.system.frozen import dataclass
 
 SMOOTH_COS = float(np.cos(np.deg2rad(50)))
 """Faces that meet at less than this angle are shaded as one round surface."""

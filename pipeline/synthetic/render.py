@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from pipeline.geometry.boxes import Box3D
@@ -11,6 +9,7 @@ from pipeline.geometry.camera import Camera, intrinsics
 from pipeline.synthetic.layout import Focus, Room
 from pipeline.synthetic.lighting import render_colour
 from pipeline.synthetic.raycast import TracedRoom, build_scene, find_surfaces, pixel_rays, pose_of
+from pipeline.system.frozen import dataclass
 
 
 @dataclass(frozen=True)

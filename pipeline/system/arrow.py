@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.system.errors import as_input_error, require
+from pipeline.system.frozen import dataclass
 
 
 class LazyModule:

@@ -11,7 +11,7 @@ import re
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import cached_property
 from multiprocessing.pool import ThreadPool
 from pathlib import Path
@@ -23,6 +23,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from pipeline.system.errors import InputError, ServerError, extra_module, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.paths import cache_folder
 from pipeline.system.safe_files import read_json
 from pipeline.system.whole_files import keep_whole

@@ -6,11 +6,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 
 FILES = ("model", "model_config", "segmenter_model", "srm", "vectors", "synonyms", "predictions")
 """The arguments of `open_pipeline` that name files."""

@@ -8,11 +8,12 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import field, fields, replace
 from functools import lru_cache
 from typing import Any
 
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 
 LIMITS_VARIABLE = "SPATIALVIZ_LIMITS"
 LIMITS_OPTION = "--limits"

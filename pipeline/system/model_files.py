@@ -11,13 +11,13 @@ import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from pipeline.system.errors import InputError, extra_module, require
 from pipeline.system.execution import is_verbose
+from pipeline.system.frozen import dataclass
 from pipeline.system.paths import cache_folder
 from pipeline.system.whole_files import sha256_of, write_whole
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 import mmap
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 from pipeline.system.limits import LIMITS_OPTION, within
 from pipeline.system.safe_files import checked_path, limits_of, opened
 

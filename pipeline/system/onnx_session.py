@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from threading import Timer
@@ -16,6 +15,7 @@ import xxhash
 
 from pipeline.system.errors import InputError, require
 from pipeline.system.execution import ACCELERATORS, CPU, is_verbose, wanted_accelerator, warn_once
+from pipeline.system.frozen import dataclass
 from pipeline.system.limits import LIMITS_OPTION, current_limits
 from pipeline.system.onnx_contents import check_network, weight_files
 from pipeline.system.safe_files import opened

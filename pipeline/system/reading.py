@@ -7,11 +7,11 @@ import json
 import sys
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from pipeline.system.errors import InputError, as_input_error, first_line, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.safe_files import parse_json, read_text
 
 if TYPE_CHECKING:

@@ -16,11 +16,11 @@ import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from pipeline.system.errors import InputError, kind_and_text, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.limits import LIMITS_OPTION, current_limits, shown, shown_above
 from pipeline.system.whole_files import scratch_folder
 

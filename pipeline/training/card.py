@@ -10,7 +10,7 @@ import json
 import math
 import platform
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ from pipeline.relations.model import OnnxScorer, vectors_path
 from pipeline.relations.relations import measure_pairs
 from pipeline.relations.scorer import rule_probabilities
 from pipeline.system.errors import extra_module, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.onnx_session import file_hash
 from pipeline.system.plugins import versions_of
 from pipeline.system.whole_files import file_with_companions

@@ -7,7 +7,6 @@ and the paper's PCA box of every object. Only usable objects take part.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,7 @@ from pipeline.relations.model import ClassVectors
 from pipeline.relations.relations import T, U
 from pipeline.system.arrow import pa, pc
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 
 _LENGTHS = {"bbox": 4, "lo": 3, "hi": 3, "pca_center": 3, "pca_R": 9, "pca_size": 3, "center": 3, "R": 9, "size": 3}
 GEOMETRY_COLUMNS: dict[str, tuple[str, ...]] = {

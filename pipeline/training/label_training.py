@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from pipeline.metrics.splits import PARTS, TEST, TRAIN, VALIDATION, SplitKind, S
 from pipeline.relations.features import LANGUAGE, cli_features, feature_set, geometry_of
 from pipeline.relations.model import ClassVectors, OnnxScorer
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 from pipeline.system.worker_pool import one_thread
 from pipeline.training.card import evaluate, evaluate_classes, network_path, write_network
 from pipeline.training.label_data import LabelData, LabelledFrame, pair_set, read_label_data, trained_on

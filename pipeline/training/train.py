@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -26,6 +26,7 @@ from pipeline.relations.features import LANGUAGE, feature_set
 from pipeline.relations.model import ClassVectors
 from pipeline.relations.relations import T
 from pipeline.system.errors import extra_module, require
+from pipeline.system.frozen import dataclass
 from pipeline.training.label_data import PairSet
 from pipeline.training.training_data import FrameSamples, iterate_pairs
 

@@ -12,7 +12,7 @@ on other scattered rooms.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import cv2
@@ -27,6 +27,7 @@ from pipeline.relations.relations import directional_states
 from pipeline.synthetic import Instance, Room, choose_views, make_room, sense_view
 from pipeline.synthetic.scattered import make_scattered, roaming_cameras
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 from pipeline.system.worker_pool import results_of
 
 FIRST_ROOM = 500_000

@@ -13,7 +13,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Annotated, Any, Literal, TypeAlias
 from weakref import WeakSet
 
@@ -21,6 +21,7 @@ import websockets.exceptions
 from pydantic import Field, TypeAdapter
 
 from pipeline.system.errors import InputError
+from pipeline.system.frozen import dataclass
 from pipeline.system.reading import checked
 
 WAITING_BYTES = 8 * 2**20

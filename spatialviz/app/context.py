@@ -6,7 +6,7 @@ import inspect
 import re
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from functools import cache, cached_property, partial
 from typing import Any, TypeVar, get_type_hints
@@ -23,6 +23,7 @@ from pipeline.diagnosis.whatif.state import ViewState
 from pipeline.evaluation.run_folder import Run
 from pipeline.labels.reading import Labels
 from pipeline.system.errors import InputError
+from pipeline.system.frozen import dataclass
 from spatialviz.app.channel import Channel, Command, Incoming
 from spatialviz.app.frames import FramePictures
 from spatialviz.app.layout import BrowserPage, Dialog

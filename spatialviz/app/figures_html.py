@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from pipeline.geometry.palette import VERDICTS as COLORS
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.metrics.intervals import Estimate
+from pipeline.system.frozen import dataclass
 from spatialviz.app.answer import verdict_chip
 from spatialviz.app.evaluate_html import hint
 from spatialviz.app.markup import Child, Element, h, heading, note, panel, segments

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 
 from pipeline.datasets.base import has_moves, moves
+from pipeline.system.frozen import dataclass
 from spatialviz.app import answer, first_steps, picture, sentences, stage_objects, stages, toolbar
 from spatialviz.app.context import Context
 from spatialviz.app.markup import Child

@@ -6,7 +6,6 @@ import io
 import socket
 from concurrent.futures import Future
 from contextlib import redirect_stdout
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import rich
@@ -14,6 +13,7 @@ import viser
 
 from pipeline.system.errors import InputError, require
 from pipeline.system.freed_memory import return_freed_memory
+from pipeline.system.frozen import dataclass
 from spatialviz.app.access import Access
 from spatialviz.app.site import MAX_CLIENTS, Pages, Site
 from spatialviz.app.viser_socket import close_tunnels, served_by

@@ -23,13 +23,14 @@ from __future__ import annotations
 import html
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import TypeAlias, cast
 
 from pipeline.geometry.cleaning import Pixel
 from pipeline.geometry.palette import RGB, hex_color
 from pipeline.language.glossary import explained, find_term
+from pipeline.system.frozen import dataclass
 
 Child: TypeAlias = "Element | str | int | float | Iterable[Child] | None"
 DATA = ("do", "local", "live", "change", "enter", "point", "band", "hover", "field")

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from urllib.parse import unquote, urlsplit
 
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 
 PORT = re.compile(r"\{\{?port\}?\}")
 ADDRESS = re.compile(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 
 from pipeline.answering.frame_store import LoadedFrame
@@ -41,6 +41,7 @@ from pipeline.corrections.unsaved import JournalLocation
 from pipeline.language.counted import counted
 from pipeline.relations.relations import letter
 from pipeline.system.errors import InputError, needed
+from pipeline.system.frozen import dataclass
 from spatialviz.app.channel import Command
 from spatialviz.app.context import Context, command, there
 from spatialviz.app.label_part import NO_LABELS, LabelPart

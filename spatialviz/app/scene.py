@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence, Set
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,6 +21,7 @@ from pipeline.geometry.camera import Camera
 from pipeline.geometry.cloud import Cloud, nearest_distance, viewpoint
 from pipeline.geometry.palette import FACE_OPACITY, LINE_WIDTH, RGB, Role, hex_color, palette
 from pipeline.system.errors import needed
+from pipeline.system.frozen import dataclass
 from pipeline.system.recent import Recent
 from spatialviz.app.scene_client import SceneClient, triple
 from spatialviz.app.state import State

@@ -4,7 +4,7 @@ from the state."""
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 from typing import Literal, get_args
 from urllib.parse import parse_qs, urlencode
@@ -20,6 +20,7 @@ from pipeline.evaluation.mend_counts import MendCount, SettingChange
 from pipeline.evaluation.run_figures import Listing, Recorded
 from pipeline.geometry.palette import RGB, Role, palette
 from pipeline.geometry.viewer import Measurement, measure
+from pipeline.system.frozen import dataclass
 
 CameraMode = Literal["pair", "sensor", "orbit", "top"]
 """Viewpoints of the scene."""

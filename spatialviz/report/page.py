@@ -6,7 +6,7 @@ import base64
 import shlex
 from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib import resources
 from io import StringIO
 from pathlib import Path
@@ -33,6 +33,7 @@ from pipeline.pictures.answer_card import SIZE, answer_picture
 from pipeline.pictures.looks import frame_picture
 from pipeline.system.encoded_pictures import jpeg_url
 from pipeline.system.errors import InputError
+from pipeline.system.frozen import dataclass
 from pipeline.system.whole_files import write_whole
 from spatialviz.app.answer import verdict_chip_of
 from spatialviz.app.kept_pictures import IMAGES

@@ -7,7 +7,6 @@ import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import dataclass
 from datetime import datetime, timezone
 from functools import partial
 from typing import Any, NamedTuple, get_args
@@ -15,6 +14,7 @@ from typing import Any, NamedTuple, get_args
 from pipeline.corrections.journal.events import Action, Edit
 from pipeline.corrections.journal.field_refs import LONGEST_NAME, FieldRef, plain_text
 from pipeline.system.errors import InputError
+from pipeline.system.frozen import dataclass
 
 FIRST = "0" * 64
 """What the first event is chained to."""

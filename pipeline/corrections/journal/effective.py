@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 from collections import Counter, OrderedDict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, lru_cache
 from operator import attrgetter
 from typing import Any
@@ -52,6 +52,7 @@ from pipeline.proposals.annotations import box_mask
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.arrow import pa, pc
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 
 FRAMES_LOADED = 4
 """Frames that stay loaded: who corrects one goes on correcting it."""

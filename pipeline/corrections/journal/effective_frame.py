@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Sequence
 from copy import copy
-from dataclasses import dataclass, field, fields
+from dataclasses import field, fields
 from functools import cached_property
 from itertools import chain
 from operator import attrgetter
@@ -25,6 +25,7 @@ from pipeline.labels.reading import Labels, table_of_rows
 from pipeline.language.relation_names import MIRRORED
 from pipeline.system.arrow import pa
 from pipeline.system.errors import as_input_error
+from pipeline.system.frozen import dataclass
 
 _TABLES = ("objects", "relations", "expressions", "frames")
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Hashable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime
 from typing import Any, Literal, TypeVar
 
 from pipeline.corrections.journal.field_refs import LONGEST_TEXT, FieldRef, checked, plain_text, shown_value
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 
 Action = Literal["edit", "undo", "redo"]
 Thing = TypeVar("Thing")

@@ -8,7 +8,7 @@ import sqlite3
 import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from itertools import groupby
 from pathlib import Path
@@ -29,6 +29,7 @@ from pipeline.corrections.journal.chain import (
 )
 from pipeline.corrections.journal.sqlite_file import STATEMENTS, connected, lost_in_log, plain_reason, read_plainly
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.safe_files import limits_of
 from pipeline.system.whole_files import scratch_folder
 

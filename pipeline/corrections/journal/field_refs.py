@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import Any, Literal
 
@@ -17,6 +16,7 @@ from pipeline.geometry.masks import run_lengths
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.relations import letter
 from pipeline.system.errors import InputError, Shown, as_input_error, require
+from pipeline.system.frozen import dataclass
 
 Kind = Literal["object", "relation", "expression", "frame", "review"]
 KINDS: tuple[Kind, ...] = ("object", "relation", "expression", "frame", "review")

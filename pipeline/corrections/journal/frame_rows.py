@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -14,6 +14,7 @@ from pipeline.language.noun_phrase import same_names
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.pair_measures import NOT_JUDGED, T, U
 from pipeline.system.arrow import pa
+from pipeline.system.frozen import dataclass
 
 Row = dict[str, Any]
 BOX_COLUMNS = ("center", "R", "size")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from datetime import datetime, timezone
 from pathlib import Path
 from types import TracebackType
@@ -27,6 +27,7 @@ from pipeline.corrections.journal.sqlite_file import network_file_system
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import labels_version
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.remote import is_url, url_of
 
 JOURNAL_FILE = "journal.sqlite"

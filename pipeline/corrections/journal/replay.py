@@ -15,7 +15,6 @@ version of its field where what was changed since was taken back itself.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, Literal
 
@@ -27,6 +26,7 @@ from pipeline.corrections.journal.journal import Journal
 from pipeline.geometry.boxes import iou_2d
 from pipeline.system.arrow import pa
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 
 ANCHOR_IOU = 0.5
 """An object's automatic 2D box must overlap by this much with what it was when it was corrected."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from typing import Literal
 
@@ -16,6 +15,7 @@ from pipeline.corrections.review.worklist import say_of_item, status_ref
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import F, T, U, letter
 from pipeline.system.errors import needed
+from pipeline.system.frozen import dataclass
 
 Answer = Literal["right", "wrong", "unsure"]
 UNNAMED = "unnamed"

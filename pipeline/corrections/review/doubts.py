@@ -21,7 +21,7 @@ probability that a label is wrong.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from itertools import count
 from typing import Literal
 
@@ -34,6 +34,7 @@ from pipeline.metrics.splits import FEWEST_SCENES, FRAME_GAP, GAP_M, FrameKey, a
 from pipeline.relations.features import LANGUAGE, feature_set
 from pipeline.relations.relations import T, U
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 from pipeline.system.worker_pool import one_thread
 from pipeline.training.label_data import LabelData, LabelledFrame, pair_set
 from pipeline.training.train import TrainConfig, TrainedModel, train_pairs

@@ -18,7 +18,7 @@ How far two reviewers agree is told by Cohen's kappa (Educational and Psychologi
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from itertools import combinations
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -28,6 +28,7 @@ from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.replay import by_ref, standing_at
 from pipeline.metrics.intervals import Agreement, cohen_kappa
 from pipeline.relations.relations import letter
+from pipeline.system.frozen import dataclass
 
 Kind = Literal["relation", "object", "expression"]
 State = Literal["unreviewed", "accepted", "corrected", "rejected", "unsure"]

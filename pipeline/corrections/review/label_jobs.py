@@ -8,7 +8,7 @@ before, and a run is made again with the mended labels, once with its own relati
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -40,6 +40,7 @@ from pipeline.relations import shipped_network
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.whole_files import scratch_folder, staged_folder
 from pipeline.system.worker_pool import SharedJob
 from pipeline.training.label_data import read_label_data

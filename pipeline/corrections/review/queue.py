@@ -12,7 +12,6 @@ true then: nothing speaks against it, no noise is estimated from it, and network
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import reduce
 from itertools import pairwise
 from pathlib import Path
@@ -32,6 +31,7 @@ from pipeline.labels.schema import Manifest, labels_version
 from pipeline.language.relation_names import INVERSE
 from pipeline.relations.pair_measures import NOT_JUDGED, F, T, U
 from pipeline.system.arrow import pa
+from pipeline.system.frozen import dataclass
 from pipeline.training.label_data import LabelledFrame, read_label_data, rows_of_frame
 
 _TEXT, _NUMBER, _REAL = pa.string(), pa.int32(), pa.float64()

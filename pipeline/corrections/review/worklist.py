@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -31,6 +31,7 @@ from pipeline.corrections.review.queue import QUEUE_COLUMNS
 from pipeline.labels.reading import write_table
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, as_input_error, first_line, needed, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.safe_files import read_parquet
 
 VERSION_KEY = b"labels_version"

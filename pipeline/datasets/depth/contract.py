@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,6 +10,7 @@ from pydantic import Field, model_validator
 
 from pipeline.geometry.picture_input import ContractTable, PictureInput, Side, read_description
 from pipeline.system.errors import InputError, needed
+from pipeline.system.frozen import dataclass
 from pipeline.system.model_files import known_models, parse_hub_id, resolve_model
 from pipeline.system.onnx_session import open_session, signature
 

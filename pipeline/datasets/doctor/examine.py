@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from pipeline.geometry.camera import composed
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.registration import Outlines, Registration
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 
 MOST_FRAMES, MOST_SCENES = 12, 4
 LONGEST_GAP = 300

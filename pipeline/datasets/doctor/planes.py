@@ -7,13 +7,13 @@ ray's length over the distance, of inverse depth what is stored.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.datasets.meant import ray_lengths
 from pipeline.datasets.settings import MEANT
 from pipeline.geometry.frame import Frame
+from pipeline.system.frozen import dataclass
 
 KINDS: tuple[str, ...] = MEANT["depth_is"]
 SAMPLED = 110

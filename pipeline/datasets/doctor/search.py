@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cache, cached_property
 from typing import Any
 
@@ -13,6 +13,7 @@ from pipeline.datasets.doctor.seen import Landing, Seen, Views, detail_of, land
 from pipeline.datasets.meant import LEFT_RIGHT
 from pipeline.geometry.camera import CONVENTIONS, STANDARD
 from pipeline.language.counted import counted
+from pipeline.system.frozen import dataclass
 
 RESIZED = (0.5, 2.0, 1 / 3, 3.0, 0.25, 4.0, 2 / 3, 1.5)
 """Sizes of a picture whose camera is told, by the size of those that are read."""

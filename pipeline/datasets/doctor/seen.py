@@ -8,7 +8,7 @@ says anything.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cache, cached_property, partial
 from typing import Any
 
@@ -23,6 +23,7 @@ from pipeline.geometry.camera import STANDARD, Camera, intrinsics, standard_pose
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.registration import Outlines, Registration, registered
 from pipeline.system.errors import InputError
+from pipeline.system.frozen import dataclass
 
 BLOCKS = 3
 """Landings are counted in so many by so many blocks of each view, which are compared one by one."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -23,6 +23,7 @@ from pipeline.geometry.registration import (
     estimate_warp,
     mean_known,
 )
+from pipeline.system.frozen import dataclass
 
 State = Literal["fine", "wrong", "unknown"]
 SUBJECTS = (

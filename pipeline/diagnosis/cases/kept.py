@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,7 @@ from pipeline.proposals.base import Detector, Proposals
 from pipeline.proposals.recorded import Playback, RecordedDetection, as_arrays
 from pipeline.relations import RelationScorer
 from pipeline.system.errors import InputError, UnknownClass, as_input_error, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.safe_files import parse_json, read_bytes
 
 

@@ -7,7 +7,6 @@ move by more than a tolerance, and another detail of the same verdict, are warni
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import repeat
 from pathlib import Path
 from typing import Any, Literal
@@ -26,6 +25,7 @@ from pipeline.diagnosis.cases.saving import OpenedCase, open_case
 from pipeline.geometry.boxes import iou_2d
 from pipeline.relations import make_scorer
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 
 Status = Literal["same", "changed", "updated", "damaged"]
 

@@ -7,7 +7,7 @@ import json
 import os
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime, timezone
 from functools import cached_property
 from pathlib import Path
@@ -60,6 +60,7 @@ from pipeline.relations import RelationScorer, RuleScorer, make_scorer, shipped_
 from pipeline.relations.scorer import SuppliedRelations
 from pipeline.system.detector_setup import DetectorSetup
 from pipeline.system.errors import InputError, as_input_error, needed, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.safe_files import read_bytes
 from pipeline.system.version import __version__
 from pipeline.system.whole_files import sha256_of, temporary_sibling, write_synced, write_whole

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 from typing import TypeVar
 
@@ -21,6 +21,7 @@ from pipeline.diagnosis.whatif.rerun import Outcome
 from pipeline.geometry.boxes import Box3D, iou_2d
 from pipeline.geometry.palette import Role
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from pipeline.diagnosis.whatif.edits import CHECKS, Edits
 from pipeline.diagnosis.whatif.rerun import Outcome, PairKeys
 from pipeline.language.relation_names import PHRASE
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 
 _WORDS = {
     "k": "proposals a name (K)",

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import field, fields, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
@@ -31,6 +31,7 @@ from pipeline.geometry.cleaning import LiftConfig
 from pipeline.geometry.masks import RunLength
 from pipeline.relations.relations import Profile
 from pipeline.system.errors import InputError, as_input_error, in_file, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.reading import checked
 from pipeline.system.safe_files import parse_json, read_bytes
 

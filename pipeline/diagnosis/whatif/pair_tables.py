@@ -8,7 +8,6 @@ numbers that scoring the whole list gives.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from pipeline.relations.model import OnnxScorer, combined
 from pipeline.relations.pair_measures import AllMeasures, enclosed_share, points_decide, surface_heights
 from pipeline.relations.relations import Profile, known_extents, measure_pairs, pair_states, pairwise_states
 from pipeline.relations.scorer import RelationScorer, RelationScores, RuleScorer, rule_probabilities, stacked_extents
+from pipeline.system.frozen import dataclass
 
 _WHOLE = 0.5
 """From this share of new pairs on everything is scored anew, as one scene."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 
@@ -13,6 +11,7 @@ from pipeline.geometry.masks import decode_run_length
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.cases import FrameCases
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 
 SMALLEST_SIDE = 0.01
 """Metres; a flatter box could not be taken hold of again."""

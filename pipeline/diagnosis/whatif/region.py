@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from pipeline.relations.pair_measures import AllMeasures, enclosed_share, in_mea
 from pipeline.relations.relations import Profile, T, known_extents, letter, measure_pairs, pair_margins, pair_states
 from pipeline.relations.scorer import stacked_extents
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 
 Measures = dict[str, float]
 CELLS, LEVELS = 120, 201

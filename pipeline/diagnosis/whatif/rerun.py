@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import OrderedDict, defaultdict
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from threading import RLock
@@ -36,6 +36,7 @@ from pipeline.relations import make_scorer
 from pipeline.relations.relations import Profile
 from pipeline.relations.scorer import RelationScorer, RelationScores
 from pipeline.system.errors import require
+from pipeline.system.frozen import dataclass
 
 _T = TypeVar("_T")
 PairKeys = tuple[str, str | None, str | None]

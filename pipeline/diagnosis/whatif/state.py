@@ -12,13 +12,14 @@ import json
 import re
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field
 
 from pipeline.diagnosis.whatif.edits import Edits, edits_record, validated
 from pipeline.system.errors import InputError, as_input_error, require
+from pipeline.system.frozen import dataclass
 
 VERSION = 1
 LONGEST_STRING = 2 * 2**20

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from pipeline.geometry.masks import RunLength
 from pipeline.labels.cases import FrameCases
 from pipeline.proposals.annotations import box_mask
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 
 
 @dataclass(frozen=True)

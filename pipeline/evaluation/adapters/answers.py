@@ -20,7 +20,7 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -33,6 +33,7 @@ from pipeline.evaluation.place_reading import PlacedLine, ReadPlace, read_places
 from pipeline.evaluation.written_places import written_place
 from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, needed, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.limits import current_limits
 from pipeline.system.reading import Content, read_content
 from pipeline.system.safe_files import opened, parse_json

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from pipeline.labels.reading import Labels, open_labels, read_table
 from pipeline.language.expression import parse
 from pipeline.proposals.detection_files import detection_files
 from pipeline.system.errors import FrameUnusable, InputError, needed, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.plugins import load_plugins
 from pipeline.system.safe_files import opened
 from pipeline.system.whole_files import scratch_folder

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from pipeline.datasets.base import load_picture
 from pipeline.datasets.frame_names import FrameNames, Picture
 from pipeline.evaluation.place_reading import PlaceReading
 from pipeline.language.naming import match
+from pipeline.system.frozen import dataclass
 from pipeline.system.reading import Content, read_content
 
 _WORD = re.compile(r"[^\W_]+")

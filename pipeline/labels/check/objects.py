@@ -6,7 +6,7 @@ Sizes are compared with what the class can be, and with the object's own kind in
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from pipeline.geometry.surface import surface_step
 from pipeline.labels.check.view import Finding, FrameView, Severity
 from pipeline.language.class_sizes import size_factor, size_range
 from pipeline.system.errors import InputError
+from pipeline.system.frozen import dataclass
 
 NEAREST_M = 0.05
 """Corners nearer than this are projected as if they lay there."""

@@ -30,7 +30,6 @@ can be refused any direction, so that only T is compared.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -52,6 +51,7 @@ from pipeline.relations.relations import (
     pair_margins,
     pair_states,
 )
+from pipeline.system.frozen import dataclass
 
 MIRRORED_PROFILES = ("viewer-cone-v1",)
 """Profiles in which "a left of b" and "b right of a" are one question."""

@@ -7,7 +7,6 @@ of their JSON Schema, and only rows that fall out are validated one by one.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import lru_cache
 from math import inf
 from typing import Any
@@ -21,6 +20,7 @@ from pipeline.labels.schema import TABLES
 from pipeline.relations.pair_measures import NOT_JUDGED
 from pipeline.system.arrow import pa, pc
 from pipeline.system.errors import Shown
+from pipeline.system.frozen import dataclass
 from pipeline.system.reading import asked
 
 

@@ -9,7 +9,7 @@ first, and only a sound one is handed on.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, field
 from functools import cached_property
 from typing import Any, Literal
 
@@ -24,6 +24,7 @@ from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.relations.pair_measures import NOT_JUDGED
 from pipeline.relations.relations import F, T, U, letter
 from pipeline.system.errors import InputError
+from pipeline.system.frozen import dataclass
 
 
 def state_letter(state: Any) -> str:

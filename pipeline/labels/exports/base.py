@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from itertools import repeat
 from pathlib import Path
 from typing import Any, TextIO
@@ -28,6 +28,7 @@ from pipeline.labels.reading import MARKS_FILE, STATUSES_FILE, Labels, arrow_sch
 from pipeline.labels.schema import Manifest, labels_version
 from pipeline.system.arrow import pa, pc
 from pipeline.system.errors import InputError, Shown, as_input_error, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.safe_files import read_json
 
 ENTRY = ("column", "source", "author", "time", "event", "reason", "was")

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
-from dataclasses import dataclass
 from pathlib import Path
 from types import NoneType
 from typing import Any, Literal
@@ -48,6 +47,7 @@ from pipeline.labels.report import UNKNOWN_LICENCE, dataset_card
 from pipeline.labels.schema import TABLES, write_schemas
 from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import needed, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.plugins import load_plugins
 from pipeline.system.version import __version__
 from pipeline.system.whole_files import staged_folder, text_file, write_json

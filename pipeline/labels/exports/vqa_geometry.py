@@ -9,7 +9,7 @@ them, exact ones too, would close or widen them by centimetres.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -25,6 +25,7 @@ from pipeline.geometry.surface import surface_step
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.labels.exports.base import ExportFrame
 from pipeline.system.errors import InputError, needed, require
+from pipeline.system.frozen import dataclass
 
 EXACT, HUMAN, FITTED, POINTS = "the dataset's box", "a person's box", "the fitted box", "points of the mask"
 LEAST_SIZE, LEAST_SIZE_RELATIVE = 0.07, 0.04

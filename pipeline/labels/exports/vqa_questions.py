@@ -28,7 +28,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
 from operator import attrgetter
@@ -61,6 +60,7 @@ from pipeline.language.noun_phrase import alone, noun_phrase, readable
 from pipeline.language.relation_names import RELATIONS
 from pipeline.relations.relations import F, T
 from pipeline.system.errors import InputError, Shown, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.whole_files import text_file
 
 IMAGE_TOKEN = "<image>"

@@ -15,7 +15,7 @@ from bisect import bisect_right
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
@@ -40,6 +40,7 @@ from pipeline.labels.reading import Labels
 from pipeline.labels.schema import TABLES, labels_version
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.errors import InputError, Shown, as_input_error, needed, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.safe_files import opened, parse_json
 
 FRAMES_KEPT = 16

@@ -15,7 +15,6 @@ import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +30,7 @@ from pipeline.geometry.masks import decode_run_length, encode_run_length, fill_p
 from pipeline.labels.exports.base import ExportedFrom
 from pipeline.proposals.segmenter import share_inside
 from pipeline.system.errors import InputError, Shown, as_input_error, needed, require
+from pipeline.system.frozen import dataclass
 from pipeline.system.safe_files import read_json
 
 SAME_BOX = 0.5

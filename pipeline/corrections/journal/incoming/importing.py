@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -34,6 +34,7 @@ from pipeline.labels.reading import Labels
 from pipeline.labels.schema import TABLES
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.errors import InputError, in_file, require
+from pipeline.system.frozen import dataclass
 
 COCO_FILE = "instances.json"
 _NOT_READ = ("refs.json", "relations.json")
