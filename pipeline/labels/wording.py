@@ -11,6 +11,7 @@ from pipeline.language import lexicon
 from pipeline.language.expression import parse
 from pipeline.language.naming import DETERMINERS, is_named, match, normal_form, same_class
 from pipeline.language.noun_phrase import NounPhrase, noun_phrase, readable
+from pipeline.language.openers import LEADING_WORDS
 from pipeline.language.relation import SEMANTIC_ABSTRACTION
 from pipeline.language.relation_names import PAIRWISE, PHRASE, RELATIONS
 from pipeline.language.tokens import MAX_LENGTH, words_of
@@ -123,11 +124,8 @@ _GRAMMAR_WORDS = (
     | lexicon.OBJECT_VIEW_WORDS
     | lexicon.OTHER
     | DETERMINERS
-    | frozenset(
-        w
-        for p in (*lexicon.LEADING, "left right front back rear top bottom middle center side hand")
-        for w in p.split()
-    )
+    | LEADING_WORDS
+    | frozenset(["left", "right", "front", "back", "rear", "top", "bottom", "middle", "center", "side", "hand"])
 )
 
 

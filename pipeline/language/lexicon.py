@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from functools import lru_cache
 
-from pipeline.language.openers import LEADING, phrases
+from pipeline.language.openers import LEADING_WORDS, phrases
 from pipeline.language.relation import DECLARED
 from pipeline.language.relation_names import RELATIONS
 
@@ -346,7 +346,7 @@ GRAMMAR_WORDS = (
     | ACTIONS
     | ANYTHING
     | {"apart", "aside", "instead", "rather"}
-    | frozenset(word for phrase in LEADING for word in phrase.split())
+    | LEADING_WORDS
 )
 """Words that are never taken for misspelt ones."""
 

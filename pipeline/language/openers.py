@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from itertools import product
+from functools import lru_cache
+from itertools import chain, product
 
 
 def phrases(text: str) -> frozenset[str]:
@@ -42,21 +43,19 @@ _WHICH = phrases(
     "where, which, what, where is, where are, which is, which one is, what is, if there is, whether there is"
 )
 _LIES = phrases("lies, stands, sits, hangs, rests, do you see, can you see, can i see, do we see, do you find, else is")
-_ASKING = frozenset(
-    " ".join(words)
-    for words in (
-        *product(_MODALS, _WHO),
-        *product(_TRYING, _ASKED_TO),
-        *product(_ASKED_TO, _HELPED_BY),
-        *product(("to", "help me"), _ASKED_TO, _HELPED_BY),
-        *product(_WHERE, _MODALS | {"have"}, (*_WHO, "they"), _SEEN),
-        *product(("did", "have", "had"), ("i", "we", "you", "they", "anyone", "somebody"), _SEEN),
-        *product(_AT_IT, _AFTER),
-        *product(_SPEAKING, _WANTING),
-        *product(_KNOWING, _TOLD, _WHICH),
-        *product(("what", "which one", "which thing", "which object"), _LIES),
-    )
+_JOINED = (
+    (_MODALS, _WHO),
+    (_TRYING, _ASKED_TO),
+    (_ASKED_TO, _HELPED_BY),
+    (("to", "help me"), _ASKED_TO, _HELPED_BY),
+    (_WHERE, _MODALS | {"have"}, (*_WHO, "they"), _SEEN),
+    (("did", "have", "had"), ("i", "we", "you", "they", "anyone", "somebody"), _SEEN),
+    (_AT_IT, _AFTER),
+    (_SPEAKING, _WANTING),
+    (_KNOWING, _TOLD, _WHICH),
+    (("what", "which one", "which thing", "which object"), _LIES),
 )
+"""Phrases of which one of each stands behind another."""
 _FRAMES = phrases(
     "where can, where could, where might, where would, where should, could, would, should, "
     "whatever is, whatever's, you'll find, you'll see, you will find, you will see, you find, you can find, "
@@ -87,8 +86,22 @@ _FRAMES = phrases(
     "about, say where, say where is, say which, mind, the location of, the position of, the  whereabouts of, the "
     "place of"
 )
-LEADING = _ALONE | _ASKING | _FRAMES
-"""What may stand before the first noun and says nothing about it."""
+LEADING_WORDS = frozenset(
+    word for phrases in (_ALONE, _FRAMES, *chain(*_JOINED)) for phrase in phrases for word in phrase.split()
+)
+"""Words of `leading`."""
+
+
+@lru_cache(maxsize=1)
+def leading() -> frozenset[str]:
+    """All that may stand before the first noun and says nothing about it: some 20,000 phrases."""
+    return _ALONE | _FRAMES | {" ".join(words) for parts in _JOINED for words in product(*parts)}
+
+
+def is_leading(said: str) -> bool:
+    """Test if words are one of `leading`, which is made only where they may be."""
+    return said in _ALONE or said in _FRAMES or (LEADING_WORDS.issuperset(said.split()) and said in leading())
+
 
 ASKERS = phrases(
     "i, we, you, me, us, i'd, we'd, i'm, we're, i'll, we'll, i've, we've, please, kindly, anyone, anybody, someone, "

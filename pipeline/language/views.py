@@ -7,7 +7,7 @@ from pipeline.language.attribute_reader import is_name
 from pipeline.language.attributes import attribute
 from pipeline.language.chain import FORM, check_judged, other_view
 from pipeline.language.naming import DETERMINERS, is_compound, singular
-from pipeline.language.openers import ASKERS, FRAMING
+from pipeline.language.openers import ASKERS, FRAMING, is_leading
 from pipeline.language.tokens import Token, joined_words
 from pipeline.system.errors import Unsupported
 
@@ -80,7 +80,7 @@ def leading_removed(tokens: list[Token]) -> tuple[list[Token], bool]:
         tokens = _among_removed(tokens)[_frame(tokens) :]
         for n in range(7, 0, -1):
             run = tokens[:n]
-            if len(run) == n and " ".join(t.text for t in run) in lexicon.LEADING:
+            if len(run) == n and is_leading(" ".join(t.text for t in run)):
                 if any(t.bound or t.name is not None for t in run) or _names_a_thing(tokens[:3]):
                     continue
                 asked = any(t.text.startswith(("what", "which")) for t in run)

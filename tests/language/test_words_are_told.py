@@ -17,9 +17,9 @@ from pipeline.geometry import Frame
 from pipeline.language import Query, match, parse
 from pipeline.language.attributes import SINGLE_WORDS
 from pipeline.language.chain import OWN_WORDS
-from pipeline.language.lexicon import CONTRACTIONS, LEADING, SHORTHAND, VIEW_WORDS
+from pipeline.language.lexicon import CONTRACTIONS, SHORTHAND, VIEW_WORDS
 from pipeline.language.naming import meanings
-from pipeline.language.openers import FRAMING
+from pipeline.language.openers import FRAMING, leading
 from pipeline.language.tokens import attribute_meant, is_known, spelling_corrected
 from pipeline.proposals import AnnotationDetector, Proposals
 from pipeline.system import InputError, UnknownClass
@@ -27,7 +27,7 @@ from pipeline.system import InputError, UnknownClass
 NAMES = ("mug", "laptop", "desk lamp", "dining table", "chair", "pillow")
 TRUTH = AnnotationDetector(NAMES)
 SCENE = frame_of([upright((x, 0.9, 2), (0.3, 0.4, 0.3)) for x in (-0.6, 0.0, 0.6)], ["mug", "laptop", "mug"])
-FRAME_WORDS = frozenset(w for phrase in LEADING for w in phrase.split()) | VIEW_WORDS | FRAMING
+FRAME_WORDS = frozenset(w for phrase in leading() for w in phrase.split()) | VIEW_WORDS | FRAMING
 OPENERS = [
     "",
     "please find",
