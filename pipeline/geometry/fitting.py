@@ -94,11 +94,12 @@ def mean_of(points: np.ndarray) -> np.ndarray:
     return np.add.reduceat(points.astype(np.float64), [0], axis=0)[0] / len(points)
 
 
-def median(values: np.ndarray) -> float:
-    """Median of (N,) values, N > 0, as numpy's, at a third of its cost for few values."""
-    half = len(values) // 2
+def median(values: np.ndarray) -> np.ndarray:
+    """Median of (..., N) values along the last axis, N > 0, as numpy's, which is slower and loads masked arrays."""
+    half = values.shape[-1] // 2
     ordered = np.partition(values, half)
-    return float((ordered[half] + (ordered[half] if len(values) % 2 else ordered[:half].max())) / 2)
+    other = ordered[..., half] if values.shape[-1] % 2 else ordered[..., :half].max(axis=-1)
+    return (ordered[..., half] + other) / 2
 
 
 def gravity_box(points: np.ndarray, viewer: ViewerAxes) -> tuple[Box3D, float]:
@@ -239,7 +240,7 @@ def plan_yaws(plans: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     # The middle of those as good: of a flat front several are.
     good = fine >= AS_GOOD * best[:, None]
     yaw = (angles * good).sum(axis=1) / good.sum(axis=1)
-    return yaw % (np.pi / 2), best / np.median(coarse, axis=1) - 1
+    return yaw % (np.pi / 2), best / median(coarse) - 1
 
 
 def _closeness(plans: np.ndarray, yaws: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ import numpy as np
 
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera, project
+from pipeline.geometry.fitting import median
 from pipeline.geometry.masks import LazyMask, PictureMask
 from pipeline.system.errors import InputError, as_input_error, require
 from pipeline.system.frozen import dataclass
@@ -160,11 +161,11 @@ class Frame:
         require(highest != 0, f"frame {self.id}: no usable depth", got="only zeros")
         valid = depth[depth > 0]
         # A strided median is exact enough for a factor of a thousand.
-        median = float(np.median(valid[:: max(1, valid.size // 20_000)]))
+        middle = float(median(valid[:: max(1, valid.size // 20_000)]))
         require(
-            NEAREST_MEDIAN_M <= median <= FARTHEST_MEDIAN_M,
+            NEAREST_MEDIAN_M <= middle <= FARTHEST_MEDIAN_M,
             f"frame {self.id}: depth of the wrong unit",
-            got=f"a median depth of {median:.3g} m",
+            got=f"a median depth of {middle:.3g} m",
             expected=f"{NEAREST_MEDIAN_M:g} to {FARTHEST_MEDIAN_M:g} m",
             cause="is it in millimetres? the depth scale is the depth units in one metre, 1000 for millimetres",
         )

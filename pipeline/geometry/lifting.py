@@ -276,7 +276,7 @@ def _quality(
         kept=kept / max(area, 1),
         depth_missing=missing / max(area, 1),
         touches_border=border,
-        distance=median(points[:, 2]) if kept else float("nan"),
+        distance=float(median(points[:, 2])) if kept else float("nan"),
         fallback=fallback,
         mask_source=source,
     )
