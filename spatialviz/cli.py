@@ -187,7 +187,8 @@ def run(arguments: Sequence[str]) -> int:
                 options_of(name) if known else Union[every],  # pyright: ignore
                 prog=f"spatialviz {name}" if known else "spatialviz",
                 args=arguments[1:] if known else arguments,
-                description=None if known else ABOUT,
+                # tyro would parse it as a page of a manual.
+                description=inspect.getdoc(options_of(name)) if known else ABOUT,
                 config=config,
             )
     except SystemExit:
