@@ -240,8 +240,7 @@ class RecordedDetector:
         seen = [(state.st_ino, state.st_size, state.st_mtime_ns) for state in states]
         if self._hashed[0] != seen:
             # Asked for each name of each frame: to look at all files of a folder takes longer than an answer.
-            contents = ":".join(f"{path.resolve().name}:{contents_hash(path)}" for path in self._files)
-            self._hashed = seen, contents
+            self._hashed = seen, ":".join(f"{path.resolve().name}:{contents_hash(path)}" for path in self._files)
         maker = "" if self.made_by is None else f"<{self.made_by}"
         return f"recorded:{self._hashed[1]}:{self.min_score}{maker}"
 

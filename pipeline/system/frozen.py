@@ -50,6 +50,13 @@ else:
         return made if cls is None else made(cls)
 
 
+class _Factory:
+    """Default of a field that is made anew, as signatures show it."""
+
+    def __repr__(self) -> str:
+        return "<factory>"
+
+
 class _Compiled:
     """Function of a class, made when it is first looked up; it then stands in its own place."""
 
@@ -70,14 +77,14 @@ def _init(cls: type) -> Callable[..., None]:
     taken: list[str] = []
     named: list[str] = []
     lines = ["pass"]
-    scope: dict[str, Any] = {"_set": object.__setattr__, "_MISSING": dataclasses.MISSING}
+    scope: dict[str, Any] = {"_set": object.__setattr__, "_MADE": _Factory()}
     fields = dataclasses.fields(cls)  # pyright: ignore[reportArgumentType]
     for field in fields:
         name, value = field.name, field.name
         if field.default_factory is not dataclasses.MISSING:
             scope[f"_of_{name}"] = field.default_factory
-            given = f"{name}=_MISSING"
-            value = f"_of_{name}() if {name} is _MISSING else {name}" if field.init else f"_of_{name}()"
+            given = f"{name}=_MADE"
+            value = f"_of_{name}() if {name} is _MADE else {name}" if field.init else f"_of_{name}()"
         elif field.default is not dataclasses.MISSING:
             scope[f"_of_{name}"] = field.default
             given = f"{name}=_of_{name}"
