@@ -11,7 +11,6 @@ Either may say which detector made it: `"made_by": "<name>: <fingerprint>"` besi
 
 Files that other programs publish (`pipeline.proposals.detection_files`: COCO results, the sinks of supervision,
 Grounded SAM), or a folder of them, are played back too.
-
 An id says which thing a detection is of: one and the same thing, found under several names, has one id. Where any
 detection of a frame has none, each is a thing of its own.
 """
@@ -230,19 +229,14 @@ class RecordedDetector:
             return tuple(sorted({row.label for rows in self._published.values() for row in rows}))
         if self._recording is not None:
             return tuple(sorted({name for found in self._recording.values() for name in found.names}))
-        names: set[str] = set()
-        for file in sorted(self.path.glob("*.npz")):
-            names.update(_read_labels(file))
-        return tuple(sorted(names))
+        return tuple(sorted({name for file in sorted(self.path.glob("*.npz")) for name in _read_labels(file)}))
 
     def fingerprint(self) -> str:
-        states = [path.stat() for path in self._files]
-        seen = [(state.st_ino, state.st_size, state.st_mtime_ns) for state in states]
+        seen = [(state.st_ino, state.st_size, state.st_mtime_ns) for state in map(Path.stat, self._files)]
         if self._hashed[0] != seen:
             # Asked for each name of each frame: to look at all files of a folder takes longer than an answer.
             self._hashed = seen, ":".join(f"{path.resolve().name}:{contents_hash(path)}" for path in self._files)
-        maker = "" if self.made_by is None else f"<{self.made_by}"
-        return f"recorded:{self._hashed[1]}:{self.min_score}{maker}"
+        return f"recorded:{self._hashed[1]}:{self.min_score}" + ("" if self.made_by is None else f"<{self.made_by}")
 
     def assumed(self) -> list[str]:
         """Assumptions so far, a sentence each: scores that the file lacks, and names that it has cut."""
