@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import subprocess
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from datetime import date
 from importlib.metadata import PackageNotFoundError
 from importlib.metadata import version as version_of
@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.system.errors import InputError, as_input_error
-from pipeline.system.frozen import dataclass
 from pipeline.system.safe_files import read_json
 from pipeline.system.version import __version__
 from pipeline.system.whole_files import write_json

@@ -7,11 +7,10 @@ import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from time import process_time
 from typing import Any
-
-from pipeline.system.frozen import dataclass
 
 if sys.platform != "win32":
     import resource

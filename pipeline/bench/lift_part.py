@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -15,7 +16,6 @@ from pipeline.geometry import Camera, ViewerAxes, backproject, depth_edges, exte
 from pipeline.labels.profiles import judge_viewer_cone
 from pipeline.language import DIRECTIONAL
 from pipeline.synthetic import choose_views, exact_view, make_room, sense
-from pipeline.system.frozen import dataclass
 from pipeline.system.worker_pool import one_thread
 from pipeline.training.training_data import MIN_PIXELS, degraded
 

@@ -312,7 +312,7 @@ def _smooth_points(
     points = np.array([x * z, y * z, z])
     ends = np.cumsum([len(smooth) for *_, smooth in planes]).tolist()
     return [
-        (points[:, start:end].T, rim, MAD_TO_DEVIATION * median(off[start:end]))
+        (points[:, start:end].T, rim, MAD_TO_DEVIATION * float(median(off[start:end])))
         for start, end, rim in zip([0, *ends], ends, rims, strict=False)
     ]
 
