@@ -310,7 +310,7 @@ def summarise_run(records: pa.Table, config: BootstrapConfig | None = None) -> R
 
 def _none(values: np.ndarray) -> np.ndarray:
     """(N,) bool: which of (N,) objects are None."""
-    return np.equal(values, None).astype(np.bool_)
+    return np.equal(values, np.array(None, object)).astype(np.bool_)
 
 
 def _shares(member: np.ndarray, clusters: np.ndarray, config: BootstrapConfig | None) -> list[Share]:
