@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import field
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -21,13 +21,11 @@ from pipeline.evaluation.run_names import told_apart
 from pipeline.evaluation.search import Field
 from pipeline.evaluation.slices import Slices, figure_rows, slice_by
 from pipeline.evaluation.summary import RunSummary, summarise_run
+from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
 from pipeline.system.frozen import dataclass
 from pipeline.system.recent import Recent
 from pipeline.system.version import __version__
-
-if TYPE_CHECKING:
-    from pipeline.evaluation.records_file import Records
 
 STANDS_IN = "stands_in"
 """The column, and the field of a search, that says in which relation an answer stands."""
@@ -90,7 +88,8 @@ class FoundFigures:
     @cached_property
     def summary(self) -> RunSummary | str:
         """Verdicts and costs of modules."""
-        return _or_why(lambda: summarise_run(figure_rows(self.run.on_file, self._rows)))
+        whole = self._rows is None
+        return _or_why(lambda: summarise_run(figure_rows(self.run.on_file) if whole else self._part))
 
     @cached_property
     def names(self) -> tuple[str, str] | None:
@@ -106,12 +105,13 @@ class FoundFigures:
     def slices(self, dimension: str) -> Slices | str:
         """Slices by a dimension; the most frequent values of texts."""
         if dimension not in self._slices:
-            self._slices[dimension] = _or_why(lambda: slice_by({self.run.name: self._some}, dimension, most=MOST_SHOWN))
+            of_run = {self.run.name: self.run.on_file if self._rows is None else self._part}
+            self._slices[dimension] = _or_why(lambda: slice_by(of_run, dimension, most=MOST_SHOWN))
         return self._slices[dimension]
 
-    @property
-    def _some(self) -> Records:
-        return self.run.on_file if self._rows is None else figure_rows(self.run.on_file, self._rows)
+    @cached_property
+    def _part(self) -> pa.Table:
+        return figure_rows(self.run.on_file, self._rows)
 
     @cached_property
     def confusion(self) -> Confusion | str:

@@ -14,6 +14,7 @@ import numpy as np
 from pipeline.diagnosis.oracles import NAMED_BY, ORACLES, SUBSETS, names_of, shown_oracle
 from pipeline.diagnosis.verdict import VERDICTS, shown_detail, shown_verdicts
 from pipeline.evaluation.grounding_tables import clusters_of, column
+from pipeline.evaluation.records_file import text_codes
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, mean_estimate, ratio
 from pipeline.metrics.tables import Cell, Row, Table
 from pipeline.system.arrow import pa, pc
@@ -97,21 +98,21 @@ class KnownOracles:
 
     right: np.ndarray  # (E, S) float64: 1 where right under a subset of the oracles that can be put in place
     known: np.ndarray  # (E,) int64: the bits of the oracles that can
-    why: dict[str, list[str | None]]  # of each expression, by oracle and PARSE: why it cannot
+    why: dict[str, np.ndarray]  # (E,) object, by oracle and PARSE: why it cannot, None where it can
 
     @staticmethod
     def of(records: pa.Table) -> KnownOracles:
         """Read `right_with` and `untold` of records; earlier records have no `untold`."""
         answered, right_with = column(records, "set_correct") > 0, column(records, "right_with")
         none = np.isnan(right_with)
-        said = records.column("untold").to_pylist() if "untold" in records.column_names else [None] * len(none)
-        parts = [dict(part.split(": ", 1) for part in told or ()) for told in said]
-        why = {
-            m: [row.get(m, UNTOLD if n else None) for row, n in zip(parts, none.tolist(), strict=True)] for m in ORACLES
-        }
-        known = sum((np.array([w is None for w in why[m]], np.int64) << k for k, m in enumerate(ORACLES)), 0 * none)
-        parsed = column(records, "parse_ok") != 0
-        why["PARSE"] = [w if n and not p else None for w, n, p in zip(why[ORACLES[0]], none, parsed, strict=True)]
+        why = {m: np.where(none, UNTOLD, np.array(None, object)) for m in ORACLES}
+        if "untold" in records.column_names and (said := records.column("untold")).null_count < len(said):
+            for row, told in enumerate(said.to_pylist()):
+                for oracle, reason in (part.split(": ", 1) for part in told or ()):
+                    if oracle in why:
+                        why[oracle][row] = reason
+        known = sum((_none(why[m]).astype(np.int64) << k for k, m in enumerate(ORACLES)), 0 * none)
+        why["PARSE"] = np.where(none & (column(records, "parse_ok") == 0), why[ORACLES[0]], np.array(None, object))
         bits = np.where(none, answered * ((1 << SUBSETS) - 1), right_with).astype(np.int64)
         right = (bits[:, None] >> (np.arange(SUBSETS) & known[:, None])) & 1
         return KnownOracles(right.astype(np.float64), known, why)
@@ -129,11 +130,11 @@ class KnownOracles:
         found = {}
         for name, cost in costs.items():
             reasons = self.why[name]
-            missing = np.array([w is not None for w in reasons])
+            missing = ~_none(reasons)
             open_ = missing & self.unmended
             if len(missing) and (missing.all() or open_.sum() > max(float(cost.sum()), 0.0)):
                 counted = open_ if open_.any() else missing
-                (why, n), *_ = Counter(w for w, one in zip(reasons, counted, strict=True) if one).most_common(1)
+                (why, n), *_ = Counter(reasons[counted].tolist()).most_common(1)
                 wrong = int(self.unmended.sum())
                 found[name] = str(why) if n == wrong or not open_.any() else f"{why} ({n} of {wrong} wrong answers)"
         return found
@@ -262,18 +263,19 @@ def summarise_run(records: pa.Table, config: BootstrapConfig | None = None) -> R
     if records.column("verdict").null_count:
         records = records.filter(pc.is_valid(records.column("verdict")))  # pyright: ignore[reportAttributeAccessIssue]
     clusters, unit = clusters_of(records)
-    verdict = np.array(records.column("verdict").to_pylist(), object)
-    detail = np.array(records.column("detail").to_pylist(), object)
-    for name in sorted(set(verdict.tolist())):
+    (names, verdict), (told, detail) = (text_codes(records.column(name)) for name in ("verdict", "detail"))
+    named = list(map(str, names))
+    for name in sorted(named):
         require(name in VERDICTS, "the run has a verdict that is not known", got=name, expected=", ".join(VERDICTS))
     lucky = column(records, "lucky") > 0
-    pairs = [
-        (str(v), str(d)) for v, d in dict.fromkeys(zip(verdict.tolist(), detail.tolist(), strict=True)) if d is not None
-    ]
-    kinds = shown_verdicts(set(verdict.tolist()))
-    member = np.stack(
-        [*(verdict == v for v in kinds), *((verdict == v) & (detail == d) for v, d in pairs), lucky], axis=1
-    )
+    both = verdict.astype(np.int64) * len(told) + detail
+    occurring, first = np.unique(both, return_index=True)
+    # In the order in which they first occur.
+    codes = [code for code in occurring[np.argsort(first)].tolist() if told[code % len(told)] is not None]
+    pairs = [(named[code // len(told)], str(told[code % len(told)])) for code in codes]
+    kinds = shown_verdicts(set(named))
+    of_kinds = (verdict == named.index(v) if v in named else np.zeros(len(verdict), np.bool_) for v in kinds)
+    member = np.stack([*of_kinds, *(both == code for code in codes), lucky], axis=1)
     shares = _shares(member, clusters, config)
     verdicts: dict[str, Share] = dict(zip(kinds, shares, strict=False))
     details = dict(zip(pairs, shares[len(kinds) :], strict=False))
@@ -289,7 +291,7 @@ def summarise_run(records: pa.Table, config: BootstrapConfig | None = None) -> R
         deltas = oracle_deltas(right, clusters, config, untold=without)
     unknown = (unmended & ~whole) + sum((costs[name] for name in untold), np.zeros(len(right)))
     left = unmended & whole
-    causes = Counter(zip(verdict[left].tolist(), detail[left].tolist(), strict=True))
+    causes = Counter({(named[c // len(told)], told[c % len(told)]): n for c, n in Counter(both[left].tolist()).items()})
     return RunSummary(
         len(verdict),
         unit,
@@ -304,6 +306,11 @@ def summarise_run(records: pa.Table, config: BootstrapConfig | None = None) -> R
         mean_estimate(unknown, clusters, config=config),
         untold,
     )
+
+
+def _none(values: np.ndarray) -> np.ndarray:
+    """(N,) bool: which of (N,) objects are None."""
+    return np.equal(values, np.array(None, object)).astype(np.bool_)
 
 
 def _shares(member: np.ndarray, clusters: np.ndarray, config: BootstrapConfig | None) -> list[Share]:

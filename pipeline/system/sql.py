@@ -222,13 +222,14 @@ def _send(out: BinaryIO, answer: tuple[str, Any]) -> None:
 def _opened(tables: Mapping[str, Path], spill: str) -> duckdb.DuckDBPyConnection:
     """Database of Parquet files as views without access to anything else."""
     import duckdb
-    from pyarrow import dataset
+    from pyarrow import OSFile, dataset
 
     connection = duckdb.connect(":memory:", config=database_settings(spill))
     for name, path in tables.items():
         # Arrow reads these files, piece by piece: DuckDB needs leave for no path, since a path that it may read is one
-        # that it may write, by a COPY within a SELECT.
-        connection.register(name, dataset.dataset(path, format="parquet"))
+        # that it may write, by a COPY within a SELECT. They stay open, wherever they go.
+        rows = dataset.ParquetFileFormat().make_fragment(OSFile(str(path)))
+        connection.register(name, dataset.FileSystemDataset([rows], rows.physical_schema, rows.format))
     for setting in _TURNED_OFF:
         with suppress(duckdb.CatalogException):
             connection.execute(f"SET {setting} = false")

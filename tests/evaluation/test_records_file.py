@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from evaluation.run_records import random_records
 from pipeline.datasets.demo import demo_run
 from pipeline.evaluation import find_failures, find_rows
 from pipeline.evaluation.browsing import RunRows, completions, facets_of
+from pipeline.evaluation.comparing import compare
 from pipeline.evaluation.job import in_groups
 from pipeline.evaluation.records import read_records
 from pipeline.evaluation.records_file import RecordsFile, open_records
@@ -93,6 +95,50 @@ def test_marks_and_added_columns_are_found_beside_those_of_the_file(tmp_path: Pa
     assert [row["marks"] for row in own.read(np.array([5, 0, 3]))] == [["odd"], [], ["done"]]
     frame, expression = own.keys(np.array([7]))[0]
     assert own.number(frame, expression) == other.number(frame, expression) == 7
+
+
+def test_slices_hold_where_few_scenes_and_frames_meet(tmp_path: Path) -> None:
+    rooms = pa.array([f"room {k % 17}" for k in range(90)])
+    frames = pa.array([f"{k % 17}/{k % 34}" for k in range(90)])
+    records = TABLE.set_column(TABLE.schema.get_field_index("scene"), "scene", rooms)
+    records = records.set_column(TABLE.schema.get_field_index("frame"), "frame", frames)
+    found = slice_by({"x": written(tmp_path, records)}, "frame", QUICK, most=5)
+    assert sum(s.n for s in found.slices) == 90
+    for part in found.slices[:5]:
+        (alone,) = slice_by({"x": records.take(find_rows(records, str(part.query)))}, "frame", QUICK).slices
+        assert (part.n, part.correct.value) == (alone.n, alone.correct.value)
+        assert +Counter(part.counts) == +Counter(alone.counts)
+    everyone = slice_by({"x": records}, "frame", QUICK)
+    assert found.slices[-1].name == "29 others"
+    assert found.slices[-1].n == sum(s.n for s in everyone.slices) - sum(s.n for s in found.slices[:5])
+
+
+def test_texts_are_read_as_dictionaries_with_the_same_values(tmp_path: Path) -> None:
+    file = written(tmp_path, TABLE)
+    assert rows_of(file.select(file.column_names, coded=True)) == rows_of(TABLE)
+    for rows in ([40, 3, 3, 89, 0], list(range(80, 20, -1)), []):
+        assert rows_of(file.take(np.array(rows, np.int64), coded=True)) == rows_of(TABLE.take(pa.array(rows, "int64")))
+
+
+def test_two_runs_on_their_files_are_compared_as_in_memory(tmp_path: Path) -> None:
+    other = TABLE.take(pa.array([*range(70, 10, -1), 80, 80]))
+    wrong = pa.array([k % 3 == 0 for k in range(other.num_rows)])
+    other = other.set_column(other.schema.get_field_index("set_correct"), "set_correct", wrong)
+    folders = tmp_path / "one", tmp_path / "other"
+    for folder in folders:
+        folder.mkdir()
+    files = written(folders[0], TABLE), written(folders[1], other)
+    in_memory = compare(TABLE, other)
+    assert compare(*files) == in_memory == compare(TABLE, files[1])
+    assert (in_memory.shared, in_memory.only_before, in_memory.only_after) == (62, 28, 0)
+    assert in_memory.fixed
+    lists = [RunRows(one, tmp_path, second) for one, second in (files, (TABLE, other))]
+    for query in ("change:fixed", "second_verdict:none", "-change:same sort:-second_margin", "change:none"):
+        found = lists[0].find(query)
+        assert found.tolist() == lists[1].find(query).tolist(), query
+        assert repr(lists[0].read(found)) == repr(lists[1].read(found))
+        assert lists[0].facets(query) == lists[1].facets(query)
+    assert lists[0].find("change:fixed").size
 
 
 def test_of_a_few_rows_only_their_groups_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

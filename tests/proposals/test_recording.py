@@ -17,7 +17,7 @@ from pipeline.answering import AskConfig, Pipeline, frame_range, open_pipeline, 
 from pipeline.answering.ask import ask
 from pipeline.datasets import demo_path
 from pipeline.geometry import decode_crop, decode_run_length, encode_run_length
-from pipeline.proposals import RecordedDetector, SimulatedDetector, top_k
+from pipeline.proposals import RecordedDetector, SimulatedDetector, recorded, top_k
 from pipeline.system import InputError
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -75,6 +75,21 @@ def test_a_recording_answers_as_the_detector_did(tmp_path: Path, demo: Pipeline,
     traces = [ask(frame, "mug left of the laptop", d, config=AskConfig()) for d in (demo.detector, played)]
     assert traces[0].ranking is not None
     assert traces[0].ranking == traces[1].ranking
+
+
+def test_the_files_of_a_recording_are_looked_at_when_the_recording_changed(
+    tmp_path: Path, demo: Pipeline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record_detections(demo, tmp_path / "found", ("mug",), frame_ids=demo.dataset.frame_ids[:1])
+    looked, hashed = list[Path](), recorded.contents_hash
+    monkeypatch.setattr(recorded, "contents_hash", lambda path: looked.append(path) or hashed(path))
+    played = RecordedDetector(tmp_path / "found")
+    first = played.fingerprint()
+    assert played.fingerprint() == first
+    assert len(looked) == 1
+    one = next((tmp_path / "found").glob("*.npz"))
+    one.rename(one.with_name("other.npz"))
+    assert played.fingerprint() != first
 
 
 def test_a_detector_that_is_asked_once_gives_each_thing_once(tmp_path: Path, demo: Pipeline) -> None:
