@@ -49,9 +49,9 @@ def test_an_edited_answer_is_judged_by_what_the_edit_leaves_alone(monkeypatch: p
     context, asked = source.prepare(FRAME), list[int]()
     network = OnnxScorer.probabilities
 
-    def counted(scorer: OnnxScorer, rows: np.ndarray) -> np.ndarray:
-        asked.append(rows.size)
-        return network(scorer, rows)
+    def counted(scorer: OnnxScorer, rows: np.ndarray, wanted: np.ndarray | None = None) -> np.ndarray:
+        asked.append(len(rows) ** 2 if wanted is None else int(wanted.sum()))
+        return network(scorer, rows, wanted)
 
     monkeypatch.setattr(OnnxScorer, "probabilities", counted)
     judge = Judge({}, {}, {}, nobody)
