@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 UNKNOWN = "unknown"
 MEASURES = ("set_correct", "correct", "lucky")
+MOST_CELLS = 2**21
+"""Clusters times values that are listed; of more those that meet are sorted, which takes longer and less memory."""
 
 
 @dataclass(frozen=True)
@@ -178,10 +180,11 @@ def _sliced(
     values = len(found.parts)
     cell = index * values + found.code
     # Of many scenes and frames few meet.
-    if (cells := (int(index.max()) + 1) * values) > len(index):
+    if (int(index.max()) + 1) * values > MOST_CELLS:
         meeting, cell = np.unique(cell, return_inverse=True)
     else:
-        meeting = np.arange(cells)
+        there = np.bincount(cell) > 0
+        meeting, cell = np.flatnonzero(there), (np.cumsum(there) - 1)[cell]
     # (M, K): of each cluster and value that meet how many expressions, and how many of each kind.
     kinds = [np.bincount(cell, minlength=len(meeting))]
     kinds += [np.bincount(cell[_flag(records, m, judged)], minlength=len(meeting)) for m in MEASURES]
@@ -213,7 +216,26 @@ def _sliced(
         parts.append((f"{len(rest)} others", None, together))
     occurring = [v for v, n in zip(VERDICTS, counts[:, 1 + len(MEASURES) :].sum(axis=0), strict=True) if n]
     kinds = shown_verdicts(occurring) if judged else ()
-    return [_slice(system, *part, kinds, config) for part in parts]
+    estimates = _estimates([rows for *_, rows in parts], config)
+    return [_slice(system, *part, shares, kinds) for part, shares in zip(parts, estimates, strict=True)]
+
+
+def _estimates(sums: Sequence[np.ndarray], config: BootstrapConfig | None) -> list[list[Estimate]]:
+    """Estimate the K ratios of each slice's (C, 1 + K) sums, by resamples of the slice's clusters."""
+    own = [rows[rows[:, 0] > 0] for rows in sums]
+    found: list[list[Estimate]] = [[] for _ in own]
+    # Of as many clusters the same are drawn.
+    for clusters in dict.fromkeys(map(len, own)):
+        alike = [k for k, rows in enumerate(own) if len(rows) == clusters]
+
+        def ratios(total: np.ndarray) -> np.ndarray:
+            return ratio(total[..., 1:], total[..., :1]).reshape(len(total), -1)
+
+        together = np.stack([own[k] for k in alike], axis=1)
+        shares, width = bootstrap(together, np.arange(clusters), ratios, config=config), together.shape[2] - 1
+        for at, k in enumerate(alike):
+            found[k] = shares[at * width : (at + 1) * width]
+    return found
 
 
 def _flag(records: pa.Table, measure: str, judged: bool) -> np.ndarray:
@@ -293,13 +315,10 @@ def _slice(
     name: str,
     query: str | None,
     sums: np.ndarray,
+    found: Sequence[Estimate],
     kinds: Sequence[str],
-    config: BootstrapConfig | None,
 ) -> Slice:
-    """Estimate the K ratios of a value's (C, 1 + K) sums, by resamples of the value's clusters."""
-    own = sums[sums[:, 0] > 0]
-    count, *numbers = own.sum(axis=0).astype(int).tolist()
-    found = bootstrap(own, np.arange(len(own)), lambda total: ratio(total[:, 1:], total[:, :1]), config=config)
+    count, *numbers = sums.sum(axis=0).astype(int).tolist()
     shares, first = [replace(e, n=count) for e in found], len(MEASURES)
     of_verdicts = [(v, e, n) for v, e, n in zip(VERDICTS, shares[first:], numbers[first:], strict=True) if v in kinds]
     return Slice(

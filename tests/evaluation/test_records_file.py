@@ -11,7 +11,7 @@ import pytest
 from evaluation.run_records import random_records
 
 from pipeline.datasets.demo import demo_run
-from pipeline.evaluation import find_failures, find_rows
+from pipeline.evaluation import find_failures, find_rows, slices
 from pipeline.evaluation.browsing import RunRows, completions, facets_of
 from pipeline.evaluation.comparing import compare
 from pipeline.evaluation.job import in_groups
@@ -97,7 +97,11 @@ def test_marks_and_added_columns_are_found_beside_those_of_the_file(tmp_path: Pa
     assert own.number(frame, expression) == other.number(frame, expression) == 7
 
 
-def test_slices_hold_where_few_scenes_and_frames_meet(tmp_path: Path) -> None:
+@pytest.mark.parametrize("most_cells", [10, 10**6])
+def test_slices_hold_where_few_scenes_and_frames_meet(
+    tmp_path: Path, most_cells: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(slices, "MOST_CELLS", most_cells)
     rooms = pa.array([f"room {k % 17}" for k in range(90)])
     frames = pa.array([f"{k % 17}/{k % 34}" for k in range(90)])
     records = TABLE.set_column(TABLE.schema.get_field_index("scene"), "scene", rooms)
