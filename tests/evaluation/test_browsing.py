@@ -105,7 +105,7 @@ def test_the_second_run_sorts_every_expression_into_one_change() -> None:
     ]
     assert change.count(None) == 5 == found.only_before
     assert rows.column("second_verdict").null_count == 5
-    for row in rows.to_pylist():
+    for row in rows.select(rows.column_names).to_pylist():
         if row["change"] == "verdict":
             assert row["verdict"] != row["second_verdict"]
         if row["change"] == "same":
