@@ -411,7 +411,7 @@ def test_only_files_of_the_case_are_read(scored: Path, monkeypatch: pytest.Monke
     table["run"] = {"file": "/etc/passwd"}
     (folder / MANIFEST).write_text(json.dumps(table))
     read: list[Path] = []
-    plain_open, plain_bytes = builtins.open, Path.read_bytes
+    plain_open, plain_bytes, plain_descriptor = builtins.open, Path.read_bytes, os.open
     assets = Path(__file__).resolve().parents[2]
 
     def watched(file: Any, *args: Any, **kwargs: Any) -> Any:
@@ -423,8 +423,13 @@ def test_only_files_of_the_case_are_read(scored: Path, monkeypatch: pytest.Monke
         read.append(path.resolve())
         return plain_bytes(path)
 
+    def watched_descriptor(file: Any, *args: Any, **kwargs: Any) -> int:
+        read.append(Path(file).resolve())
+        return plain_descriptor(file, *args, **kwargs)
+
     monkeypatch.setattr(builtins, "open", watched)
     monkeypatch.setattr(Path, "read_bytes", watched_bytes)
+    monkeypatch.setattr(os, "open", watched_descriptor)
     replay_case(open_case(folder))
     inside = {p.name for p in read if p.is_relative_to(folder)}
     assert {MANIFEST, "rgb.png", "proposals.json"} <= inside
