@@ -15,7 +15,6 @@ from pathlib import Path
 
 import pytest
 from browser import OpenTab, Tab
-from labelling import CLAIM
 from recordings import LABELS, events, spatialviz
 from servers import Server
 
@@ -24,15 +23,19 @@ from pipeline.corrections.unsaved import JournalLocation
 from pipeline.labels.reading import open_labels
 
 WIDTH = "#edit label.field[title^='width'] input"
-ITEM = f"{CLAIM} && {CLAIM} + location.search"
-"""A claim may follow one of the same words, of another frame of the scene. The address comes last."""
+ITEM = "document.querySelector('#review-item [data-asked]')?.dataset.asked"
+PRESSED = f"addEventListener('keydown', e => {{ if (e.key === 'y') window.answeredItem = {ITEM}; }}, true)"
+"""Keeps what the page asked when it was answered: the next item may come up just then."""
 EDITED = "document.querySelector('#edit h2 b, #edit .name b')?.textContent"
 Done = tuple[str, str, float]
 """What is done, to what, and with a box its width in metres."""
 
 
 class Refused(Exception):
-    """A number was typed for an object that is selected no longer."""
+    """What was typed or answered is shown no longer, and the page says so; or the other was faster."""
+
+
+REFUSED = re.compile("another object is selected|had not been shown yet|was faster")
 
 
 @dataclass
@@ -72,7 +75,9 @@ class Person:
                     return True
             if self.tab.page.locator("#dialog-window").count():
                 return False
-            if (refused := self.tab.page.locator(".toast.bad", has_text="another object is selected")).count():
+            # What is told of a 3D box that somebody else was faster with is of a size that was typed before.
+            refused = self.tab.page.locator(".toast.bad", has_text=REFUSED).filter(has_not_text="3D box of")
+            if refused.count():
                 refused.locator(".close").first.evaluate("close => close.click()")
                 raise Refused
             self.tab.page.wait_for_timeout(100)
@@ -89,22 +94,17 @@ class Person:
         self.tab.poll("!document.getElementById('working').textContent")
 
     def accept(self) -> Iterator[None]:
-        was = ""
-        while (now := self.tab.poll(ITEM)) != was:
-            was = now
-            self.tab.page.wait_for_timeout(300)
-        frame, item = self.tab.frame, sorted(map(int, re.findall(r" (\d+)\b", self.tab.poll(CLAIM))))
+        self.tab.poll(ITEM)
         self.tab.press("y")
         yield
-        self.tab.poll(f"was => {ITEM} !== was", was)
-        told = self.tab.page.locator(".toast.bad", has_text="was faster")
-        # What it says of a box is of a size that was typed before.
-        if (faster := told.filter(has_not_text="3D box of")).count():
-            # Both answered at once, and the page says whose answer is not kept.
-            faster.locator(".close").first.evaluate("close => close.click()")
+        frame, _, *ends, _ = self.tab.page.evaluate("window.answeredItem").split(" ")
+        try:
+            saved = self.saves("an answer", lambda e: e.action != "undo" and e.ref.field != "box")
+        except Refused:
             self.told["refused"] += 1
             return
-        self.keep(("accept", f"{frame} {item}", 0.0))
+        assert saved, "a question is no dispute"
+        self.keep(("accept", f"{frame} {sorted(map(int, ends))}", 0.0))
 
     def number(self, row: int) -> int:
         """Number of a labelled object of the frame that is shown."""
@@ -171,7 +171,7 @@ class Person:
 
 def enter(open_tab: OpenTab, address: str, journal: Path, name: str, seed: int) -> Person:
     tab = open_tab(scene="absent")
-    tab.page.add_init_script(f"localStorage.setItem('author', {name!r})")
+    tab.page.add_init_script(f"localStorage.setItem('author', {name!r}); {PRESSED}")
     tab.open(address)
     tab.poll("document.querySelector('#review-list .queue .q')", seconds=120)
     tab.send("queue-kind:relation")

@@ -177,6 +177,8 @@ class Command:
 
     name: str
     arguments: tuple[Any, ...] = ()
+    # Label item that the page showed by then; "" for none, and with a key that is held down; None for who shows no page
+    shown: Annotated[str, Field(max_length=LONGEST_ADDRESS)] | None = None
     type: Literal["command"] = "command"
 
     @classmethod

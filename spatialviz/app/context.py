@@ -90,7 +90,16 @@ class Context:
         self.state = State(
             source, first, dark=shared.dark is not False, text=DEMO_EXPRESSION, correctable=bool(shared.journals)
         )
-        self.channel = Channel(page_id[:6], receive)
+        self.shown: str | None = None  # `Command.shown` of what is handled now
+
+        def heard(message: Incoming) -> None:
+            self.shown = message.shown if isinstance(message, Command) else None
+            try:
+                receive(message)
+            finally:
+                self.shown = None
+
+        self.channel = Channel(page_id[:6], heard)
         self.post = self.channel.post  # Runs a job on the page's own thread, after earlier jobs
         self.page = BrowserPage(self.channel.send)
         self.dialog = Dialog(self.page)

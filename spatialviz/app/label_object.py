@@ -138,14 +138,12 @@ class LabelObject(LabelPart):
     @command("box-set")
     def _set_number(self, said: str) -> None:
         """Set a number of a box, as of `box_command`: OF:center:AXIS:METRES, OF:size:AXIS:METRES, OF:yaw:DEGREES."""
-        loaded, box = self.state.loaded, self._box
+        loaded, box, number = self.state.loaded, self._box, self.number
+        of, what, *numbers = said.split(":")
+        there = number is not None and f"box-set:{of}" == box_command(self.state.frame_id, number)
+        require(there, "another object is selected by now: nothing was changed")
         if loaded is None or box is None:
             return
-        of, what, *numbers = said.split(":")
-        require(
-            f"box-set:{of}" == box_command(self.state.frame_id, needed(self.number, SELECT)),
-            "another object is selected by now: nothing was changed",
-        )
         least, value = SMALLEST_SIDE if what == "size" else -FARTHEST, number_of(numbers[-1:])
         require(
             what == "yaw" or least <= value <= FARTHEST,

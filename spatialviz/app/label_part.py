@@ -49,6 +49,17 @@ class LabelPart(Part):
         view = self.state.labels
         return None if view is None else view.number(self.state.selected)
 
+    @property
+    def asked(self) -> str:
+        """Name of the open item, else of the frame, by which the page says what its commands are about."""
+        item = self.view.item
+        return self.view.frame.frame if item is None else " ".join(map(str, item.plain))
+
+    def check_asked(self) -> None:
+        """Raise InputError for a command that was sent while the page still showed another item."""
+        shown = self.ctx.shown
+        require(shown in (None, self.asked), "the next item had not been shown yet: nothing was changed")
+
     def look_at(self, wanted: Target) -> None:
         """Show the labels of a frame, with a pair or an object."""
         self.ctx.editors.wanted = wanted
@@ -87,7 +98,11 @@ class LabelPart(Part):
             self.state = _looking_at(state, view, pair, self.number)
 
     def save(self, made: Callable[[EffectiveFrame], Edits], draw: bool = True) -> Outcome:
-        """Save the edits of an action, made on the labels as seen by this client; InputError for an invalid action."""
+        """Save the edits of an action, made on the labels as seen by this client.
+
+        InputError for an invalid action, or one that was meant for another item.
+        """
+        self.check_asked()
         outcome = self.editor.save(made(self.view.frame))
         self.came_to(outcome, "saved", draw)
         return outcome

@@ -282,6 +282,7 @@ class ReviewQueue(LabelPart):
     @command("decide")
     def decide(self, answer: Answer) -> None:
         """Answer the question: right, wrong, or unsure."""
+        self.check_asked()
         question, author = there(self._question), self.editor.author
         state = question.choices[answer].state
         if state is None or self._sure(question, state, DECISIONS[answer][1]):
@@ -290,6 +291,7 @@ class ReviewQueue(LabelPart):
     @command("settle")
     def settle_relation(self, said: str) -> None:
         """Set a relation's state: "left:T" of the shown pair, "T" of what is asked; of others, T is right, F wrong."""
+        self.check_asked()
         view, question = self.view, self._question
         *named, key = said.split(":")
         if key not in OF_LETTER:
@@ -389,7 +391,7 @@ class ReviewQueue(LabelPart):
         else:
             card = begin_card(self.editor) if not view.frame.objects else idle_card(work is not None)
         # A new id for each card, so that the page scrolls to the card.
-        return panel(card.with_(id=f"card-{place}-{self.number}", data_shown=True))
+        return panel(card.with_(id=f"card-{place}-{self.number}", data_shown=True, data_asked=self.asked))
 
 
 def _answers(ref: FieldRef) -> bool:

@@ -8,11 +8,14 @@ let transmit = () => {};
 export const sent = [];    // functions called with each command
 export const connect = f => { transmit = f; };
 // "name", "name:argument", or a name with its arguments as JSON.
-export const send = (said, ...values) => {
+export const send = (said, ...values) => sendAsOf(asked(), said, ...values);
+/* A command of somebody who sees this item: a label is changed only while it is still that one. */
+export const sendAsOf = (shown, said, ...values) => {
   const [, name, argument] = said.match(/^([^:]*)(?::([^]*))?$/);
-  transmit({type: 'command', name, arguments: argument === undefined ? values : [argument]});
+  transmit({type: 'command', name, arguments: argument === undefined ? values : [argument], shown});
   for (const hear of sent) hear(said);
 };
+const asked = () => document.querySelector('#review-item [data-asked]')?.dataset.asked ?? '';
 export const go = address => transmit({type: 'go', address});
 
 export const el = (tag, className, text) => {
@@ -98,7 +101,7 @@ calls.selected = now => {
 };
 
 export const patch = parts => {
-  const typed = document.activeElement, changed = typed.dataset?.change && typed.value !== typed.defaultValue;
+  const typed = document.activeElement, before = asked(), changed = typed.dataset?.change && typed.value !== typed.defaultValue;
   for (const [id, html] of parts) {
     const old = byId(id), made = parsed(html).firstElementChild;
     if (!old || !made) continue;
@@ -109,7 +112,7 @@ export const patch = parts => {
     if (now && now !== shown && !now.closest('#review-list')) now.scrollIntoView({block: 'nearest'});
   }
   // Where its field goes, what was typed is sent, and the server says what became of it.
-  if (changed && !typed.isConnected) send(`${typed.dataset.change}:${typed.value}`);
+  if (changed && !typed.isConnected) sendAsOf(before, `${typed.dataset.change}:${typed.value}`);
   mark();
 };
 

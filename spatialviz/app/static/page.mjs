@@ -1,6 +1,6 @@
 // The page: its socket, its address, and what elements do by their data (spatialviz/app/markup.py lists it).
 
-import {byId, calls, connect, el, fields, go, locals, patch, send, sceneWindow, typing} from './core.mjs';
+import {byId, calls, connect, el, fields, go, locals, patch, send, sendAsOf, sceneWindow, typing} from './core.mjs';
 import {showScene} from './frame.mjs';
 import './drawing.mjs';
 import './fields.mjs';
@@ -187,7 +187,12 @@ const pressed = e => {
   if (e.key === '/') { e.preventDefault(); byId('ask-text').focus(); byId('ask-text').select(); }
   else if (e.key === '?') { e.preventDefault(); send('help'); }
   // viser's own keys, which move its camera, are without Shift.
-  else if (keys.has(name)) { e.preventDefault(); e.stopPropagation(); send('key:' + name); }
+  else if (keys.has(name)) {
+    e.preventDefault();
+    e.stopPropagation();
+    // Who holds a key down has not seen what comes up meanwhile.
+    if (e.repeat) sendAsOf('', 'key:' + name); else send('key:' + name);
+  }
 };
 window.addEventListener('keydown', pressed);
 
@@ -246,6 +251,8 @@ calls.toast = ({title, text, bad, undo}) => {
   close.type = 'button';
   close.setAttribute('aria-label', 'close');
   close.addEventListener('click', () => note.remove());
+  // What is said again is said once.
+  [...byId('toasts').children].find(one => one.textContent === note.textContent)?.remove();
   byId('toasts').append(note);
   while (byId('toasts').children.length > 4) byId('toasts').firstChild.remove();
   // Why something was not done stays until it is closed; everything is in the log.
