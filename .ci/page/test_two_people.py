@@ -129,6 +129,8 @@ class Person:
         entry.fill(f"{width:.3f}")
         # The next item may have come up since: whose number this is, the page says.
         name = page.evaluate(EDITED)
+        # Or the field went before a digit was in it.
+        typed = entry.count() and entry.input_value() == f"{width:.3f}"
         entry.press("Enter")
         yield
         done = ("box", f"{self.tab.frame} {name.rpartition(' ')[2]}", width)
@@ -138,7 +140,7 @@ class Person:
 
         try:
             # Whoever takes their own is asked again where the other has saved once more meanwhile.
-            while not self.saves(str(done), wanted, lambda: page.evaluate(EDITED) == name):
+            while not self.saves(str(done), wanted, lambda: typed and page.evaluate(EDITED) == name):
                 mine = self.chance.random() < 0.5
                 self.told["mine" if mine else "theirs"] += 1
                 page.keyboard.press("m" if mine else "t")

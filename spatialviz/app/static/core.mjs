@@ -100,6 +100,10 @@ calls.selected = now => {
   document.querySelector('#stages tr[data-marked]')?.scrollIntoView({block: 'nearest'});
 };
 
+/* True while somebody may still type into a field that the next item took away: those are no keys of the page. */
+export const typesOn = () => performance.now() < fieldGone + 1000;
+let fieldGone = -Infinity;
+
 export const patch = parts => {
   const typed = document.activeElement, before = asked(), changed = typed.dataset?.change && typed.value !== typed.defaultValue;
   for (const [id, html] of parts) {
@@ -112,6 +116,7 @@ export const patch = parts => {
     if (now && now !== shown && !now.closest('#review-list')) now.scrollIntoView({block: 'nearest'});
   }
   // Where its field goes, what was typed is sent, and the server says what became of it.
+  if (typing(typed) && !typed.isConnected) fieldGone = performance.now();
   if (changed && !typed.isConnected) sendAsOf(before, `${typed.dataset.change}:${typed.value}`);
   mark();
 };

@@ -1,6 +1,6 @@
 // The page: its socket, its address, and what elements do by their data (spatialviz/app/markup.py lists it).
 
-import {byId, calls, connect, el, fields, go, locals, patch, send, sendAsOf, sceneWindow, typing} from './core.mjs';
+import {byId, calls, connect, el, fields, go, locals, patch, send, sendAsOf, sceneWindow, typesOn, typing} from './core.mjs';
 import {showScene} from './frame.mjs';
 import './drawing.mjs';
 import './fields.mjs';
@@ -159,6 +159,7 @@ const named = e => {
 const pressed = e => {
   const own = e.currentTarget === window, f = document.activeElement, dialog = byId('dialog-window');
   if (e.defaultPrevented || e.isComposing) return;
+  if (typesOn()) { e.preventDefault(); return; }
   if (own && typing(f)) {
     fields[f.dataset.field]?.keydown?.(e, f);
     if (e.defaultPrevented) return;
