@@ -40,6 +40,27 @@ def test_items_are_settled_by_one_key_each(review: Tab, reviewed: Server) -> Non
     assert len({e["group"] for e in events(LABELS, "--journal", reviewed.journal)[before:]}) == 5
 
 
+THRICE = """() => {
+  for (const repeat of [false, true, false]) dispatchEvent(new KeyboardEvent('keydown', {key: 'y', repeat}));
+}"""
+
+
+def test_an_answer_is_to_what_is_shown(review: Tab, reviewed: Server) -> None:
+    """A key that is pressed again before the next item is shown answers nothing, nor does one that is held down."""
+    tab, before = review, len(events(LABELS, "--journal", reviewed.journal))
+    tab.click("queue-kind:relation")
+    tab.press("j")
+    item = tab.still("document.querySelector('#review-item [data-asked]')?.dataset.asked")
+    tab.page.evaluate(THRICE)
+    tab.see(".toast.bad", "had not been shown yet").locator(".close").click()
+    made = events(LABELS, "--journal", reviewed.journal)[before:]
+    assert made, "the first press is an answer"
+    assert len({e["group"] for e in made}) == 1, made
+    assert {e["frame"] for e in made} == {item.split(" ")[0]}, (item, made)
+    tab.press("Control+z")
+    tab.see(".toast", "taken back")
+
+
 def test_undo_brings_the_item_back(review: Tab) -> None:
     """The one that was answered, open as before."""
     tab = review
