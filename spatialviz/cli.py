@@ -6,6 +6,7 @@ the module that the table names does the work and prints it; it returns the exit
 
 from __future__ import annotations
 
+import atexit
 import gc
 import inspect
 import io
@@ -14,6 +15,7 @@ import re
 import shutil
 import sys
 import textwrap
+import threading
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
@@ -270,7 +272,16 @@ def main(argv: Sequence[str] | None = None) -> int:
             # The reader went away (for example `| head`); nothing is left to say.
             status = UNREAD
         _drop_unwritten()
-        return status
+    if argv is None:
+        _end(status)
+    return status
+
+
+def _end(status: int) -> None:
+    """End the process where nothing else runs in it: taking its modules apart takes 25 ms of a short command."""
+    if threading.active_count() == 1 and sys.gettrace() is None and sys.getprofile() is None:
+        atexit._run_exitfuncs()
+        os._exit(status)
 
 
 def _status(arguments: list[str]) -> int:
