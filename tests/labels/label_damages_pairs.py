@@ -256,3 +256,19 @@ def all_depth_is_five_times_too_far(t: Tables) -> set[Where]:
 def a_frame_said_that_its_plane_is_another(t: Tables) -> set[Where]:
     put(row_of(t["frames"], frame="room/0"), notes=[f"its own level plane is 40 {OFF_SCENE}"])
     return {("room/0", ())}
+
+
+@damages("object/other-views", "warning")
+def another_view_calls_it_another_class(t: Tables) -> set[Where]:
+    put(item(t, "room/0", 1), instance=7)
+    put(item(t, "room/1", 0), instance=7)
+    return {("room/0", (1,)), ("room/1", (0,))}
+
+
+@damages("relation/other-views", "warning")
+def another_view_shows_it_beside_and_not_above(t: Tables) -> set[Where]:
+    for frame, mug, table in (("room/0", 1, 0), ("room/2", 2, 0)):
+        put(item(t, frame, mug), instance=1)
+        put(item(t, frame, table), instance=2)
+    # Above in the one, and not in the other; below the other way round.
+    return {("room/0", (1, 0)), ("room/0", (0, 1)), ("room/2", (2, 0)), ("room/2", (0, 2))}

@@ -26,6 +26,7 @@ from pipeline.labels.check.objects import (
     check_sizes,
     rotation_fault,
 )
+from pipeline.labels.check.other_views import OtherViews
 from pipeline.labels.check.relations import EXPECTED, check_geometry, check_relations
 from pipeline.labels.check.stream import Rows, column_arrays, frame_rows, no_rows
 from pipeline.labels.check.view import RULES, Figure, Finding, FrameView, chosen_rules
@@ -119,9 +120,12 @@ def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]
     relations = tuple(r for r in manifest.config.get("relations", ()) if r in PAIRWISE)
     read = lru_cache(TEXTS_KEPT)(partial(triple_of, tuple(sorted(class_names))))
     scenes: dict[str, list[tuple[str | None, np.ndarray]]] = {}
+    others = OtherViews()
     sound = (frame_rows(labels, name, checked="row" in groups) for name in TABLES if name not in lost)
     for index, tables in by_frame(*sound):
         view = FrameView(index, {name: tables.get(name) or no_rows(name) for name in TABLES}, background, relations)
+        if groups & {"object", "relation"}:
+            others.add(view)
         if groups & {"row", "frame", "object"}:
             yield from check_rows(view)
         if "frame" in groups:
@@ -140,6 +144,7 @@ def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]
         if "expression" in groups:
             yield from check_expressions(view, read)
     yield from check_scenes(scenes)
+    yield from others.findings()
 
 
 DISAGREE_DEG = 10.0

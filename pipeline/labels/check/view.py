@@ -306,6 +306,8 @@ RULES: dict[str, Severity] = {
     "object/border": "warning",
     # It is larger than its class can be (smaller or unlike its kind: warning).
     "object/implausible-size": "error",
+    # Most other views of the same object call it another class.
+    "object/other-views": "warning",
     # A is left of b, and b is not right of a; so for above and below, front and behind.
     "relation/inverse": "error",
     # A relation holds both ways (on and in, where geometry allows it: warning).
@@ -314,6 +316,8 @@ RULES: dict[str, Severity] = {
     "relation/exclusive": "error",
     # A pair of objects, or the state of a labelled relation, is missing.
     "relation/pair-missing": "error",
+    # What does not change with the viewpoint is another in another view of the same objects.
+    "relation/other-views": "warning",
     # A relation of an object with itself or with a background class.
     "relation/unexpected": "error",
     # A relation leads back to its start (on and in, where geometry allows it: warning).

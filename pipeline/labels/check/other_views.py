@@ -1,0 +1,131 @@
+"""Rules on one object in several views: what does not change with the viewpoint, and does in the labels.
+
+Objects are the same where their `instance` is. Their class is the same in all views; above, below, on, in and near hold
+in every view in which both objects are well seen. Left, right, in front and behind change with the view, as they
+should. Of each pair of objects only the strongest views are kept, so that memory grows with a scene's objects.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import field
+
+import numpy as np
+
+from pipeline.labels.check.view import RULES, Figure, Finding, FrameView
+from pipeline.language.noun_phrase import same_names
+from pipeline.relations.relations import F, T
+from pipeline.system.frozen import dataclass
+
+SAME_IN_ALL_VIEWS = ("above", "below", "on", "in", "near")
+LEAST_MARGIN_M = 0.05
+"""Both views are so sure: extents of what is seen differ by a few centimetres from view to view."""
+MOST_OCCLUDED = 0.25
+"""An object is well seen with a smaller share of its border occluded, and away from the picture's border."""
+MOST_NAMED = 20
+"""Frames that are kept of each class name of an object."""
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """A state of a relation in a frame, and how sure it is."""
+
+    margin: float  # Metres, without its sign
+    frame: str | None
+    a: int  # Numbers of the objects in the frame
+    b: int
+    text: str
+
+
+@dataclass
+class OtherViews:
+    """Objects with an instance as frames come in; `findings` after the last."""
+
+    names: dict[tuple[str, int], dict[str, list[tuple[str | None, int]]]] = field(default_factory=dict)
+    counts: defaultdict[tuple[str, int, str], int] = field(default_factory=lambda: defaultdict(int))
+    states: dict[tuple[str, int, int, str], dict[int, Sighting]] = field(default_factory=dict)
+    """By scene, instances and relation: the surest sighting of T and of F."""
+
+    def add(self, view: FrameView) -> None:
+        """Take the objects and relations of a frame in."""
+        instances = view.objects["instance"]
+        known = [k for k in range(len(view.ids)) if _is_number(instances[k])]
+        if not view.usable or not known:
+            return
+        scene = str(view.tables["frames"]["scene"][0])
+        for k in known:
+            named = self.names.setdefault((scene, int(instances[k])), {}).setdefault(view.labels[k], [])
+            self.counts[scene, int(instances[k]), view.labels[k]] += 1
+            if len(named) < MOST_NAMED:
+                named.append((view.id, int(view.ids[k])))
+        well = ~view.objects["touches_border"].astype(bool) & (view.objects["occluded"] < MOST_OCCLUDED)
+        chosen = np.array([k for k in known if well[k]], np.int64)
+        for relation in SAME_IN_ALL_VIEWS if len(chosen) > 1 else ():
+            if relation not in view.states:
+                continue
+            states, margins = view.states[relation], np.abs(view.margins[relation])
+            sure = ((states == T) | (states == F)) & (margins >= LEAST_MARGIN_M)
+            for a, b in np.argwhere(sure[np.ix_(chosen, chosen)]).tolist():
+                i, j = int(chosen[a]), int(chosen[b])
+                if instances[i] != instances[j]:
+                    self._keep(scene, relation, view, i, j, int(states[i, j]), float(margins[i, j]))
+
+    def _keep(self, scene: str, relation: str, view: FrameView, i: int, j: int, state: int, margin: float) -> None:
+        instances = view.objects["instance"]
+        found = self.states.setdefault((scene, int(instances[i]), int(instances[j]), relation), {})
+        if state not in found or margin > found[state].margin:
+            numbers = int(view.ids[i]), int(view.ids[j])
+            found[state] = Sighting(margin, view.id, *numbers, view.relation_text(i, relation, j))
+
+    def findings(self) -> Iterator[Finding]:
+        """Find class names and relations that other views contradict."""
+        for (scene, instance), named in self.names.items():
+            yield from self._names(scene, instance, named)
+        for (_, _, _, relation), found in self.states.items():
+            if T in found and F in found:
+                yield from _contradiction(relation, found[T], found[F])
+
+    def _names(self, scene: str, instance: int, named: dict[str, list[tuple[str | None, int]]]) -> Iterator[Finding]:
+        labels = list(named)
+        counts = np.array([self.counts[scene, instance, label] for label in labels])
+        # By name, how many views call it so or by a name of the same meaning.
+        alike = same_names(labels) @ counts
+        for k, label in enumerate(labels):
+            others = int(counts.sum()) - 1
+            best = int(np.where(same_names(labels)[k], 0, alike).argmax())
+            if not others or same_names(labels)[k, best] or 2 * alike[best] <= others:
+                continue
+            message = f"{alike[best]} of {others} other views call it {labels[best]}"
+            figures: dict[str, Figure] = {"name": labels[best], "views": int(alike[best]), "of": others}
+            for frame, number in named[label]:
+                yield Finding(
+                    "object/other-views",
+                    RULES["object/other-views"],
+                    frame,
+                    (number,),
+                    f"{label} {number}: {message}",
+                    figures,
+                )
+
+
+def _contradiction(relation: str, holds: Sighting, holds_not: Sighting) -> Iterator[Finding]:
+    """Findings of both frames, the less sure one first; each names the other."""
+    for own, other in sorted(((holds, holds_not), (holds_not, holds)), key=lambda pair: pair[0].margin):
+        says = "holds" if own is holds else "does not hold"
+        other_says = "it does not" if own is holds else "it does"
+        figures: dict[str, Figure] = {"relation": relation, "margin": round(own.margin, 4)}
+        figures |= {"other_margin": round(other.margin, 4)} | ({} if other.frame is None else {"other": other.frame})
+        yield Finding(
+            "relation/other-views",
+            RULES["relation/other-views"],
+            own.frame,
+            (own.a, own.b),
+            f"{own.text}: {says} here by {100 * own.margin:.0f} cm, in {other.frame} {other_says} by "
+            f"{100 * other.margin:.0f} cm, where the objects are {other.a} and {other.b}",
+            figures,
+        )
+
+
+def _is_number(value: object) -> bool:
+    return value is not None and value == value and int(value) >= 0  # pyright: ignore[reportArgumentType]
