@@ -88,6 +88,12 @@ class AskCommand(Output):
     that would mend it."""
     try_mend: Annotated[Flag, arg(name="try")] = False
     """Try what would make a wrong answer right; with --run also what a setting of its kind does to the whole run."""
+    world: Flag = False
+    """Answer by the objects of all posed frames of the scene: also by what this frame does not show."""
+    standing_at: str | None = None
+    """With --world: answer for somebody who stands at this object ("door"), and not for the frame's camera."""
+    facing: str | None = None
+    """With --standing-at: the object that one faces ("window")."""
     labels: Truth = None
 
 

@@ -49,6 +49,10 @@ def run_ask(command: AskCommand) -> int:
         check_target(command.save, films=True)
     answered = 0
     pipeline, labels, run = _opened(command)
+    if command.world or command.standing_at is not None or command.facing is not None:
+        from spatialviz.run_world import ask_of_world
+
+        return ask_of_world(command, pipeline)
     known = {} if run is None else {"marks": run.spec.marks, "confidence": run.spec.confidence}
     for answer in ask_and_judge(pipeline, command.frame, command.expressions, labels, warn_skipped, **known):
         trace = answer.needed_trace()
