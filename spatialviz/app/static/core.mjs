@@ -116,8 +116,10 @@ export const patch = parts => {
     if (now && now !== shown && !now.closest('#review-list')) now.scrollIntoView({block: 'nearest'});
   }
   // Where its field goes, what was typed is sent, and the server says what became of it.
-  if (typing(typed) && !typed.isConnected) fieldGone = performance.now();
-  if (changed && !typed.isConnected) sendAsOf(before, `${typed.dataset.change}:${typed.value}`);
+  if (changed && !typed.isConnected) {
+    fieldGone = performance.now();
+    sendAsOf(before, `${typed.dataset.change}:${typed.value}`);
+  }
   mark();
 };
 
