@@ -148,8 +148,8 @@ class ExportCommand:
     labels: LabelsArg
     out: NewFolder
     format: str
-    """jsonl | coco | kitti (boxes only) | vqa (conversations for tuning a vision-language model) | parquet (Hugging
-    Face's layout), or the name that a plugin gives its own."""
+    """jsonl | coco | kitti (boxes only) | vqa (conversations for tuning a vision-language model) | scene-graph (JSON
+    and GraphML) | parquet (Hugging Face's layout), or the name that a plugin gives its own."""
     images: Literal["none", "copy"] = "none"
     """copy: write the colour images beside the labels too."""
     dataset: str | None = None

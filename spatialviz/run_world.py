@@ -47,7 +47,9 @@ def ask_of_world(command: AskCommand, pipeline: Pipeline) -> int:
         told = seen_from(world, trace)
         command.write(answer.record() | {"world": told}, print_answer, answer, trace)
         if not command.json:
-            say_lines([f"{counted(len(made.objects), 'object')} in {counted(len(made.frame_ids), 'frame')} of {made.scene}"])
+            say_lines(
+                [f"{counted(len(made.objects), 'object')} in {counted(len(made.frame_ids), 'frame')} of {made.scene}"]
+            )
             for role, own in told["objects"].items():
                 frames = f"; seen in {', '.join(own['frames'])}" if own["presence"] != "seen" else ""
                 say(f"{role} {own['name']}: {FROM_HERE[own['presence']]}{frames}", style="dim")

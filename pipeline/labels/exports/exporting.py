@@ -23,7 +23,7 @@ from types import NoneType
 from typing import Any, Literal
 
 from pipeline.datasets import Dataset
-from pipeline.labels.exports import coco, kitti, vqa_questions
+from pipeline.labels.exports import coco, kitti, scene_graph, vqa_questions
 from pipeline.labels.exports.base import (
     ExportFormat,
     Job,
@@ -237,6 +237,7 @@ FORMATS: dict[str, ExportFormat] = {
     "coco": coco.FORMAT,
     "kitti": kitti.FORMAT,
     "vqa": vqa_questions.FORMAT,
+    "scene-graph": scene_graph.FORMAT,
     "parquet": ExportFormat(
         write_hub,
         description="Parquet with a dataset card, as the Hugging Face hub wants it; lossless",
