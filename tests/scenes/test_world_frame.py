@@ -1,0 +1,83 @@
+"""A scene is asked from a frame that does not see all of it, and from where no camera stood."""
+
+import numpy as np
+import pytest
+
+from pipeline.answering.answer_words import holds
+from pipeline.answering.objects import all_objects
+from pipeline.answering.pipeline import Pipeline, open_pipeline
+from pipeline.scenes.object_map import SceneMap, map_scene
+from pipeline.scenes.views import posed_frames
+from pipeline.scenes.world_frame import ask_world, from_frame, imagined, presence_from
+from pipeline.system import InputError
+
+FRAME = "000001/000000"
+
+
+@pytest.fixture(scope="module")
+def pipeline() -> Pipeline:
+    return open_pipeline("demo")
+
+
+@pytest.fixture(scope="module")
+def made(pipeline: Pipeline) -> SceneMap:
+    return map_scene(pipeline, "000001", posed_frames(pipeline.dataset, FRAME))
+
+
+def test_what_the_frame_sees_stands_where_it_sees_it(pipeline: Pipeline, made: SceneMap) -> None:
+    world, prepared = from_frame(pipeline, made, FRAME), pipeline.prepare(FRAME)
+    own = {o.id: o for o in all_objects(prepared, pipeline.needed_detector())}
+    seen = [(o.id, o.numbers[FRAME]) for o in made.objects if FRAME in o.numbers]
+    assert len(seen) == len(own)
+    for number, of_frame in seen:
+        center = world.points[number].mean(axis=0)
+        lifted = own[of_frame].lifted
+        low, high = lifted.points.min(axis=0) - 0.1, lifted.points.max(axis=0) + 0.1
+        # Other views add what this one does not see, but no other place.
+        assert ((center > low) & (center < high)).any(), (own[of_frame], center)
+
+
+def test_what_the_frame_does_not_see_is_answered(pipeline: Pipeline, made: SceneMap) -> None:
+    text = "pillow on the armchair"
+    assert pipeline.ask(pipeline.prepare(FRAME), text).missing
+    world = from_frame(pipeline, made, FRAME)
+    trace = ask_world(pipeline, world, text)
+    assert holds(trace)
+    assert trace.ranking is not None
+    target = trace.objects[trace.ranking.pairs[0].target]
+    assert target.label == "pillow"
+    assert presence_from(world, target.id) == "out"
+    assert not target.mask.any()
+
+
+def test_an_imagined_viewpoint_faces_what_it_is_told_to(pipeline: Pipeline, made: SceneMap) -> None:
+    world = imagined(pipeline, made, "bookshelf", "armchair")
+    faced = next(o for o in made.objects if o.label == "armchair")
+    own = world.viewer.matrix @ (np.linalg.inv(world.pose) @ [*faced.center, 1])[:3]
+    assert abs(own[0]) < 1e-6, "straight ahead"
+    assert own[2] > 0
+    # Whoever stands there and turns round has on the left what was on the right.
+    back = imagined(pipeline, made, "armchair", "bookshelf")
+    right, other_right = world.pose[:3, 0], back.pose[:3, 0]
+    np.testing.assert_allclose(right, -other_right, atol=1e-9)
+    assert (world.frame.depth > 0).mean() > 0.2, "the scene is in view"
+
+
+@pytest.mark.parametrize(
+    ("at", "facing", "words"),
+    [
+        ("unicorn", "laptop", "no such object"),
+        ("book", "laptop", "objects called book"),
+        ("laptop", "laptop", "above or below"),
+    ],
+)
+def test_a_viewpoint_that_cannot_be_is_refused(
+    pipeline: Pipeline, made: SceneMap, at: str, facing: str, words: str
+) -> None:
+    with pytest.raises(InputError, match=words):
+        imagined(pipeline, made, at, facing)
+
+
+def test_a_frame_that_is_not_of_the_map_is_refused(pipeline: Pipeline, made: SceneMap) -> None:
+    with pytest.raises(InputError, match="no place in the map"):
+        from_frame(pipeline, made, "000002/000000")
