@@ -23,8 +23,8 @@ from pipeline.system.errors import require
 from pipeline.system.frozen import dataclass
 
 SAME_NAME, WITHIN = 0.1, 0.5
-"""Worth of the same class name, beside an IoU, and, with it, of the share of the smaller of both that lies in the other:
-of masks that are drawn too narrow and too wide. Without the name it would join cups to their table."""
+"""Worth of the same class name, beside an IoU, and, with it, of the share of the smaller one that lies in the other, for
+masks drawn too narrow and too wide. Without the name it would join cups to their table."""
 LEAST_SCORE = 0.2
 """A match scores at least so much."""
 LEAST_SEEN = 0.1
@@ -109,7 +109,13 @@ class Joining:
         return found
 
     def _matched(
-        self, view_id: str, objects: Sequence[Seen], iou: np.ndarray, inner: np.ndarray, known: np.ndarray, named: np.ndarray
+        self,
+        view_id: str,
+        objects: Sequence[Seen],
+        iou: np.ndarray,
+        inner: np.ndarray,
+        known: np.ndarray,
+        named: np.ndarray,
     ) -> tuple[Join, ...]:
         score = np.where(iou > 0, iou + named * (SAME_NAME + WITHIN * inner), 0.0)
         matched = dict(zip(*linear_sum_assignment(-score), strict=True)) if score.size else {}
@@ -191,7 +197,7 @@ def _painted(sharp: np.ndarray, objects: Sequence[Seen]) -> tuple[np.ndarray, np
         crop = objects[i].mask
         h, w = crop.mask.shape
         part = np.s_[crop.y : crop.y + h, crop.x : crop.x + w]
-        kept = sharp[part] & crop.mask if objects[i].kept is None else objects[i].kept
+        kept = sharp[part] & crop.mask if (known := objects[i].kept) is None else known
         own[part][crop.mask] = i
         compared[part][crop.mask] = (kept if np.count_nonzero(kept) < SMALL else kept & grid[part])[crop.mask]
     return own, compared
