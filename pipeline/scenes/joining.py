@@ -23,7 +23,7 @@ from pipeline.system.errors import require
 from pipeline.system.frozen import dataclass
 
 SAME_NAME, WITHIN = 0.1, 0.5
-"""Worth of the same class name, beside an IoU, and, with it, of the share of the smaller one that lies in the other, for
+"""Worth of the same class name, beside an IoU, and, with it, of the smaller one's share that lies in the other, for
 masks drawn too narrow and too wide. Without the name it would join cups to their table."""
 LEAST_SCORE = 0.2
 """A match scores at least so much."""
