@@ -22,6 +22,7 @@ ROOMS = (
     "relations",
     "answering",
     "drawing",
+    "scenes",
     "labels",
     "training",
     "diagnosis",

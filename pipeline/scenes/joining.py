@@ -22,9 +22,10 @@ from pipeline.scenes.voxels import BACKGROUND, UNSEEN, Voxels
 from pipeline.system.errors import require
 from pipeline.system.frozen import dataclass
 
-SAME_NAME = 0.1
-"""Worth of the same class name, beside an IoU."""
-LEAST_SCORE = 0.25
+SAME_NAME, WITHIN = 0.1, 0.5
+"""Worth of the same class name, beside an IoU, and, with it, of the smaller one's share that lies in the other, for
+masks drawn too narrow and too wide. Without the name it would join cups to their table."""
+LEAST_SCORE = 0.2
 """A match scores at least so much."""
 LEAST_SEEN = 0.1
 """Below this share of pixels whose place was seen before, a match is doubtful."""
@@ -98,19 +99,25 @@ class Joining:
         v, u = np.nonzero(compared)
         own = painted[v, u]
         points = view.world(v, u)
-        iou, known = _overlaps(own, self.voxels.owners(points), len(objects), len(self.votes))
+        iou, inner, known = _overlaps(own, self.voxels.owners(points), len(objects), len(self.votes))
         labels = [*(o.label for o in objects), *map(self.name, range(len(self.votes)))]
         named = same_names(labels)[: len(objects), len(objects) :]
-        found = self._matched(view.frame_id, objects, iou, known, named)
+        found = self._matched(view.frame_id, objects, iou, inner, known, named)
         ids = np.array([BACKGROUND, *(join.object_id for join in found)])
         self.voxels = self.voxels.added(points, ids[own + 1])
         self.joins.extend(found)
         return found
 
     def _matched(
-        self, view_id: str, objects: Sequence[Seen], iou: np.ndarray, known: np.ndarray, named: np.ndarray
+        self,
+        view_id: str,
+        objects: Sequence[Seen],
+        iou: np.ndarray,
+        inner: np.ndarray,
+        known: np.ndarray,
+        named: np.ndarray,
     ) -> tuple[Join, ...]:
-        score = np.where(iou > 0, iou + SAME_NAME * named, 0.0)
+        score = np.where(iou > 0, iou + named * (SAME_NAME + WITHIN * inner), 0.0)
         matched = dict(zip(*linear_sum_assignment(-score), strict=True)) if score.size else {}
         out = []
         for i, entry in enumerate(objects):
@@ -190,13 +197,13 @@ def _painted(sharp: np.ndarray, objects: Sequence[Seen]) -> tuple[np.ndarray, np
         crop = objects[i].mask
         h, w = crop.mask.shape
         part = np.s_[crop.y : crop.y + h, crop.x : crop.x + w]
-        kept = sharp[part] & crop.mask if objects[i].kept is None else objects[i].kept
+        kept = sharp[part] & crop.mask if (known := objects[i].kept) is None else known
         own[part][crop.mask] = i
         compared[part][crop.mask] = (kept if np.count_nonzero(kept) < SMALL else kept & grid[part])[crop.mask]
     return own, compared
 
 
-def _overlaps(own: np.ndarray, owner: np.ndarray, count: int, known: int) -> tuple[np.ndarray, np.ndarray]:
+def _overlaps(own: np.ndarray, owner: np.ndarray, count: int, known: int) -> tuple[np.ndarray, ...]:
     """IoU of a view's objects with the scene's, (count, known), over pixels whose place was seen, and the share of such
     pixels of each of the view's, (count,).
 
@@ -209,4 +216,5 @@ def _overlaps(own: np.ndarray, owner: np.ndarray, count: int, known: int) -> tup
     table = table.reshape(count + 1, known + 1).astype(np.float64)
     both, mine, theirs = table[1:, 1:], table[1:].sum(axis=1), table[:, 1:].sum(axis=0)
     union = mine[:, None] + theirs - both
-    return both / np.maximum(union, 1), mine / np.maximum(whole, 1)
+    inner = both / np.maximum(np.minimum(mine[:, None], theirs), 1)
+    return both / np.maximum(union, 1), inner, mine / np.maximum(whole, 1)

@@ -31,9 +31,9 @@ SETTLED = 1e-5
 ALL_PAIRS, NEAR = 24, 4
 """A view is compared with all views before it, or so many; of more with so many just before it and as many others that
 look alike."""
-DEVIATIONS, LEAST_BELOW, LEAST_AGREE = 4.0, 0.03, 0.5
-"""A view does not fit whose best agreement lies so many median absolute deviations, and at least so much, below the
-recording's median, or where fewer of the points than the last match."""
+DEVIATIONS, LEAST_BELOW, MORE_THROUGH, LEAST_AGREE = 4.0, 0.03, 0.5, 0.5
+"""A view does not fit whose best agreement lies so many median absolute deviations below the recording's median, and at
+least so much, and has so many more points looked through than is usual; or where fewer than the last match."""
 
 
 @dataclass(frozen=True)
@@ -194,5 +194,6 @@ def misfits(best: Sequence[float] | np.ndarray) -> float:
     if not len(values):
         return 0.0
     middle = float(np.median(values))
-    below = max(DEVIATIONS * float(np.median(np.abs(values - middle))), LEAST_BELOW)
+    spread = float(np.median(np.abs(values - middle)))
+    below = max(DEVIATIONS * spread, LEAST_BELOW, MORE_THROUGH * (1 - middle))
     return max(middle - below, LEAST_AGREE)
