@@ -72,6 +72,8 @@ class LabelCommand(Output):
     """Also make sentences of these kinds (none named: of all) with all their right answers, for eval --sentences."""
     sentences_a_kind: int = 4
     """At most so many of each kind in a frame."""
+    map: str = ""
+    """Folder of object maps that `map` wrote: objects get their ids in them (`instance`), `check` compares views."""
     box: Box = "upright"
     seed: int = 0
     """The same seed gives the same labels."""

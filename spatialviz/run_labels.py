@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 from pipeline.geometry.cleaning import LiftConfig
 from pipeline.labels.by_hand import begun_labels, with_frames
@@ -29,6 +30,7 @@ def run_label(command: LabelCommand) -> int:
         second_opinion=command.second_opinion,
         sentences=SENTENCE_KINDS if command.sentences == () else command.sentences or (),
         sentences_a_kind=command.sentences_a_kind,
+        map=str(Path(command.map).expanduser().absolute()) if command.map else "",
     )
     if command.empty:
         return _begin(command, config)

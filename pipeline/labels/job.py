@@ -20,6 +20,7 @@ from pipeline.answering.objects import prepare_frame
 from pipeline.answering.pipeline import Pipeline
 from pipeline.datasets import given_expressions
 from pipeline.datasets.base import scene_of
+from pipeline.labels.instances import Instances, open_instances
 from pipeline.labels.labelling import FrameLabels, broken_frame, label_objects
 from pipeline.labels.merge import merge_labels
 from pipeline.labels.plan import (
@@ -80,11 +81,14 @@ class Labeller:
     """The dataset and what finds objects in it."""
     network: OnnxScorer | None
     """The second opinion."""
+    instances: Instances | None = None
 
 
 def open_labeller(spec: SourceSpec, config: LabelConfig) -> Labeller:
     """Open the dataset and the models of a plan; raises as `open_pipeline`."""
-    return Labeller(config, spec.open(config), open_second_opinion(config.second_opinion))
+    source = spec.open(config)
+    instances = open_instances(config.map, source.needed_detector()) if config.map else None
+    return Labeller(config, source, open_second_opinion(config.second_opinion), instances)
 
 
 def label_frame(labeller: Labeller, frame_id: str, frame_index: int, found: Proposals | None = None) -> FrameLabels:
@@ -113,6 +117,7 @@ def label_frame(labeller: Labeller, frame_id: str, frame_index: int, found: Prop
         exact=detector.exact,
         network=labeller.network,
         given=given,
+        instances=None if labeller.instances is None else labeller.instances.of(frame_id, [*objects]),
     )
     if not config.sentences:
         return labels

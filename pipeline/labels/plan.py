@@ -15,6 +15,7 @@ from pipeline.answering.ask import AskConfig
 from pipeline.answering.pipeline import Pipeline, open_pipeline
 from pipeline.datasets import Dataset, splits
 from pipeline.geometry.cleaning import LiftConfig
+from pipeline.labels.instances import instances_hash
 from pipeline.labels.profiles import RuleProfile, canonical_hash, fingerprint, profile_of
 from pipeline.language.naming import normal_form
 from pipeline.language.relation_names import PAIRWISE, VOCABULARIES
@@ -158,6 +159,7 @@ def make_plan(
         {
             "detector": f"{detector.name}: {detector.fingerprint()}",
             "second_opinion": fingerprint(config.second_opinion),
+            **({"map": instances_hash(config.map)} if config.map else {}),
             **_declared(spec.options),
         },
         _input_hash(source, out, like),
@@ -342,6 +344,8 @@ class LabelConfig:
     """Kinds of sentences that are made besides the expressions, of SENTENCE_KINDS."""
     sentences_a_kind: int = 4
     """At most so many of each kind in a frame."""
+    map: str = ""
+    """Folder of object maps, which say what is one object in several frames; empty for none."""
 
     def __post_init__(self) -> None:
         unknown = next((k for k in self.sentences if k not in SENTENCE_KINDS), None)
@@ -375,9 +379,10 @@ class LabelConfig:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Settings as JSON; sentences only if wanted, so that other labels keep their hash."""
+        """Settings as JSON; sentences and map only if wanted, so that other labels keep their hash."""
         found = {**asdict(self), "background": list(self.background), "sentences": list(self.sentences)}
-        return {name: value for name, value in found.items() if self.sentences or not name.startswith("sentences")}
+        wanted = {"sentences": self.sentences, "sentences_a_kind": self.sentences, "map": self.map}
+        return {name: value for name, value in found.items() if wanted.get(name, True)}
 
     def record(self) -> dict[str, Any]:
         """Its settings, with the hash of the profile's thresholds."""

@@ -213,6 +213,8 @@ def _blamed(found: Finding, relations: Collection[str]) -> list[tuple[ItemKey, f
     weight = CONTRADICTED if found.severity == "error" else WARNED
     if group == "object":
         weight = ONE_OF_TWO if len(found.objects) > 1 and found.severity == "error" else weight
+        if found.rule == "object/other-views":
+            weight = CONTRADICTED * float(found.figures["views"]) / float(found.figures["of"])
         return [(ItemKey(frame, group, n, None, ""), weight) for n in found.objects]
     if group != "expression" or not found.objects:
         return []
@@ -224,7 +226,7 @@ def _blamed_cells(found: Finding) -> list[tuple[int, int, str, float]]:
     if not isinstance(relation, str) or len(found.objects) < 2:
         return []
     a, b = found.objects[:2]
-    if found.rule == "relation/geometry":
+    if found.rule in ("relation/geometry", "relation/other-views"):
         return [(a, b, relation, CONTRADICTED)]
     inverse = INVERSE.get(relation, relation)
     if found.rule == "relation/cycle":
