@@ -90,6 +90,8 @@ class AskCommand(Output):
     """Try what would make a wrong answer right; with --run also what a setting of its kind does to the whole run."""
     world: Flag = False
     """Answer by the objects of all posed frames of the scene: also by what this frame does not show."""
+    map: Path | None = None
+    """With --world: folder of object maps that `map` wrote. Default: the scene is mapped for the question."""
     standing_at: str | None = None
     """With --world: answer for somebody who stands at this object ("door"), and not for the frame's camera."""
     facing: str | None = None

@@ -49,7 +49,7 @@ def run_ask(command: AskCommand) -> int:
         check_target(command.save, films=True)
     answered = 0
     pipeline, labels, run = _opened(command)
-    if command.world or command.standing_at is not None or command.facing is not None:
+    if command.world or any(given is not None for given in (command.standing_at, command.facing, command.map)):
         from spatialviz.run_world import ask_of_world
 
         return ask_of_world(command, pipeline)

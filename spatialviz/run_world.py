@@ -9,6 +9,7 @@ from pipeline.answering.pipeline import Pipeline
 from pipeline.datasets.base import resolve_frame, scene_of
 from pipeline.diagnosis.asking import judged
 from pipeline.language.counted import counted
+from pipeline.scenes.map_files import map_path, read_map
 from pipeline.scenes.object_map import Presence, map_scene
 from pipeline.scenes.views import posed_frames
 from pipeline.scenes.world_frame import WorldFrame, ask_world, from_frame, imagined, presence_from
@@ -29,12 +30,18 @@ FROM_HERE: dict[Presence, str] = {
 
 def ask_of_world(command: AskCommand, pipeline: Pipeline) -> int:
     """Answer the expressions by the objects of the frame's scene; the exit status."""
-    require(command.world, "--standing-at and --facing are of --world", expected="--world --standing-at X --facing Y")
+    require(
+        command.world, "--map, --standing-at and --facing are of --world", expected="--world --standing-at X --facing Y"
+    )
     both = (command.standing_at is None) == (command.facing is None)
     require(both, "an imagined viewpoint stands at one object and faces another", expected="--standing-at X --facing Y")
     require(command.frame != ALL_FRAMES, "--world takes one frame: it says which scene, and from where")
     frame_id = resolve_frame(pipeline.dataset, command.frame)
-    made = map_scene(pipeline, scene_of(pipeline.dataset, frame_id), posed_frames(pipeline.dataset, frame_id))
+    scene = scene_of(pipeline.dataset, frame_id)
+    if command.map is None:
+        made = map_scene(pipeline, scene, posed_frames(pipeline.dataset, frame_id))
+    else:
+        made = read_map(map_path(command.map, scene))
     if command.standing_at is None or command.facing is None:
         world = from_frame(pipeline, made, frame_id)
     else:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import field
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -29,8 +29,9 @@ MOST_NAMED = 20
 
 @dataclass(frozen=True)
 class Sighting:
-    """A state of a relation in a frame, and how sure it is."""
+    """A state of a relation in the surest frame, and in how many there are of it."""
 
+    views: int
     margin: float  # Metres, without its sign
     frame: str | None
     a: int  # Numbers of the objects in the frame
@@ -74,9 +75,13 @@ class OtherViews:
     def _keep(self, scene: str, relation: str, view: FrameView, i: int, j: int, state: int, margin: float) -> None:
         instances = view.objects["instance"]
         found = self.states.setdefault((scene, int(instances[i]), int(instances[j]), relation), {})
-        if state not in found or margin > found[state].margin:
-            numbers = int(view.ids[i]), int(view.ids[j])
-            found[state] = Sighting(margin, view.id, *numbers, view.relation_text(i, relation, j))
+        before = found.get(state)
+        if before is not None and margin <= before.margin:
+            found[state] = replace(before, views=before.views + 1)
+            return
+        views = 1 if before is None else before.views + 1
+        numbers = int(view.ids[i]), int(view.ids[j])
+        found[state] = Sighting(views, margin, view.id, *numbers, view.relation_text(i, relation, j))
 
     def findings(self) -> Iterator[Finding]:
         """Find class names and relations that other views contradict."""
@@ -110,11 +115,13 @@ class OtherViews:
 
 
 def _contradiction(relation: str, holds: Sighting, holds_not: Sighting) -> Iterator[Finding]:
-    """Findings of both frames, the less sure one first; each names the other."""
-    for own, other in sorted(((holds, holds_not), (holds_not, holds)), key=lambda pair: pair[0].margin):
+    """Find the state that fewer views have, or both where as many have either; each names the other's frame."""
+    for own, other in ((holds, holds_not), (holds_not, holds)):
+        if own.views > other.views:
+            continue
         says = "holds" if own is holds else "does not hold"
         other_says = "it does not" if own is holds else "it does"
-        figures: dict[str, Figure] = {"relation": relation, "margin": round(own.margin, 4)}
+        figures: dict[str, Figure] = {"relation": relation, "margin": round(own.margin, 4), "views": other.views}
         figures |= {"other_margin": round(other.margin, 4)} | ({} if other.frame is None else {"other": other.frame})
         yield Finding(
             "relation/other-views",
