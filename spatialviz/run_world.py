@@ -41,7 +41,9 @@ def ask_of_world(command: AskCommand, pipeline: Pipeline) -> int:
     if command.map is None:
         made = map_scene(pipeline, scene, posed_frames(pipeline.dataset, frame_id))
     else:
-        made = read_map(map_path(command.map, scene))
+        path = map_path(command.map, scene)
+        require(path.is_file(), f"there is no map of the scene {scene}", expected="spatialviz map DATASET", path=path)
+        made = read_map(path)
     if command.standing_at is None or command.facing is None:
         world = from_frame(pipeline, made, frame_id)
     else:
